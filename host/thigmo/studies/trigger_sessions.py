@@ -213,9 +213,10 @@ def record(
     """
     eeprom = _stored(scene.believed(seed).model_dump_json())
     board = TouchedBoard(seed, eeprom, scene.robot)
+    lockstep = Lockstep(scene, board, seed=seed)
+    board.set_encoder(*lockstep.plant.encoder)  # a jump from 0 later would be a slip
     _start(board)
     board.record_trace(True)
-    lockstep = Lockstep(scene, board, seed=seed)
     script = _script_of(scene.robot, scene.start_length_cm, halves)
     end_ms = halves[-1].start_ms + _HALF_MS
     excess = np.zeros(end_ms // STEP_MS + 1)  # contact curvature at the base of the inactive side

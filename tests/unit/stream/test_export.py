@@ -45,9 +45,9 @@ def test_every_channel_but_the_grid_has_its_table(run: Path, tmp_path: Path) -> 
 def test_telemetry_has_a_column_for_each_number(run: Path, tmp_path: Path) -> None:
     export_csv(run, tmp_path)
     unknown, known = _table(tmp_path / "telemetry.csv")
-    assert (unknown["supply_v"], known["supply_v"]) == ("", "5.0")
+    assert (unknown["supply_v"], known["supply_v"]) == ("", "5")
     assert float(known["epoch_s"]) == 1.7e9 + 1.0
-    assert (known["pressure_psi_left"], known["pressure_psi_right"]) == ("1.5", "0.0")
+    assert (known["pressure_psi_left"], known["pressure_psi_right"]) == ("1.5", "0")
     assert [known[f"flex_sum_right_{n}"] for n in range(5)] == ["5", "6", "7", "8", "9"]
     assert known["curvature_per_cm_left_0"] == "0.01"
     assert (known["state"], known["faults"]) == ("ready", "stopped")
@@ -55,16 +55,16 @@ def test_telemetry_has_a_column_for_each_number(run: Path, tmp_path: Path) -> No
 
 def test_a_list_becomes_rows(run: Path, tmp_path: Path) -> None:
     export_csv(run, tmp_path)
-    assert [row["x_cm"] for row in _table(tmp_path / "shape.csv")] == ["0.0", "1.0"]
+    assert [row["x_cm"] for row in _table(tmp_path / "shape.csv")] == ["0", "1"]
     cells = _table(tmp_path / "posterior.csv")
     assert {(row["contact_probability"], row["sweeping"]) for row in cells} == {("0.9", "True")}
     assert [(row["place_cm"], row["probability"]) for row in cells] == [
-        ("1.0", "0.25"),
-        ("2.0", "0.75"),
+        ("1", "0.25"),
+        ("2", "0.75"),
     ]
     (contact,) = _table(tmp_path / "contacts.csv")
-    assert (contact["interval_low_cm"], contact["interval_high_cm"]) == ("19.0", "21.0")
-    assert (contact["variance_x_cm2"], contact["variance_y_cm2"]) == ("1.0", "2.0")
+    assert (contact["interval_low_cm"], contact["interval_high_cm"]) == ("19", "21")
+    assert (contact["variance_x_cm2"], contact["variance_y_cm2"]) == ("1", "2")
     assert contact["known"] == ""
 
 

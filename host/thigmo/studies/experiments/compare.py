@@ -73,7 +73,7 @@ def alone(trial: Trial) -> Answer:
     """As `ours`, of the last readings, without those on the way."""
     result = localize(
         trial.curvature / trial.gain, trial.position, free_curvature=trial.free,
-        noise=trial.sigma, contacts=len(trial.arcs_cm), **_told(trial),
+        noise=trial.sigma, contacts=len(trial.arcs_cm), held_end=False, **_told(trial),
     )  # fmt: skip
     return _answer(result)
 
@@ -82,7 +82,7 @@ def _told(trial: Trial) -> dict[str, Any]:
     return {
         "length": trial.length_cm, "span": trial.span, "offset_error": trial.offset_error,
         "critical_curvature": np.inf if trial.critical is None else trial.critical,
-        "tube_radius": trial.radius_cm, "held_end": False,
+        "tube_radius": trial.radius_cm,
     }  # fmt: skip
 
 
