@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from command import Thigmo
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError, RunFolderError
 from thigmo.exploration import ExplorationResult, explore, open_run, replay
+from thigmo.exploration.recorded import RecordedRun
 from thigmo.record import RunFolder
 
 
@@ -112,4 +114,13 @@ def test_what_ended_or_is_under_way_is_not_resumed(
         _explore(room, tmp_path, resume=killed.path)
     with pytest.raises(DataError, match="keeps the map it was given"):
         _explore(room, tmp_path, resume=killed.path, prior=resumed.folder)
+    with pytest.raises(DataError, match="keeps its protocol, measure; leave --protocol out"):
+        _explore(room, tmp_path, resume=killed.path, protocol="thesis")
     assert open_run(killed.path).document.outcome == "killed"
+
+
+def test_a_record_without_the_runs_steps_is_no_run_without_contacts(killed: RunFolder) -> None:
+    (log,), config = killed.read_logs(), killed.read_config()
+    mute = replace(log, told=log.entries)
+    with pytest.raises(RunFolderError, match="has sweeps, but none of the run's steps"):
+        RecordedRun(killed, [mute], config)

@@ -32,12 +32,13 @@ def explore(
         bool, typer.Option("--realtime", help="Let the emulator run at the clock's pace.")
     ] = False,
     protocol: Annotated[
-        Literal["measure", "thesis"],
+        Literal["measure", "thesis"] | None,
         typer.Option(
             help="How a contact is measured: by a second sweep to the pressure at which it is felt "
-            "best, or at the full sweep's peak, as in the thesis."
+            "best (measure, the default; that of the run for one that is resumed), or at the full "
+            "sweep's peak, as in the thesis."
         ),
-    ] = "measure",
+    ] = None,
     method: MethodOption = None,
     prior: Annotated[
         Path | None,

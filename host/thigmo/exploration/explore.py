@@ -41,7 +41,7 @@ def explore(
     out: str | os.PathLike[str] = "runs",
     name: str | None = None,
     realtime: bool = False,
-    protocol: Protocol = "measure",
+    protocol: Protocol | None = None,
     method: str = "posterior",
     prior: str | os.PathLike[str] | None = None,
     resume: str | os.PathLike[str] | None = None,
@@ -60,9 +60,10 @@ def explore(
         out: folder in which the run folder is made.
         name: of the run.
         realtime: pace the emulator by the clock.
-        protocol: "measure" looks for contacts on the way up only, without waiting for young
-            sensors, and sweeps a side with a contact again, to the pressure at which the contact
-            is felt best; "thesis" waits, and takes the readings at the full sweep's peak.
+        protocol: "measure", the default, looks for contacts on the way up only, without waiting
+            for young sensors, and sweeps a side with a contact again, to the pressure at which the
+            contact is felt best; "thesis" waits, and takes the readings at the full sweep's peak.
+            A run that is resumed keeps its own.
         method: of `thigmo.localize`. Without intervals ("l1", "l2", "thesis") every stage's place
             is a contact of its own, for nothing tells whether two are one.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
@@ -90,8 +91,14 @@ def explore(
         if prior is not None:
             raise DataError("a run that is resumed keeps the map it was given", "leave --map out")
         url, name, config = url or past.document.url, name or past.document.name, past.config
-        protocol = "thesis" if past.protocol == "thesis" else "measure"
+        swept: Protocol = "thesis" if past.protocol == "thesis" else "measure"
+        if protocol not in (None, swept):
+            raise DataError(
+                f"a run that is resumed keeps its protocol, {swept}", "leave --protocol out"
+            )
+        protocol = swept
         seed, method = past.document.seed if seed is None else seed, past.document.method
+    protocol = protocol or "measure"
     url = url or "emulator://default"
     given = past.prior if past else [] if prior is None else read_prior(prior)
     started = datetime.now(UTC)

@@ -167,7 +167,7 @@ class RecordedRun:
         sweeps: of all records.
         bad: frames that could not be decoded.
 
-    Raises RunFolderError: a record of another protocol schema.
+    Raises RunFolderError: a record of another protocol schema, or without the run's steps.
     """
 
     def __init__(
@@ -185,7 +185,13 @@ class RecordedRun:
         self.bad = 0
         for log in self.logs:
             _check(folder, log)
-            self._read(log, _Frames(config))
+            frames = _Frames(config)
+            self._read(log, frames)
+            if frames.sweeps and all(note.facts["topic"] != "state" for note in log.notes):
+                raise RunFolderError(
+                    f"the record of {folder.path} has sweeps, but none of the run's steps",
+                    "read its sweeps with thigmo.exploration.recorded.recorded_sweeps",
+                )
 
     def _read(self, log: Log, frames: _Frames) -> None:
         taken = 0
