@@ -85,7 +85,8 @@ inline void Controller::run_phase(uint8_t phase) {
     case 0:
       if (activity_ == Activity::kSweeping) advance_sweep();
       // Muscles rest while the body grows, so this turn has room.
-      if (activity_ == Activity::kGrowing && fold_.step(flex_, length_um_, config_, derived_)) {
+      if (activity_ == Activity::kGrowing && derived_.judges_encoder &&
+          fold_.step(flex_, length_um_, config_, derived_)) {
         stall(protocol::StallCause::kEverted);
       }
       pressure_step(0);

@@ -80,7 +80,7 @@ struct Derived {
   uint16_t stall_steps;
   uint16_t enabled_mask = 0;
   bool telemetry_aligned;
-  bool judges_speed;  // by the motor's duty
+  bool judges_encoder;  // by the motor's duty, and by the sensors that pass the tip
   uint8_t oversample_log2;
   uint8_t trigger_log2;
 
@@ -236,7 +236,7 @@ struct Derived {
     const int32_t tip_um_s = c.get(Param::kLineSpeedUmS) * 256 / c.get(Param::kPayoutQ8);
     motor_slope_q16 = speed_q16(tip_um_s) / (kMotorFull - c.get(Param::kSpoolDeadZone));
     speed_margin_q16 = c.get(Param::kSpeedMarginDuty) * motor_slope_q16;
-    judges_speed = c.get(Param::kSpeedMarginDuty) < kMotorFull;
+    judges_encoder = c.get(Param::kSpeedMarginDuty) < kMotorFull;
     missed_q16 = speed_q16(kMissedUm * kControlHz);
     astray_q16 = greater<int32_t>(speed_q16(kAstrayUm * kControlHz), 3 * 65536);
     astray_speed_q16 = speed_q16(kAstrayUmS);

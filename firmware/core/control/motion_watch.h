@@ -46,7 +46,7 @@ class MotionWatch {
     watch(1, -moved_q16, greater(-speed_q16_, -wanted_q16), d);
   }
 
-  bool missed(const Derived& d) const { return d.judges_speed && missed_q16_ > d.missed_q16; }
+  bool missed(const Derived& d) const { return d.judges_encoder && missed_q16_ > d.missed_q16; }
   bool astray(const Derived& d) const {
     return astray_q16_[0] > d.astray_q16 || astray_q16_[1] > d.astray_q16;
   }

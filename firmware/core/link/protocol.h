@@ -1449,7 +1449,8 @@ enum class Param : uint16_t {
       86,  // Duty by which growth may need more than spool_dead_zone and line_speed_um_s say,
            // before it is a spool_stall for an encoder that loses counts; 1/16 for supply and heat
            // comes on top. Negative where a calibration has seen how much the body's pull saves.
-           // 800 = the speed is not judged. (1/800 of full)
+           // 800 = the encoder is judged neither by its speed nor by the sensors that pass the tip,
+           // as while it is calibrated. (1/800 of full)
   kMotorStallN =
       87,  // Pull on the line at which full duty stalls, by the motor's data (default: 15 kg cm on
            // a spool of 2 cm). 1/8 is added for a high supply and a cold winding. (N)

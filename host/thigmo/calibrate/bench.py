@@ -21,6 +21,7 @@ from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.errors import CameraError, CameraMovedError
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
+from thigmo.link import protocol as wire
 from thigmo.robot import Reading, Robot
 from thigmo.robot.state import Recording
 from thigmo.room import Operator
@@ -38,6 +39,7 @@ _PUSHES = 3  # at one place, if the tip goes to the other side
 _ASIDE_CM = 1.0  # a tip nearer to the straight robot is on neither side
 # Slow, because an overshoot would turn the muscle over to its other branch.
 _RAMP_PSI_S = 1.0
+_JUDGED = "speed_margin_duty"  # at its highest value the board judges no encoder
 
 
 @dataclass
@@ -240,7 +242,13 @@ def growth_rows(bench: Bench) -> list[Row]:
             "ohm": [bench.mean_ohm(r) for r in records], **seen,
         })  # fmt: skip
 
-    bench.bring_to(bench.config.body.length_cm, stop)
+    # The board cannot judge an encoder whose counts per cm are not known yet.
+    margin = bench.robot.parameter(_JUDGED)
+    bench.robot.set_parameter(_JUDGED, [wire.PARAMETERS[_JUDGED].high])
+    try:
+        bench.bring_to(bench.config.body.length_cm, stop)
+    finally:
+        bench.robot.set_parameter(_JUDGED, list(margin))
     return list(bench.session.rows("growth").values())
 
 
