@@ -73,9 +73,10 @@ class Watched:
                 interrupt = False
 
     async def _messages(self) -> Any:
-        origin = self.address.rstrip("/")
+        origin = self.address.partition("/?")[0]
         async with (
-            aiohttp.ClientSession() as session,
+            aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as session,
+            session.get(self.address),  # its token becomes a cookie
             session.ws_connect(f"{origin}/stream", headers={"Origin": origin}) as socket,
         ):
             async for batch in socket:
