@@ -557,7 +557,8 @@ def pico() -> schemdraw.Drawing:
         _dot(d, (x, y - 1.8))
 
     y = -21.0
-    _text(d, (0.0, y + 1.2), "LINK, 3.3 V, and GND to A4's GND")
+    ends = f"R104, R105 10k: {pin('link_tx')}, {pin('link_rx')} to 3.3 V"
+    _text(d, (0.0, y + 1.2), f"LINK. {ends}; GND to A4's GND")
     for x, source, series, sink in (
         (0.0, pin("link_tx"), "R99 1k", "A4 RXD"),
         (10.4, "A4 TXD", "R100 1k", pin("link_rx")),
@@ -566,7 +567,7 @@ def pico() -> schemdraw.Drawing:
         _part(d, elm.Resistor, (x + 2.2, y), (x + 5.8, y), series)
         out_of((x + 5.8, y), sink)
     _text(d, (20.6, y + 0.3), "A3: pin 40 (VBUS) feeds the 5 V rail, U3 to U7 and U1;")
-    _text(d, (20.6, y - 0.3), "pin 36 (3V3 OUT) feeds U8, R41, R83, R84")
+    _text(d, (20.6, y - 0.3), "pin 36 (3V3 OUT) feeds U8, R41, R83, R84, R104, R105")
     return d
 
 
