@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import runpy
 import sys
 from collections.abc import Callable
 from itertools import pairwise
@@ -20,6 +21,7 @@ import schemdraw
 import schemdraw.elements as elm
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "hardware"
+PICO_PINS = FOLDER.parents[1] / "firmware" / "micropython" / "robot" / "pins.py"
 A4_MM = (277, 190)  # held sideways, inside its margins
 PX_MM = 72 / 25.4
 FONT_PT, SMALLEST_PT = 11, 7.5  # as drawn; as printed
@@ -433,6 +435,142 @@ def air() -> schemdraw.Drawing:
     return d
 
 
+def pico() -> schemdraw.Drawing:
+    """What is between a Raspberry Pi Pico and the circuits of the other drawings."""
+    pins = runpy.run_path(str(PICO_PINS))["PINS"]
+
+    def pin(name: str) -> str:
+        return f"GP{pins[name]}"
+
+    def into(at: Point, text: str) -> None:
+        d.add(elm.Tag(width=2.2).left().at(at).label(text))
+
+    def out_of(at: Point, text: str) -> None:
+        d.add(elm.Tag(width=2.4).right().at(at).label(text))
+
+    def down(kind: type, at: Point, text: str, length: float = 2.0) -> None:
+        _part(d, kind, at, (at[0], at[1] - length), text, "bottom")
+        _ground(d, (at[0], at[1] - length))
+
+    d = _sheet("PICO (A3) in place of the Mega. A design that has not been tried on hardware")
+
+    y = -3.0
+    _text(d, (0.0, y + 1.2), "OUTPUTS, one of eight")
+    into((2.2, y), pin("drive_left"))
+    _wire(d, (2.2, y), (6.0, y))
+    down(elm.Resistor, (3.2, y), "R85 10k")
+    _dot(d, (3.2, y))
+    _box(d, (6.0, y - 0.6), (2.6, 1.2), "U6, 5 V")
+    _wire(d, (8.6, y), (9.6, y))
+    out_of((9.6, y), "Mega 46")
+    rows = (
+        ("drive_left", "R85", "U6", "46"),
+        ("drive_right", "R86", "U6", "45"),
+        ("muscle_air", "R87", "U6", "24"),
+        ("body_air", "R88", "U6", "26"),
+        ("motor_pwm", "R89", "U7", "6"),
+        ("motor_direction", "R90", "U7", "7"),
+        ("motor_enable", "R91", "U7", "28"),
+        ("brake_enable", "R92", "U7", "29"),
+    )
+    for row, (name, pull, buffer, mega) in enumerate(rows):
+        words = (name, pin(name), pull, buffer, f"Mega {mega}")
+        for x, text in zip((0.0, 4.6, 6.2, 7.8, 9.2), words, strict=True):
+            _text(d, (x, y - 4.0 - 0.6 * row), text)
+    _text(d, (0.0, y - 9.0), "Mega 46: the other drawings go on there, unchanged.")
+    _text(d, (0.0, y - 9.6), "U5, U6, U7: all OE to GND.")
+
+    x = 19.4
+    _text(d, (14.6, y + 1.2), "CONVERTERS. U4 as U3, but for CS and channels")
+    _box(d, (x, y - 2.6), (2.6, 3.2), "U5\n5 V")
+    _box(d, (x + 5.4, y - 3.8), (5.4, 4.4), "")
+    _text(d, (x + 8.4, y - 1.0), "U3 MCP3208", "center")
+    _text(d, (x + 8.4, y - 1.6), "VDD, VREF: 5 V", "center")
+    inputs = (
+        ("adc_sck", "R81", "GND", "CLK"),
+        ("adc_mosi", "R82", "GND", "DIN"),
+        ("adc_select_flex", "R83", "3.3 V", "CS"),
+        ("adc_select_other", "R84", "3.3 V", ""),
+    )
+    for row, (name, pull, rail, end) in enumerate(inputs):
+        at = y - 0.7 * row
+        _text(d, (x - 1.0, at), f"{pin(name)}, {pull} 10k to {rail}", "right")
+        _wire(d, (x - 0.8, at), (x, at))
+        _wire(d, (x + 2.6, at), (x + (5.4 if end else 3.2), at))
+        _text(d, (x + (5.6 if end else 3.3), at), end or "CS of U4")
+    at = y - 3.4
+    _text(d, (x + 5.6, at), "DOUT")
+    _text(d, (x + 2.4, at + 0.35), "DOUT of U4 too")
+    _wire(d, (x + 5.4, at), (x + 1.8, at))
+    _part(d, elm.Resistor, (x + 1.8, at), (x - 1.2, at), "R93 2.2k", "bottom")
+    down(elm.Resistor, (x - 1.2, at), "R94 3.9k")
+    _wire(d, (x - 1.2, at), (x - 2.0, at))
+    into((x - 2.0, at), pin("adc_miso"))
+    _dot(d, (x - 1.2, at))
+    for row, line in enumerate((
+        "U3 CH0 to CH4: flex left, A0..A4; CH5 to CH7: flex right, A5..A7",
+        "U4 CH0, CH1: flex right, A8..A9; CH2, CH3: pressures, A10..A11",
+        "U4 CH4 to CH7: GND. A0..A11: as in the sensors' drawing",
+        "C81, C82 1 µF at U3, U4. 100 nF: C83 to C86 at U5 to U8, C87 at R98",
+    )):  # fmt: skip
+        _text(d, (14.6, at - 3.8 - 0.6 * row), line)
+
+    y = -15.2
+    _text(d, (0.0, y + 1.6), f"ENCODER A. B: J5.3, R96, R72, C72, {pin('encoder_b')}")
+    into((2.2, y), "J5.2")
+    _wire(d, (2.2, y), (4.2, y))
+    _part(d, elm.Resistor, (3.2, y), (3.2, y - 2.0), "R95 4.7k", "bottom")
+    _text(d, (2.7, y - 2.3), "to 5 V")
+    _part(d, elm.Resistor, (4.2, y), (6.6, y), "R71 1k")
+    down(elm.Capacitor, (6.6, y), "C71 1 nF")
+    _wire(d, (6.6, y), (8.6, y))
+    _dot(d, (3.2, y), (6.6, y))
+    _box(d, (8.6, y - 0.8), (3.0, 1.6), "U8, 3.3 V,\ntwice")
+    _wire(d, (11.6, y), (12.2, y))
+    out_of((12.2, y), pin("encoder_a"))
+
+    x = 17.4
+    _text(d, (x - 1.6, y + 1.6), "EMERGENCY STOP")
+    _rail(d, (x, y), "")
+    _text(d, (x - 1.6, y), "3.3 V")
+    _part(d, elm.Resistor, (x, y), (x, y - 2.0), "R41 4.7k")
+    _part(d, _Stop, (x, y - 2.0), (x, y - 4.0), "S1A, J15.1-2")
+    _ground(d, (x, y - 4.0))
+    _part(d, elm.Resistor, (x, y - 2.0), (x + 2.4, y - 2.0), "R101 1k")
+    down(elm.Capacitor, (x + 2.4, y - 2.0), "C88 100 nF")
+    _wire(d, (x + 2.4, y - 2.0), (x + 4.6, y - 2.0))
+    _dot(d, (x, y - 2.0), (x + 2.4, y - 2.0))
+    out_of((x + 4.6, y - 2.0), pin("estop"))
+
+    dividers = (
+        (-8.7, "5 V RAIL", "5 V", "R97 10k", "R98 10k", "supply"),
+        (-15.2, "MOTOR'S SUPPLY", "+12 V MOTOR", "R45 10k", "R102 3.3k", "motor_power"),
+    )
+    x = 27.6
+    for y, title, rail, high, low, name in dividers:
+        _text(d, (x - 0.2, y + 1.2), title)
+        _text(d, (x - 0.2, y + 0.3), rail)
+        _part(d, elm.Resistor, (x, y), (x, y - 1.8), high, "bottom")
+        down(elm.Resistor, (x, y - 1.8), low, 1.8)
+        _wire(d, (x, y - 1.8), (x + 2.2, y - 1.8))
+        out_of((x + 2.2, y - 1.8), pin(name))
+        _dot(d, (x, y - 1.8))
+
+    y = -21.0
+    ends = f"R104, R105 10k: {pin('link_tx')}, {pin('link_rx')} to 3.3 V"
+    _text(d, (0.0, y + 1.2), f"LINK. {ends}; GND to A4's GND")
+    for x, source, series, sink in (
+        (0.0, pin("link_tx"), "R99 1k", "A4 RXD"),
+        (10.4, "A4 TXD", "R100 1k", pin("link_rx")),
+    ):
+        into((x + 2.2, y), source)
+        _part(d, elm.Resistor, (x + 2.2, y), (x + 5.8, y), series)
+        out_of((x + 5.8, y), sink)
+    _text(d, (20.6, y + 0.3), "A3: pin 40 (VBUS) feeds the 5 V rail, U3 to U7 and U1;")
+    _text(d, (20.6, y - 0.3), "pin 36 (3V3 OUT) feeds U8, R41, R83, R84, R104, R105")
+    return d
+
+
 DRAWINGS: dict[str, Callable[[], schemdraw.Drawing]] = {
     "power": power,
     "current-stage": current_stage,
@@ -440,6 +578,7 @@ DRAWINGS: dict[str, Callable[[], schemdraw.Drawing]] = {
     "brake": brake,
     "sensors": sensors,
     "air": air,
+    "pico": pico,
 }
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import re
+import runpy
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 HARDWARE = ROOT / "docs" / "hardware"
+PARTS = ("parts.csv", "pico-parts.csv")
 DRAWINGS = sorted(HARDWARE.glob("*.svg"))
 NAME = re.compile(r"\b(?:PS|RV|FR|PR|NV|TL|TR|[ABCDFGJMPQRSUVY])\d*\b")
 
@@ -29,9 +31,13 @@ def expanded(names: str) -> list[str]:
 
 @pytest.fixture
 def parts() -> dict[str, list[str]]:
-    """Each row of the bill of materials: its names."""
-    with (HARDWARE / "parts.csv").open() as file:
-        return {row["ref"]: [row["count"], *expanded(row["ref"])] for row in csv.DictReader(file)}
+    """Each row of the bills of materials: its count and its names."""
+    rows = []
+    for name in PARTS:
+        with (HARDWARE / name).open() as file:
+            rows += list(csv.DictReader(file))
+    assert len({row["ref"] for row in rows}) == len(rows)
+    return {row["ref"]: [row["count"], *expanded(row["ref"])] for row in rows}
 
 
 def words(drawing: Path) -> str:
@@ -89,3 +95,19 @@ def test_pins_are_the_firmwares() -> None:
         drawn |= set(re.findall(r"Mega (A?\d+)", drawing.read_text()))
     assert drawn <= used
     assert {"46", "24", "6", "7", "2", "3", "22"} <= drawn
+
+
+def test_pico_pins_are_those_of_the_pin_map() -> None:
+    pins = runpy.run_path(str(ROOT / "firmware/micropython/robot/pins.py"))["PINS"]
+    page = (HARDWARE / "pico.md").read_text()
+    rows = re.findall(r"^\| GP(\d+) \((\d+)\) \| `(\w+)` \|", page, re.MULTILINE)
+    assert {name: int(pin) for pin, _, name in rows} == pins
+    # Grounds, RUN, and the pins between GP22 and GP26 interrupt the header's count.
+    grounds = (3, 8, 13, 18, 23, 28)
+    header = [pin for pin in range(1, 30) if pin not in grounds]
+    places = {**dict(enumerate(header)), 26: 31, 27: 32, 28: 34}
+    assert {int(pin): int(place) for pin, place, _ in rows} == {
+        pin: places[pin] for pin in pins.values()
+    }
+    drawn = set(re.findall(r"\bGP(\d+)", (HARDWARE / "pico.svg").read_text()))
+    assert drawn == {str(pin) for pin in pins.values()}

@@ -8,6 +8,9 @@ PINS = {
     "motor_direction": 5,    # motor driver DIR, high pays out
     "muscle_air": 6,         # air enable of the muscles: toggles while air is wanted
     "body_air": 7,           # air enable of the body
+    "motor_power": 11,       # the motor's supply, behind its contacts, divided
+    "motor_enable": 12,      # enable of the motor's supply: toggles while the motor may move
+    "brake_enable": 13,      # enable of the brake's coil
     "encoder_a": 8,
     "encoder_b": 9,
     "estop": 10,             # closed to ground = run

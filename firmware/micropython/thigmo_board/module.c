@@ -8,11 +8,13 @@
 #include "py/runtime.h"
 
 static const qstr pin_names[THIGMO_PINS] = {
-    MP_QSTR_drive_left, MP_QSTR_drive_right, MP_QSTR_motor_pwm,       MP_QSTR_motor_direction,
-    MP_QSTR_muscle_air, MP_QSTR_body_air,    MP_QSTR_encoder_a,       MP_QSTR_encoder_b,
-    MP_QSTR_estop,      MP_QSTR_link_tx,     MP_QSTR_link_rx,         MP_QSTR_adc_sck,
-    MP_QSTR_adc_mosi,   MP_QSTR_adc_miso,    MP_QSTR_adc_select_flex, MP_QSTR_adc_select_other,
-    MP_QSTR_supply,
+    MP_QSTR_drive_left,       MP_QSTR_drive_right,  MP_QSTR_motor_pwm,
+    MP_QSTR_motor_direction,  MP_QSTR_muscle_air,   MP_QSTR_body_air,
+    MP_QSTR_motor_power,      MP_QSTR_motor_enable, MP_QSTR_brake_enable,
+    MP_QSTR_encoder_a,        MP_QSTR_encoder_b,    MP_QSTR_estop,
+    MP_QSTR_link_tx,          MP_QSTR_link_rx,      MP_QSTR_adc_sck,
+    MP_QSTR_adc_mosi,         MP_QSTR_adc_miso,     MP_QSTR_adc_select_flex,
+    MP_QSTR_adc_select_other, MP_QSTR_supply,
 };
 
 static void take_pins(mp_obj_t given, int8_t* pins) {
