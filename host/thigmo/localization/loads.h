@@ -536,8 +536,8 @@ inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior,
 constexpr std::size_t kMostContacts = 3;
 struct FeltSet {
   double mass = 0.0;
-  int count = 0;
-  std::array<int, kMostContacts> contact{}, cell{};
+  std::uint8_t count = 0;
+  std::array<std::uint8_t, kMostContacts> contact{}, cell{};
   std::array<double, kMostContacts> force{}, spread{};
 };
 
@@ -656,10 +656,11 @@ class SetsGrid {
       at_[contact] = m;
       const double share = left.told[m] / left.diagonal[m];
       eliminate(left, m, end, left_[contact + 1]);
-      place_contact(contact + 1,
-                    {sum.exponent + 0.5 * left.told[m] * share,
-                     sum.volume * left.diagonal[m] * variance_[m], sum.moment + share * left.base[m]},
-                    last);
+      place_contact(
+          contact + 1,
+          {sum.exponent + 0.5 * left.told[m] * share, sum.volume * left.diagonal[m] * variance_[m],
+           sum.moment + share * left.base[m]},
+          last);
     }
   }
 
@@ -716,7 +717,7 @@ class SetsGrid {
     const double* __restrict variance = variance_.data() + from;
     double* __restrict weight = weight_.data();
     first -= from;
-    // Whole vectors: what lies nearer than `first` weighs nothing.
+    // Whole vectors of four cells: what lies nearer than `first` weighs nothing.
     const int begin = first - first % 4, cells = cells_;
     for (int m = begin; m < cells; ++m) {
       const double share = told[m] / diagonal[m];
@@ -742,7 +743,8 @@ class SetsGrid {
     const double heaviest = largest(weight + begin, cells - begin);
     if (heaviest <= peak_) return;
     peak_ = heaviest, level = level_, scale = scale_;
-    at_.back() = from + static_cast<int>(std::find(weight + begin, weight + cells, heaviest) - weight);
+    at_.back() =
+        from + static_cast<int>(std::find(weight + begin, weight + cells, heaviest) - weight);
     best = at_;
   }
 
