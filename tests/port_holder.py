@@ -36,8 +36,9 @@ class PortHolder:
         """Whether one of its threads is ready to run."""
         if self._tasks is None:
             return False
-        for task in self._tasks.glob("*/stat"):
-            with suppress(OSError):  # it may have ended
-                if task.read_text().rpartition(")")[2].split()[0] == "R":
-                    return True
+        with suppress(OSError):  # the process may have ended
+            for task in self._tasks.glob("*/stat"):
+                with suppress(OSError):  # a thread may have ended
+                    if task.read_text().rpartition(")")[2].split()[0] == "R":
+                        return True
         return False

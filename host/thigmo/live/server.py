@@ -102,7 +102,6 @@ class PageServer:
         self._last_stop: dict[str, Any] | None = None  # it stays told, whatever runs next
         self._choices: list[Hello] = []  # runs that could be looked at
         self._left_s = time.monotonic()  # when somebody last looked
-        self._looked_s = float("-inf")  # when the runs were last looked for
 
     # The application.
 
@@ -123,6 +122,8 @@ class PageServer:
 
     async def _work(self, app: web.Application) -> AsyncIterator[None]:
         tasks = [asyncio.create_task(self._pump()), asyncio.create_task(self._pulse())]
+        if self._watched is not None:
+            tasks.append(asyncio.create_task(self._look_around(self._watched)))
         yield
         for task in tasks:
             task.cancel()
@@ -198,20 +199,18 @@ class PageServer:
             run = self._run
             if run.moving is not None:
                 run.pegs = await asyncio.to_thread(pegs, run.moving.folder)
-            if self._watched is not None:
-                await self._look_around(self._watched)
+            started, watched = self._started, self._watched
+            in_vain = started.pid if started is not None and not started.runs else None
+            if watched is not None and in_vain is not None and watched.chosen == in_vain:
+                watched.choose(None)
             self._tell()
             await asyncio.sleep(_PULSE_S)
 
     async def _look_around(self, watched: Watched) -> None:
-        """See which runs there are, now and then; forget one that was started in vain."""
-        started = self._started
-        if started is not None and not started.runs and watched.chosen == started.pid:
-            watched.choose(None)
-        now_s = time.monotonic()
-        if now_s - self._looked_s >= _LOOK_S:
-            self._looked_s = now_s
+        """See which runs there are, now and then: one that hangs keeps this waiting for seconds."""
+        while True:
             self._choices = await asyncio.to_thread(watched.runs)
+            await asyncio.sleep(_LOOK_S)
 
     def _tell(self) -> None:
         for viewer in self._viewers:

@@ -51,7 +51,8 @@ class Weighing {
  public:
   static constexpr int kCells = 60;         // of a contact's first grid: 0.9 cm of the 53 cm body
   static constexpr double kMatters = -3.0;  // log share from which a rival has its own grid
-  static constexpr int kPairCells = 24, kTripleCells = 12;
+  static constexpr int kPairCells = 24, kTripleCells = 12;  // in whole vectors of four
+  static_assert(kPairCells % 4 == 0 && kTripleCells % 4 == 0);
   static constexpr double kNegligible = 0.01;  // probability of three contacts, which are left out
   static constexpr double kSeveralMatter = -1.5;   // the same of several contacts
   static constexpr std::size_t kMostSuspects = 5;  // bad readings weighed beside one explanation

@@ -536,8 +536,8 @@ inline OneContact one_contact(const Whitened& readings, const ForcePrior& prior,
 constexpr std::size_t kMostContacts = 3;
 struct FeltSet {
   double mass = 0.0;
-  int count = 0;
-  std::array<int, kMostContacts> contact{}, cell{};
+  std::uint8_t count = 0;
+  std::array<std::uint8_t, kMostContacts> contact{}, cell{};
   std::array<double, kMostContacts> force{}, spread{};
 };
 
@@ -575,21 +575,23 @@ class SetsGrid {
   THIGMO_WIDE void set(const Matrix& white, const Row& read, const Row& base) {
     const int wide = white.columns;
     for (Products& each : left_) {
-      each.gram.resize(wide, wide);
-      each.diagonal.resize(wide), each.told.resize(wide);
-      each.base = base;
+      each.diagonal.resize(wide), each.told.resize(wide), each.base = base;
+      // Two places of one contact are never weighed together.
+      if (&each != &left_.back()) each.gram.resize(wide - cells_, wide);
     }
     Products& to = left_[0];
     square_.assign(wide, 0.0), to.told.assign(wide, 0.0);
-    for (int k = 0; k < wide; ++k) {
-      // Two places of one contact are never weighed together.
+    double* __restrict told = to.told.data(), * __restrict square = square_.data();
+    for (int i = 0; i < white.rows; ++i) {
+      const double* row = white[i];
+      for (int k = 0; k < wide; ++k) told[k] += row[k] * read[i], square[k] += row[k] * row[k];
+    }
+    for (int k = 0; k < wide - cells_; ++k) {
       const int from = (k / cells_ + 1) * cells_;
-      double* gram = to.gram[k];
+      double* __restrict gram = to.gram[k];
       std::fill(gram + from, gram + wide, 0.0);
       for (int i = 0; i < white.rows; ++i) {
         const double *row = white[i], own = row[k];
-        to.told[k] += own * read[i];
-        square_[k] += own * own;
         for (int l = from; l < wide; ++l) gram[l] += own * row[l];
       }
     }
@@ -610,31 +612,24 @@ class SetsGrid {
              double at_scale) {
     prepare(unit, at_scale);
     critical_ = critical, level_ = at_level, scale_ = at_scale;
-    place_contact(0, {constant, 1.0, 0.0});
+    place_contact(0, {constant, 1.0, 0.0}, [this](int first, Sum sum) { place_last(first, sum); });
   }
 
-  // Forces of one set, of its columns, as they were last prepared; and how likely they are felt.
+  // Forces of a row of sets, of each contact (k, M): means and deviations; and how far a unit force
+  // moves the readings, in standard errors.
   struct Forces {
-    std::array<double, kMostContacts> mean{}, deviation{}, felt{};
+    Matrix mean, deviation, moves;
   };
-  Forces forces(const std::vector<int>& columns, double felt) const {
-    Solution::Square gram{};
-    std::array<double, Solution::kMost> told{}, unit{};
-    for (int j = 0; j < count_; ++j) {
-      const int m = columns[j];
-      unit[j] = std::sqrt(variance_[m]);
-      told[j] = unit[j] * left_[0].told[m];
-      gram[j][j] = variance_[m] * square_[m];
-      for (int k = 0; k < j; ++k) gram[j][k] = unit[j] * unit[k] * left_[0].gram[columns[k]][m];
-    }
-    const Solution found(count_, gram, told);
-    Forces out;
-    for (int j = 0; j < count_; ++j) {
-      out.mean[j] = found.mean[j] * unit[j], out.deviation[j] = found.deviation[j] * unit[j];
-      const double moves = std::sqrt(square_[columns[j]]);
-      out.felt[j] = probability_felt(std::abs(out.mean[j]) * moves, out.deviation[j] * moves, felt);
-    }
-    return out;
+
+  // Calls `each` for all sets that share all but the last contact: with the columns of those, the
+  // masses of the last one's cells, the first of its cells, and the forces as they were prepared.
+  template <class Each>
+  void each_row(const Each& each) {
+    Forces of{Matrix(count_, cells_), Matrix(count_, cells_), Matrix(count_, cells_)};
+    place_contact(0, {0.0, 1.0, 0.0}, [&](int first, Sum) {
+      solve_row(of);
+      each(at_, mass.data() + row() * cells_, first - (count_ - 1) * cells_, of);
+    });
   }
 
  private:
@@ -649,74 +644,148 @@ class SetsGrid {
     double exponent, volume, moment;
   };
 
-  void place_contact(int contact, Sum sum) {
+  // Calls `last` with the first column of the last contact, all others being placed.
+  template <class Last>
+  void place_contact(int contact, Sum sum, const Last& last) {
     const Products& left = left_[contact];
     const int end = (contact + 1) * cells_;
     int m = contact * cells_;
     while (contact > 0 && m < end && place[m] - place[at_[contact - 1]] < gap_) ++m;
-    if (contact + 1 == count_) return place_last(left, m, sum);
+    if (contact + 1 == count_) return last(m, sum);
     for (; m < end; ++m) {
       at_[contact] = m;
       const double share = left.told[m] / left.diagonal[m];
       eliminate(left, m, end, left_[contact + 1]);
-      place_contact(contact + 1, {sum.exponent + 0.5 * left.told[m] * share,
-                                  sum.volume * left.diagonal[m] * variance_[m],
-                                  sum.moment + share * left.base[m]});
+      place_contact(
+          contact + 1,
+          {sum.exponent + 0.5 * left.told[m] * share, sum.volume * left.diagonal[m] * variance_[m],
+           sum.moment + share * left.base[m]},
+          last);
     }
+  }
+
+  // Index of the row of sets to which the contacts that are placed belong.
+  std::size_t row() const {
+    std::size_t row = 0;
+    for (int j = 0; j + 1 < count_; ++j) row = row * cells_ + at_[j] - j * cells_;
+    return row;
+  }
+
+  static void take_out(int count, double inverse, const double* __restrict row, double own,
+                       const double* __restrict old, double* __restrict fresh) {
+    for (int k = 0; k < count; ++k) fresh[k] = old[k] - inverse * row[k] * own;
   }
 
   // Take the contact in column m out of those from `end` on.
   THIGMO_WIDE void eliminate(const Products& from, int m, int end, Products& to) const {
     const int wide = count_ * cells_;
-    const double* __restrict row = from.gram[m];
-    const double inverse = 1.0 / from.diagonal[m];
-    const auto take = [=](double share, const double* __restrict whole, double* __restrict left) {
-      for (int k = end; k < wide; ++k) left[k] = whole[k] - share * row[k];
+    const double inverse = 1.0 / from.diagonal[m], *row = from.gram[m];
+    take_out(wide - end, inverse, row + end, from.told[m], &from.told[end], &to.told[end]);
+    if (critical_ < INFINITY) {
+      take_out(wide - end, inverse, row + end, from.base[m], &from.base[end], &to.base[end]);
+    }
+    const auto take = [=](const double* __restrict rows, const double* __restrict old,
+                          double* __restrict fresh) {
+      for (int k = 0; k < wide - end; ++k) fresh[k] = old[k] - inverse * rows[k] * rows[k];
     };
-    take(inverse * from.told[m], from.told.data(), to.told.data());
-    take(inverse * from.base[m], from.base.data(), to.base.data());
-    const double* __restrict diagonal = from.diagonal.data();
-    double* __restrict left = to.diagonal.data();
-    for (int k = end; k < wide; ++k) left[k] = diagonal[k] - inverse * row[k] * row[k];
+    take(row + end, &from.diagonal[end], &to.diagonal[end]);
     for (int k = end; k < wide - cells_; ++k) {
-      const double share = row[k] * inverse, *old = from.gram[k];
-      double* fresh = to.gram[k];
-      for (int l = wide - cells_; l < wide; ++l) fresh[l] = old[l] - share * row[l];
+      const int last = wide - cells_;
+      take_out(cells_, inverse, row + last, row[k], from.gram[k] + last, to.gram[k] + last);
+    }
+  }
+
+  // From exponents to weights.
+  static void add_weights(int count, double top, double volume, const double* __restrict diagonal,
+                          const double* __restrict variance, double* __restrict weight,
+                          double* __restrict mass) {
+    for (int m = 0; m < count; ++m) {
+      const double root = std::sqrt(volume * diagonal[m] * variance[m]);
+      const double value = exponential(weight[m] - top) / root;
+      weight[m] = weight[m] > -INFINITY ? value : 0.0;
+      mass[m] += weight[m];
     }
   }
 
   // Adds the sets that the columns from `first` on complete.
-  THIGMO_WIDE void place_last(const Products& left, int first, Sum sum) {
-    const int wide = count_ * cells_;
-    const double* __restrict told = left.told.data(), * __restrict diagonal = left.diagonal.data();
-    const double* __restrict base = left.base.data(), * __restrict variance = variance_.data();
+  THIGMO_WIDE void place_last(int first, Sum sum) {
+    const int from = (count_ - 1) * cells_;
+    const Products& left = left_.back();
+    const double* __restrict told = left.told.data() + from;
+    const double* __restrict diagonal = left.diagonal.data() + from;
+    const double* __restrict base = left.base.data() + from;
+    const double* __restrict variance = variance_.data() + from;
     double* __restrict weight = weight_.data();
-    for (int m = first; m < wide; ++m) {
+    first -= from;
+    // Whole vectors of four cells: what lies nearer than `first` weighs nothing.
+    const int begin = first - first % 4, cells = cells_;
+    for (int m = begin; m < cells; ++m) {
       const double share = told[m] / diagonal[m];
       const double exponent = sum.exponent + 0.5 * told[m] * share;
-      weight[m] = std::abs(sum.moment + share * base[m]) > critical_ ? -INFINITY : exponent;
+      const bool folds = std::abs(sum.moment + share * base[m]) > critical_;
+      weight[m] = folds || m < first ? -INFINITY : exponent;
     }
-    const double most = largest(weight + first, wide - first);
+    const double most = largest(weight + begin, cells - begin);
     if (!(most > -INFINITY) || most < top - kNothing) return;
     if (most > top + kNothing) {  // what was added so far is small beside this
       const double shrink = std::exp(top - most);
       for (double& value : mass) value *= shrink;
       total *= shrink, peak_ *= shrink, top = most;
     }
-    for (int m = first; m < wide; ++m) {
-      const double volume = sum.volume * diagonal[m] * variance[m];
-      weight[m] = exponential(weight[m] - top) / std::sqrt(volume);
+    double* to = mass.data() + row() * cells;
+    std::array<double, 4> sums{};
+    add_weights(cells - begin, top, sum.volume, diagonal + begin, variance + begin, weight + begin,
+                to + begin);
+    for (int m = begin; m < cells; m += 4) {
+      for (int j = 0; j < 4; ++j) sums[j] += weight[m + j];
     }
-    std::size_t row = 0;
-    for (int j = 0; j + 1 < count_; ++j) row = row * cells_ + at_[j] - j * cells_;
-    double* __restrict to = mass.data() + row * cells_;
-    for (int m = first; m < wide; ++m) to[m - wide + cells_] += weight[m];
-    total += std::accumulate(weight + first, weight + wide, 0.0);
-    const double heaviest = largest(weight + first, wide - first);
+    total += (sums[0] + sums[1]) + (sums[2] + sums[3]);
+    const double heaviest = largest(weight + begin, cells - begin);
     if (heaviest <= peak_) return;
     peak_ = heaviest, level = level_, scale = scale_;
-    at_.back() = static_cast<int>(std::find(weight + first, weight + wide, heaviest) - weight);
+    at_.back() =
+        from + static_cast<int>(std::find(weight + begin, weight + cells, heaviest) - weight);
     best = at_;
+  }
+
+  // Forces of the sets that the cells of the last contact complete, by substitution backwards. The
+  // mean of contact j is z_j - u_j x that of those behind it; its variance has a share of theirs.
+  THIGMO_WIDE void solve_row(Forces& of) const {
+    const int last = count_ - 1, from = last * cells_, cells = cells_;
+    const double *diagonal = left_[last].diagonal.data() + from, *square = square_.data() + from;
+    const double* told = left_[last].told.data() + from;
+    const auto alone = [=](double* __restrict mean, double* __restrict deviation,
+                           double* __restrict moves) {
+      for (int m = 0; m < cells; ++m) {
+        mean[m] = told[m] / diagonal[m];
+        deviation[m] = std::sqrt(1.0 / diagonal[m]);
+        moves[m] = std::sqrt(square[m]);
+      }
+    };
+    alone(of.mean[last], of.deviation[last], of.moves[last]);
+    for (int j = last; j-- > 0;) {
+      const Products& own = left_[j];
+      const double *row = own.gram[at_[j]], inverse = 1.0 / own.diagonal[at_[j]];
+      double mean = own.told[at_[j]] * inverse, variance = inverse, further = 0.0;
+      const double* behind = row;
+      if (j + 1 < last) {  // of three contacts, that in the middle
+        const Products& next = left_[j + 1];
+        const int at = at_[j + 1];
+        const double share = row[at] * inverse;
+        further = share / next.diagonal[at], behind = next.gram[at];
+        mean -= further * next.told[at], variance += further * share;
+      }
+      const double* later = of.mean[last];
+      const auto beside = [=](double* __restrict means, double* __restrict deviation) {
+        for (int m = 0; m < cells; ++m) {
+          const double share = row[from + m] * inverse - further * behind[from + m];
+          means[m] = mean - share * later[m];
+          deviation[m] = std::sqrt(variance + share * share / diagonal[m]);
+        }
+      };
+      beside(of.mean[j], of.deviation[j]);
+      std::fill_n(of.moves[j], cells, std::sqrt(square_[at_[j]]));
+    }
   }
 
   int count_, cells_;
@@ -779,43 +848,53 @@ inline void share_out(const Whitened& readings, const Levers& levers, const Row&
     const auto first = sets.place.begin() + j * cells;
     out.contacts[j] = {{first, first + cells}, sets.width[j], none, none, none, none};
   }
-  Matrix white;
-  at.by(levers.sensor, white);
-  sets.set(white, at.read, levers.base);
-  sets.prepare(unit, sets.scale);
-  double kept = 0.0;
-  for (const double mass : sets.mass) kept += mass < nothing * sets.total ? 0.0 : mass;
-  std::vector<int> columns(count), cell(count);
-  for (std::size_t k = 0; k < sets.mass.size(); ++k) {
-    if (sets.mass[k] < nothing * sets.total) continue;
-    std::size_t left = k;
-    for (int j = count; j-- > 0; left /= cells) {
-      cell[j] = static_cast<int>(left % cells);
-      columns[j] = j * cells + cell[j];
-    }
-    const SetsGrid::Forces force = sets.forces(columns, felt);
-    const auto strongest = std::max_element(force.felt.begin(), force.felt.begin() + count);
-    for (int way = all ? (1 << count) - 1 : 0; way < 1 << count; ++way) {
-      FeltSet set{sets.mass[k] / kept};
-      for (int j = 0; j < count; ++j) {
-        const bool counts = way >> j & 1;
-        if (!all) set.mass *= counts ? force.felt[j] : 1.0 - force.felt[j];
-        if (counts) set.contact[set.count++] = j;
-      }
-      if (set.mass < kUnlikely * sets.mass[k] / kept) continue;
-      for (int i = 0; i < set.count; ++i) {
-        const int j = set.contact[i];
-        set.cell[i] = cell[j], set.force[i] = force.mean[j], set.spread[i] = force.deviation[j];
-      }
-      if (set.count > 1) {
-        out.sets.push_back(set);
-        continue;
-      }
-      const auto only = set.count ? set.contact[0] : strongest - force.felt.begin();
-      out.contacts[only].add(cell[only], set.mass, force.mean[only], force.deviation[only]);
-      out.contacts[only].felt[cell[only]] += set.count * set.mass;
-    }
+  if (sets.level + 1 < readings.levels.size()) {  // else it was weighed last
+    Matrix white;
+    at.by(levers.sensor, white);
+    sets.set(white, at.read, levers.base);
   }
+  sets.prepare(unit, sets.scale);
+  const double least = nothing * sets.total;
+  double kept = 0.0;
+  for (const double mass : sets.mass) kept += mass < least ? 0.0 : mass;
+  std::array<double, kMostContacts> mean{}, deviation{};
+  std::array<std::array<double, 2>, kMostContacts> odds{};  // that each is not felt, and that it is
+  std::array<int, kMostContacts> cell{};
+  sets.each_row([&](const std::vector<int>& columns, const double* mass, int first,
+                    const SetsGrid::Forces& of) {
+    for (int j = 0; j + 1 < count; ++j) cell[j] = columns[j] - j * cells;
+    for (int m = first; m < cells; ++m) {
+      if (mass[m] < least) continue;
+      cell[count - 1] = m;
+      int strongest = 0;
+      for (int j = 0; j < count; ++j) {
+        const double moves = of.moves[j][m];
+        mean[j] = of.mean[j][m], deviation[j] = of.deviation[j][m];
+        const double likely =
+            all ? 1.0 : probability_felt(std::abs(mean[j]) * moves, deviation[j] * moves, felt);
+        odds[j] = {1.0 - likely, likely};
+        if (likely > odds[strongest][1]) strongest = j;
+      }
+      for (unsigned way = 0; way < 1u << count; ++way) {
+        double share = odds[0][way & 1];
+        for (int j = 1; j < count; ++j) share *= odds[j][way >> j & 1];
+        if (share < kUnlikely) continue;
+        share *= mass[m] / kept;
+        if ((way & (way - 1)) == 0) {  // one at most
+          const int only = way ? std::countr_zero(way) : strongest;
+          out.contacts[only].add(cell[only], share, mean[only], deviation[only]);
+          if (way) out.contacts[only].felt[cell[only]] += share;
+          continue;
+        }
+        FeltSet& set = out.sets.emplace_back(share);
+        for (int j = 0; j < count; ++j) {
+          if (!(way >> j & 1)) continue;
+          set.contact[set.count] = j, set.cell[set.count] = cell[j];
+          set.force[set.count] = mean[j], set.spread[set.count++] = deviation[j];
+        }
+      }
+    }
+  });
   for (Marginal& contact : out.contacts) contact.average();
 }
 

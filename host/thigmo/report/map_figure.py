@@ -53,6 +53,7 @@ def draw_map(
     refused = RunFolderError.from_os(
         f"cannot write {path}", "free some space, or check permissions"
     )
+    figure.draw_without_rendering()  # the layout settles in its second pass
     with refused, whole_file(path) as file:
         figure.savefig(file, format="png", dpi=160)
 
