@@ -253,6 +253,18 @@ def _stability(found: list[dict[str, Any]]) -> list[Row]:
     return rows
 
 
+def _stopping(found: list[dict[str, Any]]) -> list[Row]:
+    (study,) = found
+    return [
+        (
+            f"{row['who']}: {row['how']}",
+            f"{row['p50_ms']:.0f} ms",
+            f"worst {row['worst_ms']:.0f} ms of {row['n']}",
+        )
+        for row in study["rows"]
+    ] + _claims(found)
+
+
 def _budgets(found: dict[str, Any]) -> list[Row]:
     return [
         (
@@ -290,6 +302,7 @@ OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "loads": _loads,
     "sweeps": _sweeps,
     "stability": _stability,
+    "stopping": _stopping,
 }
 SOURCES: dict[str, Source] = {
     "explore": Source(
@@ -329,6 +342,7 @@ SOURCES: dict[str, Source] = {
             "camera": {},
             "trigger": {"trigger-chart.png": "trigger.png"},
             "watch": {},
+            "stopping": {},
         }.items()
     },
     "budgets": Source((".venv/bin/python", "tools/budgets.py", "--json"), _budgets, {}),

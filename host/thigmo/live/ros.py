@@ -71,7 +71,7 @@ class RosNode(Closing):
             raise DataError(f"{namespace!r} is no ROS namespace", "use letters, digits and /")
         self._frame = frame
         try:
-            self._domain = Domain(domain, _configuration(interface))
+            self._domain = Domain(domain, configuration(interface))
             self._participant = DomainParticipant(domain)
             self._writers = {
                 topic: self._writer(topic if topic in _GLOBAL else f"{namespace}/{topic}", *offer)
@@ -154,7 +154,7 @@ class _Stops(Listener):
             self._on_stop()
 
 
-def _configuration(interface: str | None) -> str:
+def configuration(interface: str | None) -> str:
     """Cyclone DDS's configuration: this machine alone, or one network interface.
 
     It sends on that one only, and binds what it receives with to all of them: version 11.0 knows no

@@ -23,6 +23,7 @@ STUDIES: dict[str, str] = {
     "faults": "single failures: what notices them, how soon, what it costs",
     "trigger": "contact trigger's latency against its false alarms",
     "watch": "how late the page shows a reading, and what three pages cost",
+    "stopping": "how soon each way to stop has the outputs off",
     "plant-models": "time against error of the plant's mechanics",
 }
 

@@ -31,7 +31,7 @@ _VIEWERS = 3
 _DEAD = 500  # viewers that never read
 _RATE_HZ = 200
 _PROMISED_S = {"p50": 0.1, "p95": 0.25}
-_EVER_MS = 120_000
+EVER_MS = 120_000
 # Streams a robot's telemetry for so many seconds, as an exploration does, and moves nothing.
 _STREAM = """
 import sys
@@ -114,17 +114,17 @@ def _ages(start: Start, seconds: float) -> tuple[list[float], float]:
     """How old the newest reading was each time that the page was drawn; readings a second."""
     with ExitStack() as stack:
         config = f"{stack.enter_context(tempfile.TemporaryDirectory())}/robot.toml"
-        served = _thigmo(start, "emulate", "empty", "--config", config, says="open ")
+        served = running(start, "emulate", "empty", "--config", config, says="open ")
         robot = stack.enter_context(served)
         port = robot.partition("open ")[2].partition(";")[0]
-        browser, address = stack.enter_context(_page(start))
+        browser, address = stack.enter_context(opened_page(start))
         page = browser.new_context(viewport={"width": 1440, "height": 900}).new_page()
         page.goto(address)
         streaming = stack.enter_context(start([sys.executable, "-c", _STREAM, port, str(seconds)]))
         stack.callback(streaming.terminate)
-        page.wait_for_function("() => thigmo.store.columns[0].length > 200", timeout=_EVER_MS)
+        page.wait_for_function("() => thigmo.store.columns[0].length > 200", timeout=EVER_MS)
         page.evaluate("thigmo.keep = true")
-        page.wait_for_function("() => thigmo.store.page.ended", timeout=_EVER_MS)
+        page.wait_for_function("() => thigmo.store.page.ended", timeout=EVER_MS)
         times: list[float] = page.evaluate("thigmo.store.columns[0]")
         ages: list[float] = page.evaluate("thigmo.ages_s")
     return ages, (len(times) - 1) / (times[-1] - times[0])
@@ -139,9 +139,9 @@ def _stopped_s(start: Start) -> float:
     """
     with ExitStack() as stack:
         config = f"{stack.enter_context(tempfile.TemporaryDirectory())}/robot.toml"
-        served = _thigmo(start, "emulate", "empty", "--config", config, says="open ")
+        served = running(start, "emulate", "empty", "--config", config, says="open ")
         port = stack.enter_context(served).partition("open ")[2].partition(";")[0]
-        watch = _thigmo(start, "watch", port, "--no-browser", "--port", "0", says="http://")
+        watch = running(start, "watch", port, "--no-browser", "--port", "0", says="http://")
         said = stack.enter_context(watch)
         place, _, token = said.partition("http://")[2].partition(" ")[0].partition("/?token=")
         streaming = stack.enter_context(start([sys.executable, "-c", _STREAM, port, "300"]))
@@ -177,7 +177,7 @@ def _explored(start: Start, pages: int) -> dict[str, Any]:
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         if pages:
-            browser, address = stack.enter_context(_page(start))
+            browser, address = stack.enter_context(opened_page(start))
             for _ in range(pages):
                 browser.new_context().new_page().goto(address)
         command = [sys.executable, "-m", "thigmo", "explore", "--seed", "1", "--out", folder]
@@ -187,7 +187,7 @@ def _explored(start: Start, pages: int) -> dict[str, Any]:
 
 
 @contextmanager
-def _page(start: Start) -> Iterator[tuple[Any, str]]:
+def opened_page(start: Start, *options: str) -> Iterator[tuple[Any, str]]:
     """A browser, and the address of the page of whatever runs.
 
     Raises:
@@ -207,13 +207,13 @@ def _page(start: Start) -> Iterator[tuple[Any, str]]:
                 f"no browser at {chromium}", "install chromium, or name one in CHROMIUM"
             ) from error
         stack.callback(browser.close)
-        watch = _thigmo(start, "watch", "--no-browser", "--port", "0", says="http://")
+        watch = running(start, "watch", "--no-browser", "--port", "0", *options, says="http://")
         said = stack.enter_context(watch)
         yield browser, "http://" + said.partition("http://")[2].partition(" ")[0]
 
 
 @contextmanager
-def _thigmo(start: Start, *arguments: str, says: str) -> Iterator[str]:
+def running(start: Start, *arguments: str, says: str) -> Iterator[str]:
     """A `thigmo` command beside this one: the first line that holds `says`."""
     command = [sys.executable, "-m", "thigmo", *arguments]
     with start(command, stderr=subprocess.STDOUT) as started:

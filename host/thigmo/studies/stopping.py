@@ -1,0 +1,261 @@
+"""Who can stop the robot, and how soon its outputs are off: by page, command, keys, kills, cable,
+emergency stop and ROS 2.
+
+Each trial has an emulated robot of its own, behind a pseudo-terminal in real time, and a program
+that presses a muscle to 4 psi. Times are the board's own, from the press to the step of 10 ms at
+whose end no transducer is driven and the motor is braked. A browser's, a command's and ROS 2's part
+is in them; a person's, a cable's and a radio's is not. They depend on this computer, which should
+have nothing else to do.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from functools import partial
+
+import numpy as np
+
+from thigmo.closing import Closing
+from thigmo.emulator.plant import STEP_S
+from thigmo.emulator.scene import Scene
+from thigmo.errors import DataError
+from thigmo.link.stop_socket import OTHER_PLACE
+from thigmo.studies.engine import Claim, Context, Outcome
+from thigmo.studies.watch import EVER_MS, Start, opened_page, running
+
+_SILENT_MS = 500.0  # of a host: the board's limit
+_LASTS_S = 0.3  # that outputs stay off
+_EVER_S = 15.0
+_LENGTH_CM = 20.0  # everted
+# Presses a muscle until it is stopped.
+_PRESS = """
+import sys
+from thigmo.robot import connect
+
+with connect(sys.argv[1]) as robot:
+    robot.arm()
+    robot.press(left_psi=4.0)
+    robot.wait(1.0)
+    print("pressing", flush=True)
+    robot.wait(60.0)
+"""
+
+
+class ServedRobot(Closing):
+    """A robot on a port, ready to be pressed; it lives on when its cable is pulled.
+
+    Attributes:
+        port: to be opened.
+        plugged: whether the cable is; to be set.
+    """
+
+    def __init__(self, seed: int) -> None:
+        from thigmo.emulator._board import VirtualBoard
+        from thigmo.emulator.serve import PtyServer
+        from thigmo.emulator.transport import EmulatorTransport
+        from thigmo.link.client import Client
+        from thigmo.robot import Robot
+
+        scene = Scene.load("empty").model_copy(update={"start_length_cm": _LENGTH_CM})
+        transport = EmulatorTransport(scene, VirtualBoard(seed), seed=seed)
+        with Robot(Client(transport)) as robot:  # in virtual time
+            robot.configure(scene.believed(seed))
+            robot.confirm_length(_LENGTH_CM, settled=True)
+            robot.select_zone(0)
+            robot.arm()
+            robot.zero()
+        self.lockstep = transport.lockstep
+        self.board = transport.lockstep.board
+        self.plugged = True
+        self._server = PtyServer(self.lockstep, reset_on_open=False)
+        self.port = self._server.path
+        self._closed = False
+        self._live_s = 0.0  # when it was last energised
+        self._thread = threading.Thread(target=self._live)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Take it off the port."""
+        self._closed = True
+        self._thread.join()
+
+    @property
+    def off(self) -> bool:
+        """Whether no transducer is driven and the motor is braked."""
+        board = self.board
+        return not any(board.drive_enabled) and board.motor == 0 and board.braked
+
+    def off_ms(self, press: Callable[[], object]) -> float:
+        """From a press to outputs that are off and stay so.
+
+        Raises DataError if they were off before, or never are.
+        """
+        if self.off:
+            raise DataError("the robot was off before it was stopped", "see `thigmo watch`")
+        until, pressed_s = time.monotonic() + _EVER_S, self.lockstep.t_s
+        press()
+        while self.lockstep.t_s - max(self._live_s, pressed_s) < _LASTS_S:
+            if time.monotonic() > until:
+                raise DataError("the robot was not stopped", "see `thigmo watch`")
+            time.sleep(STEP_S)
+        return 1e3 * (self._live_s + STEP_S - pressed_s)
+
+    def _live(self) -> None:
+        """Thread: the robot's time passes, on the port and then off it."""
+        self._server.run(lambda: self._look() and self.plugged)
+        self._server.close()
+        while self._look():
+            self.lockstep.advance()
+            time.sleep(STEP_S)
+
+    def _look(self) -> bool:
+        if not self.off:
+            self._live_s = self.lockstep.t_s
+        return not self._closed
+
+
+Press = Callable[[ServedRobot, int], object]
+"""Stops a robot, or its program by its process, in one of the ways."""
+Way = Callable[[Start], AbstractContextManager[Press]]
+
+
+def at_once(press: Press) -> Way:
+    """A way that needs nothing to be ready."""
+    return lambda start: nullcontext(press)
+
+
+def _pull_cable(robot: ServedRobot, program: int) -> None:
+    robot.plugged = False
+
+
+def _press_emergency_stop(robot: ServedRobot, program: int) -> None:
+    robot.lockstep.plant.estop = True
+    robot.board.set_estop(True)
+
+
+@contextmanager
+def _command(start: Start) -> Iterator[Press]:
+    stop = [sys.executable, "-m", "thigmo", "stop"]
+    yield lambda robot, program: start(stop).communicate()
+
+
+@contextmanager
+def _space_bar(start: Start) -> Iterator[Press]:
+    with opened_page(start) as (browser, address):
+        page = browser.new_page()
+        page.goto(address)
+        page.wait_for_function("() => thigmo.store.page", timeout=EVER_MS)
+        yield lambda robot, program: page.keyboard.press("Space")
+
+
+@contextmanager
+def _phone(start: Start) -> Iterator[Press]:
+    with opened_page(start, "--host", "0.0.0.0") as (browser, address):
+        size = {"width": 390, "height": 844}
+        page = browser.new_page(viewport=size, has_touch=True, is_mobile=True)
+        page.goto(address)
+        page.wait_for_function("() => thigmo.store.page", timeout=EVER_MS)
+        yield lambda robot, program: page.tap("#stop")
+
+
+@contextmanager
+def _ros(start: Start) -> Iterator[Press]:
+    try:
+        from cyclonedds.domain import Domain, DomainParticipant
+        from cyclonedds.pub import DataWriter
+        from cyclonedds.topic import Topic
+
+        from thigmo.live.ros import configuration
+        from thigmo.live.ros_types import Empty
+    except ImportError as error:
+        raise DataError("cyclonedds is not installed", "pip install 'thigmo[ros]'") from error
+    name = f"stopping{os.getpid()}"  # of no other robot
+    with running(start, "ros", "--namespace", name, says="ROS topics"):
+        _domain, participant = Domain(0, configuration(None)), DomainParticipant(0)
+        writer = DataWriter(participant, Topic(participant, f"rt/{name}/stop", Empty))
+        until = time.monotonic() + _EVER_S
+        while not writer.get_matched_subscriptions():
+            if time.monotonic() > until:
+                raise DataError("`thigmo ros` does not hear", "run it by hand to see why")
+            time.sleep(0.1)
+        yield lambda robot, program: writer.write(Empty(0))
+
+
+WAYS: dict[str, tuple[str, Way]] = {
+    "space bar": ("on the page, in a browser here", _space_bar),
+    "phone": ("a tap on the page, at this computer's network address", _phone),
+    "thigmo stop": ("in another terminal, from Enter", _command),
+    "Ctrl-C": (
+        "in the program's terminal",
+        at_once(lambda robot, program: os.killpg(program, signal.SIGINT)),
+    ),
+    "kill -9": (
+        "the program alone",
+        at_once(lambda robot, program: os.kill(program, signal.SIGKILL)),
+    ),
+    "kill -9, all": (
+        "the program and the process that owns its port",
+        at_once(lambda robot, program: os.killpg(program, signal.SIGKILL)),
+    ),
+    "cable": ("pulled; the board keeps its supply", at_once(_pull_cable)),
+    "emergency stop": ("pressed", at_once(_press_emergency_stop)),
+    "ROS 2": ("a message on the topic `stop`", _ros),
+}
+_HEARTLESS = ("kill -9, all", "cable")  # nobody is left to tell the board
+
+
+def run(context: Context) -> Outcome:
+    """Time from each way's press to outputs that are off: median and worst."""
+    rows: list[dict[str, str | int | float]] = []
+    for way, (how, _) in WAYS.items():
+        times = stopped_ms(way, context.count(2, 10), partial(context.progress, way))
+        p50, worst = float(np.median(times)), max(times)
+        rows.append({"who": way, "how": how, "n": len(times), "p50_ms": p50, "worst_ms": worst})
+        context.save(Outcome({"rows": rows}))
+    worst = max(float(row["worst_ms"]) for row in rows if row["who"] in _HEARTLESS)
+    limit = _SILENT_MS + 2e3 * STEP_S  # steps at either end
+    claim = Claim("nobody is left to tell the board: worst", worst, limit, unit="ms")
+    return Outcome({"rows": rows}, claims=[claim], summary=rows)
+
+
+def stopped_ms(
+    way: str, trials: int, progress: Callable[[int, int], None] = lambda done, total: None
+) -> list[float]:
+    """Times from the press to outputs that are off, in ms, by one of `WAYS`.
+
+    Raises DataError if a robot was not stopped.
+    """
+    times: list[float] = []
+    progress(0, trials)
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="tg"))
+        sockets = {**os.environ, OTHER_PLACE: folder}
+        start = partial(subprocess.Popen, env=sockets, text=True, stdout=subprocess.PIPE)
+        press = stack.enter_context(WAYS[way][1](start))
+        for trial in range(trials):
+            times.append(_once(press, start, trial))
+            progress(trial + 1, trials)
+    return times
+
+
+def _once(press: Press, start: Start, seed: int) -> float:
+    """A robot that is pressed and stopped: the time in ms."""
+    with ExitStack() as stack:
+        robot = stack.enter_context(ServedRobot(seed))
+        # As from a terminal: a group of its own. What it says of its stop is not for here.
+        words = [sys.executable, "-c", _PRESS, robot.port]
+        program = stack.enter_context(
+            start(words, start_new_session=True, stderr=subprocess.DEVNULL)
+        )
+        stack.callback(program.kill)
+        if program.stdout is None or program.stdout.readline() != "pressing\n":
+            raise DataError("the program that presses has ended", "see `thigmo watch`")
+        return robot.off_ms(lambda: press(robot, program.pid))
