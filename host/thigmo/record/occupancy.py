@@ -21,6 +21,7 @@ from pydantic import BaseModel, ValidationError
 from thigmo.config import Finite, Positive, invalid_entry
 from thigmo.display import draw, html_card, html_table
 from thigmo.errors import RunFolderError
+from thigmo.extras import require
 from thigmo.record.folder import write_whole
 
 if TYPE_CHECKING:
@@ -117,8 +118,10 @@ def write_ros_map(grid: OccupancyGrid, path: Path) -> None:
 def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
     """Read a map that map_server could serve: its YAML file, and the picture that this names.
 
-    Raises RunFolderError if one is missing or is not what it should be.
+    Raises RunFolderError if one is missing or is not what it should be, NotInstalledError without
+    OpenCV.
     """
+    require("camera", "the picture of a ROS map")
     import cv2
 
     try:
