@@ -36,17 +36,9 @@ class ReadingErrors:
     critical_curvature_error: float  # relative
     tube_radius: float  # cm
 
-    def arguments(self, added_noise: npt.ArrayLike = 0.0) -> dict[str, Any]:
-        """Keywords of `thigmo.localize` for one frame, in which a zero's error is noise.
-
-        Args:
-            added_noise: further noise of this frame's readings, such as creep; scalar or (N,).
-        """
-        # Nothing holds the end of a robot that everts.
-        told: dict[str, Any] = {"held_end": False}
-        told |= {each.name: getattr(self, each.name) for each in fields(self)}
-        frame = np.square(told.pop("zero_error")) + np.square(added_noise)
-        return told | {"noise": np.sqrt(self.noise**2 + frame)}
+    def arguments(self) -> dict[str, Any]:
+        """Keywords of `thigmo.localize`; nothing holds the end of a robot that everts."""
+        return {"held_end": False} | {each.name: getattr(self, each.name) for each in fields(self)}
 
 
 def reading_errors(

@@ -103,6 +103,8 @@ def localize(
         "bad_reading_odds": bad_reading_odds,
     }
     told |= {name: value for name, value in flags.items() if value is not None}
+    if noise is not None:
+        told["zero_error"] = 0.0  # --noise is all of a reading's error
     told |= {
         "span": span if table.span is None else table.span,
         "free_curvature": free_curvature,
@@ -188,9 +190,11 @@ def _answer_rows(
     from thigmo.errors import DataError
 
     results = []
+    free = options.pop("free_curvature")
+    localizer = thigmo.Localizer.of(position=table.position, length=length, **options)
     for line, row in zip(table.lines, table.curvature, strict=True):
         try:
-            results.append(thigmo.localize(row, table.position, length=length, **options))
+            results.append(localizer.localize(row, free_curvature=free))
         except DataError as error:
             raise DataError(f"line {line}: {error.what}", error.next_step) from error
     times = table.time_s.tolist() if table.time_s is not None else [None] * len(results)

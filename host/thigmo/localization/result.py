@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Status = Literal["localized", "ambiguous", "below detection", "no contact", "point estimate"]
+STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
 _COLUMNS = ("arc", "interval", "force / EI", "probability", "status")
 
 
