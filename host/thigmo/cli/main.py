@@ -27,6 +27,7 @@ from thigmo.cli.flash import flash
 from thigmo.cli.localize import localize
 from thigmo.cli.ros import ros
 from thigmo.cli.runs import export, info, replay
+from thigmo.cli.score import score
 from thigmo.cli.watch import watch
 from thigmo.errors import ThigmoError
 
@@ -75,7 +76,7 @@ app = typer.Typer(
 )
 for function in (
     explore, watch, localize, replay, info, export, stop, params, clear, retract, ros, flash,
-    bringup, jog, press, emulator.emulate, calibrate, experiment, bench, design,
+    bringup, jog, press, emulator.emulate, calibrate, experiment, bench, score, design,
 ):  # fmt: skip
     app.command()(function)
 groups = {"scene": emulator.scene, "camera": camera.group}
