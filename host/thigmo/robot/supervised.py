@@ -12,7 +12,8 @@ from thigmo.link.heart import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
 from thigmo.robot.connected import Connected
-from thigmo.robot.readings import SENSORS, SensorTable, sensor_name
+from thigmo.robot.readings import SENSORS, SensorTable
+from thigmo.wiring import sensor_name
 
 if TYPE_CHECKING:
     from thigmo.link.protocol import Ack, Command
@@ -136,7 +137,8 @@ class Supervised(Connected):
             if channel is not None:
                 bad.add(channel)
             if bad:
-                what += f": {', '.join(sensor_name(n) for n in sorted(bad))} (0 = at the base)"
+                names = ", ".join(sensor_name(self.config, n) for n in sorted(bad))
+                what += f": {names} (0 = at the base)"
             else:
                 what += " now and then, at present none is"
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
