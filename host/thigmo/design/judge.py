@@ -1,9 +1,11 @@
 """What a described robot will do, by mechanics, before it is built; each finding with its number.
 
 Growth against the tail's friction, the pull on the spool, bend and fold, what each muscle's sweep
-can feel and localize, how often each channel is read, and what the board cannot hold. The contact is
-a peg right beside the straight body, and presses as hard as that can: a cantilever of free
-curvature g that is propped at its arc a has a base moment over EI of 3/2 g, or the base folds.
+can feel and localize, how often each channel is read, and what the board cannot hold.
+
+The contact that is judged is a peg right beside the straight body, and presses as hard as that can:
+a cantilever of free curvature g that is propped at its arc has a base moment over EI of 3/2 g, or
+the base folds.
 """
 
 from __future__ import annotations

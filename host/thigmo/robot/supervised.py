@@ -142,6 +142,8 @@ class Supervised(Connected):
             else:
                 what += " now and then, at present none is"
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
+        if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self.config)):
+            cure = f"{hint}; {cure}"
         # A board that lives in this process starts anew with the next connection.
         if self.url and not self.virtual:
             cure = f"{cure} (`thigmo clear --robot {self.url}`)"
@@ -261,3 +263,17 @@ class Supervised(Connected):
     def stored_configuration(self) -> StoredConfiguration:
         """How the stored configuration fits the firmware that runs."""
         return StoredConfiguration.of(self._client.request(wire.GetConfigReport()))
+
+
+def _too_strong(config: RobotConfig | None) -> str:
+    """What to do if a body pressure pulls harder than the spool's friction holds; else nothing."""
+    if config is None or config.spool.brake:
+        return ""
+    highest = max(zone.pressure_psi for zone in config.body.zones)
+    pull, holds = config.body.pull_n(highest), config.spool.holding_n
+    if pull <= holds:
+        return ""
+    return (
+        f"{highest:g} psi pull {pull:.1f} N at the spool and its friction holds {holds:g} N: fit a "
+        "brake or lower [[body.pressure]] (`thigmo robot check`)"
+    )
