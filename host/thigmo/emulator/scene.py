@@ -107,7 +107,9 @@ class SpoolMotor(Model):
     stall_n: Positive = 147.0  # pull on the line at which full duty stalls
     touch_n_s_m: NonNegative = 450.0  # pull that a sudden stop adds for each m/s of line
     holding_n: NonNegative = 6.0  # pull that friction, or a power-off brake, holds at rest
-    wiring: Literal["right", "motor_swapped", "encoder_swapped", "encoder_unplugged"] = "right"
+    wiring: Literal[
+        "right", "motor_swapped", "encoder_swapped", "both_swapped", "encoder_unplugged"
+    ] = "right"
     winding: NonNegative = 0.0  # relative change of counts per cm for each cm of line wound
 
 
