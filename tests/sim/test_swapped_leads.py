@@ -95,6 +95,6 @@ def test_a_robot_whose_direction_nobody_has_seen_does_not_move(
     assert moved.code == 0
     assert "19.0 cm" in moved.out
     assert moved.err == (
-        "thigmo: no brake is fitted: the emergency stop leaves the motor its supply; "
+        "Warning: no brake is fitted: the emergency stop leaves the motor its supply; "
         "keep hands away and shut V1\n"
     )

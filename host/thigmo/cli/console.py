@@ -175,7 +175,7 @@ class Console:
 
     def warn(self, danger: str) -> None:
         """Say what is dangerous about the robot."""
-        self.err.print(f"thigmo: {danger}", highlight=False, soft_wrap=True, markup=False)
+        self.err.print(f"Warning: {danger}", highlight=False, soft_wrap=True, markup=False)
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         """Ask for the dowels to be placed."""
