@@ -64,6 +64,9 @@ class Body(Model):
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49
+    # Bending stiffness EI and its standard error; without them forces are told over EI only.
+    stiffness_n_cm2: Positive | None = None
+    stiffness_se_n_cm2: NonNegative = 0.0
     zones: list[PressureZone] = Field(
         default_factory=lambda: [
             PressureZone(until_cm=26.5, pressure_psi=1.47),
@@ -87,6 +90,13 @@ class Body(Model):
     def radius_cm(self) -> float:
         """Tube radius."""
         return self.diameter_cm / 2
+
+    @property
+    def stiffness(self) -> tuple[float, float] | None:
+        """EI (N cm^2) and its relative standard error, if it is known."""
+        if self.stiffness_n_cm2 is None:
+            return None
+        return self.stiffness_n_cm2, self.stiffness_se_n_cm2 / self.stiffness_n_cm2
 
     def zone_at(self, length_cm: float) -> int:
         """Index of the pressure zone that holds at an everted length (boundaries belong below)."""
