@@ -186,7 +186,7 @@ def _calibrated(
         (name, index, sensor)
         for name in SIDES
         if name != inflated
-        for index, sensor in enumerate(robot.sensors.column(name))
+        for index, sensor in enumerate(robot.column(name))
     ]
     found: list[tuple[Side, int]] = []
     for position in table.position.tolist():
