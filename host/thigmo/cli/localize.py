@@ -140,11 +140,17 @@ def localize(
     if frames is not None:
         _answer_rows(frames, plot, length, as_json, told)
         return
-    result = thigmo.localize(table.curvature, table.position, length=length, **told)
+    from thigmo.localization.hints import hints
+
+    told["length"] = length
+    result = thigmo.localize(table.curvature, table.position, **told)
+    looks = hints(result, table.curvature, table.position, **told)
     if as_json:
-        print_json(_facts(result, table))
+        print_json(_facts(result, table) | {"hints": looks})
     else:
         _show(result, table)
+        for hint in looks:
+            typer.echo(f"thigmo: {hint}", err=True)
 
 
 def _held(text: str | None) -> bool | float | None:
