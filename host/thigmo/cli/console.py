@@ -124,13 +124,13 @@ class Console:
         if not document.contacts:
             say(f"[bold]No contact[/bold] in {len(document.stages)} sweeps.")
         else:
-            table = Table("x", "y", "arc", "95 % interval", "force / EI", "status", box=None)
+            table = Table("x", "y", "arc", "95 % interval", "force", "status", box=None)
             for c in document.contacts:
                 table.add_row(
                     f"{c.x_cm:.1f} cm", f"{c.y_cm:.1f} cm",
                     f"{c.arc_cm:.1f} of {c.everted_length_cm:.1f} cm",
                     c.interval_text,
-                    f"{c.force_per_cm2:.2g} 1/cm²", c.status,
+                    c.force_text, c.status,
                 )  # fmt: skip
             say(table)
         if document.error_x_cm is not None:
