@@ -35,7 +35,11 @@ _SENSORS = wiring.INPUTS
 # An input without a sensor hangs on its divider alone, and never everts.
 _NO_SENSOR = config.FlexSensor(center_cm=1e9, span_cm=0.0)
 _TAUT_CM = 1e-3
-_ENCODER_SIGN = {"right": 1, "motor_swapped": 1, "encoder_swapped": -1, "encoder_unplugged": 0}
+_MOTOR_SWAPPED = ("motor_swapped", "both_swapped")
+_ENCODER_SIGN = {
+    "right": 1, "motor_swapped": 1, "encoder_swapped": -1, "both_swapped": -1,
+    "encoder_unplugged": 0,
+}  # fmt: skip
 _LIMP_PSI = 0.05
 _AIR_SHARE = 0.005  # of the body's pressure; nearer is there
 _EMPTY = np.zeros(2)
@@ -328,7 +332,7 @@ class Plant:
         )
         self._swing.follow(left - right)
         before = self._encoder()
-        if self.scene.spool.wiring == "motor_swapped":
+        if self.scene.spool.wiring in _MOTOR_SWAPPED:
             motor = -motor
         if self.motor_forced is not None:
             motor = self.motor_forced
