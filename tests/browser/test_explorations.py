@@ -40,7 +40,7 @@ def late_room(tmp_path: Path) -> Path:
     """The default room, of which only the last two stages are explored."""
     scene = Scene.load("default")
     scene.start_length_cm = 50.0
-    scene.robot.sensors.settle_s = 0.2
+    scene.robot.board.settle_s = 0.2
     scene.save(tmp_path / "late.toml")
     return tmp_path / "late.toml"
 

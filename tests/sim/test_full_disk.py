@@ -82,7 +82,7 @@ def test_a_folder_that_takes_nothing_is_told_before_the_robot_moves(
 def test_a_full_disk_makes_the_robot_safe_first(explore: Explore, tmp_path: Path) -> None:
     room = Scene.load("empty")
     room.start_length_cm = 20.0
-    room.robot.sensors.settle_s = 0.2
+    room.robot.board.settle_s = 0.2
     room.robot.save(tmp_path / "robot.toml")
     served = ServedRobot(Lockstep(room, VirtualBoard(1), seed=1))
     operator, terminal = os.openpty()

@@ -40,7 +40,7 @@ def room() -> Scene:
     """The robot 20 cm out, with sensors that settle at once: real time is dear."""
     scene = Scene.load("empty")
     scene.start_length_cm = 20.0
-    scene.robot.sensors.settle_s = 0.2
+    scene.robot.board.settle_s = 0.2
     return scene
 
 

@@ -79,9 +79,9 @@ def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(
 ) -> None:
     robot = RobotConfig()
     robot.body.critical_curvature_se = 0.1 * robot.body.critical_curvature
-    robot.actuators.left.offset_se = 2e-4
-    robot.actuators.left.maps[2].scale_se = 0.01
-    for sensor in robot.sensors.right:
+    robot.muscle("left").offset_se = 2e-4
+    robot.muscle("left").maps[2].scale_se = 0.01
+    for sensor in robot.column("right"):
         sensor.scale_se = 0.03
     robot.save(tmp_path / "robot.toml")
     (tmp_path / "r.csv").write_text(BENT)

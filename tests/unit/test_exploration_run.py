@@ -139,11 +139,11 @@ class Script:
 def _calibrated() -> RobotConfig:
     """Standard errors of a good calibration; the defaults are those of none."""
     config = RobotConfig()
-    for side in (config.actuators.left, config.actuators.right):
+    for side in (config.muscle("left"), config.muscle("right")):
         side.offset_se = 1e-4
         for zone in side.maps:
             zone.scale_se = 0.005
-    for sensor in config.sensors.left + config.sensors.right:
+    for sensor in config.column("left") + config.column("right"):
         sensor.scale_se = 0.005
     return config
 

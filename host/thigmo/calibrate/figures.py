@@ -20,7 +20,7 @@ from thigmo.calibrate.hysteresis import HysteresisResult
 from thigmo.calibrate.noise import NoiseResult
 from thigmo.calibrate.stiffness import StiffnessResult
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import SIDES
+from thigmo.config import SIDES, SIGN
 from thigmo.errors import DataError
 from thigmo.files import whole_file
 from thigmo.report.axes import BLUE, CYCLE, GREEN, ORANGE, RED
@@ -106,7 +106,7 @@ def _flex(result: FlexResult, path: Path) -> None:
 def _actuator(result: ActuatorResult, path: Path) -> None:
     r, used = result.readings, result.used
     branch = np.array(r.branch)
-    sign = 1.0 if r.side == "left" else -1.0
+    sign = SIGN[r.side]
     grid = np.linspace(0, max(20.0, float(np.nanmax(r.pressure_psi))), 200)
     labels = "muscle pressure (psi)", "free curvature (1/cm)"
     with _panel(path, result.verdict, *labels, size=(7, 4.5)) as axes:

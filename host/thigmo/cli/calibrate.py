@@ -89,6 +89,9 @@ def calibrate(
     `--csv FILE` fits readings that a lab already has; a file that lacks a column
     is told all of them. Try it without a robot: `--robot emulator://empty`.
     """
+    from thigmo.extras import require
+
+    require("camera", "calibration")
     from thigmo.calibrate.session import Session, blank
     from thigmo.calibrate.steps import STEPS, fit_csv, run
     from thigmo.config import RobotConfig

@@ -168,7 +168,8 @@ class Console:
         )
         # Paths and commands are copied: no line of theirs is broken.
         planners = "for planners: obstacles.json and map.yaml beside it."
-        typer.echo(f"Map: {result.folder / 'map.png'}; {planners}")
+        drawn = "map.png" if (result.folder / "map.png").exists() else "contacts.json"
+        typer.echo(f"Map: {result.folder / drawn}; {planners}")
         typer.echo(
             f"The robot is vented and keeps its length of {result.length_cm:.1f} cm. "
             f"To retract it: thigmo retract --robot {document.url}"

@@ -103,6 +103,8 @@ def localize(
         "bad_reading_odds": bad_reading_odds,
     }
     told |= {name: value for name, value in flags.items() if value is not None}
+    if noise is not None:
+        told["zero_error"] = 0.0  # --noise is all of a reading's error
     told |= {
         "span": span if table.span is None else table.span,
         "free_curvature": free_curvature,
@@ -112,11 +114,17 @@ def localize(
     if frames is not None:
         _answer_rows(frames, plot, length, as_json, told)
         return
-    result = thigmo.localize(table.curvature, table.position, length=length, **told)
+    from thigmo.localization.hints import hints
+
+    told["length"] = length
+    result = thigmo.localize(table.curvature, table.position, **told)
+    looks = hints(result, table.curvature, table.position, **told)
     if as_json:
-        print_json(_facts(result, table))
+        print_json(_facts(result, table) | {"hints": looks})
     else:
         _show(result, table)
+        for hint in looks:
+            typer.echo(f"thigmo: {hint}", err=True)
 
 
 def _calibrated(
@@ -136,7 +144,7 @@ def _calibrated(
         (name, index, sensor)
         for name in SIDES
         if name != inflated
-        for index, sensor in enumerate(robot.sensors.column(name))
+        for index, sensor in enumerate(robot.column(name))
     ]
     found: list[tuple[Side, int]] = []
     for position in table.position.tolist():
@@ -188,9 +196,11 @@ def _answer_rows(
     from thigmo.errors import DataError
 
     results = []
+    free = options.pop("free_curvature")
+    localizer = thigmo.Localizer.of(position=table.position, length=length, **options)
     for line, row in zip(table.lines, table.curvature, strict=True):
         try:
-            results.append(thigmo.localize(row, table.position, length=length, **options))
+            results.append(localizer.localize(row, free_curvature=free))
         except DataError as error:
             raise DataError(f"line {line}: {error.what}", error.next_step) from error
     times = table.time_s.tolist() if table.time_s is not None else [None] * len(results)

@@ -168,7 +168,7 @@ class ContactMap:
             contact.force,
             contact.interval,
             radius_cm=self._config.body.radius_cm,
-            curvature_se=self._config.actuators.side(sighting.side).offset_se,
+            curvature_se=self._config.muscle(sighting.side).offset_se,
         )
         return self._contact(
             placed,
@@ -201,7 +201,7 @@ class ContactMap:
             force,
             found.interval_cm,
             radius_cm=self._config.body.radius_cm,
-            curvature_se=self._config.actuators.side(newest.side).offset_se,
+            curvature_se=self._config.muscle(newest.side).offset_se,
             end_offset_cm=offset,
         )
         return self._contact(

@@ -31,8 +31,10 @@ class Answer:
 
 class Localizer:
     length: float
+    count: int
     def __init__(
         self,
+        *,
         position: _Array,
         span: _Array,
         noise: _Array,

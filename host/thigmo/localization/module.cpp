@@ -9,6 +9,7 @@
 #include "point_fits/point_fit.h"
 
 namespace nb = nanobind;
+using namespace nb::literals;
 using namespace thigmo;
 
 namespace {
@@ -225,32 +226,38 @@ NB_MODULE(_posterior, m) {
       .def_prop_ro("bend", [](const Answer& a) { return array(a.bend); }, nb::rv_policy::reference);
 
   nb::class_<Localizer>(m, "Localizer")
-      .def("__init__",
-           [](Localizer* self, Numbers position, Numbers span, Numbers noise, Numbers gain,
-              Numbers bad_odds, Table shared, double offset, double map, double length,
-              double radius, double critical, double critical_error, bool folds_perhaps,
-              int held_end, double end_odds, double held_odds, int contacts,
-              std::pair<double, double> within, double width_limit, double number_level, int norm,
-              const Priors& priors) {
-             Input in{};
-             in.position = row(position), in.span = row(span), in.noise = row(noise);
-             in.gain = row(gain), in.bad_odds = row(bad_odds), in.shared = matrix(shared);
-             in.offset = offset, in.map = map, in.length = length, in.radius = radius;
-             const Settings settings{critical,
-                                     critical_error,
-                                     folds_perhaps,
-                                     radius / length,
-                                     Settings::Held(held_end),
-                                     std::log(end_odds),
-                                     std::log(held_odds),
-                                     contacts,
-                                     {within.first, within.second},
-                                     width_limit,
-                                     number_level,
-                                     norm};
-             new (self) Localizer{in, settings, priors};
-           })
+      .def(
+          "__init__",
+          [](Localizer* self, Numbers position, Numbers span, Numbers noise, Numbers gain,
+             Numbers bad_odds, Table shared, double offset, double map, double length,
+             double radius, double critical, double critical_error, bool folds_perhaps,
+             int held_end, double end_odds, double held_odds, int contacts,
+             std::pair<double, double> within, double width_limit, double number_level, int norm,
+             const Priors& priors) {
+            Input in{};
+            in.position = row(position), in.span = row(span), in.noise = row(noise);
+            in.gain = row(gain), in.bad_odds = row(bad_odds), in.shared = matrix(shared);
+            in.offset = offset, in.map = map, in.length = length, in.radius = radius;
+            const Settings settings{critical,
+                                    critical_error,
+                                    folds_perhaps,
+                                    radius / length,
+                                    Settings::Held(held_end),
+                                    std::log(end_odds),
+                                    std::log(held_odds),
+                                    contacts,
+                                    {within.first, within.second},
+                                    width_limit,
+                                    number_level,
+                                    norm};
+            new (self) Localizer{in, settings, priors};
+          },
+          nb::kw_only(), "position"_a, "span"_a, "noise"_a, "gain"_a, "bad_odds"_a, "shared"_a,
+          "offset"_a, "map_scale"_a, "length"_a, "radius"_a, "critical"_a, "critical_error"_a,
+          "folds_perhaps"_a, "held_end"_a, "end_odds"_a, "held_odds"_a, "contacts"_a, "within"_a,
+          "width_limit"_a, "number_level"_a, "norm"_a, "priors"_a)
       .def_prop_ro("length", [](const Localizer& self) { return self.sensors.length; })
+      .def_prop_ro("count", [](const Localizer& self) { return self.sensors.position.size(); })
       .def("localize",
            [](const Localizer& self, Numbers curvature, Numbers free, Numbers body) {
              Input input = self.sensors;

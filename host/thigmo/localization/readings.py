@@ -117,6 +117,8 @@ def check_layout(position: Array, span: Array, total: float, **errors: Array) ->
     if not -slack <= nearest <= farthest <= total + slack:
         where = farthest if farthest > total else nearest
         cure = _same_unit(where, total) or "check positions and units"
+        if total < where <= 1.25 * total:
+            cure = "leave out sensors that are not everted yet, or check the length"
         raise DataError(f"a sensor is centred at {where:g}, off a body of {total:g}", cure)
     if span.max() > total:
         cure = _same_unit(span.max(), total) or "check spans and units"

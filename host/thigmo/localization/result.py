@@ -19,14 +19,17 @@ from thigmo.display import (
     html_table,
     interval_text,
 )
+from thigmo.extras import data_frame
 from thigmo.localization import _posterior
 from thigmo.localization.readings import Range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 Array = npt.NDArray[np.float64]
 Status = Literal["localized", "ambiguous", "below detection", "no contact", "point estimate"]
+STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
 _COLUMNS = ("arc", "interval", "force / EI", "probability", "status")
 
 
@@ -194,6 +197,19 @@ class LocalizeResult:
             "discarded": list(self.discarded),
             "message": self.message,
         }
+
+    def to_frame(self) -> DataFrame:
+        """A pandas data frame with a row for each contact, base to tip; needs `thigmo[tables]`."""
+        return data_frame(
+            [
+                {
+                    "arc": c.arc, "low": c.interval[0], "high": c.interval[1], "force": c.force,
+                    "force_deviation": c.force_deviation, "probability": c.probability,
+                    "status": c.status,
+                }
+                for c in self.contacts
+            ]
+        )  # fmt: skip
 
     def plot(self, axes: Axes | None = None, *, unit: str = "") -> Axes:
         """Draw the posterior along the body, and each contact with its interval.
