@@ -10,11 +10,11 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from thigmo import __version__
 from thigmo.closing import Closing
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError, LinkError
@@ -187,7 +187,7 @@ class Connected(Closing):
         """
         now_s = self.now()
         hello = Hello(
-            now_s, self.epoch_s + now_s, self.url, name, folder, os.getpid(), __version__,
+            now_s, self.epoch_s + now_s, self.url, name, folder, os.getpid(), version("thigmo"),
             self.virtual,
         )  # fmt: skip
         return Server(self.hub, hello, command)
