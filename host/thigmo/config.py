@@ -83,6 +83,9 @@ class Body(Model):
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49
+    # Bending stiffness EI and its standard error; without them forces are told over EI only.
+    stiffness_n_cm2: Positive | None = None
+    stiffness_se_n_cm2: NonNegative = 0.0
     growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
     growth_psi_per_cm: NonNegative = 0.003  # what the tail's friction adds for each cm everted
     zones: list[BodyPressure] = Field(
@@ -109,6 +112,13 @@ class Body(Model):
     def radius_cm(self) -> float:
         """Tube radius."""
         return self.diameter_cm / 2
+
+    @property
+    def stiffness(self) -> tuple[float, float] | None:
+        """EI (N cm^2) and its relative standard error, if it is known."""
+        if self.stiffness_n_cm2 is None:
+            return None
+        return self.stiffness_n_cm2, self.stiffness_se_n_cm2 / self.stiffness_n_cm2
 
     def zone_at(self, length_cm: float) -> int:
         """Index of the pressure zone that holds at an everted length (boundaries belong below)."""

@@ -29,6 +29,7 @@ class Beside:
     def everted_length_cm(self): return 20.0
     def set_body_pressure(self, pressure_psi): pass
     def place_pegs(self, pegs): pass
+    def warn(self, danger): pass
 
 port, config, out = sys.argv[1:]
 explore(port, config=RobotConfig.load(config), out=out, operator=Beside())

@@ -143,13 +143,13 @@ class Console:
         if not document.contacts:
             say(f"[bold]No contact[/bold] in {len(document.stages)} sweeps.")
         else:
-            table = Table("x", "y", "arc", "95 % interval", "force / EI", "status", box=None)
+            table = Table("x", "y", "arc", "95 % interval", "force", "status", box=None)
             for c in document.contacts:
                 table.add_row(
                     f"{c.x_cm:.1f} cm", f"{c.y_cm:.1f} cm",
                     f"{c.arc_cm:.1f} of {c.everted_length_cm:.1f} cm",
                     c.interval_text,
-                    f"{c.force_per_cm2:.2g} 1/cm²", c.status,
+                    c.force_text, c.status,
                 )  # fmt: skip
             say(table)
         if document.error_x_cm is not None:
@@ -192,6 +192,10 @@ class Console:
             f"Set the body pressure to {pressure_psi:g} psi ({pressure_psi * 6.895:.1f} kPa), "
             "then press Enter."
         )
+
+    def warn(self, danger: str) -> None:
+        """Say what is dangerous about the robot."""
+        self.err.print(f"Warning: {danger}", highlight=False, soft_wrap=True, markup=False)
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         """Ask for the dowels to be placed."""

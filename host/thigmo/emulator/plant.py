@@ -36,7 +36,11 @@ _SENSORS = 10
 _NO_SENSOR = config.FlexSensor(center_cm=1e9, span_cm=0.0)
 _TAUT_CM = 1e-3
 _PASCAL = 6894.757  # of one psi
-_ENCODER_SIGN = {"right": 1, "motor_swapped": 1, "encoder_swapped": -1, "encoder_unplugged": 0}
+_MOTOR_SWAPPED = ("motor_swapped", "both_swapped")
+_ENCODER_SIGN = {
+    "right": 1, "motor_swapped": 1, "encoder_swapped": -1, "both_swapped": -1,
+    "encoder_unplugged": 0,
+}  # fmt: skip
 _LIMP_PSI = 0.05
 _AIR_SHARE = 0.005  # of the body's pressure; nearer is there
 _EMPTY = np.zeros(2)
@@ -327,7 +331,7 @@ class Plant:
         )
         self._swing.follow(left - right)
         before = self._encoder()
-        if self.scene.spool.wiring == "motor_swapped":
+        if self.scene.spool.wiring in _MOTOR_SWAPPED:
             motor = -motor
         if self.motor_forced is not None:
             motor = self.motor_forced

@@ -105,7 +105,9 @@ class SpoolMotor(Model):
     dead_zone: NonNegative = 60.0  # duty, of 800, that overcomes sliding friction
     stall_n: Positive = 147.0  # pull on the line at which full duty stalls
     touch_n_s_m: NonNegative = 450.0  # pull that a sudden stop adds for each m/s of line
-    wiring: Literal["right", "motor_swapped", "encoder_swapped", "encoder_unplugged"] = "right"
+    wiring: Literal[
+        "right", "motor_swapped", "encoder_swapped", "both_swapped", "encoder_unplugged"
+    ] = "right"
     winding: NonNegative = 0.0  # relative change of counts per cm for each cm of line wound
 
 
