@@ -226,6 +226,15 @@ class Supervised(Connected):
         if wait:
             self._wait_vented()
 
+    def watch_emptying(self) -> None:
+        """After a stop: keep the link alive until the muscles are empty, so that it is seen.
+
+        Commands nothing, and ends without a word after the time in which they should have been.
+        """
+        end = self.now() + _VENT_S
+        while "vented" not in self.status().conditions and self.now() < end:
+            self.wait(0.2, despite_faults=True)
+
     def _wait_vented(self) -> None:
         end = self.now() + _VENT_S
         while "vented" not in self.status().conditions:
