@@ -24,7 +24,7 @@ import os
 import shutil
 import tomllib
 from collections.abc import Sequence
-from math import tanh
+from math import pi, tanh
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -37,6 +37,7 @@ from thigmo.files import write_whole
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")  # of the plane in which the robot moves
 SIGN: dict[Side, float] = {"left": 1.0, "right": -1.0}  # of curvature towards a side
+_PASCAL = 6894.757  # of one psi
 _TOWARDS: dict[float, Side] = {90.0: "left", 270.0: "right"}
 _DEGREES: dict[Side, float] = {side: degrees for degrees, side in _TOWARDS.items()}
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -83,6 +84,9 @@ class Body(Model):
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49
+    # Bending stiffness EI and its standard error; without them forces are told over EI only.
+    stiffness_n_cm2: Positive | None = None
+    stiffness_se_n_cm2: NonNegative = 0.0
     growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
     growth_psi_per_cm: NonNegative = 0.003  # what the tail's friction adds for each cm everted
     zones: list[BodyPressure] = Field(
@@ -109,6 +113,17 @@ class Body(Model):
     def radius_cm(self) -> float:
         """Tube radius."""
         return self.diameter_cm / 2
+
+    def pull_n(self, pressure_psi: float) -> float:
+        """Tension (N) of the tail: half of pressure times section (docs/hardware/facts.md)."""
+        return 0.5 * pressure_psi * _PASCAL * pi * self.radius_cm**2 * 1e-4
+
+    @property
+    def stiffness(self) -> tuple[float, float] | None:
+        """EI (N cm^2) and its relative standard error, if it is known."""
+        if self.stiffness_n_cm2 is None:
+            return None
+        return self.stiffness_n_cm2, self.stiffness_se_n_cm2 / self.stiffness_n_cm2
 
     def zone_at(self, length_cm: float) -> int:
         """Index of the pressure zone that holds at an everted length (boundaries belong below)."""
@@ -198,11 +213,8 @@ def _default_muscles() -> list[Muscle]:
 class Board(Model):
     """The controller, and what it is set to."""
 
-    kind: Literal["mega", "micropython", "virtual"] = "mega"
     divider_ohm: Positive = 22_000.0  # fixed resistor of the flex sensors' dividers
     settle_s: NonNegative = 30.0  # thesis: no reading within 30 s of eversion
-    # Base curvature held back that is a contact (thesis).
-    trigger_per_cm: Positive = 0.005
 
 
 class Spool(Model):

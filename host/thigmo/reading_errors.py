@@ -35,6 +35,7 @@ class ReadingErrors:
     critical_curvature: float  # contact moment over EI at which the base folds, at this zone
     critical_curvature_error: float  # relative
     tube_radius: float  # cm
+    stiffness: tuple[float, float] | None  # EI in N cm^2, and its relative standard error
 
     def arguments(self) -> dict[str, Any]:
         """Keywords of `thigmo.localize`; nothing holds the end of a robot that everts."""
@@ -78,4 +79,5 @@ def reading_errors(
             )
         ),
         tube_radius=body.radius_cm,
+        stiffness=body.stiffness,
     )

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from thigmo.calibrate.actuator import ActuatorResult, ActuatorResults
+from thigmo.calibrate.bending import BendingResult
 from thigmo.calibrate.buckling import BucklingResult
 from thigmo.calibrate.columns import Array
 from thigmo.calibrate.encoder import EncoderResult
@@ -152,6 +153,13 @@ def _stiffness(result: StiffnessResult, path: Path) -> None:
     with _panel(path, result.verdict, "picture", "stiffness under sensors / in gaps") as axes:
         _estimates(axes, result.each, result.ratio, result.ratio_se)
         axes.axhline(1.0, color="0.5", ls=":")
+
+
+@draw.register
+def _bending(result: BendingResult, path: Path) -> None:
+    if result.each.size:
+        with _panel(path, result.verdict, "pull", "bending stiffness EI (N cm²)") as axes:
+            _estimates(axes, result.each, result.stiffness_n_cm2, result.stiffness_se_n_cm2)
 
 
 @draw.register

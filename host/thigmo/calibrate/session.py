@@ -119,5 +119,6 @@ def blank(config: RobotConfig) -> RobotConfig:
         muscle.maps = [ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in made.body.zones]
     made.body.critical_curvature = fresh.body.critical_curvature
     made.body.critical_curvature_se = fresh.body.critical_curvature_se
+    made.body.stiffness_n_cm2 = None
     made.spool.counts_per_cm = fresh.spool.counts_per_cm
     return made

@@ -138,6 +138,8 @@ def _obstacle(contact: MapContact) -> Obstacle:
         interval_cm=contact.interval_cm,
         felt_at_cm=[*contact.merged, contact.everted_length_cm],
         force_per_cm2=contact.force_per_cm2,
+        force_n=contact.force_n,
+        force_interval_n=contact.force_interval_n,
         kind=contact.kind,
         probability=contact.probability,
         wall_probability=contact.wall_probability,
