@@ -90,7 +90,7 @@ def test_an_ambiguous_sweep_beside_a_localized_contact_says_why(
 
 
 # Every number that the page shows: a hyphen before a digit would read as a minus sign, or not.
-HYPHENS = """() => [...document.querySelectorAll("text, td, output, .chip, banner")]
+HYPHENS = """() => [...document.querySelectorAll("text, td, output, .chip, .banner, #events .what")]
   .map((each) => each.textContent).filter((words) => /-\\d/.test(words))"""
 
 
@@ -100,8 +100,10 @@ def test_no_number_has_a_hyphen_for_a_minus_sign_and_none_follows_a_dash(
     run.bend(-0.02)
     run.believe(sweeping=False)
     run.hub.publish(Contacts(0.0, 0.0, (CONTACT, WALL)))
+    run.event("contact", "warning", "contact: the base is -0.0050 1/cm off the free bend")
     run.read(200)
     expect(page.locator("#contact-rows tr")).to_have_count(2)
+    expect(page.locator("#events")).to_contain_text("the base is −0.0050 1/cm off")
     expect(page.locator("#contact-rows")).to_contain_text("x −2.5, y 11.6 cm")
     shown = page.locator("#room text").all_text_contents()
     assert any("−" in words for words in shown)  # the axes go below zero

@@ -149,7 +149,7 @@ class Console:
                     f"{c.x_cm:.1f} cm", f"{c.y_cm:.1f} cm",
                     c.along_text,
                     c.interval_text,
-                    c.force_text, c.status,
+                    c.force_text, c.certainty_text,
                 )  # fmt: skip
             say(table)
         if document.error_x_cm is not None:

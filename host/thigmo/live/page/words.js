@@ -131,7 +131,8 @@ function drawEvents() {
 
 function entry(event) {
   const what = element("div");
-  what.append(element("span", { class: "what" }, sentence(event.message)));
+  // A hyphen before a number is its minus sign.
+  what.append(element("span", { class: "what" }, sentence(event.message.replaceAll(/(?<=\s)-(?=\d)/g, "−"))));
   if (event.next) what.append(element("div", { class: "next" }, sentence(event.next)));
   const item = element("li", { class: event.severity, title: event.name });
   item.dataset.t = time(event.t_s);
