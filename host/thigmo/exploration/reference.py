@@ -21,9 +21,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo import wiring
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.robot import SensorTable, SweepResult
-from thigmo.robot.readings import Floats, in_board_order
+from thigmo.robot.readings import Floats
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
@@ -54,7 +55,7 @@ class FreeReading(NamedTuple):
 
 def scale_errors(config: RobotConfig) -> Floats:
     """Relative standard error of each sensor's scale, (10,); 0 where there is no sensor."""
-    return np.array([sensor.scale_se if sensor else 0.0 for sensor in in_board_order(config)])
+    return np.array([sensor.scale_se if sensor else 0.0 for sensor in wiring.sensors(config)])
 
 
 def gain_errors(config: RobotConfig) -> Floats:
@@ -76,10 +77,11 @@ class FreeResponse:
         self._offset = self._scale + zones
         self._matrix = np.zeros((len(SIDES), size, size))
         self._vector = np.zeros((len(SIDES), size))
-        for row, name in enumerate(SIDES):
-            maps = config.actuators.side(name).maps
+        for name in config.sides:
+            row = SIDES.index(name)
+            maps = config.muscle(name).maps
             scale = [np.hypot(each.scale_se, _ZONE_DRIFT) for each in maps]
-            offset = max(config.actuators.side(name).offset_se, _LEAST_OFFSET)
+            offset = max(config.muscle(name).offset_se, _LEAST_OFFSET)
             deviation = np.concatenate([self._table.noise, gain, scale, np.full(zones, offset)])
             covariance = np.diag(deviation**2)
             covariance[self._scale : self._offset, self._scale : self._offset] += _MAP_DRIFT**2

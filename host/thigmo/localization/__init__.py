@@ -7,6 +7,7 @@ from thigmo.localization.bounds import Identifiability, arc_bounds, identifiabil
 from thigmo.localization.described import Body, Errors, Priors, Sensors
 from thigmo.localization.frames import ContactFilter
 from thigmo.localization.localizer import METHODS, Localizer, localize, localize_batch
+from thigmo.localization.newtons import Newtons, Quantity
 from thigmo.localization.result import Contact, LocalizeResult
 
 __all__ = [
@@ -19,7 +20,9 @@ __all__ = [
     "Identifiability",
     "LocalizeResult",
     "Localizer",
+    "Newtons",
     "Priors",
+    "Quantity",
     "Sensors",
     "arc_bounds",
     "identifiability",

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from thigmo.display import POINT_ESTIMATE
 from thigmo.errors import DataError
+from thigmo.extras import data_frame
 from thigmo.localization.readings import refusal
 from thigmo.localization.result import STATUSES, Array, Status
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +49,26 @@ class BatchResult:
 
     def __len__(self) -> int:
         return len(self.arc)
+
+    def to_frame(self) -> DataFrame:
+        """A pandas data frame with a row for each contact, by the row of readings and its number.
+
+        A row without a contact has one line, of nan. Needs `thigmo[tables]`.
+        """
+        listed = np.maximum(self.contacts, 1)
+        row = np.repeat(np.arange(len(self)), listed)
+        number = np.arange(row.size) - np.repeat(np.cumsum(listed) - listed, listed)
+        of_contact = ("arc", "low", "high", "force", "localized")
+        return data_frame(
+            {
+                "row": row,
+                "contact": number,
+                "status": np.asarray(self.status)[row],
+                **{name: getattr(self, name)[row, number] for name in of_contact},
+                "probability": self.probability[row],
+                "discarded": self.discarded[row],
+            }
+        )
 
     def __repr__(self) -> str:
         count = Counter(self.status)

@@ -35,12 +35,15 @@ class Body:
             (it is proportional to it: `thigmo.mechanics.critical_moment`); infinity for a base
             that does not fold. If not given, a fold at any moment is weighed.
         critical_curvature_error: its relative standard error.
+        stiffness: bending stiffness EI, in newtons times the unit of length squared, and its
+            relative standard error; contacts of a frame then have `newtons`.
     """
 
     length: float
     tube_radius: float | None = None
     critical_curvature: float | None = None
     critical_curvature_error: float = priors.CRITICAL_ERROR
+    stiffness: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

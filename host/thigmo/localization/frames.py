@@ -369,7 +369,8 @@ class ContactFilter:
             "fold_angle": way * body.fold_angle,
         }
         bend = np.interp(LENGTH * edges, body.s, body.curvature - self._free)
-        result._body = OfBody([(edges, share)], way * LENGTH * bend)
+        cells = np.full(share.size, force * LENGTH**2 * way), np.full(share.size, math.nan)
+        result._body = OfBody([(edges, share, *cells)], way * LENGTH * bend)
 
 
 def _precision(deviation: Array) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,9 +23,11 @@ from thigmo.localization import _posterior, priors
 from thigmo.localization.batch import BatchResult
 from thigmo.localization.described import Body, Errors, Priors, Sensors
 from thigmo.localization.frames import ContactFilter
+from thigmo.localization.newtons import newtons
 from thigmo.localization.readings import (
     Array,
     Range,
+    bending_stiffness,
     check_layout,
     columns,
     everted_length,
@@ -139,7 +141,7 @@ class Localizer:
             return self._thesis_fit(k - free)
         if self.method != "posterior":
             return _point_fit(found, self.length, self.method)
-        return _result(found, self.length)
+        return _result(found, self.length, self.body.stiffness)
 
     def localize_batch(
         self, curvature: npt.ArrayLike, *, free_curvature: npt.ArrayLike = 0.0, jobs: int = 1
@@ -235,6 +237,7 @@ class Localizer:
             moment = max(positive(critical, "critical_curvature") * total, 1e-6)
         if known.width_limit is not None:
             limit = positive(known.width_limit, "width_limit") / total
+        bending_stiffness(body.stiffness)
         face = known.end_face_odds
         held, held_odds = grip(known.held_end)
         slack = positive(body.critical_curvature_error, "critical_curvature_error")
@@ -371,10 +374,19 @@ def _point_result(
     )
 
 
-def _result(found: _posterior.Answer, total: float) -> LocalizeResult:
+def _result(
+    found: _posterior.Answer, total: float, stiffness: tuple[float, float] | None
+) -> LocalizeResult:
     """The answer in the caller's units."""
     status = STATUSES[found.status]
     contacts = tuple(Contact(*fields) for fields in found.contacts(total))
+    if stiffness is not None:
+        # What loads the end is the most distal contact.
+        loads = [(math.nan,) * 4] * (len(contacts) - 1) + [tuple(found.end_load)]
+        contacts = tuple(
+            replace(contact, newtons=newtons(stiffness, *cells[1:], load, total))
+            for contact, cells, load in zip(contacts, found.masses, loads, strict=False)
+        )
     return LocalizeResult(
         status,
         contacts,

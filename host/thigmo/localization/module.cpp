@@ -194,12 +194,21 @@ NB_MODULE(_posterior, m) {
              add("tip_moment", h.couple / length), add("end_offset", h.offset * length);
              return out;
            })
-      // Of each contact: edges of cells of the body, and the mass in each.
+      // Force that pushes the end back and couple on it, by the likeliest explanation, each with
+      // its standard deviation; NaN where nothing loads the end.
+      .def_prop_ro("end_load",
+                   [](const Answer& a) {
+                     const Hypothesis& h = a.hypotheses[a.best];
+                     return std::array{h.push, h.push_spread, h.couple, h.couple_spread};
+                   })
+      // Of each contact: edges of cells of the body; the mass in each, the force there and its
+      // standard deviation.
       .def_prop_ro("masses",
                    [](const Answer& a) {
                      nb::list out;
                      for (const FeltContact& c : a.contacts) {
-                       out.append(nb::make_tuple(array(c.edges), array(c.mass)));
+                       out.append(nb::make_tuple(array(c.edges), array(c.mass), array(c.force_at),
+                                                 array(c.spread)));
                      }
                      return out;
                    })

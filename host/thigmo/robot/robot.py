@@ -25,6 +25,7 @@ from thigmo.robot.supervised import OPEN, SHORT, Supervised
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
 from thigmo.room import Operator
 
+JOG_CM = 5.0  # of tip that a jog turns the spool for, at most
 _VENTED_PSI = 0.5
 _SETTLE_EXTRA_S = 30.0
 _SWEEP_EXTRA_S = 15.0  # ramps at both ends, venting, retried commands
@@ -181,7 +182,7 @@ class Robot(Supervised):
         `progress` is told the seconds that are left, about once a second. Raises
         CommandTimeoutError if they do not settle.
         """
-        end = self.now() + self.config.sensors.settle_s + _SETTLE_EXTRA_S
+        end = self.now() + self.config.board.settle_s + _SETTLE_EXTRA_S
         while waiting := (status := self.status()).everted & ~status.settled & sensors:
             if self.now() > end:
                 raise CommandTimeoutError(
