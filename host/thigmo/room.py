@@ -33,8 +33,32 @@ class Operator(Protocol):
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Set the body's pressure regulator; return when it is set."""
 
+    def warn(self, danger: str) -> None:
+        """Hear, before the robot moves, of a danger that its board cannot take away."""
+
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         """Clear the room and put these dowels into it; return when they stand."""
+
+
+class Viewers(Protocol):
+    """Those who watch a run, and may answer what it asks its operator."""
+
+    def ask(self, question: str) -> None:
+        """Show a question, until an empty one takes it away."""
+
+    def answer(self, seconds: float) -> str | None:
+        """An answer, if one comes in time. Raises StoppedByViewerError if a stop comes instead."""
+
+
+@runtime_checkable
+class Reachable(Operator, Protocol):
+    """An operator who may sit at a viewer of the run.
+
+    Attributes:
+        viewers: those of the run that asks; None while there is none.
+    """
+
+    viewers: Viewers | None
 
 
 @runtime_checkable

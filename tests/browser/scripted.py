@@ -70,7 +70,7 @@ class ScriptedRun(Closing):
         self._server.close()
         self.hub.close()
 
-    def _command(self, command: Command) -> None:
+    def _command(self, command: Command, text: str) -> None:
         self.asked.append(command)
         self.heard.set()
 

@@ -51,6 +51,9 @@ class Script:
     def everted_length_cm(self) -> float:
         return self.length
 
+    def warn(self, danger: str) -> None:
+        self._call(f"beware: {danger}")
+
     def set_body_pressure(self, pressure_psi: float) -> None:
         self._call(f"body {pressure_psi}")
 

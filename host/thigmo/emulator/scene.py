@@ -30,6 +30,7 @@ from thigmo.config import (
 )
 from thigmo.errors import ConfigError
 from thigmo.mechanics import Peg
+from thigmo.wiring import beyond_board
 
 SCENES = Path(__file__).parent / "scenes"
 
@@ -105,7 +106,9 @@ class SpoolMotor(Model):
     dead_zone: NonNegative = 60.0  # duty, of 800, that overcomes sliding friction
     stall_n: Positive = 147.0  # pull on the line at which full duty stalls
     touch_n_s_m: NonNegative = 450.0  # pull that a sudden stop adds for each m/s of line
-    wiring: Literal["right", "motor_swapped", "encoder_swapped", "encoder_unplugged"] = "right"
+    wiring: Literal[
+        "right", "motor_swapped", "encoder_swapped", "both_swapped", "encoder_unplugged"
+    ] = "right"
     winding: NonNegative = 0.0  # relative change of counts per cm for each cm of line wound
 
 
@@ -251,9 +254,8 @@ class Scene(Model):
                 raise ValueError(f"pegs[{index}] overlaps the robot's base at (0, 0)")
         if self.start_length_cm > self.robot.body.length_cm:
             raise ValueError("start_length_cm exceeds robot.body.length_cm")
-        for side in SIDES:
-            if len(self.robot.column(side)) > 5:
-                raise ValueError(f"robot.sensor: the board has five inputs on the {side}")
+        for what, cure in beyond_board(self.robot):
+            raise ValueError(f"robot: {what}; {cure}")
         return self
 
     @classmethod

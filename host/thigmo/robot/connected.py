@@ -6,9 +6,12 @@ the heartbeat runs beside it.
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -23,7 +26,7 @@ from thigmo.robot.readings import SensorTable
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Status
 from thigmo.room import Dowel, Operator, Simulated
-from thigmo.stream import Message, Telemetry
+from thigmo.stream import Command, Hello, Message, Server, Telemetry
 from thigmo.stream.hub import QUEUE
 
 if TYPE_CHECKING:
@@ -35,7 +38,10 @@ _UNKNOWN_ZONE = 255
 
 
 class _Nobody:
-    """The operator of a program that named none: every question is a DataError."""
+    """The operator of a program that named none: every question is a DataError.
+
+    Dangers are Python's warnings.
+    """
 
     def everted_length_cm(self) -> float:
         raise DataError("the everted length is unknown", "measure it, and call confirm_length")
@@ -45,6 +51,9 @@ class _Nobody:
             f"the body pressure must be set to {pressure_psi:g} psi by hand",
             "set the regulator, and call select_zone",
         )
+
+    def warn(self, danger: str) -> None:
+        warnings.warn(danger, stacklevel=5)
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         raise DataError("the room's dowels must be moved by hand", "name an operator to connect()")
@@ -82,6 +91,7 @@ class Connected(Closing):
         self._fault_channels: dict[wire.Fault, int] = {}  # which only their events tell
         self._interruptions: list[Callable[[], None]] = []
         self._started = client.now()
+        self._briefed = False  # the operator, since the connection
         self._closed = False
 
     # Life.
@@ -177,6 +187,18 @@ class Connected(Closing):
                 # What is done between two messages takes time, and brings new ones.
                 while self.now() < end and (message := heard.get(0.0)) is not None:
                     yield message
+
+    def serve(self, name: str, folder: str, command: Callable[[Command, str], None]) -> Server:
+        """Serve the hub to viewers, as a run of a name and with a run folder, if it has one.
+
+        `command` is called with what a viewer asks or answers, in a thread of its own.
+        """
+        now_s = self.now()
+        hello = Hello(
+            now_s, self.epoch_s + now_s, self.url, name, folder, os.getpid(), version("thigmo"),
+            self.virtual,
+        )  # fmt: skip
+        return Server(self.hub, hello, command)
 
     @contextmanager
     def _telemetry_to(self, take: Callable[[TelemetryFrame], None]) -> Iterator[None]:

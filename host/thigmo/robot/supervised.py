@@ -6,13 +6,19 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from thigmo.config import SIDES, RobotConfig
-from thigmo.errors import CommandRefusedError, CommandTimeoutError, RobotFaultError
+from thigmo.errors import (
+    CommandRefusedError,
+    CommandTimeoutError,
+    ConfigError,
+    RobotFaultError,
+)
 from thigmo.link import protocol as wire
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
 from thigmo.robot.connected import Connected
-from thigmo.robot.readings import SENSORS, SensorTable, sensor_name
+from thigmo.robot.readings import SENSORS, SensorTable
+from thigmo.wiring import sensor_name
 
 if TYPE_CHECKING:
     from thigmo.link.protocol import Ack, Command
@@ -27,6 +33,7 @@ _OF_A_MUSCLE = (
     wire.Fault.OVER_PRESSURE, wire.Fault.PRESSURE_WIRE, wire.Fault.PRESSURE_STUCK,
     wire.Fault.PRESSURE_MISMATCH,
 )  # fmt: skip
+WITHOUT_BRAKE = "the emergency stop leaves the motor its supply; keep hands away and shut V1"
 _BAD_SENSOR = {wire.Fault.FLEX_OPEN: OPEN, wire.Fault.FLEX_SHORT: SHORT}
 
 
@@ -136,10 +143,13 @@ class Supervised(Connected):
             if channel is not None:
                 bad.add(channel)
             if bad:
-                what += f": {', '.join(sensor_name(n) for n in sorted(bad))} (0 = at the base)"
+                names = ", ".join(sensor_name(self.config, n) for n in sorted(bad))
+                what += f": {names} (0 = at the base)"
             else:
                 what += " now and then, at present none is"
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
+        if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self.config)):
+            cure = f"{hint}; {cure}"
         # A board that lives in this process starts anew with the next connection.
         if self.url and not self.virtual:
             cure = f"{cure} (`thigmo clear --robot {self.url}`)"
@@ -162,9 +172,13 @@ class Supervised(Connected):
     def arm(self, *, body_air: bool = True) -> None:
         """Leave safe for ready: outputs may be energised from now on, and the body gets its air.
 
-        Without `body_air` the body stays empty, if it has an enable.
+        Without `body_air`, as in bring-up, the body stays empty, if it has an enable. With it,
+        somebody must once have seen which way the spool turns (else ConfigError), and the operator
+        is warned if the robot has no brake.
         """
         self.raise_faults()
+        if body_air and not self.virtual and not self._briefed:
+            self._brief()
         try:
             self._request(wire.Arm())
         except CommandRefusedError as error:
@@ -177,6 +191,18 @@ class Supervised(Connected):
             self.wait(0.1)
         if body_air:
             self.body_air(True)
+
+    def _brief(self) -> None:
+        """What an operator must have seen and know before the robot moves by itself."""
+        if not self.parameter("direction_seen")[0]:
+            raise ConfigError(
+                "nobody has confirmed yet which way the spool of this robot turns",
+                f"run `thigmo bringup --robot {self.url or 'PORT'} --from motor --to motor`: it "
+                "asks once, and the board keeps the answer",
+            )
+        if not self.parameter("brake_fitted")[0]:
+            self.operator.warn(f"no brake is fitted: {WITHOUT_BRAKE}")
+        self._briefed = True
 
     def body_air(self, open_: bool) -> None:
         """Hold the body's air enable, or let it go; only while armed."""
@@ -199,6 +225,15 @@ class Supervised(Connected):
         self._request(wire.Vent())
         if wait:
             self._wait_vented()
+
+    def watch_emptying(self) -> None:
+        """After a stop: keep the link alive until the muscles are empty, so that it is seen.
+
+        Commands nothing, and ends without a word after the time in which they should have been.
+        """
+        end = self.now() + _VENT_S
+        while "vented" not in self.status().conditions and self.now() < end:
+            self.wait(0.2, despite_faults=True)
 
     def _wait_vented(self) -> None:
         end = self.now() + _VENT_S
@@ -259,3 +294,17 @@ class Supervised(Connected):
     def stored_configuration(self) -> StoredConfiguration:
         """How the stored configuration fits the firmware that runs."""
         return StoredConfiguration.of(self._client.request(wire.GetConfigReport()))
+
+
+def _too_strong(config: RobotConfig | None) -> str:
+    """What to do if a body pressure pulls harder than the spool's friction holds; else nothing."""
+    if config is None or config.spool.brake:
+        return ""
+    highest = max(zone.pressure_psi for zone in config.body.zones)
+    pull, holds = config.body.pull_n(highest), config.spool.holding_n
+    if pull <= holds:
+        return ""
+    return (
+        f"{highest:g} psi pull {pull:.1f} N at the spool and its friction holds {holds:g} N: fit a "
+        "brake or lower [[body.pressure]] (`thigmo robot check`)"
+    )
