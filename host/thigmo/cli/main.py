@@ -37,7 +37,7 @@ _UsageError: Any = typer.BadParameter.__base__
 
 
 class _Thigmo(TyperGroup):
-    """The command; what nobody below it said of an interrupt or of wrong arguments, it says."""
+    """The command: reports interrupts and usage errors that no subcommand has handled."""
 
     def make_context(self, *args: Any, **options: Any) -> Any:
         """Parse the arguments."""

@@ -251,7 +251,7 @@ class MicroPythonBoard:
 
     # --- time -------------------------------------------------------------------------------------
     def step(self, ticks: int) -> None:
-        """Run for so many milliseconds."""
+        """Run for a number of milliseconds."""
         done = 0
         while done < ticks:
             count = min(ticks - done, self._boot_left or _MOST_TICKS)
@@ -388,7 +388,7 @@ class MicroPythonBoard:
         return self._keep() if self._process is not None else b""
 
     def cut_power_after(self, n_bytes: int) -> None:
-        """Cut the power once so many more bytes have been written to the flash."""
+        """Cut the power after this many more bytes have been written to the flash."""
         self._tell(b"C" + struct.pack("<I", n_bytes))
 
     def reset(self, cause: int) -> None:

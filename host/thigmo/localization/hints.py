@@ -1,6 +1,7 @@
 """Mistakes in a table of readings that can be seen in the readings themselves.
 
-Each is a sentence for whoever made the table. None changes an answer: a body may bend like that.
+Each is a sentence for the person who made the table. None changes an answer: a body may bend like
+that.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ def _draw(axis: Axes, scene: str, here: list[Row]) -> None:
     )  # fmt: skip
     colors = [GREEN if one in front else "0.5" for one in here]
     bars = np.minimum([one["standard_error_cm"] for one in here], 0.9 * errors)
-    axis.errorbar(times, errors, bars, fmt="none", ecolor=colors, elinewidth=0.8, zorder=2)
+    axis.errorbar(times, errors, bars, fmt="none", ecolor="0.45", elinewidth=0.8, zorder=2)
     sizes = [10 + 60 * one["failures"] for one in here]
     axis.scatter(times, errors, s=sizes, color=colors, zorder=2)
     axis.set(
