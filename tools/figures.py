@@ -233,6 +233,12 @@ def _loads(found: list[dict[str, Any]]) -> list[Row]:
     ]
 
 
+def _number_claims(found: list[dict[str, Any]]) -> list[Row]:
+    """The claims, and how many frames leave the number in doubt."""
+    notes = [note.split(": ", 1) for study in found for note in study["notes"]]
+    return _claims(found) + [(what, "", said) for what, said in notes]
+
+
 def _sweeps(found: list[dict[str, Any]]) -> list[Row]:
     (study,) = found
     return _claims(found) + [
@@ -311,12 +317,22 @@ def _number(value: float | str | None) -> str:
 
 THIGMO = ".venv/bin/thigmo"
 # Studies of minutes: on two processes.
-LONG = ("speed-accuracy", "stability", "accuracy", "loads", "sweeps", "exploration", "camera")
+LONG = (
+    "speed-accuracy",
+    "stability",
+    "accuracy",
+    "loads",
+    "number",
+    "sweeps",
+    "exploration",
+    "camera",
+)
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,
     "robots": _robots,
     "accuracy": _accuracy,
     "loads": _loads,
+    "number": _number_claims,
     "sweeps": _sweeps,
     "stability": _stability,
     "stopping": _stopping,
@@ -353,6 +369,7 @@ SOURCES: dict[str, Source] = {
             "cold": {},
             "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
             "loads": {},
+            "number": {"number-number.png": "number.png", "number-trade.png": "trade.png"},
             "sweeps": {},
             "exploration": {"exploration-explorations.png": "explorations.png"},
             "robots": {},
