@@ -95,6 +95,7 @@ class MicroPythonBoard:
         self._sent = bytearray()
         self._received = bytearray()
         self._supply_mv = 5000
+        self._encoder_errors = 0
         self._estop = self._hung = self._motor_power = False
         self._encoder = (0.0, 0.0)
         self._encoder_origin = np.int32(0)
@@ -280,7 +281,8 @@ class MicroPythonBoard:
         flags = self._estop | self._hung << 1 | self._motor_power << 2
         line = bytes(self._sent)
         self._sent.clear()
-        message = struct.pack("<BBHH", count, flags, self._supply_mv, len(line))
+        errors = self._encoder_errors
+        message = struct.pack("<BBHHH", count, flags, self._supply_mv, errors, len(line))
         try:
             self._tell(b"S" + message + line + rows.tobytes())
             while self._hear(1) == b"R":  # the program has begun again, in this step or before
@@ -335,6 +337,10 @@ class MicroPythonBoard:
     def set_encoder(self, start: float, end: float) -> None:
         """Encoder position (x4 counts) at the next step's start and end."""
         self._encoder = (start, end)
+
+    def set_encoder_errors(self, errors: int) -> None:
+        """Illegal transitions of the encoder so far, modulo 65536."""
+        self._encoder_errors = errors
 
     def set_supply_mv(self, millivolt: int) -> None:
         """Supply voltage."""
