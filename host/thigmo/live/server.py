@@ -25,11 +25,12 @@ from aiohttp import WSMsgType, web
 from aiohttp.http_exceptions import HttpProcessingError
 
 from thigmo.errors import ThigmoError
+from thigmo.link.transport import emulated
 from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.relay import Watched, Way, stop_port, way_to
 from thigmo.live.shown import PastRun, board, body, pegs, row_text, thinned
-from thigmo.live.starting import StartedRun, in_the_run
+from thigmo.live.starting import StartedRun
 from thigmo.live.viewer import Viewer
 from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry, to_json
 
@@ -230,7 +231,7 @@ class PageServer:
             "ended": run.over.is_set(),
             "body": run.body,
             "truth": run.pegs,
-            "start": {"url": url, "virtual": in_the_run(url)} if url else None,
+            "start": {"url": url, "virtual": emulated(url)} if url else None,
             "starting": self._starting,
             "question": started.question if started else "",
             "failure": run.failure or (started.failure() if started else ""),

@@ -14,13 +14,10 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
+from thigmo.link.transport import emulated
+
 _PATIENCE_S = 10.0  # for a run to vent its robot
 _LINES = 20
-
-
-def in_the_run(url: str) -> bool:
-    """Whether a robot is emulated inside the run, so that its pace can be chosen."""
-    return url.partition("://")[0] in ("emulator", "mega-sim", "micropython")
 
 
 class StartedRun:
@@ -29,7 +26,7 @@ class StartedRun:
     def __init__(self, url: str, options: Sequence[str], *, realtime: bool) -> None:
         self._said: deque[str] = deque(maxlen=_LINES)
         self.question = ""  # to the operator, which the run waits to be answered
-        pace = ["--realtime"] if realtime and in_the_run(url) else []
+        pace = ["--realtime"] if realtime and emulated(url) else []
         explore = [sys.executable, "-m", "thigmo", "explore", "--robot", url, "--prompts-piped"]
         # A session of its own: Ctrl-C at the server's terminal is not meant for the run.
         self._process = subprocess.Popen(
