@@ -87,8 +87,8 @@ KINDS: dict[str, Kind] = {
 _OTHERS = tuple(name for name, kind in KINDS.items() if kind.bend != 1.0 or kind.gains)
 _NOISY = tuple(name for name in KINDS if "noisy" in name or "empty," in name or name == "empty")
 DIALLED = (TRUE, MORE, WALLS)  # kinds in which every effort is tried
-DIAL_ROOMS = 10  # of each
-BUDGETS_S = (60.0, 100.0, 150.0, 200.0, 300.0, 400.0)
+DIAL_ROOMS = 6  # of each
+BUDGETS_S = (60.0, 100.0, 150.0, 250.0, 400.0)
 SETTINGS = ("thesis", *EFFORTS, *(f"{time_s:g} s" for time_s in BUDGETS_S))
 _NEAR_CM = 1.5  # an occupied cell so near a surface is right
 _OFF_CM = 4.0  # farther from all that was touched a contact is false, and a true one missed
