@@ -34,10 +34,10 @@ $(BIN)/python:
 	@mkdir -p .stamps
 	$(BIN)/pip install --quiet --upgrade pip
 	$(BIN)/pip install --quiet setuptools wheel scikit-build-core nanobind cmake ninja
-	$(BIN)/pip install --quiet --no-build-isolation --editable .
+	$(BIN)/pip install --quiet --no-build-isolation --editable '.[plot]'
 	@touch $@
 .stamps/install: .stamps/robot
-	$(BIN)/pip install --quiet --no-build-isolation --editable '.[dev,bench,foxglove,ros]'
+	$(BIN)/pip install --quiet --no-build-isolation --editable '.[all,dev,bench]'
 	@touch $@
 
 # ROS 2 itself, for the tests to talk to: in an environment of its own, for it takes over the
@@ -57,6 +57,7 @@ lint: install
 	$(BIN)/python protocol/generate.py --check
 	$(BIN)/python tools/figures.py --check
 	$(BIN)/python tools/schematics.py --check
+	$(BIN)/check-jsonschema --quiet --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/ruff check host tests tools protocol docs
 	$(BIN)/ruff format --check host tests tools protocol docs
 	$(BIN)/mypy

@@ -18,6 +18,7 @@ from hypothesis.internal.conjecture import providers
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
+from thigmo.emulator.serve import brought_up
 from thigmo.link.stop_socket import OTHER_PLACE
 
 HERE = Path(__file__).parent
@@ -119,7 +120,7 @@ def serve() -> Iterator[Callable[[Scene], str]]:
     with ExitStack() as stack:
 
         def served(scene: Scene) -> str:
-            robot = ServedRobot(Lockstep(scene, VirtualBoard(1), seed=1))
+            robot = ServedRobot(Lockstep(scene, VirtualBoard(1, brought_up()), seed=1))
             stack.callback(robot.close)
             return robot.port
 

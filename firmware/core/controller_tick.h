@@ -162,7 +162,11 @@ inline void Controller::spool_step() {
       outcome = SpoolLoop::Outcome::kStalled;
     }
     outputs_.motor = may_energise(state_) ? spool_.duty() : static_cast<int16_t>(0);
-    if (outcome == SpoolLoop::Outcome::kStalled) {
+    if (outcome == SpoolLoop::Outcome::kAgainst) {
+      outputs_.motor = 0;
+      length_known_ = false;
+      raise(Fault::kSpoolSlip, static_cast<uint8_t>(protocol::SlipCause::kAgainst));
+    } else if (outcome == SpoolLoop::Outcome::kStalled) {
       finish_spool(false);
     } else if (outcome == SpoolLoop::Outcome::kArrived) {
       finish_spool(true);

@@ -5,9 +5,13 @@ callers and by the emulator (whose scene describes the *true* robot with the sam
 calibration can be compared with the truth). Lengths in cm, pressures in psi gauge, curvature in
 1/cm, time in s, resistance in ohm.
 
+A robot is lists: muscles, sensors and body pressures, each with what is known of it. Files that
+were written before (version 1, with tables for left and right) are read as well.
+
 Sign convention, everywhere in this project: x runs along the straight robot from its base, y to
-its left; curvature is positive when the body bends to the left (towards +y). Inflating the left
-muscle bends the body to the left. Sensors are numbered base to tip, left side first.
+its left; curvature is positive when the body bends to the left (towards +y). A direction is an
+angle around the body, in degrees: 90 is +y (left), 270 is -y (right), 0 and 180 leave the plane.
+A muscle bends the body towards its direction; a sensor lies at its own.
 
 Each `_se` is one sigma of what the entry may be off by. Calibration writes what it found; the
 defaults are those of a robot that nobody has calibrated: wide, so that the localizer says
@@ -19,6 +23,7 @@ from __future__ import annotations
 import os
 import shutil
 import tomllib
+from collections.abc import Sequence
 from math import tanh
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -30,24 +35,37 @@ from thigmo.errors import ConfigError
 from thigmo.files import write_whole
 
 Side = Literal["left", "right"]
-SIDES: tuple[Side, Side] = ("left", "right")
+SIDES: tuple[Side, Side] = ("left", "right")  # of the plane in which the robot moves
+SIGN: dict[Side, float] = {"left": 1.0, "right": -1.0}  # of curvature towards a side
+_TOWARDS: dict[float, Side] = {90.0: "left", 270.0: "right"}
+_DEGREES: dict[Side, float] = {side: degrees for degrees, side in _TOWARDS.items()}
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+Direction = Annotated[float, Field(ge=0, lt=360, allow_inf_nan=False)]  # around the body, degrees
+
+
+def opposite(side: Side) -> Side:
+    """The other side of the plane."""
+    return "right" if side == "left" else "left"
+
+
 class Model(BaseModel):
     """A strict record: unknown keys are errors, so that a typing slip is never ignored."""
 
-    model_config = ConfigDict(extra="forbid", validate_assignment=True)
+    model_config = ConfigDict(extra="forbid", validate_assignment=True, populate_by_name=True)
 
     def _write(self, path: str | os.PathLike[str]) -> None:
         """Write the record as TOML, with every entry that has a value; ConfigError if it cannot."""
         with ConfigError.from_os(f"cannot write {path}", "choose a folder that you may write to"):
-            write_whole(path, tomlkit.dumps(self.model_dump(mode="json", exclude_none=True)))
+            write_whole(
+                path, tomlkit.dumps(self.model_dump(mode="json", exclude_none=True, by_alias=True))
+            )
 
 
-class PressureZone(Model):
+class BodyPressure(Model):
     """Body pressure set by hand for a range of everted length (thesis, section 3.5)."""
 
     until_cm: Positive
@@ -59,28 +77,35 @@ class Body(Model):
 
     length_cm: Positive = 53.0
     diameter_cm: Positive = 3.5
+    pitch_cm: Positive = 10.0  # pouch length: growth stops only at whole multiples of it
     # Contact moment over EI at which the base folds, measured at `critical_pressure_psi`;
     # it scales with body pressure.
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49
-    zones: list[PressureZone] = Field(
+    # Bending stiffness EI and its standard error; without them forces are told over EI only.
+    stiffness_n_cm2: Positive | None = None
+    stiffness_se_n_cm2: NonNegative = 0.0
+    growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
+    growth_psi_per_cm: NonNegative = 0.003  # what the tail's friction adds for each cm everted
+    zones: list[BodyPressure] = Field(
         default_factory=lambda: [
-            PressureZone(until_cm=26.5, pressure_psi=1.47),
-            PressureZone(until_cm=35.3, pressure_psi=1.01),
-            PressureZone(until_cm=53.0, pressure_psi=0.49),
+            BodyPressure(until_cm=26.5, pressure_psi=1.47),
+            BodyPressure(until_cm=35.3, pressure_psi=1.01),
+            BodyPressure(until_cm=53.0, pressure_psi=0.49),
         ],
         min_length=1,
-        max_length=3,
+        validation_alias="pressure",
+        serialization_alias="pressure",
     )
 
     @model_validator(mode="after")
     def _zones_ascend(self) -> Self:
         ends = [zone.until_cm for zone in self.zones]
         if ends != sorted(set(ends)):
-            raise ValueError("body.zones: until_cm must ascend")
+            raise ValueError("body.pressure: until_cm must ascend")
         if ends[-1] < self.length_cm:
-            raise ValueError("body.zones: the last zone must reach body.length_cm")
+            raise ValueError("body.pressure: the last until_cm must reach body.length_cm")
         return self
 
     @property
@@ -88,15 +113,34 @@ class Body(Model):
         """Tube radius."""
         return self.diameter_cm / 2
 
+    @property
+    def stiffness(self) -> tuple[float, float] | None:
+        """EI (N cm^2) and its relative standard error, if it is known."""
+        if self.stiffness_n_cm2 is None:
+            return None
+        return self.stiffness_n_cm2, self.stiffness_se_n_cm2 / self.stiffness_n_cm2
+
     def zone_at(self, length_cm: float) -> int:
         """Index of the pressure zone that holds at an everted length (boundaries belong below)."""
         beyond = sum(length_cm > zone.until_cm + 1e-6 for zone in self.zones)
         return min(beyond, len(self.zones) - 1)
 
 
-class FlexSensor(Model):
+class _Placed(Model):
+    """What lies at a direction around the body."""
+
+    direction_deg: Direction = 90.0
+
+    @property
+    def side(self) -> Side | None:
+        """The side of the plane; None out of it."""
+        return _TOWARDS.get(self.direction_deg)
+
+
+class FlexSensor(_Placed):
     """One flex sensor: reading = scale_per_ohm * (R - R at the last zeroing)."""
 
+    kind: Literal["flex"] = "flex"
     center_cm: Positive
     span_cm: NonNegative = 5.5
     scale_per_ohm: Finite = 3.5e-5  # 1/cm per ohm; sign included, so that left bends read positive
@@ -110,22 +154,12 @@ class FlexSensor(Model):
     healthy: bool = True  # false: dead, never used
 
 
-def _default_column() -> list[FlexSensor]:
-    return [FlexSensor(center_cm=center) for center in (5.0, 15.0, 25.0, 35.0, 45.0)]
-
-
-class Sensors(Model):
-    """Both columns of flex sensors and their divider."""
-
-    pitch_cm: Positive = 10.0  # pouch length: growth stops only at whole multiples of it
-    divider_ohm: Positive = 22_000.0
-    settle_s: NonNegative = 30.0  # thesis: no reading within 30 s of eversion
-    left: list[FlexSensor] = Field(default_factory=_default_column)
-    right: list[FlexSensor] = Field(default_factory=_default_column)
-
-    def column(self, side: Side) -> list[FlexSensor]:
-        """Sensors of one side, base to tip."""
-        return self.left if side == "left" else self.right
+def _default_sensors() -> list[FlexSensor]:
+    return [
+        FlexSensor(direction_deg=_DEGREES[side], center_cm=center)
+        for side in SIDES
+        for center in (5.0, 15.0, 25.0, 35.0, 45.0)
+    ]
 
 
 class TanhMap(Model):
@@ -154,25 +188,31 @@ def _default_zone_maps() -> list[ZoneMap]:
     return [ZoneMap(body_pressure_psi=p) for p in (1.47, 1.01, 0.49)]
 
 
-class Actuator(Model):
+class Muscle(_Placed):
     """One pneumatic muscle with its transducer and pressure sensor."""
 
+    name: Annotated[str, Field(min_length=1)]
     max_pressure_psi: Positive = 18.0
     lag_s: NonNegative = 0.2  # measured pressure to bend
     reversal_psi: Positive = 1.0  # pressure change over which the branch moves inflate <-> deflate
-    offset_se: NonNegative = 1e-3  # 1/cm: error that all readings of a side share
-    maps: list[ZoneMap] = Field(default_factory=_default_zone_maps)
+    offset_se: NonNegative = 1e-3  # 1/cm: error that all readings share while it bends the body
+    maps: list[ZoneMap] = Field(
+        default_factory=_default_zone_maps, validation_alias="map", serialization_alias="map"
+    )
 
 
-class Actuators(Model):
-    """Both muscles."""
+def _default_muscles() -> list[Muscle]:
+    return [Muscle(name=side, direction_deg=_DEGREES[side]) for side in SIDES]
 
-    left: Actuator = Field(default_factory=Actuator)
-    right: Actuator = Field(default_factory=Actuator)
 
-    def side(self, side: Side) -> Actuator:
-        """The muscle of one side."""
-        return self.left if side == "left" else self.right
+class Board(Model):
+    """The controller, and what it is set to."""
+
+    kind: Literal["mega", "micropython", "virtual"] = "mega"
+    divider_ohm: Positive = 22_000.0  # fixed resistor of the flex sensors' dividers
+    settle_s: NonNegative = 30.0  # thesis: no reading within 30 s of eversion
+    # Base curvature held back that is a contact (thesis).
+    trigger_per_cm: Positive = 0.005
 
 
 class Spool(Model):
@@ -185,29 +225,77 @@ class Spool(Model):
     line_speed_cm_s: Positive = 23.6  # of the line at full duty, without load
     stall_n: Positive = 147.0  # pull on the line at which full duty stalls
     line_rating_n: Positive = 100.0  # what line and tail may be pulled with
+    # Pull that friction holds at rest: more than the 4.9 N with which 1.47 psi pulls at 3.5 cm.
+    holding_n: NonNegative = 6.0
     brake: bool = False  # a spring-applied brake, and contacts in the motor's supply
 
 
 class RobotConfig(Model):
     """The whole of robot.toml."""
 
-    version: Literal[1] = 1
+    version: Literal[2] = 2
     name: str = "vine-53"
     body: Body = Field(default_factory=Body)
-    sensors: Sensors = Field(default_factory=Sensors)
-    actuators: Actuators = Field(default_factory=Actuators)
+    muscles: list[Muscle] = Field(
+        default_factory=_default_muscles,
+        min_length=1,
+        validation_alias="muscle",
+        serialization_alias="muscle",
+    )
+    sensors: list[FlexSensor] = Field(
+        default_factory=_default_sensors,
+        min_length=1,
+        validation_alias="sensor",
+        serialization_alias="sensor",
+    )
     spool: Spool = Field(default_factory=Spool)
+    board: Board = Field(default_factory=Board)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_any_version(cls, data: Any) -> Any:
+        return upgraded(data) if isinstance(data, dict) else data
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        for side in SIDES:
-            for index, sensor in enumerate(self.sensors.column(side)):
-                if sensor.center_cm + sensor.span_cm / 2 > self.body.length_cm + 1e-6:
-                    raise ValueError(f"sensors.{side}[{index}] ends beyond body.length_cm")
-            maps = self.actuators.side(side).maps
-            if len(maps) != len(self.body.zones):
-                raise ValueError(f"actuators.{side}.maps: one map for each of body.zones is needed")
+        for number, sensor in enumerate(self.sensors):
+            if sensor.center_cm + sensor.span_cm / 2 > self.body.length_cm + 1e-6:
+                raise ValueError(f"sensor[{number}] ends beyond body.length_cm")
+        directions = [muscle.direction_deg for muscle in self.muscles]
+        if len(set(directions)) < len(directions):
+            raise ValueError("muscle: two of them have the same direction_deg")
+        for number, muscle in enumerate(self.muscles):
+            if len(muscle.maps) != len(self.body.zones):
+                raise ValueError(f"muscle[{number}].map: one for each of body.pressure is needed")
         return self
+
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """The sides of the plane towards which a muscle bends the body."""
+        there = {muscle.side for muscle in self.muscles}
+        return tuple(side for side in SIDES if side in there)
+
+    def muscle(self, side: Side) -> Muscle:
+        """The muscle that bends the body towards a side; ConfigError if there is none."""
+        for muscle in self.muscles:
+            if muscle.side == side:
+                return muscle
+        raise ConfigError(
+            f"the robot has no muscle that bends it to the {side}",
+            f"use {' or '.join(muscle.name for muscle in self.muscles)}",
+        )
+
+    def column(self, side: Side) -> list[FlexSensor]:
+        """The sensors that lie on a side, in the file's order: base to tip."""
+        return [sensor for sensor in self.sensors if sensor.side == side]
+
+    def set_column(self, side: Side, sensors: Sequence[FlexSensor]) -> None:
+        """Replace the sensors of a side."""
+        by_side = {one: self.column(one) for one in SIDES} | {side: list(sensors)}
+        for sensor in sensors:
+            sensor.direction_deg = _DEGREES[side]
+        others = [sensor for sensor in self.sensors if sensor.side is None]
+        self.sensors = [*(s for one in SIDES for s in by_side[one]), *others]
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -231,6 +319,39 @@ class RobotConfig(Model):
             shutil.copy2(target, backup)
         self._write(target)
         return backup
+
+
+def upgraded(data: dict[str, Any]) -> dict[str, Any]:
+    """A robot's entries in today's lists, from those of any version.
+
+    Version 1 had tables `sensors` and `actuators` with `left` and `right`, and `body.zones`.
+    """
+    old = data.get("version") == 1 or "actuators" in data or isinstance(data.get("sensors"), dict)
+    body = data.get("body")
+    if not old and not (isinstance(body, dict) and "zones" in body):
+        return data
+    made = {k: v for k, v in data.items() if k not in ("version", "sensors", "actuators")}
+    sensors, actuators = data.get("sensors", {}), data.get("actuators", {})
+    if isinstance(body, dict):
+        made["body"] = {{"zones": "pressure"}.get(k, k): v for k, v in body.items()}
+    if "pitch_cm" in sensors:
+        made["body"] = made.get("body", {}) | {"pitch_cm": sensors["pitch_cm"]}
+    if board := {k: sensors[k] for k in ("divider_ohm", "settle_s") if k in sensors}:
+        made["board"] = board
+    centers = [{"center_cm": sensor.center_cm} for sensor in _default_sensors()[:5]]
+    if sensors:
+        made["sensor"] = [
+            sensor | {"direction_deg": _DEGREES[side]}
+            for side in SIDES
+            for sensor in sensors.get(side, centers)
+        ]
+    if actuators:
+        made["muscle"] = [
+            {"name": side, "direction_deg": _DEGREES[side]}
+            | {{"maps": "map"}.get(k, k): v for k, v in actuators.get(side, {}).items()}
+            for side in SIDES
+        ]
+    return made
 
 
 M = TypeVar("M", bound=Model)

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from thigmo.extras import require
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -21,6 +23,7 @@ POINT_ESTIMATE: Literal["point estimate"] = "point estimate"
 
 def draw(function: str, result: object, axes: Axes | None, **options: Any) -> Axes:
     """Have a function of the report draw a result of a layer below, which reaches it by name."""
+    require("plot", "a figure")
     drawn: Axes = getattr(import_module("thigmo.report"), function)(result, axes, **options)
     return drawn
 

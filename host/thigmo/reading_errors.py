@@ -35,18 +35,11 @@ class ReadingErrors:
     critical_curvature: float  # contact moment over EI at which the base folds, at this zone
     critical_curvature_error: float  # relative
     tube_radius: float  # cm
+    stiffness: tuple[float, float] | None  # EI in N cm^2, and its relative standard error
 
-    def arguments(self, added_noise: npt.ArrayLike = 0.0) -> dict[str, Any]:
-        """Keywords of `thigmo.localize` for one frame, in which a zero's error is noise.
-
-        Args:
-            added_noise: further noise of this frame's readings, such as creep; scalar or (N,).
-        """
-        # Nothing holds the end of a robot that everts.
-        told: dict[str, Any] = {"held_end": False}
-        told |= {each.name: getattr(self, each.name) for each in fields(self)}
-        frame = np.square(told.pop("zero_error")) + np.square(added_noise)
-        return told | {"noise": np.sqrt(self.noise**2 + frame)}
+    def arguments(self) -> dict[str, Any]:
+        """Keywords of `thigmo.localize`; nothing holds the end of a robot that everts."""
+        return {"held_end": False} | {each.name: getattr(self, each.name) for each in fields(self)}
 
 
 def reading_errors(
@@ -65,13 +58,13 @@ def reading_errors(
     """
     body = config.body
     if not 0 <= zone < len(body.zones):
-        raise DataError(f"robot.toml has no pressure zone {zone}", "give one of body.zones, from 0")
+        raise DataError(f"robot.toml has no pressure zone {zone}", "count body.pressure from 0")
     for column, index in sensors:
-        if not 0 <= index < len(config.sensors.column(column)):
+        if not 0 <= index < len(config.column(column)):
             raise DataError(f"robot.toml has no sensor {column} {index}", "count from the base, 0")
-    found = [config.sensors.column(column)[index] for column, index in sensors]
+    found = [config.column(column)[index] for column, index in sensors]
     ratio = body.zones[zone].pressure_psi / body.critical_pressure_psi
-    muscle = None if side is None else config.actuators.side(side)
+    muscle = None if side is None else config.muscle(side)
     return ReadingErrors(
         noise=np.array([sensor.noise for sensor in found]),
         zero_error=np.array([sensor.zero_se for sensor in found]),
@@ -86,4 +79,5 @@ def reading_errors(
             )
         ),
         tube_radius=body.radius_cm,
+        stiffness=body.stiffness,
     )

@@ -33,6 +33,9 @@ class Operator(Protocol):
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Set the body's pressure regulator; return when it is set."""
 
+    def warn(self, danger: str) -> None:
+        """Hear, before the robot moves, of a danger that its board cannot take away."""
+
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         """Clear the room and put these dowels into it; return when they stand."""
 

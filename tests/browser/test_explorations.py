@@ -20,6 +20,7 @@ from served import ServedRobot
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
+from thigmo.emulator.serve import brought_up
 
 ServePage = Callable[..., Served]
 EXPLORE = """
@@ -31,6 +32,7 @@ class Beside:
     def everted_length_cm(self): return 20.0
     def set_body_pressure(self, pressure_psi): pass
     def place_pegs(self, pegs): pass
+    def warn(self, danger): pass
 
 port, config, out = sys.argv[1:]
 explore(port, config=RobotConfig.load(config), out=out, operator=Beside())
@@ -42,7 +44,7 @@ def late_room(tmp_path: Path) -> Path:
     """The default room, of which only the last two stages are explored."""
     scene = Scene.load("default")
     scene.start_length_cm = 50.0
-    scene.robot.sensors.settle_s = 0.2
+    scene.robot.board.settle_s = 0.2
     scene.save(tmp_path / "late.toml")
     return tmp_path / "late.toml"
 
@@ -104,7 +106,7 @@ def test_posterior_moves_with_the_body_in_mid_sweep(
 def robot() -> Iterator[ServedRobot]:
     """A robot of 20 cm whose sensors have settled, on a port in real time."""
     scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
-    lockstep = Lockstep(scene, VirtualBoard(3), seed=3)
+    lockstep = Lockstep(scene, VirtualBoard(3, brought_up()), seed=3)
     while lockstep.t_s < 60.0:
         lockstep.advance()
     served = ServedRobot(lockstep, reset_on_open=False)

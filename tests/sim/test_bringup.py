@@ -103,7 +103,7 @@ def test_a_pressure_sensor_within_its_error_band_is_zeroed_and_passes(psi: float
     (left,) = [f for f in found if f.subject == "pressure left"]
     assert "stored as its zero" in left.what
     assert robot.read(0.3).left_psi == pytest.approx(0.0, abs=0.1)
-    assert robot.status().config_generation == 2  # after the defaults
+    assert robot.status().config_generation == 3  # after the defaults; then the direction
 
 
 WRONG = {

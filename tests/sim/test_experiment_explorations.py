@@ -32,8 +32,8 @@ def scene() -> Scene:
     robot = made.robot
     robot.body.length_cm = LENGTH_CM
     for side in SIDES:
-        column = [s for s in robot.sensors.column(side) if s.center_cm < LENGTH_CM - 5]
-        setattr(robot.sensors, side, column)
+        column = [s for s in robot.column(side) if s.center_cm < LENGTH_CM - 5]
+        robot.set_column(side, column)
     for zone, until in zip(robot.body.zones, (10.0, 20.0, LENGTH_CM), strict=True):
         zone.until_cm = until
     peg, _ = random_peg(robot, np.random.default_rng(3))

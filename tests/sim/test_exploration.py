@@ -236,7 +236,7 @@ def test_a_fault_ends_the_run_safely_and_the_folder_says_so(
     tmp_path: Path, fault: FaultTable, error: type[Exception], named: str
 ) -> None:
     scene = Scene.load("empty")
-    scene.robot.sensors.settle_s = 0.2
+    scene.robot.board.settle_s = 0.2
     scene.faults = [fault]
     file = _write(scene, tmp_path / "room.toml")
     with pytest.raises(error, match=named):

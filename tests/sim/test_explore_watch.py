@@ -100,7 +100,7 @@ def watched(own_sockets: None, tmp_path: Path) -> Iterator[Any]:
     def explore(start_cm: float, *options: str) -> Watched:
         scene = Scene.load("default")
         scene.start_length_cm = start_cm
-        scene.robot.sensors.settle_s = 0.2
+        scene.robot.board.settle_s = 0.2
         scene.save(tmp_path / "room.toml")
         where = ["--scene", str(tmp_path / "room.toml"), "--out", str(tmp_path / "runs")]
         started.append(Watched(tmp_path, *where, *options))

@@ -385,7 +385,7 @@ def test_a_sensor_that_is_marked_dead_stops_nothing_any_more(kind: str) -> None:
     config = bench.transport.config.model_copy(deep=True)
     bench.robot.configure(config)  # nothing changed: still latched
     assert bench.robot.status().faults
-    config.sensors.right[1].healthy = False
+    config.column("right")[1].healthy = False
     bench.robot.configure(config)
     bench.robot.arm()
     rest(bench.robot)

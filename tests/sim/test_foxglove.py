@@ -97,7 +97,7 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The default room, of which only the last stages are explored."""
     scene = Scene.load("default")
     scene.start_length_cm = 50.0
-    scene.robot.sensors.settle_s = 0.2
+    scene.robot.board.settle_s = 0.2
     path = tmp_path_factory.mktemp("scene") / "late.toml"
     scene.save(path)
     return f"emulator://{path}"

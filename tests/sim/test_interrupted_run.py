@@ -23,6 +23,7 @@ from served import ServedRobot, comes
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
+from thigmo.emulator.serve import brought_up
 from thigmo.exploration import replay
 from thigmo.link import protocol as wire
 from thigmo.link.framing import decode
@@ -40,7 +41,7 @@ def room() -> Scene:
     """The robot 20 cm out, with sensors that settle at once: real time is dear."""
     scene = Scene.load("empty")
     scene.start_length_cm = 20.0
-    scene.robot.sensors.settle_s = 0.2
+    scene.robot.board.settle_s = 0.2
     return scene
 
 
@@ -53,7 +54,7 @@ def serve() -> Iterator[Serve]:
     running: list[ServedRobot] = []
 
     def start(room: Scene) -> ServedRobot:
-        running.append(ServedRobot(Lockstep(room, VirtualBoard(1), seed=1)))
+        running.append(ServedRobot(Lockstep(room, VirtualBoard(1, brought_up()), seed=1)))
         return running[-1]
 
     yield start

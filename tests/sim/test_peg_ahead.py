@@ -47,7 +47,7 @@ def test_a_peg_that_stalls_the_growth_is_reported_and_backed_off_from(
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_stall_for_want_of_pressure_is_overcome_and_is_no_peg(tmp_path: Path, seed: int) -> None:
     scene = Scene.load("empty")
-    scene.body.growth_psi_per_cm = 0.008
+    scene.robot.body.growth_psi_per_cm = 0.008
     scene.save(tmp_path / "room.toml")
     document = explored(f"emulator://{tmp_path / 'room.toml'}", tmp_path, seed).document
     assert document.stall is not None

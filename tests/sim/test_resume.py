@@ -32,7 +32,7 @@ def _explore(room: Path, out: Path, killed_at: str = "", **options: object) -> E
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A room with a peg that is felt before the end."""
     scene = Scene.load("mid_body")
-    scene.robot.sensors.settle_s = 0.2
+    scene.robot.board.settle_s = 0.2
     path = tmp_path_factory.mktemp("rooms") / "room.toml"
     scene.save(path)
     return path

@@ -28,7 +28,7 @@ def words(tmp_path: Path) -> list[str]:
     """The command that explores what is left of a room."""
     scene = Scene.load("default")
     scene.start_length_cm = 53.0
-    scene.robot.sensors.settle_s = 0.2
+    scene.robot.board.settle_s = 0.2
     scene.save(tmp_path / "room.toml")
     scene_file, runs = str(tmp_path / "room.toml"), str(tmp_path / "runs")
     return [sys.executable, "-m", "thigmo", "explore", "--scene", scene_file, "--out", runs]

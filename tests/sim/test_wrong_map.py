@@ -20,7 +20,7 @@ def test_a_robot_off_its_map_places_its_contact_within_the_interval(
     scene = Scene.load("default")
     known = scene.believed(1)
     for side in SIDES:
-        for zone in scene.robot.actuators.side(side).maps:
+        for zone in scene.robot.muscle(side).maps:
             zone.inflate.amplitude *= bend
             zone.deflate.amplitude *= bend
     scene.save(tmp_path / "room.toml")

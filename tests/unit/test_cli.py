@@ -79,9 +79,9 @@ def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(
 ) -> None:
     robot = RobotConfig()
     robot.body.critical_curvature_se = 0.1 * robot.body.critical_curvature
-    robot.actuators.left.offset_se = 2e-4
-    robot.actuators.left.maps[2].scale_se = 0.01
-    for sensor in robot.sensors.right:
+    robot.muscle("left").offset_se = 2e-4
+    robot.muscle("left").maps[2].scale_se = 0.01
+    for sensor in robot.column("right"):
         sensor.scale_se = 0.03
     robot.save(tmp_path / "robot.toml")
     (tmp_path / "r.csv").write_text(BENT)
@@ -315,3 +315,31 @@ def test_frames_in_rows_get_an_answer_each(tmp_path: Path, thigmo: Thigmo) -> No
     told = json.loads(thigmo(*call, "--columns", columns, "--json").out)
     assert [answer["line"] for answer in told] == [2, 3]
     assert "NAME=POSITION" in thigmo(*call, "--columns", "k0").err
+
+
+def test_what_holds_the_end_the_levels_and_the_stiffness_are_flags(
+    tmp_path: Path, thigmo: Thigmo
+) -> None:
+    told = ["localize", "example", "--length", 53, "--span", 5.5, "--noise", 6e-4]
+    plain = json.loads(thigmo(*told, "--json").out)
+    assert plain["contacts"][0]["newtons"] is None
+    known = json.loads(thigmo(*told, "--stiffness", "400,0.1", "--json").out)
+    low, high = known["contacts"][0]["newtons"]["across"]["interval"]
+    assert low < 400 * plain["contacts"][0]["force"] < high
+    assert " N " in thigmo(*told, "--stiffness", "400,0.1").out
+    strict = json.loads(thigmo(*told, "--number-level", 0.999, "--json").out)
+    narrow = json.loads(thigmo(*told, "--width-limit", 1, "--json").out)
+    assert (strict["status"], narrow["status"]) == ("ambiguous", "ambiguous")
+    held = json.loads(thigmo(*told, "--held-end", "yes", "--json").out)
+    free = json.loads(thigmo(*told, "--held-end", "no", "--end-face-odds", 0, "--json").out)
+    assert not any("end wrench" in name for name in free["hypotheses"])
+    assert any("end wrench" in name for name in held["hypotheses"])
+    assert "--held-end is 'maybe'" in thigmo(*told, "--held-end", "maybe").err
+    assert "--stiffness is 'EI'" in thigmo(*told, "--stiffness", "EI").err
+    (tmp_path / "rows.csv").write_text("k0,k1,k2\n0.0107,0.0073,0.0043\n")
+    rows = thigmo(
+        "localize", tmp_path / "rows.csv", "--length", 53, "--columns", "k0=5,k1=15,k2=25",
+        "--noise", 6e-4, "--stiffness", "400,0.1",
+    ).out.splitlines()  # fmt: skip
+    assert rows[0].endswith(",newtons,newtons_low,newtons_high")
+    assert len(rows[1].split(",")) == len(rows[0].split(","))

@@ -56,6 +56,9 @@ class Script:
     def everted_length_cm(self) -> float:
         return self.length
 
+    def warn(self, danger: str) -> None:
+        self._call(f"beware: {danger}")
+
     def set_body_pressure(self, pressure_psi: float) -> None:
         self._call(f"body {pressure_psi}")
 
@@ -144,11 +147,11 @@ class Script:
 def _calibrated() -> RobotConfig:
     """Standard errors of a good calibration; the defaults are those of none."""
     config = RobotConfig()
-    for side in (config.actuators.left, config.actuators.right):
+    for side in (config.muscle("left"), config.muscle("right")):
         side.offset_se = 1e-4
         for zone in side.maps:
             zone.scale_se = 0.005
-    for sensor in config.sensors.left + config.sensors.right:
+    for sensor in config.column("left") + config.column("right"):
         sensor.scale_se = 0.005
     return config
 

@@ -7,7 +7,7 @@ from copy import deepcopy
 import numpy as np
 import pytest
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.exploration.measuring import (
     fold_moment,
     held_sides,
@@ -23,7 +23,7 @@ CONFIG = RobotConfig()
 def _half(side: Side, slope: float, onset_psi: float, noise: float = 0.0) -> list[SweepFrame]:
     """A half sine to 18 psi; beyond the onset the base's excess grows by `slope` per psi."""
     rng = np.random.default_rng(1)
-    sign = 1 if side == "left" else -1
+    sign = SIGN[side]
     return [
         SweepFrame(
             side,
@@ -77,7 +77,7 @@ def _free_sweep(gain: float, constant: float, rng: np.random.Generator) -> Sweep
 
 def test_free_sweeps_teach_scale_and_constant_and_sharpen_them() -> None:
     config = RobotConfig()
-    for sensor in config.sensors.right:
+    for sensor in config.column("right"):
         sensor.scale_se = 0.03
     response = FreeResponse(config)
     every = np.ones(10, dtype=np.bool_)
@@ -128,7 +128,7 @@ def test_a_body_that_swings_as_a_sweep_begins_does_not_bend_the_map() -> None:
 
 def test_what_one_zone_teaches_of_the_map_is_expected_of_the_next() -> None:
     config = RobotConfig()
-    for zone in config.actuators.left.maps:
+    for zone in config.muscle("left").maps:
         zone.scale_se = 0.01
     response = FreeResponse(config)
     for seed in range(3):

@@ -225,3 +225,16 @@ def test_a_result_survives_pickle_and_is_plain_data(method: str) -> None:
     plain = json.loads(json.dumps(felt.to_dict()))
     assert plain["contacts"][0]["arc"] == felt.contacts[0].arc
     assert plain["status"] == felt.status
+
+
+def test_frames_have_a_row_for_each_contact() -> None:
+    position = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
+    touched = -8e-4 * np.maximum(40.0 - position, 0.0)
+    options = {"length": 53.0, "span": 5.5, "noise": 6e-4}
+    one = thigmo.localize(touched, position, **options)
+    assert one.to_frame()["arc"].tolist() == [contact.arc for contact in one.contacts]
+    many = thigmo.localize_batch([touched, 0.0 * touched], position, **options).to_frame()
+    assert many["row"].tolist() == [0, 1]
+    assert many["status"].tolist() == [one.status, "no contact"]
+    assert many["arc"][0] == pytest.approx(one.contacts[0].arc)
+    assert np.isnan(many["arc"][1])

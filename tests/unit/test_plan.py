@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from thigmo.config import FlexSensor, RobotConfig, Sensors
+from thigmo.config import FlexSensor, RobotConfig
 from thigmo.errors import ConfigError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, chosen_effort, within
 from thigmo.exploration.plan import growth_target, growth_zone, half_everted, stage_lengths
@@ -69,15 +69,13 @@ def test_a_run_may_start_anywhere() -> None:
 
 
 def test_a_pitch_at_which_a_sensor_would_be_creased_is_left_out() -> None:
-    sensors = Sensors(
-        left=[FlexSensor(center_cm=c) for c in (5.0, 20.0)], right=[FlexSensor(center_cm=5.0)]
-    )
-    config = RobotConfig(sensors=sensors)
+    right = FlexSensor(direction_deg=270, center_cm=5.0)
+    config = RobotConfig(sensors=[*(FlexSensor(center_cm=c) for c in (5.0, 20.0)), right])
     assert half_everted(config, 20.0) == "left[1]"
     assert stage_lengths(config) == [10, 30, 40, 50, 53]
-    sensors.left[1].healthy = False
+    config.column("left")[1].healthy = False
     assert half_everted(config, 20.0) == ""
-    end = RobotConfig(sensors=Sensors(left=[FlexSensor(center_cm=50.2)], right=[]))
+    end = RobotConfig(sensors=[FlexSensor(center_cm=50.2)])
     with pytest.raises(ConfigError, match=r"left\[0\] lies in the tip's fold"):
         stage_lengths(end)
 

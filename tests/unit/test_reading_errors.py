@@ -14,15 +14,16 @@ SENSORS = [("right", 0), ("right", 3)]
 
 def test_each_error_is_that_of_its_sensor_side_and_zone() -> None:
     config = RobotConfig()
-    config.sensors.right[3].noise = 3e-4
-    config.sensors.right[3].zero_se = 4e-4
-    config.sensors.right[3].scale_se = 0.07
-    config.actuators.left.offset_se = 7e-4
-    config.actuators.left.maps[1].scale_se = 0.03
+    config.column("right")[3].noise = 3e-4
+    config.column("right")[3].zero_se = 4e-4
+    config.column("right")[3].scale_se = 0.07
+    config.muscle("left").offset_se = 7e-4
+    config.muscle("left").maps[1].scale_se = 0.03
     config.body.critical_curvature_se = 0.05 * config.body.critical_curvature
     errors = reading_errors(config, "left", 1, SENSORS)
-    arguments = errors.arguments(added_noise=[0.0, 12e-4])
-    assert arguments["noise"] == pytest.approx([6e-4, 13e-4])
+    arguments = errors.arguments()
+    assert arguments["noise"] == pytest.approx([4.8e-4, 3e-4])
+    assert arguments["zero_error"][1] == 4e-4
     assert arguments["gain_error"] == pytest.approx([0.15, 0.07])
     assert arguments["offset_error"] == 7e-4
     assert arguments["map_error"] == 0.03

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 import thigmo
+from thigmo.cli.main import app
 from thigmo.errors import ConfigError, PortError
+from thigmo.extras import NotInstalledError
 from thigmo.link import image
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,3 +47,27 @@ def test_an_installation_without_sources_flashes_the_image_that_came_with_it(
         image.build_image(500_000)
     with pytest.raises(ConfigError, match="not a thigmo image"):
         image.read_image(image.build_image())
+
+
+@pytest.mark.parametrize(
+    ("command", "absent", "cure"),
+    [
+        ("watch", "aiohttp", r"thigmo\[live\]"),
+        ("explore --watch", "segno", r"thigmo\[live\]"),
+        ("watch --foxglove", "foxglove", r"thigmo\[foxglove\]"),
+        ("camera sheet", "cv2", r"thigmo\[camera\]"),
+        ("calibrate status", "cv2", r"thigmo\[camera\]"),
+        ("design", "matplotlib", r"thigmo\[plot\]"),
+        ("bench list", "thigmo.studies", "make install"),
+        ("experiment all", "thigmo.studies", "make install"),
+        ("info --robot mega-sim://default", "thigmo.emulator.mega_sim", "make install"),
+        ("info --robot micropython://default", "thigmo.emulator.micropython", "make install"),
+    ],
+)
+def test_a_command_names_what_its_installation_lacks(
+    command: str, absent: str, cure: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, absent, None)
+    error = CliRunner().invoke(app, command.split()).exception
+    assert isinstance(error, NotInstalledError)
+    assert re.search(cure, str(error))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
-from thigmo.config import SIDES, FlexSensor, RobotConfig, Sensors
+from thigmo.config import SIDES, FlexSensor, RobotConfig
 from thigmo.errors import (
     CommandRefusedError,
     CommandTimeoutError,
@@ -123,9 +123,9 @@ def _event(code: wire.EventCode, arg: int, value: int = 0) -> wire.Event:
 def test_the_board_ends_up_with_what_robot_toml_says() -> None:
     robot, board = _robot()
     config = RobotConfig()
-    config.sensors.left[2].healthy = False
-    config.sensors.right[1].center_cm = 14.5
-    config.actuators.right.lag_s = 0.15
+    config.column("left")[2].healthy = False
+    config.column("right")[1].center_cm = 14.5
+    config.muscle("right").lag_s = 0.15
     assert robot.configure(config)
     for name, values in parameter_settings(config).items():
         assert robot.parameter(name) == values, name
@@ -151,7 +151,7 @@ def test_a_value_that_the_board_does_not_give_back_is_an_error() -> None:
     robot, board = _robot()
     board.stubborn = wire.PARAMETERS["settle_ms"].index
     config = RobotConfig()
-    config.sensors.settle_s = 20.0
+    config.board.settle_s = 20.0
     with pytest.raises(ConfigError, match=r"holds \[30000\] instead of \[20000\].*settle_ms"):
         robot.configure(config)
 
@@ -320,12 +320,12 @@ def test_parameters_are_checked_before_they_are_sent() -> None:
 
 def test_too_many_sensors_for_the_board_are_named() -> None:
     left = [FlexSensor(center_cm=c) for c in (5.0, 13, 21, 29, 37, 45)]
-    with pytest.raises(ConfigError, match=r"sensors\.left has 6"):
-        parameter_settings(RobotConfig(sensors=Sensors(left=left)))
+    with pytest.raises(ConfigError, match="6 sensors on the left"):
+        parameter_settings(RobotConfig(sensors=left))
 
 
 def test_fewer_sensors_leave_the_rest_disabled() -> None:
-    config = RobotConfig(sensors=Sensors(left=[FlexSensor(center_cm=5.0)], right=[]))
+    config = RobotConfig(sensors=[FlexSensor(center_cm=5.0)])
     assert parameter_settings(config)["flex_enabled"] == [1] + [0] * 9
     assert SensorTable.of(config).healthy.tolist() == [True] + [False] * 9
 
@@ -358,8 +358,8 @@ def test_an_open_circuit_gives_no_number() -> None:
 
 def test_only_the_inactive_sides_sensors_that_answer_are_usable() -> None:
     config = RobotConfig()
-    config.sensors.right[0].healthy = False
-    config.sensors.right[1].valid_direction = -1
+    config.column("right")[0].healthy = False
+    config.column("right")[1].valid_direction = -1
     table = SensorTable.of(config)
     assert np.flatnonzero(table.usable("left", 0x3FF)).tolist() == [7, 8, 9]
     assert np.flatnonzero(table.usable("left", 0x17F)).tolist() == [8]
@@ -381,8 +381,8 @@ def test_a_peak_is_the_mean_of_its_readings() -> None:
 def test_the_sweeps_period_keeps_the_lags_error_within_its_share_of_the_threshold() -> None:
     config = RobotConfig()
     period = sweep_period_s(config, 0)
-    g_max = config.actuators.left.maps[0].inflate.curvature(18.0)
+    g_max = config.muscle("left").maps[0].inflate.curvature(18.0)
     assert 2 * np.pi / period * g_max * 0.5 * 0.2 <= 0.25 * 0.005 + 1e-12
-    config.actuators.left.lag_s = config.actuators.right.lag_s = 0.4
+    config.muscle("left").lag_s = config.muscle("right").lag_s = 0.4
     assert sweep_period_s(config, 0) == pytest.approx(2 * period, rel=0.2)
     assert sweep_period_s(config, 0, trigger_per_cm=0.01) < sweep_period_s(config, 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.exploration import room as room_module
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.room import Found, Room, touch_point
@@ -37,7 +37,7 @@ def _sighting(
 ) -> Sighting:
     mass = np.exp(-0.5 * ((ARCS - arc) / deviation) ** 2) * (length >= ARCS)
     interval = (arc - 1.96 * deviation, min(arc + 1.96 * deviation, length))
-    way = 1.0 if side == "left" else -1.0
+    way = SIGN[side]
     contact = Contact(arc, -2e-4 * way, interval, "localized", probability=probability)
     return Sighting(
         side, length, Bend(length, 0.02 * way), contact, mass / mass.sum(), _touch(bend),

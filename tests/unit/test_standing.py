@@ -19,7 +19,7 @@ YOUNG = 1 << 4 | 1 << 9  # the last sensor of each side
 
 def _sums(curvature: Floats, rng: np.random.Generator) -> tuple[int, ...]:
     ohm = 12_000.0 + curvature / TABLE.scale_per_ohm
-    mean = 1024.0 * CONFIG.sensors.divider_ohm / (CONFIG.sensors.divider_ohm + ohm) - 0.5
+    mean = 1024.0 * CONFIG.board.divider_ohm / (CONFIG.board.divider_ohm + ohm) - 0.5
     conversions = mean[:, None] + rng.normal(0, 1.0, (10, OVERSAMPLE))
     return tuple(int(v) for v in np.round(conversions.sum(axis=1)))
 
@@ -79,7 +79,7 @@ def test_the_rest_is_foretold_within_its_standard_error(until_s: float) -> None:
 def test_the_longer_it_stands_the_better_is_its_rest_known() -> None:
     sigmas = [_watched(until, 1)[0].rest(until + 14.0, YOUNG)[1][4] for until in (5.0, 9.0, 20.0)]
     assert sigmas[0] > sigmas[1] > sigmas[2]
-    assert sigmas[2] < CONFIG.sensors.left[4].noise
+    assert sigmas[2] < CONFIG.column("left")[4].noise
 
 
 def test_readings_of_a_bent_robot_do_not_count() -> None:

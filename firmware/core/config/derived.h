@@ -17,6 +17,8 @@ constexpr int32_t kControlHz = 200;
 constexpr int32_t kDriveMarginCpsi = 100;
 // The tip is never driven further ahead of its profile, whatever the gains.
 constexpr int32_t kLeadUm = 1000;
+// A profile this far ahead means that the motor ought to be turning.
+constexpr int32_t kStallLagUm = 250;
 // Motion that nothing commanded: a fault once it has gone this far, faster than a body that pulls
 // at a braked motor.
 constexpr int32_t kAstrayUm = 800;
@@ -66,6 +68,7 @@ struct Derived {
   int32_t slip_counts;
   int32_t tolerance_counts;
   int32_t lead_counts;
+  int32_t stall_lag_counts;
   int16_t top_duty;  // that the line holds, a sudden stop included
   int16_t homing_duty;
   int32_t winding_speed_um_s;  // fastest tip of a retraction
@@ -230,6 +233,7 @@ struct Derived {
     slip_counts = greater<int32_t>(counts(c.get(Param::kSlipUm)), 2);
     tolerance_counts = greater<int32_t>(counts(c.get(Param::kSpoolToleranceUm)), 1);
     lead_counts = greater<int32_t>(counts(kLeadUm), 1);
+    stall_lag_counts = greater<int32_t>(counts(kStallLagUm), 1);
   }
 
   void update_motor(const Configuration& c) {

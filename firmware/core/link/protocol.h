@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0xB5C92715u;
+constexpr uint32_t kSchemaHash = 0x33C4B481u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -200,8 +200,10 @@ enum class SlipCause : uint8_t {
   kUnpowered = 3,  // The motor has no supply where it must have it: check 12 V, F2, the emergency
                    // stop's contact S1C, K1 and K2.
   kStop = 4,  // The emergency stop did not cut the motor's supply: K1's contact is stuck, or S1C.
+  kAgainst = 5,  // The session's first move went against its command: the motor's leads are swapped
+                 // (J4.1 and J4.2), or the encoder's (J5.2 and J5.3).
 };
-constexpr uint8_t kSlipCauseCount = 5;
+constexpr uint8_t kSlipCauseCount = 6;
 
 // Condition bits that the supervisor's transition table reads, by bit number.
 enum class Condition : uint8_t {
@@ -1463,17 +1465,21 @@ enum class Param : uint16_t {
       90,  // 1: a spring-applied brake holds the spool, and contacts cut the motor's supply
            // (docs/hardware/electronics.md). The board then proves at arming that the brake holds.
            // 0: a robot without them; its motor keeps its supply when it is stopped.
-  kHeartbeatMs = 91,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
+  kDirectionSeen =
+      91,  // 1: somebody has seen the spool pay out when the motor was driven to, and the encoder
+           // agreed; `thigmo bringup` asks, and stores it. Motor leads and encoder that are both
+           // swapped look right to the board. 0: programs do not let the robot move by itself.
+  kHeartbeatMs = 92,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
                       // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where
                       // the watchdog's 250 ms count if heartbeat_ms is less. (ms)
-  kSupplyMinMv = 92,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
+  kSupplyMinMv = 93,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
                       // that is 10 % off. (mV)
-  kReferenceMv = 93,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
+  kReferenceMv = 94,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
                       // supply / supply_mv as the board reports it. (mV)
   kTelemetryMs =
-      94,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
+      95,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
 };
-constexpr uint16_t kParamCount = 95;
+constexpr uint16_t kParamCount = 96;
 struct ParamRow {
   int32_t low, high, initial;
 };
@@ -1569,6 +1575,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {5, 2000, 100},              // line_rating_n
     {0, 20000, 450},             // touch_n_s_m
     {0, 1, 0},                   // brake_fitted
+    {0, 1, 0},                   // direction_seen
     {50, 10000, 500},            // heartbeat_ms
     {3000, 5500, 4250},          // supply_min_mv
     {950, 1250, 1100},           // reference_mv
@@ -1579,7 +1586,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
 struct ParamKey {
   uint8_t id, count;
 };
-constexpr uint8_t kParamKeys = 55;
+constexpr uint8_t kParamKeys = 56;
 constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {1, 10},  // flex_enabled
     {2, 10},  // flex_center_um
@@ -1632,6 +1639,7 @@ constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {54, 1},  // line_rating_n
     {55, 1},  // touch_n_s_m
     {56, 1},  // brake_fitted
+    {57, 1},  // direction_seen
     {46, 1},  // heartbeat_ms
     {47, 1},  // supply_min_mv
     {50, 1},  // reference_mv

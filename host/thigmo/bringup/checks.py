@@ -15,7 +15,7 @@ from thigmo.bringup.push import TRANSDUCERS, duty_of, push
 from thigmo.config import SIDES
 from thigmo.errors import RobotFaultError, ThigmoError
 from thigmo.link.protocol import Output
-from thigmo.robot import SENSORS, Robot
+from thigmo.robot import SENSORS, WITHOUT_BRAKE, Robot
 
 _ESTOP_S = 1.0
 _EMPTY_PSI = 1.5  # a sensor's error before its zero is calibrated
@@ -247,8 +247,7 @@ def _enables(robot: Robot, attendant: Attendant) -> Found:
 def _brake(robot: Robot, attendant: Attendant) -> Found:
     """Arming has proved that the brake holds; the motor's turn, that it opens."""
     if not robot.parameter("brake_fitted")[0]:
-        what = "none (brake = false in robot.toml): the emergency stop leaves the motor its supply"
-        yield "brake", f"{what}; keep hands away and shut V1", ""
+        yield "brake", f"none (brake = false in robot.toml): {WITHOUT_BRAKE}", ""
         return
     robot.make_safe()
     robot.arm(body_air=False)  # a brake that slips and a contact that sticks are its faults
@@ -294,23 +293,27 @@ def _motor(robot: Robot, attendant: Attendant) -> Found:
     turned = attendant.spool_turned()
     went = f"driven to pay out, the encoder goes {moved:+.2f} cm"
     counted = 0 if abs(moved) < _TURN_CM else 1 if moved > 0 else -1
+    subject, what, cure = "motor", went, ""
     if counted == 0 and turned == "not":
-        yield "motor", "does not turn", "free the tail; check 12 V, F2, J4, pin 6"
+        what, cure = "does not turn", "free the tail; check 12 V, F2, J4, pin 6"
     elif counted == 0:
-        yield "encoder", "the spool turns, the encoder stands still", "check J5: 5 V, A, B"
+        subject, what = "encoder", "the spool turns, the encoder stands still"
+        cure = "check J5: 5 V, A, B"
     elif turned == "not":
-        yield "encoder", f"{went}, the spool does not turn", "check J5 and its coupling"
+        subject, what = "encoder", f"{went}, the spool does not turn"
+        cure = "check J5 and its coupling"
     elif turned == "in" and counted < 0:
-        yield "motor", f"winds in when driven to pay out ({went})", "swap J4.1 and J4.2"
+        what, cure = f"winds in when driven to pay out ({went})", "swap J4.1 and J4.2"
     elif turned == "in":
-        yield (
-            "motor", "winds in when driven to pay out, and the encoder counts backwards",
-            "swap J4.1 and J4.2, and J5.2 and J5.3",
-        )  # fmt: skip
+        what = "winds in when driven to pay out, and the encoder counts backwards"
+        cure = "swap J4.1 and J4.2, and J5.2 and J5.3"
     elif counted < 0:
-        yield "encoder", f"counts backwards: {went}", "swap J5.2 (A) and J5.3 (B)"
-    else:
-        yield "motor", went, ""
+        subject, what = "encoder", f"counts backwards: {went}"
+        cure = "swap J5.2 (A) and J5.3 (B)"
+    if robot.parameter("direction_seen") != [int(not cure)]:
+        robot.set_parameter("direction_seen", [int(not cure)])
+        robot.save()
+    yield subject, what, cure
 
 
 def _home(robot: Robot, attendant: Attendant) -> Found:

@@ -25,7 +25,7 @@ from thigmo.calibrate.columns import Array, column, grouped, sides_of
 from thigmo.calibrate.lag import Lag, fit_lag, ramp, tanh_curve
 from thigmo.calibrate.regression import Mask
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
-from thigmo.config import SIDES, RobotConfig, Side, TanhMap, ZoneMap
+from thigmo.config import SIGN, RobotConfig, Side, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -103,13 +103,13 @@ class ActuatorResult(StepResult):
 
     def write(self, config: RobotConfig) -> None:
         """Put the map into the zone of its body pressure (within 10 %)."""
-        actuator = config.actuators.side(self.readings.side)
+        actuator = config.muscle(self.readings.side)
         gaps = [abs(z.pressure_psi / self.zone.body_pressure_psi - 1) for z in config.body.zones]
         zone = int(np.argmin(gaps))
         if gaps[zone] > 0.1:
             raise DataError(
                 f"no zone has a body pressure of {self.zone.body_pressure_psi:g} psi",
-                "correct body.zones in robot.toml",
+                "correct body.pressure in robot.toml",
             )
         actuator.maps[zone] = self.zone
         actuator.offset_se = self.offset_se
@@ -158,9 +158,9 @@ def guided(bench: Bench) -> ActuatorResults:
     config = bench.config
     zones = bench.plan.zones or tuple(range(len(config.body.zones)))
     rows = bend_rows(bench, zones)
-    ramps = {side: ramp(bench, side, zones[-1]) for side in SIDES}
+    ramps = {side: ramp(bench, side, zones[-1]) for side in config.sides}
     found: list[ActuatorResult] = []
-    for zone, side in product(zones, SIDES):
+    for zone, side in product(zones, config.sides):
         mine = [r for r in rows if r["zone"] == zone and r["side"] == side]
         result = fit_actuator(
             BendReadings(
@@ -175,7 +175,7 @@ def guided(bench: Bench) -> ActuatorResults:
         )
         record = ramps[side]
         if result.verdict.good and zone == zones[-1] and record is not None:
-            lag = fit_lag(*record, result.zone, side, config.actuators.side(side).reversal_psi)
+            lag = fit_lag(*record, result.zone, side, config.muscle(side).reversal_psi)
             if lag.inflate_se_s < _LAG_SE_S:
                 result = replace(result, lag=lag)
         found.append(result)
@@ -192,7 +192,7 @@ def of_csv(table: Table, _: RobotConfig) -> ActuatorResults:
 
 def fit_actuator(readings: BendReadings) -> ActuatorResult:
     """Tanh maps of both branches with per-trial offsets."""
-    sign = 1.0 if readings.side == "left" else -1.0
+    sign = SIGN[readings.side]
     p, k, error = readings.pressure_psi, readings.curvature, readings.curvature_se
     finite = np.isfinite(p) & np.isfinite(k)
     total = int(finite.sum())

@@ -132,7 +132,7 @@ class Bench:
                 f"the robot is {now:.1f} cm long, {length_cm:.1f} cm are needed",
                 "retract it with `thigmo retract`, then run this again",
             )
-        pitch, body = self.config.sensors.pitch_cm, self.config.body
+        pitch, body = self.config.body.pitch_cm, self.config.body
         stops = {*np.arange(pitch, length_cm, pitch).tolist(), length_cm}
         boundaries = {z.until_cm for z in body.zones if z.until_cm < length_cm}
         self.robot.vent()
@@ -254,7 +254,7 @@ def growth_rows(bench: Bench) -> list[Row]:
 
 def bend_set_points(bench: Bench, side: Side) -> list[tuple[str, float]]:
     """Branch and pressure, up and down."""
-    top = bench.config.actuators.side(side).max_pressure_psi
+    top = bench.config.muscle(side).max_pressure_psi
     up = [*np.arange(0.0, top, bench.plan.step_psi).tolist(), top]
     return [("inflate", p) for p in up] + [("deflate", p) for p in reversed(up[:-1])]
 
@@ -289,7 +289,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
                 "psi": psi,
             }
             for trial in range(bench.plan.trials)
-            for side in SIDES
+            for side in bench.config.sides
             for branch, psi in bend_set_points(bench, side)
         }  # fmt: skip
         rows.extend(bench.rows("bends", planned, take, partial(bench.ready_to_bend, zone)))

@@ -11,7 +11,7 @@ import numpy as np
 from thigmo.calibrate.bench import STEADY_S, Bench
 from thigmo.calibrate.columns import Array, medians, places_of
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
+from thigmo.config import SIGN, FlexSensor, RobotConfig, Side, opposite
 from thigmo.errors import DataError
 
 Mark = Literal["ok", "warning", "bad"]
@@ -52,9 +52,9 @@ def guided(bench: Bench) -> CheckResult:
     bench.ready_to_bend()
     robot, config = bench.robot, bench.config
     rest = np.array([bench.ohm(robot.read(0.25)) for _ in range(8)])
-    top = 0.7 * config.actuators.left.max_pressure_psi
+    top = 0.7 * min(config.muscle(side).max_pressure_psi for side in config.sides)
     readings = CheckReadings(rest, {}, top, {}, {}, zone=len(config.body.zones) - 1)
-    for side in SIDES:
+    for side in config.sides:
         bench.press(side, top)
         robot.wait(STEADY_S)
         record = robot.record(4.0)
@@ -81,9 +81,9 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     scatter = np.ma.masked_invalid(readings.rest_ohm).std(axis=0).filled(np.nan)
     findings = []
     for number, (side, k) in enumerate(sensors):
-        mark, text = _at_rest(config.sensors.column(side)[k], zero[number], scatter[number])
+        mark, text = _at_rest(config.column(side)[k], zero[number], scatter[number])
         findings.append(Finding(f"sensor {side} {k}", mark, text))
-    for side in SIDES:
+    for side in config.sides:
         findings += [Finding(*found) for found in _bent(side, readings, zero, config)]
         findings.append(Finding(f"{side} muscle's tightness", *_leak(readings.held_psi[side])))
     bad, warned = (
@@ -113,8 +113,8 @@ def _bent(
     side: Side, readings: CheckReadings, zero: Array, config: RobotConfig
 ) -> Iterator[tuple[str, Mark, str]]:
     """One muscle inflated: camera, and sensors of both sides, against the map."""
-    sign = 1.0 if side == "left" else -1.0
-    mapped = config.actuators.side(side).maps[readings.zone].inflate
+    sign = SIGN[side]
+    mapped = config.muscle(side).maps[readings.zone].inflate
     expected = sign * mapped.curvature(readings.bend_psi)
     target = seen = readings.bend_seen.get(side)
     what = f"{side} muscle"
@@ -134,7 +134,7 @@ def _bent(
     shares: dict[Side, list[float]] = {"left": [], "right": []}
     gone = readings.bend_ohm[side] - zero
     for (of, k), ohm in zip(places_of(config), gone.tolist(), strict=True):
-        sensor = config.sensors.column(of)[k]
+        sensor = config.column(of)[k]
         if not sensor.healthy or not np.isfinite(ohm):
             continue
         share = ohm * sensor.scale_per_ohm / target
@@ -142,7 +142,7 @@ def _bent(
         if of != side and abs(share) < 0.15:
             yield (f"sensor {of} {k}", "bad",
                    "does not answer to bending: dead, or its pouch is loose")  # fmt: skip
-    far: Side = "right" if side == "left" else "left"
+    far: Side = opposite(side)
     if min(map(len, shares.values())) < 2:
         return
     off, own = (float(np.median(np.abs(np.array(shares[s]) - 1))) for s in (far, side))

@@ -18,12 +18,12 @@ Key = TypeVar("Key", bound=Any)
 
 def sensors_of(config: RobotConfig) -> list[FlexSensor]:
     """All sensors."""
-    return [sensor for side in SIDES for sensor in config.sensors.column(side)]
+    return [sensor for side in SIDES for sensor in config.column(side)]
 
 
 def places_of(config: RobotConfig) -> list[tuple[Side, int]]:
     """Side and index of each sensor."""
-    return [(side, k) for side in SIDES for k in range(len(config.sensors.column(side)))]
+    return [(side, k) for side in SIDES for k in range(len(config.column(side)))]
 
 
 def constants_of(config: RobotConfig, *names: str) -> Array:

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from thigmo.calibrate.actuator import ActuatorResult, ActuatorResults
+from thigmo.calibrate.bending import BendingResult
 from thigmo.calibrate.buckling import BucklingResult
 from thigmo.calibrate.columns import Array
 from thigmo.calibrate.encoder import EncoderResult
@@ -20,7 +21,7 @@ from thigmo.calibrate.hysteresis import HysteresisResult
 from thigmo.calibrate.noise import NoiseResult
 from thigmo.calibrate.stiffness import StiffnessResult
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import SIDES
+from thigmo.config import SIDES, SIGN
 from thigmo.errors import DataError
 from thigmo.files import whole_file
 from thigmo.report.axes import BLUE, CYCLE, GREEN, ORANGE, RED
@@ -106,7 +107,7 @@ def _flex(result: FlexResult, path: Path) -> None:
 def _actuator(result: ActuatorResult, path: Path) -> None:
     r, used = result.readings, result.used
     branch = np.array(r.branch)
-    sign = 1.0 if r.side == "left" else -1.0
+    sign = SIGN[r.side]
     grid = np.linspace(0, max(20.0, float(np.nanmax(r.pressure_psi))), 200)
     labels = "muscle pressure (psi)", "free curvature (1/cm)"
     with _panel(path, result.verdict, *labels, size=(7, 4.5)) as axes:
@@ -152,6 +153,13 @@ def _stiffness(result: StiffnessResult, path: Path) -> None:
     with _panel(path, result.verdict, "picture", "stiffness under sensors / in gaps") as axes:
         _estimates(axes, result.each, result.ratio, result.ratio_se)
         axes.axhline(1.0, color="0.5", ls=":")
+
+
+@draw.register
+def _bending(result: BendingResult, path: Path) -> None:
+    if result.each.size:
+        with _panel(path, result.verdict, "pull", "bending stiffness EI (N cm²)") as axes:
+            _estimates(axes, result.each, result.stiffness_n_cm2, result.stiffness_se_n_cm2)
 
 
 @draw.register

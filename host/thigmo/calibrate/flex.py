@@ -104,7 +104,7 @@ class FlexResult(StepResult):
         A sensor found dead keeps its old constants and is marked unhealthy.
         """
         for fit in self.sensors:
-            sensor = config.sensors.column(fit.side)[fit.index]
+            sensor = config.column(fit.side)[fit.index]
             sensor.healthy = fit.healthy
             if not fit.healthy:
                 continue
@@ -126,7 +126,7 @@ def guided(bench: Bench, fit: Fit | None = None) -> FlexResult:
     last = len(bench.config.body.zones) - 1
     tips = tip_rows(bench)
     bends = [r for r in bench.session.rows("bends").values() if r["zone"] == last]
-    if len(bends) < 2 * len(bend_set_points(bench, "left")):
+    if len(bends) < sum(len(bend_set_points(bench, side)) for side in bench.config.sides):
         bends = bend_rows(bench, [last])
     readings = FlexReadings.of_rows([*tips, *bends], bench.config.body.length_cm)
     result = (fit or fit_flex)(readings, bench.config)
@@ -176,7 +176,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
     fits = []
     for number, ((side, k), column, line) in enumerate(zip(places, columns, lines, strict=True)):
         # The slope (ohm cm) that a sensor of this kind has.
-        nominal = 1 / abs(config.sensors.column(side)[k].scale_per_ohm or 3.5e-5)
+        nominal = 1 / abs(config.column(side)[k].scale_per_ohm or 3.5e-5)
         reason, used = "not everted at this length", 0
         if rows.on_body[number]:
             reason, used = _fault(column, line, rows.asked(number), nominal)

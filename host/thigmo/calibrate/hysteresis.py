@@ -64,7 +64,7 @@ class HysteresisResult(StepResult):
         """Decay time and amplitude."""
         for fit in self.sensors:
             if fit.good:
-                sensor = config.sensors.column(fit.side)[fit.index]
+                sensor = config.column(fit.side)[fit.index]
                 sensor.settle_tau_s = fit.law.tau_s
                 sensor.settle_amplitude = fit.law.amplitude
 
@@ -141,7 +141,7 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
         raise DataError("no eversions were recorded", "grow past a sensor and wait 30 s")
     fits, notes = [], []
     for (side, index), rows in grouped((record.side, record.index) for record in records):
-        if not 0 <= index < len(config.sensors.column(side)):
+        if not 0 <= index < len(config.column(side)):
             raise DataError(f"no sensor {side} {index} in robot.toml", "use this robot's file")
         found = []
         for record in (records[row] for row in rows):
@@ -149,7 +149,7 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
                 found.append(fit_decay(record.t_s, record.curvature))
             except DataError as error:
                 notes.append(f"{side} {index}: {error.what}")
-        fits.append(_law(side, index, found, config.sensors.column(side)[index].noise))
+        fits.append(_law(side, index, found, config.column(side)[index].noise))
     notes.extend(f"{fit.side} {fit.index}: {fit.reason}" for fit in fits if not fit.good)
     ready = [fit.usable_s for fit in fits if fit.good]
     reason = "no sensor shows a decay that can be fitted"

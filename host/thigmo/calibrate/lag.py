@@ -17,10 +17,10 @@ from scipy.optimize import least_squares
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from thigmo.calibrate.bench import Bench, Row
-from thigmo.calibrate.columns import Array
+from thigmo.calibrate.columns import Array, places_of
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.regression import lasting
-from thigmo.config import Side, TanhMap, ZoneMap
+from thigmo.config import SIGN, Side, TanhMap, ZoneMap, opposite
 from thigmo.errors import DataError
 
 # Ramps up and down, for the lag of 0.2..0.4 s: an error of pressure or map looks like a lag that is
@@ -55,9 +55,10 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
     The readings of all sensors are moved to be as late as the base sensor's. None where no sensor
     of that side is healthy.
     """
-    robot, top = bench.robot, 0.9 * bench.config.actuators.side(side).max_pressure_psi
-    sensors = bench.config.sensors.column("right" if side == "left" else "left")
-    far = len(bench.config.sensors.left) if side == "left" else 0
+    robot, top = bench.robot, 0.9 * bench.config.muscle(side).max_pressure_psi
+    sensors = bench.config.column(opposite(side))
+    places = places_of(bench.config)
+    far = [number for number, (of, _) in enumerate(places) if of == opposite(side)]
 
     def take(key: str, _: None) -> Row:
         parts = []
@@ -68,7 +69,7 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
         robot.vent()
         t = np.concatenate([p.t_s for p in parts])
         psi = np.concatenate([getattr(p, f"{side}_psi") for p in parts])
-        ohm = np.concatenate([bench.ohm(p)[:, far : far + len(sensors)] for p in parts])
+        ohm = np.concatenate([bench.ohm(p)[:, far] for p in parts])
         step = max(1, round(_RAMP_FRAME_S / float(np.median(np.diff(t)))))
         return {"t_s": t[::step], "psi": psi[::step], "ohm": ohm[::step]}
 
@@ -143,7 +144,7 @@ def fit_lag(
         raise DataError(
             "the ramp shows no bend to time", "ramp to 16 psi within 3 s, hold, and back"
         )
-    sign = 1.0 if side == "left" else -1.0
+    sign = SIGN[side]
     fine = np.arange(t[0], t[-1] + _STEP_S, _STEP_S)
     pressed = np.interp(fine, t, p)
 

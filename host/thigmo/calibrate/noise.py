@@ -41,7 +41,7 @@ class NoiseResult(StepResult):
     def write(self, config: RobotConfig) -> None:
         """White noise, and what no average takes away."""
         for s in self.sensors:
-            sensor = config.sensors.column(s.side)[s.index]
+            sensor = config.column(s.side)[s.index]
             if np.isfinite(s.white) and s.white > 0 and sensor.healthy:
                 sensor.noise = s.white
                 # Rest shows drift, bends show the loop: flex may have seen more of both.
@@ -69,14 +69,14 @@ def guided(bench: Bench) -> NoiseResult:
 def _loops(bench: Bench, scale: Array) -> Array | None:
     """(s, m) readings less the camera's curvature: falling less rising, at equal set points."""
     rows, gaps = bench.session.rows("bends"), []
-    a_side = len(bench.config.sensors.left)
+    lies = np.array([side for side, _ in places_of(bench.config)])
     for key, row in rows.items():
         twin = rows.get(key.replace("inflate", "deflate"))
         if row["branch"] != "inflate" or twin is None or row["k"] is None or twin["k"] is None:
             continue
         up, down = column([row, twin], "ohm") * scale - column([row, twin], "k")[:, None]
         # The active side wrinkles.
-        up[slice(0, a_side) if row["side"] == "left" else slice(a_side, None)] = np.nan
+        up[lies == row["side"]] = np.nan
         gaps.append(down - up)
     return np.array(gaps) if len(gaps) >= 4 else None
 

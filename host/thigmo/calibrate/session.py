@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from thigmo.calibrate.verdict import StepResult, plain
-from thigmo.config import SIDES, FlexSensor, RobotConfig, ZoneMap
+from thigmo.config import FlexSensor, RobotConfig, ZoneMap
 from thigmo.errors import DataError
 from thigmo.files import write_whole
 
@@ -109,15 +109,16 @@ class Session:
 def blank(config: RobotConfig) -> RobotConfig:
     """A robot of that geometry whose constants nobody has measured: where calibration begins."""
     made, fresh = config.model_copy(deep=True), RobotConfig()
-    for side in SIDES:
-        places = [(sensor.center_cm, sensor.span_cm) for sensor in made.sensors.column(side)]
-        unmeasured = [FlexSensor(center_cm=center, span_cm=span) for center, span in places]
-        setattr(made.sensors, side, unmeasured)
-        actuator = made.actuators.side(side)
-        actuator.lag_s = fresh.actuators.left.lag_s
-        actuator.offset_se = fresh.actuators.left.offset_se
-        actuator.maps = [ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in made.body.zones]
+    made.sensors = [
+        FlexSensor(**sensor.model_dump(include={"direction_deg", "center_cm", "span_cm"}))
+        for sensor in made.sensors
+    ]
+    for muscle in made.muscles:
+        muscle.lag_s = fresh.muscles[0].lag_s
+        muscle.offset_se = fresh.muscles[0].offset_se
+        muscle.maps = [ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in made.body.zones]
     made.body.critical_curvature = fresh.body.critical_curvature
     made.body.critical_curvature_se = fresh.body.critical_curvature_se
+    made.body.stiffness_n_cm2 = None
     made.spool.counts_per_cm = fresh.spool.counts_per_cm
     return made

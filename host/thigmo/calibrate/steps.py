@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from thigmo.calibrate import (
     actuator,
+    bending,
     buckling,
     check,
     encoder,
@@ -77,7 +78,8 @@ STEPS = {
         ("pushes",), thesis=thesis.fit_buckling,
     ),
     "stiffness": Step(
-        stiffness.guided, stiffness.of_csv, "picture, x_cm, y_cm, force_arc_cm", ("bows",)
+        stiffness.guided, stiffness.of_csv,
+        f"picture, x_cm, y_cm, force_arc_cm; or {bending.COLUMNS}", ("bows",),
     ),
     "noise": Step(noise.guided, noise.of_csv, f"t_s, {_CURVATURES}", ("rest",)),
     "check": Step(check.guided),

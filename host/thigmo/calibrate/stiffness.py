@@ -1,5 +1,7 @@
 """Is the body as stiff under a sensor as between sensors? (The thesis's open question.)
 
+How stiff it is in newtons is `bending`'s, which this step's readings with a known force go to.
+
 Pictures of the robot with its tip pushed aside give the axis; the moment along it is known up to
 one factor from where the force acts. With k = m(s) (1 + rho w(s)), w = 1 in gaps and 0 under
 sensors, rho is the excess of curvature in the gaps: EI_sensor / EI_gap = 1 + rho. A sensor's
@@ -15,6 +17,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
 
+from thigmo.calibrate import bending
 from thigmo.calibrate.bench import Bench, bow_rows, tip_rows
 from thigmo.calibrate.columns import Array, constants_of, grouped
 from thigmo.calibrate.regression import lasting, outlying
@@ -50,8 +53,10 @@ def guided(bench: Bench) -> StiffnessResult:
     return fit_stiffness([AxisPoints(points, length) for points in seen], bench.config)
 
 
-def of_csv(table: Table, config: RobotConfig) -> StiffnessResult:
-    """Points along the axis, picture by picture."""
+def of_csv(table: Table, config: RobotConfig) -> StepResult:
+    """Pulls with known forces (`bending`); or points along the axis, picture by picture."""
+    if "force_n" in table:
+        return bending.of_csv(table, config)
     picture = table.whole("picture")
     rows = np.column_stack([table.numbers(name) for name in ("x_cm", "y_cm", "force_arc_cm")])
     seen = np.isfinite(rows).all(axis=1)

@@ -36,7 +36,7 @@ class ThesisFlexResult(FlexResult):
     def write(self, config: RobotConfig) -> None:
         """Scales and zeros; errors are those of sensors that nobody has calibrated, at least."""
         for fit in self.sensors:
-            sensor = config.sensors.column(fit.side)[fit.index]
+            sensor = config.column(fit.side)[fit.index]
             sensor.healthy = fit.healthy
             if fit.healthy:
                 sensor.scale_per_ohm, sensor.zero_ohm = fit.scale_per_ohm, fit.zero_ohm

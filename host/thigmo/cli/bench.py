@@ -36,6 +36,10 @@ def bench(
     import os
     from contextlib import nullcontext
 
+    from thigmo.extras import require_sources
+
+    require_sources("thigmo.studies", "`thigmo bench`")
+
     # Single calls are timed on one core; idle threads of a linear-algebra library only disturb.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -53,6 +53,12 @@ def calibrate(
             show_default=False,
         ),
     ] = None,
+    from_fold: Annotated[
+        bool,
+        typer.Option(
+            "--from-fold", help="Of stiffness: state EI from the fold's moment; no robot is used."
+        ),
+    ] = False,
     again: Annotated[bool, typer.Option("--again", help="Take the readings anew.")] = False,
     seed: Annotated[int, typer.Option(help="Of the emulator.", min=0)] = 0,
     as_json: JsonOption = False,
@@ -78,7 +84,8 @@ def calibrate(
     buckling: hard pushes at the tip, until the base folds.
 
     stiffness: whether sensors stiffen the body, to 0.1 with twelve more pictures of the pushed tip
-    (told only; nothing needs it).
+    (told only; nothing needs it). With `--csv` of readings under known forces, such as a hung
+    weight, or with `--from-fold`: the bending stiffness, which makes newtons of forces.
 
     noise, check: the robot at rest; later, whether it is still what robot.toml says.
 
@@ -89,6 +96,10 @@ def calibrate(
     `--csv FILE` fits readings that a lab already has; a file that lacks a column
     is told all of them. Try it without a robot: `--robot emulator://empty`.
     """
+    from thigmo.extras import require
+
+    require("camera", "calibration")
+    from thigmo.calibrate.bending import from_fold as state_stiffness
     from thigmo.calibrate.session import Session, blank
     from thigmo.calibrate.steps import STEPS, fit_csv, run
     from thigmo.config import RobotConfig
@@ -98,10 +109,13 @@ def calibrate(
     if method and step not in ("all", "status") and STEPS[step].thesis is None:
         raise DataError(f"{step} has one method only", "give --method with flex or buckling")
     start = RobotConfig.load(config) if config else None
-    if csv is not None:
+    if from_fold and (step != "stiffness" or csv is not None):
+        raise DataError("--from-fold is of stiffness alone", "`thigmo calibrate stiffness`")
+    if csv is not None or from_fold:
         held = folder / "robot.toml"
         base = RobotConfig.load(held) if held.exists() else start or RobotConfig()
-        result = fit_csv(step, csv, base, method)  # before a folder is made: a bad file leaves none
+        # Before a folder is made: a bad file leaves none.
+        result = fit_csv(step, csv, base, method) if csv else state_stiffness(base)
         show(as_json, result.as_data(), *Session(folder, start).keep(step, result))
         if not result.verdict.good:
             raise typer.Exit(2)

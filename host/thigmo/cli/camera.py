@@ -48,6 +48,13 @@ CameraFileOption = Annotated[
 ]
 
 
+@group.callback()
+def _needs_camera() -> None:
+    from thigmo.extras import require
+
+    require("camera", "the camera")
+
+
 def load_sheet(path: Path) -> Sheet:
     """The sheet file; the default sheet where none was made or named."""
     from thigmo.camera import Sheet

@@ -124,13 +124,13 @@ class Console:
         if not document.contacts:
             say(f"[bold]No contact[/bold] in {len(document.stages)} sweeps.")
         else:
-            table = Table("x", "y", "arc", "95 % interval", "force / EI", "status", box=None)
+            table = Table("x", "y", "arc", "95 % interval", "force", "status", box=None)
             for c in document.contacts:
                 table.add_row(
                     f"{c.x_cm:.1f} cm", f"{c.y_cm:.1f} cm",
                     f"{c.arc_cm:.1f} of {c.everted_length_cm:.1f} cm",
                     c.interval_text,
-                    f"{c.force_per_cm2:.2g} 1/cm²", c.status,
+                    c.force_text, c.status,
                 )  # fmt: skip
             say(table)
         if document.error_x_cm is not None:
@@ -151,7 +151,8 @@ class Console:
             say(f"Effort {document.effort}: {document.skips}.")
         # Paths and commands are copied: no line of theirs is broken.
         planners = "for planners: obstacles.json and map.yaml beside it."
-        typer.echo(f"Map: {result.folder / 'map.png'}; {planners}")
+        drawn = "map.png" if (result.folder / "map.png").exists() else "contacts.json"
+        typer.echo(f"Map: {result.folder / drawn}; {planners}")
         typer.echo(
             f"The robot is vented and keeps its length of {result.length_cm:.1f} cm. "
             f"To retract it: thigmo retract --robot {document.url}"
@@ -174,6 +175,10 @@ class Console:
             f"Set the body pressure to {pressure_psi:g} psi ({pressure_psi * 6.895:.1f} kPa), "
             "then press Enter."
         )
+
+    def warn(self, danger: str) -> None:
+        """Say what is dangerous about the robot."""
+        self.err.print(f"Warning: {danger}", highlight=False, soft_wrap=True, markup=False)
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         """Ask for the dowels to be placed."""

@@ -31,6 +31,7 @@ def design(
 ) -> None:
     """Chart where, and from which force, a layout feels contacts and tells two apart."""
     from thigmo.errors import DataError
+    from thigmo.extras import require
 
     try:
         places = [float(part) for part in centers.split(",")]
@@ -38,9 +39,10 @@ def design(
         raise DataError(f"--centers is {centers!r}", "give numbers, e.g. 5,15,25") from error
     if columns < 1:
         raise DataError(f"--columns is {columns}", "give 1 or more")
+    require("plot", "the figure of a design")
     from thigmo.localization import identifiability
     from thigmo.report.design_figure import draw_design
-    from thigmo.studies.engine import Outcome, write
+    from thigmo.report.files import write_files
 
     position = places * columns
     found = identifiability(
@@ -66,9 +68,9 @@ def design(
         for moment, bounds in zip(found.moment.tolist(), found.pair_bound.tolist(), strict=True)
         for gap, (near, far) in zip(found.separation.tolist(), bounds, strict=True)
     ]
-    outcome = Outcome({"one-contact": one, "two-contacts": two})
-    outcome.figures["bounds"] = draw_design(found, position, span)
-    paths = write(outcome, "design", out)
+    tables = {"one-contact": one, "two-contacts": two}
+    figures = {"bounds": draw_design(found, position, span)}
+    paths = write_files("design", out, tables, figures)
     if as_json:
         print_json({"one_contact": one, "two_contacts": two, "files": [str(p) for p in paths]})
         return

@@ -12,6 +12,7 @@ import typer
 from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOption
 from thigmo.cli.output import JsonOption, KnownConfigOption, print_json, robot_option
 from thigmo.errors import DataError
+from thigmo.extras import require_sources
 from thigmo.files import write_whole
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ def experiment(
     emulator:// by its own operator, and kept in OUT/NAME/trials.jsonl; the same command goes on
     after a stop. With --robot, exploration makes one run by each protocol a trial.
     """
+    require_sources("thigmo.studies", "`thigmo experiment`")
     from thigmo.cli.studies import conduct, report
     from thigmo.studies.engine import Context
     from thigmo.studies.experiments import EXPERIMENTS

@@ -51,6 +51,27 @@ def localize(
     bad_reading_odds: Annotated[
         float | None, typer.Option(help="Prior odds that a given reading is bad.")
     ] = None,
+    held_end: Annotated[
+        str | None,
+        typer.Option(help="Whether something holds the end: yes, no, or the prior odds of that."),
+    ] = None,
+    end_face_odds: Annotated[
+        float | None, typer.Option(help="Prior odds of a contact on the end's face; 0: none.")
+    ] = None,
+    stiffness: Annotated[
+        str | None,
+        typer.Option(
+            help="EI and its relative error, 500,0.1, in N times the length's unit squared: forces "
+            "are then in newtons."
+        ),
+    ] = None,
+    width_limit: Annotated[
+        float | None, typer.Option(help="Widest 95 % interval that counts as localized.")
+    ] = None,
+    number_level: Annotated[
+        float | None,
+        typer.Option(help="Probability that the number of contacts must have to localize any."),
+    ] = None,
     config: Annotated[
         Path | None,
         typer.Option(help="robot.toml: all these errors, as calibrated; a flag goes before it."),
@@ -101,8 +122,15 @@ def localize(
         "critical_curvature": critical_curvature,
         "tube_radius": tube_radius,
         "bad_reading_odds": bad_reading_odds,
+        "held_end": _held(held_end),
+        "end_face_odds": end_face_odds,
+        "stiffness": _stiffness(stiffness),
+        "width_limit": width_limit,
+        "number_level": number_level,
     }
     told |= {name: value for name, value in flags.items() if value is not None}
+    if noise is not None:
+        told["zero_error"] = 0.0  # --noise is all of a reading's error
     told |= {
         "span": span if table.span is None else table.span,
         "free_curvature": free_curvature,
@@ -112,11 +140,39 @@ def localize(
     if frames is not None:
         _answer_rows(frames, plot, length, as_json, told)
         return
-    result = thigmo.localize(table.curvature, table.position, length=length, **told)
+    from thigmo.localization.hints import hints
+
+    told["length"] = length
+    result = thigmo.localize(table.curvature, table.position, **told)
+    looks = hints(result, table.curvature, table.position, **told)
     if as_json:
-        print_json(_facts(result, table))
+        print_json(_facts(result, table) | {"hints": looks})
     else:
         _show(result, table)
+        for hint in looks:
+            typer.echo(f"thigmo: {hint}", err=True)
+
+
+def _held(text: str | None) -> bool | float | None:
+    """`yes`, `no` or odds."""
+    from thigmo.errors import DataError
+
+    if text in ("yes", "no"):
+        return text == "yes"
+    try:
+        return None if text is None else float(text)
+    except ValueError as error:
+        raise DataError(f"--held-end is {text!r}", "give yes, no, or odds such as 0.1") from error
+
+
+def _stiffness(text: str | None) -> tuple[float, ...] | None:
+    """EI and its relative error."""
+    from thigmo.errors import DataError
+
+    try:
+        return None if text is None else tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise DataError(f"--stiffness is {text!r}", "give EI,ERROR such as 500,0.1") from error
 
 
 def _calibrated(
@@ -136,7 +192,7 @@ def _calibrated(
         (name, index, sensor)
         for name in SIDES
         if name != inflated
-        for index, sensor in enumerate(robot.sensors.column(name))
+        for index, sensor in enumerate(robot.column(name))
     ]
     found: list[tuple[Side, int]] = []
     for position in table.position.tolist():
@@ -188,9 +244,11 @@ def _answer_rows(
     from thigmo.errors import DataError
 
     results = []
+    free = options.pop("free_curvature")
+    localizer = thigmo.Localizer.of(position=table.position, length=length, **options)
     for line, row in zip(table.lines, table.curvature, strict=True):
         try:
-            results.append(thigmo.localize(row, table.position, length=length, **options))
+            results.append(localizer.localize(row, free_curvature=free))
         except DataError as error:
             raise DataError(f"line {line}: {error.what}", error.next_step) from error
     times = table.time_s.tolist() if table.time_s is not None else [None] * len(results)
@@ -207,13 +265,17 @@ def _answer_rows(
             for line, time, result in zip(table.lines, times, results, strict=True)
         ])  # fmt: skip
         return
-    typer.echo("line,t_s,status,contacts,arc,low,high,force,probability")
+    newtons = "stiffness" in options
+    head = "line,t_s,status,contacts,arc,low,high,force,probability"
+    typer.echo(head + (",newtons,newtons_low,newtons_high" if newtons else ""))
     for line, time, result in zip(table.lines, times, results, strict=True):
         head = f"{line},{'' if time is None else f'{time:.9g}'},{result.status}"
         if not result.contacts:
-            typer.echo(f"{head},0,,,,,")
+            typer.echo(f"{head},0,,,,," + ",,," * newtons)
         for number, contact in enumerate(result.contacts, start=1):
-            values = (contact.arc, *contact.interval, contact.force, contact.probability)
+            values = [contact.arc, *contact.interval, contact.force, contact.probability]
+            if contact.newtons is not None:
+                values += [contact.newtons.across.value, *contact.newtons.across.interval]
             cells = ("" if value != value else f"{value:.6g}" for value in values)
             typer.echo(f"{head},{number},{','.join(cells)}")
 
@@ -225,10 +287,11 @@ def _show(result: LocalizeResult, table: ReadingsTable) -> None:
     console = Console()
     console.print(f"[bold]{result.status}[/bold] ({result.hypothesis})")
     if result.contacts:
-        rows = Table("arc", "force / EI", "95 % interval", "probability", "status", box=None)
+        force = "force / EI" if result.contacts[0].newtons is None else "force, 95 % interval"
+        rows = Table("arc", force, "95 % interval", "probability", "status", box=None)
         for contact in result.contacts:
             rows.add_row(
-                f"{contact.arc:.4g}", f"{contact.force:.3g}", contact.interval_text,
+                f"{contact.arc:.4g}", contact.force_text, contact.interval_text,
                 contact.probability_text, contact.status,
             )  # fmt: skip
         console.print(rows)

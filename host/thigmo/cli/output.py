@@ -3,27 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-
-
-@contextmanager
-def extra(name: str, package: str, what: str) -> Iterator[None]:
-    """Import within. Raises DataError, with the cure, if a package of `thigmo[name]` is missing."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != package:
-            raise
-        from thigmo.errors import DataError
-
-        raise DataError(
-            f"{what} needs a package that is not installed", f"run `pip install 'thigmo[{name}]'`"
-        ) from error
 
 
 def named(address: str | None) -> str | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thigmo.cli.output import extra, named
+from thigmo.cli.output import named
 from thigmo.errors import DataError
 
 if TYPE_CHECKING:
@@ -47,9 +47,11 @@ def ros(
 ) -> None:
     """Publish maps, contacts and the body on ROS 2, and stop the robot when ROS says so."""
     from thigmo.cli.watch import finished_run
+    from thigmo.extras import require
 
-    with extra("ros", "cyclonedds", "ROS 2"):
-        from thigmo.live.ros import RosNode
+    require("ros", "ROS 2")
+    from thigmo.live.ros import RosNode
+
     past = finished_run(target)
     stop = threading.Event()
     with RosNode(

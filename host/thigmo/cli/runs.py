@@ -73,13 +73,20 @@ def info(
 
 def export(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
-    csv: Annotated[Path, typer.Option(help="Folder for CSV files, one a channel.")],
+    csv: Annotated[Path | None, typer.Option(help="Folder for CSV files, one a channel.")] = None,
+    parquet: Annotated[
+        Path | None, typer.Option(help="Folder for Parquet files, the same tables.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a run's telemetry, events, states, posteriors, contacts and shapes as tables."""
-    from thigmo.stream.recorded import export_csv
+    from thigmo.errors import DataError
+    from thigmo.stream.recorded import export_csv, export_parquet
 
-    files = export_csv(run, csv)
+    if csv is None and parquet is None:
+        raise DataError("no folder is named", "give --csv FOLDER or --parquet FOLDER")
+    files = [] if csv is None else export_csv(run, csv)
+    files += [] if parquet is None else export_parquet(run, parquet)
     show(as_json, {"files": [str(file) for file in files]}, *files)
 
 

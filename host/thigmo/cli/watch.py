@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from thigmo.cli.output import extra, named
+from thigmo.cli.output import named
 
 
 def watch(
@@ -52,6 +52,9 @@ def watch(
     import asyncio
 
     from thigmo.errors import DataError
+    from thigmo.extras import require
+
+    require("live", "the page")
     from thigmo.live.server import WatchOptions, serve
 
     past = finished_run(target)
@@ -101,10 +104,12 @@ def _foxglove(url: str | None, port: int) -> Iterator[None]:
     """Serve runs to Foxglove, from a thread beside the page."""
     import threading
 
+    from thigmo.extras import require
     from thigmo.live.relay import Relay, Watched
 
-    with extra("foxglove", "foxglove", "Foxglove"):
-        from thigmo.live.foxglove import FoxgloveServer
+    require("foxglove", "Foxglove")
+    from thigmo.live.foxglove import FoxgloveServer
+
     relay = Relay(Watched(url))
     with closing(relay), FoxgloveServer(relay.stop, port) as server:
         typer.echo(f"For Foxglove, open {server.address}.", err=True)
@@ -122,6 +127,9 @@ def open_page(url: str, out: Path, config: Path | None) -> None:
     import subprocess
     import threading
 
+    from thigmo.extras import require
+
+    require("live", "--watch")
     page = subprocess.Popen(
         [sys.executable, "-m", "thigmo", "watch", url, "--leave", *_exploring(out, config)],
         stdin=subprocess.DEVNULL,

@@ -36,7 +36,11 @@ _SENSORS = 10
 _NO_SENSOR = config.FlexSensor(center_cm=1e9, span_cm=0.0)
 _TAUT_CM = 1e-3
 _PASCAL = 6894.757  # of one psi
-_ENCODER_SIGN = {"right": 1, "motor_swapped": 1, "encoder_swapped": -1, "encoder_unplugged": 0}
+_MOTOR_SWAPPED = ("motor_swapped", "both_swapped")
+_ENCODER_SIGN = {
+    "right": 1, "motor_swapped": 1, "encoder_swapped": -1, "both_swapped": -1,
+    "encoder_unplugged": 0,
+}  # fmt: skip
 _LIMP_PSI = 0.05
 _AIR_SHARE = 0.005  # of the body's pressure; nearer is there
 _EMPTY = np.zeros(2)
@@ -116,7 +120,7 @@ class Plant:
                 lag_s=t.lag_s, delay_s=t.delay_s, play_psi=t.hysteresis_psi,
                 slew_psi_s=t.slew_psi_s, supply_psi=t.supply_psi, inflate_tau_s=m.inflate_tau_s,
                 deflate_tau_s=m.deflate_tau_s, muscle_delay_s=m.delay_s,
-                reversal_psi=robot.actuators.side(side).reversal_psi,
+                reversal_psi=robot.muscle(side).reversal_psi if side in robot.sides else 1.0,
             )
             for side, draw in zip(SIDES, rng.standard_normal(2), strict=True)
         )  # fmt: skip
@@ -126,7 +130,7 @@ class Plant:
         sliding = s.stall_n * s.dead_zone / 800.0
         self._spool = Spool(
             damping=(s.stall_n - sliding) / s.line_cm_s, lag_s=s.lag_s, stall_n=s.stall_n,
-            sliding_n=sliding, holding_n=max(s.holding_n, sliding),
+            sliding_n=sliding, holding_n=max(robot.spool.holding_n, sliding),
             touch_n_s_cm=s.touch_n_s_m / 100,
             line_cm=robot.spool.payout_ratio * scene.start_length_cm,
         )  # fmt: skip
@@ -162,7 +166,7 @@ class Plant:
         phases = self._rng.uniform(0, 2 * pi, (_SENSORS, 2))
         sensors = []
         for i in range(_SENSORS):
-            column = scene.robot.sensors.column(SIDES[i // FLEX_RIGHT])
+            column = scene.robot.column(SIDES[i // FLEX_RIGHT])
             sensor = column[i % FLEX_RIGHT] if i % FLEX_RIGHT < len(column) else _NO_SENSOR
             made = FlexSensor(
                 loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
@@ -170,7 +174,7 @@ class Plant:
                 wrinkle_full_psi=max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
                 fold_bend=f.fold_bend, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
                 scale_per_ohm=sensor.scale_per_ohm, zero_ohm=sensor.zero_ohm,
-                divider_ohm=scene.robot.sensors.divider_ohm, direction=sensor.valid_direction,
+                divider_ohm=scene.robot.board.divider_ohm, direction=sensor.valid_direction,
                 loop=scene.noise.hysteresis * draws[i, 0], creep_tau_s=sensor.settle_tau_s,
                 stowed=f.stowed * draws[i, 1], phase_1=phases[i, 0], phase_2=phases[i, 1],
             )  # fmt: skip
@@ -197,7 +201,9 @@ class Plant:
         self.body.critical_moment = self._critical()
         self._solved_g = nan
         for muscle, side in zip(self._muscles, SIDES, strict=True):
-            maps = sorted(self._robot.actuators.side(side).maps, key=lambda m: m.body_pressure_psi)
+            if side not in self._robot.sides:
+                continue  # a transducer that nothing hangs on
+            maps = sorted(self._robot.muscle(side).maps, key=lambda m: m.body_pressure_psi)
             at = [m.body_pressure_psi for m in maps]
             muscle.set_maps(*(
                 [np.interp(pressure_psi, at, [getattr(getattr(m, branch), key) for m in maps])
@@ -328,7 +334,7 @@ class Plant:
         )
         self._swing.follow(left - right)
         before = self._encoder()
-        if self.scene.spool.wiring == "motor_swapped":
+        if self.scene.spool.wiring in _MOTOR_SWAPPED:
             motor = -motor
         if self.motor_forced is not None:
             motor = self.motor_forced
@@ -395,7 +401,8 @@ class Plant:
         most = min(robot.body.length_cm if self.line_snapped else paid, robot.body.length_cm)
         if most <= self.length_cm:
             return float(most)
-        over = self.body_psi - body.growth_psi - body.growth_psi_per_cm * self.length_cm
+        friction = robot.body.growth_psi_per_cm * self.length_cm
+        over = self.body_psi - robot.body.growth_psi - friction
         rate = max(over, 0.0) * body.growth_cm_s_psi
         return float(min(most, self.length_cm + rate * STEP_S))
 

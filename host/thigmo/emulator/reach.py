@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import SIGN, RobotConfig, Side, opposite
 from thigmo.mechanics import Peg, PegContact, Rod, Tube, critical_moment
 
 TRIGGER = 0.005  # 1/cm
@@ -32,7 +32,7 @@ class Felt:
 
 def stages(robot: RobotConfig) -> list[float]:
     """Everted lengths at which a robot that grows by whole pitches sweeps, the last one full."""
-    full, pitch = robot.body.length_cm, robot.sensors.pitch_cm
+    full, pitch = robot.body.length_cm, robot.body.pitch_cm
     whole = [pitch * n for n in range(1, int(full / pitch) + 1) if pitch * n < full - 1e-6]
     return [*whole, full]
 
@@ -43,7 +43,7 @@ def first_felt(robot: RobotConfig, pegs: Sequence[Peg]) -> Felt | None:
     The base contact curvature is the base sensor's mean curvature (fold included) less the free
     curvature. At each stage the left half of the sweep comes first.
     """
-    sweeps = (sweep_once(robot, pegs, at, side) for at in stages(robot) for side in SIDES)
+    sweeps = (sweep_once(robot, pegs, at, side) for at in stages(robot) for side in robot.sides)
     return next((felt for felt in sweeps if felt is not None and felt.peak >= TRIGGER), None)
 
 
@@ -53,15 +53,15 @@ def sweep_once(
     """Inflate one muscle from zero to its highest pressure; None if nothing is touched."""
     body = robot.body
     zone = body.zone_at(length_cm)
-    muscle = robot.actuators.side(side)
+    muscle = robot.muscle(side)
     crit = critical_moment(
         body.critical_curvature, body.critical_pressure_psi, body.zones[zone].pressure_psi
     )
     model = Rod(Tube(body.diameter_cm, crit), pegs, model="auto")
     model.step(0.0, length_cm)
-    base = robot.sensors.column("right" if side == "left" else "left")[0]
+    base = robot.column(opposite(side))[0]
     center, span, mean = np.array([base.center_cm]), np.array([base.span_cm]), np.zeros(1)
-    sign = 1.0 if side == "left" else -1.0
+    sign = SIGN[side]
     felt: list[tuple[float, float]] = []  # pressure and base contact curvature while it touches
     top = muscle.max_pressure_psi
     for pressure in np.linspace(0.0, top, max(2, round(top / _STEP_PSI) + 1))[1:].tolist():

@@ -25,6 +25,7 @@ from thigmo.config import (
     RobotConfig,
     Side,
     read_toml,
+    upgraded,
     validated,
 )
 from thigmo.errors import ConfigError
@@ -79,8 +80,6 @@ class BodyDynamics(Model):
 
     frequency_hz: Positive = 1.5
     damping: Positive = 0.5
-    growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
-    growth_psi_per_cm: NonNegative = 0.003  # tail friction
     growth_cm_s_psi: Positive = 30.0  # eversion speed per psi above that
     growth_force: NonNegative = 6.5e-3  # 1/cm^2 per psi: axial push at which the tip stalls
     fold: bool = True  # whether the base folds
@@ -107,8 +106,9 @@ class SpoolMotor(Model):
     dead_zone: NonNegative = 60.0  # duty, of 800, that overcomes sliding friction
     stall_n: Positive = 147.0  # pull on the line at which full duty stalls
     touch_n_s_m: NonNegative = 450.0  # pull that a sudden stop adds for each m/s of line
-    holding_n: NonNegative = 6.0  # pull that friction, or a power-off brake, holds at rest
-    wiring: Literal["right", "motor_swapped", "encoder_swapped", "encoder_unplugged"] = "right"
+    wiring: Literal[
+        "right", "motor_swapped", "encoder_swapped", "both_swapped", "encoder_unplugged"
+    ] = "right"
     winding: NonNegative = 0.0  # relative change of counts per cm for each cm of line wound
 
 
@@ -255,8 +255,8 @@ class Scene(Model):
         if self.start_length_cm > self.robot.body.length_cm:
             raise ValueError("start_length_cm exceeds robot.body.length_cm")
         for side in SIDES:
-            if len(self.robot.sensors.column(side)) > 5:
-                raise ValueError(f"robot.sensors.{side}: the board has five inputs a side")
+            if len(self.robot.column(side)) > 5:
+                raise ValueError(f"robot.sensor: the board has five inputs on the {side}")
         return self
 
     @classmethod
@@ -285,14 +285,16 @@ class Scene(Model):
         config = self.robot.model_copy(deep=True)
         spread = self.belief
         for side in SIDES:
-            for sensor in config.sensors.column(side):
+            for sensor in config.column(side):
                 sensor.scale_per_ohm *= 1 + spread.gain_spread * rng.standard_normal()
                 sensor.scale_se = spread.gain_spread
                 sensor.zero_se = max(sensor.zero_se, self.noise.hysteresis)
                 moved = sensor.center_cm + spread.position_spread_cm * rng.standard_normal()
                 top = config.body.length_cm - sensor.span_cm / 2
                 sensor.center_cm = float(min(max(moved, sensor.span_cm / 2 + 1e-3), top))
-            muscle = config.actuators.side(side)
+            if side not in config.sides:
+                continue
+            muscle = config.muscle(side)
             muscle.lag_s *= max(1 + spread.lag_error * rng.standard_normal(), 0.1)
             for zone in muscle.maps:
                 factor = 1 + spread.curvature_error * rng.standard_normal()
@@ -323,7 +325,7 @@ def _merged(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
     """A scene's entries over those of the scene that it extends."""
     if path in below:
         raise ConfigError(f"{path} extends itself", "remove that `extends`")
-    data = read_toml(path)
+    data = _upgraded(read_toml(path), path)
     base = data.get("extends")
     if not isinstance(base, str):
         return data
@@ -332,6 +334,25 @@ def _merged(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
     return _over(start, data)
 
 
+def _upgraded(data: dict[str, Any], path: Path) -> dict[str, Any]:
+    """A scene file's entries where they belong today, from those of any time."""
+    robot = data.get("robot", {})
+    if "extends" in data and {"sensors", "actuators"} & robot.keys():
+        raise ConfigError(
+            f"{path}: robot.sensors and robot.actuators are lists now",
+            "write all of [[robot.sensor]] and [[robot.muscle]]; see `thigmo robot new`",
+        )
+    robot = upgraded(robot)
+    for table, keys in _MOVED.items():
+        there = data.get(table, {})
+        if moved := {key: there[key] for key in keys if key in there}:
+            data = data | {table: {k: v for k, v in there.items() if k not in moved}}
+            robot = robot | {table: moved | robot.get(table, {})}
+    return data | {"robot": robot} if robot else data
+
+
+# What was the scene's and is the robot's now.
+_MOVED = {"body": ("growth_psi", "growth_psi_per_cm"), "spool": ("holding_n",)}
 _OWN = ("name", "about", "extends")  # never inherited
 
 

@@ -20,7 +20,10 @@ from thigmo.config import RobotConfig
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
 from thigmo.emulator.scene import Scene
+from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import PortError
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
 from thigmo.link.framing import Decoder
 from thigmo.link.protocol import ResetCause, SelectZone
 
@@ -138,6 +141,20 @@ class PtyServer:
             del self._out[: len(self._out) - _QUEUE]
 
 
+def brought_up() -> bytes:
+    """Store of a board that `thigmo bringup` has passed: defaults, and a spool that was watched."""
+    from thigmo.emulator._board import VirtualBoard
+
+    board = VirtualBoard(0)
+    with Client(EmulatorTransport(Scene.load("empty"), board)) as client:
+        client.request(wire.LoadDefaults())
+        index = wire.PARAMETERS["direction_seen"].index
+        client.request(wire.SetParameter(index, 1))
+        client.request(wire.ApplyParameters())
+        client.request(wire.SaveConfig())
+    return board.eeprom
+
+
 def serve(
     scene: str | Path,
     *,
@@ -159,7 +176,8 @@ def serve(
     from thigmo.emulator._board import VirtualBoard
 
     room = Scene.load(scene)
-    lockstep = Lockstep(room, VirtualBoard(room.seed if seed is None else seed), seed=seed)
+    board = VirtualBoard(room.seed if seed is None else seed, brought_up())
+    lockstep = Lockstep(room, board, seed=seed)
     server = PtyServer(lockstep, link=link)
     port = server.path if link is None else link
     try:

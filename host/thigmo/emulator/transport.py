@@ -85,6 +85,9 @@ class EmulatedOperator:
         self._transport.pass_time(self._about.takes_s)
         self._plant.set_body_pressure(pressure_psi)
 
+    def warn(self, danger: str) -> None:
+        """Nobody can be hurt by an emulated robot."""
+
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         """Clear the room and put these pegs into it; takes as long."""
         self._transport.pass_time(self._about.takes_s)

@@ -46,7 +46,7 @@ class Effort:
         half a pitch behind the full length tells little that the full length does not.
         """
         *rest, full = stage_lengths(config)
-        near = [length for length in rest if full - length < config.sensors.pitch_cm / 2]
+        near = [length for length in rest if full - length < config.body.pitch_cm / 2]
         far = [length for length in rest if length not in near]
         kept = [full, *far[-_FAR_FIRST:][::-1], *near, *far[:-_FAR_FIRST][::-1]]
         return sorted(kept[: self.stops])
@@ -70,12 +70,12 @@ class Effort:
         From half of the full length on a contact is expected at every other stop.
         """
         speed = config.spool.max_speed_cm_s
-        columns = (config.sensors.column(side) for side in SIDES)
+        columns = (config.column(side) for side in SIDES)
         base_cm = max((c[0].center_cm + c[0].span_cm / 2 for c in columns if c), default=0.0)
         spent = settled_s = 0.0
         first = stage_lengths(config)[0]
         if length_cm < first - SAME_CM:
-            settled_s = _PRESSURE_S + base_cm / speed + config.sensors.settle_s
+            settled_s = _PRESSURE_S + base_cm / speed + config.board.settle_s
             spent = _PRESSURE_S + (first - length_cm) / speed + _GROWS_MORE_S
             length_cm = first
             if first not in stops:

@@ -75,6 +75,7 @@ def feel(
             body.critical_curvature_se / body.critical_curvature, _LEAST_FOLD_ERROR
         ),
         tube_radius=body.radius_cm,
+        stiffness=body.stiffness,
         held_end=False,
         width_limit=WIDEST_SHARE * body.length_cm,
         method=method,

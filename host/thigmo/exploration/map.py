@@ -22,6 +22,7 @@ from thigmo.exploration.prior import match
 from thigmo.exploration.room import WIDEST_SHARE, Found, Room
 from thigmo.exploration.sighting import LEVEL, Passed, Sighting, arc_grid, shortest
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
+from thigmo.localization import Contact
 from thigmo.record import MapContact, Obstacle, Stall, TrueContact
 
 # No place is known better than this: the peg's own size and the slide along it.
@@ -177,19 +178,21 @@ class ContactMap:
         **told: Any,
     ) -> MapContact:
         """A contact at its place on the body that a sighting bent."""
+        contact = sighting.contact
         placed = place_contact(
             sighting.bend,
             arc_cm,
             force_per_cm2,
             interval_cm,
             radius_cm=self._config.body.radius_cm,
-            curvature_se=self._config.actuators.side(sighting.side).offset_se,
+            curvature_se=self._config.muscle(sighting.side).offset_se,
             end_offset_cm=end_offset_cm,
         )
         return self._contact(
             placed,
             arc_cm=arc_cm,
             force_per_cm2=force_per_cm2,
+            **_newtons(contact, force_per_cm2 / contact.force if contact.force else 1.0),
             interval_cm=interval_cm,
             everted_length_cm=sighting.length_cm,
             side=sighting.side,
@@ -220,6 +223,15 @@ class ContactMap:
             if found.kind == "wall"
             else [],
         )  # fmt: skip
+
+
+def _newtons(contact: Contact, times: float) -> dict[str, Any]:
+    """A contact's force across the body, where the same moment needs so many times of it."""
+    if contact.newtons is None:
+        return {}
+    across = contact.newtons.across
+    ends = sorted(times * end for end in across.interval)
+    return {"force_n": times * across.value, "force_interval_n": ends}
 
 
 def _one_place(a: MapContact, b: MapContact) -> bool:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import SIDES, SIGN, RobotConfig, Side
 from thigmo.mechanics.closed_forms import critical_moment
 from thigmo.robot import TRIGGER_PER_CM, SweepFrame, SweepResult
 from thigmo.robot.readings import Floats
@@ -74,14 +74,14 @@ def held_back(frames: Sequence[SweepFrame], side: Side) -> Floats:
 
     A running median keeps edges and drops single frames.
     """
-    against = -1.0 if side == "left" else 1.0
+    against = -SIGN[side]
     excess = np.array([f.excess for f in frames if f.side == side], dtype=np.float64)
     return np.asarray(against * median_filter(excess, _SMOOTH, mode="nearest"))
 
 
 def held_now(frames: Sequence[SweepFrame], side: Side) -> float:
     """By how much a side's last quarter of a second holds the base back, 1/cm; 0 before that."""
-    against = -1.0 if side == "left" else 1.0
+    against = -SIGN[side]
     last = [against * f.excess for f in frames if f.side == side][-_SMOOTH:]
     return float(np.median(last)) if len(last) == _SMOOTH else 0.0
 
@@ -99,7 +99,7 @@ def measuring_pressure(
     The lowest pressure on the way up at which the base's excess curvature reaches its share of the
     fold's moment, or else the pressure of its largest excess; never more than the muscle holds.
     """
-    highest = config.actuators.side(side).max_pressure_psi
+    highest = config.muscle(side).max_pressure_psi
     mine = [frame for frame in frames if frame.side == side]
     if len(mine) < _SMOOTH:
         return highest

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import RobotConfig
 from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.map import errors, of_stage
 from thigmo.exploration.met import Met
@@ -121,8 +121,7 @@ def _why_missed(
     document: RunDocument, missed: TrueContact, truth: Sequence[TrueContact], config: RobotConfig
 ) -> str:
     # The sensors of the side that is not inflated feel.
-    other: Side = "right" if missed.side == "left" else "left"
-    feeling = [s for s in config.sensors.column(other) if s.healthy]
+    feeling = [s for s in config.sensors if s.healthy and s.side != missed.side]
     first = min((s.center_cm - s.span_cm / 2 for s in feeling), default=np.inf)
     if missed.arc_cm <= first:
         return "below detection: nearer to the base than the first sensor, which it does not bend"

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
-import cv2
 import numpy as np
+from contourpy import FillType, contour_generator
 from numpy.typing import NDArray
 
 from thigmo.record import (
@@ -42,7 +43,6 @@ _SIGMA_95 = 2.4477
 SIGMAS = 3.1
 _SURE = 0.95  # probability from which a cell is occupied
 GONE = "prior, not felt"  # source of an expected obstacle whose place was swept
-_BITS = 4  # fractions of a cell in OpenCV's drawing
 
 Mask = NDArray[np.bool_]
 
@@ -138,6 +138,8 @@ def _obstacle(contact: MapContact) -> Obstacle:
         interval_cm=contact.interval_cm,
         felt_at_cm=[*contact.merged, contact.everted_length_cm],
         force_per_cm2=contact.force_per_cm2,
+        force_n=contact.force_n,
+        force_interval_n=contact.force_interval_n,
         kind=contact.kind,
         probability=contact.probability,
         wall_probability=contact.wall_probability,
@@ -166,47 +168,62 @@ def _empty_grid(
     return OccupancyGrid(cells, _RESOLUTION_CM, (float(low[0]), float(low[1]), 0.0))
 
 
-def _pixels(grid: OccupancyGrid, points: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Points as OpenCV draws them: cell centres at whole numbers, with fractions."""
-    cells = (points - np.array(grid.origin[:2])) / grid.resolution_cm - 0.5
-    scaled: NDArray[np.int32] = np.round(cells * (1 << _BITS)).astype(np.int32)
-    return scaled
-
-
 def _free(grid: OccupancyGrid, document: RunDocument, radius_cm: float, sigmas: float) -> Mask:
     """Cells that lie whole within the tube at some time of a sweep."""
-    canvas = np.zeros(grid.cells.shape, dtype=np.uint8)
     inner = radius_cm - grid.resolution_cm * np.sqrt(0.5)
-    for stage in document.stages:
-        for side in ("left", "right"):
-            mine = (s for s in stage.shapes if s.side == side and s.curvature_se is not None)
-            for polygon in _pixels(grid, outline(passed(mine, sigmas), inner)):
-                cv2.fillPoly(canvas, [polygon], 1, lineType=cv2.LINE_8, shift=_BITS)
-    return canvas.astype(np.bool_)
+    shapes = [
+        outline(passed(mine, sigmas), inner)
+        for stage in document.stages
+        for side in ("left", "right")
+        if (mine := [s for s in stage.shapes if s.side == side and s.curvature_se is not None])
+    ]
+    return _within(grid, shapes)
+
+
+def _within(grid: OccupancyGrid, polygons: Sequence[NDArray[np.float64]]) -> Mask:
+    """Cells whose centres lie within any of the polygons, (p, n, 2) each, that all turn one way."""
+    rows, columns = grid.cells.shape
+    turns = np.zeros((rows, columns + 1))  # of the polygons around the cells from there on
+    for corners in polygons:
+        # In cells, their centres at whole numbers. A row of them is crossed by many edges.
+        start = (corners - np.array(grid.origin[:2])) / grid.resolution_cm - 0.5
+        (x0, y0), (x1, y1) = (ends.reshape(-1, 2).T for ends in (start, np.roll(start, -1, axis=1)))
+        first, end = np.ceil(np.minimum(y0, y1)), np.ceil(np.maximum(y0, y1))
+        count = (end - first).astype(np.intp)
+        edge = np.repeat(np.arange(count.size), count)
+        row = first[edge] + np.arange(edge.size) - np.repeat(np.cumsum(count) - count, count)
+        x = x0[edge] + (row - y0[edge]) * (x1 - x0)[edge] / (y1 - y0)[edge]
+        seen = (row >= 0) & (row < rows)
+        column = np.clip(np.ceil(x), 0, columns)[seen].astype(np.intp)
+        np.add.at(turns, (row[seen].astype(np.intp), column), np.sign(y1 - y0)[edge][seen])
+    inside: Mask = np.cumsum(turns, axis=1)[:, :columns] != 0
+    return inside
 
 
 def _near_line(
     grid: OccupancyGrid, obstacle: Obstacle, points: Sequence[Point], sigmas: float
 ) -> Mask:
     """Cells that may hold the obstacle's surface along a line of it, and so far across it."""
-    if not points:
-        return np.zeros(grid.cells.shape, dtype=np.bool_)
-    away = np.ones(grid.cells.shape, dtype=np.uint8)
-    # OpenCV draws no line of one point.
-    line = _pixels(grid, np.asarray([*points, points[-1]]))
-    cv2.polylines(away, [line], False, 0, lineType=cv2.LINE_8, shift=_BITS)
-    distance = cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    near = np.zeros(grid.cells.shape, dtype=np.bool_)
     across_cm = 0.0  # standard error
     if obstacle.normal_rad is not None:
         normal = np.array([np.cos(obstacle.normal_rad), np.sin(obstacle.normal_rad)])
         across_cm = float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))
-    near = distance * grid.resolution_cm <= sigmas * across_cm + grid.resolution_cm / 2
-    return np.asarray(near)
+    reach = sigmas * across_cm + grid.resolution_cm * np.sqrt(0.5)
+    centers = np.stack(grid.centers(), axis=-1)
+    for start, end in pairwise(np.asarray([*points, *points[-1:]])):
+        along = end - start
+        share = (centers - start) @ along / max(along @ along, np.finfo(float).tiny)
+        nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
+        near |= ((centers - nearest) ** 2).sum(axis=-1) <= reach**2
+    return near
 
 
 def _swept_through(obstacle: Obstacle, grid: OccupancyGrid, free: Mask) -> bool:
     """Whether an obstacle's place, and all within its standard deviation, was swept freely."""
-    distance = cv2.distanceTransform(free.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    from scipy.ndimage import distance_transform_edt
+
+    distance = distance_transform_edt(free)
     sigma = float(np.sqrt(np.linalg.eigvalsh(np.asarray(obstacle.covariance_cm2))[-1]))
     column = int((obstacle.x_cm - grid.origin[0]) // grid.resolution_cm)
     row = int((obstacle.y_cm - grid.origin[1]) // grid.resolution_cm)
@@ -214,21 +231,19 @@ def _swept_through(obstacle: Obstacle, grid: OccupancyGrid, free: Mask) -> bool:
 
 
 def _areas(grid: OccupancyGrid, free: Mask) -> list[FreeArea]:
-    """Outlines of the free cells, through their centres."""
-    cells = free.astype(np.uint8)
-    contours, tree = cv2.findContours(cells, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    if tree is None:
-        return []
-    low, parents = np.array(grid.origin[:2]), tree[0, :, 3]
-    drawn = [
-        [
-            (round(float(x), 3), round(float(y), 3))
-            for x, y in low + (contour[:, 0, :] + 0.5) * grid.resolution_cm
-        ]
-        for contour in contours
-    ]
-    return [
-        FreeArea(drawn[outer], [drawn[hole] for hole in np.flatnonzero(parents == outer)])
-        for outer in np.flatnonzero(parents < 0)
-        if len(drawn[outer]) > 2
-    ]
+    """Outlines of the free cells, midway between their centres and those of other cells."""
+    x, y = (np.pad(axis, 1, mode="reflect", reflect_type="odd") for axis in grid.centers())
+    drawn = contour_generator(x, y, np.pad(free, 1), fill_type=FillType.OuterOffset)
+    areas = []
+    for points, offsets in zip(*drawn.filled(0.5, 1.5), strict=True):
+        outer, *holes = (_corners(points[a:b]) for a, b in pairwise(offsets))
+        areas.append(FreeArea(outer, holes))
+    return areas
+
+
+def _corners(loop: NDArray[np.float64]) -> list[Point]:
+    """The points of a closed line, its first and last the same, at which it turns."""
+    step = np.diff(loop, axis=0)
+    before = np.roll(step, 1, axis=0)
+    turns = ~np.isclose(step[:, 0] * before[:, 1], step[:, 1] * before[:, 0])
+    return [(round(x, 3), round(y, 3)) for x, y in loop[:-1][turns].tolist()]

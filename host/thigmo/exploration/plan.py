@@ -14,7 +14,7 @@ SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
 def half_everted(config: RobotConfig, length_cm: float) -> str:
     """Name of a sensor that lies in the tip's fold at a length, or an empty string."""
     for side in SIDES:
-        for index, sensor in enumerate(config.sensors.column(side)):
+        for index, sensor in enumerate(config.column(side)):
             start = sensor.center_cm - sensor.span_cm / 2 - FOLD_MARGIN_CM
             end = sensor.center_cm + sensor.span_cm / 2 + FOLD_MARGIN_CM
             if sensor.healthy and start < length_cm < end - 1e-6:
@@ -31,10 +31,10 @@ def stage_lengths(config: RobotConfig) -> list[float]:
     full = config.body.length_cm
     if sensor := half_everted(config, full):
         raise ConfigError(
-            f"sensors.{sensor} lies in the tip's fold at the full length",
+            f"sensor {sensor} lies in the tip's fold at the full length",
             "mark it unhealthy, or correct its centre and span in robot.toml",
         )
-    pitches = (number * config.sensors.pitch_cm for number in count(1))
+    pitches = (number * config.body.pitch_cm for number in count(1))
     whole = takewhile(lambda length: length <= full - SAME_CM, pitches)
     return [*(length for length in whole if not half_everted(config, length)), full]
 

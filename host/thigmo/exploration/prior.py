@@ -12,7 +12,6 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from thigmo.display import POINT_ESTIMATE
@@ -103,22 +102,23 @@ def kept_prior(folder: RunFolder) -> list[Obstacle]:
 
 def _grid_obstacles(grid: OccupancyGrid) -> list[Obstacle]:
     """One obstacle for each connected patch of occupied cells; its track is the patch's rim."""
-    occupied = (grid.cells == OCCUPIED).astype(np.uint8)
-    count, labels = cv2.connectedComponents(occupied, connectivity=8)
+    from scipy.ndimage import binary_erosion, label
+
+    around = np.ones((3, 3), dtype=np.bool_)
+    labels, count = label(grid.cells == OCCUPIED, around)
     x, y = grid.centers()
     obstacles = []
-    for label in range(1, count):
-        patch = (labels == label).astype(np.uint8)
-        inside = cv2.erode(patch, np.ones((3, 3), np.uint8), borderValue=0)
-        rim = (patch > 0) & (inside == 0)
-        spread = np.cov(np.column_stack((x[patch > 0], y[patch > 0])).T, ddof=0)
+    for number in range(1, count + 1):
+        patch = labels == number
+        rim = patch & ~binary_erosion(patch, around)
+        spread = np.cov(np.column_stack((x[patch], y[patch])).T, ddof=0)
         spread = spread + grid.resolution_cm**2 / 12 * np.eye(2)
         (xx, xy), (yx, yy) = spread.tolist()
         covariance = ((xx, xy), (yx, yy))
         obstacles.append(
             Obstacle(
-                x_cm=float(x[patch > 0].mean()),
-                y_cm=float(y[patch > 0].mean()),
+                x_cm=float(x[patch].mean()),
+                y_cm=float(y[patch].mean()),
                 covariance_cm2=covariance,
                 ellipse_95=Ellipse.of(covariance),
                 track=list(zip(x[rim].tolist(), y[rim].tolist(), strict=True)),

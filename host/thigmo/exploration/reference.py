@@ -76,10 +76,11 @@ class FreeResponse:
         self._offset = self._scale + zones
         self._matrix = np.zeros((len(SIDES), size, size))
         self._vector = np.zeros((len(SIDES), size))
-        for row, name in enumerate(SIDES):
-            maps = config.actuators.side(name).maps
+        for name in config.sides:
+            row = SIDES.index(name)
+            maps = config.muscle(name).maps
             scale = [np.hypot(each.scale_se, _ZONE_DRIFT) for each in maps]
-            offset = max(config.actuators.side(name).offset_se, _LEAST_OFFSET)
+            offset = max(config.muscle(name).offset_se, _LEAST_OFFSET)
             deviation = np.concatenate([self._table.noise, gain, scale, np.full(zones, offset)])
             covariance = np.diag(deviation**2)
             covariance[self._scale : self._offset, self._scale : self._offset] += _MAP_DRIFT**2

@@ -42,12 +42,12 @@ class ExplorationResult:
                 f"{c.x_cm:.1f}, {c.y_cm:.1f}",
                 f"{c.arc_cm:.1f} of {c.everted_length_cm:.1f}",
                 c.interval_text,
-                f"{c.force_per_cm2:.2g}",
+                c.force_text,
                 c.status,
             )
             for c in self.contacts
         ]
-        columns = ("x, y (cm)", "arc (cm)", "95 % interval", "force / EI (1/cm²)", "status")
+        columns = ("x, y (cm)", "arc (cm)", "95 % interval", "force", "status")
         table = html_table(columns, rows) if rows else ""
         return html_card(self.document.name, f"{self._said()}; {self.folder}", table)
 

@@ -7,7 +7,7 @@ folder is closed and readable.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
@@ -289,8 +289,7 @@ class Exploration:
         period_s = sweep_period_s if thesis else rising_period_s
         self._known, self._measured = set(), 0
         looked = self.robot.sweep(
-            left_psi=self.config.actuators.left.max_pressure_psi,
-            right_psi=self.config.actuators.right.max_pressure_psi,
+            **_set_points({m.side: m.max_pressure_psi for m in self.config.muscles if m.side}),
             period_s=period_s(self.config, self._zone),
             rising_only=not thesis,
             enough=None if thesis else self._enough,
@@ -350,15 +349,15 @@ class Exploration:
     def _measure(self) -> str:
         fired = held_sides(self._knows.looked) - self._known
         frames = self._knows.looked.frames
-        left, right = (
-            measuring_pressure(frames, side, self.config, self._zone) if side in fired else 0.0
-            for side in SIDES
-        )
+        tops = {
+            side: measuring_pressure(frames, side, self.config, self._zone)
+            for side in self.config.sides
+            if side in fired
+        }
         self.robot.vent()
         measured = self.robot.sweep(
-            left_psi=left,
-            right_psi=right,
-            period_s=sweep_period_s(self.config, self._zone, top_psi=max(left, right)),
+            **_set_points(tops),
+            period_s=sweep_period_s(self.config, self._zone, top_psi=max(tops.values())),
             rising_only=True,
             enough=self._tell_feeling,
         )
@@ -421,3 +420,8 @@ class Exploration:
     def restore(self) -> None:
         """Leave the board with every healthy sensor in use, as robot.toml says."""
         self.robot.set_aside(0)
+
+
+def _set_points(tops: Mapping[Side, float]) -> dict[str, float]:
+    """A sweep's amplitudes (psi) as `Robot.sweep` takes them; 0 for a side that is not named."""
+    return {f"{side}_psi": tops.get(side, 0.0) for side in SIDES}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thigmo.config import Side
+from thigmo.config import SIGN, Side
 from thigmo.exploration.measuring import held_back
 from thigmo.exploration.workspace import Bend
 from thigmo.localization import Contact
@@ -106,7 +106,7 @@ def _triggered_at(frames: Sequence[SweepFrame], side: Side) -> float | None:
         return None
     mine = [frame for frame in frames if frame.side == side]
     bend = np.abs([frame.free_curvature for frame in mine])
-    against = -1.0 if side == "left" else 1.0
+    against = -SIGN[side]
     first = last = int(over[0])
     while first > 0 and held[first - 1] > _LINE_LOW:
         first -= 1

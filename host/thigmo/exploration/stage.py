@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import SIDES, SIGN, RobotConfig, Side
 from thigmo.exploration.feel import Feeling, feel
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
@@ -181,7 +181,7 @@ def _swept_shapes(
         held = held_back(frames, side)
         folds = np.array([pressed_enough(each, config, zone) for each in held])
         end = min([int(pressure.argmax()) + 1, *np.flatnonzero(folds)[:1]])
-        way = 1.0 if side == "left" else -1.0
+        way = SIGN[side]
         for part in np.array_split(np.arange(end), _SHAPES_A_SIDE):
             last = part[-_AVERAGED:]
             if not last.size:

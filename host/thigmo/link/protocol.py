@@ -13,7 +13,7 @@ from thigmo.link.message import Command, Documented, Message, OpenDocumented
 from thigmo.link.message import Parameter, Reply
 
 PROTOCOL = 1
-SCHEMA_HASH = 0xB5C92715
+SCHEMA_HASH = 0x33C4B481
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -21,7 +21,7 @@ CRC = "crc-ccitt-false"
 MAP_ID = 255
 MAP_POINTS = 11
 MAP_STEP_CPSI = 200
-PARAMETER_COUNT = 95
+PARAMETER_COUNT = 96
 
 
 class State(Documented):  # The supervisor's states.
@@ -150,6 +150,9 @@ class SlipCause(Documented):  # By what a spool_slip was noticed (value of its e
     # S1C, K1 and K2.
     UNPOWERED = 3
     STOP = 4  # The emergency stop did not cut the motor's supply: K1's contact is stuck, or S1C.
+    # The session's first move went against its command: the motor's leads are swapped (J4.1 and
+    # J4.2), or the encoder's (J5.2 and J5.3).
+    AGAINST = 5
 
 
 # Condition bits that the supervisor's transition table reads, by bit number.

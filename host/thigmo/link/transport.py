@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import Protocol
 
 from thigmo.errors import PortError
+from thigmo.extras import require_sources
 from thigmo.link.heart import Beat
 
 
@@ -71,6 +72,7 @@ def open_transport(url: str, *, seed: int | None = None, realtime: bool = False)
     scheme = url.partition("://")[0]
     if scheme in _EMULATORS:
         module, function = _EMULATORS[scheme]
+        require_sources(module, f"{scheme}://")
         transport: Transport = getattr(import_module(module), function)(
             url, seed=seed, realtime=realtime
         )

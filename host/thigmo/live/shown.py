@@ -84,9 +84,7 @@ def body(folder: str) -> dict[str, Any]:
     return {
         "length_cm": config.body.length_cm,
         "radius_cm": config.body.radius_cm,
-        "sensors": {
-            side: [sensor.center_cm for sensor in config.sensors.column(side)] for side in SIDES
-        },
+        "sensors": {side: [sensor.center_cm for sensor in config.column(side)] for side in SIDES},
     }
 
 

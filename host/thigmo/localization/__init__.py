@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from thigmo.localization.batch import BatchResult, localize_batch
+from thigmo.localization.batch import BatchResult
 from thigmo.localization.bounds import Identifiability, arc_bounds, identifiability
-from thigmo.localization.estimate import METHODS, localize
+from thigmo.localization.described import Body, Errors, Priors, Sensors
 from thigmo.localization.frames import ContactFilter
+from thigmo.localization.localizer import METHODS, Localizer, localize, localize_batch
+from thigmo.localization.newtons import Newtons, Quantity
 from thigmo.localization.result import Contact, LocalizeResult
 
 __all__ = [
     "METHODS",
     "BatchResult",
+    "Body",
     "Contact",
     "ContactFilter",
+    "Errors",
     "Identifiability",
     "LocalizeResult",
+    "Localizer",
+    "Newtons",
+    "Priors",
+    "Quantity",
+    "Sensors",
     "arc_bounds",
     "identifiability",
     "localize",

@@ -25,14 +25,17 @@ class Answer:
     def contacts(self, length: float) -> list[tuple[Any, ...]]: ...
     def parameters(self, length: float) -> dict[str, float]: ...
     touched: float
-    masses: list[tuple[_Array, _Array]]
+    masses: list[tuple[_Array, _Array, _Array, _Array]]
+    end_load: list[float]
     joint: tuple[_Array, _Array, _Array] | None
     bend: _Array
 
 class Localizer:
     length: float
+    count: int
     def __init__(
         self,
+        *,
         position: _Array,
         span: _Array,
         noise: _Array,

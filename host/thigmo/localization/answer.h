@@ -20,6 +20,7 @@ struct FeltContact {
   std::vector<std::pair<double, double>> pieces;
   double probability = 1.0;  // that a contact lies nearer to it than to the others
   Row edges{}, mass{};       // cells of the body, and the share of each
+  Row force_at{}, spread{};  // mean force there, and its standard deviation
 };
 
 enum class Status { no_contact, below_detection, ambiguous, localized };
@@ -365,6 +366,8 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
       }
     }
     felt.edges = std::move(mixture.edges), felt.mass = std::move(mixture.mass);
+    felt.force_at = std::move(mixture.force), felt.spread = std::move(mixture.variance);
+    for (double& value : felt.spread) value = std::sqrt(value);
     out.contacts.push_back(std::move(felt));
   }
   if (count == 0 || (asked && out.touched < 0.5)) {

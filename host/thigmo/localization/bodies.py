@@ -30,7 +30,7 @@ _MESH = 2.0  # of the rod: 1e-8 1/cm on its curvature
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class BentBody:
     """A body that bends to the left, and the peg's size."""
 
     most: float  # free curvature that it reaches
@@ -87,7 +87,7 @@ def _outline(radius: float, peg: float) -> Array:
 
 
 @lru_cache(maxsize=8)
-def bodies(body: Body) -> Bodies:
+def bodies(body: BentBody) -> Bodies:
     """The table of a body (seconds, then kept)."""
     outline = _outline(body.radius, body.peg)
     touch = body.most * np.linspace(_LEAST_BEND, 1.0 - 0.5 / _TOUCHES, _TOUCHES)

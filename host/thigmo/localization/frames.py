@@ -22,7 +22,8 @@ from scipy.special import logsumexp, ndtr
 
 from thigmo.errors import DataError
 from thigmo.localization import priors
-from thigmo.localization.bodies import LENGTH, Bodies, Body, bodies
+from thigmo.localization.bodies import LENGTH, BentBody, Bodies, bodies
+from thigmo.localization.described import Body, Errors, Sensors
 from thigmo.localization.readings import check_layout, everted_length, positive, vector
 from thigmo.localization.result import Contact, LocalizeResult, OfBody
 
@@ -53,91 +54,86 @@ _OWN, _SHARED = 4, 5
 
 
 class ContactFilter:
-    """Posterior of the one obstacle that a body bends into, frame by frame.
+    """Posterior of the one obstacle that a body bends into, frame by frame (`Localizer.filter`).
 
-    Lengths in any one unit, curvature in its inverse, as in `localize`. A frame costs milliseconds,
-    an answer tens of them; the first filter of a body computes its tables, for a few seconds.
+    A frame costs milliseconds, an answer tens of them; the first filter of a body computes its
+    tables, for a few seconds. Errors other than `noise` stay the same through all frames. The base
+    folds at the body's critical moment; without one it does not fold.
 
     Args:
-        position: (N,) sensor centres.
-        length: everted length, the same in all frames.
+        body: the body, of the same length in all frames.
+        sensors: where its sensors are.
+        errors: of their readings; the noise must be known, and is independent between frames.
         most_curvature: free curvature that the inflation reaches; its sign tells the side.
-        span: scalar or (N,) sensor lengths.
-        noise: standard deviation of a reading, scalar or (N,), independent between frames.
-        gain_error: relative standard error of the sensors' gains, scalar or (N,). This error and
-            all that follow stay the same through all frames.
-        zero_error: standard error of each sensor's zero, scalar or (N,).
-        offset_error: of an error that all readings share.
-        map_error: relative standard error of the free curvature.
         place_error: standard error of the sensors' places.
         bad_sensor_odds: prior odds that a given sensor is bad, scalar or (N,).
-        critical_curvature: as in `localize`; None for a base that does not fold.
-        tube_radius: 1.75/53 of the length if not given.
         peg_radius: of the obstacle; 0.6 tube radii if not given.
 
     Raises:
-        DataError: as `localize`; `most_curvature` is zero.
+        DataError: as `Localizer`; `most_curvature` is zero, the noise unknown, or errors are shared
+            in a way that frames do not know.
     """
 
     def __init__(
         self,
-        position: npt.ArrayLike,
-        *,
-        length: float,
+        body: Body,
+        sensors: Sensors,
+        errors: Errors,
         most_curvature: float,
-        noise: npt.ArrayLike,
-        span: npt.ArrayLike = 0.0,
-        gain_error: npt.ArrayLike = 0.0,
-        zero_error: npt.ArrayLike = 0.0,
-        offset_error: float = 0.0,
-        map_error: float = 0.0,
+        *,
         place_error: float = 0.0,
         bad_sensor_odds: npt.ArrayLike = _BAD_SENSOR,
-        critical_curvature: float | None = None,
-        tube_radius: float | None = None,
         peg_radius: float | None = None,
     ) -> None:
-        x = vector(position, "position")
-        count, total = x.size, everted_length(length)
-        half = 0.5 * np.broadcast_to(vector(span, "span", count), count)
-        errors = {
+        if errors.noise is None or errors.shared_errors is not None:
+            raise DataError(
+                "a filter takes a known noise and no shared_errors", "give noise, leave them out"
+            )
+        x = vector(sensors.position, "position")
+        count, total = x.size, everted_length(body.length)
+        half = 0.5 * np.broadcast_to(vector(sensors.span, "span", count), count)
+        own = {
             name: np.zeros(count) + vector(value, name, count)
             for name, value in (
-                ("noise", noise), ("gain_error", gain_error), ("zero_error", zero_error),
-                ("bad_sensor_odds", bad_sensor_odds),
+                ("noise", errors.noise), ("gain_error", errors.gain_error),
+                ("zero_error", errors.zero_error), ("bad_sensor_odds", bad_sensor_odds),
             )
         }  # fmt: skip
-        check_layout(x, 2.0 * half, total, **errors)
+        check_layout(x, 2.0 * half, total, bad_sensor_odds=own["bad_sensor_odds"])
         most = float(most_curvature)
         if not math.isfinite(most) or most == 0.0:
             raise DataError(f"most_curvature is {most:g}", "give the most that the body will bend")
         self._scale = scale = total / LENGTH
         self._way = math.copysign(1.0, most)
-        radius = priors.TUBE_RADIUS * LENGTH if tube_radius is None else tube_radius / scale
-        self._body = Body(
+        radius = (
+            priors.TUBE_RADIUS * LENGTH if body.tube_radius is None else body.tube_radius / scale
+        )
+        critical = body.critical_curvature
+        self._body = BentBody(
             abs(most) * scale,
             radius,
             _PEG_RADIUS * radius if peg_radius is None else peg_radius / scale,
-            None if critical_curvature is None else critical_curvature * scale,
+            None if critical is None or math.isinf(critical) else critical * scale,
             tuple(((x - half) / scale).tolist()),
             tuple(((x + half) / scale).tolist()),
             positive(place_error, "place_error") / scale,
         )
         self._table = bodies(self._body)
-        self._noise = np.maximum(errors["noise"] * scale, _LEAST_NOISE)
-        own = np.ones((count, _OWN))
-        own[:, 0] = errors["gain_error"]
-        own[:, 1] = errors["zero_error"] * scale
-        own[:, 3] = _LOCAL_LOAD_ERROR
-        bad = own.copy()
+        self._noise = np.maximum(own["noise"] * scale, _LEAST_NOISE)
+        good = np.ones((count, _OWN))
+        good[:, 0] = own["gain_error"]
+        good[:, 1] = own["zero_error"] * scale
+        good[:, 3] = _LOCAL_LOAD_ERROR
+        bad = good.copy()
         bad[:, 0] = _BAD_GAIN
         bad[:, 1] = priors.BAD_DEVIATION / LENGTH
-        self._good, self._bad = _precision(own), _precision(bad)
+        self._good, self._bad = _precision(good), _precision(bad)
         self._shared = _precision(np.array([
-            positive(offset_error, "offset_error") * scale, positive(map_error, "map_error"),
+            positive(errors.offset_error, "offset_error") * scale,
+            positive(errors.map_error, "map_error"),
             _LOAD_ERROR, _WITHIN_CELL, _WITHIN_CELL,
         ]))  # fmt: skip
-        self._log_bad = np.log(np.maximum(errors["bad_sensor_odds"], 1e-300) / 2.0)
+        self._log_bad = np.log(np.maximum(own["bad_sensor_odds"], 1e-300) / 2.0)
         # Normal equations of each sensor at each place, and at none (the last).
         places = self._table.weight.size + 1
         size = _OWN + _SHARED
@@ -373,7 +369,8 @@ class ContactFilter:
             "fold_angle": way * body.fold_angle,
         }
         bend = np.interp(LENGTH * edges, body.s, body.curvature - self._free)
-        result._body = OfBody([(edges, share)], way * LENGTH * bend)
+        cells = np.full(share.size, force * LENGTH**2 * way), np.full(share.size, math.nan)
+        result._body = OfBody([(edges, share, *cells)], way * LENGTH * bend)
 
 
 def _precision(deviation: Array) -> Array:

@@ -45,6 +45,7 @@ struct Hypothesis : Fit {
   // Further numbers: fold's or hinge's angle, place of the hinge; force that pushes the end back,
   // couple on it, where that bears left of the centreline.
   double angle = NAN, at = NAN, push = NAN, couple = NAN, offset = NAN;
+  double push_spread = NAN, couple_spread = NAN;  // standard deviations
 };
 
 class Weighing {
@@ -242,6 +243,7 @@ class Weighing {
     out.held = held;
     out.push = fit.load[1];
     out.couple = fit.load[2];
+    out.push_spread = fit.spread[1], out.couple_spread = fit.spread[2];
     if (!held && fit.load[1] > 0.0) {
       out.offset = std::clamp(fit.load[2] / fit.load[1], -settings_.radius, settings_.radius);
     }

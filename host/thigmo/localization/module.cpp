@@ -9,6 +9,7 @@
 #include "point_fits/point_fit.h"
 
 namespace nb = nanobind;
+using namespace nb::literals;
 using namespace thigmo;
 
 namespace {
@@ -193,12 +194,21 @@ NB_MODULE(_posterior, m) {
              add("tip_moment", h.couple / length), add("end_offset", h.offset * length);
              return out;
            })
-      // Of each contact: edges of cells of the body, and the mass in each.
+      // Force that pushes the end back and couple on it, by the likeliest explanation, each with
+      // its standard deviation; NaN where nothing loads the end.
+      .def_prop_ro("end_load",
+                   [](const Answer& a) {
+                     const Hypothesis& h = a.hypotheses[a.best];
+                     return std::array{h.push, h.push_spread, h.couple, h.couple_spread};
+                   })
+      // Of each contact: edges of cells of the body; the mass in each, the force there and its
+      // standard deviation.
       .def_prop_ro("masses",
                    [](const Answer& a) {
                      nb::list out;
                      for (const FeltContact& c : a.contacts) {
-                       out.append(nb::make_tuple(array(c.edges), array(c.mass)));
+                       out.append(nb::make_tuple(array(c.edges), array(c.mass), array(c.force_at),
+                                                 array(c.spread)));
                      }
                      return out;
                    })
@@ -225,32 +235,38 @@ NB_MODULE(_posterior, m) {
       .def_prop_ro("bend", [](const Answer& a) { return array(a.bend); }, nb::rv_policy::reference);
 
   nb::class_<Localizer>(m, "Localizer")
-      .def("__init__",
-           [](Localizer* self, Numbers position, Numbers span, Numbers noise, Numbers gain,
-              Numbers bad_odds, Table shared, double offset, double map, double length,
-              double radius, double critical, double critical_error, bool folds_perhaps,
-              int held_end, double end_odds, double held_odds, int contacts,
-              std::pair<double, double> within, double width_limit, double number_level, int norm,
-              const Priors& priors) {
-             Input in{};
-             in.position = row(position), in.span = row(span), in.noise = row(noise);
-             in.gain = row(gain), in.bad_odds = row(bad_odds), in.shared = matrix(shared);
-             in.offset = offset, in.map = map, in.length = length, in.radius = radius;
-             const Settings settings{critical,
-                                     critical_error,
-                                     folds_perhaps,
-                                     radius / length,
-                                     Settings::Held(held_end),
-                                     std::log(end_odds),
-                                     std::log(held_odds),
-                                     contacts,
-                                     {within.first, within.second},
-                                     width_limit,
-                                     number_level,
-                                     norm};
-             new (self) Localizer{in, settings, priors};
-           })
+      .def(
+          "__init__",
+          [](Localizer* self, Numbers position, Numbers span, Numbers noise, Numbers gain,
+             Numbers bad_odds, Table shared, double offset, double map, double length,
+             double radius, double critical, double critical_error, bool folds_perhaps,
+             int held_end, double end_odds, double held_odds, int contacts,
+             std::pair<double, double> within, double width_limit, double number_level, int norm,
+             const Priors& priors) {
+            Input in{};
+            in.position = row(position), in.span = row(span), in.noise = row(noise);
+            in.gain = row(gain), in.bad_odds = row(bad_odds), in.shared = matrix(shared);
+            in.offset = offset, in.map = map, in.length = length, in.radius = radius;
+            const Settings settings{critical,
+                                    critical_error,
+                                    folds_perhaps,
+                                    radius / length,
+                                    Settings::Held(held_end),
+                                    std::log(end_odds),
+                                    std::log(held_odds),
+                                    contacts,
+                                    {within.first, within.second},
+                                    width_limit,
+                                    number_level,
+                                    norm};
+            new (self) Localizer{in, settings, priors};
+          },
+          nb::kw_only(), "position"_a, "span"_a, "noise"_a, "gain"_a, "bad_odds"_a, "shared"_a,
+          "offset"_a, "map_scale"_a, "length"_a, "radius"_a, "critical"_a, "critical_error"_a,
+          "folds_perhaps"_a, "held_end"_a, "end_odds"_a, "held_odds"_a, "contacts"_a, "within"_a,
+          "width_limit"_a, "number_level"_a, "norm"_a, "priors"_a)
       .def_prop_ro("length", [](const Localizer& self) { return self.sensors.length; })
+      .def_prop_ro("count", [](const Localizer& self) { return self.sensors.position.size(); })
       .def("localize",
            [](const Localizer& self, Numbers curvature, Numbers free, Numbers body) {
              Input input = self.sensors;

@@ -1,14 +1,13 @@
 """Stated priors and thresholds: everything that the evidence rests on, in one place.
 
 All are in units of the everted length: arc over length, curvature times length, base moment over
-EI times length. None depends on the data. They are handed to the compiled code with each call, so
-an edit here counts at once.
+EI times length. None depends on the data. They are handed to the compiled code with each
+`Localizer`.
 """
 
 from __future__ import annotations
 
 import math
-from operator import itemgetter
 
 from thigmo.localization import _posterior
 
@@ -93,14 +92,8 @@ NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
 
 
 def compiled() -> _posterior.Priors:
-    """All of them, as the compiled code takes them; made anew when one was changed."""
-    global _kept
-    now = _of(globals())
-    if _kept is None or _kept[0] != now:
-        _kept = (now, _posterior.Priors(dict(zip(_NAMES, now, strict=True))))
-    return _kept[1]
+    """All of them, as the compiled code takes them."""
+    return _posterior.Priors({name: globals()[name] for name in _NAMES})
 
 
-_kept: tuple[tuple[object, ...], _posterior.Priors] | None = None
 _NAMES = tuple(name for name in globals() if name.isupper())
-_of = itemgetter(*_NAMES)

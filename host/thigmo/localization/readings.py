@@ -55,6 +55,21 @@ def share(value: float, name: str) -> float:
     return number
 
 
+def bending_stiffness(stiffness: tuple[float, float] | None) -> tuple[float, float] | None:
+    """EI and its relative error, if they are; a DataError if not."""
+    if stiffness is None:
+        return None
+    try:
+        bending, error = stiffness
+    except (TypeError, ValueError) as wrong:
+        raise DataError(
+            f"stiffness is {stiffness!r}", "give EI and its relative standard error: (500, 0.1)"
+        ) from wrong
+    if positive(bending, "stiffness") == 0.0:
+        raise DataError("stiffness is 0", "give EI, or None if it is not known")
+    return float(bending), positive(error, "the error of stiffness")
+
+
 def grip(held_end: bool | float | None) -> tuple[int, float]:
     """0, 1 or 2 where the end is not, perhaps or surely held, and the odds; NaN: the usual ones."""
     if held_end is None:
@@ -117,6 +132,8 @@ def check_layout(position: Array, span: Array, total: float, **errors: Array) ->
     if not -slack <= nearest <= farthest <= total + slack:
         where = farthest if farthest > total else nearest
         cure = _same_unit(where, total) or "check positions and units"
+        if total < where <= 1.25 * total:
+            cure = "leave out sensors that are not everted yet, or check the length"
         raise DataError(f"a sensor is centred at {where:g}, off a body of {total:g}", cure)
     if span.max() > total:
         cure = _same_unit(span.max(), total) or "check spans and units"

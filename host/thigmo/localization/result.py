@@ -19,15 +19,19 @@ from thigmo.display import (
     html_table,
     interval_text,
 )
+from thigmo.extras import data_frame
 from thigmo.localization import _posterior
+from thigmo.localization.newtons import Newtons
 from thigmo.localization.readings import Range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 Array = npt.NDArray[np.float64]
 Status = Literal["localized", "ambiguous", "below detection", "no contact", "point estimate"]
-_COLUMNS = ("arc", "interval", "force / EI", "probability", "status")
+STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
+_COLUMNS = ("arc", "interval", "force / EI, or N", "probability", "status")
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,7 @@ class Contact:
             for a `point estimate`.
         end_offset: where a contact on the end of the body bears, left of the centreline; None for
             one on the side.
+        newtons: the load in newtons, if the body's `stiffness` is known.
     """
 
     arc: float
@@ -59,6 +64,7 @@ class Contact:
     force_deviation: float = 0.0
     probability: float = 1.0
     end_offset: float | None = None
+    newtons: Newtons | None = None
 
     def __repr__(self) -> str:
         return f"Contact({self._place}, {self.status})"
@@ -81,20 +87,32 @@ class Contact:
         return "unknown" if isnan(self.probability) else f"{self.probability:.3g}"
 
     @property
+    def force_text(self) -> str:
+        """The force for people: in newtons if they are known, else over EI."""
+        if self.newtons is not None:
+            along = "" if self.newtons.along is None else f", along {self.newtons.along} N"
+            return f"{self.newtons.across} N{along}"
+        deviation = f" ± {self.force_deviation:.2g}" if self.force_deviation > 0.0 else ""
+        return f"{self.force:.3g}{deviation}"
+
+    @property
     def _cells(self) -> list[str]:
-        force = f"{self.force:.3g}"
-        if self.force_deviation > 0.0:
-            force += f" ± {self.force_deviation:.2g}"
         return [
-            f"{self.arc:.4g}", self.interval_text, force, self.probability_text, self.status,
+            f"{self.arc:.4g}", self.interval_text, self.force_text, self.probability_text,
+            self.status,
         ]  # fmt: skip
 
 
 class Marginal(NamedTuple):
-    """Where a contact lies: (M + 1,) edges of cells of its arc, and the (M,) mass in each."""
+    """Where a contact lies: (M + 1,) edges of cells of its arc, and the (M,) mass in each.
+
+    Of a contact in each cell: mean of its force over EI, and its standard deviation, (M,).
+    """
 
     edges: Array
     mass: Array
+    force: Array
+    force_deviation: Array
 
 
 class Joint(NamedTuple):
@@ -106,9 +124,9 @@ class Joint(NamedTuple):
 
 
 class OfBody(NamedTuple):
-    """Along a body of length one: edges and masses of each contact, bend at even arcs."""
+    """Along a body of length one: cells, masses and forces of each contact, bend at even arcs."""
 
-    masses: Sequence[tuple[Array, Array]] = ()
+    masses: Sequence[tuple[Array, Array, Array, Array]] = ()
     bend: Array = np.zeros(0)
     joint: tuple[Array, Array, Array] | None = None
 
@@ -195,6 +213,19 @@ class LocalizeResult:
             "message": self.message,
         }
 
+    def to_frame(self) -> DataFrame:
+        """A pandas data frame with a row for each contact, base to tip; needs `thigmo[tables]`."""
+        return data_frame(
+            [
+                {
+                    "arc": c.arc, "low": c.interval[0], "high": c.interval[1], "force": c.force,
+                    "force_deviation": c.force_deviation, "probability": c.probability,
+                    "status": c.status,
+                }
+                for c in self.contacts
+            ]
+        )  # fmt: skip
+
     def plot(self, axes: Axes | None = None, *, unit: str = "") -> Axes:
         """Draw the posterior along the body, and each contact with its interval.
 
@@ -210,7 +241,11 @@ class LocalizeResult:
     @property
     def marginals(self) -> tuple[Marginal, ...]:
         """Of each contact: where, by all explanations, the contact nearest to its `arc` lies."""
-        return tuple(Marginal(edges * self.length, mass) for edges, mass in self._body.masses)
+        per = self.length**-2
+        return tuple(
+            Marginal(edges * self.length, mass, force * per, spread * per)
+            for edges, mass, force, spread in self._body.masses
+        )
 
     @property
     def joint(self) -> Joint | None:

@@ -76,6 +76,17 @@ class MapContact:
     wall_probability: Number = 0.0
     #: of a wall: points of its surface, one for each stage, in the order of `merged`
     surface: list[tuple[float, float]] = field(default_factory=list)
+    #: force across the body in newtons, and its 95 % interval; null and empty if EI is not known
+    force_n: float | None = None
+    force_interval_n: list[float] = field(default_factory=list)
+
+    @property
+    def force_text(self) -> str:
+        """The force for people: in newtons if they are known, else over EI."""
+        if self.force_n is None:
+            return f"{self.force_per_cm2:.2g} 1/cm² (over EI)"
+        low, high = self.force_interval_n
+        return f"{self.force_n:.2g} ({low:.2g} to {high:.2g}) N"
 
     def __repr__(self) -> str:
         return (

@@ -67,6 +67,8 @@ class Obstacle:
     # everted lengths at which it was felt, the last measured one last
     felt_at_cm: list[float] = field(default_factory=list)
     force_per_cm2: float | None = None  # F/EI at the last measurement
+    force_n: float | None = None  # the same in newtons; null if EI is not known
+    force_interval_n: list[float] = field(default_factory=list)  # its 95 % interval
     kind: str = "peg"  # or "wall"
     probability: Number = 1.0  # that it is real; null of a point estimate, also below
     wall_probability: Number = 0.0  # that all its stages felt one wall
@@ -95,7 +97,12 @@ class ObstacleMap:
     grid: str = ""  # file that holds the same as a ROS map, beside this one; empty without
     frame: str = _FRAME
     units: dict[str, str] = field(
-        default_factory=lambda: {"length": "cm", "angle": "rad", "force over EI": "1/cm^2"}
+        default_factory=lambda: {
+            "length": "cm",
+            "angle": "rad",
+            "force": "N",
+            "force over EI": "1/cm^2",
+        }
     )
     version: int = 1
 

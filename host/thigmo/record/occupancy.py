@@ -9,6 +9,7 @@ map format; REP 103 for units). The grey values are those of ROS's own map_saver
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -21,6 +22,7 @@ from pydantic import BaseModel, ValidationError
 from thigmo.config import Finite, Positive, invalid_entry
 from thigmo.display import draw, html_card, html_table
 from thigmo.errors import RunFolderError
+from thigmo.extras import require
 from thigmo.record.folder import write_whole
 
 if TYPE_CHECKING:
@@ -117,10 +119,9 @@ def write_ros_map(grid: OccupancyGrid, path: Path) -> None:
 def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
     """Read a map that map_server could serve: its YAML file, and the picture that this names.
 
-    Raises RunFolderError if one is missing or is not what it should be.
+    Raises RunFolderError if one is missing or is not what it should be, NotInstalledError without
+    OpenCV if the picture is not a PGM as map_saver writes it.
     """
-    import cv2
-
     try:
         described = _Description.model_validate(yaml.safe_load(Path(path).read_text()))
         data = (Path(path).parent / described.image).read_bytes()
@@ -138,7 +139,7 @@ def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
             invalid_entry(path, error),
             "give a ROS map's YAML file (image, resolution, origin), or a run folder",
         ) from error
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    picture = _grey(data)
     if picture is None:
         raise RunFolderError(
             f"{described.image}, named by {path}, is no picture", "give the map's own picture"
@@ -152,3 +153,22 @@ def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
     return OccupancyGrid(
         cells, described.resolution * _CM_PER_M, (x * _CM_PER_M, y * _CM_PER_M, yaw)
     )
+
+
+_PGM = re.compile(rb"P5\s+(?:#.*\n)*(\d+)\s+(\d+)\s+255\s")
+
+
+def _grey(data: bytes) -> NDArray[np.uint8] | None:
+    """The grey values (rows, columns) of a picture; None if it is none."""
+    header = _PGM.match(data)
+    if header is not None:
+        columns, rows = map(int, header.groups())
+        values = np.frombuffer(data, np.uint8, offset=header.end())
+        return values.reshape(rows, columns) if values.size == rows * columns else None
+    if not data:
+        return None
+    require("camera", "a map's picture that is no PGM")
+    import cv2
+
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    return None if decoded is None else decoded.astype(np.uint8)

@@ -6,8 +6,10 @@ measured, except what is marked as the room's truth, which only the emulator kno
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from thigmo.display import COLORS, OTHER_COLOR, POINT_ESTIMATE
 from thigmo.errors import RunFolderError
+from thigmo.extras import NotInstalledError, require
 from thigmo.files import whole_file
 from thigmo.record import Ellipse as Spread
 from thigmo.record import outline, passed
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from thigmo.record import MapContact, Obstacle, RunDocument, Stage, Truth
+
+_log = logging.getLogger(__name__)
 
 _SWEPT = "#e9eff5"
 _TRUTH = "#009e73"
@@ -43,9 +48,16 @@ def draw_map(
 ) -> None:
     """Draw a run's map into a PNG file, as `plot_map` does.
 
+    Without matplotlib there is none, which a warning of this module's logger says.
+
     Raises:
         RunFolderError: the picture cannot be written.
     """
+    try:
+        require("plot", f"drawing {Path(path).name}")
+    except NotInstalledError as missing:
+        _log.warning("%s", missing)
+        return
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=_SIZE_IN, layout="constrained", facecolor="white")

@@ -15,6 +15,7 @@ from thigmo.robot.state import (
     SweepResult,
     mean_peak,
 )
+from thigmo.robot.supervised import WITHOUT_BRAKE
 from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
 from thigmo.room import Operator
@@ -22,6 +23,7 @@ from thigmo.room import Operator
 __all__ = [
     "SENSORS",
     "TRIGGER_PER_CM",
+    "WITHOUT_BRAKE",
     "ContactTrigger",
     "GrowthWatcher",
     "Operator",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import SIDES, SIGN, RobotConfig
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
 from thigmo.robot.readings import in_board_order
@@ -23,17 +23,18 @@ _PRESSURE_MARGIN_PSI = 0.5  # regulation overshoots; the set point itself never 
 
 def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     """The schema's parameters that robot.toml decides, by name, in wire units."""
-    sensors, spool, body = config.sensors, config.spool, config.body
+    board, spool, body = config.board, config.spool, config.body
     flex = in_board_order(config)
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
-    ratio = sensors.divider_ohm / _BOARD_DIVIDER_OHM
-    muscles = [config.actuators.side(side) for side in SIDES]
+    ratio = board.divider_ohm / _BOARD_DIVIDER_OHM
+    # An output and input without a muscle has the settings of the other's.
+    muscles = [config.muscle(side if side in config.sides else config.sides[0]) for side in SIDES]
     return {
         "flex_enabled": [int(s is not None and s.healthy) for s in flex],
         "flex_center_um": [round(s.center_cm * 1e4) if s else 0 for s in flex],
         "flex_span_um": [round(s.span_cm * 1e4) if s else 0 for s in flex],
         "flex_scale": [round(s.scale_per_ohm * ratio * 1e9) if s else 0 for s in flex],
-        "settle_ms": [round(sensors.settle_s * 1e3)],
+        "settle_ms": [round(board.settle_s * 1e3)],
         "max_pressure_cpsi": [
             round((max(m.max_pressure_psi for m in muscles) + _PRESSURE_MARGIN_PSI) * 100)
         ],
@@ -52,14 +53,17 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
 
 
 def map_settings(config: RobotConfig) -> list[wire.SetMap]:
-    """The free-curvature maps of robot.toml: zone x side x branch, the right side negative."""
+    """The free-curvature maps of robot.toml: zone x side x branch, signed."""
     found = []
     for zone in range(len(config.body.zones)):
-        for side, sign in ((wire.Side.LEFT, 1), (wire.Side.RIGHT, -1)):
-            maps = config.actuators.side(SIDES[side]).maps[zone]
-            for branch, curve in enumerate((maps.inflate, maps.deflate)):
-                curvature = tuple(round(sign * curve.curvature(p) * 1e5) for p in _MAP_PSI)
-                found.append(wire.SetMap(zone, side, wire.Branch(branch), curvature))
+        for number, side in enumerate(SIDES):
+            for branch in wire.Branch:
+                curvature = [0.0] * len(_MAP_PSI)  # without a muscle nothing bends
+                if side in config.sides:
+                    curve = getattr(config.muscle(side).maps[zone], branch.key)
+                    curvature = [SIGN[side] * curve.curvature(p) for p in _MAP_PSI]
+                wired = tuple(round(each * 1e5) for each in curvature)
+                found.append(wire.SetMap(zone, wire.Side(number), branch, wired))
     return found
 
 

@@ -6,6 +6,7 @@ the heartbeat runs beside it.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -35,7 +36,10 @@ _UNKNOWN_ZONE = 255
 
 
 class _Nobody:
-    """The operator of a program that named none: every question is a DataError."""
+    """The operator of a program that named none: every question is a DataError.
+
+    Dangers are Python's warnings.
+    """
 
     def everted_length_cm(self) -> float:
         raise DataError("the everted length is unknown", "measure it, and call confirm_length")
@@ -45,6 +49,9 @@ class _Nobody:
             f"the body pressure must be set to {pressure_psi:g} psi by hand",
             "set the regulator, and call select_zone",
         )
+
+    def warn(self, danger: str) -> None:
+        warnings.warn(danger, stacklevel=5)
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         raise DataError("the room's dowels must be moved by hand", "name an operator to connect()")
@@ -82,6 +89,7 @@ class Connected(Closing):
         self._fault_channels: dict[wire.Fault, int] = {}  # which only their events tell
         self._interruptions: list[Callable[[], None]] = []
         self._started = client.now()
+        self._briefed = False  # the operator, since the connection
         self._closed = False
 
     # Life.

@@ -26,10 +26,10 @@ def in_board_order(config: RobotConfig) -> list[FlexSensor | None]:
     """robot.toml's flex sensors by the board's numbers, left base first; None if one is absent."""
     found: list[FlexSensor | None] = []
     for side in SIDES:
-        column = config.sensors.column(side)
+        column = config.column(side)
         if len(column) > SENSORS_A_SIDE:
             raise ConfigError(
-                f"sensors.{side} has {len(column)} sensors, and the board reads {SENSORS_A_SIDE}",
+                f"{len(column)} sensors on the {side}, and the board reads {SENSORS_A_SIDE}",
                 f"keep at most {SENSORS_A_SIDE} a side in robot.toml",
             )
         found += [*column, *[None] * (SENSORS_A_SIDE - len(column))]
@@ -84,7 +84,7 @@ class SensorTable:
             noise=np.array([hypot(s.noise, s.zero_se) if s else 1.0 for s in sensors]),
             direction=np.array([s.valid_direction if s else 0 for s in sensors]),
             healthy=np.array([s is not None and s.healthy for s in sensors]),
-            divider_ohm=config.sensors.divider_ohm,
+            divider_ohm=config.board.divider_ohm,
             oversample=oversample,
             zero_sum=np.full(len(sensors), np.nan),
         )

@@ -181,7 +181,7 @@ class Robot(Supervised):
         `progress` is told the seconds that are left, about once a second. Raises
         CommandTimeoutError if they do not settle.
         """
-        end = self.now() + self.config.sensors.settle_s + _SETTLE_EXTRA_S
+        end = self.now() + self.config.board.settle_s + _SETTLE_EXTRA_S
         while waiting := (status := self.status()).everted & ~status.settled & sensors:
             if self.now() > end:
                 raise CommandTimeoutError(

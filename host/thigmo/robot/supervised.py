@@ -6,7 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from thigmo.config import SIDES, RobotConfig
-from thigmo.errors import CommandRefusedError, CommandTimeoutError, RobotFaultError
+from thigmo.errors import (
+    CommandRefusedError,
+    CommandTimeoutError,
+    ConfigError,
+    RobotFaultError,
+)
 from thigmo.link import protocol as wire
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
@@ -27,6 +32,7 @@ _OF_A_MUSCLE = (
     wire.Fault.OVER_PRESSURE, wire.Fault.PRESSURE_WIRE, wire.Fault.PRESSURE_STUCK,
     wire.Fault.PRESSURE_MISMATCH,
 )  # fmt: skip
+WITHOUT_BRAKE = "the emergency stop leaves the motor its supply; keep hands away and shut V1"
 _BAD_SENSOR = {wire.Fault.FLEX_OPEN: OPEN, wire.Fault.FLEX_SHORT: SHORT}
 
 
@@ -162,9 +168,13 @@ class Supervised(Connected):
     def arm(self, *, body_air: bool = True) -> None:
         """Leave safe for ready: outputs may be energised from now on, and the body gets its air.
 
-        Without `body_air` the body stays empty, if it has an enable.
+        Without `body_air`, as in bring-up, the body stays empty, if it has an enable. With it,
+        somebody must once have seen which way the spool turns (else ConfigError), and the operator
+        is warned if the robot has no brake.
         """
         self.raise_faults()
+        if body_air and not self.virtual and not self._briefed:
+            self._brief()
         try:
             self._request(wire.Arm())
         except CommandRefusedError as error:
@@ -177,6 +187,18 @@ class Supervised(Connected):
             self.wait(0.1)
         if body_air:
             self.body_air(True)
+
+    def _brief(self) -> None:
+        """What an operator must have seen and know before the robot moves by itself."""
+        if not self.parameter("direction_seen")[0]:
+            raise ConfigError(
+                "nobody has confirmed yet which way the spool of this robot turns",
+                f"run `thigmo bringup --robot {self.url or 'PORT'} --from motor --to motor`: it "
+                "asks once, and the board keeps the answer",
+            )
+        if not self.parameter("brake_fitted")[0]:
+            self.operator.warn(f"no brake is fitted: {WITHOUT_BRAKE}")
+        self._briefed = True
 
     def body_air(self, open_: bool) -> None:
         """Hold the body's air enable, or let it go; only while armed."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from math import pi
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import RobotConfig
 
 TRIGGER_PER_CM = 0.005  # the contact threshold of the thesis, and the board's default
 # Half of the lag stays unknown after calibration: one constant stands for muscles that inflate with
@@ -46,8 +46,8 @@ def sweep_period_s(
     `top_psi`, or as high as the muscles hold.
     """
     worst = share = 0.0
-    for side in SIDES:
-        muscle = config.actuators.side(side)
+    for side in config.sides:
+        muscle = config.muscle(side)
         maps = muscle.maps[zone]
         top = muscle.max_pressure_psi if top_psi is None else top_psi
         g_max = max(curve.curvature(top) for curve in (maps.inflate, maps.deflate))

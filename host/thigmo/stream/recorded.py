@@ -5,23 +5,26 @@ what Foxglove and Rerun draw of them. Every schema is in the file. docs/records.
 Protocol Buffers are imported when they are needed: a program that only drives a robot does not wait
 for them.
 
-In CSV, units are in the columns' names. A message with a list in it (a body's poses, the cells of a
-posterior, the contacts of a map) becomes a row for each entry. The grid stays a picture (map.pgm).
+In tables, units are in the columns' names. A message with a list in it (a body's poses, the cells
+of a posterior, the contacts of a map) becomes a row for each entry. The grid stays a picture
+(map.pgm).
 """
 
 from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, fields
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from thigmo.config import SIDES
 from thigmo.errors import RunFolderError
+from thigmo.extras import require
+from thigmo.files import whole_file
 from thigmo.record import LogWriter
 from thigmo.record.mcap_file import read_mcap
 from thigmo.stream.blocks import TelemetryBlock
@@ -99,27 +102,66 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
     RunFolderError as `read_messages` does, and if the folder cannot be written.
     """
     target = Path(folder)
-    messages = read_messages(run, set(RECORDED) - {Grid.CHANNEL})
     writers: dict[str, Any] = {}  # of the csv module
+    with _made(target), ExitStack() as stack:
+        for channel, names, values in _rows(run):
+            if channel not in writers:
+                file = stack.enter_context((target / f"{channel}.csv").open("w", newline=""))
+                writers[channel] = csv.writer(file)
+                writers[channel].writerow(names())
+            writers[channel].writerow(map(_cell, values))
+    return [target / f"{channel}.csv" for channel in writers]
+
+
+def export_parquet(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
+    """Write the tables of `export_csv` as Parquet files; what is not known is null.
+
+    Raises as that does, and NotInstalledError without pyarrow.
+    """
+    require("tables", "Parquet")
+    import pyarrow
+    from pyarrow import parquet
+
+    target = Path(folder)
+    rows: dict[str, list[list[Any]]] = {}
+    columns: dict[str, list[str]] = {}
+    for channel, names, values in _rows(run):
+        if channel not in rows:
+            rows[channel], columns[channel] = [], names()
+        rows[channel].append(values)
+    paths = [target / f"{channel}.parquet" for channel in rows]
+    with _made(target):
+        for path, channel in zip(paths, rows, strict=True):
+            arrays = [pyarrow.array(cells) for cells in zip(*rows[channel], strict=True)]
+            table = pyarrow.table(arrays, names=columns[channel])
+            with whole_file(path) as file:
+                parquet.write_table(table, file)
+    return paths
+
+
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """Write into a folder, made if need be."""
     try:
-        target.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as stack:
-            for message in messages:
-                channel = message.CHANNEL
-                own = _values(message)
-                for entry in _entries(message):
-                    if channel not in writers:
-                        file = stack.enter_context(
-                            (target / f"{channel}.csv").open("w", newline="")
-                        )
-                        writers[channel] = csv.writer(file)
-                        writers[channel].writerow([*_names(message), *entry])
-                    writers[channel].writerow([_cell(value) for value in (*own, *entry.values())])
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
     except OSError as error:
         raise RunFolderError(
-            f"cannot write {error.filename or target}: {error.strerror}", "choose another folder"
+            f"cannot write {error.filename or folder}: {error.strerror}", "choose another folder"
         ) from error
-    return [target / f"{channel}.csv" for channel in writers]
+
+
+def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Callable[[], list[str]], list[Any]]]:
+    """Rows of all tables: the channel, what names its columns, and the values."""
+    for message in read_messages(run, set(RECORDED) - {Grid.CHANNEL}):
+        own = _values(message)
+        for entry in _entries(message):
+            names = partial(_columns, message, entry)
+            yield message.CHANNEL, names, [*own, *entry.values()]
+
+
+def _columns(message: Message, entry: Row) -> list[str]:
+    return [*_names(message), *entry]
 
 
 def _cell(value: Any) -> Any:

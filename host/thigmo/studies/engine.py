@@ -7,7 +7,6 @@ Called by `thigmo bench` and `thigmo experiment`; `thigmo.studies` names the stu
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import signal
@@ -21,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.errors import DataError, RunFolderError
-from thigmo.files import whole_file, write_whole
+from thigmo.files import write_whole
+from thigmo.report.files import write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,10 +30,10 @@ Scale = Literal["quick", "full"]
 Item = TypeVar("Item")
 Value = TypeVar("Value")
 
-WORKERS_WITHIN_S = 10.0  # a cluster's workers are waited for
-
 Record = Mapping[str, float | int | str | bool]
 """A line of a table; units stand in the names of its columns."""
+
+WORKERS_WITHIN_S = 10.0  # a cluster's workers are waited for
 
 
 def share(flags: Sequence[Any] | NDArray[Any]) -> float:
@@ -188,25 +188,8 @@ def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
     Raises:
         RunFolderError: the folder cannot be written.
     """
-    paths: list[Path] = []
-
-    def path(label: str, kind: str) -> Path:
-        paths.append(folder / f"{name}-{label}.{kind}")
-        return paths[-1]
-
+    paths = write_files(name, folder, outcome.tables, outcome.figures)
+    paths.append(folder / f"{name}-claims.json")
     with RunFolderError.from_os(f"cannot write to {folder}", "choose another --out"):
-        folder.mkdir(parents=True, exist_ok=True)
-        for label, rows in outcome.tables.items():
-            with whole_file(path(label, "csv"), text=True) as file:
-                writer = csv.DictWriter(file, list(rows[0]))
-                writer.writeheader()
-                writer.writerows(rows)
-            text = json.dumps(rows, indent=1, default=lambda number: number.item())
-            write_whole(path(label, "json"), text)
-        for label, figure in outcome.figures.items():
-            for axis in figure.axes:
-                axis.title.set_fontsize(9)  # `set_title` goes back to matplotlib's
-            with whole_file(path(label, "png")) as file:
-                figure.savefig(file, format="png", dpi=200)
-        write_whole(path("claims", "json"), json.dumps(outcome.record()["claims"], indent=1))
+        write_whole(paths[-1], json.dumps(outcome.record()["claims"], indent=1))
     return paths

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import RobotConfig
 from thigmo.emulator.reach import first_felt, random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
@@ -295,15 +295,15 @@ def visit(room: tuple[str, int, str]) -> Run:
                 setattr(part, what, value * kind.noise)
     known = scene.believed(seed)
     rng = np.random.default_rng([seed, 0x9E6])
-    for side in SIDES:
-        for zone in scene.robot.actuators.side(side).maps:
+    for side in scene.robot.sides:
+        for zone in scene.robot.muscle(side).maps:
             zone.inflate.amplitude *= kind.bend
             zone.deflate.amplitude *= kind.bend
-        for sensor in scene.robot.sensors.column(side):
+        for sensor in scene.robot.column(side):
             sensor.scale_per_ohm /= 1.0 + kind.gains * rng.standard_normal()
     scene.pegs = random_pegs(seed) if kind.more else random_wall(seed) if kind.wall else []
     if kind.friction is not None:
-        scene.body.growth_psi_per_cm = float(rng.uniform(*kind.friction))
+        scene.robot.body.growth_psi_per_cm = float(rng.uniform(*kind.friction))
     scene.body.friction = float(rng.uniform(0.0, kind.rubs))
     if kind.peg and not scene.pegs:
         peg, _ = random_peg(scene.robot, rng, radius=_RADII_CM)

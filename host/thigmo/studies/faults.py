@@ -59,7 +59,9 @@ class Failure:
     kind: str
     options: dict[str, Any] = field(default_factory=dict, hash=False)
     valve: bool = False  # the air itself fails: no output of the board changes the pressure
-    spool: bool = False  # the spool itself fails: no duty of the board changes its motion
+    # spool: the spool itself or its supply fails: no duty of the board changes its motion, or
+    # nothing shows while it moves
+    spool: bool = False
     covered: str = ""  # what covers it where no signal shows it, or where the firmware cannot act
 
 
@@ -98,7 +100,7 @@ FAILURES = (
     Failure("brake stuck open", "brake_open",
             covered="each arming proves the brake; the contacts still cut the motor's supply"),
     Failure("brake stuck closed", "brake_closed", covered=NO_DRIVE),
-    Failure("contact in the motor's supply welded", "contact_welded",
+    Failure("contact in the motor's supply welded", "contact_welded", spool=True,
             covered="the driver obeys; the brake"),
     Failure("converter's reference 20 % low", "reference_off"),
     Failure("converter's reference 5 % low", "reference_off", {"value": 0.95}, covered=NO_HARM),

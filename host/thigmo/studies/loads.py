@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from thigmo.localization import arc_bounds, localize
+from thigmo.localization import Localizer, arc_bounds
 from thigmo.studies import touches
 from thigmo.studies.engine import Claim, Context, Outcome, Record, parts, share
 from thigmo.studies.rod import Floats, solve
@@ -266,12 +266,13 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
         stands_out = free - least
     fits = least < chi2.isf(0.01, scenes.position.size - 2)
     told = {"length": LENGTH, "span": SPAN, "noise": SIGMA, **ROBOT, **group.options}
+    localizer = Localizer.of(position=scenes.position, **told)
     seen = []
     turns = np.abs(scenes.curvature.mean(axis=1)) * told["length"]
     for frame, free, arcs, out, fit, turn in zip(
         frames, scenes.free, scenes.arcs, stands_out, fits, turns, strict=True
     ):
-        result = localize(frame, scenes.position, free_curvature=free, **told)
+        result = localizer.localize(frame, free_curvature=free)
         placed = [contact for contact in result.contacts if contact.status == "localized"]
         off = (float(np.abs(arcs - c.arc).min(initial=np.inf)) for c in placed)
         seen.append(

@@ -17,7 +17,7 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.localization import localize, localize_batch
+from thigmo.localization import Localizer
 from thigmo.studies import scenes
 from thigmo.studies.engine import Claim, Context, Outcome, Record
 from thigmo.studies.scenes import BOTH, LENGTH, SIGMA, SPAN, Case, one_contact, three_contacts
@@ -70,14 +70,15 @@ def least_us(call: Callable[[], object], repeats: int) -> float:
 def answer_us(
     cases: Iterable[Case], repeats: int, *, noise: float | None = SIGMA, span: float = SPAN
 ) -> float:
-    """Time of `localize`, median over frames."""
+    """Time of `Localizer.localize`, median over frames."""
     answers = (
         partial(
-            localize, case.curvature, case.position, length=LENGTH, span=span,
-            free_curvature=case.free, noise=noise,
+            Localizer.of(position=case.position, length=LENGTH, span=span, noise=noise).localize,
+            case.curvature,
+            free_curvature=case.free,
         )
         for case in cases
-    )  # fmt: skip
+    )
     return float(np.median([least_us(answer, repeats) for answer in answers]))
 
 
@@ -87,12 +88,10 @@ def row_us(rows: NDArray[np.float64], size: int, repeats: int) -> float:
     Each batch counts with its least time. They take turns, so that a while in which the computer is
     slow spoils one repeat of each, not every repeat of some.
     """
+    localizer = Localizer.of(position=BOTH, length=LENGTH, span=SPAN, noise=SIGMA)
     batches = [
-        partial(
-            localize_batch, rows[at : at + size], BOTH, length=LENGTH, span=SPAN, noise=SIGMA
-        )
-        for at in range(0, len(rows), size)
-    ]  # fmt: skip
+        partial(localizer.localize_batch, rows[at : at + size]) for at in range(0, len(rows), size)
+    ]
     times = [[time_us(batch) for batch in batches] for _ in range(repeats)]
     return float(np.min(times, axis=0).sum() / len(rows))
 

@@ -59,13 +59,13 @@ class ServedRobot(Closing):
 
     def __init__(self, seed: int) -> None:
         from thigmo.emulator._board import VirtualBoard
-        from thigmo.emulator.serve import PtyServer
+        from thigmo.emulator.serve import PtyServer, brought_up
         from thigmo.emulator.transport import EmulatorTransport
         from thigmo.link.client import Client
         from thigmo.robot import Robot
 
         scene = Scene.load("empty").model_copy(update={"start_length_cm": _LENGTH_CM})
-        transport = EmulatorTransport(scene, VirtualBoard(seed), seed=seed)
+        transport = EmulatorTransport(scene, VirtualBoard(seed, brought_up()), seed=seed)
         with Robot(Client(transport)) as robot:  # in virtual time
             robot.configure(scene.believed(seed))
             robot.confirm_length(_LENGTH_CM, settled=True)

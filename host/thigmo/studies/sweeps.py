@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.localization import ContactFilter, LocalizeResult, localize
+from thigmo.localization import Localizer, LocalizeResult, localize
 from thigmo.studies.engine import Claim, Context, Outcome, parts, share
 from thigmo.studies.pegs import Rooms, rooms
 from thigmo.studies.rod import Floats
@@ -26,7 +26,7 @@ GAIN, MAP, ZERO = 0.05, 0.05, 1e-3  # standard errors that are told
 BODY: dict[str, Any] = {"length": LENGTH, "span": SPAN, "noise": SIGMA, "tube_radius": RADIUS}
 
 
-Told = dict[str, float]
+Told = dict[str, Any]
 Spoil = Callable[[np.random.Generator, Floats, Floats], tuple[Floats, Floats]]
 """What an error does to readings (T, N) of one body and to free curvatures (T,) as believed."""
 
@@ -83,14 +83,11 @@ def _rooms(seed: int, number: int, size: int) -> tuple[Rooms, Floats]:
 
 
 def _last(curvature: Floats, free: Floats, told: Told) -> LocalizeResult:
-    known: dict[str, Any] = {**told}
-    if "zero_error" in told:
-        known["shared_errors"] = known.pop("zero_error") * np.eye(COLUMN.size)
-    return localize(curvature[-1], COLUMN, free_curvature=free[-1], **BODY | ROBOT, **known)
+    return localize(curvature[-1], COLUMN, free_curvature=free[-1], **BODY | ROBOT, **told)
 
 
 def _all(curvature: Floats, free: Floats, told: Told) -> LocalizeResult:
-    felt = ContactFilter(COLUMN, most_curvature=1.25 * MOST, **BODY, **told)
+    felt = Localizer.of(position=COLUMN, **BODY, **told).filter(1.25 * MOST)
     felt.update(curvature, free)
     return felt.result()
 

@@ -89,8 +89,8 @@ class TouchedBoard(VirtualBoard):
     def __init__(self, seed: int, eeprom: bytes, robot: RobotConfig) -> None:
         super().__init__(seed, eeprom)
         self.touch = [0.0, 0.0]  # 1/cm, added to what the left and the right base sensor read
-        self._divider = robot.sensors.divider_ohm
-        self._scale = [robot.sensors.column(side)[0].scale_per_ohm for side in SIDES]
+        self._divider = robot.board.divider_ohm
+        self._scale = [robot.column(side)[0].scale_per_ohm for side in SIDES]
 
     def set_analog(self, counts: Floats) -> None:
         """Ideal counts as the plant says, and the touch on top."""
@@ -175,7 +175,7 @@ def _script_of(robot: RobotConfig, length_cm: float, halves: Sequence[Half]) -> 
     everted = sum(
         1 << s * FLEX_RIGHT + n
         for s, side in enumerate(SIDES)
-        for n, sensor in enumerate(robot.sensors.column(side))
+        for n, sensor in enumerate(robot.column(side))
         if sensor.center_cm + sensor.span_cm / 2 <= reach
     )
     says: list[tuple[int, wire.Message]] = [
@@ -189,7 +189,7 @@ def _script_of(robot: RobotConfig, length_cm: float, halves: Sequence[Half]) -> 
         (1000, wire.ZeroSensors(everted)),
     ]
     for half in halves:
-        top = round(robot.actuators.side(SIDES[half.side]).max_pressure_psi * 100)
+        top = round(robot.muscle(SIDES[half.side]).max_pressure_psi * 100)
         sides = (top, 0) if half.side == 0 else (0, top)
         says.append((half.start_ms, wire.Sweep(*sides, period_ms, 1, 0)))
         says.append((half.vent_ms, wire.Vent()))

@@ -176,7 +176,7 @@ def test_actuator_map_is_within_half_a_percent_of_full_scale_and_the_lag_within_
     # The sensor's averaging window, and the plant's step of 10 ms, come to nothing together.
     lag = muscle.delay_s + muscle.inflate_tau_s + body.damping / (np.pi * body.frequency_hz)
     for side in SIDES:
-        found, true = lab.session.config.actuators.side(side), lab.scene.robot.actuators.side(side)
+        found, true = lab.session.config.muscle(side), lab.scene.robot.muscle(side)
         full = true.maps[2].inflate.curvature(18.0)
         for branch in ("inflate", "deflate"):
             made, right = getattr(found.maps[2], branch), getattr(true.maps[2], branch)
@@ -200,7 +200,7 @@ def test_stiffness_is_told_as_exactly_as_it_must_be(tmp_path):
 @pytest.mark.ci
 def test_a_robot_with_fewer_sensors_than_the_board_has_inputs_is_calibrated(tmp_path):
     few = Scene.load("empty").robot
-    few.sensors.left = few.sensors.left[:4]
+    few.set_column("left", few.column("left")[:4])
     lab = Lab(tmp_path, robot=few)
     bench = lab.bench()
     bench.plan = replace(bench.plan, places=6, straight=2, step_psi=4.5, zones=(2,))
@@ -208,7 +208,7 @@ def test_a_robot_with_fewer_sensors_than_the_board_has_inputs_is_calibrated(tmp_
         result = steps.run(bench, step)
         assert result.verdict.good, (step, result.verdict)
     lab.robot.close()
-    found, true = lab.session.config.sensors, lab.scene.robot.sensors
+    found, true = lab.session.config, lab.scene.robot
     for side in SIDES:
         assert len(found.column(side)) == len(true.column(side))
         for made, right in zip(found.column(side), true.column(side), strict=True):

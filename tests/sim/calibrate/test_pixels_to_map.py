@@ -24,10 +24,10 @@ def unknown_robot(seed: int) -> Scene:
     scene = Scene.load("default")
     rng = np.random.default_rng(seed)
     for side in SIDES:
-        for sensor in scene.robot.sensors.column(side):
+        for sensor in scene.robot.column(side):
             sensor.scale_per_ohm = float(rng.uniform(2.6e-5, 4.4e-5))
             sensor.zero_ohm = float(rng.uniform(9e3, 14e3))
-        for zone in scene.robot.actuators.side(side).maps:
+        for zone in scene.robot.muscle(side).maps:
             stretch = float(rng.uniform(0.9, 1.1))
             zone.inflate.amplitude *= stretch
             zone.deflate.amplitude *= stretch
@@ -73,7 +73,7 @@ def test_from_pixels_to_the_map(tmp_path):
     pairs = [
         (mine, true)
         for side in SIDES
-        for mine, true in zip(found.sensors.column(side), truth.sensors.column(side), strict=True)
+        for mine, true in zip(found.column(side), truth.column(side), strict=True)
     ]
     errors = np.array([mine.scale_per_ohm / true.scale_per_ohm - 1 for mine, true in pairs])
     stated = np.array([mine.scale_se for mine, _ in pairs])
@@ -81,9 +81,7 @@ def test_from_pixels_to_the_map(tmp_path):
     assert np.mean((errors / stated) ** 2) < 3.0
     assert [mine.valid_direction for mine, _ in pairs] == [t.valid_direction for _, t in pairs]
     for side in SIDES:
-        for mine, true in zip(
-            found.actuators.side(side).maps, truth.actuators.side(side).maps, strict=True
-        ):
+        for mine, true in zip(found.muscle(side).maps, truth.muscle(side).maps, strict=True):
             full = true.inflate.curvature(18.0)
             for branch in ("inflate", "deflate"):
                 curve, right = getattr(mine, branch), getattr(true, branch)

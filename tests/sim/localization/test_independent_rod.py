@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import thigmo
-from thigmo.localization import ContactFilter, LocalizeResult, priors
+from thigmo.localization import Localizer, LocalizeResult, priors
 from thigmo.studies.pegs import Rooms, rooms
 from thigmo.studies.rod import readings
 from thigmo.studies.scenes import CRITICAL, RADIUS, SIGMA
@@ -41,7 +41,7 @@ def one_frame(curvature: Any, position: Any, free: Any, **options: Any) -> Local
 
 
 def all_frames(curvature: Any, position: Any, free: Any, **options: Any) -> LocalizeResult:
-    felt = ContactFilter(position, most_curvature=np.sign(free[-1]) * MOST, **options)
+    felt = Localizer.of(position=position, **options).filter(np.sign(free[-1]) * MOST)
     felt.update(curvature, free)
     return felt.result()
 

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.ci
 def test_the_last_stage_finds_the_same_contact_on_both_boards(tmp_path: Path) -> None:
     scene = Scene.load("default")
     scene.start_length_cm = 50.0
-    scene.robot.sensors.settle_s = 0.2  # the chip takes its time
+    scene.robot.board.settle_s = 0.2  # the chip takes its time
     room = tmp_path / "last_stage.toml"
     scene.save(room)
     found = {

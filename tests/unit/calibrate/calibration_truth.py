@@ -9,7 +9,7 @@ import numpy as np
 from thigmo.calibrate.actuator import BendReadings
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import loop_turns
-from thigmo.config import SIDES, RobotConfig, TanhMap
+from thigmo.config import SIDES, SIGN, RobotConfig, TanhMap
 from thigmo.mechanics import push
 
 LENGTH = 53.0
@@ -53,7 +53,7 @@ class Lab:
             add("tip", bent.averages(CENTERS, SPANS), seen, want)
         for n in range(bends):
             side = SIDES[n % 2]
-            k = (1 if side == "left" else -1) * 0.035 * (n // 2 + 1) / (bends // 2)
+            k = (SIGN[side]) * 0.035 * (n // 2 + 1) / (bends // 2)
             seen = k + self.rng.normal(0, 1e-4)
             row = np.full(10, k)
             # The active side wrinkles: its readings are worth nothing.
@@ -159,7 +159,7 @@ def bends(
 ) -> BendReadings:
     """Three trials of 0..20..0 psi in steps of 2, seen by a camera; `gain` from trial to trial."""
     rng = np.random.default_rng(seed)
-    sign = 1.0 if side == "left" else -1.0
+    sign = SIGN[side]
     pressure, seen, branch, trial = [], [], [], []
     for number in range(trials):
         common, strength = rng.normal(0, offset), 1 + rng.normal(0, gain) if gain else 1.0

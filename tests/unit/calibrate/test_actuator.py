@@ -160,8 +160,8 @@ def test_a_ramp_without_a_bend_has_no_lag():
 def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
     result = fit_actuator(bends(6, "right"))
     made = result.apply(RobotConfig())
-    assert made.actuators.right.maps[2] == result.zone
-    assert made.actuators.right.maps[0] == RobotConfig().actuators.right.maps[0]
+    assert made.muscle("right").maps[2] == result.zone
+    assert made.muscle("right").maps[0] == RobotConfig().muscle("right").maps[0]
     draw(result, tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 10_000
     elsewhere = replace(bends(6), body_pressure_psi=3.0)

@@ -113,7 +113,7 @@ def test_dead_sensor_is_named_and_left_out():
     assert ["left 2" in said[0], "right 2" in said[1], len(said)] == [True, True, 2]
     assert all("check its" in note for note in said)
     made = result.apply(lab.config)
-    assert not made.sensors.left[2].healthy
+    assert not made.column("left")[2].healthy
     assert np.nanmax(np.abs(errors(result, lab))) < 0.05
 
 
@@ -346,7 +346,7 @@ def test_a_nonlinearity_is_told_and_widens_the_error_that_the_localizer_gets():
         "the answer of left 1", "the answer of right 1",
     ]  # fmt: skip
     assert result.sensors[1].nonlinearity == pytest.approx(0.58, abs=0.06)
-    made = result.apply(lab.config).sensors.left
+    made = result.apply(lab.config).column("left")
     assert made[1].scale_se > 0.1
     assert made[0].scale_se < 0.05
 
@@ -381,15 +381,15 @@ def test_the_thesis_s_fit_finds_the_constants_and_claims_no_error(tmp_path):
     """Equation 2.12 from tips alone; robot.toml must not call such a scale calibrated."""
     lab = Lab(4, sigma=1e-5)
     config = lab.config
-    config.sensors.left[0].scale_se = 0.01  # of an earlier calibration of other constants
+    config.column("left")[0].scale_se = 0.01  # of an earlier calibration of other constants
     path = tmp_path / "flex.csv"
     lab.flex(places=20).write(path, config)
     result = fit_csv("flex", path, config, "thesis")
     assert result.verdict.good
     assert np.abs(errors(result, lab)).max() < 0.12  # small deflections, centres for spans
     made = result.apply(config)
-    assert made.sensors.left[0].scale_per_ohm == result.sensors[0].scale_per_ohm
-    assert min(sensor.scale_se for sensor in made.sensors.left) == 0.15
+    assert made.column("left")[0].scale_per_ohm == result.sensors[0].scale_per_ohm
+    assert min(sensor.scale_se for sensor in made.column("left")) == 0.15
     draw(result, tmp_path / "flex.png")
 
 

@@ -61,7 +61,7 @@ def test_good_results_reach_robot_toml_with_a_backup_and_bad_ones_do_not(tmp_pat
     assert said.startswith("actuator: good: g known to")
     assert last.endswith("robot.toml updated; the one before is robot.toml.1.bak")
     assert (tmp_path / "robot.toml.1.bak").read_text() == before
-    assert RobotConfig.load(session.robot_file).actuators.left.maps[2] == result.zone
+    assert RobotConfig.load(session.robot_file).muscle("left").maps[2] == result.zone
     assert session.done("actuator")["verdict"]["good"]
     after = session.robot_file.read_text()
     wrong = bends(1)
@@ -80,13 +80,13 @@ def test_an_unwritable_folder_is_said(tmp_path):
 
 def test_blank_keeps_geometry_only():
     config = RobotConfig()
-    config.sensors.left[1].center_cm = 16.0
-    config.sensors.left[1].scale_per_ohm = 1e-6
-    config.actuators.right.maps[0].inflate.amplitude = 0.01
+    config.column("left")[1].center_cm = 16.0
+    config.column("left")[1].scale_per_ohm = 1e-6
+    config.muscle("right").maps[0].inflate.amplitude = 0.01
     made = blank(config)
-    assert made.sensors.left[1].center_cm == 16.0
-    assert made.sensors.left[1].scale_per_ohm == RobotConfig().sensors.left[1].scale_per_ohm
-    assert made.actuators.right.maps[0] == RobotConfig().actuators.right.maps[0]
+    assert made.column("left")[1].center_cm == 16.0
+    assert made.column("left")[1].scale_per_ohm == RobotConfig().column("left")[1].scale_per_ohm
+    assert made.muscle("right").maps[0] == RobotConfig().muscle("right").maps[0]
 
 
 def test_every_fit_names_the_column_that_a_csv_lacks(tmp_path):

@@ -47,7 +47,7 @@ def pushes(
 
 def test_critical_curvature_within_three_percent_and_within_its_error():
     config = RobotConfig()
-    for sensor in (*config.sensors.left, *config.sensors.right):
+    for sensor in (*config.column("left"), *config.column("right")):
         sensor.noise, sensor.zero_se, sensor.scale_se = 3e-4, 0.0, 0.0
     misses = []
     for seed in range(30):
@@ -71,7 +71,7 @@ def test_gain_errors_widen_the_error_of_the_critical_curvature():
     config = RobotConfig()
     found = []
     for gain in (0.0, 0.05):
-        for sensor in (*config.sensors.left, *config.sensors.right):
+        for sensor in (*config.column("left"), *config.column("right")):
             sensor.scale_se = gain
         found.append(fit_buckling(*pushes(1), config).critical_se)
     assert found[1] > 1.2 * found[0]
@@ -116,8 +116,8 @@ def test_hysteresis_law_and_its_use_before_thirty_seconds():
     result = fit_hysteresis(records, config)
     assert result.verdict.good
     made = result.apply(config)
-    assert [s.settle_tau_s for s in made.sensors.left] == pytest.approx([7.5] * 5, rel=0.1)
-    assert made.sensors.right == config.sensors.right
+    assert [s.settle_tau_s for s in made.column("left")] == pytest.approx([7.5] * 5, rel=0.1)
+    assert made.column("right") == config.column("right")
     law = result.sensors[0].law
     misses, plain = [], []
     for _ in range(200):
@@ -249,12 +249,12 @@ def test_pressure_zero_and_its_faults():
 def whole(config: RobotConfig) -> CheckReadings:
     """A check of a robot that is as its configuration says."""
     rng = np.random.default_rng(5)
-    sensors = [*config.sensors.left, *config.sensors.right]
+    sensors = [*config.column("left"), *config.column("right")]
     zero = np.array([s.zero_ohm for s in sensors])
     scale = np.array([s.scale_per_ohm for s in sensors])
     bent, seen, held = {}, {}, {}
     for side, sign, dull in (("left", 1, slice(0, 5)), ("right", -1, slice(5, 10))):
-        k = sign * config.actuators.side(side).maps[2].inflate.curvature(12.0)
+        k = sign * config.muscle(side).maps[2].inflate.curvature(12.0)
         row = np.full(10, k)
         row[dull] *= rng.uniform(-0.3, 0.4, 5)
         bent[side], seen[side] = zero + row / scale, k

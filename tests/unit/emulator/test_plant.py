@@ -54,7 +54,7 @@ def current_for(psi: float) -> float:
 def curvature_read(plant: Plant, sensor: int) -> float:
     """What a host with true constants makes of a sensor's ideal count, less its flat resistance."""
     side, index = divmod(sensor, 5)
-    column = plant.scene.robot.sensors.column("left" if side == 0 else "right")[index]
+    column = plant.scene.robot.column("left" if side == 0 else "right")[index]
     count = plant.analog[sensor, 1]
     ohm = 22_000.0 * (1024.0 - count) / count
     return float(column.scale_per_ohm * (ohm - column.zero_ohm))
@@ -118,7 +118,7 @@ def test_pressure_sensor_is_ratiometric_and_its_broken_wire_reads_zero() -> None
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
 def test_steady_bend_is_the_inflating_map_then_the_deflating_one(side: str, sign: float) -> None:
     plant = out(53.0)
-    maps = plant.scene.robot.actuators.side(side).maps[-1]  # type: ignore[arg-type]
+    maps = plant.scene.robot.muscle(side).maps[-1]  # type: ignore[arg-type]
     for psi in (3.0, 6.0):
         run(plant, 5.0, **{side: current_for(psi)})
     assert plant.free_curvature == pytest.approx(sign * maps.inflate.curvature(6.0), rel=5e-4)
@@ -419,7 +419,7 @@ def test_friction_holds_the_usual_pull_and_shorted_windings_only_slow_a_stronger
     speeds = []
     for holding_n, shorted in ((6.0, True), (4.0, True), (4.0, False)):
         scene = quiet(start_length_cm=20.0)
-        scene.spool.holding_n = holding_n
+        scene.robot.spool.holding_n = holding_n
         scene.spool.dead_zone = 15.0  # 2.8 N of sliding friction
         plant = Plant(scene)
         plant.motor_lost = not shorted

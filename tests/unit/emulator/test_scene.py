@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thigmo.config import SIDES
+from thigmo.config import SIDES, SIGN
 from thigmo.emulator.reach import first_felt, random_peg, stages, sweep_once
 from thigmo.emulator.scene import SCENES, Scene
 from thigmo.errors import ConfigError
@@ -42,7 +42,7 @@ def test_default_scene_states_every_key() -> None:
 def test_default_peg_is_touched_at_6_psi_by_the_tip_at_full_length() -> None:
     scene = Scene.load("default")
     (peg,) = scene.peg_list()
-    g = scene.robot.actuators.left.maps[-1].inflate.curvature(6.0)
+    g = scene.robot.muscle("left").maps[-1].inflate.curvature(6.0)
     gap, arc = solve(g, 53.0).locate(peg)
     assert gap == pytest.approx(0.0, abs=1e-3)
     assert arc == pytest.approx(53.0, abs=1e-3)
@@ -51,7 +51,7 @@ def test_default_peg_is_touched_at_6_psi_by_the_tip_at_full_length() -> None:
     assert (peg.x, peg.y) == pytest.approx(
         (x - beside * np.sin(heading), y + beside * np.cos(heading)), abs=2e-3
     )
-    assert 0.025 <= scene.robot.actuators.left.maps[-1].inflate.curvature(18.0) <= 0.05
+    assert 0.025 <= scene.robot.muscle("left").maps[-1].inflate.curvature(18.0) <= 0.05
 
 
 def test_default_peg_still_holds_the_tip_at_the_sweeps_peak() -> None:
@@ -89,8 +89,8 @@ def test_random_pegs_are_felt_where_they_say_and_repeat_with_the_seed() -> None:
     # An independent walk: the rod itself, at that stage and pressure.
     zone = robot.body.zone_at(felt.length_cm)
     scale = robot.body.zones[zone].pressure_psi / robot.body.critical_pressure_psi
-    curve = robot.actuators.side(felt.side).maps[zone].inflate
-    sign = 1.0 if felt.side == "left" else -1.0
+    curve = robot.muscle(felt.side).maps[zone].inflate
+    sign = SIGN[felt.side]
 
     def excess(pressure: float) -> float:
         rod = Rod(Tube(3.5, robot.body.critical_curvature * scale), [peg])
@@ -157,15 +157,13 @@ def test_belief_differs_from_truth_by_what_the_scene_says() -> None:
     for seed in range(200):
         config = scene.believed(seed)
         for side in SIDES:
-            for told, true in zip(
-                config.sensors.column(side), scene.robot.sensors.column(side), strict=True
-            ):
+            for told, true in zip(config.column(side), scene.robot.column(side), strict=True):
                 gains.append(told.scale_per_ohm / true.scale_per_ohm - 1)
                 places.append(told.center_cm - true.center_cm)
                 assert told.scale_se == 0.05
                 assert told.zero_se >= scene.noise.hysteresis
             for zone, right in zip(
-                config.actuators.side(side).maps, scene.robot.actuators.side(side).maps, strict=True
+                config.muscle(side).maps, scene.robot.muscle(side).maps, strict=True
             ):
                 maps.append(zone.inflate.amplitude / right.inflate.amplitude - 1)
     assert np.std(gains) == pytest.approx(0.05, rel=0.1)
@@ -178,12 +176,12 @@ def test_belief_differs_from_truth_by_what_the_scene_says() -> None:
 def test_without_errors_the_host_believes_the_truth() -> None:
     scene = Scene()
     known, true = scene.believed(), scene.robot
-    assert [s.scale_per_ohm for s in known.sensors.left] == [
-        s.scale_per_ohm for s in true.sensors.left
+    assert [s.scale_per_ohm for s in known.column("left")] == [
+        s.scale_per_ohm for s in true.column("left")
     ]
-    assert known.actuators.left.maps[0].inflate == true.actuators.left.maps[0].inflate
+    assert known.muscle("left").maps[0].inflate == true.muscle("left").maps[0].inflate
     assert known.body.critical_curvature == true.body.critical_curvature
     # And it knows that it does.
-    assert {s.scale_se for s in known.sensors.left} == {0.0}
-    assert {zone.scale_se for zone in known.actuators.left.maps} == {0.0}
+    assert {s.scale_se for s in known.column("left")} == {0.0}
+    assert {zone.scale_se for zone in known.muscle("left").maps} == {0.0}
     assert known.body.critical_curvature_se == 0.0

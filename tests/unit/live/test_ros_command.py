@@ -8,12 +8,12 @@ import pytest
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
-from thigmo.errors import DataError
+from thigmo.errors import ThigmoError
 
 
 def _refused(*arguments: str) -> str:
     error = CliRunner().invoke(app, ["ros", *arguments]).exception
-    assert isinstance(error, DataError)
+    assert isinstance(error, ThigmoError)
     return str(error)
 
 

@@ -8,8 +8,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 import thigmo
-from thigmo.localization import localize_batch, priors
-from thigmo.localization.estimate import localizer_of
+from thigmo.localization import Localizer, localize_batch, priors
 from thigmo.mechanics.closed_forms import phi
 
 LENGTH, SPAN, NOISE = 53.0, 5.5, 6e-4
@@ -19,7 +18,8 @@ ERRORS = {"gain_error": 0.05, "offset_error": 3e-4, "map_error": 0.04}
 
 def weighed(curvature, free, **options):
     """{(load, bad reading): log weight} of one frame."""
-    localizer = localizer_of(POSITION, len(POSITION), LENGTH, SPAN, NOISE, **options)
+    options |= {"position": POSITION, "length": LENGTH, "span": SPAN, "noise": NOISE}
+    localizer = Localizer.of(**options)._compiled
     own = np.full(1, free)
     found = localizer.localize(curvature, own, own)
     assert found.problem == 0
@@ -69,7 +69,7 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
         assert found[2, which] == pytest.approx(weight, abs=0.02)
 
 
-def test_an_edited_prior_changes_the_answer_at_the_next_call(monkeypatch):
+def test_an_edited_prior_changes_the_answers_of_the_next_localizer(monkeypatch):
     curvature = 2.5e-5 * phi(45.0, POSITION, SPAN)
     options = {"length": LENGTH, "span": SPAN, "noise": NOISE}
     before = thigmo.localize(curvature, POSITION, **options).log_odds

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from thigmo.errors import DataError
-from thigmo.localization import ContactFilter, LocalizeResult
+from thigmo.localization import ContactFilter, Localizer, LocalizeResult
 from thigmo.mechanics import Peg, Tube, solve
 
 Floats = npt.NDArray[np.float64]
@@ -36,17 +38,16 @@ def frames(obstacle: Peg | None, noise: float, frees: Floats = FREE) -> Floats:
 
 def empty(noise: float, sign: float = 1.0, unit: float = 1.0, **errors: float) -> ContactFilter:
     """A filter without a frame."""
-    return ContactFilter(
-        COLUMN * unit,
+    localizer = Localizer.of(
+        position=COLUMN * unit,
         length=53.0 * unit,
-        most_curvature=sign * FREE[-1] / unit,
         span=5.5 * unit,
         noise=max(noise, 1e-4) / unit,
         critical_curvature=CRITICAL / unit,
         tube_radius=1.75 * unit,
-        peg_radius=0.6 * unit,
         **errors,
     )
+    return localizer.filter(sign * FREE[-1] / unit, peg_radius=0.6 * unit)
 
 
 def answer(
@@ -170,21 +171,21 @@ def test_a_frame_that_cannot_be_is_refused_and_changes_nothing(
 
 def test_a_body_that_is_not_to_bend_has_no_filter() -> None:
     with pytest.raises(DataError, match="most_curvature"):
-        ContactFilter(COLUMN, length=53.0, most_curvature=0.0, noise=5e-4)
+        Localizer.of(position=COLUMN, length=53.0, noise=5e-4).filter(0.0)
 
 
 @pytest.mark.parametrize(
-    ("position", "given", "says"),
+    ("told", "given", "says"),
     [
-        (COLUMN, {"noise": -5e-4}, "noise"),
-        (COLUMN, {"zero_error": np.nan}, "zero_error"),
-        (10.0 * COLUMN, {}, "off a body"),
-        (COLUMN / 100.0, {}, "same unit|of a body"),
-        ([], {}, "no position"),
+        ({"noise": None}, {}, "known noise"),
+        ({"shared_errors": np.ones((5, 1))}, {}, "shared_errors"),
+        ({}, {"bad_sensor_odds": -1.0}, "bad_sensor_odds"),
+        ({}, {"place_error": np.nan}, "place_error"),
     ],
 )
-def test_sensors_that_cannot_be_have_no_filter(
-    position: Floats, given: dict[str, float], says: str
+def test_what_frames_do_not_know_is_refused(
+    told: dict[str, Any], given: dict[str, float], says: str
 ) -> None:
+    localizer = Localizer.of(position=COLUMN, length=53.0, **({"noise": 5e-4} | told))
     with pytest.raises(DataError, match=says):
-        ContactFilter(position, length=53.0, most_curvature=0.02, **{"noise": 5e-4, **given})
+        localizer.filter(0.02, **given)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -128,6 +129,7 @@ GOOD = {
         {"map_error": math.nan},
         {"gain_error": [-0.1, 0.0, 0.0]},
         {"bad_reading_odds": -1.0},
+        {"zero_error": math.nan},
         {"shared_errors": [1.0, 2.0, 3.0]},
         {"shared_errors": [[math.nan]] * 3},
         {"method": "l1", "contacts": 3},
@@ -162,3 +164,30 @@ def test_another_unit_is_refused_with_its_likely_cure(change, cure):
     with pytest.raises(DataError) as caught:
         thigmo.localize(curvature, position, **arguments)
     assert cure in caught.value.next_step
+
+
+def test_an_option_that_is_none_names_those_that_are():
+    with pytest.raises(TypeError, match=r"'nois' is no option; options are length.*noise"):
+        thigmo.localize([1e-3], [5.0], length=53.0, nois=6e-4)
+
+
+def test_a_localizer_is_checked_once_and_stays_as_it_was():
+    position = np.array([5.0, 15.0, 25.0])
+    localizer = thigmo.Localizer(
+        thigmo.Body(53.0), thigmo.Sensors(position, 5.5), thigmo.Errors(noise=6e-4)
+    )
+    frame = [1e-3, 2e-3, 0.0]
+    before = localizer.localize(frame).log_odds
+    position += 20.0
+    assert localizer.localize(frame).log_odds == before
+    assert pickle.loads(pickle.dumps(localizer)).localize(frame).log_odds == before
+    with pytest.raises(AttributeError):
+        localizer.body = thigmo.Body(54.0)
+    with pytest.raises(DataError, match="differ in length"):
+        localizer.localize([1e-3])
+
+
+def test_an_error_of_the_zero_is_noise_of_a_frame():
+    arguments = GOOD | {"curvature": [3e-3, 2e-3, 1e-3]}
+    told = thigmo.localize(**arguments | {"zero_error": 8e-4})
+    assert told.log_odds == thigmo.localize(**arguments | {"noise": 1e-3}).log_odds

@@ -63,7 +63,7 @@ def test_missing_readings_are_left_out() -> None:
 def test_what_it_cannot_do_is_said() -> None:
     with pytest.raises(DataError, match="0 contacts"):
         thigmo.localize(pressed(30.0), X, length=53, contacts=0, method="thesis")
-    with pytest.raises(DataError, match="unknown method 'thesis'"):
+    with pytest.raises(DataError, match="thesis takes no rows"):
         thigmo.localize_batch(pressed(30.0)[None], X, length=53, method="thesis")  # type: ignore[arg-type]
     with pytest.raises(DataError, match="a reading is infinite"):
         thigmo.localize(np.full(10, np.inf), X, length=53, method="thesis")

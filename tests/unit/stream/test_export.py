@@ -11,10 +11,10 @@ from test_hub import ONE_OF_EACH, a_block, a_telemetry
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
-from thigmo.errors import RunFolderError
+from thigmo.errors import DataError, RunFolderError
 from thigmo.record import LogWriter
 from thigmo.stream import Hub, recording
-from thigmo.stream.recorded import export_csv
+from thigmo.stream.recorded import export_csv, export_parquet
 
 
 @pytest.fixture(scope="module")
@@ -68,10 +68,25 @@ def test_a_list_becomes_rows(run: Path, tmp_path: Path) -> None:
     assert contact["known"] == ""
 
 
+def test_parquet_holds_the_same_tables_with_nulls(run: Path, tmp_path: Path) -> None:
+    from pyarrow.parquet import read_table
+
+    tables = {path.stem: _table(path) for path in export_csv(run, tmp_path)}
+    files = export_parquet(run, tmp_path)
+    assert [path.stem for path in files] == list(tables)
+    for file in files:
+        held = read_table(file)
+        assert held.num_rows == len(tables[file.stem])
+        assert held.column_names == list(tables[file.stem][0])
+    assert read_table(tmp_path / "telemetry.parquet")["pressure_psi_left"].to_pylist() == [1.5, 1.5]
+    assert read_table(tmp_path / "contacts.parquet")["known"].to_pylist() == [None]
+
+
 def test_the_command_names_its_files_and_asks_for_a_folder(run: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["export", str(run), "--csv", str(tmp_path)])
     assert str(tmp_path / "telemetry.csv") in done.output.split()
-    assert "--csv" in CliRunner().invoke(app, ["export", str(run)]).output
+    with pytest.raises(DataError, match="--csv FOLDER or --parquet FOLDER"):
+        CliRunner().invoke(app, ["export", str(run)], catch_exceptions=False)
 
 
 def test_a_folder_that_cannot_be_written_is_named(run: Path, tmp_path: Path) -> None:

@@ -82,12 +82,22 @@ function drawContactRows() {
     row.innerHTML = `
       <td><b>${fixed(contact.x_cm, 1)}, ${fixed(contact.y_cm, 1)}</b></td>
       <td><b>${fixed(contact.arc_cm, 1)}</b> <span class="muted">${range} of ${fixed(contact.everted_length_cm, 0)}</span></td>
-      <td>${Number.isFinite(contact.force_per_cm2) ? contact.force_per_cm2.toExponential(1).replaceAll("-", "−") : "–"}</td>`;
+      <td>${force(contact)}</td>`;
     const chip = element("span", { class: "chip" }, `${contact.status}${certain}`);
     if (contact.status !== "localized") chip.classList.add("ambiguous");
     row.append(element("td", {}, chip));
     return row;
   }));
+}
+
+function force(contact) {
+  const minus = (text) => text.replaceAll("-", "−");
+  if (Number.isFinite(contact.force_n)) {
+    const [low, high] = contact.force_interval_n.map((value) => minus(value.toPrecision(2)));
+    return `<b>${minus(contact.force_n.toPrecision(2))}</b> <span class="muted">${low} to ${high} N</span>`;
+  }
+  if (!Number.isFinite(contact.force_per_cm2)) return "–";
+  return `${minus(contact.force_per_cm2.toExponential(1))} <abbr>1/cm² (over EI)</abbr>`;
 }
 
 export const percent = (share) => share > .999 ? "> 99.9 %" : `${(100 * share).toFixed(1)} %`;

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
-from thigmo.localization import ContactFilter, LocalizeResult, localize
+from thigmo.localization import Localizer, LocalizeResult, localize
 from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.trial import Trial
@@ -60,11 +60,13 @@ def ours(trial: Trial) -> Answer:
     """
     if len(trial.frames) == 1:
         return alone(trial)
-    felt = ContactFilter(
-        trial.position, most_curvature=trial.free, noise=max(trial.noise, 1e-9),
-        gain_error=trial.gain_error, place_error=trial.place_error_cm,
-        peg_radius=thesis.DOWEL_CM, **_told(trial),
+    localizer = Localizer.of(
+        position=trial.position, noise=max(trial.noise, 1e-9), gain_error=trial.gain_error,
+        **_told(trial),
     )  # fmt: skip
+    felt = localizer.filter(
+        trial.free, place_error=trial.place_error_cm, peg_radius=thesis.DOWEL_CM
+    )
     felt.update(trial.frames / trial.gain, trial.frames_free)
     return _answer(felt.result())
 

@@ -214,6 +214,7 @@ class _Remembers:
         self._measure = operator.everted_length_cm
         self.set_body_pressure = operator.set_body_pressure
         self.place_pegs = operator.place_pegs
+        self.warn = operator.warn
         self.length_cm: float | None = None
 
     def everted_length_cm(self) -> float:

@@ -195,7 +195,7 @@ def actuated(solved: Sequence[Solved]) -> dict[str, Figure]:
 
 def muscle_map(seed: int) -> Figure:
     """The muscle's map from pressure to curvature, measured by a camera and fitted (2.4c)."""
-    zone = emulated_robot().actuators.left.maps[-1]
+    zone = emulated_robot().muscle("left").maps[-1]
     rng = np.random.default_rng([seed, 24])
     psi = np.tile(_PRESSURES_PSI, _TRIALS)
     trial = np.repeat(np.arange(_TRIALS), _PRESSURES_PSI.size)
@@ -253,7 +253,7 @@ def _fold() -> Figure:
 
 def _bent_into() -> Figure:
     """The robot bends itself into a dowel: at 6 psi it just touches (figure 3.7a)."""
-    free = emulated_robot().actuators.left.maps[-1].inflate.curvature
+    free = emulated_robot().muscle("left").maps[-1].inflate.curvature
     touch = free(thesis.TOUCH_PSI)
     pressures = (thesis.TOUCH_PSI, *sorted(thesis.ACTUATED_PSI.values()))
     drawn = {

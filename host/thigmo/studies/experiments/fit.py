@@ -132,7 +132,7 @@ def _settings() -> Iterator[Setting]:
         label = name.removesuffix("_cm").removesuffix("_rad").replace("_", " ")
         for word, factor in (("- 50 %", 0.5), ("+ 50 %", 1.5)):
             yield f"{label} {word}", replace(fitted, **{name: factor * value}), {}
-    muscle = emulated_robot().actuators.left.maps[-1].inflate
+    muscle = emulated_robot().muscle("left").maps[-1].inflate
     for word, factor in (("- 25 %", 0.75), ("+ 25 %", 1.25)):
         curve = muscle.model_copy(update={"amplitude": factor * muscle.amplitude})
         yield f"muscle's map {word}", fitted, {"muscle": curve}

@@ -18,7 +18,7 @@ import numpy as np
 
 from thigmo import __version__
 from thigmo.calibrate.bench import READ_S, SAME_CM, STEADY_S
-from thigmo.config import RobotConfig, Side
+from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
@@ -79,7 +79,7 @@ def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
     if robot.status().state == "safe":
         robot.arm()
     robot.vent()
-    body, pitch = config.body, config.sensors.pitch_cm
+    body, pitch = config.body, config.body.pitch_cm
     stops = {*np.arange(pitch, body.length_cm, pitch).tolist(), body.length_cm}
     stops |= {zone.until_cm for zone in body.zones if zone.until_cm < body.length_cm}
     way = [(stop, body.zone_at(stop)) for stop in sorted(stops) if stop > length + SAME_CM]
@@ -166,7 +166,7 @@ def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
     """A line of the table as a trial: usable sensors only, free curvature by the map."""
     table, scale_se = SensorTable.of(config), scale_errors(config)
     side: Side = row["side"]
-    muscle, sign = config.actuators.side(side), 1 if side == "left" else -1
+    muscle, sign = config.muscle(side), SIGN[side]
     zone = muscle.maps[-1]
     frames, psi = np.array([*row["passed_curvature"], row["curvature"]]), row["passed_psi"]
     gain, gain_se = np.ones(frames.shape[1]), np.zeros(frames.shape[1])
@@ -200,9 +200,9 @@ def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> tuple[
     As `Specimen.learn_gains`; but what a reading errs by on a real robot (its zero, its hysteresis)
     is much the same in all trials, so that many of them tell no more than one.
     """
-    table, muscle = SensorTable.of(config), config.actuators.side(side)
+    table, muscle = SensorTable.of(config), config.muscle(side)
     mine = [row for row in rows if row["side"] == side and row["passed_psi"]]
-    zone, sign = muscle.maps[-1], 1 if side == "left" else -1
+    zone, sign = muscle.maps[-1], SIGN[side]
     spread = np.maximum(np.hypot(scale_errors(config), zone.scale_se), _LEAST_GAIN_SE)
     believed = np.mean([sign * zone.inflate.curvature(row["passed_psi"][0]) for row in mine])
     departure = np.mean([row["passed_curvature"][0] for row in mine], axis=0) - believed

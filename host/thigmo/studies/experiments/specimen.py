@@ -95,7 +95,7 @@ class Specimen:
     ) -> None:
         self.constants = constants
         self.gain_error = constants.gain_spread  # of what is still unknown of a gain
-        self._muscle = muscle or emulated_robot().actuators.left.maps[-1].inflate
+        self._muscle = muscle or emulated_robot().muscle("left").maps[-1].inflate
         self._map_error = map_error
         self._believed: Floats = np.tile(thesis.CENTERS_CM, 2)
         count, half = self._believed.size, thesis.SPAN_CM / 2

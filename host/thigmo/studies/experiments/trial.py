@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thigmo.config import Side
+from thigmo.config import SIGN, Side
 from thigmo.errors import DataError
 from thigmo.localization import arc_bounds
 from thigmo.studies.experiments import thesis
@@ -51,7 +51,7 @@ class Planned:
     @property
     def sign(self) -> float:
         """Of the distal force: a dowel on the left pushes to the right."""
-        return -1.0 if self.side == "left" else 1.0
+        return -SIGN[self.side]
 
     def fold(self, angle_rad: float) -> float:
         """The base's fold, signed, where the push folds it by an angle."""

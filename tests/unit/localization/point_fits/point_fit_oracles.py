@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from thigmo.localization.estimate import localizer_of
+from thigmo.localization import Localizer
 
 Floats = NDArray[np.float64]
 
@@ -34,8 +35,9 @@ class PointFit:
 
 def fit(y: Floats, low: Floats, high: Floats, contacts: int, norm: str) -> PointFit:
     """The compiled fit of readings above a free curvature of 0."""
-    options = {"tube_radius": 1e-6, "contacts": contacts, "method": norm}
-    localizer = localizer_of(0.5 * (low + high), len(y), 1.0, high - low, **options)
+    options: dict[str, Any] = {"tube_radius": 1e-6, "contacts": contacts, "method": norm}
+    options |= {"position": 0.5 * (low + high), "length": 1.0, "span": high - low}
+    localizer = Localizer.of(**options)._compiled
     # Readings that are all the same are refused of a body that nothing bends.
     free = np.full(1, 0.5 if np.ptp(y) == 0.0 else 0.0)
     found = localizer.localize(y + free, free, free)

@@ -1,0 +1,130 @@
+"""Bending stiffness EI: what makes newtons of the forces over EI that curvature tells.
+
+Two ways. A known force, of a hung weight or a spring balance, bends the calibrated robot, and its
+sensors tell the force over EI. Or EI is stated from the fold: a thin inflated tube folds at a
+moment between pi p r^3 / 2, where its wall first goes slack (Comer and Levy, AIAA Journal 1963),
+and pi p r^3, where no part of it is taut; which one a robot's sensors call the fold is not known,
+so the whole range is the error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thigmo.calibrate.columns import Array, constants_of, of_sensors
+from thigmo.calibrate.regression import outlying
+from thigmo.calibrate.verdict import StepResult, Verdict
+from thigmo.config import RobotConfig
+from thigmo.errors import DataError
+from thigmo.mechanics import push
+from thigmo.record.table import Table
+
+COLUMNS = "force_n, curvature_left_0 .. curvature_right_4 [force_arc_cm, force_se]"
+_N_PER_CM2 = 0.6894757  # of a psi
+_FOLD, _FOLD_SE = 0.75, 0.5 / np.sqrt(12.0)  # moment over pi p r^3: anywhere from a half to one
+_PASSES = 4
+_GOOD = 0.2  # relative standard error from which newtons are worth telling
+
+
+@dataclass(frozen=True)
+class BendingResult(StepResult):
+    """Bending stiffness."""
+
+    stiffness_n_cm2: float
+    stiffness_se_n_cm2: float
+    each: Array  # (t,) of every pull alone
+    verdict: Verdict
+
+    def write(self, config: RobotConfig) -> None:
+        """EI and its error."""
+        config.body.stiffness_n_cm2 = self.stiffness_n_cm2
+        config.body.stiffness_se_n_cm2 = self.stiffness_se_n_cm2
+
+
+def of_csv(table: Table, config: RobotConfig) -> BendingResult:
+    """Pulls with known forces, a row each: readings above those of the straight robot."""
+    curvature = of_sensors(table, "curvature", config)
+    force = table.numbers("force_n")
+    arc = table.numbers("force_arc_cm", config.body.length_cm)
+    return fit_bending(force, arc, table.numbers("force_se", 0.05), curvature, config)
+
+
+def fit_bending(
+    force_n: Array, arc_cm: Array, force_se: Array, curvature: Array, config: RobotConfig
+) -> BendingResult:
+    """EI from (t,) forces, relative errors of theirs, at (t,) arcs, and (t, m) curvatures."""
+    if not (np.isfinite(force_n) & (np.abs(force_n) > 0)).all() or not (force_se >= 0).all():
+        raise DataError("a force_n is 0 or missing", "give newtons: kg times 9.81")
+    if not ((arc_cm > 0) & (arc_cm <= config.body.length_cm)).all():
+        raise DataError("a force_arc_cm is off the body", "give where it acts, from the base")
+    names = ("center_cm", "span_cm", "noise", "zero_se", "scale_se", "valid_direction", "healthy")
+    center, span, white, zero_se, gain, way, healthy = constants_of(config, *names)
+    noise = np.hypot(white, zero_se)
+    # A base that folds takes its turn from the first sensors.
+    far = (healthy > 0) & (center - span / 2 >= config.body.diameter_cm)
+    each, own = np.full((2, len(force_n)), np.nan)
+    for trial, (force, arc, row) in enumerate(zip(force_n, arc_cm, curvature, strict=True)):
+        pick = far & np.isfinite(row) & (center + span / 2 <= arc)
+        if pick.any():
+            pick &= (way == 0) | (way == np.sign(np.median(row[pick])))
+        if pick.sum() < 2:
+            continue
+        sign = float(np.sign(np.median(row[pick]))) or 1.0
+        over, error = _over_stiffness(sign * row[pick], center[pick], span[pick], noise[pick], arc)
+        each[trial] = abs(force) / over
+        own[trial] = each[trial] * error / over
+    kept = np.isfinite(each)
+    n = int(kept.sum())
+    if n == 0:
+        raise DataError(
+            "no pull is read by two healthy sensors before it", "pull at the tip, and harder"
+        )
+    notes = [] if kept.all() else [f"{int((~kept).sum())} pull(s) left out: too few readings"]
+    if n >= 4:
+        odd = np.zeros(len(each), bool)
+        odd[kept] = outlying(each[kept], 4.5, float(np.median(own[kept])))
+        if odd.any():
+            notes.append(f"{int(odd.sum())} pull(s) left out as outliers")
+        kept &= ~odd
+        n = int(kept.sum())
+    mean = float(each[kept].mean())
+    scatter = float(each[kept].std(ddof=1)) if n > 1 else 0.0
+    within = max(scatter, float(np.sqrt(np.mean(own[kept] ** 2)))) / np.sqrt(n)
+    # Errors of the gains and of the balance are the same in every pull.
+    common = np.hypot(np.sqrt(np.sum(gain[far] ** 2)) / far.sum(), force_se[kept].mean())
+    error = float(np.hypot(within / mean, common))
+    reason = f"EI {mean:.0f} N cm2 +- {100 * error:.0f} % from {n} pull(s)"
+    if error > _GOOD:
+        reason += "; pull harder, more often, or calibrate the flex sensors first"
+    return BendingResult(mean, mean * error, each, Verdict(error <= _GOOD, reason, tuple(notes)))
+
+
+def from_fold(config: RobotConfig) -> BendingResult:
+    """EI that the fold's moment, the body's pressure and its radius state; no readings."""
+    body = config.body
+    slack = np.pi * body.critical_pressure_psi * _N_PER_CM2 * body.radius_cm**3
+    stiffness = float(_FOLD * slack / body.critical_curvature)
+    error = float(np.hypot(_FOLD_SE / _FOLD, body.critical_curvature_se / body.critical_curvature))
+    reason = (
+        f"EI {stiffness:.0f} N cm2 +- {100 * error:.0f} %, stated from the fold at "
+        f"{body.critical_curvature:.4g} 1/cm; a hung weight tells it better"
+    )
+    return BendingResult(stiffness, stiffness * error, np.array([]), Verdict(True, reason))
+
+
+def _over_stiffness(
+    row: Array, center: Array, span: Array, noise: Array, arc: float
+) -> tuple[float, float]:
+    """Force over EI (1/cm^2) at an arc, and its standard error, of a body bent to the left."""
+    force = 1e-6
+    error = 0.0
+    for _ in range(_PASSES):
+        lever = np.asarray(
+            push(force, arc, free_curvature=0.0, length=arc).averages(center, span) / force, float
+        )
+        power = float((lever**2 / noise**2).sum())
+        force = max(float((lever * row / noise**2).sum()) / power, 1e-9)
+        error = power**-0.5
+    return force, error

@@ -1,0 +1,427 @@
+"""`Localizer`: one frame of readings in, contacts with intervals out; rows and streams as well.
+
+What it is told once (`described`) is checked once. Each frame is checked and normalised
+(`readings.h`), explanations weighed (`hypotheses.h`), and mixed into an answer (`answer.h`): one
+posterior over everything that may have bent the body, every error told, nothing thrown out
+silently. `localize` and `localize_batch` are a `Localizer` that is used once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.display import POINT_ESTIMATE
+from thigmo.errors import DataError
+from thigmo.localization import _posterior, priors
+from thigmo.localization.batch import BatchResult
+from thigmo.localization.described import Body, Errors, Priors, Sensors
+from thigmo.localization.frames import ContactFilter
+from thigmo.localization.newtons import newtons
+from thigmo.localization.readings import (
+    Array,
+    Range,
+    bending_stiffness,
+    check_layout,
+    columns,
+    everted_length,
+    grip,
+    positive,
+    refusal,
+    share,
+    share_of_length,
+    vector,
+)
+from thigmo.localization.result import STATUSES, Contact, LocalizeResult, OfBody, Status
+
+MOST_CONTACTS = 3
+COMPILED = ("posterior", "l1", "l2")  # the norm of a point fit is its place here
+METHODS = (*COMPILED, "thesis")
+_BEND_POINTS = 107  # along a body bent by a point fit; every 0.5 cm of 53
+_PARTS = {"body": Body, "sensors": Sensors, "errors": Errors, "priors": Priors}
+_PART_OF = {each.name: name for name, part in _PARTS.items() for each in fields(part)}
+
+
+@dataclass(frozen=True, eq=False)
+class Localizer:
+    """Finds the contacts that a body feels; immutable, checked when it is made.
+
+    Every error that is told widens answers by what it is worth; one that is not told makes them
+    wrong.
+
+    Args:
+        body: the body.
+        sensors: where its sensors are.
+        errors: standard errors of their readings.
+        priors: what is known beforehand, and what counts as localized.
+        method: "posterior"; or a method without intervals, whose answers say so by their status
+            `point estimate`: "l1", "l2" (exact point fits of one or two contacts), "thesis" (the
+            alternating fit of `thigmo.localization.thesis`, for the number of contacts given, one
+            for "auto"; with `critical_curvature`, also its remedies for a folded base). "thesis"
+            takes no error, and lengths in cm only.
+
+    Raises:
+        DataError: a number that is not possible, or lengths that look like another unit.
+    """
+
+    body: Body
+    sensors: Sensors
+    errors: Errors = field(default_factory=Errors)
+    priors: Priors = field(default_factory=Priors)
+    method: str = "posterior"
+    _compiled: _posterior.Localizer = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_compiled", self._checked())
+
+    @classmethod
+    def of(cls, *, method: str = "posterior", **options: Any) -> Localizer:
+        """The localizer of options by name: the fields of its four parts.
+
+        Raises:
+            TypeError: an option that is none, or `position` or `length` is missing.
+            DataError: as the constructor.
+        """
+        given: dict[str, dict[str, Any]] = {name: {} for name in _PARTS}
+        for name, value in options.items():
+            if name not in _PART_OF:
+                raise TypeError(f"{name!r} is no option; options are {', '.join(_PART_OF)}")
+            given[_PART_OF[name]][name] = value
+        parts = {name: part(**given[name]) for name, part in _PARTS.items()}
+        return cls(**parts, method=method)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For pickle: the compiled part is made again."""
+        return Localizer, (self.body, self.sensors, self.errors, self.priors, self.method)
+
+    @property
+    def length(self) -> float:
+        """Everted length of the body."""
+        return self._compiled.length
+
+    def localize(
+        self,
+        curvature: npt.ArrayLike,
+        *,
+        free_curvature: npt.ArrayLike = 0.0,
+        body_curvature: npt.ArrayLike | None = None,
+    ) -> LocalizeResult:
+        """Find the contacts in one frame.
+
+        Args:
+            curvature: (N,) readings, average curvature over each sensor; NaN marks a missing one.
+            free_curvature: scalar or (N,) what each sensor would read if nothing touched.
+            body_curvature: scalar or (N,) curvature of the free body at the sensors, where it
+                differs from what they would read; the same if not given.
+
+        Returns:
+            Contacts with 95 % intervals, probabilities, status, and the likeliest explanation.
+
+        Raises:
+            DataError: readings that cannot be used as given, or that look like another unit.
+        """
+        k = vector(curvature, "curvature")
+        count = self._compiled.count
+        if k.size != count:
+            raise DataError(
+                "position and curvature differ in length", "give one position for each reading"
+            )
+        free = vector(free_curvature, "free_curvature", count)
+        body = free if body_curvature is None else vector(body_curvature, "body_curvature", count)
+        found = self._compiled.localize(k, free, body)
+        if found.problem:
+            raise refusal(found.problem, found.shows, self.length)
+        if self.method == "thesis":
+            return self._thesis_fit(k - free)
+        if self.method != "posterior":
+            return _point_fit(found, self.length, self.method)
+        return _result(found, self.length, self.body.stiffness)
+
+    def localize_batch(
+        self, curvature: npt.ArrayLike, *, free_curvature: npt.ArrayLike = 0.0, jobs: int = 1
+    ) -> BatchResult:
+        """The numbers of `localize`, row by row, without Python between the rows.
+
+        Args:
+            curvature: (M, N) readings; NaN marks a missing one.
+            free_curvature: scalar, (N,) or (M, 1) or (M, N).
+            jobs: threads to share the rows.
+
+        Raises:
+            DataError: as `localize`, naming the row; no row is skipped silently.
+        """
+        if self.method not in COMPILED:
+            raise DataError(f"{self.method} takes no rows", "give its frames one by one")
+        width = self._compiled.count
+        table = np.ascontiguousarray(curvature, dtype=np.float64)
+        if table.ndim != 2 or table.shape[1] != width:
+            raise DataError(
+                f"curvature has shape {table.shape}", f"give (M, {width}), a column for each sensor"
+            )
+        count = len(table)
+        free = np.asarray(free_curvature, dtype=np.float64)
+        if free.ndim < 2:
+            free = vector(free, "free_curvature", width)[None, :]
+        if free.shape[0] not in (1, count) or free.shape[1] not in (1, width):
+            raise DataError(
+                f"free_curvature has shape {free.shape}", "give a scalar, (N,), (M, 1) or (M, N)"
+            )
+        parts = np.array_split(np.arange(count), max(min(jobs, count), 1))
+
+        def run(rows: npt.NDArray[np.int64]) -> tuple[Array, Array]:
+            own = free if free.shape[0] == 1 else free[rows]
+            return self._compiled.localize_rows(table[rows], np.ascontiguousarray(own))
+
+        with ThreadPoolExecutor(len(parts)) as pool:
+            found = list((pool.map if len(parts) > 1 else map)(run, parts))
+        of_row, of_contact = (np.concatenate(each) for each in zip(*found, strict=True))
+        return BatchResult.of(of_row, of_contact, self.length, self.method)
+
+    def filter(self, most_curvature: float, **options: Any) -> ContactFilter:
+        """A stream of frames of a body that bends into one obstacle at rest.
+
+        Args:
+            most_curvature: free curvature that the inflation reaches; its sign tells the side.
+            options: further ones of `ContactFilter`.
+        """
+        return ContactFilter(self.body, self.sensors, self.errors, most_curvature, **options)
+
+    def _checked(self) -> _posterior.Localizer:
+        body, errors, known = self.body, self.errors, self.priors
+        x, total = vector(self.sensors.position, "position"), everted_length(body.length)
+        count = x.size
+        white = np.zeros(0) if errors.noise is None else vector(errors.noise, "noise", count)
+        if errors.noise is not None and not white.size:
+            raise DataError(
+                "noise is empty", "give one standard deviation, or None if it is unknown"
+            )
+        if (white == 0.0).any():
+            raise DataError(
+                "noise is 0", "give the standard deviation of a reading, or None if it is unknown"
+            )
+        widths = vector(self.sensors.span, "span", count)
+        own = {
+            name: vector(getattr(errors, name), name, count)
+            for name in ("zero_error", "gain_error")
+        }
+        odds = vector(known.bad_reading_odds, "bad_reading_odds", count)
+        check_layout(x, widths, total, noise=white, bad_reading_odds=odds, **own)
+        if white.size:
+            white = np.hypot(white, own["zero_error"])
+        contacts = known.contacts
+        if contacts != "auto" and (
+            isinstance(contacts, bool)
+            or not isinstance(contacts, (int, np.integer))
+            or not 0 <= contacts <= MOST_CONTACTS
+        ):
+            raise DataError(f"contacts={contacts!r} is not possible", 'give "auto" or 0 to 3')
+        if self.method not in METHODS:
+            raise DataError(f"unknown method {self.method!r}", f"use one of {', '.join(METHODS)}")
+        if self.method in ("l1", "l2") and contacts not in ("auto", 1, 2):
+            raise DataError(
+                f"{self.method} fits no {contacts} contacts", "give 1 or 2, or no method"
+            )
+        if self.method == "thesis" and contacts == 0:
+            raise DataError("thesis fits no 0 contacts", "give 1 to 3, or no method")
+        radius, limit = priors.TUBE_RADIUS * total, priors.WIDTH_SHARE
+        if body.tube_radius is not None:
+            radius = max(positive(body.tube_radius, "tube_radius"), 1e-6 * total)
+        critical, moment = body.critical_curvature, math.inf
+        if critical is not None and critical != math.inf:
+            moment = max(positive(critical, "critical_curvature") * total, 1e-6)
+        if known.width_limit is not None:
+            limit = positive(known.width_limit, "width_limit") / total
+        bending_stiffness(body.stiffness)
+        face = known.end_face_odds
+        held, held_odds = grip(known.held_end)
+        slack = positive(body.critical_curvature_error, "critical_curvature_error")
+        return _posterior.Localizer(
+            position=x,
+            span=widths,
+            noise=white,
+            gain=own["gain_error"],
+            bad_odds=odds,
+            shared=columns(errors.shared_errors, count),
+            offset=positive(errors.offset_error, "offset_error"),
+            map_scale=positive(errors.map_error, "map_error"),
+            length=total,
+            radius=radius,
+            critical=moment,
+            critical_error=max(slack, 1e-3),
+            folds_perhaps=critical is None,
+            held_end=held,
+            end_odds=math.nan if face is None else positive(face, "end_face_odds"),
+            held_odds=held_odds,
+            contacts=-1 if contacts == "auto" else int(contacts),
+            within=share_of_length(known.within, total),
+            width_limit=limit,
+            number_level=share(known.number_level, "number_level"),
+            norm=COMPILED.index("posterior" if self.method == "thesis" else self.method),
+            priors=priors.compiled(),
+        )
+
+    def _thesis_fit(self, excess: Array) -> LocalizeResult:
+        """The thesis's fit to checked readings above the free curvature."""
+        from thigmo.localization import thesis  # its optimiser takes a tenth of a second to import
+
+        read = np.isfinite(excess)
+        x = vector(self.sensors.position, "position")[read]
+        spans = np.broadcast_to(vector(self.sensors.span, "span", excess.size), excess.size)[read]
+        count = 1 if self.priors.contacts == "auto" else int(self.priors.contacts)
+        critical = self.body.critical_curvature or math.inf
+        problem = thesis.Problem(excess[read], x, spans, self.length, count, critical)
+        arcs, forces = thesis.coupled(problem)
+        fitted = [(at, force, ()) for at, force in zip(arcs.tolist(), forces.tolist(), strict=True)]
+        left = thesis.objective(thesis.at_centres(problem), arcs, forces)
+        return _point_result(fitted, self.length, "thesis", left)
+
+
+def localize(
+    curvature: npt.ArrayLike,
+    position: npt.ArrayLike,
+    *,
+    length: float,
+    free_curvature: npt.ArrayLike = 0.0,
+    body_curvature: npt.ArrayLike | None = None,
+    **options: Any,
+) -> LocalizeResult:
+    """Find the contacts in one frame: a `Localizer` that is used once.
+
+    Args:
+        curvature: (N,) readings, average curvature over each sensor; NaN marks a missing one.
+        position: (N,) sensor centres along the body, 0 at the base.
+        length: everted length.
+        free_curvature: as in `Localizer.localize`.
+        body_curvature: as in `Localizer.localize`.
+        options: every other field of `Body`, `Sensors`, `Errors` and `Priors`; `method`.
+
+    Raises:
+        DataError: as `Localizer`, or as `Localizer.localize`.
+        TypeError: an option that is none.
+    """
+    localizer = Localizer.of(position=position, length=length, **options)
+    return localizer.localize(
+        curvature, free_curvature=free_curvature, body_curvature=body_curvature
+    )
+
+
+def localize_batch(
+    curvature: npt.ArrayLike,
+    position: npt.ArrayLike,
+    *,
+    length: float,
+    free_curvature: npt.ArrayLike = 0.0,
+    jobs: int = 1,
+    **options: Any,
+) -> BatchResult:
+    """The numbers of `localize`, row by row: `Localizer.localize_batch`.
+
+    Args:
+        curvature: (M, N) readings; NaN marks a missing one.
+        position: (N,) sensor centres.
+        length: everted length.
+        free_curvature: scalar, (N,) or (M, 1) or (M, N).
+        jobs: threads to share the rows.
+        options: as in `localize`, the same for all rows.
+
+    Raises:
+        DataError: as `localize`, naming the row; no row is skipped silently.
+    """
+    localizer = Localizer.of(position=position, length=length, **options)
+    return localizer.localize_batch(curvature, free_curvature=free_curvature, jobs=jobs)
+
+
+def _point_fit(found: _posterior.Answer, total: float, method: str) -> LocalizeResult:
+    """The global minimum of a norm of the residual, and where it is attained."""
+    fitted = [(arc, force, pieces) for arc, force, _, _, pieces, *_ in found.contacts(total)]
+    return _point_result(fitted, total, method, found.objective)
+
+
+def _point_result(
+    fitted: Sequence[tuple[float, float, tuple[Range, ...]]],
+    total: float,
+    method: str,
+    objective: float,
+) -> LocalizeResult:
+    """Places and forces without errors, as a result that nobody takes for one with errors.
+
+    The interval of such a contact is the whole body: nothing narrower would hold.
+    """
+    contacts = tuple(
+        Contact(arc, force, (0.0, total), POINT_ESTIMATE, pieces, math.nan, math.nan)
+        for arc, force, pieces in fitted
+    )
+    arcs = np.linspace(0.0, total, _BEND_POINTS)
+    bend = sum((force * np.maximum(arc - arcs, 0.0) for arc, force, _ in fitted), np.zeros(1))
+    return LocalizeResult(
+        POINT_ESTIMATE,
+        contacts,
+        f"{len(contacts)} contact{'s' * (len(contacts) > 1)}, {method}",
+        f"{method} gives a place without an interval: how far off it is, and whether there is a "
+        "contact at all, it does not say",
+        math.nan,
+        math.nan,
+        {},
+        objective=objective,
+        length=total,
+        _body=OfBody(bend=bend * total),
+    )
+
+
+def _result(
+    found: _posterior.Answer, total: float, stiffness: tuple[float, float] | None
+) -> LocalizeResult:
+    """The answer in the caller's units."""
+    status = STATUSES[found.status]
+    contacts = tuple(Contact(*fields) for fields in found.contacts(total))
+    if stiffness is not None:
+        # What loads the end is the most distal contact.
+        loads = [(math.nan,) * 4] * (len(contacts) - 1) + [tuple(found.end_load)]
+        contacts = tuple(
+            replace(contact, newtons=newtons(stiffness, *cells[1:], load, total))
+            for contact, cells, load in zip(contacts, found.masses, loads, strict=False)
+        )
+    return LocalizeResult(
+        status,
+        contacts,
+        found.hypothesis,
+        _message(status, found, len(contacts)),
+        found.noise,
+        found.log_odds,
+        found.hypotheses,
+        () if found.discarded < 0 else (found.discarded,),
+        found.parameters(total),
+        number=tuple(found.number),
+        length=total,
+        _body=found,
+    )
+
+
+def _message(status: Status, found: _posterior.Answer, count: int) -> str:
+    bad = ""
+    if found.discarded >= 0:  # a kink under a sensor looks much the same
+        bad = "; one reading looks bad (see `discarded`)"
+        kink = sum(p for name, p in found.hypotheses.items() if "hinge" in name or "folded" in name)
+        if kink > priors.EXCLUDED:
+            bad += f", or the body is kinked there (probability {kink:.2f})"
+    if status == "no contact":
+        return "the readings are those of the free body" + bad
+    if status == "below detection":
+        return "a contact is not certain; average more readings, bend further or give `noise`" + bad
+    felt = f"{count} felt with probability {found.number[count]:.2f}"
+    if count < MOST_CONTACTS:
+        felt += f", more are not excluded ({sum(found.number[count + 1 :]):.2f})"
+    if status == "localized":
+        places = "a contact lies" if count == 1 else "contacts lie"
+        return f"{places} where `intervals` say, whatever their number; {felt}{bad}"
+    if found.touched < 1.0 - priors.EXCLUDED:
+        return f"a contact has probability {found.touched:.2f}; {felt}{bad}"
+    if found.end_open:
+        return f"something may hold the end: give held_end; {felt}{bad}"
+    return f"the readings do not fix the place, see `intervals`; {felt}{bad}"
