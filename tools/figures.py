@@ -337,7 +337,10 @@ SOURCES: dict[str, Source] = {
             "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
             "loads": {},
             "sweeps": {},
-            "exploration": {"exploration-explorations.png": "explorations.png"},
+            "exploration": {
+                "exploration-explorations.png": "explorations.png",
+                "exploration-dial.png": "dial.png",
+            },
             "plant-models": {},
             "camera": {},
             "trigger": {"trigger-chart.png": "trigger.png"},
