@@ -85,6 +85,10 @@ class Reducer:
         """What stopped the tip is tried again, at the body pressure of a zone."""
         self.tried, self.met, self.raised = self.met, None, zone
 
+    def gives_up_trial(self) -> None:
+        """Nobody was there to raise the body pressure: what stopped the tip stays unknown."""
+        self.met, self.tried, self.raised = self.tried, None, None
+
     def moved_on(self) -> None:
         """At the higher pressure the stage has grown to its end."""
         if self.tried is not None:

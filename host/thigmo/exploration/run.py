@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, Literal
 
 from thigmo.config import SIDES, RobotConfig, Side
-from thigmo.errors import CommandRefusedError
+from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort
 from thigmo.exploration.live import Live, RunControl
 from thigmo.exploration.map import peg_ahead
@@ -186,7 +186,14 @@ class Exploration:
         pressure = self.config.body.zones[self._zone].pressure_psi
         if self.protocol == "thesis" or pressure != self._body_psi:
             self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
-            self.robot.operator.set_body_pressure(pressure)
+            try:
+                self.robot.operator.set_body_pressure(pressure)
+            except DataError:
+                if self._knows.tried is None:
+                    raise
+                self._knows.gives_up_trial()
+                self._end_at_met()
+                return "stalled, nobody to ask"
             self._body_psi = pressure
         self.robot.select_zone(self._zone)
         return "pressure set"

@@ -51,6 +51,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.PLAN, "time is up", State.FINISH),
     Transition(State.PLAN, "peg ahead", State.FINISH),
     Transition(State.PRESSURIZE, "pressure set", State.GROW),
+    Transition(State.PRESSURIZE, "stalled, nobody to ask", State.FINISH),
     Transition(State.GROW, "pressure boundary", State.PRESSURIZE),
     Transition(State.GROW, "whole pitch", State.SETTLE),
     Transition(State.GROW, "no eversion", State.BACK_OFF),
