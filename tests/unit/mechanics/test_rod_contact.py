@@ -293,11 +293,10 @@ def test_overridden_choice_is_obeyed() -> None:
 def test_friction_drags_what_slides_and_never_more_than_its_share(friction: float) -> None:
     """A bending body's skin slides towards its base over a peg, and friction pulls it back."""
     rod = Rod(Tube(3.5, None), [Peg(30.0, 10.0, 0.6)], friction=friction)
-    shares = []
+    shares: list[float] = []
     for curvature in np.linspace(0.0, 0.03, 61):
         rod.step(float(curvature), 50.0)
-        for contact in rod.contacts():
-            shares.append(contact.tangential / abs(contact.normal))
+        shares += [contact.tangential / abs(contact.normal) for contact in rod.contacts()]
     assert max(map(abs, shares)) <= friction + 1e-9
     # It slides; what the body rolled over the peg in the last step is not yet slid back.
     assert 0.95 * friction < shares[-1] <= friction
