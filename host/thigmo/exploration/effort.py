@@ -76,10 +76,13 @@ class Effort:
         first = stage_lengths(config)[0]
         if length_cm < first - SAME_CM:
             settled_s = _PRESSURE_S + base_cm / speed + config.board.settle_s
-            spent = _PRESSURE_S + (first - length_cm) / speed + _GROWS_MORE_S
-            length_cm = first
-            if first not in stops:
+            spent = _PRESSURE_S
+            for pitch in stage_lengths(config):
+                if not stops or pitch >= stops[0]:
+                    break
+                spent += (pitch - length_cm) / speed + _GROWS_MORE_S
                 spent = max(spent, settled_s) + _ZERO_S
+                length_cm = pitch
         for stop in stops:
             spent += max(stop - length_cm, 0.0) / speed + _GROWS_MORE_S
             ends = (zone.until_cm for zone in config.body.zones)

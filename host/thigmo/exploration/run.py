@@ -163,11 +163,12 @@ class Exploration:
             full = self.length_cm > self.config.body.length_cm - SAME_CM
             self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
             return "fully deployed" if full else "time is up"
-        # The straight body's zeros are taken where it is still too short to lean on anything: at a
-        # longer one's first stop nothing else would tell that it was held bent.
         stage = stops[0]
-        if not self._swept:
-            stage = min(stage, max(stage_lengths(self.config)[0], self.length_cm))
+        if not self._knows.stages:
+            # Before its first sweep it zeroes at every pitch: else nothing would tell that growth
+            # has bent it aside.
+            reached_cm = self.length_cm + (SAME_CM if self._swept else -SAME_CM)
+            stage = next(each for each in stage_lengths(self.config) if each > reached_cm)
         self._sweeps = stage in stops
         grows = stage > self.length_cm + 0.1
         if grows and peg_ahead(self.document.contacts, self.length_cm, self.config.body.radius_cm):
