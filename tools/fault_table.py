@@ -48,7 +48,7 @@ in pulls with 254 N where no brake is: no duty bounds that, so a line for it hol
 The board alone judges an encoder that loses counts, by three things: the motor's speed at its duty,
 jumps of the encoder's signals, and two sensors that pass the tip before they may. The host only
 teaches it: `thigmo calibrate encoder` learns how much duty the body's pull saves at each body
-pressure (`pull_duty`). While a sensor's swing shows that the tip moves, the motor is judged with it.
+pressure (`pull_duty`). While a sensor's swing shows that the tip moves, it judges with that.
 `tests/sim/test_lost_counts.py` holds the tip to 2.2 cm beyond what was counted with 9, 8, 7, 5 and
 3 counts of 10. Without that calibration, 8 of 10 reach 3.2 cm; with it, 85 of 100 reach 2.7 cm.
 
