@@ -172,6 +172,22 @@ def _explorations(found: list[dict[str, Any]]) -> list[Row]:
     return kinds + _claims(found) + _notes(study)
 
 
+def _robots(found: list[dict[str, Any]]) -> list[Row]:
+    """A row a robot."""
+    (study,) = found
+    kinds = [
+        (
+            row["robot"],
+            f"{row['missed_percent']:.3g} % missed, {row['wrong_percent']:.3g} % wrong, "
+            f"{row['localized']} localized of {row['rooms']}",
+            f"median \\|x error\\| {row['error_percent']:.2g} % of the length; "
+            f"{row['empty_localized']} localized in {row['empty_rooms']} empty rooms",
+        )
+        for row in study["rows"]
+    ]
+    return kinds + _claims(found)
+
+
 def _notes(study: dict[str, Any]) -> list[Row]:
     return [(*note.rsplit(": ", 1), "") for note in study["notes"]]
 
@@ -215,6 +231,12 @@ def _loads(found: list[dict[str, Any]]) -> list[Row]:
         )
         for row in study["rows"]
     ]
+
+
+def _number_claims(found: list[dict[str, Any]]) -> list[Row]:
+    """The claims, and how many frames leave the number in doubt."""
+    notes = [note.split(": ", 1) for study in found for note in study["notes"]]
+    return _claims(found) + [(what, "", said) for what, said in notes]
 
 
 def _sweeps(found: list[dict[str, Any]]) -> list[Row]:
@@ -295,11 +317,22 @@ def _number(value: float | str | None) -> str:
 
 THIGMO = ".venv/bin/thigmo"
 # Studies of minutes: on two processes.
-LONG = ("speed-accuracy", "stability", "accuracy", "loads", "sweeps", "exploration", "camera")
+LONG = (
+    "speed-accuracy",
+    "stability",
+    "accuracy",
+    "loads",
+    "number",
+    "sweeps",
+    "exploration",
+    "camera",
+)
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,
+    "robots": _robots,
     "accuracy": _accuracy,
     "loads": _loads,
+    "number": _number_claims,
     "sweeps": _sweeps,
     "stability": _stability,
     "stopping": _stopping,
@@ -336,8 +369,10 @@ SOURCES: dict[str, Source] = {
             "cold": {},
             "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
             "loads": {},
+            "number": {"number-number.png": "number.png", "number-trade.png": "trade.png"},
             "sweeps": {},
             "exploration": {"exploration-explorations.png": "explorations.png"},
+            "robots": {},
             "plant-models": {},
             "camera": {},
             "trigger": {"trigger-chart.png": "trigger.png"},

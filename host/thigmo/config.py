@@ -24,7 +24,7 @@ import os
 import shutil
 import tomllib
 from collections.abc import Sequence
-from math import tanh
+from math import pi, tanh
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -37,6 +37,7 @@ from thigmo.files import write_whole
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")  # of the plane in which the robot moves
 SIGN: dict[Side, float] = {"left": 1.0, "right": -1.0}  # of curvature towards a side
+_PASCAL = 6894.757  # of one psi
 _TOWARDS: dict[float, Side] = {90.0: "left", 270.0: "right"}
 _DEGREES: dict[Side, float] = {side: degrees for degrees, side in _TOWARDS.items()}
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -113,6 +114,10 @@ class Body(Model):
     def radius_cm(self) -> float:
         """Tube radius."""
         return self.diameter_cm / 2
+
+    def pull_n(self, pressure_psi: float) -> float:
+        """Tension (N) of the tail: half of pressure times section (docs/hardware/facts.md)."""
+        return 0.5 * pressure_psi * _PASCAL * pi * self.radius_cm**2 * 1e-4
 
     @property
     def stiffness(self) -> tuple[float, float] | None:
@@ -209,11 +214,8 @@ def _default_muscles() -> list[Muscle]:
 class Board(Model):
     """The controller, and what it is set to."""
 
-    kind: Literal["mega", "micropython", "virtual"] = "mega"
     divider_ohm: Positive = 22_000.0  # fixed resistor of the flex sensors' dividers
     settle_s: NonNegative = 30.0  # thesis: no reading within 30 s of eversion
-    # Base curvature held back that is a contact (thesis).
-    trigger_per_cm: Positive = 0.005
 
 
 class Spool(Model):

@@ -40,6 +40,27 @@ class Operator(Protocol):
         """Clear the room and put these dowels into it; return when they stand."""
 
 
+class Viewers(Protocol):
+    """Those who watch a run, and may answer what it asks its operator."""
+
+    def ask(self, question: str) -> None:
+        """Show a question, until an empty one takes it away."""
+
+    def answer(self, seconds: float) -> str | None:
+        """An answer, if one comes in time. Raises StoppedByViewerError if a stop comes instead."""
+
+
+@runtime_checkable
+class Reachable(Operator, Protocol):
+    """An operator who may sit at a viewer of the run.
+
+    Attributes:
+        viewers: those of the run that asks; None while there is none.
+    """
+
+    viewers: Viewers | None
+
+
 @runtime_checkable
 class Simulated(Protocol):
     """A connection that holds the robot itself, and its room.

@@ -9,13 +9,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
 from browsing import PATIENCE_MS, Looking, Served
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from scripted import ScriptedRun
+from served import ServedRobot
 
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.lockstep import Lockstep
+from thigmo.emulator.scene import Scene
+from thigmo.emulator.serve import brought_up
 from thigmo.live.server import WatchOptions
 
 CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
@@ -58,6 +64,26 @@ def looking(chromium: Browser, serve_page: object) -> Iterator[Looking]:
     eyes.close()
     assert eyes.outside == []
     assert eyes.errors == []
+
+
+@pytest.fixture
+def robot() -> Iterator[ServedRobot]:
+    """A robot of 20 cm whose sensors have settled, on a port in real time."""
+    scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
+    lockstep = Lockstep(scene, VirtualBoard(3, brought_up()), seed=3)
+    while lockstep.t_s < 60.0:
+        lockstep.advance()
+    served = ServedRobot(lockstep, reset_on_open=False)
+    yield served
+    served.close()
+
+
+@pytest.fixture
+def config(robot: ServedRobot, tmp_path: Path) -> Path:
+    """What that robot's lab would know of it."""
+    path = tmp_path / "robot.toml"
+    robot.plant.scene.believed(3).save(path)
+    return path
 
 
 @pytest.fixture

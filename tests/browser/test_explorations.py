@@ -17,10 +17,7 @@ from browsing import Looking, Served
 from playwright.sync_api import expect
 from served import ServedRobot
 
-from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
-from thigmo.emulator.serve import brought_up
 
 ServePage = Callable[..., Served]
 EXPLORE = """
@@ -103,26 +100,6 @@ def test_posterior_moves_with_the_body_in_mid_sweep(
 
 
 @pytest.fixture
-def robot() -> Iterator[ServedRobot]:
-    """A robot of 20 cm whose sensors have settled, on a port in real time."""
-    scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
-    lockstep = Lockstep(scene, VirtualBoard(3, brought_up()), seed=3)
-    while lockstep.t_s < 60.0:
-        lockstep.advance()
-    served = ServedRobot(lockstep, reset_on_open=False)
-    yield served
-    served.close()
-
-
-@pytest.fixture
-def config(robot: ServedRobot, tmp_path: Path) -> Path:
-    """What that robot's lab would know of it."""
-    path = tmp_path / "robot.toml"
-    robot.plant.scene.believed(3).save(path)
-    return path
-
-
-@pytest.fixture
 def exploration(
     robot: ServedRobot, config: Path, tmp_path: Path
 ) -> Iterator[subprocess.Popen[bytes]]:
@@ -163,7 +140,57 @@ def test_stop_in_mid_sweep_takes_the_current_off_the_valves_within_300_ms_of_the
     assert robot.off_within(0.3)
     assert robot.lockstep.t_s >= clicked_s
     expect(page.locator("#stop")).to_contain_text("the board has confirmed")
-    expect(page.locator("#banners")).to_contain_text("vented and braked")
+    expect(page.locator("#banners")).to_contain_text("valves off, motor braked")
+
+
+@pytest.mark.realtime
+@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
+@pytest.mark.parametrize("terminal", [True, False], ids=["at a terminal", "in the background"])
+def test_question_of_a_run_reaches_a_page_that_comes_later_and_again(
+    looking: Looking,
+    serve_page: ServePage,
+    robot: ServedRobot,
+    config: Path,
+    tmp_path: Path,
+    *,
+    terminal: bool,
+) -> None:
+    ours, its = os.openpty()
+    words = ["--robot", robot.port, "--config", str(config), "--out", str(tmp_path / "runs")]
+    run = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "thigmo",
+            "explore",
+            *words,
+            *([] if terminal else ["--asks-viewers"]),
+        ],
+        stdin=its if terminal else subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        page = looking.open(serve_page().address)
+        asked = "Measure the everted length. How many cm?"
+        expect(page.locator("#question-text")).to_have_text(asked)
+        page.reload()
+        expect(page.locator("#question-text")).to_have_text(asked)
+        page.locator("#answer").fill("20.0")
+        page.keyboard.press("Enter")
+        expect(page.locator("#question-text")).to_contain_text("Set the body pressure to")
+        if terminal:
+            os.write(ours, b"\n")  # whoever answers first
+        else:
+            page.locator("#answer").press("Enter")
+        expect(page.locator("#question")).to_be_hidden()
+        page.wait_for_function("() => thigmo.store.last.state?.stage_cm === 20")
+        page.keyboard.press("Escape")
+        expect(page.locator("#stop")).to_contain_text("the board has confirmed")
+    finally:
+        run.terminate()
+        run.wait()
+        for each in (ours, its):
+            os.close(each)
 
 
 @pytest.mark.realtime

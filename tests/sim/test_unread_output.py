@@ -122,9 +122,9 @@ def test_a_terminal_that_is_closed(words: list[str], went_on: Went, tmp_path: Pa
 
 STARTS = """
 import sys
-from thigmo.live.starting import StartedRun
-run = StartedRun(sys.argv[1], sys.argv[2:], realtime=False)
-print(run._process.pid, flush=True)
+from thigmo.live.starting import exploration
+run = exploration(sys.argv[1], sys.argv[2:], realtime=False)
+print(run.pid, flush=True)
 sys.stdin.read()
 """
 

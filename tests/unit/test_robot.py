@@ -319,8 +319,8 @@ def test_parameters_are_checked_before_they_are_sent() -> None:
 
 
 def test_too_many_sensors_for_the_board_are_named() -> None:
-    left = [FlexSensor(center_cm=c) for c in (5.0, 13, 21, 29, 37, 45)]
-    with pytest.raises(ConfigError, match="6 sensors on the left"):
+    left = [FlexSensor(center_cm=float(c)) for c in range(4, 48, 4)]
+    with pytest.raises(ConfigError, match="11 sensors"):
         parameter_settings(RobotConfig(sensors=left))
 
 

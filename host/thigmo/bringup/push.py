@@ -12,9 +12,8 @@ from collections.abc import Callable
 from thigmo.config import SIDES, Side
 from thigmo.errors import ConfigError, RobotFaultError
 from thigmo.link.protocol import Output
-from thigmo.robot import Robot
+from thigmo.robot import JOG_CM, Robot
 
-JOG_CM = 5.0  # of tip, at most
 PRESS_PSI = 5.0
 PRESS_S = 60.0
 

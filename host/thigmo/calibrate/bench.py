@@ -14,13 +14,14 @@ from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 
+from thigmo import wiring
 from thigmo.calibrate.columns import Array, places_of
 from thigmo.calibrate.drive import Drive
 from thigmo.calibrate.eyes import Eyes
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.errors import CameraError, CameraMovedError
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.link import protocol as wire
 from thigmo.robot import Reading, Robot
@@ -111,9 +112,8 @@ class Bench:
     def ohm(self, read: Reading | Recording) -> Array:
         """Resistances (..., m) of the robot's sensors: the board has inputs that it may not use."""
         every = np.asarray(read.resistance)
-        a_side = every.shape[-1] // len(SIDES)
-        used = places_of(self.config)
-        return every[..., [SIDES.index(side) * a_side + index for side, index in used]]
+        inputs = wiring.input_of(self.config)
+        return every[..., [inputs[place] for place in places_of(self.config)]]
 
     def mean_ohm(self, record: Recording) -> Array:
         """Mean resistances (m,) of a recording; NaN for a sensor that was never read."""

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from thigmo.cli import ending
+from thigmo.cli.held import HeldOption, held
 from thigmo.cli.output import (
     JsonOption,
     RobotOption,
@@ -155,6 +156,7 @@ def retract(
         typer.Option(help="Everted length now, cm, as measured; asked for when unknown."),
     ] = None,
     config: SentConfigOption = None,
+    by_page: HeldOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Vent, then wind the robot in: muscles below 0.5 psi, for a bent body buckles."""
@@ -163,7 +165,7 @@ def retract(
     from thigmo.robot import connect
 
     console = Console(quiet=as_json)
-    with connect(robot, operator=console) as machine:
+    with connect(robot, operator=console) as machine, held(machine, "retract", by_page):
         if config is not None:
             machine.configure(RobotConfig.load(config))
         elif machine.known_config is not None:

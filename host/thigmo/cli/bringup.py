@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thigmo.cli.console import Console
+from thigmo.cli.held import HeldOption, held
 from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, show
 from thigmo.errors import ConfigError
 
@@ -123,6 +124,7 @@ def jog(
     robot: RobotOption,
     out: Annotated[float, typer.Option("--out", help="Pay out so many cm of tip, at most 5.")] = 0,
     wind: Annotated[float, typer.Option("--in", help="Wind in so many cm of tip, at most 5.")] = 0,
+    by_page: HeldOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Turn the spool a little, slowly; the length need not be known. Muscles must be empty.
@@ -133,7 +135,8 @@ def jog(
 
     if (out > 0) == (wind > 0) or min(out, wind) < 0:
         raise ConfigError("a jog needs one direction", "give --out CM or --in CM")
-    with _armed(robot, Console(quiet=as_json)) as machine:
+    with _robot(robot, Console(quiet=as_json)) as machine, held(machine, "jog", by_page):
+        machine.arm(body_air=False)
         machine.vent()
         moved = move(machine, out or -wind)
     show(as_json, {"moved_cm": moved}, f"The encoder went {moved:+.2f} cm.")
@@ -157,7 +160,8 @@ def press(
     if side not in SIDES:
         raise ConfigError(f"there is no side {side!r}", "give left or right")
     console = Console(quiet=as_json)
-    with _armed(robot, console) as machine, console.progress() as tell:
+    with _robot(robot, console) as machine, console.progress() as tell:
+        machine.arm(body_air=False)
         began = machine.now()
         reached = hold(
             machine, side, psi, seconds,
@@ -168,13 +172,12 @@ def press(
 
 
 @contextmanager
-def _armed(robot: str, console: Console) -> Iterator[Robot]:
-    """A robot that may move and has no air in its body."""
+def _robot(robot: str, console: Console) -> Iterator[Robot]:
+    """A robot whose configuration is known."""
     from thigmo.robot import connect
 
     with console.interruptible(), connect(robot) as machine:
         _cured(machine)
-        machine.arm(body_air=False)
         yield machine
 
 

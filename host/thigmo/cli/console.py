@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import select
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from thigmo.exploration import ExplorationResult
-    from thigmo.room import Dowel
+    from thigmo.room import Dowel, Viewers
 
 Show = Callable[[str, float], None]
+_ANSWER_S = 0.1  # between two looks at the terminal
 # What a log on a pipe is told; a terminal sees every state.
 _LOGGED = ("growing", "sweeping", "mapping", "drawing")
 
@@ -28,15 +29,17 @@ _LOGGED = ("growing", "sweeping", "mapping", "drawing")
 class Console:
     """What a command shows, and the person beside the robot whom it asks (an `Operator`).
 
-    Everything but results goes to stderr; with `quiet`, prompts only. Those that are `piped` are
-    for the program that started this one: a JSON line on stdout each, and on stdin the answer.
+    Everything but results goes to stderr; with `quiet`, prompts only. The viewers of a run are
+    asked as well, and whoever answers first has answered. Where nobody sits at a terminal, the
+    first question ends the command, unless it is one that `asks_viewers`.
     """
 
-    def __init__(self, *, quiet: bool, piped: bool = False) -> None:
+    def __init__(self, *, quiet: bool, asks_viewers: bool = False) -> None:
         from rich.console import Console as RichConsole
 
         self.quiet = quiet
-        self._piped = piped
+        self._asks_viewers = asks_viewers
+        self.viewers: Viewers | None = None
         self.out = RichConsole()
         self.err = RichConsole(stderr=True)
         self._bar: Progress | None = None
@@ -95,7 +98,8 @@ class Console:
 
     def ask(self, question: str) -> str:
         """Ask the operator; the bar stands still meanwhile. Raises DataError if nobody is there."""
-        if not self._piped and not sys.stdin.isatty():
+        terminal = sys.stdin.isatty()
+        if not terminal and not (self.viewers and self._asks_viewers):
             raise DataError(
                 f"nobody can answer: {question}", "run it in a terminal, beside the robot"
             )
@@ -105,16 +109,31 @@ class Console:
         if self._bar:
             self._bar.stop()
         try:
-            if self._piped:
-                typer.echo(json.dumps({"question": question}))
-            else:
+            if terminal:
                 self.err.print(f"[bold]{question}[/bold] ", end="")
+            if self.viewers:
+                self.viewers.ask(question)
+                if (answer := self._of_viewers(self.viewers, terminal)) is not None:
+                    return answer.strip()
             return input().strip()
         except (EOFError, OSError):  # OSError: of a terminal that was closed
             raise DataError(f"no answer to: {question}", "run it again, and answer") from None
         finally:
+            if self.viewers:
+                self.viewers.ask("")
             if self._bar:
                 self._bar.start()
+
+    def _of_viewers(self, viewers: Viewers, terminal: bool) -> str | None:
+        """A viewer's answer; None once there is one at the terminal."""
+        answer = None
+        while answer is None:
+            if terminal and (sys.platform == "win32" or select.select([sys.stdin], [], [], 0)[0]):
+                return None  # Windows cannot tell, and waits there
+            answer = viewers.answer(_ANSWER_S)
+        if terminal:
+            self.err.print(answer, highlight=False, markup=False)
+        return answer
 
     def result(self, result: ExplorationResult) -> None:
         """Say what an exploration found, where it is kept, and what to do next."""
@@ -128,9 +147,9 @@ class Console:
             for c in document.contacts:
                 table.add_row(
                     f"{c.x_cm:.1f} cm", f"{c.y_cm:.1f} cm",
-                    f"{c.arc_cm:.1f} of {c.everted_length_cm:.1f} cm",
+                    c.along_text,
                     c.interval_text,
-                    c.force_text, c.status,
+                    c.force_text, c.certainty_text,
                 )  # fmt: skip
             say(table)
         if document.error_x_cm is not None:

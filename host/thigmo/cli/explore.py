@@ -58,8 +58,8 @@ def explore(
     watch: Annotated[
         bool, typer.Option("--watch", help="Open the page on which the run is seen and stopped.")
     ] = False,
-    piped: Annotated[
-        bool, typer.Option("--prompts-piped", hidden=True)  # for the page, which starts runs
+    asks_viewers: Annotated[
+        bool, typer.Option("--asks-viewers", hidden=True)  # for the page, which starts runs
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -83,7 +83,7 @@ def explore(
         where = url or open_run(resume or "").document.url
         open_page(where, out, config)
     ending.outlive_terminal()
-    console = Console(quiet=as_json, piped=piped)
+    console = Console(quiet=as_json, asks_viewers=asks_viewers)
     with console.progress() as show, console.interruptible():
         result = run(
             url,

@@ -25,6 +25,7 @@ from thigmo.cli.experiment import experiment
 from thigmo.cli.explore import explore
 from thigmo.cli.flash import flash
 from thigmo.cli.localize import localize
+from thigmo.cli.robot import robot
 from thigmo.cli.ros import ros
 from thigmo.cli.runs import export, info, replay
 from thigmo.cli.watch import watch
@@ -78,7 +79,7 @@ for function in (
     bringup, jog, press, emulator.emulate, calibrate, experiment, bench, design,
 ):  # fmt: skip
     app.command()(function)
-groups = {"scene": emulator.scene, "camera": camera.group}
+groups = {"robot": robot, "scene": emulator.scene, "camera": camera.group}
 for name, group in groups.items():
     app.add_typer(group, name=name)
 for each in (app, *groups.values()):

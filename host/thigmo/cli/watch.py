@@ -7,11 +7,20 @@ import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from thigmo.cli.output import named
+
+if TYPE_CHECKING:
+    from thigmo.live.starting import Parameter
+
+# On the page, and in `thigmo explore`.
+_PARAMETERS = {
+    "name": "name", "protocol": "protocol", "method": "method", "map of the room": "prior",
+    "resume": "resume", "seed": "seed",
+}  # fmt: skip
 
 
 def watch(
@@ -64,7 +73,8 @@ def watch(
             f"open {past / 'run.mcap'} in Foxglove as a local file",
         )
     url = None if past else target
-    options = WatchOptions(past, url, _exploring(out, config), host, port, leave)
+    exploring = _exploring(out, config)
+    options = WatchOptions(past, url, config, exploring, parameters(), host, port, leave)
 
     def announce(address: str) -> None:
         typer.echo(f"The page is at {address} (Ctrl-C ends the page).", err=True)
@@ -83,6 +93,27 @@ def watch(
 def _exploring(out: Path, config: Path | None) -> tuple[str, ...]:
     """Options of the explorations that the page starts."""
     return ("--out", str(out), *(("--config", str(config)) if config else ()))
+
+
+def parameters() -> tuple[Parameter, ...]:
+    """What `thigmo explore` takes that an operator changes, with its own help."""
+    from inspect import signature
+    from typing import get_args
+
+    from thigmo.cli.explore import explore
+    from thigmo.live.starting import Parameter
+
+    taken = signature(explore, eval_str=True).parameters
+    found = []
+    for label, name in _PARAMETERS.items():
+        kind, option = get_args(taken[name].annotation)
+        # typer has a first flag where a default would be.
+        flag = option.default if isinstance(option.default, str) else f"--{name}"
+        kinds = get_args(kind)
+        choices = tuple(each for of in kinds for each in get_args(of))
+        number = bool({int, float} & {*kinds})
+        found.append(Parameter(flag, label, option.help or "", choices, number))
+    return tuple(found)
 
 
 def finished_run(target: str | None) -> Path | None:

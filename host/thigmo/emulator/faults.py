@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 
 from thigmo.config import SIDES
-from thigmo.emulator.board import FLEX_RIGHT, PRESSURE, Board
+from thigmo.emulator.board import PRESSURE, Board
 from thigmo.emulator.plant import OPEN_COUNT, SHORT_COUNT, Plant
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.link.protocol import ResetCause
+from thigmo.wiring import input_of
 
 _POWER_OFF_S = 1.0
 # `value` where a scene gives none. Of pressure_stuck and pressure_frozen it is the pressure there.
@@ -84,7 +85,7 @@ class FaultInjector:
         (self.active.add if on else self.active.discard)(fault.kind)
         side = SIDES.index(fault.side)
         flex = fault.kind.startswith("flex")
-        channel = FLEX_RIGHT * side + fault.sensor if flex else PRESSURE + side
+        channel = input_of(plant.scene.robot)[fault.side, fault.sensor] if flex else PRESSURE + side
         value = _DEFAULTS.get(fault.kind, 0.0) if fault.value is None else fault.value
         match fault.kind:
             case "flex_wire_cut" | "pressure_wire_cut":

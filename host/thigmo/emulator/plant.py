@@ -15,11 +15,11 @@ from math import exp, hypot, isnan, nan, pi
 import numpy as np
 import numpy.typing as npt
 
-from thigmo import config
+from thigmo import config, wiring
 from thigmo.config import SIDES
 from thigmo.emulator import _plant
 from thigmo.emulator._plant import FlexSensor, Muscle, Spool, Swing
-from thigmo.emulator.board import CHANNELS, DRIVE_FULL, FLEX_RIGHT, PRESSURE
+from thigmo.emulator.board import CHANNELS, DRIVE_FULL, PRESSURE
 from thigmo.emulator.hand import hold
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
@@ -31,11 +31,10 @@ STEP_S = _plant.STEP_S
 STEP_MS = 10
 OPEN_COUNT = 0.0  # of an input whose wire is broken, or
 SHORT_COUNT = 1023.9  # shorted to the supply
-_SENSORS = 10
+_SENSORS = wiring.INPUTS
 # An input without a sensor hangs on its divider alone, and never everts.
 _NO_SENSOR = config.FlexSensor(center_cm=1e9, span_cm=0.0)
 _TAUT_CM = 1e-3
-_PASCAL = 6894.757  # of one psi
 _MOTOR_SWAPPED = ("motor_swapped", "both_swapped")
 _ENCODER_SIGN = {
     "right": 1, "motor_swapped": 1, "encoder_swapped": -1, "both_swapped": -1,
@@ -159,12 +158,14 @@ class Plant:
 
     def _make_sensors(self) -> list[FlexSensor]:
         scene, f = self.scene, self.scene.flex
+        wired = wiring.sensors(scene.robot)
+        # The number of the muscle under each sensor.
+        self._under = [SIDES.index(s.side) if s and s.side else 0 for s in wired]
         draws = self._rng.standard_normal((_SENSORS, 2))
         phases = self._rng.uniform(0, 2 * pi, (_SENSORS, 2))
         sensors = []
         for i in range(_SENSORS):
-            column = scene.robot.column(SIDES[i // FLEX_RIGHT])
-            sensor = column[i % FLEX_RIGHT] if i % FLEX_RIGHT < len(column) else _NO_SENSOR
+            sensor = wired[i] or _NO_SENSOR
             made = FlexSensor(
                 loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
                 wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
@@ -378,8 +379,7 @@ class Plant:
         slack = self._spool.line_cm / self._robot.spool.payout_ratio - self.length_cm
         if slack > _TAUT_CM:
             return 0.0
-        area = pi * self._robot.body.radius_cm**2 * 1e-4
-        return 0.5 * self.body_psi * _PASCAL * area
+        return self._robot.body.pull_n(self.body_psi)
 
     def _move_body_air(self, *, open_: bool) -> None:
         """Fill or empty the body through its valve for one step."""
@@ -452,7 +452,7 @@ class Plant:
         analog = self.analog
         analog[:, 0] = analog[:, 1]
         length, t_s = self.length_cm, self.t_s
-        under = [muscle.bend_psi for muscle in self._muscles for _ in range(FLEX_RIGHT)]
+        under = [self._muscles[number].bend_psi for number in self._under]
         each = zip(self._sensors, self._curvature.tolist(), under, strict=True)
         analog[:_SENSORS, 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in each]
         full = self.scene.transducer.sensor_full_psi

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.config import SIGN, RobotConfig, Side, opposite
+from thigmo.emulator.scene import PegTable, Scene
 from thigmo.mechanics import Peg, PegContact, Rod, Tube, critical_moment
 
 TRIGGER = 0.005  # 1/cm
@@ -94,3 +95,19 @@ def random_peg(
         felt = first_felt(robot, [peg])
         if felt is not None and felt.contacts:
             return peg, felt
+
+
+def room_for(robot: RobotConfig, seed: int, *, peg: bool = True) -> Scene:
+    """A room for a robot, with a peg that it feels or without, as `scenes/default.toml` else.
+
+    The push at which a tip stalls is half of pressure times section over EI, which goes with the
+    third power of the radius.
+    """
+    scene = Scene.load("empty")
+    usual = scene.robot.body.radius_cm
+    scene.name, scene.extends, scene.robot = robot.name, None, robot
+    scene.body.growth_force *= usual / robot.body.radius_cm
+    if peg:
+        made, _ = random_peg(robot, np.random.default_rng([seed, 0x9E6]))
+        scene.pegs = [PegTable(x=made.x, y=made.y, radius=made.radius)]
+    return scene

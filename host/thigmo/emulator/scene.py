@@ -30,6 +30,7 @@ from thigmo.config import (
 )
 from thigmo.errors import ConfigError
 from thigmo.mechanics import Peg
+from thigmo.wiring import beyond_board
 
 SCENES = Path(__file__).parent / "scenes"
 
@@ -253,9 +254,8 @@ class Scene(Model):
                 raise ValueError(f"pegs[{index}] overlaps the robot's base at (0, 0)")
         if self.start_length_cm > self.robot.body.length_cm:
             raise ValueError("start_length_cm exceeds robot.body.length_cm")
-        for side in SIDES:
-            if len(self.robot.column(side)) > 5:
-                raise ValueError(f"robot.sensor: the board has five inputs on the {side}")
+        for what, cure in beyond_board(self.robot):
+            raise ValueError(f"robot: {what}; {cure}")
         return self
 
     @classmethod

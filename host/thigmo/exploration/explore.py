@@ -17,7 +17,7 @@ from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.feel import check_method
-from thigmo.exploration.live import RunControl
+from thigmo.exploration.live import Questions, RunControl
 from thigmo.exploration.prior import read_prior
 from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.resume import interrupted
@@ -25,7 +25,8 @@ from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.record import PRIOR_FILE, ObstacleMap, RunDocument, RunFolder, write_obstacles
 from thigmo.report import draw_map
 from thigmo.robot import Operator, connect
-from thigmo.stream import Event, Hello, Server, recording
+from thigmo.room import Reachable
+from thigmo.stream import Event, recording
 
 _ENDINGS: dict[type[BaseException], str] = {
     KeyboardInterrupt: "interrupted by the operator",
@@ -159,13 +160,12 @@ def explore(
             "protocol": protocol,
             **robot.identity,
         }
-        control, now_s, place = RunControl(), robot.now(), str(folder.path.resolve())
+        control = RunControl()
         robot.while_waiting(control.obey_stop)
-        hello = Hello(
-            now_s, robot.epoch_s + now_s, url, label, place, os.getpid(), __version__, robot.virtual
-        )
+        if isinstance(operator, Reachable):
+            operator.viewers = Questions(robot, control)
         with (
-            Server(robot.hub, hello, control.command),
+            robot.serve(label, str(folder.path.resolve()), control.command),
             folder.open_log(told, robot.epoch_s) as log,
             recording(robot.hub, log),
         ):
@@ -200,7 +200,8 @@ def _walk(run: Exploration) -> None:
         raise
     finally:
         # Safe outputs first, while the record still listens.
-        if run.robot.make_safe(interrupted=interrupted):
+        safe = run.robot.make_safe(interrupted=interrupted)
+        if safe:
             with suppress(ThigmoError):
                 run.restore()
         run.document = replace(
@@ -216,6 +217,9 @@ def _walk(run: Exploration) -> None:
                 raise
             failed.add_note(failure.what)
         run.tell()
+        if safe:
+            with suppress(ThigmoError):
+                run.robot.watch_emptying()
 
 
 @contextmanager

@@ -6,14 +6,16 @@ on the run's socket); the exploration obeys them when it next waits, or between 
 
 from __future__ import annotations
 
+import queue
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from math import tanh
 
 from thigmo.errors import StoppedByViewerError
 from thigmo.exploration.feel import Feeling
 from thigmo.robot import Robot
-from thigmo.stream import Command, Message, Posterior
+from thigmo.stream import Command, Message, Posterior, Question
 
 # A viewer draws no faster, and a shape of the body comes each tenth of a second.
 _SWEEPING_S = 0.095
@@ -59,14 +61,29 @@ class RunControl:
 
     def __init__(self) -> None:
         self._stopped = threading.Event()
+        self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self.paused = False  # the run is to wait before its next stage
 
-    def command(self, command: Command) -> None:
-        """Take a request."""
+    def command(self, command: Command, text: str = "") -> None:
+        """Take a request, or an answer."""
         if command == "stop":
             self._stopped.set()
+        elif command == "answer":
+            self._answers.put(text)
         else:
             self.paused = command == "pause"
+
+    def forget_answers(self) -> None:
+        """Drop answers to what was asked before."""
+        while not self._answers.empty():
+            self._answers.get()
+
+    def answer(self, seconds: float) -> str | None:
+        """An answer, if one comes in time; StoppedByViewerError if a stop has come."""
+        self.obey_stop()
+        with suppress(queue.Empty):
+            return self._answers.get(timeout=seconds)
+        return None
 
     def wait(self, seconds: float) -> None:
         """Let the clock run, until a stop comes at most."""
@@ -78,3 +95,17 @@ class RunControl:
             raise StoppedByViewerError(
                 "stopped from a viewer", "look at the robot, then let it go with `thigmo clear`"
             )
+
+
+class Questions:
+    """What a run asks its operator, on its stream; see `room.Viewers`."""
+
+    def __init__(self, robot: Robot, control: RunControl) -> None:
+        self._live = Live(robot)
+        self._control = control
+        self.answer = control.answer
+
+    def ask(self, question: str) -> None:
+        """Show a question, or take it away."""
+        self._control.forget_answers()
+        self._live.tell(Question, question)

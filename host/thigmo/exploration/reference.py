@@ -21,9 +21,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo import wiring
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.robot import SensorTable, SweepResult
-from thigmo.robot.readings import Floats, in_board_order
+from thigmo.robot.readings import Floats
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
@@ -54,7 +55,7 @@ class FreeReading(NamedTuple):
 
 def scale_errors(config: RobotConfig) -> Floats:
     """Relative standard error of each sensor's scale, (10,); 0 where there is no sensor."""
-    return np.array([sensor.scale_se if sensor else 0.0 for sensor in in_board_order(config)])
+    return np.array([sensor.scale_se if sensor else 0.0 for sensor in wiring.sensors(config)])
 
 
 def gain_errors(config: RobotConfig) -> Floats:

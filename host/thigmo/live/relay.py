@@ -116,12 +116,12 @@ class Watched:
         """The process that was chosen, until its run has ended."""
         return self._chosen
 
-    def send(self, command: Command) -> None:
-        """Tell the run to pause, to go on or to stop. Raises LinkError if none is under way."""
+    def send(self, command: Command, text: str = "") -> None:
+        """Command the run, as `RemoteRun.send`. Raises LinkError if none is under way."""
         run = self._run
         if run is None:
             raise LinkError("no run is under way", "start one with `thigmo explore`")
-        run.send(command)
+        run.send(command, text)
 
     def stop(self, seconds: float) -> None:
         """Stop the run, if one is under way, and wait until its emulated board has confirmed it or

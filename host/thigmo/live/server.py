@@ -11,27 +11,33 @@ import contextlib
 import errno
 import json
 import logging
+import math
 import secrets
 import socket
 import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from aiohttp import WSMsgType, web
 from aiohttp.http_exceptions import HttpProcessingError
 
+from thigmo.config import RobotConfig
 from thigmo.errors import ThigmoError
+from thigmo.link.transport import open_transport
+from thigmo.live import shown
 from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.relay import Watched, Way, stop_port, way_to
-from thigmo.live.shown import PastRun, board, body, pegs, row_text, thinned
-from thigmo.live.starting import StartedRun, in_the_run
+from thigmo.live.shown import PastRun, board, body, config_in, pegs, row_text, thinned
+from thigmo.live.starting import Parameter, Started, exploration, in_the_run
 from thigmo.live.viewer import Viewer
-from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry, to_json
+from thigmo.robot import JOG_CM
+from thigmo.room import Simulated
+from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry
 
 PAGE = Path(__file__).parent / "page"
 PORT = 8421
@@ -54,7 +60,9 @@ class WatchOptions:
     past: Path | None = None  # folder of a finished run to look back at; no other is watched
     # of a robot, if its runs only are to be watched; Start runs an exploration there
     url: str | None = None
+    config: Path | None = None  # robot.toml of that robot
     explore: tuple[str, ...] = ()  # further arguments of the exploration that Start runs
+    parameters: tuple[Parameter, ...] = ()  # further ones that the operator may give on the page
     host: str = "127.0.0.1"  # address to listen at
     port: int | None = None  # None takes the usual one, or any that is free
     leaves: bool = False  # end when nothing runs and nobody looks any more
@@ -66,10 +74,12 @@ class _Run:
     def __init__(self, hello: Hello | None) -> None:
         folder = hello.folder if hello else ""
         self.hello = hello  # None before the first run
+        self.motion: Hello | None = None  # that the page started after it, on the same robot
         self.over = asyncio.Event()
         self.pausing = False
         self.failure = ""
-        self.body = body(folder)
+        self.body = body(config_in(folder))
+        self.length_cm: float | None = None  # everted before the run, where it is known
         self.pegs: list[dict[str, float]] = []
         # What a page that comes later has missed.
         self.held: dict[str, str] = {}
@@ -81,8 +91,8 @@ class _Run:
 
     @property
     def moving(self) -> Hello | None:
-        """The run, while it is under way."""
-        return None if self.over.is_set() else self.hello
+        """The run, or the motion after it, while it is under way."""
+        return None if self.over.is_set() else self.motion or self.hello
 
 
 class PageServer:
@@ -96,10 +106,11 @@ class PageServer:
         self._operator: Viewer | None = None
         self._run = _Run(None)
         self._run.past = PastRun(options.past) if options.past else None
-        self._started: StartedRun | None = None
+        self._started: Started | None = None  # the last command
         self._way: Way = "none"
         self._stopping = threading.Lock()
         self._last_stop: dict[str, Any] | None = None  # it stays told, whatever runs next
+        self._latched = False  # the robot was stopped from here, and not let go since
         self._choices: list[Hello] = []  # runs that could be looked at
         self._left_s = time.monotonic()  # when somebody last looked
 
@@ -111,6 +122,7 @@ class PageServer:
         app.on_response_prepare.append(add_headers)
         app.router.add_get("/", self._index)
         app.router.add_get("/stream", self._stream)
+        app.router.add_get("/parameters.json", self._parameters)
         app.router.add_get("/record.json", self._record)
         app.router.add_get("/record.f32", self._readings)
         app.router.add_static("/", PAGE)
@@ -120,7 +132,11 @@ class PageServer:
     async def _index(self, request: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / "index.html")
 
+    async def _parameters(self, request: web.Request) -> web.Response:
+        return web.json_response([asdict(each) for each in self.options.parameters])
+
     async def _work(self, app: web.Application) -> AsyncIterator[None]:
+        await asyncio.to_thread(self._look_ahead)
         tasks = [asyncio.create_task(self._pump()), asyncio.create_task(self._pulse())]
         if self._watched is not None:
             tasks.append(asyncio.create_task(self._look_around(self._watched)))
@@ -133,6 +149,26 @@ class PageServer:
             await asyncio.to_thread(self._watched.close)
         if self._started is not None and self._started.runs:
             await asyncio.to_thread(self._started.end)
+
+    def _look_ahead(self) -> None:
+        """What is known of the robot, and of an emulated one's room, before the first run."""
+        url, config, run = self.options.url, self.options.config, self._run
+        if config is not None:
+            run.body = body(RobotConfig.load(config))
+        if url is None or url.partition("://")[0] != "emulator":
+            return
+        with contextlib.suppress(ThigmoError):  # Start tells what is wrong with the scene
+            room = open_transport(url)
+            with contextlib.closing(room):
+                if isinstance(room, Simulated):
+                    known = room.truth()
+                    if config is None:
+                        run.body = body(room.config)
+                    run.length_cm = float(known.length_cm)
+                    run.pegs = [
+                        {"x_cm": peg.x, "y_cm": peg.y, "radius_cm": peg.radius}
+                        for peg in known.pegs
+                    ]
 
     # From the run to the pages.
 
@@ -153,8 +189,16 @@ class PageServer:
             await asyncio.sleep(_TICK_S)
 
     def _begin(self, run: Hello) -> None:
-        """Another run is under way."""
+        """Another run is under way, or a motion after the one that is shown, which stays shown."""
+        started = self._started
+        if started is not None and started.held and started.pid == run.pid and self._run.hello:
+            self._run.motion = run
+            self._run.over.clear()
+            self._tell()
+            return
         self._run = _Run(run)
+        if run.virtual:
+            self._latched = False  # it was another board's
         if self._started is not None and not self._started.runs:
             self._started = None  # it was another one, and so was its failure
         for viewer in self._viewers:
@@ -170,7 +214,7 @@ class PageServer:
         for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *others]:
             if isinstance(message, RunState) and message.paused:
                 self._run.pausing = False
-            channel, text = message.CHANNEL, to_json(message).decode()
+            channel, text = message.CHANNEL, shown.text(message).decode()
             if channel in RETAINED:
                 self._run.held[channel] = text
             elif isinstance(message, Event):
@@ -197,12 +241,14 @@ class PageServer:
                 self._left_s = time.monotonic()
             self._way = await asyncio.to_thread(way_to, self._run.moving)
             run = self._run
-            if run.moving is not None:
-                run.pegs = await asyncio.to_thread(pegs, run.moving.folder)
+            if run.moving is not None and run.hello is not None:
+                run.pegs = await asyncio.to_thread(pegs, run.hello.folder)
             started, watched = self._started, self._watched
             in_vain = started.pid if started is not None and not started.runs else None
             if watched is not None and in_vain is not None and watched.chosen == in_vain:
                 watched.choose(None)
+            if started is not None and started.name == "clear" and started.said():
+                self._latched = False
             self._tell()
             await asyncio.sleep(_PULSE_S)
 
@@ -221,7 +267,7 @@ class PageServer:
         if self.options.past is not None:
             assert self._run.past is not None
             return {"channel": "page", "mode": "record", "stop": "none", **self._run.past.page()}
-        run, url, started = self._run, self.options.url, self._started
+        run, url = self._run, self.options.url
         heard_s = self._watched.heard_s if self._watched else 0.0
         return {
             "channel": "page",
@@ -230,10 +276,14 @@ class PageServer:
             "ended": run.over.is_set(),
             "body": run.body,
             "truth": run.pegs,
+            "length_cm": run.length_cm,
             "start": {"url": url, "virtual": in_the_run(url)} if url else None,
             "starting": self._starting,
-            "question": started.question if started else "",
-            "failure": run.failure or (started.failure() if started else ""),
+            "started": self._started_facts(),
+            "failure": run.failure,
+            "robot": self._port,
+            "jog_cm": JOG_CM,
+            "latched": self._latched,
             "pausing": run.pausing,
             "operator": self._operator is viewer,
             "operated": self._operator not in (None, viewer),
@@ -250,9 +300,29 @@ class PageServer:
 
     @property
     def _starting(self) -> bool:
-        """A run was started and has not spoken yet."""
+        """A command was started and has not spoken yet."""
         started = self._started
         return started is not None and started.runs and self._run.moving is None
+
+    def _started_facts(self) -> dict[str, Any] | None:
+        """What became of the last command that a page started."""
+        if (started := self._started) is None:
+            return None
+        return {
+            "name": started.name, "runs": started.runs, "held": started.held,
+            "said": started.said(), "failure": started.failure(),
+        }  # fmt: skip
+
+    @property
+    def _port(self) -> str | None:
+        """Where the robot is that can be cleared and moved while nothing runs.
+
+        One that is emulated inside its run has gone with it.
+        """
+        run, url = self._run.hello, self.options.url
+        if run is not None and not run.virtual:
+            return run.url
+        return url if url and not in_the_run(url) else None
 
     # Requests of the pages.
 
@@ -279,6 +349,8 @@ class PageServer:
             self._viewers.remove(viewer)
             if self._operator is viewer:
                 self._operator = None
+                if self._started is not None:
+                    self._started.let_go()
             self._tell()
         return socket
 
@@ -307,24 +379,43 @@ class PageServer:
             pid = told.get("pid")
             if any(each.pid == pid for each in self._choices):
                 self._watched.choose(pid)
-        elif command == "start" and operates:
-            await self._start(realtime=told.get("realtime") is not False)
-        elif command == "answer" and operates and self._started is not None:
-            await asyncio.to_thread(self._started.answer, str(told.get("text", "")))
-        elif command in ("pause", "resume") and operates and self._watched is not None:
+        elif command == "hold" and operates and self._started is not None:
+            self._started.hold()
+            return
+        elif command in ("start", "clear", "retract", "jog") and operates:
+            if self._run.moving is None and not self._starting:
+                await self._start(command, told)
+        elif command in ("pause", "resume", "answer") and operates and self._watched is not None:
             with contextlib.suppress(ThigmoError):  # the run has just ended, which the page sees
-                self._watched.send(command)
+                self._watched.send(command, str(told.get("text", "")))
                 self._run.pausing = command == "pause"
         if command:
             self._tell()
 
-    async def _start(self, *, realtime: bool) -> None:
-        url, explore = self.options.url, self.options.explore
-        if url is None or self._run.moving is not None or self._starting:
+    async def _start(self, command: str, told: dict[str, Any]) -> None:
+        """Start an exploration, or what finishes the job of one that has ended."""
+        url, port = self.options.url, self._port
+        if command == "start" and url is not None:
+            realtime = told.get("realtime") is not False
+            options = (*self.options.explore, *self._chosen(told.get("parameters")))
+            started = await asyncio.to_thread(exploration, url, options, realtime=realtime)
+        elif command != "start" and port is not None:
+            try:
+                arguments = _motion(command, told)
+            except (KeyError, TypeError, ValueError):
+                return  # this page sends numbers
+            started = await asyncio.to_thread(Started, command, "--robot", port, *arguments)
+        else:
             return
-        self._started = await asyncio.to_thread(StartedRun, url, explore, realtime=realtime)
+        self._started = started
         if self._watched is not None:
-            self._watched.choose(self._started.pid)
+            self._watched.choose(started.pid)
+
+    def _chosen(self, given: object) -> list[str]:
+        """Options of the exploration that the operator gave on the page."""
+        values = given if isinstance(given, dict) else {}
+        offered = (each.flag for each in self.options.parameters)
+        return [f"{flag}={values[flag]}" for flag in offered if values.get(flag)]
 
     def stop(self, peer: str) -> dict[str, Any]:
         """Stop the robot for a computer at an address, from any thread, and wait for the board.
@@ -343,10 +434,11 @@ class PageServer:
                     stopped = stop_port(run)
             except ThigmoError as error:
                 failed = str(error)
+            self._latched = self._latched or bool(stopped)
             if stopped or failed:
                 by = "this computer" if peer in ("127.0.0.1", "::1") else peer
                 self._last_stop = {"at_s": at_s, "by": by, "stopped": stopped, "failed": failed}
-        return {"stopped": stopped, "failed": failed}
+        return {"stopped": stopped, "failed": failed, "at_s": at_s}
 
     async def _looked_back(self) -> PastRun:
         """The record of the run that is to be looked at, or has just ended."""
@@ -371,6 +463,24 @@ class PageServer:
     def left(self) -> bool:
         """Whether nothing runs and nobody has looked for a while."""
         return self._run.moving is None and time.monotonic() - self._left_s > _LEAVES_S
+
+
+def _number(given: object) -> str:
+    """A number of a page, as an argument. Raises TypeError or ValueError if it is none."""
+    if not math.isfinite(number := float(given)):  # type: ignore[arg-type]
+        raise ValueError(given)
+    return f"{number:g}"
+
+
+def _motion(command: str, told: dict[str, Any]) -> list[str]:
+    """Arguments of a command that finishes the job. Raises KeyError, TypeError or ValueError for
+    numbers that are none."""
+    if command == "clear":
+        return []
+    if command == "jog":
+        way = {"out": "--out", "in": "--in"}[told["way"]]
+        return [way, _number(told["cm"])]
+    return ["--to", _number(told["to"]), "--length", _number(told["length"])]
 
 
 def _run_facts(run: Hello) -> dict[str, Any]:

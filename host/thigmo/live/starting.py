@@ -1,21 +1,24 @@
-"""Runs that the page starts: `thigmo explore` as a process of its own.
+"""Commands that the page starts, each as a process of its own: an exploration, and what finishes
+the job on a robot that has stopped (clear, retract, jog).
 
-It is not this process's business what becomes of the page: a run goes on when its page's server is
-killed. One that is ended in good order terminates the run first, which vents the robot.
+An exploration goes on when its page's server is killed. One that is ended in good order terminates
+it first, which vents the robot. A motion goes on only while the page is there, which tells so
+several times a second.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import subprocess
 import sys
 import threading
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-_PATIENCE_S = 10.0  # for a run to vent its robot
+_PATIENCE_S = 10.0  # for a command to make its robot safe
 _LINES = 20
+_MOTIONS = ("retract", "jog")
 
 
 def in_the_run(url: str) -> bool:
@@ -23,18 +26,28 @@ def in_the_run(url: str) -> bool:
     return url.partition("://")[0] in ("emulator", "mega-sim", "micropython")
 
 
-class StartedRun:
-    """A run that the page started, with further `options` of `thigmo explore`."""
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """An option of `thigmo explore` that an operator changes on the page."""
 
-    def __init__(self, url: str, options: Sequence[str], *, realtime: bool) -> None:
+    flag: str
+    label: str
+    help: str
+    choices: tuple[str, ...] = ()  # empty: free text
+    number: bool = False
+
+
+class Started:
+    """A command of `thigmo` with its arguments, which the page started."""
+
+    def __init__(self, *command: str) -> None:
+        self.name = command[0]
+        self.held = self.name in _MOTIONS
         self._said: deque[str] = deque(maxlen=_LINES)
-        self.question = ""  # to the operator, which the run waits to be answered
-        pace = ["--realtime"] if realtime and in_the_run(url) else []
-        explore = [sys.executable, "-m", "thigmo", "explore", "--robot", url, "--prompts-piped"]
-        # A session of its own: Ctrl-C at the server's terminal is not meant for the run.
+        # A session of its own: Ctrl-C at the server's terminal is not meant for it.
         self._process = subprocess.Popen(
-            [*explore, *options, *pace],
-            stdin=subprocess.PIPE,
+            [sys.executable, "-m", "thigmo", *command, *(["--held"] if self.held else [])],
+            stdin=subprocess.PIPE if self.held else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -53,15 +66,25 @@ class StartedRun:
         """Whether it is still under way."""
         return self._process.poll() is None
 
-    def answer(self, text: str) -> None:
-        """Answer the question, in one line."""
-        assert self._process.stdin is not None
-        if not self.question:
-            return
-        self.question = ""
-        with contextlib.suppress(OSError):  # it has just ended
-            self._process.stdin.write(" ".join(text.split()) + "\n")
-            self._process.stdin.flush()
+    def hold(self) -> None:
+        """The page is there: a motion goes on."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError, ValueError):  # it has ended, or was let go
+                self._process.stdin.write("\n")
+                self._process.stdin.flush()
+
+    def let_go(self) -> None:
+        """The page has gone: a motion ends."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+
+    def said(self) -> str:
+        """What it said last, once it has ended well; empty before, and if it failed."""
+        if self._process.poll() != 0:
+            return ""
+        self._listener.join()
+        return self._said[-1] if self._said else ""
 
     def failure(self) -> str:
         """Why it ended early, in its own last words; empty if it did not, or is under way."""
@@ -72,8 +95,10 @@ class StartedRun:
         return last.removeprefix("thigmo: ") or f"it ended with status {self._process.returncode}"
 
     def end(self) -> None:
-        """Terminate it, which vents the robot, and wait for that."""
-        self._process.terminate()
+        """End it, which makes the robot safe, and wait for that."""
+        self.let_go()
+        if not self.held:
+            self._process.terminate()
         try:
             self._process.wait(_PATIENCE_S)
         except subprocess.TimeoutExpired:
@@ -81,11 +106,13 @@ class StartedRun:
             self._process.wait()
 
     def _listen(self) -> None:
-        """Thread: questions, and what it says besides."""
+        """Thread: what it says."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            if line.startswith('{"question": '):
-                self.question = json.loads(line)["question"]
-            else:
-                self._said.append(line.strip())
-        self.question = ""
+            self._said.append(line.strip())
+
+
+def exploration(url: str, options: Sequence[str], *, realtime: bool) -> Started:
+    """An exploration of a robot, with further options, which asks its operator on the page."""
+    pace = ["--realtime"] if realtime and in_the_run(url) else []
+    return Started("explore", "--robot", url, "--asks-viewers", *options, *pace)

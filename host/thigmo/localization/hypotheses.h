@@ -1,7 +1,7 @@
 // Which explanations of a frame are weighed, and how likely each is.
 //
-// Every frame weighs a free body, one contact, each of them with one bad reading, and two contacts.
-// Three are weighed unless what they could explain beside two keeps them negligible. What a scene
+// Every frame weighs a free body, one contact, each of them with one bad reading, two contacts, and
+// three, whose grid is laid finer unless the evidence on it leaves them negligible. What a scene
 // calls for comes in order of cost: a contact on the end of a bent body, a folded base near its
 // critical moment, and a hinge where one contact leaves a misfit. What then still leaves a misfit
 // is weighed with one bad reading, of those that may bring it within reach of the best. All
@@ -52,9 +52,8 @@ class Weighing {
  public:
   static constexpr int kCells = 60;         // of a contact's first grid: 0.9 cm of the 53 cm body
   static constexpr double kMatters = -3.0;  // log share from which a rival has its own grid
-  static constexpr int kPairCells = 24, kTripleCells = 12;  // in whole vectors of four
-  static_assert(kPairCells % 4 == 0 && kTripleCells % 4 == 0);
-  static constexpr double kNegligible = 0.01;  // probability of three contacts, which are left out
+  static constexpr int kPairCells = 24, kTripleCells = 12;
+  static constexpr double kNegligible = -4.6;      // the same of three that are felt, or left out
   static constexpr double kSeveralMatter = -1.5;   // the same of several contacts
   static constexpr std::size_t kMostSuspects = 5;  // bad readings weighed beside one explanation
 
@@ -108,17 +107,23 @@ class Weighing {
         (misfit || moment > priors_.near_fold * settings_.critical)) {
       fold(bent);
     }
-    const bool several = frame_.size() >= 2 && settings_.contacts != 0 && settings_.contacts != 1;
-    double two = -INFINITY;  // log weight of two contacts
-    if (several) two = weigh_two();
-    // Noise that is not known hides a misfit.
-    const bool poor = readings.known ? misfit : two > found[one].log_weight;
+    const auto several = [&](int count) {
+      if (settings_.contacts >= 0) return frame_.size() >= 2 && settings_.contacts >= count;
+      return frame_.size() >= count;
+    };
+    bool poor = misfit;
+    Nodes bent_by_two = bent;
+    if (several(2) && add_several(2, kPairCells, frame_.rest, -1)) {
+      // Noise that is not known hides a misfit.
+      poor |= !readings.known && found.back().log_weight > found[one].log_weight;
+      bent_by_two = found.back().curvature;
+    }
     hinge(bent, true);
     // What bends a straight body so far may hold its end.
     const bool held_perhaps =
         poor || (turn_of(bent) > priors_.straight && readings.turn <= priors_.end_turn);
     if (held_perhaps && settings_.held_end == Settings::Held::perhaps) end(bent, true);
-    if (two > -INFINITY) weigh_three();
+    if (several(3)) add_several(3, kTripleCells, bent_by_two, -1);
     for (const Doubt& doubt : doubts_) {
       for (const int i : suspects(doubt)) doubt.weigh(i);
     }
@@ -363,51 +368,21 @@ class Weighing {
   }
 
   // Returns whether any set of places is possible.
-  bool add_several(int count, int cells, int bad) {
+  bool add_several(int count, int cells, const Nodes& start, int bad) {
     const double weight = contact_ + (count - 1) * priors_.another;
     const double odds = bad < 0 ? weight : weight + readings.log_bad[bad];
-    SeveralContacts fit =
-        several_contacts(with(bad_, bad), prior_, count, cells, frame_.rest,
-                         settings_.contacts == count, best() - odds + kSeveralMatter);
+    const bool all = settings_.contacts == count;
+    const double top = best() - odds, least = count == 2 || all ? -INFINITY : top + kNegligible;
+    SeveralContacts fit = several_contacts(with(bad_, bad), prior_, count, cells, start, all,
+                                           top + kSeveralMatter, least);
     if (!(fit.log_evidence > -INFINITY)) return false;
     Hypothesis& out = found.emplace_back(
         hypothesis(count == 2 ? Load::two : Load::three, fit, weight, 2 * count, bad));
     out.contacts = std::move(fit.contacts), out.sets = std::move(fit.sets);
     if (count == 2 && bad < 0) {
-      doubt(out, priors_.another, [this](int i) { add_several(2, kPairCells, i); });
+      doubt(out, priors_.another, [this, start](int i) { add_several(2, kPairCells, start, i); });
     }
     return true;
-  }
-
-  // Returns the log weight.
-  double weigh_two() {
-    if (!add_several(2, kPairCells, -1)) return -INFINITY;
-    two_ = found.size() - 1;
-    return found[two_].log_weight;
-  }
-
-  // About the probability that three contacts are felt: a third one beside the likeliest two.
-  double share_of_third() const {
-    const Hypothesis& two = found[two_];
-    const Whitened white(frame_, stacked(frame_.shared, two.loads));
-    Body body(frame_, prior_, two.curvature);
-    OneContact third;
-    third.place = middles({0.0, 1.0}, kCells);
-    third.width = 1.0 / kCells;
-    if (!OneContactGrid(white, prior_).weigh(body.levers(third.place), third)) return 0.0;
-    double felt = 0.0, both = 0.0;
-    for (int m = 0; m < kCells; ++m) felt += third.mass[m] * third.felt[m];
-    for (const FeltSet& set : two.sets) both += set.mass;
-    const double more = third.log_evidence - white.log_density() + priors_.another;
-    return felt * both * std::exp(std::min(two.log_weight + more - best(), 0.0));
-  }
-
-  void weigh_three() {
-    if (settings_.contacts >= 0 && settings_.contacts != 3) return;
-    // A third contact that moves the likeliest two to other places is one that they do not fit.
-    const bool fits = found[two_].misfit < misfit_at(priors_.noise_deviate);
-    const bool negligible = frame_.size() < 3 || (fits && share_of_third() < kNegligible);
-    if (settings_.contacts == 3 || !negligible) add_several(3, kTripleCells, -1);
   }
 
   const Frame& frame_;
@@ -418,9 +393,8 @@ class Weighing {
   double contact_;  // log prior odds of one
   Columns bad_;
   std::vector<Doubt> doubts_;
-  std::size_t two_ = 0;  // index of two contacts
-  double unfolded_;      // prior share of contacts that leave the base as it is
-  double limit_;         // misfit beyond which an explanation is poor
+  double unfolded_;  // prior share of contacts that leave the base as it is
+  double limit_;     // misfit beyond which an explanation is poor
 };
 
 }  // namespace thigmo

@@ -73,11 +73,17 @@ inline double probability_within(double mean, double variance, double limit) {
 }
 
 // Probability that a load which moves the readings by `moved` standard errors, give or take
-// `deviation` of them, moves them by `least` or more.
+// `deviation` of them, moves them by `least` or more: the normal integral to 2e-7 (Abramowitz and
+// Stegun, 7.1.26).
 inline double probability_felt(double moved, double deviation, double least) {
-  const double deviate = (moved - least) / std::max(deviation, 1e-12);
-  if (std::abs(deviate) > 3.5) return deviate > 0.0;
-  return 0.5 * std::erfc(-deviate / std::numbers::sqrt2);
+  deviation = deviation > 1e-12 ? deviation : 1e-12;
+  const double deviate = (moved - least) / deviation;
+  const double t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * std::abs(deviate));
+  const double series =
+      ((((1.061405429 * t - 1.453152027) * t + 1.421413741) * t - 0.284496736) * t + 0.254829592) *
+      t;
+  const double beyond = 0.5 * series * exponential(-0.5 * deviate * deviate);
+  return deviate > 0.0 ? 1.0 - beyond : beyond;
 }
 
 // Normal density of up to four loads. `gram` and `told` are products of their whitened columns, in
@@ -458,13 +464,12 @@ class OneContactGrid {
         static_cast<int>(std::max_element(out.mass.begin(), out.mass.end()) - out.mass.begin());
     const double scales = static_cast<double>(prior_.scales.size());
     out.log_evidence = top + std::log(total * out.width / scales);
-    const Row& square = products[level_].square;
+    const double *square = products[level_].square.data(), *force_of = first, *spread = second;
+    double* __restrict felt = out.felt.data();
     for (int m = 0; m < count; ++m) {
-      out.mass[m] /= total;
-      if (out.mass[m] < kOutside) continue;
       const double unit = std::sqrt(std::max(square[m], 0.0));
-      out.felt[m] =
-          probability_felt(std::abs(out.force[m]) * unit, out.spread[m] * unit, prior_.felt);
+      mass[m] /= total;
+      felt[m] = probability_felt(std::abs(force_of[m]) * unit, spread[m] * unit, prior_.felt);
     }
     return true;
   }
@@ -548,252 +553,241 @@ struct SeveralContacts : Fit {
   std::vector<FeltSet> sets;
 };
 
-// Weighs all sets of places, one of each contact's cells, by eliminating one contact after another
-// (Gauss): each adds to the gain, to the log determinant, and to the mean moment at the base.
+// Sets of places, one of each contact's cells, base to tip. What their evidence needs stands side
+// by side, set after set, so that loops over sets become vector code.
 class SetsGrid {
  public:
-  SetsGrid(int count, int cells)
-      : count_(count), cells_(cells), at_(count), left_(count), weight_(count * cells) {
-    std::size_t sets = 1;
-    for (int j = 0; j < count; ++j) sets *= static_cast<std::size_t>(cells);
-    mass.resize(sets);
+  // Begins anew; memory is kept.
+  void reset(int count, int cells) {
+    count_ = count, cells_ = cells;
+    best.assign(count, 0);
   }
 
-  Row place, width;       // (k M,) of all columns; (k,)
-  Row mass;               // of each set, cells of the last contact next to each other
-  std::vector<int> best;  // (k,) columns of the likeliest set
-  std::size_t level = 0;  // of the noise and scale of the forces that suit it
+  Row place, width;           // (k M,) of all columns; (k,)
+  Row mass;                   // of each set
+  Matrix mean, spread, felt;  // (k, S) of forces; probability that they count
+  std::vector<int> best;      // (k,) columns of the likeliest set
+  std::size_t level = 0;      // of the noise and scale of the forces that suit it
   double scale = 0.0, total = 0.0, top = -INFINITY;
 
-  void clear() {
-    std::fill(mass.begin(), mass.end(), 0.0);
-    place.clear(), width.clear();
+  int size() const { return static_cast<int>(mass.size()); }
+  int padded() const { return (size() + 3) / 4 * 4; }  // to whole vectors of four
+  int cell(int contact, int set) const { return column_[contact][set] - contact * cells_; }
+
+  // Lists all sets whose contacts are half a cell apart at least.
+  void list() {
+    const double gap = *std::min_element(width.begin(), width.end()) * 0.5;
+    std::size_t most = 1;
+    for (int j = 0; j < count_; ++j) most *= cells_;
+    if (column_[count_ - 1].size() < most) column_.fill(std::vector<int>(most));
+    const auto after = [&](int contact, int column) {
+      int m = contact * cells_;
+      while (m < (contact + 1) * cells_ && place[m] - place[column] < gap) ++m;
+      return m;
+    };
+    int sets = 0;
+    const auto row = [&](int first, int column) {  // of the last contact's cells
+      for (int m = after(count_ - 1, column); m < count_ * cells_; ++m, ++sets) {
+        column_[0][sets] = first, column_[count_ - 2][sets] = column, column_[count_ - 1][sets] = m;
+      }
+    };
+    for (int first = 0; first < cells_; ++first) {
+      if (count_ == 2) {
+        row(first, first);
+        continue;
+      }
+      for (int m = after(1, first); m < 2 * cells_; ++m) row(first, m);
+    }
+    mass.assign(sets, 0.0);
     total = 0.0, top = -INFINITY, peak_ = -1.0;
   }
 
-  // At one level of noise.
-  THIGMO_WIDE void set(const Matrix& white, const Row& read, const Row& base) {
-    const int wide = white.columns;
-    for (Products& each : left_) {
-      each.diagonal.resize(wide), each.told.resize(wide), each.base = base;
-      // Two places of one contact are never weighed together.
-      if (&each != &left_.back()) each.gram.resize(wide - cells_, wide);
+  // Takes all columns at one level of noise: whitened levers, the readings, levers at the base, and
+  // deviations of the forces for a largest moment of one.
+  THIGMO_WIDE void set(const Matrix& white, const Row& read, const Row& base, const Row& unit) {
+    const int wide = white.columns, sets = size(), cells = cells_;
+    of_.resize(kRows, padded());
+    products_.resize(4 + cells, wide);
+    double* __restrict told = products_[0], * __restrict square = products_[1];
+    double* __restrict variance = products_[2], * __restrict precision = products_[3];
+    for (int k = 0; k < wide; ++k) {
+      variance[k] = unit[k] * unit[k];
+      precision[k] = 1.0 / variance[k];
     }
-    Products& to = left_[0];
-    square_.assign(wide, 0.0), to.told.assign(wide, 0.0);
-    double* __restrict told = to.told.data(), * __restrict square = square_.data();
+    std::fill_n(told, 2 * wide, 0.0);
     for (int i = 0; i < white.rows; ++i) {
-      const double* row = white[i];
-      for (int k = 0; k < wide; ++k) told[k] += row[k] * read[i], square[k] += row[k] * row[k];
+      const double *row = white[i], own = read[i];
+      for (int k = 0; k < wide; ++k) told[k] += row[k] * own, square[k] += row[k] * row[k];
     }
-    for (int k = 0; k < wide - cells_; ++k) {
-      const int from = (k / cells_ + 1) * cells_;
-      double* __restrict gram = to.gram[k];
-      std::fill(gram + from, gram + wide, 0.0);
-      for (int i = 0; i < white.rows; ++i) {
-        const double *row = white[i], own = row[k];
-        for (int l = from; l < wide; ++l) gram[l] += own * row[l];
+    for (int j = 0; j < count_; ++j) {
+      const int* at = column_[j].data();
+      gather(at, told, of_[kTold + j]), gather(at, square, of_[gram(j, j)]);
+      gather(at, base.data(), of_[kBase + j]), gather(at, variance, of_[kVariance + j]);
+      gather(at, precision, of_[kPrecision + j]);
+      for (int l = 0; l < j; ++l) {
+        for (int m = 0; m < cells; ++m) {
+          for (int k = 0; k < cells; k += 12) {
+            Four sum[3]{};
+            for (int i = 0; i < white.rows; ++i) {
+              const double *row = white[i] + j * cells + k, own = white[i][l * cells + m];
+              for (int part = 0; part < 3; ++part) sum[part] += own * four(row + 4 * part);
+            }
+            for (int part = 0; part < 3; ++part) four(products_[4 + m] + k + 4 * part) = sum[part];
+          }
+        }
+        const int* beside = column_[l].data();
+        const double* from = products_[4] - l * cells * wide - j * cells;
+        double* __restrict to = of_[gram(j, l)];
+        for (int s = 0; s < sets; ++s) to[s] = from[beside[s] * wide + at[s]];
       }
     }
   }
 
-  // Take a prior of the forces: deviations (k M,) for a largest moment of one, times a scale.
-  void prepare(const Row& unit, double scale) {
-    gap_ = *std::min_element(width.begin(), width.end()) * 0.5;
-    variance_.resize(unit.size());
-    for (std::size_t k = 0; k < unit.size(); ++k) {
-      variance_[k] = scale * scale * unit[k] * unit[k];
-      left_[0].diagonal[k] = 1.0 / variance_[k] + square_[k];
-    }
-  }
-
-  // Adds the weights of all sets at that level and one prior of the forces.
-  void weigh(const Row& unit, double constant, double critical, std::size_t at_level,
-             double at_scale) {
-    prepare(unit, at_scale);
-    critical_ = critical, level_ = at_level, scale_ = at_scale;
-    place_contact(0, {constant, 1.0, 0.0}, [this](int first, Sum sum) { place_last(first, sum); });
-  }
-
-  // Forces of a row of sets, of each contact (k, M): means and deviations; and how far a unit force
-  // moves the readings, in standard errors.
-  struct Forces {
-    Matrix mean, deviation, moves;
-  };
-
-  // Calls `each` for all sets that share all but the last contact: with the columns of those, the
-  // masses of the last one's cells, the first of its cells, and the forces as they were prepared.
-  template <class Each>
-  void each_row(const Each& each) {
-    Forces of{Matrix(count_, cells_), Matrix(count_, cells_), Matrix(count_, cells_)};
-    place_contact(0, {0.0, 1.0, 0.0}, [&](int first, Sum) {
-      solve_row(of);
-      each(at_, mass.data() + row() * cells_, first - (count_ - 1) * cells_, of);
-    });
-  }
-
- private:
-  // Of the columns of all contacts: whitened levers' products with each other, above the diagonal,
-  // and with the readings; levers at the base. Less what the contacts that are placed explain.
-  struct Products {
-    Matrix gram;
-    Row diagonal, told, base;
-  };
-
-  struct Sum {
-    double exponent, volume, moment;
-  };
-
-  // Calls `last` with the first column of the last contact, all others being placed.
-  template <class Last>
-  void place_contact(int contact, Sum sum, const Last& last) {
-    const Products& left = left_[contact];
-    const int end = (contact + 1) * cells_;
-    int m = contact * cells_;
-    while (contact > 0 && m < end && place[m] - place[at_[contact - 1]] < gap_) ++m;
-    if (contact + 1 == count_) return last(m, sum);
-    for (; m < end; ++m) {
-      at_[contact] = m;
-      const double share = left.told[m] / left.diagonal[m];
-      eliminate(left, m, end, left_[contact + 1]);
-      place_contact(
-          contact + 1,
-          {sum.exponent + 0.5 * left.told[m] * share, sum.volume * left.diagonal[m] * variance_[m],
-           sum.moment + share * left.base[m]},
-          last);
-    }
-  }
-
-  // Index of the row of sets to which the contacts that are placed belong.
-  std::size_t row() const {
-    std::size_t row = 0;
-    for (int j = 0; j + 1 < count_; ++j) row = row * cells_ + at_[j] - j * cells_;
-    return row;
-  }
-
-  static void take_out(int count, double inverse, const double* __restrict row, double own,
-                       const double* __restrict old, double* __restrict fresh) {
-    for (int k = 0; k < count; ++k) fresh[k] = old[k] - inverse * row[k] * own;
-  }
-
-  // Take the contact in column m out of those from `end` on.
-  THIGMO_WIDE void eliminate(const Products& from, int m, int end, Products& to) const {
-    const int wide = count_ * cells_;
-    const double inverse = 1.0 / from.diagonal[m], *row = from.gram[m];
-    take_out(wide - end, inverse, row + end, from.told[m], &from.told[end], &to.told[end]);
-    if (critical_ < INFINITY) {
-      take_out(wide - end, inverse, row + end, from.base[m], &from.base[end], &to.base[end]);
-    }
-    const auto take = [=](const double* __restrict rows, const double* __restrict old,
-                          double* __restrict fresh) {
-      for (int k = 0; k < wide - end; ++k) fresh[k] = old[k] - inverse * rows[k] * rows[k];
-    };
-    take(row + end, &from.diagonal[end], &to.diagonal[end]);
-    for (int k = end; k < wide - cells_; ++k) {
-      const int last = wide - cells_;
-      take_out(cells_, inverse, row + last, row[k], from.gram[k] + last, to.gram[k] + last);
-    }
-  }
-
-  // From exponents to weights.
-  static void add_weights(int count, double top, double volume, const double* __restrict diagonal,
-                          const double* __restrict variance, double* __restrict weight,
-                          double* __restrict mass) {
-    for (int m = 0; m < count; ++m) {
-      const double root = std::sqrt(volume * diagonal[m] * variance[m]);
-      const double value = exponential(weight[m] - top) / root;
-      weight[m] = weight[m] > -INFINITY ? value : 0.0;
-      mass[m] += weight[m];
-    }
-  }
-
-  // Adds the sets that the columns from `first` on complete.
-  THIGMO_WIDE void place_last(int first, Sum sum) {
-    const int from = (count_ - 1) * cells_;
-    const Products& left = left_.back();
-    const double* __restrict told = left.told.data() + from;
-    const double* __restrict diagonal = left.diagonal.data() + from;
-    const double* __restrict base = left.base.data() + from;
-    const double* __restrict variance = variance_.data() + from;
-    double* __restrict weight = weight_.data();
-    first -= from;
-    // Whole vectors of four cells: what lies nearer than `first` weighs nothing.
-    const int begin = first - first % 4, cells = cells_;
-    for (int m = begin; m < cells; ++m) {
-      const double share = told[m] / diagonal[m];
-      const double exponent = sum.exponent + 0.5 * told[m] * share;
-      const bool folds = std::abs(sum.moment + share * base[m]) > critical_;
-      weight[m] = folds || m < first ? -INFINITY : exponent;
-    }
-    const double most = largest(weight + begin, cells - begin);
+  // Adds the weights of all sets at that level and one scale of the forces.
+  THIGMO_WIDE void weigh(double constant, double critical, std::size_t at_level, double at_scale) {
+    const int sets = size();
+    products_.resize(2, padded());
+    double* __restrict weight = products_[0], * __restrict volume = products_[1];
+    const double tight = 1.0 / (at_scale * at_scale);
+    count_ == 2 ? exponents<2>(tight, critical, weight, volume)
+                : exponents<3>(tight, critical, weight, volume);
+    const double most = largest(weight, sets) + constant;
     if (!(most > -INFINITY) || most < top - kNothing) return;
     if (most > top + kNothing) {  // what was added so far is small beside this
       const double shrink = std::exp(top - most);
       for (double& value : mass) value *= shrink;
       total *= shrink, peak_ *= shrink, top = most;
     }
-    double* to = mass.data() + row() * cells;
-    std::array<double, 4> sums{};
-    add_weights(cells - begin, top, sum.volume, diagonal + begin, variance + begin, weight + begin,
-                to + begin);
-    for (int m = begin; m < cells; m += 4) {
-      for (int j = 0; j < 4; ++j) sums[j] += weight[m + j];
+    const double shift = constant - top;
+    double* __restrict to = mass.data();
+    for (int s = 0; s < sets; ++s) {
+      weight[s] = exponential(weight[s] + shift) / std::sqrt(volume[s]);
+      to[s] += weight[s];
     }
-    total += (sums[0] + sums[1]) + (sums[2] + sums[3]);
-    const double heaviest = largest(weight + begin, cells - begin);
+    for (int s = 0; s < sets; ++s) total += weight[s];
+    const double heaviest = largest(weight, sets);
     if (heaviest <= peak_) return;
-    peak_ = heaviest, level = level_, scale = scale_;
-    at_.back() =
-        from + static_cast<int>(std::find(weight + begin, weight + cells, heaviest) - weight);
-    best = at_;
+    peak_ = heaviest, level = at_level, scale = at_scale;
+    const auto found = std::find(weight, weight + sets, heaviest) - weight;
+    for (int j = 0; j < count_; ++j) best[j] = column_[j][found];
   }
 
-  // Forces of the sets that the cells of the last contact complete, by substitution backwards. The
-  // mean of contact j is z_j - u_j x that of those behind it; its variance has a share of theirs.
-  THIGMO_WIDE void solve_row(Forces& of) const {
-    const int last = count_ - 1, from = last * cells_, cells = cells_;
-    const double *diagonal = left_[last].diagonal.data() + from, *square = square_.data() + from;
-    const double* told = left_[last].told.data() + from;
-    const auto alone = [=](double* __restrict mean, double* __restrict deviation,
-                           double* __restrict moves) {
-      for (int m = 0; m < cells; ++m) {
-        mean[m] = told[m] / diagonal[m];
-        deviation[m] = std::sqrt(1.0 / diagonal[m]);
-        moves[m] = std::sqrt(square[m]);
-      }
-    };
-    alone(of.mean[last], of.deviation[last], of.moves[last]);
-    for (int j = last; j-- > 0;) {
-      const Products& own = left_[j];
-      const double *row = own.gram[at_[j]], inverse = 1.0 / own.diagonal[at_[j]];
-      double mean = own.told[at_[j]] * inverse, variance = inverse, further = 0.0;
-      const double* behind = row;
-      if (j + 1 < last) {  // of three contacts, that in the middle
-        const Products& next = left_[j + 1];
-        const int at = at_[j + 1];
-        const double share = row[at] * inverse;
-        further = share / next.diagonal[at], behind = next.gram[at];
-        mean -= further * next.told[at], variance += further * share;
-      }
-      const double* later = of.mean[last];
-      const auto beside = [=](double* __restrict means, double* __restrict deviation) {
-        for (int m = 0; m < cells; ++m) {
-          const double share = row[from + m] * inverse - further * behind[from + m];
-          means[m] = mean - share * later[m];
-          deviation[m] = std::sqrt(variance + share * share / diagonal[m]);
-        }
-      };
-      beside(of.mean[j], of.deviation[j]);
-      std::fill_n(of.moves[j], cells, std::sqrt(square_[at_[j]]));
+  // Forces of all sets, at the level that was taken last and the likeliest scale, and whether they
+  // move the readings by `least` standard errors.
+  THIGMO_WIDE void solve(double least) {
+    for (Matrix* each : {&mean, &spread, &felt}) each->resize(count_, padded());
+    count_ == 2 ? forces<2>() : forces<3>();
+    const double* force = mean.value.data();
+    double* __restrict deviation = spread.value.data(), * __restrict likely = felt.value.data();
+    for (std::size_t k = 0; k < felt.value.size(); ++k) {
+      const double moves = std::sqrt(likely[k]);
+      deviation[k] = std::sqrt(deviation[k]);
+      likely[k] = probability_felt(std::abs(force[k]) * moves, deviation[k] * moves, least);
     }
   }
 
-  int count_, cells_;
-  std::vector<int> at_;         // columns of the set that is being weighed
-  std::vector<Products> left_;  // by how many contacts are placed
-  Row square_, variance_, weight_;
-  double gap_ = 0.0, critical_ = INFINITY, scale_ = 0.0, peak_ = -1.0;
-  std::size_t level_ = 0;
+  // Probability that all contacts of a set are felt.
+  double all_felt() const {
+    double sum = 0.0;
+    for (int s = 0; s < size(); ++s) {
+      double likely = mass[s];
+      for (int j = 0; j < count_; ++j) likely *= felt[j][s];
+      sum += likely;
+    }
+    return sum / total;
+  }
+
+ private:
+  // Rows of numbers of sets: products of the readings with whitened levers; the prior's precision;
+  // levers at the base; products of levers with each other.
+  static constexpr int kTold = 0, kPrecision = kMostContacts, kVariance = 2 * kMostContacts;
+  static constexpr int kBase = 3 * kMostContacts, kGram = 4 * kMostContacts, kRows = kGram + 6;
+  static constexpr int gram(int j, int l) { return kGram + j * (j + 1) / 2 + l; }
+
+  // Numbers of columns for all sets.
+  void gather(const int* at, const double* from, double* __restrict to) const {
+    const int sets = size(), wide = padded();
+    for (int s = 0; s < sets; ++s) to[s] = from[at[s]];
+    for (int s = sets; s < wide; ++s) to[s] = from[at[0]];
+  }
+
+  // Numbers of four sets, as a processor takes them.
+  using Four [[gnu::vector_size(32), gnu::aligned(8)]] = double;
+  static const Four& four(const double* from) { return *reinterpret_cast<const Four*>(from); }
+  static Four& four(double* from) { return *reinterpret_cast<Four*>(from); }
+
+  // Normal equations of K forces, eliminated one after another (Gauss).
+  template <int K>
+  struct Eliminated {
+    Four lower[K][K], inverse[K], left[K], gain, volume;  // log evidence: (gain - log(volume)) / 2
+    [[gnu::always_inline]] Eliminated(const Matrix& of, double tight, int s) {
+      for (int j = 0; j < K; ++j) {
+        Four raw[K];
+        left[j] = four(of[kTold + j] + s);
+        Four own = tight * four(of[kPrecision + j] + s) + four(of[gram(j, j)] + s);
+        for (int l = 0; l < j; ++l) {
+          raw[l] = four(of[gram(j, l)] + s);
+          for (int k = 0; k < l; ++k) raw[l] -= raw[k] * lower[l][k];
+          lower[j][l] = raw[l] * inverse[l];
+          left[j] -= lower[j][l] * left[l];
+          own -= raw[l] * lower[j][l];
+        }
+        inverse[j] = 1.0 / own;
+        const Four share = left[j] * left[j] * inverse[j],
+                   wider = own * four(of[kVariance + j] + s);
+        gain = j == 0 ? share : gain + share, volume = j == 0 ? wider : volume * wider;
+      }
+    }
+    // Means and variances of the forces.
+    [[gnu::always_inline]] void solve(Four* mean, Four* variance) const {
+      Four up[K][K];  // transposed inverse of the lower triangle
+      for (int j = K; j-- > 0;) {
+        mean[j] = left[j] * inverse[j], variance[j] = inverse[j];
+        for (int k = j + 1; k < K; ++k) {
+          mean[j] -= lower[k][j] * mean[k];
+          up[j][k] = -lower[k][j];
+          for (int l = j + 1; l < k; ++l) up[j][k] -= lower[l][j] * up[l][k];
+          variance[j] += up[j][k] * up[j][k] * inverse[k];
+        }
+      }
+    }
+  };
+
+  template <int K>
+  [[gnu::always_inline]] void exponents(double tight, double critical, double* exponent,
+                                        double* volume) const {
+    const int sets = size();
+    const double wider = std::pow(tight, -K);
+    for (int s = 0; s < sets; s += 4) {
+      const Eliminated<K> found(of_, tight, s);
+      four(exponent + s) = 0.5 * found.gain, four(volume + s) = found.volume * wider;
+      if (!(critical < INFINITY)) continue;
+      Four force[K], variance[K], moment{};
+      found.solve(force, variance);
+      for (int j = 0; j < K; ++j) moment += force[j] * four(of_[kBase + j] + s);
+      for (int m = 0; m < 4; ++m) {
+        if (std::abs(moment[m]) > critical) exponent[s + m] = -INFINITY;
+      }
+    }
+  }
+
+  template <int K>
+  [[gnu::always_inline]] void forces() {
+    const double tight = 1.0 / (scale * scale);
+    for (int s = 0; s < size(); s += 4) {
+      Four force[K], variance[K];
+      Eliminated<K>(of_, tight, s).solve(force, variance);
+      for (int j = 0; j < K; ++j) {
+        four(mean[j] + s) = force[j], four(spread[j] + s) = variance[j];
+        four(felt[j] + s) = four(of_[gram(j, j)] + s);
+      }
+    }
+  }
+
+  int count_ = 0, cells_ = 0;
+  std::array<std::vector<int>, kMostContacts> column_;  // of each set
+  Matrix of_, products_;
+  double peak_ = -1.0;
 };
 
 // The likeliest set of a grid: misfit, and the body at rest under its forces, from a shape near it.
@@ -826,83 +820,66 @@ inline void likeliest_set(const Whitened& readings, const ForcePrior& prior, con
 // Mass in each cell of each contact (k, M).
 inline std::vector<Row> marginals(const SetsGrid& sets, int cells) {
   std::vector<Row> out(sets.width.size(), Row(cells, 0.0));
-  for (std::size_t k = 0; k < sets.mass.size(); ++k) {
-    if (sets.mass[k] == 0.0) continue;
-    std::size_t left = k;
-    for (auto mass = out.rbegin(); mass != out.rend(); ++mass, left /= cells) {
-      (*mass)[left % cells] += sets.mass[k] / sets.total;
+  for (std::size_t j = 0; j < out.size(); ++j) {
+    for (int s = 0; s < sets.size(); ++s) {
+      out[j][sets.cell(static_cast<int>(j), s)] += sets.mass[s] / sets.total;
     }
   }
   return out;
 }
 
-// Shares the mass of a grid out among the contacts that are felt, by forces at the noise and prior
-// that suit the likeliest set. All are taken for felt if `all` says so. Leaves out `nothing` of it.
-inline void share_out(const Whitened& readings, const Levers& levers, const Row& unit, double felt,
-                      bool all, double nothing, int cells, SetsGrid& sets, SeveralContacts& out) {
+// Shares the mass of a grid out among the contacts that are felt. All are taken for felt if `all`
+// says so. Leaves out sets that hold a share of less than `nothing`.
+inline void share_out(const SetsGrid& sets, bool all, double nothing, int cells,
+                      SeveralContacts& out) {
   constexpr double kUnlikely = 1e-3;
-  const Whitened::At& at = readings.levels[sets.level];
   const int count = static_cast<int>(sets.width.size());
   const Row none(cells, 0.0);
   for (int j = 0; j < count; ++j) {
     const auto first = sets.place.begin() + j * cells;
     out.contacts[j] = {{first, first + cells}, sets.width[j], none, none, none, none};
   }
-  if (sets.level + 1 < readings.levels.size()) {  // else it was weighed last
-    Matrix white;
-    at.by(levers.sensor, white);
-    sets.set(white, at.read, levers.base);
-  }
-  sets.prepare(unit, sets.scale);
   const double least = nothing * sets.total;
   double kept = 0.0;
   for (const double mass : sets.mass) kept += mass < least ? 0.0 : mass;
-  std::array<double, kMostContacts> mean{}, deviation{};
   std::array<std::array<double, 2>, kMostContacts> odds{};  // that each is not felt, and that it is
-  std::array<int, kMostContacts> cell{};
-  sets.each_row([&](const std::vector<int>& columns, const double* mass, int first,
-                    const SetsGrid::Forces& of) {
-    for (int j = 0; j + 1 < count; ++j) cell[j] = columns[j] - j * cells;
-    for (int m = first; m < cells; ++m) {
-      if (mass[m] < least) continue;
-      cell[count - 1] = m;
-      int strongest = 0;
-      for (int j = 0; j < count; ++j) {
-        const double moves = of.moves[j][m];
-        mean[j] = of.mean[j][m], deviation[j] = of.deviation[j][m];
-        const double likely =
-            all ? 1.0 : probability_felt(std::abs(mean[j]) * moves, deviation[j] * moves, felt);
-        odds[j] = {1.0 - likely, likely};
-        if (likely > odds[strongest][1]) strongest = j;
+  out.sets.reserve(sets.size());
+  for (int s = 0; s < sets.size(); ++s) {
+    if (sets.mass[s] < least) continue;
+    int strongest = 0;
+    for (int j = 0; j < count; ++j) {
+      const double likely = all ? 1.0 : sets.felt[j][s];
+      odds[j] = {1.0 - likely, likely};
+      if (likely > odds[strongest][1]) strongest = j;
+    }
+    for (unsigned way = 0; way < 1u << count; ++way) {
+      double share = odds[0][way & 1];
+      for (int j = 1; j < count; ++j) share *= odds[j][way >> j & 1];
+      if (share < kUnlikely) continue;
+      share *= sets.mass[s] / kept;
+      if ((way & (way - 1)) == 0) {  // one at most
+        const int only = way ? std::countr_zero(way) : strongest, cell = sets.cell(only, s);
+        out.contacts[only].add(cell, share, sets.mean[only][s], sets.spread[only][s]);
+        if (way) out.contacts[only].felt[cell] += share;
+        continue;
       }
-      for (unsigned way = 0; way < 1u << count; ++way) {
-        double share = odds[0][way & 1];
-        for (int j = 1; j < count; ++j) share *= odds[j][way >> j & 1];
-        if (share < kUnlikely) continue;
-        share *= mass[m] / kept;
-        if ((way & (way - 1)) == 0) {  // one at most
-          const int only = way ? std::countr_zero(way) : strongest;
-          out.contacts[only].add(cell[only], share, mean[only], deviation[only]);
-          if (way) out.contacts[only].felt[cell[only]] += share;
-          continue;
-        }
-        FeltSet& set = out.sets.emplace_back(share);
-        for (int j = 0; j < count; ++j) {
-          if (!(way >> j & 1)) continue;
-          set.contact[set.count] = j, set.cell[set.count] = cell[j];
-          set.force[set.count] = mean[j], set.spread[set.count++] = deviation[j];
-        }
+      FeltSet& set = out.sets.emplace_back(share);
+      for (int j = 0; j < count; ++j) {
+        if (!(way >> j & 1)) continue;
+        set.contact[set.count] = j, set.cell[set.count] = sets.cell(j, s);
+        set.force[set.count] = sets.mean[j][s], set.spread[set.count++] = sets.spread[j][s];
       }
     }
-  });
+  }
   for (Marginal& contact : out.contacts) contact.average();
 }
 
 // `all`: how many there are is known. `matters`: log evidence from which a grid is laid finer even
-// where it tells most places apart.
+// where it tells most places apart. They are not weighed further, and their evidence is nothing, if
+// on the first grid the log evidence that all are felt is less than `least`.
 inline SeveralContacts several_contacts(const Whitened& readings, const ForcePrior& prior,
                                         int count, int cells, const Nodes& start, bool all,
-                                        double matters) {
+                                        double matters, double least) {
   constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
   constexpr double kNothingOfAll = 1e-4;
   const Frame& frame = *readings.frame;
@@ -910,10 +887,11 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
   out.contacts.resize(count);
   std::vector<Window> window(count, Window{0.0, 1.0});
   Body body(frame, prior, start);
-  SetsGrid sets(count, cells);
+  thread_local SetsGrid sets;  // the next frame needs as much memory
+  sets.reset(count, cells);
   Matrix white;
   for (int turn = 0; turn < kMostTurns; ++turn) {
-    sets.clear();
+    sets.place.clear(), sets.width.clear();
     double log_volume = 0.0;
     for (int j = 0; j < count; ++j) {
       const Row part = middles(window[j], cells);
@@ -921,19 +899,31 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
       sets.width.push_back((window[j].far - window[j].near) / cells);
       log_volume += std::log((j + 1.0) * sets.width[j]);
     }
+    sets.list();
     const Levers& levers = body.levers(sets.place);
     const Row unit = prior_deviations(prior, levers.largest);
-    for (std::size_t s = 0; s < readings.levels.size(); ++s) {
-      const Whitened::At& at = readings.levels[s];
+    const auto take = [&](const Whitened::At& at) {
       at.by(levers.sensor, white);
-      sets.set(white, at.read, levers.base);
+      sets.set(white, at.read, levers.base, unit);
+    };
+    for (std::size_t s = 0; s < readings.levels.size(); ++s) {
+      take(readings.levels[s]);
       for (const double scale : prior.scales) {
-        sets.weigh(unit, at.log_density, prior.critical, s, scale);
+        sets.weigh(readings.levels[s].log_density, prior.critical, s, scale);
       }
     }
     if (!(sets.total > 0.0)) return out;
     const double scales = static_cast<double>(prior.scales.size());
     out.log_evidence = sets.top + std::log(sets.total / scales) + log_volume;
+    const auto solve = [&] {
+      if (sets.level + 1 < readings.levels.size()) take(readings.levels[sets.level]);
+      sets.solve(prior.felt);
+    };
+    if (turn == 0 && out.log_evidence < least) return {};
+    if (turn == 0 && least > -INFINITY) {
+      solve();
+      if (out.log_evidence + std::log(sets.all_felt()) < least) return {};
+    }
     likeliest_set(readings, prior, sets, unit, body.curvature, out);
     const bool rests = body.settle(out.curvature);
     bool finer = false;
@@ -950,7 +940,8 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
     }
     if (finer || !(rests || turn + 1 == kMostTurns)) continue;
     const double nothing = kNothingOfAll * std::exp(std::min(matters - out.log_evidence, 3.0));
-    share_out(readings, levers, unit, prior.felt, all, nothing, cells, sets, out);
+    solve();
+    share_out(sets, all, nothing, cells, out);
     return out;
   }
   return out;

@@ -4,7 +4,7 @@ What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's intege
 """
 
 from thigmo.robot.readings import SENSORS, SensorTable, in_mask, mask_of
-from thigmo.robot.robot import Robot, connect
+from thigmo.robot.robot import JOG_CM, Robot, connect
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import ContactTrigger, Peak, Reading, Status, SweepFrame, SweepResult
 from thigmo.robot.supervised import WITHOUT_BRAKE
@@ -13,6 +13,7 @@ from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
 from thigmo.room import Operator
 
 __all__ = [
+    "JOG_CM",
     "SENSORS",
     "TRIGGER_PER_CM",
     "WITHOUT_BRAKE",

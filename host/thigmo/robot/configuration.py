@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from thigmo import wiring
 from thigmo.config import SIDES, SIGN, RobotConfig
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
-from thigmo.robot.readings import in_board_order
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client
@@ -24,7 +24,7 @@ _PRESSURE_MARGIN_PSI = 0.5  # regulation overshoots; the set point itself never 
 def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     """The schema's parameters that robot.toml decides, by name, in wire units."""
     board, spool, body = config.board, config.spool, config.body
-    flex = in_board_order(config)
+    flex = wiring.sensors(config)
     pulls = [round(zone.pull_duty) for zone in body.zones]
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
     ratio = board.divider_ohm / _BOARD_DIVIDER_OHM

@@ -6,10 +6,12 @@ the heartbeat runs beside it.
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -24,7 +26,7 @@ from thigmo.robot.readings import SensorTable
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Status
 from thigmo.room import Dowel, Operator, Simulated
-from thigmo.stream import Message, Telemetry
+from thigmo.stream import Command, Hello, Message, Server, Telemetry
 from thigmo.stream.hub import QUEUE
 
 if TYPE_CHECKING:
@@ -185,6 +187,18 @@ class Connected(Closing):
                 # What is done between two messages takes time, and brings new ones.
                 while self.now() < end and (message := heard.get(0.0)) is not None:
                     yield message
+
+    def serve(self, name: str, folder: str, command: Callable[[Command, str], None]) -> Server:
+        """Serve the hub to viewers, as a run of a name and with a run folder, if it has one.
+
+        `command` is called with what a viewer asks or answers, in a thread of its own.
+        """
+        now_s = self.now()
+        hello = Hello(
+            now_s, self.epoch_s + now_s, self.url, name, folder, os.getpid(), version("thigmo"),
+            self.virtual,
+        )  # fmt: skip
+        return Server(self.hub, hello, command)
 
     @contextmanager
     def _telemetry_to(self, take: Callable[[TelemetryFrame], None]) -> Iterator[None]:

@@ -19,17 +19,17 @@ from thigmo.config import SIDES, RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
-from thigmo.robot.readings import SENSORS, SENSORS_A_SIDE, SensorTable, sensor_name
+from thigmo.robot.readings import SensorTable
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
 from thigmo.stream.blocks import Phase, TelemetryBlock
 from thigmo.stream.messages import Severity
+from thigmo.wiring import sensor_name
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client
 
 _FULL_MA, _FULL_DRIVE, _FULL_MOTOR = 20.0, 1599, 800
 _IDLE_PSI = 0.1  # below, no muscle bends the body
-_LEFT = np.arange(SENSORS) < SENSORS_A_SIDE
 # Of the board's time, between two shapes: in motion while somebody looks and else, and at rest.
 _LIVE_S, _KEPT_S, _REST_S = 0.1, 0.2, 1.0
 # Readings that a record takes at once, and seconds of this computer's that it waits for them.
@@ -58,7 +58,7 @@ def _phase(both: int, faults: int) -> Phase:
     )
 
 
-def _told(event: wire.Event) -> tuple[str, Severity, str, str]:
+def _told(event: wire.Event, config: RobotConfig) -> tuple[str, Severity, str, str]:
     """Name, severity, what happened, and what to do next."""
     code, arg, value = event.code, event.arg, event.value
     if code is wire.EventCode.FAULT:
@@ -78,7 +78,7 @@ def _told(event: wire.Event) -> tuple[str, Severity, str, str]:
         ),
         wire.EventCode.ZEROED: lambda: f"{arg.bit_count()} sensors zeroed",
         wire.EventCode.EVERTED: lambda: (
-            f"sensor {sensor_name(arg)} everted at {value / 1e4:.1f} cm"
+            f"sensor {sensor_name(config, arg)} everted at {value / 1e4:.1f} cm"
         ),
         wire.EventCode.SAVED: lambda: f"configuration {value} stored",
     }[code]()
@@ -103,6 +103,7 @@ class Publisher:
     def use(self, config: RobotConfig, table: SensorTable) -> None:
         """Decode with these constants and zeros from now on."""
         self._publish_block()
+        self._config = config
         self._radius_cm = config.body.radius_cm
         self._table = table
         self._centers = table.center_cm.tolist()
@@ -169,7 +170,7 @@ class Publisher:
         curvature = np.where(out, self._table.curvature(raw["flex_sum"]), nan)
         left, right = raw["left_cpsi"], raw["right_cpsi"]
         inflated = np.maximum(left, right) >= _IDLE_PSI * 100
-        hidden = inflated[:, None] & ((left >= right)[:, None] == _LEFT)
+        hidden = inflated[:, None] & ((left >= right)[:, None] == (self._table.lies > 0))
         numbers = {
             "t_s": t_s,
             "epoch_s": self.epoch_s + t_s,
@@ -193,7 +194,8 @@ class Publisher:
 
     def event(self, received: ReceivedEvent) -> Event:
         """An event in words, with the operator's next step if there is one."""
-        return Event(received.t_s, self.epoch_s + received.t_s, *_told(received.message))
+        told = _told(received.message, self._config)
+        return Event(received.t_s, self.epoch_s + received.t_s, *told)
 
     def _shape(self, block: TelemetryBlock, n: int) -> BodyShape:
         """The body by what its sensors read now: those of the inflated side wrinkle, and do not

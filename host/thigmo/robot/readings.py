@@ -13,37 +13,16 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
-from thigmo.errors import ConfigError
+from thigmo import wiring
+from thigmo.config import SIGN, RobotConfig, Side
 
 Floats = NDArray[np.float64]
 
-SENSORS_A_SIDE = 5  # what the board's wiring and protocol have room for
-SENSORS = len(SIDES) * SENSORS_A_SIDE
-
-
-def in_board_order(config: RobotConfig) -> list[FlexSensor | None]:
-    """robot.toml's flex sensors by the board's numbers, left base first; None if one is absent."""
-    found: list[FlexSensor | None] = []
-    for side in SIDES:
-        column = config.column(side)
-        if len(column) > SENSORS_A_SIDE:
-            raise ConfigError(
-                f"{len(column)} sensors on the {side}, and the board reads {SENSORS_A_SIDE}",
-                f"keep at most {SENSORS_A_SIDE} a side in robot.toml",
-            )
-        found += [*column, *[None] * (SENSORS_A_SIDE - len(column))]
-    return found
-
-
-def sensor_name(sensor: int) -> str:
-    """A sensor as robot.toml and the calibration call it."""
-    side, index = divmod(sensor, SENSORS_A_SIDE)
-    return f"{SIDES[side]} {index}"
+SENSORS = wiring.INPUTS
 
 
 def mask_of(chosen: NDArray[np.bool_]) -> int:
-    """A mask of sensors, bit 0 = left base, from one truth value each."""
+    """A mask of sensors by input, from one truth value each."""
     return sum(1 << int(sensor) for sensor in np.flatnonzero(chosen))
 
 
@@ -61,12 +40,13 @@ def resistance_ohm(mean_count: Floats, divider_ohm: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class SensorTable:
-    """robot.toml's flex sensors as arrays of ten, left base first; absent ones are unhealthy."""
+    """robot.toml's flex sensors as arrays of ten, by input; absent ones are unhealthy."""
 
     center_cm: Floats
     span_cm: Floats
     scale_per_ohm: Floats
     noise: Floats  # one sigma of an averaged reading, its zero's error included, 1/cm
+    lies: NDArray[np.int64]  # side of the body: 1 left, -1 right, 0 where there is no sensor
     direction: NDArray[np.int64]  # of bends that it answers to; 0: both
     healthy: NDArray[np.bool_]  # mask of sensors to use at all
     divider_ohm: float  # the divider's fixed resistor
@@ -76,12 +56,13 @@ class SensorTable:
     @classmethod
     def of(cls, config: RobotConfig, oversample: int = 16) -> SensorTable:
         """Lay out the configuration's sensors in the board's order, without zeros."""
-        sensors = in_board_order(config)
+        sensors = wiring.sensors(config)
         return cls(
             center_cm=np.array([s.center_cm if s else 0.0 for s in sensors]),
             span_cm=np.array([s.span_cm if s else 0.0 for s in sensors]),
             scale_per_ohm=np.array([s.scale_per_ohm if s else 0.0 for s in sensors]),
             noise=np.array([hypot(s.noise, s.zero_se) if s else 1.0 for s in sensors]),
+            lies=np.array([int(SIGN[s.side]) if s and s.side else 0 for s in sensors]),
             direction=np.array([s.valid_direction if s else 0 for s in sensors]),
             healthy=np.array([s is not None and s.healthy for s in sensors]),
             divider_ohm=config.board.divider_ohm,
@@ -121,7 +102,7 @@ class SensorTable:
         direction, and set in `masks` (the board's everted & settled & zeroed bits).
         """
         sensor = np.arange(SENSORS)
-        inactive = sensor // SENSORS_A_SIDE != SIDES.index(active)
-        answers = np.isin(self.direction, (0, 1 if active == "left" else -1))
+        inactive = self.lies != SIGN[active]
+        answers = np.isin(self.direction, (0, SIGN[active]))
         named = (masks >> sensor & 1).astype(np.bool_)
         return np.asarray(self.healthy & inactive & answers & named)

@@ -25,6 +25,7 @@ from thigmo.robot.supervised import OPEN, SHORT, Supervised
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
 from thigmo.room import Operator
 
+JOG_CM = 5.0  # of tip that a jog turns the spool for, at most
 _VENTED_PSI = 0.5
 _SETTLE_EXTRA_S = 30.0
 _SWEEP_EXTRA_S = 15.0  # ramps at both ends, venting, retried commands

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from thigmo import wiring
 from thigmo.config import RobotConfig
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.mechanics.settling import Settling
-from thigmo.robot.readings import Floats, SensorTable, in_board_order
+from thigmo.robot.readings import Floats, SensorTable
 
 _SPACING_S = 0.05
 _BIN_S = 0.25
@@ -36,7 +37,7 @@ class StandingWatch:
             number: Settling(
                 s.settle_tau_s, _TAU_SE * s.settle_tau_s, s.settle_amplitude, _AMPLITUDE_SD
             )
-            for number, s in enumerate(in_board_order(config))
+            for number, s in enumerate(wiring.sensors(config))
             if s
         }
         self._ends = self._table.center_cm + self._table.span_cm / 2

@@ -17,7 +17,8 @@ from thigmo.link.heart import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
 from thigmo.robot.connected import Connected
-from thigmo.robot.readings import SENSORS, SensorTable, sensor_name
+from thigmo.robot.readings import SENSORS, SensorTable
+from thigmo.wiring import sensor_name
 
 if TYPE_CHECKING:
     from thigmo.link.protocol import Ack, Command
@@ -142,10 +143,13 @@ class Supervised(Connected):
             if channel is not None:
                 bad.add(channel)
             if bad:
-                what += f": {', '.join(sensor_name(n) for n in sorted(bad))} (0 = at the base)"
+                names = ", ".join(sensor_name(self.config, n) for n in sorted(bad))
+                what += f": {names} (0 = at the base)"
             else:
                 what += " now and then, at present none is"
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
+        if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self.config)):
+            cure = f"{hint}; {cure}"
         # A board that lives in this process starts anew with the next connection.
         if self.url and not self.virtual:
             cure = f"{cure} (`thigmo clear --robot {self.url}`)"
@@ -222,6 +226,15 @@ class Supervised(Connected):
         if wait:
             self._wait_vented()
 
+    def watch_emptying(self) -> None:
+        """After a stop: keep the link alive until the muscles are empty, so that it is seen.
+
+        Commands nothing, and ends without a word after the time in which they should have been.
+        """
+        end = self.now() + _VENT_S
+        while "vented" not in self.status().conditions and self.now() < end:
+            self.wait(0.2, despite_faults=True)
+
     def _wait_vented(self) -> None:
         end = self.now() + _VENT_S
         while "vented" not in self.status().conditions:
@@ -281,3 +294,17 @@ class Supervised(Connected):
     def stored_configuration(self) -> StoredConfiguration:
         """How the stored configuration fits the firmware that runs."""
         return StoredConfiguration.of(self._client.request(wire.GetConfigReport()))
+
+
+def _too_strong(config: RobotConfig | None) -> str:
+    """What to do if a body pressure pulls harder than the spool's friction holds; else nothing."""
+    if config is None or config.spool.brake:
+        return ""
+    highest = max(zone.pressure_psi for zone in config.body.zones)
+    pull, holds = config.body.pull_n(highest), config.spool.holding_n
+    if pull <= holds:
+        return ""
+    return (
+        f"{highest:g} psi pull {pull:.1f} N at the spool and its friction holds {holds:g} N: fit a "
+        "brake or lower [[body.pressure]] (`thigmo robot check`)"
+    )

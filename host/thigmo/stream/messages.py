@@ -182,15 +182,28 @@ class Log(Message):
     text: str
 
 
+@dataclass(frozen=True, slots=True)
+class Question(Message):
+    """What the run asks its operator; whoever watches may answer."""
+
+    CHANNEL = "question"
+
+    text: str  #: empty once it is answered
+
+
 CHANNELS: Mapping[str, type[Message]] = {
     kind.CHANNEL: kind
     for kind in (
         Hello, Dropped, Telemetry, Event, RunState, BodyShape, Posterior, Contacts, Grid, Log,
+        Question,
     )
 }  # fmt: skip
-RECORDED = tuple(each for each in CHANNELS if each not in (Hello.CHANNEL, Dropped.CHANNEL))
+_OF_NOW = (Hello.CHANNEL, Dropped.CHANNEL, Question.CHANNEL)
+RECORDED = tuple(each for each in CHANNELS if each not in _OF_NOW)
 # The last of each is given to whoever comes later.
-RETAINED = frozenset(kind.CHANNEL for kind in (RunState, BodyShape, Posterior, Contacts, Grid))
+RETAINED = frozenset(
+    kind.CHANNEL for kind in (RunState, BodyShape, Posterior, Contacts, Grid, Question)
+)
 
 ADAPTERS = {channel: TypeAdapter[Any](kind) for channel, kind in CHANNELS.items()}
 

@@ -27,7 +27,7 @@ from thigmo.link import stop_socket
 from thigmo.stream.hub import Hub, Subscription
 from thigmo.stream.messages import Dropped, Hello, Message, from_json, to_json
 
-Command = Literal["pause", "resume", "stop"]
+Command = Literal["pause", "resume", "stop", "answer"]
 _COMMANDS: tuple[Command, ...] = get_args(Command)
 _MOST_BYTES = 4096
 _POLL_S = 0.1
@@ -64,11 +64,12 @@ def _addresses() -> list[str]:
 class Server(Closing):
     """Serves one run's hub at the `address` of a socket. A context manager.
 
-    `hello` is the first message to each client; `command` is called with what a client commands, in
-    a thread of its own. Raises PortError if the socket cannot be made.
+    `hello` is the first message to each client; `command` is called with what a client commands,
+    and the text of an answer, in a thread of its own. Raises PortError if the socket cannot be
+    made.
     """
 
-    def __init__(self, hub: Hub, hello: Hello, command: Callable[[Command], None]) -> None:
+    def __init__(self, hub: Hub, hello: Hello, command: Callable[[Command, str], None]) -> None:
         self._hub = hub
         self._hello = hello
         self._command = command
@@ -122,9 +123,9 @@ class Server(Closing):
                 # A thread that waits in a read would keep a closed socket open.
                 if not connection.poll(_POLL_S):
                     continue
-                command = _command_in(connection.recv_bytes(_MOST_BYTES))
+                command, text = _command_in(connection.recv_bytes(_MOST_BYTES))
                 if command is not None:
-                    self._command(command)
+                    self._command(command, text)
 
     def _write(self, connection: Connection, messages: Subscription) -> None:
         """Thread of a client: messages."""
@@ -149,13 +150,14 @@ def _thread(target: Callable[..., None], *arguments: object) -> threading.Thread
     return thread
 
 
-def _command_in(data: bytes) -> Command | None:
-    """The command that a client's bytes hold; None for what a newer client may send."""
+def _command_in(data: bytes) -> tuple[Command | None, str]:
+    """The command that a client's bytes hold, and its text; None for what a newer one may send."""
     try:
-        wanted = json.loads(data).get("command")
+        said = json.loads(data)
+        wanted, text = said.get("command"), str(said.get("text", ""))
     except (ValueError, AttributeError):
-        return None
-    return next((command for command in _COMMANDS if command == wanted), None)
+        return None, ""
+    return next((command for command in _COMMANDS if command == wanted), None), text
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,14 +192,16 @@ class RemoteRun(Closing):
         except OSError as error:
             raise EOFError from error
 
-    def send(self, command: Command) -> None:
-        """Ask the run to pause between stages, to go on, or to stop. For several threads.
+    def send(self, command: Command, text: str = "") -> None:
+        """Ask the run to pause between stages, to go on, or to stop; or answer its question.
+
+        For several threads.
 
         Raises LinkError if it has ended.
         """
         try:
             with self._sending:
-                self._connection.send_bytes(json.dumps({"command": command}).encode())
+                self._connection.send_bytes(json.dumps({"command": command, "text": text}).encode())
         except OSError as error:
             raise LinkError(f"the run {self.hello.name} has ended", "see its run folder") from error
 

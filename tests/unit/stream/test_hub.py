@@ -22,6 +22,7 @@ from thigmo.stream import (
     Log,
     Message,
     Posterior,
+    Question,
     RunState,
     Telemetry,
     from_json,
@@ -73,6 +74,7 @@ ONE_OF_EACH = [
     ),
     Grid(1.0, 2.0, 0.5, (-1.0, -2.0, 0.0), 3, 2, (0, 100, -1, 0, 0, 0)),
     Log(1.0, 2.0, "warning", "the record is cut short"),
+    Question(1.0, 2.0, "How many cm?"),
 ]  # fmt: skip
 
 

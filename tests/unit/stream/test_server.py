@@ -35,8 +35,8 @@ class Run:
 
     def __init__(self) -> None:
         self.hub = Hub()
-        self.commands: queue.Queue[Command] = queue.Queue()
-        self.server = Server(self.hub, HELLO, self.commands.put)
+        self.commands: queue.Queue[tuple[Command, str]] = queue.Queue()
+        self.server = Server(self.hub, HELLO, lambda *said: self.commands.put(said))
 
 
 @pytest.fixture
@@ -73,11 +73,11 @@ def test_commands_reach_the_run_and_anything_else_does_not(run: Run) -> None:
         for data in (b"", b"{", b"[1]", b'{"command": "explode"}', b'{"command": {}}'):
             raw.send_bytes(data)
         raw.send_bytes(b'{"command": "stop"}')
-        assert run.commands.get() == "stop"
+        assert run.commands.get() == ("stop", "")
     with attach(run.server.address) as viewer:
         viewer.send("pause")
-        viewer.send("resume")
-        assert [run.commands.get(), run.commands.get()] == ["pause", "resume"]
+        viewer.send("answer", "20,5 cm")
+        assert [run.commands.get() for _ in range(2)] == [("pause", ""), ("answer", "20,5 cm")]
     assert run.commands.empty()
 
 

@@ -7,7 +7,7 @@ import { connectControl, drawControl } from "./control.js";
 import { listen } from "./feed.js";
 import { connectPlayer, loadRecord } from "./player.js";
 import { drawRoom, forget as forgetRoom } from "./room.js";
-import { runsAgain, stopReaches } from "./stop.js";
+import { stopReaches } from "./stop.js";
 import { $, add, addRows, reset, store } from "./store.js";
 import { drawWords, forget as forgetWords } from "./words.js";
 
@@ -56,23 +56,24 @@ async function lookBack() {
 
 function takePage(message) {
   // Who looks at a robot that moves must be able to stop it: another run is live.
-  if (message.mode === "live" && message.run.id === back) message.mode = "record";
+  if (message.mode === "live" && message.ended && message.run.id === back) message.mode = "record";
   const before = store.page, same = before?.run?.id === message.run?.id;
   store.page = message;
   document.body.dataset.mode = message.mode;
   $("player").hidden = message.mode !== "record";
   $("truth-legend").hidden = !message.truth?.length;
-  if (!same || message.mode !== before?.mode || again && message.mode === "live") {
-    if (message.mode === "live" || message.mode === "record") {
+  const records = message.mode === "record";
+  // A motion after a run that is looked back at adds to what is shown.
+  if (!same || records && before?.mode !== "record" || again && message.mode === "live") {
+    if (message.mode === "live" || records) {
       reset();
       store.origin = message.run?.t_s ?? null;
       forget();
     }
-    if (message.mode === "live" && !same) runsAgain();
-    if (message.mode === "record") loadRecord().then(ask);
+    if (records) loadRecord().then(ask);
   }
   again = false;
-  stopReaches(message.stop);
+  stopReaches(message.stop, message);
 }
 
 function batch(messages) {

@@ -1,12 +1,14 @@
 // Start, pause, and who operates. A second page may look while one operates; it takes over when the
 // first has gone. Every page can stop.
 
+import { connectOperate, drawOperate, parameters } from "./operate.js";
 import { $, element, store } from "./store.js";
 
 export function connectControl(send, lookBack) {
-  $("start").addEventListener("click", () => send({ command: "start", realtime: $("pace").value === "realtime" }));
+  $("start").addEventListener("click", () => send({ command: "start", realtime: $("pace").value === "realtime", parameters: parameters() }));
   $("pause").addEventListener("click", () => send({ command: asked() ? "resume" : "pause" }));
   $("take").addEventListener("click", () => send({ command: "take" }));
+  connectOperate(send);
   $("open-record").addEventListener("click", lookBack);
   $("choice").addEventListener("change", () => send({ command: "choose", pid: Number($("choice").value) }));
   $("question").addEventListener("submit", (event) => {
@@ -38,11 +40,12 @@ const asked = () => store.last.state?.paused || store.page?.pausing;
 export function drawControl(lost) {
   const { page, last } = store;
   const live = page?.mode === "live" && !page.ended;
+  const moves = live && page.started?.held && page.started.runs;
   const operates = !!page?.operator && !lost;
   $("start").hidden = !(page?.start && !live);
-  $("start").disabled = !operates || page?.starting;
+  $("start").disabled = !operates || page?.starting || page?.latched && !page.start?.virtual;
   $("pace-row").hidden = $("start").hidden || !page?.start?.virtual;
-  $("pause").hidden = !live;
+  $("pause").hidden = !live || moves;
   $("pause").disabled = !operates;
   $("pause").textContent = last.state?.paused ? "Go on" : page?.pausing ? "Do not pause" : "Pause after this stage";
   $("take").hidden = !page || page.operator || page.mode === "record";
@@ -51,7 +54,8 @@ export function drawControl(lost) {
   $("open-record").hidden = !(page?.ended && page.mode === "live" && page.run?.folder);
   drawChoices(page, operates);
   $("viewers").textContent = page?.viewers > 1 ? `${page.viewers} pages look at this robot.` : "";
-  const question = page?.question ?? "";
+  drawOperate(!!page && !live && !page.starting && page.mode !== "record", operates);
+  const question = live ? last.question?.text ?? "" : "";
   const fresh = question && $("question").hidden;
   $("question").hidden = !question;
   if ($("question-text").textContent !== question) $("question-text").textContent = question;

@@ -3,13 +3,14 @@
 // drawing stops as fast as any. What the button says is what is known: that the board has confirmed
 // it, that it has not, or that no stop would arrive.
 
-import { $ } from "./store.js";
+import { $, store } from "./store.js";
 
 const REPEAT_MS = 400; // of a stop that found no server
 const PATIENCE_MS = 5000;
 const button = $("stop");
 const [word, says] = button.children;
 let state = "idle", pending = false;
+let last_s = 0, tried = null; // when a stop was last answered, and of which run it was
 
 const WORDS = {
   idle: ["Stop", "Space or Esc"],
@@ -28,22 +29,20 @@ function show(next) {
 }
 
 // What is known of the way to the robot: "none" while nothing runs, "lost" where nobody owns its port
-// any more, "offline" where this page has lost its server.
-export function stopReaches(way) {
-  if (pending) return;
-  const next = { none: "idle", lost: "lost", offline: "lost" }[way] ?? "ready";
-  // What became of a stop is told until something runs again.
-  if ((state === "stopped" || state === "unconfirmed") && way !== "offline") return;
+// any more, "offline" where this page has lost its server. What became of a stop is told until the
+// robot is let go, or something runs again.
+export function stopReaches(way, page = null) {
+  if (pending || page && (page.last_stop?.at_s ?? 0) < last_s) return; // it was sent before
+  let next = { none: "idle", lost: "lost", offline: "lost" }[way] ?? "ready";
+  if (page?.latched) next = "stopped";
+  else if (state === "unconfirmed" && page && page.run?.id === tried) return;
   if (state !== next) show(next);
-}
-
-export function runsAgain() {
-  if (!pending) show("ready");
 }
 
 export async function stop() {
   if (document.body.dataset.mode === "record" || pending) return;
   pending = true;
+  tried = store.page?.run?.id;
   show("stopping");
   const end = performance.now() + PATIENCE_MS;
   let next = "lost";
@@ -51,6 +50,7 @@ export async function stop() {
     try {
       const answer = await fetch("stop", { method: "POST", keepalive: true, cache: "no-store" });
       const told = await answer.json();
+      if (told.stopped.length || told.failed) last_s = told.at_s;
       next = told.stopped.length ? "stopped" : told.failed ? "unconfirmed" : "idle";
       break;
     } catch {

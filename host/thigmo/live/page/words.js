@@ -1,12 +1,15 @@
 // What is told in words: the header, banners, contacts and events.
 
-import { $, COLUMN, element, latest, pointEstimate, store, time } from "./store.js";
+import { $, COLUMN, SIDES, element, latest, store, time } from "./store.js";
+import { minus } from "./svg.js";
 
 const ICONS = {
   info: '<svg class="icon" viewBox="0 0 12 12" aria-label="info"><circle cx="6" cy="6" r="3" fill="var(--faint)"/></svg>',
   warning: '<svg class="icon" viewBox="0 0 12 12" aria-label="warning"><path d="M6 1.2 11.4 11H.6Z" fill="var(--warn)"/></svg>',
   fault: '<svg class="icon" viewBox="0 0 12 12" aria-label="fault"><path d="M3.6.8h4.8l2.8 2.8v4.8l-2.8 2.8H3.6L.8 8.4V3.6Z" fill="var(--fault)"/></svg>',
 };
+const MOTIONS = { clear: ["Letting it go", "Clear"], retract: ["Retracting", "The retraction"], jog: ["Jogging", "The jog"] };
+const EMPTY_PSI = .5;
 const SHOWN = 300;
 let listed;
 
@@ -16,7 +19,7 @@ forget();
 
 // As a sentence: events come as clauses.
 const sentence = (words) => words && words[0].toUpperCase() + words.slice(1) + (/[.!?:]$/.test(words) ? "" : ".");
-const fixed = (value, digits) => Number.isFinite(value) ? value.toFixed(digits).replace("-", "−") : "–";
+const fixed = (value, digits) => Number.isFinite(value) ? minus(value.toFixed(digits)) : "–";
 
 export function drawWords(lost) {
   const { page, last, board } = store;
@@ -42,6 +45,15 @@ export function drawWords(lost) {
   drawBanners(lost);
 }
 
+// How empty the muscles are, as far as the board was heard after it had stopped.
+function emptying() {
+  const { board } = store;
+  if (!board.faults.includes("stopped")) return "The board has not told the pressures since.";
+  const psi = SIDES.map((_, n) => latest(COLUMN.pressure + n));
+  const told = SIDES.map((side, n) => `${side} ${fixed(psi[n], 1)} psi`).join(", ");
+  return `The muscles ${Math.max(...psi) < EMPTY_PSI ? "are empty" : "are emptying"}: ${told}.`;
+}
+
 // Who stopped last, and what came of it: it stays told, whatever runs next.
 function lastStop() {
   const stop = store.page?.last_stop;
@@ -55,6 +67,7 @@ function doing(lost) {
   const { page, last } = store;
   if (lost) return "No connection to the page’s server";
   if (!page) return "Connecting";
+  if (page.started?.runs && page.started.name !== "explore") return MOTIONS[page.started.name][0];
   if (page.mode === "idle") {
     if (page.starting) return "Starting";
     return page.start ? "Nothing runs yet" : "Waiting for a run: start one with thigmo explore";
@@ -68,36 +81,31 @@ function doing(lost) {
 
 function drawContactRows() {
   const { contacts } = store.last;
-  if (listed.contacts === contacts) return;
+  if (listed.contacts === contacts && listed.posterior === store.last.posterior) return;
   listed.contacts = contacts;
+  listed.posterior = store.last.posterior;
   const found = contacts?.contacts ?? [];
   $("contacts-count").textContent = found.length || "";
   $("contacts-empty").hidden = found.length > 0;
   document.querySelector(".contacts table").hidden = !found.length;
-  $("contact-rows").replaceChildren(...found.map((contact) => {
-    const row = element("tr");
-    const [low, high] = contact.interval_cm.map((value) => fixed(value, 1));
-    const range = pointEstimate(contact) ? "no interval;" : `${low} to ${high}`;
-    const certain = Number.isFinite(contact.probability) ? `, ${percent(contact.probability)}` : "";
-    row.innerHTML = `
-      <td><b>${fixed(contact.x_cm, 1)}, ${fixed(contact.y_cm, 1)}</b></td>
-      <td><b>${fixed(contact.arc_cm, 1)}</b> <span class="muted">${range} of ${fixed(contact.everted_length_cm, 0)}</span></td>
-      <td>${force(contact)}</td>`;
-    const chip = element("span", { class: "chip" }, `${contact.status}${certain}`);
-    if (contact.status !== "localized") chip.classList.add("ambiguous");
-    row.append(element("td", {}, chip));
-    return row;
+  $("contact-rows").replaceChildren(...found.map((contact, n) => {
+    const { place, along, interval, force, certainty } = contacts.words[n];
+    const chip = element("span", { class: contact.status === "localized" ? "chip" : "chip ambiguous" }, certainty);
+    return element("tr", {},
+      element("td", {}, element("b", {}, minus(place))),
+      element("td", {}, element("b", {}, minus(along)), " ", element("span", { class: "muted" }, minus(interval))),
+      element("td", {}, minus(force)),
+      element("td", {}, chip));
   }));
+  drawWhy();
 }
 
-function force(contact) {
-  const minus = (text) => text.replaceAll("-", "−");
-  if (Number.isFinite(contact.force_n)) {
-    const [low, high] = contact.force_interval_n.map((value) => minus(value.toPrecision(2)));
-    return `<b>${minus(contact.force_n.toPrecision(2))}</b> <span class="muted">${low} to ${high} N</span>`;
-  }
-  if (!Number.isFinite(contact.force_per_cm2)) return "–";
-  return `${minus(contact.force_per_cm2.toExponential(1))} <abbr>1/cm² (over EI)</abbr>`;
+// Why the last sweep alone is not sure, beside contacts that the map is sure of.
+function drawWhy() {
+  const { contacts, posterior } = store.last;
+  const sure = contacts?.contacts.some((each) => each.status === "localized");
+  const doubts = sure && posterior?.status === "ambiguous" && !posterior.sweeping;
+  $("contacts-why").textContent = doubts ? `The last sweep by itself is ambiguous: ${posterior.message}. The map weighs every stage.` : "";
 }
 
 export const percent = (share) => share > .999 ? "> 99.9 %" : `${(100 * share).toFixed(1)} %`;
@@ -123,7 +131,8 @@ function drawEvents() {
 
 function entry(event) {
   const what = element("div");
-  what.append(element("span", { class: "what" }, sentence(event.message)));
+  // A hyphen before a number is its minus sign.
+  what.append(element("span", { class: "what" }, sentence(event.message.replaceAll(/(?<=\s)-(?=\d)/g, "−"))));
   if (event.next) what.append(element("div", { class: "next" }, sentence(event.next)));
   const item = element("li", { class: event.severity, title: event.name });
   item.dataset.t = time(event.t_s);
@@ -143,16 +152,22 @@ function drawBanners(lost) {
   if (page?.mode === "live" && !lost && page.silent_s > 2 && !page.ended) {
     told.push(["warning", `No reading for ${page.silent_s.toFixed(0)} s.`, "The run may hang. Stop works: the process that owns the port takes it."]);
   }
-  if (document.body.dataset.stop === "stopped" && !lost) {
-    const robot = page?.run?.virtual === false ? ` --robot ${page.run.url}` : "";
+  const stopped = document.body.dataset.stop === "stopped" && !lost;
+  if (stopped) {
     const by = page?.last_stop ? ` by ${page.last_stop.by}` : "";
-    told.push(["note", `Stopped${by}: the robot is vented and braked, and keeps its length.`, `Look at it, then \`thigmo clear${robot}\` lets it move again.`]);
+    told.push(["note", `Stopped${by}: valves off, motor braked. ${emptying()}`, page?.robot
+      ? "Look at the robot, then Clear lets it move again, and Retract winds it in."
+      : "This robot lives in its run, and ends with it."]);
   }
   for (const fault of board.faults) {
+    if (fault === "stopped" && stopped) continue;
     const event = events.findLast((each) => each.severity === "fault" && each.name === fault);
     told.push(["fault", event?.message ?? `Fault: ${fault}.`, event?.next ?? ""]);
   }
-  if (page?.failure) told.push(["fault", "The run did not start, or ended early.", page.failure]);
+  if (page?.failure) told.push(["fault", "The record cannot be read.", page.failure]);
+  const { name, said, failure } = page?.started ?? {};
+  if (failure && !stopped) told.push(["fault", `${MOTIONS[name]?.[1] ?? "The run"} did not start, or ended early.`, failure]);
+  else if (said && name !== "explore") told.push(["note", said, ""]);
   if (store.dropped && performance.now() - store.droppedAt < 5000) {
     told.push(["warning", `This page is slow: ${store.dropped} readings were left out.`, "The robot and its record miss nothing."]);
   }

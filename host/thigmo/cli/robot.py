@@ -1,0 +1,79 @@
+"""`thigmo robot new | check | convert`: a robot's description, before there is a robot."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from thigmo.cli.output import JsonOption, show
+
+# The emulator is reached by name, as the URL that opens it does: no layer above depends on it.
+_REACH = "thigmo.emulator.reach"
+
+robot = typer.Typer(help="Describe a robot, check it, convert its file.", no_args_is_help=True)
+
+_FileArgument = Annotated[Path, typer.Argument(help="robot.toml.")]
+
+
+@robot.command()
+def new(
+    length: Annotated[float, typer.Option(help="Length of the body, cm (30 to 300).")] = 53.0,
+    sensors: Annotated[int, typer.Option(help="Flex sensors in each column.")] = 5,
+    muscles: Annotated[
+        int, typer.Option(help="1 (on the left; one column, on the right) or 2.")
+    ] = 2,
+    diameter: Annotated[float, typer.Option(help="Diameter of the tube, cm.")] = 3.5,
+    out: Annotated[Path, typer.Option(help="Folder for robot.toml and scene.toml.")] = Path(
+        "robot"
+    ),
+    seed: Annotated[int, typer.Option(help="Of the peg's place in the scene.", min=0)] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Draft a robot: its robot.toml, and a scene with a peg that it feels, to explore on."""
+    from thigmo.design import draft
+    from thigmo.errors import ConfigError
+    from thigmo.wiring import beyond_board
+
+    config = draft(length, sensors, muscles, diameter)
+    with ConfigError.from_os(f"cannot make {out}", "choose another folder"):
+        out.mkdir(parents=True, exist_ok=True)
+    config.save(out / "robot.toml")
+    written, said = [str(out / "robot.toml")], []
+    if beyond := beyond_board(config):
+        said = [f"no scene: {what}; {cure}" for what, cure in beyond]
+    else:
+        reach: Any = import_module(_REACH)
+        reach.room_for(config, seed).save(out / "scene.toml")
+        written.append(str(out / "scene.toml"))
+        said = [f"explore it: thigmo explore --scene {out / 'scene.toml'}"]
+    said = [f"wrote {' and '.join(written)}", f"check it: thigmo robot check {written[0]}", *said]
+    show(as_json, {"files": written, "notes": said[1:]}, *said)
+
+
+@robot.command()
+def check(file: _FileArgument, as_json: JsonOption = False) -> None:
+    """Say by mechanics what a described robot will do: grow, slip, fold, feel, and where not.
+
+    Ends with status 1 where something must be changed.
+    """
+    from thigmo.config import RobotConfig
+    from thigmo.design import judge
+
+    found = judge(RobotConfig.load(file))
+    lines = [f"{one.mark:8}{one.what}: {one.text}" for one in found]
+    show(as_json, {"findings": [asdict(one) for one in found]}, *lines)
+    if any(one.mark == "bad" for one in found):
+        raise typer.Exit(1)
+
+
+@robot.command()
+def convert(file: _FileArgument) -> None:
+    """Write a robot.toml of any version as today's lists; the old file is kept beside it."""
+    from thigmo.config import RobotConfig
+
+    backup = RobotConfig.load(file).save(file)
+    typer.echo(f"{file} is of today's version; the one before is {backup}")

@@ -1,0 +1,126 @@
+"""A robot of a given length, sensors and muscles, with what is known of such robots.
+
+The thesis's robot is scaled. Tail friction grows with the length inside the body and acts on its
+rim, the pressure on its section, so that its pressure goes with 1 / radius (Blumenschein et al.
+2017: "Modeling of bioinspired apical extension in a soft robot"). Body pressures are those of the
+thesis, or what growth needs if that is more. Muscles of a long robot are drafted weaker, so that a
+full bend does not close on itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from thigmo.config import (
+    SIDES,
+    SIGN,
+    Body,
+    BodyPressure,
+    FlexSensor,
+    Muscle,
+    RobotConfig,
+    TanhMap,
+    ZoneMap,
+    opposite,
+)
+from thigmo.errors import ConfigError
+
+SHORTEST_CM, LONGEST_CM = 30.0, 300.0
+_ZONES = ((0.5, 1.47), (2 / 3, 1.01), (1.0, 0.49))  # share of the length, psi (thesis, 3.5)
+_MAPPED_PSI, _AMPLITUDE = (0.49, 1.01, 1.47), (0.030, 0.028, 0.026)  # scenes/default.toml
+_FULL_BEND_RAD = 2.5
+_GROWTH_MARGIN = 1.35  # of the pressure over what growth needs
+_SPAN_CM, _GAP_CM = 5.5, 1.1  # of a sensor, and to the next one: the tip's fold between them
+_END_CM = 3.0  # of the tip, without a sensor
+
+
+def draft(
+    length_cm: float, sensors: int, muscles: int, diameter_cm: float = 3.5, name: str = ""
+) -> RobotConfig:
+    """Draft a planar robot.
+
+    Args:
+        length_cm: 30 to 300.
+        sensors: flex sensors in each column. Two muscles have two columns. A single muscle, on the
+            left, has one column on the right, which it leaves at rest.
+        muscles: 1 or 2.
+        diameter_cm: of the tube.
+        name: of the robot; by its length if empty.
+
+    Raises:
+        ConfigError: a number that is out of range, or more sensors than fit the length.
+    """
+    if not SHORTEST_CM <= length_cm <= LONGEST_CM:
+        raise ConfigError(
+            f"a length of {length_cm:g} cm", f"give {SHORTEST_CM:g} to {LONGEST_CM:g}"
+        )
+    if muscles not in (1, 2):
+        raise ConfigError(f"{muscles} muscles", "give 1 or 2: they bend the body in a plane")
+    if not 0.5 <= diameter_cm <= length_cm / 4:
+        raise ConfigError(
+            f"a diameter of {diameter_cm:g} cm", f"give 0.5 to {length_cm / 4:g}, a slender body"
+        )
+    most = int((length_cm - _END_CM) / (1.0 + _GAP_CM))
+    if not 1 <= sensors <= most:
+        raise ConfigError(f"{sensors} sensors in a column", f"give 1 to {most} at this length")
+    pitch = np.floor(2 * (length_cm - _END_CM) / sensors) / 2
+    body = _body(length_cm, diameter_cm, float(pitch))
+    sides = SIDES[:muscles]
+    columns = SIDES if muscles == 2 else [opposite(side) for side in sides]
+    return RobotConfig(
+        name=name or f"vine-{length_cm:g}",
+        body=body,
+        muscles=[_muscle(side, body) for side in sides],
+        sensors=[
+            FlexSensor(
+                direction_deg=90 if side == "left" else 270,
+                center_cm=float(pitch * (number + 0.5)),
+                span_cm=min(_SPAN_CM, float(pitch) - _GAP_CM),
+                # Resistance rises on the outside of a bend.
+                scale_per_ohm=-SIGN[side] * FlexSensor(center_cm=1.0).scale_per_ohm,
+                valid_direction=-1 if side == "left" else 1,
+            )
+            for side in columns
+            for number in range(sensors)
+        ],
+    )
+
+
+def _body(length_cm: float, diameter_cm: float, pitch_cm: float) -> Body:
+    usual = Body()
+    friction = usual.growth_psi_per_cm * usual.diameter_cm / diameter_cm
+    pressures = []
+    for share, psi in _ZONES:
+        until = share * length_cm
+        needed = _GROWTH_MARGIN * (usual.growth_psi + friction * until)
+        pressures.append(
+            BodyPressure(until_cm=round(until, 1), pressure_psi=round(max(psi, needed), 2))
+        )
+    pressures[-1].until_cm = length_cm
+    return Body(
+        length_cm=length_cm,
+        diameter_cm=diameter_cm,
+        pitch_cm=pitch_cm,
+        growth_psi_per_cm=round(friction, 5),
+        zones=pressures,
+    )
+
+
+def _muscle(side: str, body: Body) -> Muscle:
+    share = min(1.0, _FULL_BEND_RAD / (_AMPLITUDE[0] * body.length_cm))
+    return Muscle(
+        name=side,
+        direction_deg=90 if side == "left" else 270,
+        lag_s=0.31,
+        maps=[_map(zone.pressure_psi, share, (9.0, 7.8)) for zone in body.zones],
+    )
+
+
+def _map(body_psi: float, share: float, scales_psi: Sequence[float]) -> ZoneMap:
+    amplitude = share * float(np.interp(body_psi, _MAPPED_PSI, _AMPLITUDE))
+    inflate, deflate = (
+        TanhMap(amplitude=round(amplitude, 5), scale_psi=scale) for scale in scales_psi
+    )
+    return ZoneMap(body_pressure_psi=body_psi, inflate=inflate, deflate=deflate)

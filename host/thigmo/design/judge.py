@@ -1,0 +1,212 @@
+"""What a described robot will do, by mechanics, before it is built; each finding with its number.
+
+Growth against the tail's friction, the pull on the spool, bend and fold, what each muscle's sweep
+can feel and localize, how often each channel is read, and what the board cannot hold.
+
+The contact that is judged is a peg right beside the straight body, and presses as hard as that can:
+a cantilever of free curvature g that is propped at its arc has a base moment over EI of 3/2 g, or
+the base folds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import degrees, hypot, pi
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.config import FlexSensor, RobotConfig, Side, opposite
+from thigmo.errors import ConfigError
+from thigmo.exploration.plan import stage_lengths
+from thigmo.link.protocol import PARAMETERS
+from thigmo.localization import arc_bounds
+from thigmo.localization.priors import WIDTH_SHARE
+from thigmo.mechanics import critical_moment, phi
+from thigmo.robot import TRIGGER_PER_CM
+from thigmo.wiring import BASES, beyond_board, input_of
+
+_QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
+_CLOSED_RAD = 2 * pi
+_PROPPED = 1.5  # base moment over EI of a propped cantilever, over its free curvature
+_TICKS_HZ = 1000  # of the board
+_STEPS = 200
+# Errors that a calibration leaves (scenes/default.toml): relative, of a sensor's scale, and 1/cm.
+_CALIBRATED_GAIN, _CALIBRATED_OFFSET = 0.02, 5e-4
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that will be so."""
+
+    what: str
+    mark: Literal["ok", "warning", "bad"]
+    text: str
+
+
+def judge(config: RobotConfig) -> list[Finding]:
+    """All findings, the board's first."""
+    found = [Finding("board", "bad", f"{what}; {cure}") for what, cure in beyond_board(config)]
+    try:
+        stages = stage_lengths(config)
+        found.append(Finding("stages", "ok", ", ".join(f"{each:g}" for each in stages) + " cm"))
+    except ConfigError as error:
+        found.append(Finding("stages", "bad", str(error)))
+    found += [*_growth(config), *_bends(config)]
+    for side in config.sides:
+        found += _feels(config, side)
+    return [*found, *_inputs(config), *_rates(config)]
+
+
+def _inputs(config: RobotConfig) -> Iterator[Finding]:
+    """On which of the board's inputs each column hangs, as page, record and export name them."""
+    if beyond_board(config):
+        return
+    wired = input_of(config)
+    for side in BASES:
+        own = [str(number) for (of, _), number in sorted(wired.items()) if of == side]
+        if own:
+            yield Finding(f"{side} column", "ok", f"base first on the inputs {', '.join(own)}")
+
+
+def _growth(config: RobotConfig) -> Iterator[Finding]:
+    body, spool = config.body, config.spool
+    for zone in body.zones:
+        what = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
+        end = min(zone.until_cm, body.length_cm)
+        needed = body.growth_psi + body.growth_psi_per_cm * end
+        if zone.pressure_psi > needed:
+            yield Finding(what, "ok", f"grows: {needed:.2f} psi are needed at its end")
+        else:
+            yield Finding(
+                what,
+                "bad",
+                f"does not grow to its end, which needs {needed:.2f} psi: raise this pressure",
+            )
+        pull = body.pull_n(zone.pressure_psi)
+        pulls = f"the body pulls {pull:.1f} N at the spool at rest"
+        if spool.brake or pull <= spool.holding_n:
+            held = "its brake holds" if spool.brake else f"friction holds {spool.holding_n:g} N"
+            yield Finding(what, "ok", f"{pulls}, and {held}")
+        else:
+            holds = zone.pressure_psi * spool.holding_n / pull
+            yield Finding(
+                what,
+                "bad",
+                f"{pulls}, and friction holds {spool.holding_n:g} N: it slips (spool_slip). Fit a "
+                f"brake, or stay below {holds:.2f} psi",
+            )
+
+
+def _bends(config: RobotConfig) -> Iterator[Finding]:
+    body = config.body
+    for muscle in config.muscles:
+        top = max(m.inflate.curvature(muscle.max_pressure_psi) for m in muscle.maps)
+        angle = top * body.length_cm
+        text = f"bends the whole body by {degrees(angle):.0f} degrees at {top:.4f} 1/cm"
+        if angle < _CLOSED_RAD:
+            yield Finding(f"muscle {muscle.name}", "ok", text)
+        else:
+            most = _CLOSED_RAD / body.length_cm
+            yield Finding(
+                f"muscle {muscle.name}",
+                "bad",
+                f"{text}: it runs into itself; lower max_pressure_psi until g is {most:.4f}",
+            )
+    for zone, moment in zip(body.zones, _fold_moments(config), strict=True):
+        what = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
+        if moment > TRIGGER_PER_CM:
+            yield Finding(what, "ok", f"the base folds at a contact moment of {moment:.4f} 1/cm")
+        else:
+            yield Finding(
+                what,
+                "bad",
+                f"the base folds at {moment:.4f} 1/cm, before the trigger's {TRIGGER_PER_CM:g}: "
+                "raise this pressure",
+            )
+
+
+def _fold_moments(config: RobotConfig) -> list[float]:
+    body = config.body
+    return [
+        critical_moment(body.critical_curvature, body.critical_pressure_psi, zone.pressure_psi)
+        for zone in body.zones
+    ]
+
+
+def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
+    """Where a sweep towards a side feels and localizes a contact, at the full length."""
+    muscle, body = config.muscle(side), config.body
+    what = f"sweep of {muscle.name}"
+    sign = 1 if side == "left" else -1
+    column = [
+        sensor
+        for sensor in config.column(opposite(side))
+        if sensor.healthy and sensor.valid_direction in (0, sign)
+    ]
+    if not column or column[0] is not config.column(opposite(side))[0]:
+        yield Finding(
+            what,
+            "bad",
+            f"feels nothing: the trigger works on the {opposite(side)} column's base sensor, and "
+            "there is none that is healthy and answers to this bend",
+        )
+        return
+    free = muscle.maps[-1].inflate.curvature(muscle.max_pressure_psi)
+    moment = min(_PROPPED * free, _fold_moments(config)[-1])
+    arcs = np.linspace(0.0, body.length_cm, _STEPS + 1)[1:]
+    base = column[0]
+    held_back = moment * phi(arcs, base.center_cm, base.span_cm) / arcs
+    felt = arcs[held_back > TRIGGER_PER_CM]
+    if not felt.size:
+        yield Finding(what, "bad", f"feels nothing: contacts hold back {held_back.max():.4f} 1/cm")
+        return
+    yield Finding(
+        what,
+        "ok",
+        f"feels contacts from {felt[0]:.1f} to {body.length_cm:g} cm; blind nearer to the base",
+    )
+    within = f"within {WIDTH_SHARE * body.length_cm:.1f} cm, pressed hardest, on"
+    stated, calibrated = (
+        100 * _localized(config, column, arcs, moment, min(muscle.offset_se, offset), gain).mean()
+        for offset, gain in ((np.inf, np.inf), (_CALIBRATED_OFFSET, _CALIBRATED_GAIN))
+    )
+    text = f"localizes contacts {within} {stated:.0f} % of the body, {calibrated:.0f} % calibrated"
+    yield Finding(what, "ok" if calibrated > 0.0 else "warning", text)
+
+
+def _localized(
+    config: RobotConfig,
+    column: list[FlexSensor],
+    arcs: Floats,
+    moment: float,
+    offset: float,
+    most_gain: float,
+) -> npt.NDArray[np.bool_]:
+    """Which arcs' 95 % interval is narrow enough, by the bound of small deflections."""
+    gains = [min(s.scale_se, most_gain) * moment * (1 - s.center_cm / arcs[-1]) for s in column]
+    noise = [hypot(s.noise, s.zero_se, gain) for s, gain in zip(column, gains, strict=True)]
+    centers, spans = ([getattr(s, key) for s in column] for key in ("center_cm", "span_cm"))
+    bounds = [
+        arc_bounds([a], [moment / a], centers, spans, noise, config.body.length_cm, offset)[0]
+        for a in arcs
+    ]
+    return np.asarray(_QUANTILES * np.array(bounds) < WIDTH_SHARE * config.body.length_cm)
+
+
+def _rates(config: RobotConfig) -> Iterator[Finding]:
+    """How often each kind of channel is read, by the schedule of firmware/core/board.h."""
+    conversions = 2 ** PARAMETERS["oversample_log2"].defaults[0]
+    bases, others = _TICKS_HZ / conversions, _TICKS_HZ / 2 / conversions
+    columns = [side for side in BASES if config.column(side)]
+    rest = len(config.sensors) - len(columns)
+    yield Finding(
+        "rates",
+        "ok",
+        f"base sensors ({len(columns)}) {bases:.1f} Hz, the others ({rest}) {others:.1f} Hz, "
+        f"pressures {_TICKS_HZ} Hz",
+    )

@@ -1,0 +1,94 @@
+"""On which of the board's inputs a robot's sensors hang, and what of a robot the board cannot hold.
+
+The firmware has ten inputs for flex sensors. The contact trigger works on input 0, the base of the
+left column, and input 5, the base of the right one; the other eight read any sensor. A column takes
+its own five inputs first, and then those that the other column leaves free.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
+from thigmo.errors import ConfigError
+
+INPUTS = 10  # for flex sensors
+BASES: dict[Side, int] = {"left": 0, "right": 5}  # inputs of the trigger's sensors
+_OTHERS: dict[Side, tuple[int, ...]] = {"left": (1, 2, 3, 4), "right": (6, 7, 8, 9)}
+PRESSURES = 3  # body pressures that the board holds maps for
+
+
+class Beyond(NamedTuple):
+    """What the board cannot hold, and what to do about it."""
+
+    what: str
+    cure: str
+
+
+def beyond_board(config: RobotConfig) -> list[Beyond]:
+    """What of the robot the board cannot hold; empty if it holds all of it."""
+    found = [
+        Beyond(
+            f"{what} lies at {each.direction_deg:g} degrees, out of the plane",
+            "the firmware bends towards 90 (left) and 270 (right) degrees: use these",
+        )
+        for what, each in (
+            *((f"muscle {muscle.name}", muscle) for muscle in config.muscles),
+            *((f"sensor {number}", sensor) for number, sensor in enumerate(config.sensors)),
+        )
+        if each.side is None
+    ]
+    most = INPUTS - sum(not config.column(side) for side in SIDES)
+    if len(config.sensors) > most:
+        found.append(
+            Beyond(
+                f"{len(config.sensors)} sensors, and the board reads {most} in these columns",
+                f"keep at most {most} in robot.toml: nine in one column, ten in two",
+            )
+        )
+    if len(config.body.zones) > PRESSURES:
+        found.append(
+            Beyond(
+                f"{len(config.body.zones)} body pressures, and the board holds {PRESSURES}",
+                f"keep at most {PRESSURES} of [[body.pressure]] in robot.toml",
+            )
+        )
+    return found
+
+
+def places(config: RobotConfig) -> list[tuple[Side, int] | None]:
+    """Side and index from the base of the sensor on each input; None where there is none.
+
+    Raises ConfigError for a robot that the board cannot hold.
+    """
+    for what, cure in beyond_board(config):
+        raise ConfigError(what, cure)
+    found: list[tuple[Side, int] | None] = [None] * INPUTS
+    free: dict[Side, list[int]] = {}
+    for side in SIDES:
+        count = len(config.column(side))
+        inputs = [BASES[side], *_OTHERS[side]]
+        for index, number in enumerate(inputs[:count]):
+            found[number] = side, index
+        free[side] = list(_OTHERS[side][max(count - 1, 0) :])
+    for side, other in (SIDES, SIDES[::-1]):
+        rest = range(1 + len(_OTHERS[side]), len(config.column(side)))
+        for index, number in zip(rest, free[other], strict=False):
+            found[number] = side, index
+    return found
+
+
+def sensors(config: RobotConfig) -> list[FlexSensor | None]:
+    """The sensor on each input; None where there is none. Raises as `places`."""
+    return [place and config.column(place[0])[place[1]] for place in places(config)]
+
+
+def input_of(config: RobotConfig) -> dict[tuple[Side, int], int]:
+    """The input of each sensor, by side and index from the base. Raises as `places`."""
+    return {place: number for number, place in enumerate(places(config)) if place}
+
+
+def sensor_name(config: RobotConfig, number: int) -> str:
+    """The sensor on an input as robot.toml and the calibration call it."""
+    place = places(config)[number]
+    return f"{place[0]} {place[1]}" if place else f"on input {number}, which robot.toml leaves free"

@@ -1,0 +1,121 @@
+"""A described robot is judged by mechanics before it is built."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import Thigmo
+
+from thigmo import wiring
+from thigmo.config import SIDES, RobotConfig
+from thigmo.design import Finding, draft, judge
+from thigmo.errors import ConfigError
+from thigmo.mechanics import Peg, Rod, Tube
+
+
+def _bad(found: list[Finding]) -> list[str]:
+    return [f"{one.what}: {one.text}" for one in found if one.mark == "bad"]
+
+
+@pytest.mark.parametrize(
+    ("length", "sensors", "muscles"), [(53, 5, 2), (120, 5, 2), (30, 3, 1), (200, 9, 1)]
+)
+def test_a_draft_is_valid_and_does_what_it_must(length: float, sensors: int, muscles: int) -> None:
+    config = draft(length, sensors, muscles)
+    assert RobotConfig.model_validate(config.model_dump(by_alias=True)) == config
+    assert _bad(judge(config)) == []
+    assert len(config.muscles) == muscles
+    assert config.body.zones[-1].until_cm == length
+
+
+def test_a_thick_body_slips_at_the_pressures_that_pull_harder_than_the_spool_holds() -> None:
+    config = draft(53, 5, 2, diameter_cm=6.0)
+    slips = [text for text in _bad(judge(config)) if "spool_slip" in text]
+    # Half of 1.47 psi times 28.3 cm2 is 14.3 N; 0.49 psi pull 4.8 N, less than friction holds.
+    assert len(slips) == 2
+    assert "pulls 14.3 N" in slips[0]
+    assert "stay below 0.62 psi" in slips[0]
+    config.spool.brake = True
+    assert _bad(judge(config)) == []
+
+
+def test_growth_that_the_tails_friction_stops_is_said_with_what_it_needs() -> None:
+    config = draft(120, 5, 2)
+    config.body.growth_psi_per_cm = 0.006
+    (said,) = _bad(judge(config))
+    assert "does not grow to its end, which needs 0.92 psi" in said
+
+
+def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
+    config = draft(53, 5, 2)
+    config.set_column("right", [])
+    (said,) = _bad(judge(config))
+    assert said.startswith("sweep of left: feels nothing")
+
+
+def test_where_a_sweep_feels_is_where_the_mechanics_hold_the_base_back() -> None:
+    """A peg beside the arc from which contacts are said to be felt moves the base sensor so."""
+    config = draft(53, 5, 2)
+    config.body.critical_curvature = 1.0  # no fold, of which the base sensor sees a part
+    said = next(one.text for one in judge(config) if one.text.startswith("feels contacts"))
+    first = float(said.split()[3])
+    base = config.column("right")[0]
+    g = config.muscle("left").maps[-1].inflate.curvature(18.0)
+    held = []
+    for arc in (0.8 * first, 1.2 * first):
+        beside = Peg(arc, config.body.radius_cm + 0.55, 0.5)
+        rod = Rod(Tube(config.body.diameter_cm, None), [beside])
+        mean = np.zeros(1)
+        for bend in np.linspace(0.0, g, 40):
+            rod.step(float(bend), config.body.length_cm)
+        rod.averages_into(np.array([base.center_cm]), np.array([base.span_cm]), mean)
+        held.append(g - float(mean[0]))
+    assert held[0] < 0.005 < held[1]
+
+
+def test_what_the_board_cannot_hold_is_refused_with_its_number() -> None:
+    config = draft(120, 8, 2)
+    (beyond,) = wiring.beyond_board(config)
+    assert "16 sensors, and the board reads 10" in beyond.what
+    with pytest.raises(ConfigError, match="16 sensors"):
+        wiring.sensors(config)
+    out = RobotConfig()
+    out.muscles[0].direction_deg = 0.0
+    assert "out of the plane" in wiring.beyond_board(out)[0].what
+    more = RobotConfig()
+    more.body.zones = [*more.body.zones, more.body.zones[-1].model_copy(update={"until_cm": 60.0})]
+    assert "4 body pressures, and the board holds 3" in wiring.beyond_board(more)[0].what
+
+
+@pytest.mark.parametrize(("left", "right"), [(5, 5), (9, 0), (0, 9), (7, 3), (1, 9), (3, 0)])
+def test_every_sensor_has_an_input_and_base_sensors_those_of_the_trigger(
+    left: int, right: int
+) -> None:
+    config = draft(200, 9, 2)
+    for side, count in zip(SIDES, (left, right), strict=True):
+        config.set_column(side, config.column(side)[:count])
+    inputs = wiring.input_of(config)
+    assert len(inputs) == len(set(inputs.values())) == left + right
+    for side in SIDES:
+        if config.column(side):
+            assert inputs[side, 0] == wiring.BASES[side]
+        assert all(number != wiring.BASES[side] for (of, k), number in inputs.items() if k)
+    assert len(config.sensors) == left + right
+
+
+def test_the_commands_write_check_and_convert(tmp_path: Path, thigmo: Thigmo) -> None:
+    folder = tmp_path / "long"
+    thigmo("robot", "new", "--length", "120", "--sensors", "8", "--muscles", "1", "--out", folder)
+    scene = json.loads(thigmo("scene", "check", folder / "scene.toml", "--json").out)
+    assert scene["robot"]["body"]["length_cm"] == 120
+    found = json.loads(thigmo("robot", "check", folder / "robot.toml", "--json").out)
+    assert {"board", "rates"} & {one["what"] for one in found["findings"]} == {"rates"}
+    old = tmp_path / "robot.toml"
+    old.write_text("version = 1\n[sensors]\nsettle_s = 12.0\n")
+    thigmo("robot", "convert", old)
+    assert "settle_s = 12.0" in old.read_text()
+    assert "[[sensor]]" in old.read_text()
+    assert RobotConfig.load(tmp_path / "robot.toml.1.bak").board.settle_s == 12.0
