@@ -172,6 +172,22 @@ def _explorations(found: list[dict[str, Any]]) -> list[Row]:
     return kinds + _claims(found) + _notes(study)
 
 
+def _robots(found: list[dict[str, Any]]) -> list[Row]:
+    """A row a robot."""
+    (study,) = found
+    kinds = [
+        (
+            row["robot"],
+            f"{row['missed_percent']:.3g} % missed, {row['wrong_percent']:.3g} % wrong, "
+            f"{row['localized']} localized of {row['rooms']}",
+            f"median \\|x error\\| {row['error_percent']:.2g} % of the length; "
+            f"{row['empty_localized']} localized in {row['empty_rooms']} empty rooms",
+        )
+        for row in study["rows"]
+    ]
+    return kinds + _claims(found)
+
+
 def _notes(study: dict[str, Any]) -> list[Row]:
     return [(*note.rsplit(": ", 1), "") for note in study["notes"]]
 
@@ -313,6 +329,7 @@ LONG = (
 )
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,
+    "robots": _robots,
     "accuracy": _accuracy,
     "loads": _loads,
     "number": _number_claims,
@@ -355,6 +372,7 @@ SOURCES: dict[str, Source] = {
             "number": {"number-number.png": "number.png", "number-trade.png": "trade.png"},
             "sweeps": {},
             "exploration": {"exploration-explorations.png": "explorations.png"},
+            "robots": {},
             "plant-models": {},
             "camera": {},
             "trigger": {"trigger-chart.png": "trigger.png"},

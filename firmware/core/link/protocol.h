@@ -82,8 +82,9 @@ enum class Board : uint8_t {
   kMega = 1,      // Arduino Mega 2560, real or simulated.
   kCortexM3 = 3,  // MicroPython on QEMU's Cortex-M3; its hardware is injected.
   kUnix = 4,      // MicroPython's unix port; its hardware is injected.
+  kPico = 5,      // Raspberry Pi Pico under MicroPython.
 };
-constexpr uint8_t kBoardCount = 4;
+constexpr uint8_t kBoardCount = 5;
 
 // Why the board last started.
 enum class ResetCause : uint8_t {

@@ -147,9 +147,9 @@ class Console:
             for c in document.contacts:
                 table.add_row(
                     f"{c.x_cm:.1f} cm", f"{c.y_cm:.1f} cm",
-                    f"{c.arc_cm:.1f} of {c.everted_length_cm:.1f} cm",
+                    c.along_text,
                     c.interval_text,
-                    c.force_text, c.status,
+                    c.force_text, c.certainty_text,
                 )  # fmt: skip
             say(table)
         if document.error_x_cm is not None:

@@ -1,4 +1,4 @@
-"""`thigmo flash --robot PORT`: the firmware onto an Arduino Mega 2560."""
+"""`thigmo flash --robot PORT`: the firmware onto an Arduino Mega 2560 or a Raspberry Pi Pico."""
 
 from __future__ import annotations
 
@@ -12,21 +12,41 @@ from thigmo.cli.output import JsonOption, robot_option, show
 
 
 def flash(
-    robot: Annotated[str, robot_option("Serial port of its board, as /dev/ttyACM0.")],
+    robot: Annotated[
+        str,
+        robot_option(
+            "Serial port of a Mega, as /dev/ttyACM0; or `pico`, or the drive that a Pico shows."
+        ),
+    ],
     image: Annotated[
         Path | None,
-        typer.Option(help="Image (.hex); left out: the one that came with this host."),
+        typer.Option(help="Image (.hex, .uf2); left out: the one that came with this host."),
     ] = None,
     avrdude: Annotated[str, typer.Option(help="The avrdude program.")] = "avrdude",
     as_json: JsonOption = False,
 ) -> None:
-    """Write the firmware, verify it, and wait until the board says hello."""
+    """Write the firmware, verify it, and wait until the board says hello.
+
+    A Pico is plugged in with BOOTSEL pressed: `--robot pico` looks for its drive RPI-RP2, and it
+    starts by itself when the image is there.
+    """
     from thigmo.link import flash as flasher
+    from thigmo.link import pico
 
     def tell(doing: str) -> None:
         if not as_json:
             typer.echo(doing, err=True)
 
+    if robot == pico.PICO or Path(robot).is_dir():
+        written = pico.flash_pico(robot, image)
+        size = len(written.program)
+        show(
+            as_json,
+            {"image": str(written.path), "bytes": size},
+            f"{size} bytes are written: the Pico starts. Connect its serial cable and see who"
+            " answers with `thigmo info --robot PORT`",
+        )
+        return
     done = flasher.flash(robot, image, avrdude=avrdude, tell=tell)
     version = ".".join(map(str, done.hello.firmware_version))
     kept = f"{done.stored.kept} stored parameters are kept" if done.stored.generation else ""

@@ -74,7 +74,7 @@ def watch(
         )
     url = None if past else target
     exploring = _exploring(out, config)
-    options = WatchOptions(past, url, exploring, parameters(), host, port, leave)
+    options = WatchOptions(past, url, config, exploring, parameters(), host, port, leave)
 
     def announce(address: str) -> None:
         typer.echo(f"The page is at {address} (Ctrl-C ends the page).", err=True)

@@ -39,15 +39,15 @@ class ExplorationResult:
     def _repr_html_(self) -> str:
         rows = [
             (
-                f"{c.x_cm:.1f}, {c.y_cm:.1f}",
-                f"{c.arc_cm:.1f} of {c.everted_length_cm:.1f}",
+                c.place_text,
+                c.along_text,
                 c.interval_text,
                 c.force_text,
                 c.status,
             )
             for c in self.contacts
         ]
-        columns = ("x, y (cm)", "arc (cm)", "95 % interval", "force", "status")
+        columns = ("place", "along the body", "95 % interval", "force", "status")
         table = html_table(columns, rows) if rows else ""
         return html_card(self.document.name, f"{self._said()}; {self.folder}", table)
 

@@ -69,6 +69,7 @@ class Board(OpenDocumented):  # Where the firmware runs.
     MEGA = 1  # Arduino Mega 2560, real or simulated.
     CORTEX_M3 = 3  # MicroPython on QEMU's Cortex-M3; its hardware is injected.
     UNIX = 4  # MicroPython's unix port; its hardware is injected.
+    PICO = 5  # Raspberry Pi Pico under MicroPython.
 
 
 class ResetCause(Documented):  # Why the board last started.

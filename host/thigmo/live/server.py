@@ -25,15 +25,19 @@ from typing import Any
 from aiohttp import WSMsgType, web
 from aiohttp.http_exceptions import HttpProcessingError
 
+from thigmo.config import RobotConfig
 from thigmo.errors import ThigmoError
+from thigmo.link.transport import open_transport
+from thigmo.live import shown
 from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.relay import Watched, Way, stop_port, way_to
-from thigmo.live.shown import PastRun, board, body, pegs, row_text, thinned
+from thigmo.live.shown import PastRun, board, body, config_in, pegs, row_text, thinned
 from thigmo.live.starting import Parameter, Started, exploration, in_the_run
 from thigmo.live.viewer import Viewer
 from thigmo.robot import JOG_CM
-from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry, to_json
+from thigmo.room import Simulated
+from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry
 
 PAGE = Path(__file__).parent / "page"
 PORT = 8421
@@ -56,6 +60,7 @@ class WatchOptions:
     past: Path | None = None  # folder of a finished run to look back at; no other is watched
     # of a robot, if its runs only are to be watched; Start runs an exploration there
     url: str | None = None
+    config: Path | None = None  # robot.toml of that robot
     explore: tuple[str, ...] = ()  # further arguments of the exploration that Start runs
     parameters: tuple[Parameter, ...] = ()  # further ones that the operator may give on the page
     host: str = "127.0.0.1"  # address to listen at
@@ -73,7 +78,8 @@ class _Run:
         self.over = asyncio.Event()
         self.pausing = False
         self.failure = ""
-        self.body = body(folder)
+        self.body = body(config_in(folder))
+        self.length_cm: float | None = None  # everted before the run, where it is known
         self.pegs: list[dict[str, float]] = []
         # What a page that comes later has missed.
         self.held: dict[str, str] = {}
@@ -130,6 +136,7 @@ class PageServer:
         return web.json_response([asdict(each) for each in self.options.parameters])
 
     async def _work(self, app: web.Application) -> AsyncIterator[None]:
+        await asyncio.to_thread(self._look_ahead)
         tasks = [asyncio.create_task(self._pump()), asyncio.create_task(self._pulse())]
         if self._watched is not None:
             tasks.append(asyncio.create_task(self._look_around(self._watched)))
@@ -142,6 +149,26 @@ class PageServer:
             await asyncio.to_thread(self._watched.close)
         if self._started is not None and self._started.runs:
             await asyncio.to_thread(self._started.end)
+
+    def _look_ahead(self) -> None:
+        """What is known of the robot, and of an emulated one's room, before the first run."""
+        url, config, run = self.options.url, self.options.config, self._run
+        if config is not None:
+            run.body = body(RobotConfig.load(config))
+        if url is None or url.partition("://")[0] != "emulator":
+            return
+        with contextlib.suppress(ThigmoError):  # Start tells what is wrong with the scene
+            room = open_transport(url)
+            with contextlib.closing(room):
+                if isinstance(room, Simulated):
+                    known = room.truth()
+                    if config is None:
+                        run.body = body(room.config)
+                    run.length_cm = float(known.length_cm)
+                    run.pegs = [
+                        {"x_cm": peg.x, "y_cm": peg.y, "radius_cm": peg.radius}
+                        for peg in known.pegs
+                    ]
 
     # From the run to the pages.
 
@@ -187,7 +214,7 @@ class PageServer:
         for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *others]:
             if isinstance(message, RunState) and message.paused:
                 self._run.pausing = False
-            channel, text = message.CHANNEL, to_json(message).decode()
+            channel, text = message.CHANNEL, shown.text(message).decode()
             if channel in RETAINED:
                 self._run.held[channel] = text
             elif isinstance(message, Event):
@@ -249,6 +276,7 @@ class PageServer:
             "ended": run.over.is_set(),
             "body": run.body,
             "truth": run.pegs,
+            "length_cm": run.length_cm,
             "start": {"url": url, "virtual": in_the_run(url)} if url else None,
             "starting": self._starting,
             "started": self._started_facts(),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import ConfigError
 from thigmo.record import RunFolder
-from thigmo.stream import Message, Telemetry, read_messages, to_json
+from thigmo.stream import Contacts, Message, Telemetry, read_messages, to_json
 
 _MOST_ROWS = 60_000  # five minutes at full rate, twenty at 50 Hz
 
@@ -52,6 +52,21 @@ def row_text(telemetry: Telemetry) -> str:
     return json.dumps([round(x, _DIGITS) if isfinite(x) else None for x in row(telemetry)])
 
 
+def text(message: Message) -> bytes:
+    """A message as JSON; of contacts with the words in which every view says them."""
+    said = to_json(message)
+    if not isinstance(message, Contacts):
+        return said
+    words = [
+        {
+            "place": each.place_text, "along": each.along_text, "interval": each.interval_text,
+            "force": each.force_text, "certainty": each.certainty_text,
+        }
+        for each in message.contacts
+    ]  # fmt: skip
+    return b'%b,"words":%b}' % (said[:-1], json.dumps(words).encode())
+
+
 def board(telemetry: Telemetry) -> dict[str, Any]:
     """What a reading says besides numbers."""
     return {name: getattr(telemetry, name) for name in ("state", "activity", "faults")}
@@ -75,12 +90,16 @@ def block(readings: Sequence[Telemetry], origin_s: float, most: int) -> NDArray[
     return np.ascontiguousarray(table.T, dtype=np.float32)
 
 
-def body(folder: str) -> dict[str, Any]:
-    """The robot's build from the run folder's robot.toml, or the defaults' if there is none."""
+def config_in(folder: str) -> RobotConfig:
+    """A run folder's robot.toml, or the defaults if there is none."""
     try:
-        config = RobotConfig.load(Path(folder) / "robot.toml") if folder else RobotConfig()
+        return RobotConfig.load(Path(folder) / "robot.toml") if folder else RobotConfig()
     except ConfigError:
-        config = RobotConfig()
+        return RobotConfig()
+
+
+def body(config: RobotConfig) -> dict[str, Any]:
+    """The robot's build."""
     return {
         "length_cm": config.body.length_cm,
         "radius_cm": config.body.radius_cm,
@@ -115,14 +134,14 @@ class PastRun:
                 "id": self._folder, "name": self._document.name, "url": self._document.url,
                 "folder": self._folder, "t_s": self._origin_s, "virtual": False,
             },
-            "body": body(self._folder),
+            "body": body(config_in(self._folder)),
             "truth": pegs(self._folder),
         }  # fmt: skip
 
     def facts(self) -> bytes:
         """All messages but readings, and when the board's state changed, as JSON."""
         boards = json.dumps(self._boards())
-        others = b",".join(to_json(each) for each in self._others)
+        others = b",".join(text(each) for each in self._others)
         return b'{"origin_s":%r,"boards":%b,"messages":[%b]}' % (
             self._origin_s, boards.encode(), others,
         )  # fmt: skip

@@ -13,13 +13,16 @@ from typing import Annotated
 
 from pydantic import BeforeValidator
 
-from thigmo.display import interval_text
+from thigmo.display import POINT_ESTIMATE, interval_text
 
 RUNNING, KILLED = "running", "killed"
 
 # JSON has null where a number is not known.
 Number = Annotated[float, BeforeValidator(lambda value: nan if value is None else value)]
 Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis, left positive
+
+
+_WORTH_SAYING = 0.01  # share of a contact's kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,11 @@ class Trigger:
     excess_per_cm: float  # base curvature minus free curvature when it fired
     status: str  # what the localizer made of the peak's readings
     message: str = ""  # the localizer's reason
+
+
+def _percent(share: float) -> str:
+    # Nothing that is felt is wholly certain.
+    return "> 99 %" if share > 0.99 else f"{100 * share:.0f} %"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +98,30 @@ class MapContact:
 
     def __repr__(self) -> str:
         return (
-            f"MapContact(x {self.x_cm:.1f}, y {self.y_cm:.1f} cm; arc {self.arc_cm:.1f} of "
-            f"{self.everted_length_cm:.1f} cm, 95 % {self.interval_text}; {self.status})"
+            f"MapContact({self.place_text}; arc {self.along_text}, 95 % {self.interval_text}; "
+            f"{self.status})"
         )
+
+    # How terminal, notebook, map and page say it: one rule of rounding.
+
+    @property
+    def place_text(self) -> str:
+        """Where in the room, for people."""
+        return f"x {self.x_cm:.1f}, y {self.y_cm:.1f} cm"
+
+    @property
+    def along_text(self) -> str:
+        """Where along the body, for people."""
+        return f"{self.arc_cm:.1f} of {self.everted_length_cm:.1f} cm"
+
+    @property
+    def certainty_text(self) -> str:
+        """What it is, and how certain that is, for people: "wall 97 %, peg 2 %"."""
+        if self.status == POINT_ESTIMATE:
+            return self.status
+        shares = {"wall": self.wall_probability, "peg": self.peg_probability}
+        kinds = [f"{kind} {_percent(p)}" for kind, p in shares.items() if p >= _WORTH_SAYING]
+        return f"{self.status}, {_percent(self.probability)}; {', '.join(kinds)}"
 
     @property
     def interval_text(self) -> str:

@@ -225,8 +225,8 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
         # Hollow while it is not sure: the two differ in grey as well.
         mfc=color if contact.status == "localized" else "white",
         mec="white" if contact.status == "localized" else color, mew=1.2,
-        label=f"{named}: {contact.kind}, {contact.status}, {contact.arc_cm:.1f} of "
-        f"{contact.everted_length_cm:.1f} cm ({'95 %: ' * placed}{contact.interval_text})",
+        label=f"{named}: {contact.kind}, {contact.status}, {contact.along_text} "
+        f"({'95 %: ' * placed}{contact.interval_text})",
     )  # fmt: skip
     if number is not None:
         away_x, away_y = -11 * np.cos(contact.normal_rad), -11 * np.sin(contact.normal_rad)

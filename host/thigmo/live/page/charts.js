@@ -2,6 +2,7 @@
 // asked for, or what the free body would read; the solid one is what was measured.
 
 import { $, COLUMN, css, element, index, SIDES, store } from "./store.js";
+import { minus } from "./svg.js";
 
 const DASH = [5, 4];
 const FIVE = [0, 1, 2, 3, 4];
@@ -51,8 +52,6 @@ function range([low, high]) {
     return [bottom < low ? bottom - air : bottom, top > high ? top + air : top];
   };
 }
-
-const minus = (value) => String(value).replace("-", "−");
 
 function build() {
   for (const { plot } of plots) plot.destroy();

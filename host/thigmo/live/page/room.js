@@ -2,14 +2,14 @@
 // known of their place. x runs along the straight robot, y to its left, in cm.
 
 import { $, css, latest, pointEstimate, posterior, store, time, COLUMN } from "./store.js";
-import { line, make, sized, text, ticks } from "./svg.js";
+import { line, make, minus, sized, text, ticks } from "./svg.js";
 
 const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
 const RIBBON_CM = 3.5; // height of the posterior at its peak
 const FRESH_S = .3; // for which a posterior of mid-sweep moves with the body
 const svg = $("room");
 const layers = {};
-for (const name of ["grid", "map", "swept", "truth", "body", "posterior", "contacts", "words"]) {
+for (const name of ["grid", "map", "reach", "swept", "truth", "body", "posterior", "contacts", "words"]) {
   layers[name] = make("g", { "data-layer": name }, svg);
 }
 const bounds = { x0: -8, x1: 60, y0: -28, y1: 28 };
@@ -51,11 +51,11 @@ function fit() {
   const every = step(count);
   for (let x = Math.ceil(x0 / every) * every; x <= x1; x += every) {
     make("line", { x1: X(x), x2: X(x), y1: pad.top, y2: height - pad.bottom, stroke: "var(--grid)" }, layer);
-    text(layer, X(x), height - pad.bottom + 15, x, { "text-anchor": "middle", fill: "var(--faint)" });
+    text(layer, X(x), height - pad.bottom + 15, minus(x), { "text-anchor": "middle", fill: "var(--faint)" });
   }
   for (let y = Math.ceil(y0 / every) * every; y <= y1; y += every) {
     make("line", { y1: Y(y), y2: Y(y), x1: pad.left, x2: width - pad.right, stroke: "var(--grid)" }, layer);
-    text(layer, pad.left - 7, Y(y) + 4, String(y).replace("-", "−"), { "text-anchor": "end", fill: "var(--faint)" });
+    text(layer, pad.left - 7, Y(y) + 4, minus(y), { "text-anchor": "end", fill: "var(--faint)" });
   }
   text(layer, width - pad.right, height - 5, "x, along the straight robot, cm", { "text-anchor": "end" });
   text(layer, 12, pad.top, "y, to its left, cm", { transform: `rotate(-90 12 ${pad.top})`, "text-anchor": "end" });
@@ -72,7 +72,8 @@ export function drawRoom() {
   changed("map", last.grid, drawMap);
   changed("truth", page?.truth, drawTruth);
   changed("contacts", last.contacts, drawContacts);
-  const length = latest(COLUMN.length) ?? 0;
+  const length = latest(COLUMN.length) ?? page?.length_cm ?? 0;
+  changed("reach", page?.mode === "idle" && page.body, drawReach);
   const shape = last.shape ?? (length > 0.5 ? straight(length) : null);
   changed("body", shape && (last.shape ?? length.toFixed(1)), () => drawBody(shape));
   changed("swept", store.trail.length ? store.trail.at(-1) : null, drawTrail);
@@ -92,6 +93,13 @@ const straight = (length) => ({
   radius_cm: store.page?.body?.radius_cm ?? 2.4,
   poses: [[0, 0, 0], [length, 0, 0]],
 });
+
+// Before the first run: the base, and how far the body goes when it is all out.
+function drawReach({ length_cm: length, radius_cm: radius }) {
+  make("path", { d: tube([[0, 0, 0], [length, 0, 0]], radius), fill: "none", stroke: "var(--tube-edge)", "stroke-opacity": .6, "stroke-dasharray": "3 4" }, layers.reach);
+  text(layers.reach, X(length) - 6, Y(radius) - 6, "not everted yet", { "text-anchor": "end" });
+  drawBase(layers.reach, radius);
+}
 
 function drawMap(grid) {
   const canvas = document.createElement("canvas");
@@ -155,6 +163,10 @@ function drawBody(shape) {
       make("path", { d: line(beside(points, sign * radius * .72)), fill: "none", stroke: `var(--${side}-${n + 1})`, "stroke-width": 3.2, "stroke-linecap": "round" }, layer);
     });
   }
+  drawBase(layer, radius);
+}
+
+function drawBase(layer, radius) {
   const r = Math.max(radius * 1.25, 3);
   make("rect", { x: X(-2.4), y: Y(r), width: 2.4 * scale, height: 2 * r * scale, rx: 3, fill: "var(--base)" }, layer);
 }
@@ -194,10 +206,11 @@ function drawPosterior({ places_cm: places, probability, side }, poses, moves) {
   make("path", { d: line(top), fill: "none", stroke: "var(--contact)", "stroke-width": 1.5 }, layer);
 }
 
-function drawContacts({ contacts }) {
+function drawContacts({ contacts, words }) {
   const layer = layers.contacts;
   const placed = [];
-  for (const contact of contacts) {
+  for (const [n, contact] of contacts.entries()) {
+    if (contact.surface.length > 1) drawWall(layer, contact);
     const x = X(contact.x_cm), y = Y(contact.y_cm), sure = contact.status === "localized";
     if (!pointEstimate(contact) && contact.track.length > 1) {
       make("path", { d: line(contact.track.map(([u, v]) => [X(u), Y(v)])), fill: "none", stroke: "var(--contact)", "stroke-width": 6, "stroke-opacity": .38, "stroke-linecap": "round" }, layer);
@@ -211,14 +224,20 @@ function drawContacts({ contacts }) {
       transform: `rotate(${(-Math.atan2(2 * b, a - d) / 2 * 180 / Math.PI).toFixed(2)} ${x} ${y})`,
     }, layer);
     make("circle", { cx: x, cy: y, r: 5.5, fill: sure ? "var(--contact)" : "var(--card)", stroke: sure ? "var(--card)" : "var(--contact)", "stroke-width": 2 }, layer);
-    label(layer, contact, x, y, placed);
+    label(layer, contact, words[n], x, y, placed);
   }
 }
 
+// The surface that the tip slid along: whole where it is a wall to 95 %, else in dashes.
+function drawWall(layer, { surface, wall_probability: wall }) {
+  const points = surface.map(([x, y]) => [X(x), Y(y)]);
+  make("path", { d: line(points), fill: "none", stroke: "var(--ink)", "stroke-width": 3, ...wall < .95 && { "stroke-dasharray": "7 5" } }, layer);
+  for (const [x, y] of points) make("rect", { x: x - 2.5, y: y - 2.5, width: 5, height: 5, fill: "var(--ink)" }, layer);
+}
+
 // Where it is along the body, beside the contact, away from the robot and from other labels.
-function label(layer, contact, x, y, placed) {
-  const [low, high] = contact.interval_cm.map((value) => value.toFixed(1));
-  const range = pointEstimate(contact) ? "no interval" : `95 %: ${low} to ${high} cm`;
+function label(layer, contact, words, x, y, placed) {
+  const range = pointEstimate(contact) ? words.interval : `95 %: ${minus(words.interval)}`;
   const up = contact.y_cm >= 0 ? -1 : 1;
   const width = 116, anchor = x + 20 + width > svg.clientWidth - 12 ? "end" : "start";
   const out = anchor === "start" ? 1 : -1, tx = x + 20 * out;
@@ -230,7 +249,7 @@ function label(layer, contact, x, y, placed) {
   const bar = tx - 6 * out;
   make("path", { d: `M${x} ${y + up * 7}L${bar} ${ty + 3}M${bar} ${ty - 9}V${ty + 16}`, fill: "none", stroke: "var(--contact)", "stroke-width": 1 }, group);
   const halo = { stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke", "stroke-linejoin": "round" };
-  text(group, tx, ty, `${contact.arc_cm.toFixed(1)} cm along`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo });
+  text(group, tx, ty, `${contact.kind}, ${minus(words.along)}`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo });
   text(group, tx, ty + 14, range, { fill: "var(--contact)", ...halo });
 }
 
@@ -238,6 +257,7 @@ $("room-legend").innerHTML = `
   <span><i class="area" style="background:var(--free)"></i>free</span>
   <span><i class="area" style="background:var(--contact);opacity:.45"></i>where a contact may be</span>
   <span><i class="dot" style="background:var(--contact)"></i>contact</span>
+  <span><i style="border-top-width:3px;color:var(--ink)"></i>wall, dashed: likely</span>
   <span style="color:var(--contact)"><i class="ring"></i><span class="muted">95 % in the plane</span></span>
   <span id="truth-legend" style="color:var(--truth)" hidden><i class="ring" style="border-style:solid"></i><span class="muted">peg (the emulator’s truth)</span></span>`;
 

@@ -27,6 +27,9 @@ export function sized(svg, draw) {
 
 export const line = (points) => points.map(([x, y], n) => `${n ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
 
+// A number with a minus sign, which a hyphen is not.
+export const minus = (value) => String(value).replaceAll("-", "−");
+
 // Round steps for about `count` ticks between two values.
 export function ticks(low, high, count) {
   const raw = (high - low) / count;

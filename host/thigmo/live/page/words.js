@@ -1,6 +1,7 @@
 // What is told in words: the header, banners, contacts and events.
 
-import { $, COLUMN, SIDES, element, latest, pointEstimate, store, time } from "./store.js";
+import { $, COLUMN, SIDES, element, latest, store, time } from "./store.js";
+import { minus } from "./svg.js";
 
 const ICONS = {
   info: '<svg class="icon" viewBox="0 0 12 12" aria-label="info"><circle cx="6" cy="6" r="3" fill="var(--faint)"/></svg>',
@@ -18,7 +19,7 @@ forget();
 
 // As a sentence: events come as clauses.
 const sentence = (words) => words && words[0].toUpperCase() + words.slice(1) + (/[.!?:]$/.test(words) ? "" : ".");
-const fixed = (value, digits) => Number.isFinite(value) ? value.toFixed(digits).replace("-", "−") : "–";
+const fixed = (value, digits) => Number.isFinite(value) ? minus(value.toFixed(digits)) : "–";
 
 export function drawWords(lost) {
   const { page, last, board } = store;
@@ -80,36 +81,31 @@ function doing(lost) {
 
 function drawContactRows() {
   const { contacts } = store.last;
-  if (listed.contacts === contacts) return;
+  if (listed.contacts === contacts && listed.posterior === store.last.posterior) return;
   listed.contacts = contacts;
+  listed.posterior = store.last.posterior;
   const found = contacts?.contacts ?? [];
   $("contacts-count").textContent = found.length || "";
   $("contacts-empty").hidden = found.length > 0;
   document.querySelector(".contacts table").hidden = !found.length;
-  $("contact-rows").replaceChildren(...found.map((contact) => {
-    const row = element("tr");
-    const [low, high] = contact.interval_cm.map((value) => fixed(value, 1));
-    const range = pointEstimate(contact) ? "no interval;" : `${low} to ${high}`;
-    const certain = Number.isFinite(contact.probability) ? `, ${percent(contact.probability)}` : "";
-    row.innerHTML = `
-      <td><b>${fixed(contact.x_cm, 1)}, ${fixed(contact.y_cm, 1)}</b></td>
-      <td><b>${fixed(contact.arc_cm, 1)}</b> <span class="muted">${range} of ${fixed(contact.everted_length_cm, 0)}</span></td>
-      <td>${force(contact)}</td>`;
-    const chip = element("span", { class: "chip" }, `${contact.status}${certain}`);
-    if (contact.status !== "localized") chip.classList.add("ambiguous");
-    row.append(element("td", {}, chip));
-    return row;
+  $("contact-rows").replaceChildren(...found.map((contact, n) => {
+    const { place, along, interval, force, certainty } = contacts.words[n];
+    const chip = element("span", { class: contact.status === "localized" ? "chip" : "chip ambiguous" }, certainty);
+    return element("tr", {},
+      element("td", {}, element("b", {}, minus(place))),
+      element("td", {}, element("b", {}, minus(along)), " ", element("span", { class: "muted" }, minus(interval))),
+      element("td", {}, minus(force)),
+      element("td", {}, chip));
   }));
+  drawWhy();
 }
 
-function force(contact) {
-  const minus = (text) => text.replaceAll("-", "−");
-  if (Number.isFinite(contact.force_n)) {
-    const [low, high] = contact.force_interval_n.map((value) => minus(value.toPrecision(2)));
-    return `<b>${minus(contact.force_n.toPrecision(2))}</b> <span class="muted">${low} to ${high} N</span>`;
-  }
-  if (!Number.isFinite(contact.force_per_cm2)) return "–";
-  return `${minus(contact.force_per_cm2.toExponential(1))} <abbr>1/cm² (over EI)</abbr>`;
+// Why the last sweep alone is not sure, beside contacts that the map is sure of.
+function drawWhy() {
+  const { contacts, posterior } = store.last;
+  const sure = contacts?.contacts.some((each) => each.status === "localized");
+  const doubts = sure && posterior?.status === "ambiguous" && !posterior.sweeping;
+  $("contacts-why").textContent = doubts ? `The last sweep by itself is ambiguous: ${posterior.message}. The map weighs every stage.` : "";
 }
 
 export const percent = (share) => share > .999 ? "> 99.9 %" : `${(100 * share).toFixed(1)} %`;
@@ -135,7 +131,8 @@ function drawEvents() {
 
 function entry(event) {
   const what = element("div");
-  what.append(element("span", { class: "what" }, sentence(event.message)));
+  // A hyphen before a number is its minus sign.
+  what.append(element("span", { class: "what" }, sentence(event.message.replaceAll(/(?<=\s)-(?=\d)/g, "−"))));
   if (event.next) what.append(element("div", { class: "next" }, sentence(event.next)));
   const item = element("li", { class: event.severity, title: event.name });
   item.dataset.t = time(event.t_s);
