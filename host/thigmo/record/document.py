@@ -1,7 +1,7 @@
 """contacts.json: what a run found, as plain data.
 
-Written by the exploration after every stage, read by the report, by `thigmo info` and by whoever
-plans with the map. Lengths in cm, forces over EI in 1/cm^2, times in s; x along the straight
+Written by the exploration after every stage, read by the report, by `thigmo info` and by
+planners. Lengths in cm, forces over EI in 1/cm^2, times in s; x along the straight
 robot, y to its left.
 """
 
