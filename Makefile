@@ -5,12 +5,13 @@ BIN    := $(VENV)/bin
 # Rebuild the extensions when their sources, the schema or the packaging change.
 CORE   := $(shell find firmware/core firmware/virtual host/thigmo -name '*.h' -o -name '*.cpp') CMakeLists.txt pyproject.toml
 
-# Tests run on this many cores. Those in real time mostly wait for it: more of them run at once in
-# `make test`; in `make ci`, with browsers among them, one after the other.
+# Tests run on this many cores. Those in real time mostly wait for it: more of them run at once, but
+# with browsers among them one after the other.
 WORKERS  ?= 2
 WAITING  ?= 6
 PYTEST  := $(BIN)/pytest -q
 FAST    := not (bench or browser or ros or ci or nightly)
+LONG    := (bench or browser or ros or ci) and not nightly
 
 .PHONY: help install explore test ci nightly lint bench soak figures docs firmware clean
 help:
@@ -68,9 +69,9 @@ test: lint
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "$(FAST) and not realtime"
 	$(PYTEST) -n $(WAITING) --dist worksteal -m "$(FAST) and realtime"
 
-ci: lint .stamps/ros
-	$(PYTEST) -n $(WORKERS) --dist worksteal -m "not (realtime or nightly)"
-	$(PYTEST) -m "realtime and not nightly"
+ci: test .stamps/ros
+	$(PYTEST) -n $(WORKERS) --dist worksteal -m "$(LONG) and not realtime"
+	$(PYTEST) -m "$(LONG) and realtime"
 	$(MAKE) docs
 	$(BIN)/python tools/release.py
 

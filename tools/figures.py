@@ -27,7 +27,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results"
-PAGES = (ROOT / "README.md", ROOT / "docs" / "figures.md")
+PAGES = (ROOT / "README.md", ROOT / "docs" / "figures.md", ROOT / "docs" / "benchmark.md")
 PLACE = re.compile(r"(<!-- figures: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 Row = tuple[str, str, str]
 
@@ -172,6 +172,22 @@ def _explorations(found: list[dict[str, Any]]) -> list[Row]:
     return kinds + _claims(found) + _notes(study)
 
 
+def _robots(found: list[dict[str, Any]]) -> list[Row]:
+    """A row a robot."""
+    (study,) = found
+    kinds = [
+        (
+            row["robot"],
+            f"{row['missed_percent']:.3g} % missed, {row['wrong_percent']:.3g} % wrong, "
+            f"{row['localized']} localized of {row['rooms']}",
+            f"median \\|x error\\| {row['error_percent']:.2g} % of the length; "
+            f"{row['empty_localized']} localized in {row['empty_rooms']} empty rooms",
+        )
+        for row in study["rows"]
+    ]
+    return kinds + _claims(found)
+
+
 def _notes(study: dict[str, Any]) -> list[Row]:
     return [(*note.rsplit(": ", 1), "") for note in study["notes"]]
 
@@ -293,6 +309,28 @@ def _boards(found: dict[str, Any]) -> list[Row]:
     ]
 
 
+def _benchmark(found: list[dict[str, Any]]) -> list[Row]:
+    rows = []
+    for method in dict.fromkeys(row["method"] for row in found):
+        mine = [row for row in found if row["method"] == method]
+        answered = sum(row["answered"] for row in mine)
+        failed = sum(row["answered"] * (row["failures"] or 0.0) for row in mine)
+        groups = ", ".join(
+            f"{row['group']} {_number(row['error_cm'])}" for row in mine if row["answered"]
+        )
+        note = f"mean error, cm: {groups}"
+        sure = [row for row in mine if row["claimed"]]
+        if sure:
+            note += "; localized, of these overclaimed: " + ", ".join(
+                f"{row['group']} {row['claimed']:.2f}, {row['overclaimed']:.2f}" for row in sure
+            )
+            note += "; coverage: " + ", ".join(
+                f"{row['group']} {row['coverage']:.2f}" for row in mine if row["coverage"]
+            )
+        rows.append((method, f"{100 * failed / max(answered, 1):.0f} % of {answered} failed", note))
+    return rows
+
+
 def _number(value: float | str | None) -> str:
     if value is None or isinstance(value, str):
         return value or "unbounded"
@@ -313,6 +351,7 @@ LONG = (
 )
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,
+    "robots": _robots,
     "accuracy": _accuracy,
     "loads": _loads,
     "number": _number_claims,
@@ -354,7 +393,11 @@ SOURCES: dict[str, Source] = {
             "loads": {},
             "number": {"number-number.png": "number.png", "number-trade.png": "trade.png"},
             "sweeps": {},
-            "exploration": {"exploration-explorations.png": "explorations.png"},
+            "exploration": {
+                "exploration-explorations.png": "explorations.png",
+                "exploration-dial.png": "dial.png",
+            },
+            "robots": {},
             "plant-models": {},
             "camera": {},
             "trigger": {"trigger-chart.png": "trigger.png"},
@@ -364,6 +407,9 @@ SOURCES: dict[str, Source] = {
     },
     "budgets": Source((".venv/bin/python", "tools/budgets.py", "--json"), _budgets, {}),
     "soak": Source((".venv/bin/python", "tools/soak.py", "--json"), _budgets, {}),
+    "benchmark": Source(
+        (".venv/bin/python", "tools/benchmark.py", "table", "--jobs", "2"), _benchmark, {}
+    ),
     "boards": Source((".venv/bin/python", "tools/boards.py", "--json"), _boards, {}),
 }
 

@@ -227,12 +227,15 @@ def try_all(programs: Path, folder: Path) -> None:
     watch = [programs / "thigmo", "watch", runs[0].parent, "--no-browser", "--port", "0"]
     with subprocess.Popen(watch, cwd=folder, stderr=subprocess.PIPE, text=True) as page:
         assert page.stderr is not None
-        address = re.search(r"http://\S+", page.stderr.readline())
-        if address is None:
-            sys.exit("release: the page has no address")
-        with urllib.request.urlopen(address[0]) as answer:
-            shown = answer.read().decode()
-        page.terminate()
+        try:
+            address = re.search(r"http://\S+", page.stderr.readline())
+            if address is None:
+                sys.exit("release: the page has no address")
+            browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+            with browser.open(address[0], timeout=60) as answer:
+                shown = answer.read().decode()
+        finally:
+            page.terminate()
     if "<title>" not in shown:
         sys.exit("release: the page is empty")
 

@@ -210,7 +210,7 @@ def power() -> schemdraw.Drawing:
 
     y = -9.2
     _tag(d, (3.0, y), "PS2 12 V, J3.1")
-    _part(d, elm.Fuse, (3.0, y), (6.4, y), "F2 3 A slow")
+    _part(d, elm.Fuse, (3.0, y), (6.4, y), "F2 2 A slow")
     _wire(d, (6.4, y), (8.6, y))
     _part(d, elm.Switch, (8.6, y), (10.6, y), "K1, K2")
     _wire(d, (10.6, y), (11.4, y))

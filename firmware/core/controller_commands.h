@@ -130,7 +130,8 @@ inline void Controller::start_spool(Activity activity, int32_t target_counts, in
           : lesser(speed_um_s, homing ? derived_.home_speed_um_s : derived_.winding_speed_um_s);
   spool_.start(encoder_, target_counts, derived_.speed_q16(speed), derived_.accel_q16,
                homing ? derived_.homing_duty : derived_.top_duty);
-  motion_.restart(encoder_);
+  // What growth has missed adds up over the moves that follow each other.
+  if (activity != Activity::kGrowing) motion_.restart(encoder_);
   errors_before_ = encoder_errors_;
   moved_from_ = encoder_;
   if (activity == Activity::kGrowing) fold_.begin(length_um_, derived_.enabled_mask, config_);
@@ -186,6 +187,7 @@ inline Outcome Controller::confirm_length(int32_t length_um, bool settled) {
   zero_count_ = encoder_ - derived_.counts(length_um);
   length_known_ = true;
   slip_.accept(encoder_);
+  motion_.restart(encoder_);
   follow_length();  // nothing everts by being vouched for: no events
   eversion_.confirm(settled, tick_);
   if (!settled) zeros_.invalidate(0xFFFF);

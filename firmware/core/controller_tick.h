@@ -195,7 +195,9 @@ inline void Controller::watch_motion(int16_t duty) {
     return;
   }
   const bool growing = activity_ == Activity::kGrowing;
-  motion_.step(encoder_, duty, winding() ? spool_.wanted_q16() : 0, growing, config_, derived_);
+  const bool pulls = fold_.moves() && zone_ < kZones;
+  motion_.step(encoder_, duty, winding() ? spool_.wanted_q16() : 0, growing,
+               pulls ? config_.get(Param::kPullDuty, zone_) : 0, config_, derived_);
   if (growing && motion_.missed(derived_)) stall(protocol::StallCause::kSlow);
   if (!winding()) return;
   const uint16_t jumps = static_cast<uint16_t>(encoder_errors_ - errors_before_);

@@ -71,6 +71,7 @@ class BodyPressure(Model):
 
     until_cm: Positive
     pressure_psi: Positive
+    pull_duty: Finite = 0.0  # of 800, that the motor needs less in growth than its data say
 
 
 class Body(Model):

@@ -21,7 +21,7 @@ PLAIN = Seen(
 
 def test_one_contact_explains_its_own_readings_and_noise_only() -> None:
     rng = np.random.default_rng(1)
-    scenes = loads.one(rng, 200)
+    scenes = loads.one(BOTH, rng, 200)
     clean = misfit_of_one_contact(scenes.curvature, BOTH, scenes.free)
     assert clean.max() < 1.0  # places a centimetre apart
     frames = scenes.curvature + SIGMA * rng.standard_normal(scenes.curvature.shape)
@@ -55,6 +55,10 @@ def test_a_rod_that_is_held_turns_by_no_more_than_100_degrees() -> None:
 
 def test_each_promise_fails_by_the_frames_that_it_speaks_of() -> None:
     bad = {
+        "noise unknown, one contact: localized": (
+            "one contact, 5 readings, noise unknown",
+            {"wrong": True},
+        ),
         "noise known: false contacts": ("free, 2 readings, noise known", {}),
         "near the base, 5": ("near the base, bent, odds 0.05", {"found": 0, "stands_out": 99.0}),
         "of these, P(no": ("near the base, straight, odds 0.001", {"none": 0.2, "stands_out": 30}),

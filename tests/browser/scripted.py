@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from dataclasses import replace
+from typing import Any
 
 from thigmo.closing import Closing
 from thigmo.record import MapContact
@@ -108,11 +109,11 @@ class ScriptedRun(Closing):
             )
         )  # fmt: skip
 
-    def feel(self) -> None:
-        """Tell the bent body, and a contact with its place."""
+    def feel(self, **told: Any) -> None:
+        """Tell the bent body, and a contact with its place; `told` are other fields of it."""
         self.bend(0.014)
         self.believe(sweeping=False)
-        self.hub.publish(Contacts(*self._now(), (CONTACT,)))
+        self.hub.publish(Contacts(*self._now(), (replace(CONTACT, **told),)))
 
     def read(self, count: int, *, faults: tuple[str, ...] = ()) -> None:
         """Publish so many readings, 5 ms of robot time apart."""

@@ -6,8 +6,12 @@ Only the motor's speed at its duty, and the sensors that pass the tip's fold, te
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import numpy as np
 import pytest
 
+from thigmo.calibrate.drive import Drive, pull_duty
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
@@ -51,6 +55,84 @@ def test_the_tip_grows_little_beyond_what_is_counted(
     counted_cm = robot.read(0.05, despite_faults=True).length_cm
     assert 0.1 < plant.length_cm - counted_cm <= MOST_CM * TENTH
     assert plant.length_cm <= asked_cm + MOST_CM
+
+
+def grow(robot: Robot, transport: EmulatorTransport, length_cm: float) -> Iterator[float]:
+    """With the body pressure of each range, as calibration and explorations do; gives the stops."""
+    plant, body = transport.lockstep.plant, robot.config.body
+    now = plant.length_cm
+    stops = {*np.arange(10.0, length_cm, 10.0), *(zone.until_cm for zone in body.zones), length_cm}
+    for stop in sorted(stops):
+        if now < stop <= length_cm:
+            zone = body.zone_at(now + 0.2)
+            plant.set_body_pressure(body.zones[zone].pressure_psi)
+            robot.select_zone(zone)
+            robot.grow_to(stop)
+            now = stop
+            yield stop
+
+
+@pytest.fixture(scope="module")
+def learnt() -> list[float]:
+    """What calibration makes of the duty at each body pressure."""
+    robot, transport = robot_in(scene_at(0.0))
+    with Drive(robot, robot.config) as drive:
+        rows = [row for _ in grow(robot, transport, 50.0) for row in drive.rows()]
+    found = pull_duty(rows, robot.config.spool.counts_per_cm, robot.config)
+    pulls = [pull for pull in found if pull is not None]
+    assert len(pulls) == 3
+    return pulls
+
+
+def learned_robot(scene: Scene, pulls: list[float]) -> tuple[Robot, EmulatorTransport]:
+    for zone, pull in zip(scene.robot.body.zones, pulls, strict=True):
+        zone.pull_duty = pull
+    return robot_in(scene)
+
+
+@pytest.mark.parametrize("start_cm", [0, 2, 5, 8, 12, 16, 18, 20, 24, 28, 33])
+def test_a_fifth_of_the_counts_is_missed_by_the_motors_constant(
+    start_cm: float, learnt: list[float]
+) -> None:
+    """Without it the tip grew by 3.2 cm more than was counted."""
+    robot, transport = learned_robot(scene_at(start_cm), learnt)
+    plant = transport.lockstep.plant
+    transport.lockstep.faults.inject(FaultTable(kind="encoder_share", at_s=robot.now(), value=0.8))
+    with pytest.raises(RobotFaultError, match="less speed than the motor must have"):
+        list(grow(robot, transport, start_cm + 20.0))
+    robot.wait(0.5, despite_faults=True)
+    counted_cm = robot.read(0.05, despite_faults=True).length_cm
+    assert 0.1 < plant.length_cm - counted_cm <= MOST_CM * TENTH
+
+
+@pytest.mark.parametrize("supply", [0.95, 1.05])
+@pytest.mark.parametrize("friction_duty", [48.0, 72.0])
+def test_what_was_learnt_accuses_no_sound_encoder(
+    supply: float, friction_duty: float, learnt: list[float]
+) -> None:
+    """On another day: another supply, a gearbox that is colder or worn."""
+    scene = scene_at(3.0)
+    scene.spool.line_cm_s *= supply
+    scene.spool.stall_n *= supply
+    scene.spool.dead_zone = friction_duty
+    robot, transport = learned_robot(scene, learnt)
+    assert list(grow(robot, transport, 50.0))[-1] == 50.0
+    assert transport.lockstep.plant.length_cm == pytest.approx(50.0, abs=0.2)
+
+
+@pytest.mark.parametrize("stands_cm", [13.0, 14.5, 18.0])
+def test_a_tip_that_stands_still_leaves_the_tail_slack_and_accuses_no_encoder(
+    stands_cm: float, learnt: list[float]
+) -> None:
+    robot, transport = learned_robot(scene_at(10.0), learnt)
+    plant = transport.lockstep.plant
+    plant.set_body_pressure(1.47)
+    robot.select_zone(0)
+    robot.grow_to(stands_cm)
+    plant.set_body_pressure(0.0)
+    robot.grow_to(26.0)
+    assert plant.length_cm < stands_cm + 0.5
+    assert robot.status().faults == ()
 
 
 @pytest.mark.parametrize("supply", [0.95, 1.05])

@@ -111,3 +111,42 @@ def test_pico_pins_are_those_of_the_pin_map() -> None:
     }
     drawn = set(re.findall(r"\bGP(\d+)", (HARDWARE / "pico.svg").read_text()))
     assert drawn == {str(pin) for pin in pins.values()}
+
+
+def test_supplies_and_fuses_are_those_that_the_motors_stall_asks_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    tool = runpy.run_path(str(ROOT / "tools/supplies.py"))
+    with (HARDWARE / "parts.csv").open() as file:
+        rows = {row["ref"]: row for row in csv.DictReader(file)}
+
+    def ampere(text: str) -> float:
+        return float(re.findall(r"([\d.]+) A", text)[0])
+
+    (stall,) = re.findall(r"([\d.]+) A and 15 kg cm stalled", rows["M1"]["data"])
+    (brake,) = re.findall(r"BR1 takes ([\d.]+) A", rows["PS2"]["data"])
+    assert ampere(rows["PS2"]["what"]) >= tool["motor_supply"](float(stall), float(brake))
+    assert ampere(rows["F2"]["what"]) == tool["motor_fuse"](float(stall), float(brake))
+    load = ampere(rows["PS1"]["data"])
+    assert ampere(rows["F1"]["what"]) == tool["air_fuse"](load)
+    assert ampere(rows["PS1"]["what"]) >= 1.5 * load
+    page = (HARDWARE / "electronics.md").read_text()
+    assert f"takes {tool['working'](float(stall), float(brake)):.1f} A at most" in page
+    assert f"a slow {tool['motor_fuse'](float(stall), float(brake)):g} A fuse" in page
+    assert tool["main"](["--stall", stall, "--brake", brake]) == 0
+    assert "F2   2 A slow" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (["--stall", "0.9", "--brake", "1.6"], "take a weaker brake"),
+        (["--stall", "-1"], "are in ampere and positive"),
+    ],
+)
+def test_a_motor_that_no_fuse_protects_is_refused(
+    wrong: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        runpy.run_path(str(ROOT / "tools/supplies.py"))["main"](wrong)
+    assert said in capsys.readouterr().err

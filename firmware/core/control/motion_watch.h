@@ -21,16 +21,17 @@ namespace thigmo {
 
 class MotionWatch {
  public:
-  // Forgets what was; at the start of a move, and when a fault of motion is cleared.
+  // Forgets what was: when the spool winds in, and when a length or a fault's end is confirmed.
   void restart(int32_t counts) {
     last_ = counts;
     missed_q16_ = astray_q16_[0] = astray_q16_[1] = 0;
   }
 
   // One control step: the encoder, the duty since the last step, the profile's speed (counts a
-  // step, signed). Only growth is judged for missing counts.
-  void step(int32_t counts, int16_t duty, int32_t wanted_q16, bool growing, const Configuration& c,
-            const Derived& d) {
+  // step, signed). Only growth is judged for missing counts; the pull of a body that is seen to
+  // grow counts as duty.
+  void step(int32_t counts, int16_t duty, int32_t wanted_q16, bool growing, int32_t pull_duty,
+            const Configuration& c, const Derived& d) {
     const int32_t moved_q16 = limited<int32_t>(counts - last_, -12000, 12000) * 65536;
     last_ = counts;
     const int32_t beyond = magnitude(duty) - c.get(Param::kSpoolDeadZone);
@@ -38,7 +39,8 @@ class MotionWatch {
     speed_q16_ += share_q16((duty < 0 ? -top : top) - speed_q16_, kLagShare);
 
     if (growing) {
-      const int32_t least = speed_q16_ - (speed_q16_ >> 4) - d.speed_margin_q16;
+      const int32_t least =
+          speed_q16_ - (speed_q16_ >> 4) - d.speed_margin_q16 + pull_duty * d.motor_slope_q16;
       const int32_t sum = missed_q16_ + greater<int32_t>(least, 0) - moved_q16;
       missed_q16_ = limited<int32_t>(sum, 0, d.missed_q16 + 1);
     }

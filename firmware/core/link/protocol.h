@@ -16,7 +16,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x33C4B481u;
+constexpr uint32_t kSchemaHash = 0x063720F1u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -1454,33 +1454,38 @@ enum class Param : uint16_t {
            // comes on top. Negative where a calibration has seen how much the body's pull saves.
            // 800 = the encoder is judged neither by its speed nor by the sensors that pass the tip,
            // as while it is calibrated. (1/800 of full)
+  kPullDuty = 87,  // Duty that growth needs less than spool_dead_zone and line_speed_um_s say, for
+                   // each body pressure: mostly what the body's pull on the tail saves. `thigmo
+                   // calibrate encoder` learns it. While the swing of a sensor in the tip's fold
+                   // shows that the body grows, the motor's speed is judged with it; a tip that
+                   // stands still leaves the tail slack, and the duty higher. (1/800 of full) [3]
   kMotorStallN =
-      87,  // Pull on the line at which full duty stalls, by the motor's data (default: 15 kg cm on
+      90,  // Pull on the line at which full duty stalls, by the motor's data (default: 15 kg cm on
            // a spool of 2 cm). 1/8 is added for a high supply and a cold winding. (N)
-  kLineRatingN = 88,  // What line and tail may be pulled with. Bounds the duty, and the speed of
+  kLineRatingN = 91,  // What line and tail may be pulled with. Bounds the duty, and the speed of
                       // winding in. (N)
-  kTouchNSM = 89,  // Pull that a line which is stopped at once adds for each m/s of its speed: the
+  kTouchNSM = 92,  // Pull that a line which is stopped at once adds for each m/s of its speed: the
                    // root of its stiffness times the mass that the turning motor is to the line.
                    // Default: 5 N/mm and 40 kg. (N s/m)
   kBrakeFitted =
-      90,  // 1: a spring-applied brake holds the spool, and contacts cut the motor's supply
+      93,  // 1: a spring-applied brake holds the spool, and contacts cut the motor's supply
            // (docs/hardware/electronics.md). The board then proves at arming that the brake holds.
            // 0: a robot without them; its motor keeps its supply when it is stopped.
   kDirectionSeen =
-      91,  // 1: somebody has seen the spool pay out when the motor was driven to, and the encoder
+      94,  // 1: somebody has seen the spool pay out when the motor was driven to, and the encoder
            // agreed; `thigmo bringup` asks, and stores it. Motor leads and encoder that are both
            // swapped look right to the board. 0: programs do not let the robot move by itself.
-  kHeartbeatMs = 92,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
+  kHeartbeatMs = 95,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
                       // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where
                       // the watchdog's 250 ms count if heartbeat_ms is less. (ms)
-  kSupplyMinMv = 93,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
+  kSupplyMinMv = 96,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
                       // that is 10 % off. (mV)
-  kReferenceMv = 94,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
+  kReferenceMv = 97,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
                       // supply / supply_mv as the board reports it. (mV)
   kTelemetryMs =
-      95,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
+      98,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
 };
-constexpr uint16_t kParamCount = 96;
+constexpr uint16_t kParamCount = 99;
 struct ParamRow {
   int32_t low, high, initial;
 };
@@ -1572,6 +1577,9 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
     {100, 100000, 8000},         // home_speed_um_s
     {10000, 2000000, 236000},    // line_speed_um_s
     {-200, 800, 5},              // speed_margin_duty
+    {-200, 400, 0},              // pull_duty
+    {-200, 400, 0},              // pull_duty
+    {-200, 400, 0},              // pull_duty
     {5, 2000, 147},              // motor_stall_n
     {5, 2000, 100},              // line_rating_n
     {0, 20000, 450},             // touch_n_s_m
@@ -1587,7 +1595,7 @@ constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
 struct ParamKey {
   uint8_t id, count;
 };
-constexpr uint8_t kParamKeys = 56;
+constexpr uint8_t kParamKeys = 57;
 constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {1, 10},  // flex_enabled
     {2, 10},  // flex_center_um
@@ -1636,6 +1644,7 @@ constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {45, 1},  // home_speed_um_s
     {51, 1},  // line_speed_um_s
     {52, 1},  // speed_margin_duty
+    {58, 3},  // pull_duty
     {53, 1},  // motor_stall_n
     {54, 1},  // line_rating_n
     {55, 1},  // touch_n_s_m

@@ -4,6 +4,8 @@
 // furthest out when its centre is in the fold. If that top has passed while the encoder is still
 // short of the sensor's centre, the body is longer than the encoder says: it loses counts. How far
 // a sensor swings is not needed, only that it does. Two sensors must say so, for one may be bad.
+//
+// While a reading still swings out the tip moves: the body then pulls at the tail.
 #ifndef THIGMO_CORE_SENSING_FOLD_WATCH_H_
 #define THIGMO_CORE_SENSING_FOLD_WATCH_H_
 
@@ -19,6 +21,9 @@ class FoldWatch {
   // A top is noticed some 0.7 cm behind the centre, once an eighth of the swing is gone. Places of
   // sensors and the confirmed length may be off by 1.1 cm.
   static constexpr int32_t kEarlyUm = 4000;
+  // A swing that grows by so much, more than noise, is of a tip that moved within the last looks.
+  static constexpr int32_t kRiseE5 = 200;
+  static constexpr uint8_t kMovesSteps = 30;
 
   // Growth begins from here. A sensor whose near end lies in the fold already still swings enough.
   void begin(int32_t length_um, uint16_t enabled, const Configuration& c) {
@@ -28,11 +33,12 @@ class FoldWatch {
       if (ahead) watched_ = static_cast<uint16_t>(watched_ | (enabled & 1u << i));
     }
     unseen_ = watched_;
-    next_ = early_ = 0;
+    next_ = early_ = moves_ = 0;
   }
 
   // Looks at one sensor, in turn. True when the second one has passed the tip too early.
   bool step(const FlexReadings& flex, int32_t length_um, const Configuration& c, const Derived& d) {
+    if (moves_ != 0) --moves_;
     const uint8_t i = next_;
     next_ = static_cast<uint8_t>(next_ + 1 == kSensors ? 0 : next_ + 1);
     const uint16_t bit = static_cast<uint16_t>(1u << i);
@@ -45,8 +51,9 @@ class FoldWatch {
       return false;
     }
     const int32_t swing = magnitude(curvature_e5(total, rest_[i], d.flex_gain_q16[i]));
-    if (swing > top_e5_[i]) {
+    if (swing > top_e5_[i] + kRiseE5) {
       top_e5_[i] = saturated16(swing);
+      moves_ = kMovesSteps;
       return false;
     }
     if (top_e5_[i] < kSwingE5 || swing > top_e5_[i] - (top_e5_[i] >> 3)) return false;
@@ -55,6 +62,9 @@ class FoldWatch {
     return ++early_ == 2;
   }
 
+  // Whether a sensor in the fold shows that the tip moves.
+  bool moves() const { return moves_ != 0; }
+
  private:
   int32_t rest_[kSensors] = {};  // total resistance, in the tail
   int16_t top_e5_[kSensors] = {};
@@ -62,6 +72,7 @@ class FoldWatch {
   uint16_t unseen_ = 0;  // no resting value yet
   uint8_t next_ = 0;
   uint8_t early_ = 0;  // sensors that passed too early
+  uint8_t moves_ = 0;  // control steps for which the tip counts as moving
 };
 
 }  // namespace thigmo

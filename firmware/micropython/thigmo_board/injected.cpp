@@ -2,9 +2,10 @@
 //
 // Little-endian. From the host:
 //   'I' cause u8, latched u8, nonce u32, adc_bits u8, frame_us u16, flash 8192   power or reset
-//   'S' ticks u8, flags u8, supply_mv u16, count u16, bytes of the line, then for each tick the
-//       counts 8 x u16 and the encoder at each pass 4 x i32; flags: 1 estop, 2 the main loop hangs,
-//       4 the motor has its supply
+//   'S' ticks u8, flags u8, supply_mv u16, encoder_errors u16, count u16, bytes of the line, then
+//   for
+//       each tick the counts 8 x u16 and the encoder at each pass 4 x i32; flags: 1 estop, 2 the
+//       main loop hangs, 4 the motor has its supply
 //   'C' bytes u32                        power fails in that byte written to flash from now on
 //   'G'                                  what is kept
 // To the host:
@@ -26,7 +27,7 @@ using namespace thigmo;
 constexpr uint16_t kFlashSize = 2 * kFlashSector;
 constexpr uint8_t kMostTicks = 10;
 constexpr uint16_t kTickBytes = 2 * kAdcSlots + 4 * kPasses;
-constexpr uint16_t kStepHeader = 7;
+constexpr uint16_t kStepHeader = 9;
 constexpr uint16_t kMostLine = 4096;
 
 // One machine: a chip's flash, what its RAM keeps, and the controller while it lives. All zeros at
@@ -97,6 +98,7 @@ void step(const uint8_t* at) {
   const uint8_t ticks = take<uint8_t>(at);
   const uint8_t flags = take<uint8_t>(at);
   const uint16_t supply_mv = take<uint16_t>(at);
+  const uint16_t encoder_errors = take<uint16_t>(at);
   const uint16_t count = take<uint16_t>(at);
   const uint8_t* const line = at;
   at += count;
@@ -104,7 +106,7 @@ void step(const uint8_t* at) {
   pass_times(instants);
   bool bites = false;
   if (machine.alive) {
-    board().inputs(supply_mv, (flags & 1) != 0, (flags & 4) != 0);
+    board().inputs(supply_mv, encoder_errors, (flags & 1) != 0, (flags & 4) != 0);
     board().sent(line, count);
   }
   for (uint8_t i = 0; i < ticks && machine.alive; ++i) {
@@ -187,7 +189,7 @@ uint32_t message_size(const uint8_t* at, uint32_t filled) {
     case 'S': {
       if (filled < kStepHeader) return kStepHeader;
       uint16_t count;
-      memcpy(&count, at + 5, sizeof count);
+      memcpy(&count, at + 7, sizeof count);
       return kStepHeader + count + static_cast<uint32_t>(at[1]) * kTickBytes;
     }
     case 'C':

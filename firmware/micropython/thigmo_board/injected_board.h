@@ -97,9 +97,10 @@ class InjectedBoard {
     encoder_ = encoder;
     move_lines();
   }
-  void inputs(uint16_t supply_mv, bool estop, bool motor_power) {
+  void inputs(uint16_t supply_mv, uint16_t encoder_errors, bool estop, bool motor_power) {
     motor_power_ = motor_power;
     supply_mv_ = supply_mv;
+    encoder_errors_ = encoder_errors;
     estop_ = estop;
   }
   void convert(uint32_t tick, const uint16_t* count) {
@@ -150,7 +151,7 @@ class InjectedBoard {
     if (wanted.brake) enabled_us_[3] = now_us_;
   }
   int32_t encoder_count() { return encoder_; }
-  uint16_t encoder_errors() { return 0; }  // counts are given, not decoded
+  uint16_t encoder_errors() { return encoder_errors_; }
   uint16_t supply_mv() { return supply_mv_; }
   bool estop() { return estop_; }
   bool motor_power() { return motor_power_; }
@@ -212,6 +213,7 @@ class InjectedBoard {
   uint32_t enabled_us_[4] = {kNever, kNever, kNever, kNever};
   int32_t encoder_ = 0;
   uint16_t supply_mv_ = 5000;
+  uint16_t encoder_errors_ = 0;
   uint16_t overruns_ = 0;
   int16_t drive_[kSides] = {-1, -1};
   int16_t motor_ = 0;

@@ -16,6 +16,7 @@ import numpy as np
 
 from thigmo import wiring
 from thigmo.calibrate.columns import Array, places_of
+from thigmo.calibrate.drive import Drive
 from thigmo.calibrate.eyes import Eyes
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
@@ -226,6 +227,8 @@ def growth_rows(bench: Bench) -> list[Row]:
     spool, held = bench.config.spool, bench.session.rows("growth")
 
     def stop(length: float) -> None:
+        for row in drive.rows():
+            bench.session.add("drive", {"key": f"stop {length:g} zone {row['zone']}", **row})
         key = f"stop {length:g}"
         if key in held:
             return
@@ -246,7 +249,8 @@ def growth_rows(bench: Bench) -> list[Row]:
     margin = bench.robot.parameter(_JUDGED)
     bench.robot.set_parameter(_JUDGED, [wire.PARAMETERS[_JUDGED].high])
     try:
-        bench.bring_to(bench.config.body.length_cm, stop)
+        with Drive(bench.robot, bench.config) as drive:
+            bench.bring_to(bench.config.body.length_cm, stop)
     finally:
         bench.robot.set_parameter(_JUDGED, list(margin))
     return list(bench.session.rows("growth").values())

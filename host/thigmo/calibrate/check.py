@@ -61,14 +61,18 @@ def guided(bench: Bench) -> CheckResult:
         psi = getattr(record, f"{side}_psi")
         readings.held_psi[side] = np.column_stack([record.t_s - record.t_s[0], psi])
         readings.bend_ohm[side] = bench.mean_ohm(record)
-        shot = bench.seen(
-            lambda: {"k": float(bench.eyes.axis(free_bend=True).coefficients[2])}, {"k": None}
-        )
+        shot = bench.seen(lambda: {"k": _bend(bench)}, {"k": None})
         if shot["k"] is not None:
             readings.bend_seen[side] = shot["k"]
         robot.vent()
         robot.wait(1.0)
     return run_check(readings, config)
+
+
+def _bend(bench: Bench) -> float:
+    """Curvature of the free bend that the camera sees, 1/cm."""
+    axis = bench.eyes.axis(free_bend=True, length_cm=bench.config.body.length_cm)
+    return float(axis.coefficients[2])
 
 
 def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:

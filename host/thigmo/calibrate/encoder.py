@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from thigmo.calibrate.bench import Bench, growth_rows
 from thigmo.calibrate.columns import Array, column
+from thigmo.calibrate.drive import Row, pull_duty
 from thigmo.calibrate.regression import Mask, fit_linear
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
 from thigmo.config import RobotConfig
@@ -27,6 +29,7 @@ class EncoderResult(StepResult):
     length_cm: Array  # (n,) by camera
     counts: Array  # (n,) of the encoder
     used: Mask  # (n,) rows that were kept
+    pull_duty: list[float | None]  # of 800, saved in growth at each body pressure; None: not seen
     verdict: Verdict
     EVIDENCE: ClassVar = ("length_cm", "counts", "used")
 
@@ -35,14 +38,18 @@ class EncoderResult(StepResult):
         return {**super().as_data(), "rows_left_out": np.flatnonzero(~self.used).tolist()}
 
     def write(self, config: RobotConfig) -> None:
-        """Counts per cm."""
+        """Counts per cm, and what the motor's duty gives at each body pressure."""
         config.spool.counts_per_cm = self.counts_per_cm
+        for zone, saved in zip(config.body.zones, self.pull_duty, strict=True):
+            if saved is not None:
+                zone.pull_duty = round(saved, 1)
 
 
 def guided(bench: Bench) -> EncoderResult:
-    """Counts per cm from the growth rows."""
+    """Counts per cm from the growth rows, and the motor's constant from its duty meanwhile."""
     rows = growth_rows(bench)
-    return fit_encoder(column(rows, "counts"), column(rows, "seen_cm"), bench.config)
+    drive = list(bench.session.rows("drive").values())
+    return fit_encoder(column(rows, "counts"), column(rows, "seen_cm"), bench.config, drive)
 
 
 def of_csv(table: Table, config: RobotConfig) -> EncoderResult:
@@ -50,8 +57,10 @@ def of_csv(table: Table, config: RobotConfig) -> EncoderResult:
     return fit_encoder(table.numbers("counts"), table.numbers("length_cm"), config)
 
 
-def fit_encoder(counts: Array, length_cm: Array, config: RobotConfig) -> EncoderResult:
-    """Slope of counts over length, in order of growth.
+def fit_encoder(
+    counts: Array, length_cm: Array, config: RobotConfig, drive: Sequence[Row] = ()
+) -> EncoderResult:
+    """Slope of counts over length, in order of growth; `drive`: rows of `Drive`.
 
     A slip of the line (the spool turns, the tip does not) shifts all later rows: detected and said.
     """
@@ -97,8 +106,12 @@ def fit_encoder(counts: Array, length_cm: Array, config: RobotConfig) -> Encoder
         reason = f"{value:.2f} counts per cm of line +- {100 * error / value:.2f} %"
         if not good:
             reason += "; take more lengths"
+    pulls = pull_duty(drive, value, config)
+    if drive and None in pulls:
+        notes.append("the motor's duty was not seen at every body pressure: retract the robot and "
+                     "repeat with --again, for the board to notice lost counts sooner")  # fmt: skip
     verdict = Verdict(good, reason, tuple(notes))
-    return EncoderResult(value, error, length_cm, counts, fit.used, verdict)
+    return EncoderResult(value, error, length_cm, counts, fit.used, pulls, verdict)
 
 
 def _slip(counts: Array, length: Array) -> tuple[int, float] | None:

@@ -43,7 +43,7 @@ Direction = Literal[-1, 0, 1]
 
 _CAMERA_SCALE_SE = 0.002  # what the camera's own scale may be off by, common to all rows
 _LEAST_NOISE = 5e-5  # 1/cm
-# A bend goes back if it falls by this share of the largest; so many rows of that show the loop.
+# A bend goes back if it falls by this share of the largest. This many such rows show the loop.
 _FALL, _LEAST_BACK = 0.02, 3
 
 

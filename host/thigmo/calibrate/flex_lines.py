@@ -39,7 +39,7 @@ _LASTING_PRIOR = [0.7] + [0.3 / 9] * 9
 # One sigma over sweeps of a sensor's gain, relative [a guess: root mean square 0.9 %].
 _SWEEP_GAINS = (0.0, 0.01, 0.02)
 _SWEEP_PRIOR = (0.6, 0.25, 0.15)
-_PRIOR_COUNT = 1.0  # so many sensors' worth is the prior against what the others show
+_PRIOR_COUNT = 1.0  # weight of the prior, in sensors
 
 
 def loop_turns(model: Array, block: NDArray[np.int64], width: float = LOOP_WIDTHS[1]) -> Array:

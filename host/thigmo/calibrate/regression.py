@@ -49,7 +49,7 @@ def fit_linear(
         known_se: (n,) standard error of each row that is known beforehand; the remaining scatter
             is estimated and added.
         reject: leave outliers out, not only rows that are not finite.
-        firm: so many rows at the end say what is known beforehand and are never outliers.
+        firm: number of rows at the end that are prior knowledge and never outliers.
     """
     known = np.broadcast_to(np.asarray(known_se, float), y.shape)
     rows = np.flatnonzero(np.isfinite(np.column_stack([design, y, known])).all(axis=1))
@@ -148,7 +148,7 @@ def _weighted(a: Array, b: Array, e: Array) -> tuple[Array, Array, float]:
 
 
 def outlying(values: Array, limit: float, least: Array | float) -> Mask:
-    """Values (n,) farther from their median than `limit` sigmas, of which each has `least`."""
+    """Values (n,) farther than `limit` sigmas from their median; a sigma is at least `least`."""
     sigma = np.maximum(median_abs_deviation(values, scale="normal"), least)
     return np.asarray(np.abs(values - np.median(values)) > limit * sigma)
 

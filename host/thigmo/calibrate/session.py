@@ -121,4 +121,6 @@ def blank(config: RobotConfig) -> RobotConfig:
     made.body.critical_curvature_se = fresh.body.critical_curvature_se
     made.body.stiffness_n_cm2 = None
     made.spool.counts_per_cm = fresh.spool.counts_per_cm
+    for zone in made.body.zones:
+        zone.pull_duty = 0.0
     return made

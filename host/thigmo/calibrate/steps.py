@@ -57,7 +57,7 @@ STEPS = {
         pressure.guided, pressure.of_csv, "left_count, right_count", needed=True
     ),
     "encoder": Step(
-        encoder.guided, encoder.of_csv, "counts, length_cm", ("growth",), needed=True
+        encoder.guided, encoder.of_csv, "counts, length_cm", ("growth", "drive"), needed=True
     ),
     "actuator": Step(
         actuator.guided, actuator.of_csv,

@@ -181,7 +181,7 @@ def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
 
 
 def other_dictionary(picture: Picture, name: str) -> str:
-    """The dictionary of another name of which most markers are seen, if four or more; else empty.
+    """The other dictionary with the most markers in view, if four or more; else empty.
 
     Those of `_LARGEST` hold the smaller ones of their marker size.
     """

@@ -131,7 +131,7 @@ def params(
 
 
 def clear(robot: RobotOption, as_json: JsonOption = False) -> None:
-    """Let a stopped robot go, and clear faults whose cause is gone; others are told."""
+    """Let a stopped robot go, and clear faults whose cause is gone; lists those that remain."""
     from thigmo.robot import connect
 
     with connect(robot) as machine:

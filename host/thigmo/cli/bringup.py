@@ -122,8 +122,12 @@ def bringup(
 
 def jog(
     robot: RobotOption,
-    out: Annotated[float, typer.Option("--out", help="Pay out so many cm of tip, at most 5.")] = 0,
-    wind: Annotated[float, typer.Option("--in", help="Wind in so many cm of tip, at most 5.")] = 0,
+    out: Annotated[
+        float, typer.Option("--out", help="Centimetres of tip to pay out, at most 5.")
+    ] = 0,
+    wind: Annotated[
+        float, typer.Option("--in", help="Centimetres of tip to wind in, at most 5.")
+    ] = 0,
     by_page: HeldOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -73,7 +73,7 @@ def calibrate(
 
     pressure: zeros of the pressure sensors, vented.
 
-    encoder: the robot grows; counts against the length seen.
+    encoder: the robot grows; counts against the length seen, and the motor's duty meanwhile.
 
     actuator: free bends of both muscles at every body pressure; maps, and the lag.
 

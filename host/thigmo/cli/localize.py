@@ -74,7 +74,7 @@ def localize(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="robot.toml: all these errors, as calibrated; a flag goes before it."),
+        typer.Option(help="robot.toml: all these errors, as calibrated; flags override it."),
     ] = None,
     side: Annotated[
         str | None, typer.Option(help="Inflated muscle, for --config: left or right.")

@@ -28,6 +28,7 @@ from thigmo.cli.localize import localize
 from thigmo.cli.robot import robot
 from thigmo.cli.ros import ros
 from thigmo.cli.runs import export, info, replay
+from thigmo.cli.score import score
 from thigmo.cli.watch import watch
 from thigmo.errors import ThigmoError
 
@@ -36,7 +37,7 @@ _UsageError: Any = typer.BadParameter.__base__
 
 
 class _Thigmo(TyperGroup):
-    """The command; what nobody below it said of an interrupt or of wrong arguments, it says."""
+    """The command: reports interrupts and usage errors that no subcommand has handled."""
 
     def make_context(self, *args: Any, **options: Any) -> Any:
         """Parse the arguments."""
@@ -76,7 +77,7 @@ app = typer.Typer(
 )
 for function in (
     explore, watch, localize, replay, info, export, stop, params, clear, retract, ros, flash,
-    bringup, jog, press, emulator.emulate, calibrate, experiment, bench, design,
+    bringup, jog, press, emulator.emulate, calibrate, experiment, bench, score, design,
 ):  # fmt: skip
     app.command()(function)
 groups = {"robot": robot, "scene": emulator.scene, "camera": camera.group}

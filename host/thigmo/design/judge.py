@@ -26,7 +26,7 @@ from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
-from thigmo.wiring import BASES, beyond_board
+from thigmo.wiring import BASES, beyond_board, input_of
 
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
@@ -59,7 +59,18 @@ def judge(config: RobotConfig) -> list[Finding]:
     found += [*_growth(config), *_bends(config)]
     for side in config.sides:
         found += _feels(config, side)
-    return [*found, *_rates(config)]
+    return [*found, *_inputs(config), *_rates(config)]
+
+
+def _inputs(config: RobotConfig) -> Iterator[Finding]:
+    """On which of the board's inputs each column hangs, as page, record and export name them."""
+    if beyond_board(config):
+        return
+    wired = input_of(config)
+    for side in BASES:
+        own = [str(number) for (of, _), number in sorted(wired.items()) if of == side]
+        if own:
+            yield Finding(f"{side} column", "ok", f"base first on the inputs {', '.join(own)}")
 
 
 def _growth(config: RobotConfig) -> Iterator[Finding]:

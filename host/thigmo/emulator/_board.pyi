@@ -87,7 +87,7 @@ class VirtualBoard:
 
     # Its own.
     def stall(self, ticks: int) -> None:
-        """Let the main loop stand still for so many ms, and then go on."""
+        """Let the main loop stand still for a number of ms, and then go on."""
 
     def feed_trace(self, rows: NDArray[np.int64]) -> None:
         """Replace conversions by recorded ones, shape (n, 3): tick, channel, count."""

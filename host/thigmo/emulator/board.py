@@ -25,7 +25,7 @@ class Board(Protocol):
     """A controller board in lockstep with the emulated robot."""
 
     def step(self, ticks: int, /) -> None:
-        """Run for so many ticks of 1 ms."""
+        """Run for a number of ticks of 1 ms."""
 
     @property
     def now_us(self) -> int:
@@ -84,7 +84,7 @@ class Board(Protocol):
         """The configuration store's content."""
 
     def cut_power_after(self, n_bytes: int, /) -> None:
-        """Lose power once so many more bytes have been written to the store."""
+        """Lose power after this many more bytes have been written to the store."""
 
     def reset(self, cause: int, /) -> None:
         """Restart, for a `ResetCause`."""

@@ -106,7 +106,7 @@ class SimulatedMega:
 
     # --- time -------------------------------------------------------------------------------------
     def step(self, ticks: int) -> None:
-        """Run for so many milliseconds."""
+        """Run for a number of milliseconds."""
         chip = self.chip
         start, end = self._grid, self._grid + ticks * CYCLES_PER_MS
         chip.analog(self._analog[:, 0], self._analog[:, 1], start, end)

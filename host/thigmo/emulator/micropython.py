@@ -95,6 +95,7 @@ class MicroPythonBoard:
         self._sent = bytearray()
         self._received = bytearray()
         self._supply_mv = 5000
+        self._encoder_errors = 0
         self._estop = self._hung = self._motor_power = False
         self._encoder = (0.0, 0.0)
         self._encoder_origin = np.int32(0)
@@ -251,7 +252,7 @@ class MicroPythonBoard:
 
     # --- time -------------------------------------------------------------------------------------
     def step(self, ticks: int) -> None:
-        """Run for so many milliseconds."""
+        """Run for a number of milliseconds."""
         done = 0
         while done < ticks:
             count = min(ticks - done, self._boot_left or _MOST_TICKS)
@@ -280,7 +281,8 @@ class MicroPythonBoard:
         flags = self._estop | self._hung << 1 | self._motor_power << 2
         line = bytes(self._sent)
         self._sent.clear()
-        message = struct.pack("<BBHH", count, flags, self._supply_mv, len(line))
+        errors = self._encoder_errors
+        message = struct.pack("<BBHHH", count, flags, self._supply_mv, errors, len(line))
         try:
             self._tell(b"S" + message + line + rows.tobytes())
             while self._hear(1) == b"R":  # the program has begun again, in this step or before
@@ -336,6 +338,10 @@ class MicroPythonBoard:
         """Encoder position (x4 counts) at the next step's start and end."""
         self._encoder = (start, end)
 
+    def set_encoder_errors(self, errors: int) -> None:
+        """Illegal transitions of the encoder so far, modulo 65536."""
+        self._encoder_errors = errors
+
     def set_supply_mv(self, millivolt: int) -> None:
         """Supply voltage."""
         self._supply_mv = millivolt
@@ -388,7 +394,7 @@ class MicroPythonBoard:
         return self._keep() if self._process is not None else b""
 
     def cut_power_after(self, n_bytes: int) -> None:
-        """Cut the power once so many more bytes have been written to the flash."""
+        """Cut the power after this many more bytes have been written to the flash."""
         self._tell(b"C" + struct.pack("<I", n_bytes))
 
     def reset(self, cause: int) -> None:

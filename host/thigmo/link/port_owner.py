@@ -1,6 +1,6 @@
 """Who has a serial port open, in the operator's words.
 
-A port that is in use takes no stop from outside: whoever reads that must know which program to end.
+A port that is in use takes no stop from outside: the operator must know which program to end.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ class SerialTransport:
             ) from error
 
     def _touch(self) -> None:
-        """Renew the heart's lease; called by whoever reads or writes, so by the main thread."""
+        """Renew the heart's lease; called by every read and write, and so by the main thread."""
         if self.now() - self._touched_s >= _TOUCH_S and self._failure is None:
             self._tell(Kind.LEASE)
 

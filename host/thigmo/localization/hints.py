@@ -1,6 +1,7 @@
 """Mistakes in a table of readings that can be seen in the readings themselves.
 
-Each is a sentence for whoever made the table. None changes an answer: a body may bend like that.
+Each is a sentence for the person who made the table. None changes an answer: a body may bend like
+that.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from thigmo.localization.result import Array, LocalizeResult
 
 # Log of how much likelier the readings must be with positions counted from the tip.
 _TURNED = 7.0
+_HELD = 0.9  # probability of a held end from which any gain is a reason to look
 _OPPOSITE = 0.1  # share of the squares that a change of sign leaves
 _SIGMAS = 5.0  # root mean square from which readings are more than noise
 
@@ -35,9 +37,12 @@ def hints(
             "column that faces the other way"
         )
     turned = localize(curvature, result.length - position, **options)
-    if turned.log_odds - result.log_odds > _TURNED:
+    # Counted from the tip, a contact's moment grows towards the end, as that of a held end does.
+    held = result.hypotheses.get("end wrench", 0.0) > _HELD
+    if turned.log_odds - result.log_odds > (0.0 if held else _TURNED):
         found.append(
             "the readings look as if positions were counted from the tip: count them from the base"
+            + (" (or does something hold the end?)" if held else "")
         )
     return tuple(found)
 

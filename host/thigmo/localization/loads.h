@@ -579,7 +579,7 @@ class SetsGrid {
     const double gap = *std::min_element(width.begin(), width.end()) * 0.5;
     std::size_t most = 1;
     for (int j = 0; j < count_; ++j) most *= cells_;
-    for (int j = 0; j < count_; ++j) column_[j].resize(most);
+    if (column_[count_ - 1].size() < most) column_.fill(std::vector<int>(most));
     const auto after = [&](int contact, int column) {
       int m = contact * cells_;
       while (m < (contact + 1) * cells_ && place[m] - place[column] < gap) ++m;
@@ -607,8 +607,13 @@ class SetsGrid {
   THIGMO_WIDE void set(const Matrix& white, const Row& read, const Row& base, const Row& unit) {
     const int wide = white.columns, sets = size(), cells = cells_;
     of_.resize(kRows, padded());
-    products_.resize(2 + cells, wide);
+    products_.resize(4 + cells, wide);
     double* __restrict told = products_[0], * __restrict square = products_[1];
+    double* __restrict variance = products_[2], * __restrict precision = products_[3];
+    for (int k = 0; k < wide; ++k) {
+      variance[k] = unit[k] * unit[k];
+      precision[k] = 1.0 / variance[k];
+    }
     std::fill_n(told, 2 * wide, 0.0);
     for (int i = 0; i < white.rows; ++i) {
       const double *row = white[i], own = read[i];
@@ -617,28 +622,23 @@ class SetsGrid {
     for (int j = 0; j < count_; ++j) {
       const int* at = column_[j].data();
       gather(at, told, of_[kTold + j]), gather(at, square, of_[gram(j, j)]);
-      gather(at, base.data(), of_[kBase + j]), gather(at, unit.data(), of_[kVariance + j]);
+      gather(at, base.data(), of_[kBase + j]), gather(at, variance, of_[kVariance + j]);
+      gather(at, precision, of_[kPrecision + j]);
       for (int l = 0; l < j; ++l) {
         for (int m = 0; m < cells; ++m) {
-          double* __restrict to = products_[2 + m];
-          std::fill_n(to, cells, 0.0);
-          for (int i = 0; i < white.rows; ++i) {
-            const double *row = white[i] + j * cells, own = white[i][l * cells + m];
-            for (int k = 0; k < cells; ++k) to[k] += own * row[k];
+          for (int k = 0; k < cells; k += 12) {
+            Four sum[3]{};
+            for (int i = 0; i < white.rows; ++i) {
+              const double *row = white[i] + j * cells + k, own = white[i][l * cells + m];
+              for (int part = 0; part < 3; ++part) sum[part] += own * four(row + 4 * part);
+            }
+            for (int part = 0; part < 3; ++part) four(products_[4 + m] + k + 4 * part) = sum[part];
           }
         }
         const int* beside = column_[l].data();
-        const double* from = products_[2] - l * cells * wide - j * cells;
+        const double* from = products_[4] - l * cells * wide - j * cells;
         double* __restrict to = of_[gram(j, l)];
         for (int s = 0; s < sets; ++s) to[s] = from[beside[s] * wide + at[s]];
-      }
-    }
-    for (int j = 0; j < count_; ++j) {
-      double* __restrict variance = of_[kVariance + j], * __restrict precision =
-                                                            of_[kPrecision + j];
-      for (int s = 0; s < padded(); ++s) {
-        variance[s] *= variance[s];
-        precision[s] = 1.0 / variance[s];
       }
     }
   }
@@ -706,8 +706,9 @@ class SetsGrid {
 
   // Numbers of columns for all sets.
   void gather(const int* at, const double* from, double* __restrict to) const {
-    for (int s = 0; s < size(); ++s) to[s] = from[at[s]];
-    for (int s = size(); s < padded(); ++s) to[s] = from[at[0]];
+    const int sets = size(), wide = padded();
+    for (int s = 0; s < sets; ++s) to[s] = from[at[s]];
+    for (int s = sets; s < wide; ++s) to[s] = from[at[0]];
   }
 
   // Numbers of four sets, as a processor takes them.

@@ -5,7 +5,7 @@ by any MCAP tool. Frames are kept as they were on the wire and decoded on readin
 localizer or decoder can go over an old run; others may add channels of their own. Log times are
 UTC, so that tools show when it was. Chunks are small and written as they close: a killed process
 loses less than a second, and the reader takes what is whole and says so. On a full disk the record
-ends with its last whole chunk, and whoever keeps it is told when he asks.
+ends with its last whole chunk, and `LogWriter.check` raises.
 """
 
 from __future__ import annotations

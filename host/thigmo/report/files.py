@@ -1,4 +1,4 @@
-"""Tables and figures as files: CSV and JSON for tables, PNG for figures."""
+"""Tables and figures as files: CSV and JSON for tables, PNG, SVG and PDF for figures."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ def write_files(
         for label, figure in figures.items():
             for axis in figure.axes:
                 axis.title.set_fontsize(9)  # `set_title` goes back to matplotlib's
-            with whole_file(path(label, "png")) as file:
-                figure.savefig(file, format="png", dpi=200)
+            for kind in ("png", "svg", "pdf"):
+                with whole_file(path(label, kind)) as file:
+                    figure.savefig(file, format=kind, dpi=200)
     return paths

@@ -25,6 +25,7 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     """The schema's parameters that robot.toml decides, by name, in wire units."""
     board, spool, body = config.board, config.spool, config.body
     flex = wiring.sensors(config)
+    pulls = [round(zone.pull_duty) for zone in body.zones]
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
     ratio = board.divider_ohm / _BOARD_DIVIDER_OHM
     # An output and input without a muscle has the settings of the other's.
@@ -46,6 +47,7 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
         "spool_speed_um_s": [round(spool.max_speed_cm_s * 1e4)],
         "spool_accel_um_s2": [round(spool.acceleration_cm_s2 * 1e4)],
         "line_speed_um_s": [round(spool.line_speed_cm_s * 1e4)],
+        "pull_duty": [*pulls, *[0] * (wire.PARAMETERS["pull_duty"].count - len(pulls))],
         "motor_stall_n": [round(spool.stall_n)],
         "line_rating_n": [round(spool.line_rating_n)],
         "brake_fitted": [int(spool.brake)],

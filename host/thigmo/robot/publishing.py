@@ -123,7 +123,7 @@ class Publisher:
             self._supply_v = value
 
     def take(self, frame: TelemetryFrame) -> None:
-        """Publish a frame to whoever listens, and gather it for the record."""
+        """Publish a frame to its listeners, and gather it for the record."""
         hub = self.hub
         if hub.wanted(Telemetry) or (hub.keep is None and hub.wanted(BodyShape)):
             block = self.decoded([frame])

@@ -91,8 +91,8 @@ class Supervised(Connected):
     ) -> Iterator[wire.Event]:
         """Events of an activity that was started, its last one (done, or zeroed) included.
 
-        Who ends it by `until` has to stop the activity. Raises CommandRefusedError if the board
-        ends it early, CommandTimeoutError if it has not ended in time.
+        If `until` ends the wait, the caller must stop the activity. Raises CommandRefusedError if
+        the board ends it early, CommandTimeoutError if it has not ended in time.
         """
         for look in self._looks(within_s, _PROMPT_S if until else _SLICE_S):
             for event in look:

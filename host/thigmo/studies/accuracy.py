@@ -260,7 +260,7 @@ def _claims(rows: list[Row]) -> list[Claim]:
         Claim("other noise than stated: least coverage",
               np.nanmin([row["covered"] for row in other]), 0.9, False),
         Claim("other noise than stated: localized and wrong",
-              max(row["wrong"] for row in other), 0.05),
+              max(row["wrong"] for row in other), 0.04),
     ]  # fmt: skip
 
 

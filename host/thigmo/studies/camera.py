@@ -81,7 +81,8 @@ def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:
     patches = [*card_decals(laid), tip_decal(sheet, x, y, 3.5)]
     picture = render(camera, View(BodyShape(x, y), pegs, patches), random_look(rng), rng)
     model = locate(picture, sheet, lens)
-    seen = look(picture, model, sheet, Seen(constant=free, obstacles=way in _DOWELS))
+    wanted = Seen(constant=free, obstacles=way in _DOWELS, length_cm=float(s[-1]))
+    seen = look(picture, model, sheet, wanted)
     grid = np.array([[gx, gy, RADIUS] for gx in (0, 14, 27, 40, 54) for gy in range(-40, 41, 20)])
     off = model.to_plane(camera.project(grid), RADIUS) - grid[:, :2]
     found = Glimpse(float(np.linalg.norm(off, axis=1).max()), model.accuracy_cm, free)

@@ -1,8 +1,8 @@
 """What a study is, and how studies run: over cores or a cluster, into tables, figures and claims.
 
-A study is a function from a `Context` to an `Outcome`. Tables become CSV and JSON, figures PNG;
-claims are the numbers that the project promises, each with its limit, printed with a verdict.
-Called by `thigmo bench` and `thigmo experiment`; `thigmo.studies` names the studies.
+A study is a function from a `Context` to an `Outcome`. Tables become CSV and JSON, figures PNG, SVG
+and PDF; claims are the numbers that the project promises, each with its limit, printed with a
+verdict. Called by `thigmo bench` and `thigmo experiment`; `thigmo.studies` names the studies.
 """
 
 from __future__ import annotations
@@ -183,7 +183,7 @@ def connect_cluster(address: str) -> Any:
 
 
 def write(outcome: Outcome, name: str, folder: Path) -> list[Path]:
-    """Write a study's tables (CSV, JSON), figures (PNG) and claims (JSON) into a folder.
+    """Write a study's tables (CSV, JSON), figures (PNG, SVG, PDF) and claims (JSON) into a folder.
 
     Raises:
         RunFolderError: the folder cannot be written.

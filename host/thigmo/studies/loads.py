@@ -98,11 +98,11 @@ def _read(
     return Scenes(bodies.readings(position, SPAN), position, free, arcs)
 
 
-def one(rng: np.random.Generator, count: int) -> Scenes:
+def one(position: Floats, rng: np.random.Generator, count: int) -> Scenes:
     """Straight bodies with one clear contact."""
     arcs = rng.uniform(15.0, LENGTH, (count, 1))
     forces = signs(rng, count)[:, None] * rng.uniform(0.003, 0.011, (count, 1)) / arcs
-    return _read(arcs, forces, BOTH, np.zeros(count))
+    return _read(arcs, forces, position, np.zeros(count))
 
 
 def near_base(bent: bool, rng: np.random.Generator, count: int) -> Scenes:
@@ -204,7 +204,10 @@ def _groups() -> dict[str, Group]:
             where = BOTH if n == 10 else COLUMN[:n]
             name = f"free, {n} readings, noise {label}"
             groups[name] = Group(partial(straight, where), 3000, noise)
-        groups[f"one contact, noise {label}"] = Group(one, count, noise)
+        groups[f"one contact, noise {label}"] = Group(partial(one, BOTH), count, noise)
+    groups["one contact, 5 readings, noise unknown"] = Group(
+        partial(one, COLUMN), options={"noise": None}
+    )
     for bent in (False, True):
         body = "bent" if bent else "straight"
         for odds in ODDS:
@@ -324,6 +327,12 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
                   most(free, lambda f: f.likely > 0), 0.01),
             Claim(f"noise {noise}: false second contacts", most(one, lambda f: f.likely > 1), 0.05),
         ]  # fmt: skip
+    doubted = [seen[f"one contact, {n}noise unknown"] for n in ("", "5 readings, ")]
+    claims += [
+        at_least("noise unknown, one contact: least coverage", min(map(_coverage, doubted)), 0.93),
+        Claim("noise unknown, one contact: localized and wrong, most",
+              most(doubted, lambda f: f.wrong), 0.04),
+    ]  # fmt: skip
     base = [[f for f in frames if f.stands_out >= STANDS_OUT] for frames in some("near the base")]
     usual = [f for body in ("straight", "bent")
              for f in seen[f"near the base, {body}, odds {ODDS[0]:g}"]]  # fmt: skip

@@ -28,13 +28,13 @@ BATCHES = (1, 10, 100, 1000, ROWS)
 BATCH = 100  # of which the time of a row is promised
 # What is drawn, and what is promised (microseconds); with the noise unknown three times that.
 KINDS: dict[str, tuple[Callable[[np.random.Generator], Case], float]] = {
-    "one contact, straight": (one_contact, 40.0),
-    "one contact, bent": (partial(scenes.actuated, position=BOTH), 150.0),
-    "two contacts": (scenes.two_contacts, 600.0),
+    "one contact, straight": (one_contact, 100.0),
+    "one contact, bent": (partial(scenes.actuated, position=BOTH), 200.0),
+    "two contacts": (scenes.two_contacts, 1000.0),
     "three contacts": (three_contacts, 20_000.0),
 }
 GRATINGS, GRATINGS_MS = SENSORS[-1], 50.0
-ROW_US = 20.0
+ROW_US = 40.0
 
 
 @contextmanager

@@ -19,13 +19,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from thigmo.localization import METHODS
-from thigmo.report.axes import GREEN
+from thigmo.report.axes import GREEN, RED
 from thigmo.studies import charts
 from thigmo.studies.attempt import attempt, mean_and_failures, mean_over
 from thigmo.studies.baselines import BASELINES
 from thigmo.studies.engine import Claim, Context, Outcome
 from thigmo.studies.pegs import any_peg
-from thigmo.studies.scenes import Case, actuated, few_sensors, one_contact, two_contacts
+from thigmo.studies.scenes import LENGTH, Case, actuated, few_sensors, one_contact, two_contacts
 
 DEFAULT = METHODS[0]
 CLAIMED = "one contact"
@@ -47,6 +47,7 @@ Row = dict[str, Any]
 """One method's results on one kind of scene.
 
     standard_error_cm: of the mean.
+    guess_cm: mean error of guessing even places.
     slower: times the default method's median time.
     default_over_it: the default method's mean error on the same cases over its own.
 """
@@ -69,6 +70,9 @@ def score(context: Context, scene: str, cases: int) -> list[Row]:
     rows = context.map(_case_scores, [(scene, context.seed, i) for i in range(cases)], scene)
     table = np.array(rows)  # (cases, methods, 2)
     default = float(np.median(table[:, 0, 1]))
+    guess = guess_cm(
+        [SCENES[scene](np.random.default_rng([context.seed, i])) for i in range(cases)]
+    )
     scores = []
     for column, method in enumerate(COMPARED):
         seen = ~np.isnan(table[:, column, 1])
@@ -81,9 +85,16 @@ def score(context: Context, scene: str, cases: int) -> list[Row]:
             "standard_error_cm": float(np.std(some) / np.sqrt(some.size)),
             "median_cm": float(np.median(some)), "p95_cm": float(np.percentile(some, 95)),
             "failures": failures, "time_us": time_us, "slower": time_us / default,
-            "default_over_it": mean_over(table[seen, 0, 0], errors),
+            "guess_cm": guess, "default_over_it": mean_over(table[seen, 0, 0], errors),
         })  # fmt: skip
     return scores
+
+
+def guess_cm(cases: list[Case]) -> float:
+    """Mean error of even places, the middle for one contact: what no reading is needed for."""
+    arcs = np.sort([case.arcs for case in cases], axis=1)
+    even = LENGTH * np.arange(1, arcs.shape[1] + 1) / (arcs.shape[1] + 1)
+    return float(np.abs(arcs - even).mean())
 
 
 def pareto(scores: list[Row]) -> list[Row]:
@@ -101,31 +112,24 @@ def _at(score: Row) -> tuple[float, float]:
 
 
 def chart(scores: list[Row]) -> Figure:
-    """Mean error against time, a panel a kind of scene, with the Pareto front; and the methods."""
+    """Mean error against time, a panel a kind of scene, with the Pareto front and all names."""
     scenes = list(dict.fromkeys(s["scene"] for s in scores))
-    number = {name: str(n) for n, name in enumerate(COMPARED, 1)}
     figure, axes = charts.panels(
-        len(scenes) // 2 + 1, 2, size=(6.4, 4.6),
-        title="Speed against accuracy (dot size: share of failures, no answer or > 10 cm off)",
+        -(-len(scenes) // 2), 2, size=(6.4, 5.6),
+        title="Speed against accuracy (bars: standard errors; dots: larger with more failures, "
+        "no answer or > 10 cm off)",
     )  # fmt: skip
     shown = [[s for s in scores if s["scene"] == k and np.isfinite(s["mean_cm"])] for k in scenes]
     for axis, scene, here in zip(axes, scenes, shown, strict=False):
         _draw(axis, scene, here)
     for axis in axes[len(scenes) :]:
         axis.set_axis_off()
-    half = -(-len(COMPARED) // 2)
-    for start in (0, half):
-        names = (f"{number[name]:>2} {name}" for name in COMPARED[start : start + half])
-        axes[len(scenes)].text(
-            0.5 * (start > 0), 0.95, "\n".join(names), va="top", fontsize=7, linespacing=1.6,
-            family="monospace", transform=axes[len(scenes)].transAxes,
-        )  # fmt: skip
     charts.legend_below(figure)
-    # Last: numbers keep their places only if nothing moves any more.
+    # Last: names keep their places only if nothing moves any more.
     figure.draw_without_rendering()
     for axis, here in zip(axes, shown, strict=False):
         points, front = list(map(_at, here)), list(map(_at, pareto(here)))
-        charts.named(axis, points, [number[s["method"]] for s in here], front)
+        charts.named(axis, points, [s["method"] for s in here], front)
     return figure
 
 
@@ -135,12 +139,18 @@ def _draw(axis: Axes, scene: str, here: list[Row]) -> None:
         *zip(*map(_at, front), strict=True), color=GREEN, linewidth=1.2, drawstyle="steps-post",
         zorder=1, label="Pareto front",
     )  # fmt: skip
+    axis.axhline(
+        here[0]["guess_cm"], color=RED, linewidth=0.9, linestyle="--", zorder=1,
+        label="guessing even places, without a reading",
+    )  # fmt: skip
     colors = [GREEN if one in front else "0.5" for one in here]
-    sizes = [15 + 100 * one["failures"] for one in here]
+    bars = np.minimum([one["standard_error_cm"] for one in here], 0.9 * errors)
+    axis.errorbar(times, errors, bars, fmt="none", ecolor="0.45", elinewidth=0.8, zorder=2)
+    sizes = [10 + 60 * one["failures"] for one in here]
     axis.scatter(times, errors, s=sizes, color=colors, zorder=2)
     axis.set(
         xscale="log", yscale="log", title=scene, xlabel="median time of one call (µs)",
-        ylabel="mean error of the arc (cm)", xlim=(times.min() / 3, times.max() * 3),
+        ylabel="mean error of the arc (cm)", xlim=(times.min() / 8, times.max() * 40),
     )  # fmt: skip
     axis.yaxis.set_major_formatter("{x:g}")
     axis.yaxis.set_minor_formatter("{x:g}")

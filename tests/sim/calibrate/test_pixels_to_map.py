@@ -89,6 +89,9 @@ def test_from_pixels_to_the_map(tmp_path):
                 assert np.abs(gap).max() < 0.005 * full
     assert found.body.critical_curvature == pytest.approx(0.0118, rel=0.03)
     assert found.spool.counts_per_cm == pytest.approx(71.0, rel=0.01)
+    # By half of body pressure times section, against 147 N at full duty.
+    pulls = [zone.pull_duty for zone in found.body.zones]
+    assert pulls == pytest.approx([17.7 * zone.pressure_psi for zone in found.body.zones], abs=4.0)
 
     (peg,) = scene.pegs
     with thigmo.connect(room, seed=4) as robot:

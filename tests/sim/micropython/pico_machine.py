@@ -98,6 +98,14 @@ class Pico:
         """Type at Python's prompt, over USB."""
         self._advance(0, keys=keys)
 
+    def interrupt(self) -> None:
+        """Ctrl-C until Python's prompt is there; what is typed before USB is connected is lost."""
+        for _ in range(20):
+            if ">>> " in self.console:
+                return
+            self._advance(50, keys="\x03")
+        raise AssertionError(f"no prompt in {self.console!r}")
+
     def until(self, text: str, limit_ms: int = 4000) -> None:
         """Let time pass until Python has printed something."""
         for _ in range(limit_ms // 10):

@@ -28,6 +28,7 @@ const { USBCDC } = await part('usb/cdc');
 const FLASH = 0x10000000;
 const RAM = 0x20000000;
 const NS = 8; // of a cycle at 125 MHz
+const RESET = Symbol('reset');
 
 // --- the image ------------------------------------------------------------------------------------
 const uf2 = readFileSync(image);
@@ -170,7 +171,10 @@ class Machine {
     this.pins();
     const watchdog = chip.peripherals[0x40058];
     watchdog.reason = reason;
-    watchdog.onWatchdogTrigger = () => (this.bitten = watchdog.reason);
+    watchdog.onWatchdogTrigger = () => {
+      this.bitten = watchdog.reason;
+      throw RESET; // out of the instruction or the clock: what follows is another life
+    };
     chip.peripherals[0x40064].readUint32 = () => (reason || before ? 0 : 0x100); // power-on
     chip.adc.channelValues[0] = Math.round((2500 / 3300) * 4095);
     this.usb();
@@ -318,30 +322,36 @@ class Machine {
   }
 
   run(us) {
-    const { chip, cores, own } = this;
-    const end = chip.clock.nanos + us * 1e3;
-    while (chip.clock.nanos < end) {
-      let spent = 0;
-      for (let i = 0; i < (this.running ? 2 : 1); ++i) {
-        const core = cores[i];
-        if (core.waiting) {
-          core.waiting = (core.idle = (core.idle ?? 0) + 1) % 64 !== 0; // an event of the other core
-          spent = Math.max(spent, 2);
-          continue;
-        }
-        chip.core = core;
-        chip.ppb = own[i];
-        spent = Math.max(spent, core.executeInstruction());
-        if (i === 0 && core.PC >>> 28 === 1) chip.readable = true; // boot2 was run again
-      }
-      chip.core = cores[0];
-      chip.ppb = own[0];
-      chip.clock.tick(spent * NS);
-      if (this.bitten) {
-        machine = new Machine(chip, this.bitten);
-        return machine.run((end - chip.clock.nanos) / 1e3);
-      }
+    const { clock } = this.chip;
+    const end = clock.nanos + us * 1e3;
+    try {
+      while (clock.nanos < end) this.instruction();
+    } catch (error) {
+      if (error !== RESET) throw error;
+      machine = new Machine(this.chip, this.bitten);
+      machine.run((end - clock.nanos) / 1e3);
     }
+  }
+
+  // One of each core's.
+  instruction() {
+    const { chip, cores, own } = this;
+    let spent = 0;
+    for (let i = 0; i < (this.running ? 2 : 1); ++i) {
+      const core = cores[i];
+      if (core.waiting) {
+        core.waiting = (core.idle = (core.idle ?? 0) + 1) % 64 !== 0; // an event of the other core
+        spent = Math.max(spent, 2);
+        continue;
+      }
+      chip.core = core;
+      chip.ppb = own[i];
+      spent = Math.max(spent, core.executeInstruction());
+      if (i === 0 && core.PC >>> 28 === 1) chip.readable = true; // boot2 was run again
+    }
+    chip.core = cores[0];
+    chip.ppb = own[0];
+    chip.clock.tick(spent * NS);
   }
 
   levels() {

@@ -104,8 +104,7 @@ def test_hello_growth_and_a_stop_that_outlasts_a_reset(
     stats = client.request(wire.GetLinkStats())
     assert (stats.rx_bad, stats.rx_overruns, stats.tx_dropped) == (0, 0, 0)
     assert stats.loop_max_us < 500
-    pico.type("\x03")
-    pico.until(">>> ")
+    pico.interrupt()
     pico.type("import machine; machine.reset()\r")
     transport.pass_time(0.1 + BOOT_S)
     assert pico.boots == 2
@@ -135,8 +134,7 @@ def test_ctrl_c_puts_the_outputs_off_before_python_goes_on(
 def test_a_controller_that_stands_still_is_reset_by_the_watchdog(
     pico: Pico, transport: EmulatorTransport
 ) -> None:
-    pico.type("\x03")
-    pico.until(">>> ")
+    pico.interrupt()
     off = "machine.mem32[0x40010004] = 1 << 16"  # power of the second core
     pico.type(f"import machine, thigmo_board, pins\rdef off(): {off}\r\r")
     pico.type("thigmo_board.run(pins.PINS, off)\r")
@@ -147,8 +145,7 @@ def test_a_controller_that_stands_still_is_reset_by_the_watchdog(
 
 def test_a_pin_map_that_the_chip_cannot_serve_is_refused(pico: Pico) -> None:
     pico.step(1000 * BOOT_S)
-    pico.type("\x03")
-    pico.until(">>> ")
+    pico.interrupt()
     pico.type("import thigmo_board; from pins import PINS\r")
     for name, pin, says in (
         ("link_tx", 14, "link_tx and link_rx"),

@@ -81,6 +81,21 @@ def test_hello_telemetry_a_sweep_and_a_stop_on_the_cortex_m3(bench: Make) -> Non
     assert robot.board.running
 
 
+def test_an_encoder_whose_signals_jump_is_a_stall(bench: Make) -> None:
+    robot = bench()
+    robot.robot.wait(0.3)
+    robot.robot.confirm_length(51.5, settled=True)
+    robot.robot.select_zone(2)
+    robot.robot.arm()
+    robot.client.request(wire.GrowTo(530_000, 0))
+    robot.transport.pass_time(0.3)
+    assert robot.board.motor > 0
+    robot.board.set_encoder_errors(60)
+    robot.transport.pass_time(0.1)
+    assert robot.board.braked
+    assert robot.client.request(wire.GetStatus()).faults & wire.Fault.SPOOL_STALL.mask
+
+
 def test_a_loop_that_hangs_is_restarted_by_the_watchdog(bench: Make) -> None:
     robot = bench()
     robot.press()

@@ -211,6 +211,22 @@ def test_encoder_slope_within_its_error():
     assert 0.6 < np.mean(np.square(misses)) < 1.8
 
 
+def test_the_motors_constant_is_the_least_that_was_seen_at_each_body_pressure():
+    config = RobotConfig()
+    length = np.arange(5.0, 53, 5.0)
+
+    def row(zone: int, duty: float) -> dict[str, float]:
+        return {"zone": zone, "duty": duty, "dead_zone": 60, "counts_s": 4.0 * 76.0}
+
+    # 4 cm/s of line at 23.6 cm/s for 740 of duty: 125.4 beyond the dead zone.
+    drive = [row(0, 160.0), row(0, 155.0), row(1, 170.0)]
+    result = fit_encoder(length * 152, length, config, drive)
+    assert result.pull_duty == [pytest.approx(25.4, abs=0.1), pytest.approx(15.4, abs=0.1), None]
+    assert "not seen at every body pressure" in result.verdict.notes[-1]
+    result.write(config)
+    assert [zone.pull_duty for zone in config.body.zones] == [25.4, 15.4, 0.0]
+
+
 def test_encoder_slip_reversal_and_lost_marker_are_detected():
     config = RobotConfig()
     rng = np.random.default_rng(3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from scipy.special import logsumexp
@@ -17,13 +19,16 @@ ERRORS = {"gain_error": 0.05, "offset_error": 3e-4, "map_error": 0.04}
 
 
 def weighed(curvature, free, **options):
-    """{(load, bad reading): log weight} of one frame."""
+    """{(load, bad reading): log weight} of one frame, summed over a kink's places."""
     options |= {"position": POSITION, "length": LENGTH, "span": SPAN, "noise": NOISE}
     localizer = Localizer.of(**options)._compiled
     own = np.full(1, free)
     found = localizer.localize(curvature, own, own)
     assert found.problem == 0
-    return {(load, bad): weight for load, bad, weight in found.weighed}
+    weights = {}
+    for load, bad, weight in found.weighed:
+        weights[load, bad] = np.logaddexp(weights.get((load, bad), -np.inf), weight)
+    return weights
 
 
 def covariance(curvature, free, factor):
@@ -67,6 +72,131 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
                 each.append(log_density(deviation**2 * np.outer(column, column), which >= 0))
         weight = logsumexp(each) - np.log(len(each)) + priors.CONTACT
         assert found[2, which] == pytest.approx(weight, abs=0.02)
+
+
+def dense(curvature, columns, *, doubted, mean=0.0):
+    """(S,) log densities of readings less `mean` under sets of shared columns (S, K, N)."""
+    levels = ((1.0, 0.0),)
+    if doubted:
+        levels = (
+            (1.0, np.log1p(-priors.NOISE_ODDS)),
+            (priors.NOISE_FACTOR, np.log(priors.NOISE_ODDS)),
+        )
+    y = curvature * LENGTH
+    left = np.broadcast_to(y - mean, (len(columns), y.size))
+    each = []
+    for factor, log_odds in levels:
+        white = (factor * NOISE * LENGTH) ** 2 + (priors.TRUST * np.abs(y).max()) ** 2
+        total = np.einsum("ski,skj->sij", columns, columns) + white * np.eye(y.size)
+        square = np.einsum("si,si->s", left, np.linalg.solve(total, left[..., None])[..., 0])
+        size = y.size * np.log(2.0 * np.pi)
+        each.append(log_odds - 0.5 * (square + np.linalg.slogdet(total)[1] + size))
+    return logsumexp(each, axis=0)
+
+
+def levers_at(arcs):
+    """(S, K, N) mean levers of forces at arcs (S, K) of a straight body of length one."""
+    return phi(arcs[..., None], POSITION / LENGTH, SPAN / LENGTH)
+
+
+def mean_of(logs):
+    return logsumexp(logs) - np.log(np.size(logs))
+
+
+@pytest.mark.parametrize(("count", "cells", "load"), [(2, 24, 6), (3, 12, 7)])
+def test_several_contacts_are_weighed_as_dense_normal_densities(count, cells, load):
+    curvature = 3e-5 * (phi(46.0, POSITION, SPAN) - 1.5 * phi(24.0, POSITION, SPAN))
+    curvature += 0.3 * NOISE * np.random.default_rng(2).standard_normal(10)
+    found = weighed(curvature, 0.0, contacts=count, critical_curvature=np.inf, held_end=False)
+    doubted = (found[0, -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
+    middles = (np.arange(cells) + 0.5) / cells
+    arcs = np.stack(np.meshgrid(*[middles] * count, indexing="ij"), -1).reshape(-1, count)
+    arcs = arcs[(np.diff(arcs, axis=1) > 0.0).all(axis=1)]  # base to tip, each in its own cell
+    logs = [
+        dense(
+            curvature,
+            scale / np.maximum(arcs, priors.LEAST_LEVER)[..., None] * levers_at(arcs),
+            doubted=doubted,
+        )
+        for scale in priors.MOMENTS
+    ]
+    orders = math.factorial(count) / (len(priors.MOMENTS) * cells**count)
+    weight = logsumexp(logs) + np.log(orders) + priors.CONTACT + (count - 1) * priors.ANOTHER
+    assert found[load, -1] == pytest.approx(weight, abs=1e-6)
+
+
+def kinks():
+    """(H, N) readings of one deviation of a kink between all ends of sensors, and their widths."""
+    low, high = ((POSITION + side * SPAN / 2) / LENGTH for side in (-1.0, 1.0))
+    edges = np.unique(np.r_[low, high])
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    inside = (low < middles[:, None]) & (middles[:, None] < high)
+    seen = inside.any(axis=1)
+    return (priors.ANGLE * inside / (high - low))[seen], np.diff(edges)[seen]
+
+
+def test_kinks_are_weighed_as_dense_normal_densities():
+    curvature = 1.5e-5 * phi(45.0, POSITION, SPAN) + 0.2 * kinks()[0][2] / LENGTH
+    curvature += NOISE * np.random.default_rng(4).standard_normal(10)
+    options = {"contacts": 1, "critical_curvature": np.inf, "held_end": False}
+    found = weighed(curvature, 0.0, **options)
+    columns, widths = kinks()
+    log_odds = priors.HINGE + np.log(widths)
+    alone = dense(curvature, columns[:, None], doubted=True) + log_odds
+    assert found[1, -1] == pytest.approx(logsumexp(alone), abs=1e-6)
+    arcs = ((np.arange(200) + 0.5) / 200)[:, None]
+    each = []
+    for column, odds in zip(columns, log_odds, strict=True):
+        beside = np.broadcast_to(column, (len(arcs), 1, 10))
+        logs = [
+            dense(
+                curvature,
+                np.concatenate([scale / arcs[..., None] * levers_at(arcs), beside], axis=1),
+                doubted=True,
+            )
+            for scale in priors.MOMENTS
+        ]
+        each.append(mean_of(logs) + odds + priors.CONTACT)
+    assert found[5, -1] == pytest.approx(logsumexp(each), abs=0.05)
+
+
+def test_a_held_end_is_weighed_as_dense_normal_densities():
+    curvature = 2e-5 * phi(LENGTH, POSITION, SPAN) + 5e-4
+    curvature += NOISE * np.random.default_rng(6).standard_normal(10)
+    found = weighed(curvature, 0.0, critical_curvature=np.inf, held_end=True, contacts=1)
+    doubted = (found[0, -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
+    loads = np.stack([levers_at(np.ones(1))[0], np.ones(10)])  # the tangential force bends nothing
+    logs = [dense(curvature, scale * loads[None], doubted=doubted) for scale in priors.MOMENTS]
+    assert found[3, -1] == pytest.approx(mean_of(logs) + priors.CONTACT, abs=0.02)
+
+
+def test_a_folded_base_is_weighed_as_dense_normal_densities():
+    critical, error, radius = 0.002, 0.1, 1.75
+    low, high = ((POSITION + side * SPAN / 2) / LENGTH for side in (-1.0, 1.0))
+    diameter = 2.0 * radius / LENGTH
+    fold = np.maximum(np.minimum(high, diameter) - low, 0.0) / (high - low) / diameter
+    curvature = critical / 40.0 * phi(40.0, POSITION, SPAN) + 0.1 * fold / LENGTH
+    curvature += NOISE * np.random.default_rng(8).standard_normal(10)
+    found = weighed(
+        curvature, 0.0, critical_curvature=critical, critical_curvature_error=error,
+        tube_radius=radius, contacts=1, held_end=False, end_face_odds=0.0,
+    )  # fmt: skip
+    doubted = (found[0, -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
+    arcs, angles = (np.arange(60) + 0.5) / 60, np.linspace(0.0, 4.0, 401)[:, None]
+    half = np.full((401, 1), angles[1, 0] * 2.0 / np.sqrt(2.0 * np.pi)) * np.exp(-0.5 * angles**2)
+    half[0] *= 0.5
+    each = []
+    for arc in arcs[arcs >= 0.02]:
+        levers = critical * LENGTH / arc * levers_at(np.array(arc))
+        for sign in (-1.0, 1.0):
+            logs = dense(
+                curvature, np.broadcast_to(error * levers, (401, 1, 10)), doubted=doubted,
+                mean=sign * (levers + priors.ANGLE * angles * fold),
+            )  # fmt: skip
+            each.append(logsumexp(logs + np.log(half[:, 0])) - np.log(2.0))
+    within = [math.erf(critical * LENGTH / (np.sqrt(2.0) * m)) for m in priors.MOMENTS]
+    weight = logsumexp(each) - np.log(60) + priors.CONTACT + np.log(1.0 - np.mean(within))
+    assert found[4, -1] == pytest.approx(weight, abs=0.05)
 
 
 def test_an_edited_prior_changes_the_answers_of_the_next_localizer(monkeypatch):

@@ -1,0 +1,71 @@
+"""The motor's constant at work: the duty that growth takes at its speed, by body pressure.
+
+The board judges the encoder by the motor's speed at its duty. What this motor and this body differ
+from the data sheet by, above all the pull on the tail, is learnt while the body grows anyway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+
+from thigmo.config import RobotConfig
+from thigmo.link import protocol as wire
+from thigmo.robot import Robot
+from thigmo.stream import Telemetry
+
+Row = dict[str, Any]
+
+_FULL = wire.PARAMETERS["speed_margin_duty"].high  # duty of the whole supply
+_SHORTEST_S = 1.5  # of growth, whose middle half is taken
+
+
+class Drive(AbstractContextManager["Drive"]):
+    """Takes telemetry of a robot that grows, from entering to leaving."""
+
+    def __init__(self, robot: Robot, config: RobotConfig) -> None:
+        self._robot, self._config = robot, config
+        self._dead_zone = robot.parameter("spool_dead_zone")[0]
+        self._seen: list[tuple[float, float, float]] = []
+        self._end = robot.on_telemetry(self._take)
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def _take(self, frame: Telemetry) -> None:
+        if frame.activity == wire.Activity.GROWING.key:
+            self._seen.append((frame.device_s, frame.length_cm, _FULL * frame.motor))
+
+    def rows(self) -> list[Row]:
+        """Duty and encoder counts a second in each body pressure grown at since the last call."""
+        seen, self._seen = np.array(self._seen).reshape(-1, 3), []
+        body, spool = self._config.body, self._config.spool
+        zones = np.array([body.zone_at(length) for length in seen[:, 1]])
+        found = []
+        for zone in range(len(body.zones)):
+            t, length, duty = seen[zones == zone].T
+            if not len(t) or np.ptp(t) < _SHORTEST_S:
+                continue
+            middle = np.abs(t - (t[0] + t[-1]) / 2) < np.ptp(t) / 4
+            cm_s = float(np.polyfit(t[middle], length[middle], 1)[0])
+            found.append({
+                "zone": zone, "duty": float(duty[middle].mean()), "dead_zone": self._dead_zone,
+                "counts_s": cm_s * spool.counts_per_cm * spool.payout_ratio,
+            })  # fmt: skip
+        return found
+
+
+def pull_duty(rows: Sequence[Row], counts_per_cm: float, config: RobotConfig) -> list[float | None]:
+    """Duty of 800 by which growth needs less than the motor's data say, for each body pressure.
+
+    The least that was seen: what is learnt must not accuse a sound encoder. None where none was.
+    """
+    saved: list[list[float]] = [[] for _ in config.body.zones]
+    for row in rows:
+        line_cm_s = row["counts_s"] / counts_per_cm
+        turning = line_cm_s / config.spool.line_speed_cm_s * (_FULL - row["dead_zone"])
+        saved[row["zone"]].append(row["dead_zone"] + turning - row["duty"])
+    return [min(each, default=None) for each in saved]
