@@ -31,7 +31,7 @@ from thigmo.link.transport import emulated, open_transport
 from thigmo.live import shown
 from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
-from thigmo.live.relay import Watched, Way, stop_port, way_to
+from thigmo.live.relay import Watched, Way, stop_port, stop_run, way_to
 from thigmo.live.shown import PastRun, board, body, config_in, pegs, row_text, thinned
 from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.viewer import Viewer
@@ -50,7 +50,6 @@ _MOST_SHAPES_A_TICK = 4
 _HISTORY_S = 0.02  # between the rows that a page gets which comes later
 _HISTORY_ROWS = 6000
 _LEAVES_S = 60.0
-_STOP_S = 5.0  # for an emulated run to end
 
 
 @dataclass(frozen=True, slots=True)
@@ -427,11 +426,7 @@ class PageServer:
         with self._stopping:  # two who press at once are one after the other
             run, at_s = self._run.moving, time.time()
             try:
-                if run is not None and run.virtual and self._watched is not None:
-                    self._watched.stop(_STOP_S)
-                    stopped = [run.url]
-                else:
-                    stopped = stop_port(run)
+                stopped = stop_run(self._watched, run) if self._watched else stop_port(run)
             except ThigmoError as error:
                 failed = str(error)
             self._latched = self._latched or bool(stopped)
