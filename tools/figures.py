@@ -393,7 +393,10 @@ SOURCES: dict[str, Source] = {
             "loads": {},
             "number": {"number-number.png": "number.png", "number-trade.png": "trade.png"},
             "sweeps": {},
-            "exploration": {"exploration-explorations.png": "explorations.png"},
+            "exploration": {
+                "exploration-explorations.png": "explorations.png",
+                "exploration-dial.png": "dial.png",
+            },
             "robots": {},
             "plant-models": {},
             "camera": {},

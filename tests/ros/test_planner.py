@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,11 @@ from served import LIVE, comes, ready_to_sweep
 
 import thigmo
 from thigmo.emulator.scene import Scene
-from thigmo.errors import StoppedByViewerError
+from thigmo.errors import RobotFaultError, StoppedByViewerError
+from thigmo.stream import Hello, Hub, Server
+
+# A run hears of a stop from its viewer and from its board, whichever is first.
+STOPPED = (StoppedByViewerError, RobotFaultError)
 
 
 @pytest.fixture(scope="module")
@@ -114,8 +120,10 @@ def test_planner_that_comes_later_gets_a_finished_run_s_map(
 @pytest.mark.parametrize("stop", ["stop", "stop, best effort"])
 def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: str) -> None:
     planner = ros.planner()
-    ros.bridge()
+    bridge = ros.bridge("--run", str(os.getpid()))
     bent = threading.Event()
+    asked: list[str] = []  # of another run at the same address, which is the youngest
+    hello = Hello(0.0, time.time() + 3600.0, url, "another", "", 1, "0", True)
 
     def ask() -> None:
         planner.hears(lambda told: abs(sum(told.get("positions", [0])[1:])) > 0.1)
@@ -124,10 +132,15 @@ def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: st
 
     asking = threading.Thread(target=ask)
     asking.start()
-    with pytest.raises(StoppedByViewerError):
+    with (
+        Server(Hub(), hello, lambda command, text: asked.append(command)),
+        pytest.raises(STOPPED, match="stopped"),
+    ):
         thigmo.explore(url, seed=1, out=tmp_path, realtime=True)
     asking.join()
     assert bent.is_set()
+    assert asked == []
+    bridge.hears(lambda told: told.get("text") == f"Stop from ROS: stopped {url}\n")
     told = planner.hears(
         lambda told: told.get("name") == "thigmo: run" and told["message"].startswith("aborted")
     )
@@ -147,7 +160,7 @@ def test_planner_s_latched_stop_is_heard_that_was_said_once_before_anybody_liste
         if doing.startswith("sweeping") and not bridges:
             bridges.append(ros.bridge())
 
-    with pytest.raises(StoppedByViewerError):
+    with pytest.raises(STOPPED, match="stopped"):
         thigmo.explore(url, seed=1, out=tmp_path, progress=progress, realtime=True)
 
 

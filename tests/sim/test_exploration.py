@@ -18,6 +18,7 @@ from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import FaultTable, PegTable, Scene
 from thigmo.errors import LinkError, RobotFaultError
 from thigmo.exploration import ExplorationResult, explore, replay
+from thigmo.exploration.effort import Effort
 from thigmo.exploration.run import Protocol
 from thigmo.link import protocol as wire
 from thigmo.link.framing import decode
@@ -25,6 +26,7 @@ from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles
 from thigmo.studies.rooms import explored
 
 FOUND = ("localized", "ambiguous")
+EVERY_PITCH = Effort("every pitch", 6, 1)
 
 
 def _write(scene: Scene, path: Path) -> Path:
@@ -51,7 +53,7 @@ def test_the_peg_of_section_3_5_is_found_and_localized_within_3_cm(
     assert document.truth is not None
     (true,) = document.truth.contacts
     assert contact.interval_cm[0] <= true.arc_cm <= contact.interval_cm[1] + 0.1
-    assert [round(s.everted_length_cm) for s in document.stages] == [10, 20, 30, 40, 50, 53]
+    assert [round(s.everted_length_cm) for s in document.stages] == [30, 40, 50, 53]
 
 
 @pytest.mark.ci
@@ -137,7 +139,8 @@ def test_a_replay_of_a_damaged_record_uses_what_is_whole_and_says_so(
     again = replay(folder)
     assert again.gaps == 1
     assert not again.truncated
-    assert again.sweeps >= 10
+    # A stage at most is damaged: two sides, and a measurement.
+    assert again.sweeps >= replay(default.folder).sweeps - 3
     if share < 0.9:  # in the last stage, where the peg is felt
         (contact,), (whole,) = again.document.contacts, default.document.contacts
         assert contact.x_cm == pytest.approx(whole.x_cm, abs=0.5)
@@ -151,7 +154,7 @@ def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -
     again = replay(default.folder)
     notes = RunFolder(default.folder).read_log().notes
     measured = sum(note.facts["state"] == "MEASURE" for note in notes)
-    assert again.sweeps == 12 + measured  # two sides at six stages
+    assert again.sweeps == 8 + measured  # two sides at four stages
     assert again.bad_frames == 0
     (live,), (replayed,) = default.document.contacts, again.document.contacts
     assert replayed == live
@@ -170,7 +173,7 @@ def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.ci) for n in (2, 3))])
 def test_an_empty_room_gives_no_contact(tmp_path: Path, seed: int) -> None:
-    document = explored("emulator://empty", tmp_path, seed).document
+    document = explored("emulator://empty", tmp_path, seed, effort=EVERY_PITCH).document
     assert document.outcome == "full length"
     assert document.contacts == []
     assert document.error_x_cm is None
@@ -187,7 +190,7 @@ def test_a_random_peg_is_found_at_the_first_stage_that_can_feel_it(
     peg, felt = random_peg(scene.robot, np.random.default_rng(seed))
     scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
     file = _write(scene, tmp_path / "room.toml")
-    document = explored(f"emulator://{file}", tmp_path, seed).document
+    document = explored(f"emulator://{file}", tmp_path, seed, effort=EVERY_PITCH).document
     first = next(s for s in document.stages if any(t.status in FOUND for t in s.triggers))
     assert round(first.everted_length_cm) == felt.length_cm
     assert felt.side in {t.side for t in first.triggers if t.status in FOUND}

@@ -11,6 +11,7 @@ import pytest
 
 from thigmo.config import RobotConfig
 from thigmo.errors import CommandRefusedError, RobotFaultError
+from thigmo.exploration.effort import Effort
 from thigmo.exploration.run import Exploration, Protocol
 from thigmo.exploration.states import State
 from thigmo.record import LogWriter, RunDocument, RunFolder
@@ -46,6 +47,10 @@ class Script:
             raise RobotFaultError("spool_stall: the motor stands still", "free it")
 
     def now(self) -> float:
+        return self.clock
+
+    @property
+    def elapsed_s(self) -> float:
         return self.clock
 
     def everted_length_cm(self) -> float:
@@ -162,6 +167,7 @@ def _explore(tmp_path: Path, robot: Script, protocol: Protocol = "measure") -> E
         document,
         lambda doing, fraction: None,
         protocol,
+        Effort("every pitch", 6, 1),
     )
     with log:
         run.run()

@@ -5,19 +5,19 @@ from __future__ import annotations
 import pytest
 
 from thigmo.config import FlexSensor, RobotConfig
-from thigmo.errors import ConfigError
-from thigmo.exploration.plan import (
-    growth_target,
-    growth_zone,
-    half_everted,
-    next_stage,
-    stage_lengths,
-)
+from thigmo.errors import ConfigError, DataError
+from thigmo.exploration.effort import EFFORTS, THESIS, chosen_effort, within
+from thigmo.exploration.plan import growth_target, growth_zone, half_everted, stage_lengths
 from thigmo.exploration.states import TRANSITIONS, State
 
 
 def test_the_thesis_robot_stops_at_whole_pitches_and_at_its_full_length() -> None:
     assert stage_lengths(RobotConfig()) == [10, 20, 30, 40, 50, 53]
+
+
+def next_stage(config: RobotConfig, length: float, *, swept: bool) -> float | None:
+    """The next stage of the thesis's protocol, which stops at every pitch."""
+    return next(iter(THESIS.stops_after(config, length, 0.0, swept=swept)), None)
 
 
 def _walk(config: RobotConfig, length: float) -> list[tuple[float, float]]:
@@ -78,6 +78,61 @@ def test_a_pitch_at_which_a_sensor_would_be_creased_is_left_out() -> None:
     end = RobotConfig(sensors=[FlexSensor(center_cm=50.2)])
     with pytest.raises(ConfigError, match=r"left\[0\] lies in the tip's fold"):
         stage_lengths(end)
+
+
+def test_an_effort_leaves_out_the_shortest_bodies_first() -> None:
+    config = RobotConfig()
+    assert EFFORTS["quick"].lengths(config) == [30, 40, 53]
+    assert EFFORTS["default"].lengths(config) == [30, 40, 50, 53]
+    assert EFFORTS["careful"].lengths(config) == stage_lengths(config)
+    assert "10, 20 cm" in EFFORTS["default"].skips(config)
+    assert "slower sweep" in EFFORTS["quick"].skips(config)
+    assert EFFORTS["careful"].skips(config) == ""
+
+
+def test_more_time_buys_more_and_is_kept_to() -> None:
+    config = RobotConfig()
+    bought = [within(time_s, config) for time_s in (60, 100, 150, 200, 300, 400)]
+    assert [e.stops for e in bought] == sorted(e.stops for e in bought)
+    assert bought[0].stops < bought[-1].stops == 6
+    for effort in bought:
+        stops = effort.stops_after(config, 0.0, 0.0, swept=False)
+        assert stops
+        assert effort.expected_s(config, stops) <= effort.time_s
+
+
+def test_a_budget_that_runs_out_keeps_the_longest_body_that_it_can() -> None:
+    config, effort = RobotConfig(), within(150.0, RobotConfig())
+    planned = effort.stops_after(config, 0.0, 0.0, swept=False)
+    late = effort.stops_after(config, 30.0, 105.0, swept=True)
+    assert late == [53] != [stop for stop in planned if stop > 30]
+    assert effort.stops_after(config, 30.0, 149.0, swept=True) == []
+    # Too little for the full length, but not for a sweep.
+    assert 0.0 < within(60.0, config).stops_after(config, 0.0, 0.0, swept=False)[0] < 53
+
+
+@pytest.mark.parametrize(
+    ("choice", "says"),
+    [
+        (("measure", "hasty", None), "choose from quick, default, careful"),
+        (("measure", "quick", 100.0), "give one of them"),
+        (("thesis", "quick", None), "leave --effort and --time out"),
+        (("thesis", None, 100.0), "leave --effort and --time out"),
+    ],
+)
+def test_a_choice_that_cannot_be_says_what_can(
+    choice: tuple[str, str | None, float | None], says: str
+) -> None:
+    with pytest.raises(DataError) as refused:
+        chosen_effort(*choice)
+    assert says in refused.value.next_step
+
+
+def test_a_budget_too_short_for_a_sweep_says_how_long_one_takes() -> None:
+    with pytest.raises(DataError) as refused:
+        within(20.0, RobotConfig())
+    least = float(refused.value.next_step.split()[2])
+    assert len(within(least, RobotConfig()).stops_after(RobotConfig(), 0.0, 0.0, swept=False)) == 1
 
 
 def test_every_state_is_reached_and_left() -> None:

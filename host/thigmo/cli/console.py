@@ -166,6 +166,8 @@ class Console:
             f"{document.robot_time_s:.0f} s of robot time in {document.wall_time_s:.1f} s "
             f"({ratio:.0f} times real time). Ended: {document.outcome}."
         )
+        if document.skips:
+            say(f"Effort {document.effort}: {document.skips}.")
         # Paths and commands are copied: no line of theirs is broken.
         planners = "for planners: obstacles.json and map.yaml beside it."
         drawn = "map.png" if (result.folder / "map.png").exists() else "contacts.json"

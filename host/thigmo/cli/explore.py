@@ -39,6 +39,19 @@ def explore(
             "sweep's peak, as in the thesis."
         ),
     ] = None,
+    effort: Annotated[
+        Literal["quick", "default", "careful"] | None,
+        typer.Option(
+            help="How much robot time goes into how good a map. What is left out is said at the "
+            "start and at the end."
+        ),
+    ] = None,
+    time_s: Annotated[
+        float | None,
+        typer.Option(
+            "--time", min=0, help="Instead of --effort: a budget of robot time, in seconds."
+        ),
+    ] = None,
     method: MethodOption = None,
     prior: Annotated[
         Path | None,
@@ -93,6 +106,8 @@ def explore(
             name=name,
             realtime=realtime,
             protocol=protocol,
+            effort=effort,
+            time_s=time_s,
             method=method or "posterior",
             prior=prior,
             resume=resume,

@@ -17,6 +17,7 @@ _OF_THE_HOST = (
     "seed",
     "started",
     "protocol",
+    "effort",
 )  # in a record's metadata; the rest: the board's
 
 

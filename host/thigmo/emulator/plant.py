@@ -143,7 +143,10 @@ class Plant:
         self._ends = self._centers + self._spans / 2
         self._curvature = np.zeros(_SENSORS)
         self.body = Rod(
-            Tube(robot.body.diameter_cm, self._critical()), self.pegs, **scene.plant.model_dump()
+            Tube(robot.body.diameter_cm, self._critical()),
+            self.pegs,
+            friction=scene.body.friction,
+            **scene.plant.model_dump(),
         )
         self._solved_g = nan
         self.analog = np.zeros((CHANNELS, 2))

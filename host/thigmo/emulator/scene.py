@@ -84,6 +84,7 @@ class BodyDynamics(Model):
     growth_cm_s_psi: Positive = 30.0  # eversion speed per psi above that
     growth_force: NonNegative = 6.5e-3  # 1/cm^2 per psi: axial push at which the tip stalls
     fold: bool = True  # whether the base folds
+    friction: Annotated[float, Field(ge=0, le=2)] = 0.0  # Coulomb's, between skin and pegs
 
 
 class Flex(Model):

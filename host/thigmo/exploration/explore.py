@@ -16,6 +16,7 @@ from types import FrameType
 from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
+from thigmo.exploration.effort import EFFORTS, chosen_effort, within
 from thigmo.exploration.feel import check_method
 from thigmo.exploration.live import Questions, RunControl
 from thigmo.exploration.prior import read_prior
@@ -43,6 +44,8 @@ def explore(
     name: str | None = None,
     realtime: bool = False,
     protocol: Protocol | None = None,
+    effort: str | None = None,
+    time_s: float | None = None,
     method: str = "posterior",
     prior: str | os.PathLike[str] | None = None,
     resume: str | os.PathLike[str] | None = None,
@@ -65,6 +68,11 @@ def explore(
             for young sensors, and sweeps a side with a contact again, to the pressure at which the
             contact is felt best; "thesis" waits, and takes the readings at the full sweep's peak.
             A run that is resumed keeps its own.
+        effort: "quick", "default" or "careful": how much robot time goes into how good a map
+            (`figures.md` charts it). The thesis's protocol has no such choice.
+        time_s: instead of an effort, a budget of robot time in seconds, within which the run does
+            as much as it can; it includes the times at
+            which the robot waits for a person.
         method: of `thigmo.localize`. Without intervals ("l1", "l2", "thesis") every stage's place
             is a contact of its own, for nothing tells whether two are one.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
@@ -99,6 +107,8 @@ def explore(
             )
         protocol = swept
         seed, method = past.document.seed if seed is None else seed, past.document.method
+        if time_s is None and past.document.effort in EFFORTS:
+            effort = effort or past.document.effort
     protocol = protocol or "measure"
     url = url or "emulator://default"
     given = past.prior if past else [] if prior is None else read_prior(prior)
@@ -106,6 +116,7 @@ def explore(
     label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
     begun = started.isoformat(timespec="seconds")
     check_method(method)
+    chosen = chosen_effort(protocol, effort, time_s)
     document = RunDocument(
         thigmo=__version__, name=label, url=url, started=begun, seed=seed, method=method
     )
@@ -131,6 +142,9 @@ def explore(
                 else f"give its robot.toml with --config; `thigmo calibrate all --robot {url}` "
                 "makes one",
             )
+        if time_s is not None:
+            chosen = within(time_s, used)
+        document = replace(document, effort=chosen.name, skips=chosen.skips(used))
         folder = RunFolder.create(out, label, started.astimezone())
         afterwards.enter_context(folder.hold())
         used.save(folder.path / "robot.toml")
@@ -158,6 +172,7 @@ def explore(
             "seed": "" if seed is None else str(seed),
             "started": begun,
             "protocol": protocol,
+            "effort": chosen.name,
             **robot.identity,
         }
         control = RunControl()
@@ -172,7 +187,7 @@ def explore(
             robot.record_frames(log.frame)
             robot.while_waiting(log.check)
             run = Exploration(
-                robot, used, folder, log, document, tell, protocol, given, control,
+                robot, used, folder, log, document, tell, protocol, chosen, given, control,
                 past.knows if past else None,
             )  # fmt: skip
             _walk(run)

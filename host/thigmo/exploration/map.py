@@ -163,28 +163,42 @@ class ContactMap:
 
     def _place_point(self, sighting: Sighting) -> MapContact:
         contact = sighting.contact
+        return self._felt(
+            sighting, contact.arc, contact.force, contact.interval, None,
+            status=contact.status, probability=nan, peg_probability=nan, wall_probability=nan,
+        )  # fmt: skip
+
+    def _felt(
+        self,
+        sighting: Sighting,
+        arc_cm: float,
+        force_per_cm2: float,
+        interval_cm: tuple[float, float],
+        end_offset_cm: float | None,
+        **told: Any,
+    ) -> MapContact:
+        """A contact at its place on the body that a sighting bent."""
+        contact = sighting.contact
         placed = place_contact(
             sighting.bend,
-            contact.arc,
-            contact.force,
-            contact.interval,
+            arc_cm,
+            force_per_cm2,
+            interval_cm,
             radius_cm=self._config.body.radius_cm,
             curvature_se=self._config.muscle(sighting.side).offset_se,
+            end_offset_cm=end_offset_cm,
         )
         return self._contact(
             placed,
-            arc_cm=contact.arc,
-            force_per_cm2=contact.force,
-            **_newtons(contact, 1.0),
-            interval_cm=contact.interval,
-            status=contact.status,
+            arc_cm=arc_cm,
+            force_per_cm2=force_per_cm2,
+            **_newtons(contact, force_per_cm2 / contact.force if contact.force else 1.0),
+            interval_cm=interval_cm,
             everted_length_cm=sighting.length_cm,
             side=sighting.side,
             model=sighting.hypothesis,
             readings=sighting.readings,
-            probability=nan,
-            peg_probability=nan,
-            wall_probability=nan,
+            **told,
         )
 
     def _place(self, room: Room, found: Found) -> MapContact:
@@ -197,26 +211,9 @@ class ContactMap:
         if offset is not None and arc < contact.arc - _FLOOR_CM and newest.bend.excess:
             # Other stages say that it is on the side, where the same moment needs this force.
             offset, force = None, newest.bend.excess[0][1] / arc
-        placed = place_contact(
-            newest.bend,
-            arc,
-            force,
-            found.interval_cm,
-            radius_cm=self._config.body.radius_cm,
-            curvature_se=self._config.muscle(newest.side).offset_se,
-            end_offset_cm=offset,
-        )
-        return self._contact(
-            placed,
-            arc_cm=arc,
-            force_per_cm2=force,
-            **_newtons(contact, force / contact.force if contact.force else 1.0),
-            interval_cm=found.interval_cm,
+        return self._felt(
+            newest, arc, force, found.interval_cm, offset,
             status=found.status,
-            everted_length_cm=newest.length_cm,
-            side=newest.side,
-            model=newest.hypothesis,
-            readings=newest.readings,
             merged=[sighting.length_cm for sighting in members[:-1]],
             kind=found.kind,
             probability=round(found.probability, 4),
@@ -225,7 +222,7 @@ class ContactMap:
             surface=[(round(x, 4), round(y, 4)) for x, y in found.surface]
             if found.kind == "wall"
             else [],
-        )
+        )  # fmt: skip
 
 
 def _newtons(contact: Contact, times: float) -> dict[str, Any]:

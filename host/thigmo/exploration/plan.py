@@ -8,7 +8,7 @@ from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import ConfigError
 
 FOLD_MARGIN_CM = 0.5  # keep-out around a sensor's ends for the tip's fold; the board's default
-_SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
+SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
 
 
 def half_everted(config: RobotConfig, length_cm: float) -> str:
@@ -35,14 +35,8 @@ def stage_lengths(config: RobotConfig) -> list[float]:
             "mark it unhealthy, or correct its centre and span in robot.toml",
         )
     pitches = (number * config.body.pitch_cm for number in count(1))
-    whole = takewhile(lambda length: length <= full - _SAME_CM, pitches)
+    whole = takewhile(lambda length: length <= full - SAME_CM, pitches)
     return [*(length for length in whole if not half_everted(config, length)), full]
-
-
-def next_stage(config: RobotConfig, length_cm: float, *, swept: bool) -> float | None:
-    """The stage to go to from a length that was `swept` or not, or None at the end."""
-    reached_cm = length_cm + (_SAME_CM if swept else -_SAME_CM)
-    return next((stage for stage in stage_lengths(config) if stage > reached_cm), None)
 
 
 def growth_zone(config: RobotConfig, length_cm: float, target_cm: float) -> int:
@@ -50,15 +44,19 @@ def growth_zone(config: RobotConfig, length_cm: float, target_cm: float) -> int:
 
     On a boundary growth needs the next zone's pressure; without growth, the zone of the length.
     """
-    ahead = min(length_cm + _SAME_CM, target_cm) if target_cm > length_cm + _SAME_CM else target_cm
+    ahead = min(length_cm + SAME_CM, target_cm) if target_cm > length_cm + SAME_CM else target_cm
     return config.body.zone_at(ahead)
 
 
 def growth_target(config: RobotConfig, length_cm: float, stage_cm: float) -> float:
-    """How far to grow before the stage or the next body-pressure boundary, whichever is nearer."""
-    ends = (zone.until_cm for zone in config.body.zones)
-    between = (end for end in ends if length_cm + _SAME_CM < end < stage_cm - _SAME_CM)
-    return next(between, stage_cm)
+    """How far to grow before the stage, or a body-pressure boundary or whole pitch before it.
+
+    Where growth stops, the sensors are asked whether the tip has come as far.
+    """
+    ends = [*(zone.until_cm for zone in config.body.zones), *stage_lengths(config)]
+    return min(
+        (end for end in ends if length_cm + SAME_CM < end < stage_cm - SAME_CM), default=stage_cm
+    )
 
 
 def trial_zone(config: RobotConfig, zone: int) -> int | None:

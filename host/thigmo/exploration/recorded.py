@@ -222,6 +222,9 @@ class RecordedRun:
                 higher = trial_zone(self._config, frames.zone)
                 known.tries_more_pressure(frames.zone if higher is None else higher)
                 frames.growth = GrowthWatcher()
+            case "PRESSURIZE", "stalled, nobody to ask":
+                known.gives_up_trial()
+                known.ended_at_met()
             case ("BACK_OFF", "stalled" | "peg ahead") | ("ZERO", "straight again: peg ahead"):
                 known.ended_at_met()
             case "SWEEP", _ if new:

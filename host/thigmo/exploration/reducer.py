@@ -8,6 +8,7 @@ each moment what the run knew, and a run that is resumed goes on from there.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from thigmo.config import RobotConfig
 from thigmo.exploration.feel import Feeling
@@ -30,7 +31,7 @@ class Reducer:
         found: what the sweeps have taught, and the map.
         stages: those that were swept to their end.
         looked: the stage's sweep for contacts.
-        measured: its second sweep, which measures one; None without.
+        measured: the sweeps that measured one; None without.
         feelings: what the stage's sweeps told.
         met: by growth, and not yet on the map.
         tried: the stall that is tried again at a higher body pressure.
@@ -84,6 +85,10 @@ class Reducer:
         """What stopped the tip is tried again, at the body pressure of a zone."""
         self.tried, self.met, self.raised = self.met, None, zone
 
+    def gives_up_trial(self) -> None:
+        """Nobody was there to raise the body pressure: what stopped the tip stays unknown."""
+        self.met, self.tried, self.raised = self.tried, None, None
+
     def moved_on(self) -> None:
         """At the higher pressure the stage has grown to its end."""
         if self.tried is not None:
@@ -108,7 +113,9 @@ class Reducer:
         self.looked, self.measured, self.feelings, self._zone = sweep, None, [], zone
 
     def has_measured(self, sweep: SweepResult) -> None:
-        """The sides with a contact were swept again."""
+        """The sides with a contact were swept again, for the first time or once more."""
+        if self.measured:
+            sweep = replace(SweepResult.joined([self.measured, sweep]), truth=sweep.truth)
         self.measured = sweep
 
     def localized(self) -> list[Feeling]:

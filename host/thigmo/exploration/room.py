@@ -140,6 +140,9 @@ class Room:
     ) -> Found:
         mass = mixed[group[-1]] / mixed[group[-1]].sum()
         low, high = shortest(self._arcs, mass)
+        length_cm = self._seen[group[-1]].length_cm
+        if high > length_cm - (self._arcs[1] - self._arcs[0]):
+            high = length_cm  # the last node on the body stands for all up to its end
         real = 1.0 - min(share.get(((i,), "nothing"), 0.0) for i in group)
         sure = real - lost >= LEVEL and high - low <= WIDEST_SHARE * self._arcs[-1] + 1e-9
         kinds = {each: share.get((group, each), 0.0) for each in ("peg", "wall")}
@@ -258,7 +261,8 @@ class Room:
             masses: Masses = {}
             for i in group[:slid]:
                 mass = self._alone[i] * self._tip[i]
-                log += np.log(mass.sum() + 1e-300)
+                # Their errors are shared: so many sightings say as much as their root's number.
+                log += np.log(mass.sum() + 1e-300) / np.sqrt(slid)
                 masses[i] = mass / max(float(mass.sum()), 1e-300)
                 points.append(self._point(i, self._seen[i].length_cm - _TIP_CM / 2))
             if rest := group[slid:]:

@@ -13,20 +13,15 @@ from functools import partial
 from typing import Any, Literal
 
 from thigmo.config import SIDES, RobotConfig, Side
-from thigmo.errors import CommandRefusedError
+from thigmo.errors import CommandRefusedError, DataError
+from thigmo.exploration.effort import EFFORTS, THESIS, Effort
 from thigmo.exploration.live import Live, RunControl
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import held_now, held_sides, measuring_pressure, pressed_enough
 from thigmo.exploration.met import Lean
 from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
-from thigmo.exploration.plan import (
-    growth_target,
-    growth_zone,
-    next_stage,
-    stage_lengths,
-    trial_zone,
-)
+from thigmo.exploration.plan import SAME_CM, growth_target, growth_zone, stage_lengths, trial_zone
 from thigmo.exploration.reducer import Profile, Reducer
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
@@ -47,8 +42,6 @@ from thigmo.stream import Contacts, Grid, Log, Posterior, RunState
 _MOST_ZERO_TRIES = 5
 _BASE = 1 | 1 << SENSORS // 2  # the first sensor of each side: what the trigger works on
 
-# A young sensor counts once its rest is known to so many times its noise.
-_YOUNG_NOISE = 1.0
 _STAND_S = 0.5  # between two looks at that
 _PAUSE_S = 0.1
 
@@ -71,6 +64,7 @@ class Exploration:
     document: RunDocument
     progress: Progress  # called at each state and while waiting
     protocol: Protocol = "measure"  # how a contact is measured
+    effort: Effort = EFFORTS["default"]  # of the protocol "measure"
     prior: Sequence[Obstacle] = ()  # obstacles of a map of the room
     control: RunControl = field(default_factory=RunControl)  # whether viewers want it to wait
     knows: Reducer | None = None  # of the run that this one resumes
@@ -81,16 +75,20 @@ class Exploration:
     _zone: int = 0
     _body_psi: float | None = None  # what the operator last set
     _swept: bool = False
+    _sweeps: bool = True  # at this stage; else it only zeroes
     _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
+    _measured: int = 0  # sweeps that have measured the stage's contacts
 
     def __post_init__(self) -> None:
         self.live = Live(self.robot)
         self._knows = self.knows or Reducer(self.config, self.prior, self.document.method)
         self._found = self._knows.found
         self._table = SensorTable.of(self.config)
-        self._whole_cm = sum(stage_lengths(self.config))
+        if self.protocol == "thesis":
+            self.effort = THESIS
+        self._whole_cm = sum(self.effort.lengths(self.config))
 
     def run(self) -> None:
         """Walk the table to its end; each state has the method of its name.
@@ -137,6 +135,8 @@ class Exploration:
     # Before the first stage.
 
     def _configure(self) -> str:
+        if self.document.skips:
+            self.live.tell(Log, "info", f"effort {self.document.effort}: {self.document.skips}")
         self.robot.configure(self.config)
         return "verified"
 
@@ -156,10 +156,20 @@ class Exploration:
     # Each stage.
 
     def _plan(self) -> str:
-        stage = next_stage(self.config, self.length_cm, swept=self._swept)
-        if stage is None:
-            self._note(outcome="full length")
-            return "fully deployed"
+        stops = self.effort.stops_after(
+            self.config, self.length_cm, self.robot.elapsed_s, swept=self._swept
+        )
+        if not stops:
+            full = self.length_cm > self.config.body.length_cm - SAME_CM
+            self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
+            return "fully deployed" if full else "time is up"
+        stage = stops[0]
+        if not self._knows.stages:
+            # Before its first sweep it zeroes at every pitch: else nothing would tell that growth
+            # has bent it aside.
+            reached_cm = self.length_cm + (SAME_CM if self._swept else -SAME_CM)
+            stage = next(each for each in stage_lengths(self.config) if each > reached_cm)
+        self._sweeps = stage in stops
         grows = stage > self.length_cm + 0.1
         if grows and peg_ahead(self.document.contacts, self.length_cm, self.config.body.radius_cm):
             self._note(outcome="peg ahead")
@@ -177,7 +187,14 @@ class Exploration:
         pressure = self.config.body.zones[self._zone].pressure_psi
         if self.protocol == "thesis" or pressure != self._body_psi:
             self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
-            self.robot.operator.set_body_pressure(pressure)
+            try:
+                self.robot.operator.set_body_pressure(pressure)
+            except DataError:
+                if self._knows.tried is None:
+                    raise
+                self._knows.gives_up_trial()
+                self._end_at_met()
+                return "stalled, nobody to ask"
             self._body_psi = pressure
         self.robot.select_zone(self._zone)
         return "pressure set"
@@ -246,7 +263,12 @@ class Exploration:
             return "zeroed after sweep"
         if self._stage_cm > self._knows.straight_cm:
             self._knows.zeroed(self._grown(), self.robot.zeros())
-        return "zeroed after growth" if self._knows.met is None else "held bent"
+        if self._knows.met is not None:
+            return "held bent"
+        if not self._sweeps:
+            self._swept = True
+            return "zeroed, no sweep here"
+        return "zeroed after growth"
 
     def _released(self) -> str:
         """Whether the body was held bent, now that its tip is clear; the peg goes on the map."""
@@ -273,7 +295,7 @@ class Exploration:
     def _sweep(self) -> str:
         thesis = self.protocol == "thesis"
         period_s = sweep_period_s if thesis else rising_period_s
-        self._known = set()
+        self._known, self._measured = set(), 0
         looked = self.robot.sweep(
             **_set_points({m.side: m.max_pressure_psi for m in self.config.muscles if m.side}),
             period_s=period_s(self.config, self._zone),
@@ -287,7 +309,8 @@ class Exploration:
             return "no contact"
         if thesis:
             return "contact, thesis protocol"
-        return "contact" if fired - self._known else "contact, and its place"
+        measures = self.effort.measures(self.config, self._stage_cm, self.robot.elapsed_s)
+        return "contact" if fired - self._known and measures else "contact, and its place"
 
     def _enough(self, so_far: SweepResult) -> bool:
         """Whether a side's sweep can stop: its contact's place is known, or the base near its fold.
@@ -319,7 +342,8 @@ class Exploration:
             return "every sensor known"
         self.robot.vent()
         noise, young = self._table.noise, in_mask(aside)
-        if (self.robot.young_noise()[young] <= _YOUNG_NOISE * noise[young]).all():
+        enough = self.effort.rest_noise * noise[young]
+        if (self.robot.young_noise()[young] <= enough).all():
             return "every sensor known"
         if aside & ~self.robot.status().settled:
             self.robot.wait(_STAND_S)
@@ -345,8 +369,9 @@ class Exploration:
             rising_only=True,
             enough=self._tell_feeling,
         )
+        self._measured += 1
         self._knows.has_measured(measured)
-        return "measured"
+        return "once more" if self._measured < self.effort.measurements else "measured"
 
     def _localize(self) -> str:
         feelings = self._knows.localized()

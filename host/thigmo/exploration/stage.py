@@ -16,6 +16,7 @@ from thigmo.exploration.feel import Feeling, feel
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     GIVES_UP,
+    caught_sides,
     held_back,
     held_sides,
     pressed_enough,
@@ -26,7 +27,7 @@ from thigmo.exploration.reference import FreeResponse, gain_errors
 from thigmo.exploration.sighting import LEVEL, passed_before, passed_freely, touch_mass
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
-from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult
+from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult, mean_peak
 from thigmo.robot.readings import Floats
 
 _SHAPES_A_SIDE = 12
@@ -39,6 +40,9 @@ _TOUCH_MARGIN = TRIGGER_PER_CM / GIVES_UP
 ENOUGH_CM = 3.0
 # Probability from which a contact counts although the trigger did not fire.
 _CERTAIN = 0.99
+_CAUGHT = (
+    "the body was held bent before the muscle bent it: its tip is caught, and no place is told"
+)
 _NOT_HELD = "the base was not held back for a quarter of a second: noise, and no peg"
 
 
@@ -61,16 +65,21 @@ class Interpreter:
         The trigger compares with the map; where the body bends more than that, a contact does not
         hold the base back by as much. Of a side that was measured again, that peak counts.
         """
-        fired = held_sides(sweep)
-        measured = {peak.side: peak for peak in measuring.peaks} if measuring else {}
+        fired, caught = held_sides(sweep), caught_sides(sweep)
+        if measuring:
+            caught |= caught_sides(measuring)
+        again = {
+            side: [peak for peak in measuring.peaks if peak.side == side] if measuring else []
+            for side in SIDES
+        }
         feelings = []
         for peak in sweep.peaks:
-            if not self._table.usable(peak.side, peak.sensors).any():
-                continue  # nothing to feel with: no sensor is out and well
             side = peak.side
+            if side in caught or not self._table.usable(side, peak.sensors).any():
+                continue  # nothing to feel with: no sensor is out and well
             for each in (sweep, measuring) if measuring else (sweep,):
                 _learn(self._response, each, side, zone, touch_curvature(sweep.frames, side))
-            told = measured.get(side, peak)
+            told = mean_peak(again[side] or [peak])
             touch = touch_mass(sweep.frames, side)
             feeling = self._feel(told, zone, self._response, touch)
             certain = any(felt.contact.probability > _CERTAIN for felt in feeling.felt)
@@ -114,6 +123,7 @@ class Interpreter:
     ) -> Stage:
         """The stage's entry in contacts.json."""
         said = {each.shape.side: (each.result.status, each.result.message) for each in told}
+        said |= {side: ("ambiguous", _CAUGHT) for side in caught_sides(sweep) if side not in said}
         shapes = _swept_shapes(length_cm, zone, sweep, self._config)
         return Stage(
             everted_length_cm=length_cm,

@@ -36,6 +36,7 @@ _ROOM_S = 0.02  # between two looks whether messages were taken
 _LOOK_S = 0.02  # between two looks at the stream
 _TELL_S = 1.0
 _LOOKS_WITHIN_S = 10.0  # for runs that are under way at the start, on a computer that is busy
+_STOP_S = 5.0  # for an emulated run to end
 _CLOSED = {"lost": "stop not connected: use the e-stop", "none": "no robot is in use"}
 
 Way = Literal["port", "run", "lost", "none"]
@@ -94,6 +95,7 @@ class Watched:
         self._run: RemoteRun | None = None
         self._ended = threading.Event()  # the run that is attached to
         self._closed = threading.Event()
+        self._hung: set[str] = set()  # streams of runs that do not answer
         self.looked = threading.Event()  # once a run that was under way at the start is known
         self.heard_s = time.monotonic()  # when the run was last heard of
         self._thread = threading.Thread(target=self._follow, daemon=True)
@@ -157,7 +159,9 @@ class Watched:
             self._closed.wait(_SEARCH_S)
 
     def _runs(self) -> list[Watchable]:
-        return [each for each in running() if self._robot in (None, _socket(each.hello.url))]
+        return [
+            each for each in running(self._hung) if self._robot in (None, _socket(each.hello.url))
+        ]
 
     def _read(self, run: RemoteRun) -> None:
         self._run, self._ended = run, threading.Event()
@@ -181,6 +185,14 @@ class Watched:
     def _take(self, message: Message) -> None:
         self.heard_s = time.monotonic()
         self._waiting.append(message)
+
+
+def stop_run(watched: Watched, run: Hello | None) -> list[str]:
+    """Stop the robot of the run that is under way, if any is known; as `stop_port`."""
+    if run is None or not run.virtual:
+        return stop_port(run)
+    watched.stop(_STOP_S)
+    return [run.url]
 
 
 @dataclass(slots=True)
@@ -234,6 +246,7 @@ class Relay:
                 view.tell(self.facts)  # before any message of its own
             elif message is None:
                 self.facts.under_way = False
+                view.tell(self.facts)  # how it ended, before the next one
             else:
                 if isinstance(message, Telemetry):
                     self.facts.board = message
@@ -268,10 +281,7 @@ class Relay:
     def _stop(self, facts: Facts) -> str:
         run = facts.run if facts.under_way else None
         try:
-            if run is not None and run.virtual:
-                self._watched.send("stop")
-                return f"told {run.name} to stop"
-            stopped = stop_port(run)
+            stopped = stop_run(self._watched, run)
         except ThigmoError as error:
             return f"not stopped: {error}"
         return f"stopped {', '.join(stopped)}" if stopped else _CLOSED["none"]

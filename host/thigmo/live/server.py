@@ -27,13 +27,13 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 from thigmo.config import RobotConfig
 from thigmo.errors import ThigmoError
-from thigmo.link.transport import open_transport
+from thigmo.link.transport import emulated, open_transport
 from thigmo.live import shown
 from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
-from thigmo.live.relay import Watched, Way, stop_port, way_to
+from thigmo.live.relay import Watched, Way, stop_port, stop_run, way_to
 from thigmo.live.shown import PastRun, board, body, config_in, pegs, row_text, thinned
-from thigmo.live.starting import Parameter, Started, exploration, in_the_run
+from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.viewer import Viewer
 from thigmo.robot import JOG_CM
 from thigmo.room import Simulated
@@ -50,7 +50,6 @@ _MOST_SHAPES_A_TICK = 4
 _HISTORY_S = 0.02  # between the rows that a page gets which comes later
 _HISTORY_ROWS = 6000
 _LEAVES_S = 60.0
-_STOP_S = 5.0  # for an emulated run to end
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +276,7 @@ class PageServer:
             "body": run.body,
             "truth": run.pegs,
             "length_cm": run.length_cm,
-            "start": {"url": url, "virtual": in_the_run(url)} if url else None,
+            "start": {"url": url, "virtual": emulated(url)} if url else None,
             "starting": self._starting,
             "started": self._started_facts(),
             "failure": run.failure,
@@ -322,7 +321,7 @@ class PageServer:
         run, url = self._run.hello, self.options.url
         if run is not None and not run.virtual:
             return run.url
-        return url if url and not in_the_run(url) else None
+        return url if url and not emulated(url) else None
 
     # Requests of the pages.
 
@@ -427,11 +426,7 @@ class PageServer:
         with self._stopping:  # two who press at once are one after the other
             run, at_s = self._run.moving, time.time()
             try:
-                if run is not None and run.virtual and self._watched is not None:
-                    self._watched.stop(_STOP_S)
-                    stopped = [run.url]
-                else:
-                    stopped = stop_port(run)
+                stopped = stop_run(self._watched, run) if self._watched else stop_port(run)
             except ThigmoError as error:
                 failed = str(error)
             self._latched = self._latched or bool(stopped)

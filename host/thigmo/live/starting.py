@@ -16,14 +16,11 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from thigmo.link.transport import emulated
+
 _PATIENCE_S = 10.0  # for a command to make its robot safe
 _LINES = 20
 _MOTIONS = ("retract", "jog")
-
-
-def in_the_run(url: str) -> bool:
-    """Whether a robot is emulated inside the run, so that its pace can be chosen."""
-    return url.partition("://")[0] in ("emulator", "mega-sim", "micropython")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,5 +111,5 @@ class Started:
 
 def exploration(url: str, options: Sequence[str], *, realtime: bool) -> Started:
     """An exploration of a robot, with further options, which asks its operator on the page."""
-    pace = ["--realtime"] if realtime and in_the_run(url) else []
+    pace = ["--realtime"] if realtime and emulated(url) else []
     return Started("explore", "--robot", url, "--asks-viewers", *options, *pace)

@@ -21,6 +21,7 @@ class Rod:
         cell: float,
         model: ModelChoice,
         tolerance: float,
+        friction: float,
     ) -> None:
         """Lay the body down; `elastica.Rod` explains the arguments."""
 

@@ -5,9 +5,10 @@ last), and `push` for the direct question "what does the body do when a contact 
 at arc a": no peg needs to be known, nothing is iterated, so tests of estimators use it as truth.
 
 Model: planar, inextensible, EI = 1 (forces in 1/cm^2, moments in 1/cm), natural curvature g,
-clamped at the base at (0, 0) heading along x. Contacts are unilateral and frictionless. The base
-folds when the contact moment there reaches `critical_moment`: it then stays at that value, and the
-fold's angle is spread over one diameter from the base. The method is in the compiled extension,
+clamped at the base at (0, 0) heading along x. Contacts are unilateral, and without
+friction unless a `Rod` is given some. The base folds when the contact moment there reaches
+`critical_moment`: it then stays at that value, and the fold's angle is spread over one diameter
+from the base. The method is in the compiled extension,
 `rod.h`.
 """
 
@@ -127,6 +128,7 @@ class Rod(_rod.Rod):
             touches, "beam" where its error bound meets the tolerance, else "elastica". One of these
             serves for all steps ("arc" feels no pegs).
         tolerance_cm: error in position that the automatic choice may make.
+        friction: Coulomb's coefficient between skin and pegs; with it, "auto" leaves out the beam.
     """
 
     def __init__(
@@ -137,10 +139,12 @@ class Rod(_rod.Rod):
         cell_cm: float = 1.0,
         model: ModelChoice = "elastica",
         tolerance_cm: float = 0.05,
+        friction: float = 0.0,
     ) -> None:
         super().__init__(
-            tube.diameter_cm, tube.critical_moment, _rows(pegs), cell_cm, model, tolerance_cm
-        )
+            tube.diameter_cm, tube.critical_moment, _rows(pegs), cell_cm, model, tolerance_cm,
+            friction,
+        )  # fmt: skip
 
     def place(self, pegs: Sequence[Peg]) -> None:
         """Put other pegs into the room, beside the body as it lies.

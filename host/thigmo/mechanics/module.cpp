@@ -69,12 +69,12 @@ NB_MODULE(_rod, m) {
       .def(
           "__init__",
           [](Rod* self, double diameter, std::optional<double> critical, const PegRows& pegs,
-             double cell, const std::string& model, double tolerance) {
+             double cell, const std::string& model, double tolerance, double friction) {
             new (self) Rod(diameter, moment_or_none(critical), pegs_of(pegs), cell,
-                           model_named(model), tolerance);
+                           model_named(model), tolerance, friction);
           },
           nb::arg("diameter"), nb::arg("critical_moment").none(), nb::arg("pegs"), nb::arg("cell"),
-          nb::arg("model"), nb::arg("tolerance"))
+          nb::arg("model"), nb::arg("tolerance"), nb::arg("friction"))
       // Relaxation after a snap takes milliseconds.
       .def("step", &Rod::step, nb::arg("free_curvature"), nb::arg("length"),
            nb::call_guard<nb::gil_scoped_release>())

@@ -271,15 +271,13 @@ Section Rod::shoot(const Reactions& reactions, std::vector<Pose>& frames,
   auto event = events.begin();
   while (true) {
     for (; event != events.end() && event->on.arc >= s - kTiny; ++event) {
-      const Skin& on = event->on;
-      const double force = reactions.contacts[event->contact].force;
-      const double tangential = -force * on.out_t, normal = -force * on.out_n;
+      const Push by = push(reactions.contacts[event->contact]);
       frames[event->contact] = {at.x, at.y, at.heading};
-      if (!is_side(on.kind)) at.moment += -on.offset * tangential;
+      at.moment += -event->on.offset * by.tangential;
       const double c = std::cos(at.heading);
       const double d = std::sin(at.heading);
-      at.n_x += tangential * c - normal * d;
-      at.n_y += tangential * d + normal * c;
+      at.n_x += by.tangential * c - by.normal * d;
+      at.n_y += by.tangential * d + by.normal * c;
     }
     if (nodes) {
       nodes->push_back({s, at.heading, room_.natural + at.moment, at.x, at.y});

@@ -12,6 +12,7 @@ namespace {
 
 constexpr double kInfinite = std::numeric_limits<double>::infinity();
 constexpr int kLeastCells = 8;
+constexpr double kSlipCm = 0.1;  // slip up to which friction is elastic: the cloth's own give
 
 // Linear interpolation at x of values at nodes first, first + step, ...; the ends go on.
 double interpolated(const std::vector<double>& values, double first, double step, double x) {
@@ -42,12 +43,14 @@ double apart(const Node& a, const Node& b) { return std::hypot(a.x - b.x, a.y - 
 }  // namespace
 
 Rod::Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
-         std::optional<Model> model, double tolerance)
+         std::optional<Model> model, double tolerance, double friction)
     : cell_(cell),
       choice_(model),
       tolerance_(tolerance),
+      friction_(friction),
       room_{0.0, 0.5 * diameter, critical, 0.0, checked(std::move(pegs)), 0} {
   if (!(cell >= 0.01 && cell <= 10.0)) throw BadInput("cell_cm must lie between 0.01 and 10");
+  if (!(friction >= 0.0 && friction <= 2.0)) throw BadInput("friction must lie between 0 and 2");
 }
 
 // The choice of the model.
@@ -60,7 +63,8 @@ void Rod::step(double natural, double length) {
     set_free(arc_nodes(natural, length, cells_for(length)), natural, length);
   } else if (choice_ == Model::kBeam) {
     try_beam(natural, length, kInfinite);
-  } else if (!try_arc(natural, length) && !try_beam(natural, length, tolerance_)) {
+  } else if (!try_arc(natural, length) &&
+             (friction_ > 0.0 || !try_beam(natural, length, tolerance_))) {
     take_elastica(natural, length);
   }
   ++counts_[static_cast<int>(model_)];
@@ -213,8 +217,10 @@ void Rod::remesh(double length) {
       const Kind kind = skin(contact).kind;
       if (kind == Kind::kLeftSide) {
         contact.place += 2.0 * change;
+        contact.last_place += 2.0 * change;
       } else if (kind != Kind::kRightSide) {
         contact.place += change;
+        contact.last_place += change;
       }
     }
     jacobian_.clear();
@@ -266,6 +272,7 @@ void Rod::solve(double travel) {
   }
   model_ = Model::kElastica;
   elastica_current_ = true;
+  remember_touches();
   tip_ = nodes_.back();
   // Contact curvature at the cells' middles, for the next relaxation.
   std::size_t k = 0;
@@ -276,6 +283,33 @@ void Rod::solve(double travel) {
     const double u = width > 0.0 ? (s - nodes_[k].s) / width : 0.0;
     bend_[i] =
         nodes_[k].curvature + u * (nodes_[k + 1].curvature - nodes_[k].curvature) - room_.natural;
+  }
+}
+
+// Friction.
+
+// The share of the largest friction that acts on a contact, positive towards larger places.
+double Rod::rubbing(const Contact& contact) const {
+  const double slip = contact.place - contact.last_place;
+  return std::clamp(contact.rubbing + slip / kSlipCm, -1.0, 1.0);
+}
+
+Rod::Push Rod::push(const Contact& contact) const {
+  const Skin on = skin(contact);
+  const double share = friction_ * rubbing(contact);
+  return {-contact.force * (on.out_t + share * on.out_n),
+          -contact.force * (on.out_n - share * on.out_t)};
+}
+
+// What this equilibrium leaves for the next. A body that turns by itself rolls over the peg.
+void Rod::remember_touches() {
+  for (Contact& contact : reactions_.contacts) {
+    const double heading = centreline().pose(skin(contact).arc).heading;
+    const double before = std::isnan(contact.last_heading) ? heading : contact.last_heading;
+    const double rolled = room_.pegs[contact.peg].radius * (heading - before);
+    contact.rubbing = std::clamp(rubbing(contact) + rolled / kSlipCm, -1.0, 1.0);
+    contact.last_place = contact.place;
+    contact.last_heading = heading;
   }
 }
 
@@ -291,7 +325,7 @@ Centreline Rod::centreline() const {
 
 double Rod::axial_push() const {
   double total = 0.0;
-  for (const Contact& contact : reactions_.contacts) total += contact.force * skin(contact).out_t;
+  for (const Contact& contact : reactions_.contacts) total -= push(contact).tangential;
   return total;
 }
 
@@ -302,12 +336,10 @@ std::vector<ContactReport> Rod::contacts() const {
     const Pose pose = centreline().pose(on.arc);
     const double c = std::cos(pose.heading);
     const double d = std::sin(pose.heading);
-    const double tangential = -contact.force * on.out_t;
-    const double normal = -contact.force * on.out_n;
-    reports.push_back({contact.peg, on.arc, on.kind, normal, tangential,
-                       is_side(on.kind) ? 0.0 : -on.offset * tangential, pose.x - on.offset * d,
-                       pose.y + on.offset * c, tangential * c - normal * d,
-                       tangential * d + normal * c});
+    const Push by = push(contact);
+    reports.push_back({contact.peg, on.arc, on.kind, by.normal, by.tangential,
+                       -on.offset * by.tangential, pose.x - on.offset * d, pose.y + on.offset * c,
+                       by.tangential * c - by.normal * d, by.tangential * d + by.normal * c});
   }
   std::stable_sort(reports.begin(), reports.end(),
                    [](const auto& a, const auto& b) { return a.arc < b.arc; });

@@ -2,7 +2,9 @@
 //
 // A planar inextensible rod, EI = 1, natural curvature g, clamped at (0, 0) heading along x,
 // carries a contact moment m(s): theta' = g + m, m' = -(t x n), with n constant between contacts.
-// Contacts are unilateral and without friction. The base folds when the contact moment there
+// Contacts are unilateral. Their friction is Coulomb's, behind a small elastic slip (Dahl's element
+// without its smooth corner): it follows how the skin has moved over the peg since the last
+// equilibrium, the peg's rolling on the skin included. The base folds when the contact moment there
 // reaches the critical one: the moment then stays, and the fold's angle is spread over one
 // diameter.
 //
@@ -74,9 +76,10 @@ struct Section {
 
 class Rod {
  public:
-  // No model: the least whose error of position is within the tolerance (cm).
+  // No model: the least whose error of position is within the tolerance (cm). Only the elastica
+  // knows friction.
   Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
-      std::optional<Model> model, double tolerance);
+      std::optional<Model> model, double tolerance, double friction);
 
   // Follow the equilibrium to a new natural curvature and length.
   void step(double natural, double length);
@@ -108,6 +111,10 @@ class Rod {
   const std::array<int, 3>& counts() const { return counts_; }  // steps by each model
 
  private:
+  // A peg's force on the body, along and across it.
+  struct Push {
+    double tangential, normal;
+  };
   // What room and base do to the rod: Newton's unknowns.
   struct Reactions {
     std::vector<Contact> contacts;
@@ -136,10 +143,14 @@ class Rod {
   double travel(double natural, double length) const;
   int cells_for(double length) const;
   Skin skin(const Contact& contact) const;
+  double rubbing(const Contact& contact) const;
+  Push push(const Contact& contact) const;
+  void remember_touches();
 
   double cell_;
   std::optional<Model> choice_;
   double tolerance_;
+  double friction_;
 
   Room room_;  // length 0: not placed yet
   Reactions reactions_;

@@ -2,6 +2,7 @@
 // small deflections with contacts and fold. rod.cpp decides where they are good enough.
 #pragma once
 
+#include <cmath>
 #include <optional>
 #include <vector>
 
@@ -13,6 +14,9 @@ namespace thigmo::mechanics {
 struct Contact {
   int peg;
   double force, place;
+  // What friction remembers of the last equilibrium: the place, the body's heading there (NaN for a
+  // new touch), and the share of the largest friction that acted, positive towards larger places.
+  double last_place = place, last_heading = NAN, rubbing = 0.0;
 };
 
 // Nodes of a free body of one natural curvature: exactly a circular arc.

@@ -255,5 +255,8 @@ class RunDocument:
     robot_time_s: float = 0.0  #: device time that the run took
     wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on
     method: str = "posterior"  #: of the localizer: `thigmo.localize`
+    #: "quick", "default", "careful", "thesis", or a budget such as "120 s"; empty in older runs
+    effort: str = ""
+    skips: str = ""  #: what that effort left out, and what it costs; empty if it was nothing
     resumes: str = ""  #: folder of the run that was cut short, from which this one goes on
     version: int = 1

@@ -6,7 +6,15 @@ What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's intege
 from thigmo.robot.readings import SENSORS, SensorTable, in_mask, mask_of
 from thigmo.robot.robot import JOG_CM, Robot, connect
 from thigmo.robot.standing import StandingWatch
-from thigmo.robot.state import ContactTrigger, Peak, Reading, Status, SweepFrame, SweepResult
+from thigmo.robot.state import (
+    ContactTrigger,
+    Peak,
+    Reading,
+    Status,
+    SweepFrame,
+    SweepResult,
+    mean_peak,
+)
 from thigmo.robot.supervised import WITHOUT_BRAKE
 from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
@@ -32,6 +40,7 @@ __all__ = [
     "connect",
     "in_mask",
     "mask_of",
+    "mean_peak",
     "peak_frame",
     "rising_period_s",
     "sweep_period_s",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import and_
 
@@ -73,6 +73,25 @@ class Peak:
     count: int  # readings averaged
     # of young sensors, the standard error of that rest; 0 for others; (10,), 1/cm
     added_noise: Floats = field(default_factory=lambda: np.zeros(10))
+
+
+def mean_peak(peaks: Sequence[Peak]) -> Peak:
+    """Several sweeps' peaks of a side at one length, as one; a sensor counts that all of them had.
+
+    What a young sensor's rest is known to is common to them.
+    """
+    first, *more = peaks
+    if not more:
+        return first
+    return replace(
+        first,
+        curvature=np.mean([peak.curvature for peak in peaks], axis=0),
+        free_curvature=float(np.mean([peak.free_curvature for peak in peaks])),
+        pressure_psi=float(np.mean([peak.pressure_psi for peak in peaks])),
+        sensors=reduce(and_, (peak.sensors for peak in peaks)),
+        count=sum(peak.count for peak in peaks),
+        added_noise=np.mean([peak.added_noise for peak in peaks], axis=0),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,7 @@ _POLL_S = 0.1
 _LINGER_S = 0.01  # a thread that wakes for every message would take the robot's time
 _LAST_S = 5.0  # for all clients to take what is left when the run ends
 _PATIENCE_S = 2.0  # for a server's hello
+_HUNG_S = 0.05  # for that of one which has not answered before
 # How the names of this user's streams begin on Windows.
 _PIPE_PREFIX = f"thigmo-run-{os.environ.get('USERNAME', '')}-"
 
@@ -216,12 +217,13 @@ class RemoteRun(Closing):
                     yield message
 
 
-def attach(address: str) -> RemoteRun:
-    """Listen to the run that is served at an address. Raises LinkError if nobody serves one."""
+def attach(address: str, patience_s: float = _PATIENCE_S) -> RemoteRun:
+    """Listen to the run that is served at an address. Raises LinkError if nobody serves one, or it
+    says nothing in time."""
     hello: Message | None = None
     with contextlib.suppress(OSError, EOFError):
         connection = stop_socket.connect(address)
-        if connection.poll(_PATIENCE_S):
+        if connection.poll(patience_s):
             hello = from_json(connection.recv_bytes())
         if isinstance(hello, Hello):
             return RemoteRun(connection, address, hello)
@@ -229,10 +231,18 @@ def attach(address: str) -> RemoteRun:
     raise LinkError(f"no run is under way at {address}", "start one with `thigmo explore`")
 
 
-def running() -> list[Watchable]:
-    """All runs of this user that can be watched, the youngest last."""
+def running(hung: set[str] | None = None) -> list[Watchable]:
+    """All runs of this user that can be watched, the youngest last.
+
+    `hung`: kept by who looks again and again, the addresses that did not answer; they are waited
+    for only briefly.
+    """
     found = []
+    silent = set() if hung is None else hung
     for address in _addresses():
-        with contextlib.suppress(LinkError), attach(address) as run:
+        patience_s = _HUNG_S if address in silent else _PATIENCE_S
+        silent.add(address)
+        with contextlib.suppress(LinkError), attach(address, patience_s) as run:
             found.append(Watchable(address, run.hello))
+            silent.discard(address)
     return sorted(found, key=lambda each: each.hello.epoch_s)

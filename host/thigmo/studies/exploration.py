@@ -7,12 +7,14 @@ is a false contact. So are rooms of walls, corners and gaps, of dowels apart or 
 growths that tail friction stops where nothing stands. Contacts are held against the surfaces that
 were touched, and never against what was out of reach. The map for planners of every room with pegs
 is held against the room: cells inside pegs that it calls free, apart for pegs that were felt and
-those that were missed.
+those that were missed. Last, rooms of three kinds are explored with every effort, with budgets of
+robot time and by the thesis's protocol: what seconds buy.
 """
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, nan
 from pathlib import Path
@@ -21,22 +23,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from thigmo.config import RobotConfig
 from thigmo.emulator.reach import first_felt, random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
+from thigmo.exploration.effort import EFFORTS, THESIS, Effort, within
 from thigmo.exploration.map import best_contact, of_stage
 from thigmo.exploration.missed import felt_pegs, from_line
 from thigmo.exploration.obstacles import occupancy
 from thigmo.mechanics import Peg
 from thigmo.record import RunDocument, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
-from thigmo.report.axes import GREEN, ORANGE, RED
+from thigmo.report.axes import BLUE, GREEN, ORANGE, RED
 from thigmo.studies import charts
 from thigmo.studies.engine import Claim, Context, Outcome, Record, share
 from thigmo.studies.rooms import explored
 from thigmo.studies.scenes import RADIUS
 
-ROUND = 3  # rooms of each kind, after which all that is known is written
+ROUNDS = 10  # parts of all rooms, after each of which all that is known is written
 _LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
 _RADII_CM = (0.25, 2.5)
 _MOST_PEGS = 3
@@ -48,6 +52,7 @@ _BETWEEN_CM = 0.5  # pegs stand at least so far apart
 class Kind:
     """A kind of robot and room."""
 
+    rooms: int  # of the published figures
     scene: str = "default"  # built-in scene of the robot
     bend: float = 1.0  # how much the body bends, over what the host's maps say
     # relative standard deviation of the sensors' gains, of which robot.toml knows nothing
@@ -58,28 +63,33 @@ class Kind:
     wall: bool = False  # whether a wall stands there instead
     # tail friction (psi/cm) at which growth stalls somewhere; None: the scene's
     friction: tuple[float, float] | None = None
+    rubs: float = 0.0  # most friction between the body and what stands in the room
 
 
 TRUE, MORE = CALIBRATED = ("as calibrated", "one to three pegs")  # of the default scene's robot
 WALLS, STALLS = "walls, corners, gaps", "stalls, empty"
 KINDS: dict[str, Kind] = {
-    TRUE: Kind(),
-    MORE: Kind(more=True),
-    "bends 10 % less": Kind(bend=0.9),
-    "bends 5 % less": Kind(bend=0.95),
-    "bends 5 % more": Kind(bend=1.05),
-    "bends 10 % more": Kind(bend=1.1),
-    "gains 5 % off": Kind(gains=0.05),
-    "gains 10 % off": Kind(gains=0.1),
-    "scene noisy": Kind(scene="noisy"),
-    "empty": Kind(peg=False),
-    "empty, scene noisy": Kind(scene="noisy", peg=False),
-    "empty, 4 times the noise": Kind(noise=4.0, peg=False),
-    WALLS: Kind(wall=True),
-    STALLS: Kind(peg=False, friction=(0.006, 0.012)),
+    TRUE: Kind(20),
+    "bends 10 % less": Kind(7, bend=0.9),
+    "bends 5 % less": Kind(7, bend=0.95),
+    "bends 5 % more": Kind(6, bend=1.05),
+    "bends 10 % more": Kind(7, bend=1.1),
+    "gains 5 % off": Kind(6, gains=0.05),
+    "gains 10 % off": Kind(7, gains=0.1),
+    MORE: Kind(40, more=True),
+    WALLS: Kind(60, wall=True, rubs=0.6),
+    STALLS: Kind(20, peg=False, friction=(0.006, 0.012)),
+    "scene noisy": Kind(10, scene="noisy"),
+    "empty": Kind(10, peg=False),
+    "empty, scene noisy": Kind(10, scene="noisy", peg=False),
+    "empty, 4 times the noise": Kind(10, noise=4.0, peg=False),
 }
-# Kinds that are held against surfaces, by claims of their own.
-_APART = (WALLS, STALLS)
+_OTHERS = tuple(name for name, kind in KINDS.items() if kind.bend != 1.0 or kind.gains)
+_NOISY = tuple(name for name in KINDS if "noisy" in name or "empty," in name or name == "empty")
+DIALLED = (TRUE, MORE, WALLS)  # kinds in which every effort is tried
+DIAL_ROOMS = 6  # of each
+BUDGETS_S = (60.0, 100.0, 150.0, 250.0, 400.0)
+SETTINGS = ("thesis", *EFFORTS, *(f"{time_s:g} s" for time_s in BUDGETS_S))
 _NEAR_CM = 1.5  # an occupied cell so near a surface is right
 _OFF_CM = 4.0  # farther from all that was touched a contact is false, and a true one missed
 
@@ -91,6 +101,8 @@ class Explored:
     # kind, seed: of the room
     kind: str
     seed: int
+    setting: str = "default"  # of robot time: an effort, a budget, or the thesis's protocol
+    time_s: float = nan  # robot time
     # x_cm, y_cm, radius_cm: of its peg; NaN without one
     x_cm: float = nan
     y_cm: float = nan
@@ -107,13 +119,22 @@ class Explored:
     touched_missed: int = 0
     # far: contacts that are near no surface that was touched
     far: int = 0
+    # near: the other contacts; error_cm: their mean distance in the plane from the true contact
+    near: int = 0
+    error_cm: float = nan
     # contacts_localized, contacts_wrong: those localized, and those of them whose interval holds
     # no true arc
     contacts_localized: int = 0
     contacts_wrong: int = 0
+    cause: str = ""  # the likeliest of a stall: "obstacle", "wall" or "pressure"; empty without one
 
     def judge(self, document: RunDocument) -> None:
         """Hold the run's best contact against the room."""
+        self.time_s = document.robot_time_s
+        if (stalled := document.stall) is not None:
+            self.cause = max(
+                "obstacle", "wall", "pressure", key=lambda each: getattr(stalled, each)
+            )
         self._judge_surfaces(document)
         best = best_contact(document.contacts)
         if best is None:
@@ -144,11 +165,25 @@ class Explored:
             for true in last.values()
         )
         pegs = [truth.pegs[peg] for peg in last]
+        errors: list[float] = []
         for contact in document.contacts:
             away = [
                 abs(hypot(contact.x_cm - p.x_cm, contact.y_cm - p.y_cm) - p.radius_cm) for p in pegs
             ]
-            self.far += min(away, default=np.inf) > _OFF_CM
+            if min(away, default=np.inf) > _OFF_CM:
+                self.far += 1
+            else:
+                here = [
+                    t
+                    for t in truth.contacts
+                    if of_stage(t, contact.everted_length_cm, contact.side)
+                ]
+                errors.append(
+                    min(
+                        hypot(contact.x_cm - t.x_cm, contact.y_cm - t.y_cm)
+                        for t in here or truth.contacts
+                    )
+                )
             if contact.status == "localized":
                 low, high = contact.interval_cm
                 self.contacts_localized += 1
@@ -157,6 +192,7 @@ class Explored:
                     and low - _LENGTH_CM <= true.arc_cm <= high + _LENGTH_CM
                     for true in truth.contacts
                 )
+        self.near, self.error_cm = len(errors), float(np.mean(errors)) if errors else nan
 
 
 class Mapped(NamedTuple):
@@ -211,7 +247,7 @@ def random_pegs(seed: int) -> list[PegTable]:
 def random_wall(seed: int) -> list[PegTable]:
     """A wall, a corner, a wall with a gap, or one on each side, beside the path of growth.
 
-    Of dowels apart, or side by side as a smooth wall; the emulator's contacts have no friction.
+    Of dowels apart, or side by side as a smooth wall.
     """
     robot, rng = Scene.load("default").robot, np.random.default_rng([seed, 0x3A11])
     while True:
@@ -248,10 +284,10 @@ def random_wall(seed: int) -> list[PegTable]:
 Run = tuple[Explored, Mapped | None]
 
 
-def visit(room: tuple[str, int]) -> Run:
-    """Explore a room of a kind and seed, and judge its map if it has pegs."""
-    name, seed = room
-    kind, found = KINDS[name], Explored(name, seed)
+def visit(room: tuple[str, int, str]) -> Run:
+    """Explore a room of a kind and seed with a setting; judge its map if it has pegs."""
+    name, seed, setting = room
+    kind, found = KINDS[name], Explored(name, seed, setting)
     scene = Scene.load(kind.scene)
     for part in (scene.noise, scene.belief):
         for what, value in part.model_dump().items():
@@ -268,6 +304,7 @@ def visit(room: tuple[str, int]) -> Run:
     scene.pegs = random_pegs(seed) if kind.more else random_wall(seed) if kind.wall else []
     if kind.friction is not None:
         scene.robot.body.growth_psi_per_cm = float(rng.uniform(*kind.friction))
+    scene.body.friction = float(rng.uniform(0.0, kind.rubs))
     if kind.peg and not scene.pegs:
         peg, _ = random_peg(scene.robot, rng, radius=_RADII_CM)
         found.x_cm, found.y_cm, found.radius_cm = peg.x, peg.y, peg.radius
@@ -276,7 +313,14 @@ def visit(room: tuple[str, int]) -> Run:
         file = Path(folder) / "room.toml"
         scene.save(file)
         try:
-            document = explored(f"emulator://{file}", folder, seed, config=known).document
+            document = explored(
+                f"emulator://{file}",
+                folder,
+                seed,
+                config=known,
+                protocol="thesis" if setting == "thesis" else "measure",
+                effort=_effort(setting, known),
+            ).document
         except ThigmoError as error:
             found.status = f"aborted: {error.what}"
             return found, None
@@ -284,21 +328,44 @@ def visit(room: tuple[str, int]) -> Run:
     return found, judge_map(document) if kind.peg else None
 
 
+def _effort(setting: str, config: RobotConfig) -> Effort:
+    if setting == "thesis":
+        return THESIS
+    return EFFORTS[setting] if setting in EFFORTS else within(float(setting.split()[0]), config)
+
+
+def rooms(context: Context) -> list[list[tuple[str, int, str]]]:
+    """All rooms, in rounds: those of the promises, then those of the dial."""
+    rounds: list[list[tuple[str, int, str]]] = [[] for _ in range(2 * ROUNDS)]
+    for number, (name, kind) in enumerate(KINDS.items()):
+        count = context.count(1, kind.rooms)
+        seeds = context.rng(0x0E, number).integers(0, 2**31, count).tolist()
+        for n, seed in enumerate(seeds):
+            rounds[ROUNDS * n // count].append((name, seed, "default"))
+        if name in DIALLED:
+            some = seeds[: context.count(1, DIAL_ROOMS)]
+            for n, seed in enumerate(some):
+                rounds[ROUNDS + ROUNDS * n // len(some)] += [
+                    (name, seed, setting) for setting in SETTINGS if setting != "default"
+                ]
+    return [each for each in rounds if each]
+
+
 def run(context: Context) -> Outcome:
     """Rooms of every kind, and what is promised of them."""
-    seeds = context.rng(0x0E).integers(0, 2**31, context.count(1, 30)).tolist()
     runs: list[Run] = []
     outcome = Outcome()
-    for start in range(0, len(seeds), ROUND):
-        some = seeds[start : start + ROUND]
-        part = f"rooms {start + 1} to {start + len(some)} of {len(seeds)} of each kind"
-        runs += context.map(visit, [(kind, seed) for seed in some for kind in KINDS], part)
+    rounds = rooms(context)
+    for number, some in enumerate(rounds, 1):
+        runs += context.map(visit, some, f"rooms, part {number} of {len(rounds)}")
         outcome = _outcome(runs)
         context.save(outcome)
     return outcome
 
 
-def _outcome(runs: list[Run]) -> Outcome:
+def _outcome(every: list[Run]) -> Outcome:
+    runs = [(one, mapped) for one, mapped in every if one.setting == "default"]
+    dialled = _dial([one for one, _ in every])
     found = [one for one, _ in runs]
     rows = _by_kind(found)
     maps: dict[str, list[Mapped]] = {
@@ -311,15 +378,20 @@ def _outcome(runs: list[Run]) -> Outcome:
     promised, *others = [
         row for name, some in maps.items() for row in _map_shares(f"maps of {name}", some)
     ]
-    every = Mapped._make(
+    total = Mapped._make(
         sum(one[n] for some in maps.values() for one in some) for n in range(len(Mapped._fields))
     )
-    near = 100 * every.occupied_near / max(every.occupied, 1)
+    near = 100 * total.occupied_near / max(total.occupied, 1)
+    tables: dict[str, Sequence[Record]] = {"runs": [vars(one) for one, _ in every], "rows": rows}
+    figures = {"explorations": _figure(found)}
+    if dialled:
+        tables["dial"], figures["dial"] = dialled, _dial_figure(dialled)
     return Outcome(
-        {"runs": [vars(one) for one in found], "rows": rows},
-        {"explorations": _figure(found)},
+        tables,
+        figures,
         [
             *_claims(found),
+            *_dial_claims(dialled),
             Claim(*promised, 0.1, unit="%"),
             Claim(f"occupied cells within {_NEAR_CM:g} cm of a surface", near, 60.0, False, "%"),
         ],
@@ -368,34 +440,129 @@ def _by_kind(found: list[Explored]) -> list[Record]:
 
 
 def _claims(found: list[Explored]) -> list[Claim]:
-    true = [one for one in found if one.kind == TRUE]
-    off = [one for one in found if one.kind not in (TRUE, *_APART) and not KINDS[one.kind].more]
-    walls, stalls = ([one for one in found if one.kind == kind] for kind in _APART)
-    claims = [Claim("as calibrated: median |x error|", _median_x(true), 3.0, unit="cm")]
-    for text, some, (wrong, missed, false) in (
-        ("as calibrated", true, (0.0, 0.035, 0.0)),
-        ("not as calibrated, or empty", off, (0.06, 0.1, 0.03)),
-    ):
-        pegs = [one for one in some if KINDS[one.kind].peg]
-        localized = share([one.wrong for one in pegs])
-        phantoms = share([one.false > 0 for one in some])
-        claims += [
-            Claim(f"{text}: localized and wrong, of rooms with a peg", localized, wrong),
-            Claim(f"{text}: pegs missed", share([one.missed for one in pegs]), missed),
-            Claim(f"{text}: runs with false contacts", phantoms, false),
-        ]
-    rooms = max(len(walls), 1)
-    wrong = sum(one.contacts_wrong for one in walls)
-    right = sum(one.contacts_localized for one in walls) - wrong
-    missed = sum(one.touched_missed for one in walls) / max(sum(o.touched for o in walls), 1)
-    claims += [
-        Claim(f"{WALLS}: contacts localized and wrong, a room", wrong / rooms, 1 / 60),
-        Claim(f"{WALLS}: contacts localized and right, a room", right / rooms, 8 / 60, False),
-        Claim(f"{WALLS}: false contacts, a room", sum(o.far for o in walls) / rooms, 0.3),
-        Claim(f"{WALLS}: contacts missed by {_OFF_CM:g} cm", missed, 0.2),
-        Claim(f"{STALLS}: localized", float(sum(o.contacts_localized for o in stalls)), 0.0),
+    def of(*names: str) -> list[Explored]:
+        return [one for one in found if one.kind in names]
+
+    def total(some: list[Explored], what: str) -> float:
+        return float(sum(getattr(one, what) for one in some))
+
+    def missed(some: list[Explored]) -> float:
+        return 100 * total(some, "touched_missed") / max(total(some, "touched"), 1.0)
+
+    walls, stalls, several, pegs = of(WALLS), of(STALLS), of(MORE), of(TRUE, *_OTHERS)
+    noisy = share([one.false > 0 for one in of(*_NOISY)])
+    right = total(walls, "contacts_localized") - total(walls, "contacts_wrong")
+    stalled = [one for one in stalls if one.cause]
+    one_peg, off = f"one peg, {len(pegs)} rooms", f"{_OFF_CM:g} cm"
+    empty, more = f"{STALLS}, {len(stalls)} rooms", f"{MORE}, {len(several)} rooms"
+    walled = f"{WALLS}, {len(walls)} rooms"
+    return [
+        Claim(f"{walled}: localized wrong", total(walls, "contacts_wrong"), 1.0),
+        Claim(f"{WALLS}: localized right", right, 8.0, False),
+        Claim(f"{WALLS}: false contacts, a room", total(walls, "far") / max(len(walls), 1), 0.3),
+        Claim(f"{WALLS}: contacts missed by {off}", missed(walls), 20.0, unit="%"),
+        Claim(f"{empty}: localized", total(stalls, "contacts_localized"), 0.0),
+        Claim(
+            f"{STALLS}: of {len(stalled)} that stalled, the cause is right after a trial",
+            share([one.cause == "pressure" for one in stalled]), 0.8, False,
+        ),
+        Claim(f"{one_peg}: missed by {off}", total(pegs, "touched_missed"), 1.0),
+        Claim(f"{one_peg}: false contacts", total(pegs, "far"), 1.0),
+        Claim(f"{one_peg}: localized wrong", total(pegs, "contacts_wrong"), 1.0),
+        Claim(f"{more}: localized wrong", total(several, "contacts_wrong"), 2.0),
+        Claim(f"{MORE}: contacts missed by {off}", missed(several), 10.0, unit="%"),
+        Claim(f"{TRUE}: median |x error|", _median_x(of(TRUE)), 3.0, unit="cm"),
+        Claim("noisy or empty: runs with false contacts", noisy, 0.03),
+    ]  # fmt: skip
+
+
+def _dial(found: list[Explored]) -> list[Record]:
+    """What each setting of robot time buys in each kind of room."""
+    rows: list[Record] = []
+    seeds = {one.seed for one in found if one.setting != "default"}
+    for kind in DIALLED:
+        for setting in SETTINGS:
+            mine = [o for o in found if (o.kind, o.setting) == (kind, setting) and o.seed in seeds]
+            if not mine:
+                continue
+            near, touched = (sum(getattr(o, what) for o in mine) for what in ("near", "touched"))
+            errors = sum(one.near * one.error_cm for one in mine if one.near)
+            localized = sum(one.contacts_localized for one in mine)
+            rows.append({
+                "kind": kind, "setting": setting, "rooms": len(mine),
+                "time_s": float(np.mean([one.time_s for one in mine])),
+                "longest_s": max(one.time_s for one in mine),
+                "contacts": near,
+                "error_cm": errors / near if near else nan,
+                "missed": sum(one.touched_missed for one in mine) / max(touched, 1),
+                "localized": localized,
+                "wrong": sum(one.contacts_wrong for one in mine) / max(localized, 1),
+            })  # fmt: skip
+    return rows
+
+
+def _dial_claims(rows: list[Record]) -> list[Claim]:
+    """What one-peg rooms are promised of each effort; budgets are kept to in every room."""
+    one = {row["setting"]: row for row in rows if row["kind"] == TRUE}
+    if len(one) < len(SETTINGS):
+        return []
+
+    def of(setting: str, what: str) -> float:
+        return float(one[setting][what])
+
+    claims = [
+        Claim(
+            f"one peg, {setting}: mean error in the plane", of(setting, "error_cm"), most, unit="cm"
+        )
+        for setting, most in (("careful", 0.5), ("default", 1.0), ("quick", 1.3))
     ]
-    return claims
+    longer = of("careful", "time_s") / of("thesis", "time_s")
+    over = max(
+        float(row["longest_s"]) / float(str(row["setting"]).split()[0])
+        for row in rows
+        if str(row["setting"])[0].isdigit()
+    )
+    return [
+        *claims,
+        Claim("one peg, careful: robot time over the thesis's protocol's", longer, 0.6),
+        Claim("one peg, default: robot time", of("default", "time_s"), 150.0, unit="s"),
+        Claim("one peg, quick: robot time", of("quick", "time_s"), 125.0, unit="s"),
+        Claim("budgets: longest run over its budget", over, 1.1),
+    ]
+
+
+def _dial_figure(rows: list[Record]) -> Figure:
+    """Error, contacts missed and contacts localized wrong, against robot time."""
+    figure, axes = charts.panels(2, len(DIALLED), size=(3.4, 2.6))
+    most_cm = max((float(row["error_cm"]) for row in rows if row["contacts"]), default=1.0)
+    most = max(max(float(row["missed"]), float(row["wrong"])) for row in rows)
+    for column, kind in enumerate(DIALLED):
+        upper, lower = axes[column], axes[len(DIALLED) + column]
+        mine = sorted((row for row in rows if row["kind"] == kind), key=lambda row: row["time_s"])
+        budgets = [row for row in mine if str(row["setting"])[0].isdigit()]
+        x = [row["time_s"] for row in budgets]
+        upper.plot(x, [row["error_cm"] for row in budgets], "o-", color=BLUE, label="a budget")
+        for what, color, marker in (("missed", RED, "X"), ("wrong", ORANGE, "^")):
+            y = [100 * float(row[what]) for row in mine]
+            label = "contacts missed" if what == "missed" else "localized ones that are wrong"
+            lower.scatter([row["time_s"] for row in mine], y, 24, marker=marker, color=color,
+                          label=label)  # fmt: skip
+        for row in mine:
+            if row in budgets:
+                continue
+            thesis = row["setting"] == "thesis"
+            upper.scatter(row["time_s"], row["error_cm"], 40, marker="s" if thesis else "D",
+                          color="0.4" if thesis else GREEN)  # fmt: skip
+            upper.annotate(str(row["setting"]), (row["time_s"], row["error_cm"]), fontsize=7,
+                           xytext=(4, 4), textcoords="offset points")  # fmt: skip
+        upper.set_title(kind, fontsize=9)
+        upper.set(xlim=(0, None), ylim=(0, 1.15 * most_cm))
+        lower.set(xlabel="robot time (s)", xlim=(0, None), ylim=(-2, 115 * most + 2))
+    axes[0].set_ylabel("mean error in the plane (cm)")
+    axes[len(DIALLED)].set_ylabel("share (%)")
+    axes[0].legend(fontsize=7)
+    axes[len(DIALLED)].legend(fontsize=7)
+    return figure
 
 
 def _figure(found: list[Explored]) -> Figure:
@@ -421,7 +588,7 @@ def _figure(found: list[Explored]) -> Figure:
         right.barh(at + 0.25 * (shift - 1), shares, 0.25, color=color, label=label)
     right.set_yticks(at, list(KINDS), fontsize=8)
     right.invert_yaxis()
-    right.set(xlabel=f"share of {len(found) // len(KINDS)} rooms each (%)", xlim=(0, None))
+    right.set(xlabel="share of the rooms of a kind (%)", xlim=(0, None))
     legend: dict[str, Any] = {"fontsize": 7, "ncols": 2, "frameon": False}
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", **legend)
     figure.legend(*right.get_legend_handles_labels(), loc="outside lower right", **legend)

@@ -14,6 +14,7 @@ from pathlib import Path
 from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.exploration import ExplorationResult
+from thigmo.exploration.effort import EFFORTS, Effort
 from thigmo.exploration.run import Exploration, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import connect
@@ -26,6 +27,7 @@ def explored(
     *,
     config: RobotConfig | None = None,
     protocol: Protocol = "measure",
+    effort: Effort = EFFORTS["default"],
     frames: bool = False,
 ) -> ExplorationResult:
     """Explore an emulated room; the host takes the robot for what its lab would know, or `config`.
@@ -45,7 +47,7 @@ def explored(
             if frames:
                 robot.record_frames(log.frame)
             run = Exploration(
-                robot, used, folder, log, document, lambda doing, share: None, protocol
+                robot, used, folder, log, document, lambda doing, share: None, protocol, effort
             )
             run.run()
         time = round(robot.elapsed_s, 3)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rod_oracles import carried_moment, lagrangian, moment_imbalance
 
+from thigmo.errors import DataError
 from thigmo.mechanics import Peg, Rod, Solution, Tube, fold_share, solve
 
 CENTERS = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
@@ -286,3 +287,26 @@ def test_overridden_choice_is_obeyed() -> None:
         body.step(-0.01, 53.0)
         assert set(body.counts) == {model}
         assert (body.touching == 0) == (model == "arc")
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.6])
+def test_friction_drags_what_slides_and_never_more_than_its_share(friction: float) -> None:
+    """A bending body's skin slides towards its base over a peg, and friction pulls it back."""
+    rod = Rod(Tube(3.5, None), [Peg(30.0, 10.0, 0.6)], friction=friction)
+    shares: list[float] = []
+    for curvature in np.linspace(0.0, 0.03, 61):
+        rod.step(float(curvature), 50.0)
+        shares += [contact.tangential / abs(contact.normal) for contact in rod.contacts()]
+    assert max(map(abs, shares)) <= friction + 1e-9
+    # It slides; what the body rolled over the peg in the last step is not yet slid back.
+    assert 0.95 * friction < shares[-1] <= friction
+    smooth = Rod(Tube(3.5, None), [Peg(30.0, 10.0, 0.6)])
+    for curvature in np.linspace(0.0, 0.03, 61):
+        smooth.step(float(curvature), 50.0)
+    assert smooth.contacts()[0].tangential == 0.0
+    assert smooth.contacts()[0].arc > rod.contacts()[0].arc  # it slid further
+
+
+def test_a_friction_that_cannot_be_is_refused() -> None:
+    with pytest.raises(DataError, match="friction must lie between 0 and 2"):
+        Rod(Tube(), [], friction=-0.1)
