@@ -20,7 +20,7 @@ from thigmo.stream import Telemetry
 Row = dict[str, Any]
 
 _FULL = wire.PARAMETERS["speed_margin_duty"].high  # duty of the whole supply
-_SHORTEST_S = 1.5  # of growth, whose middle half is taken
+_SHORTEST_S = 3.0  # of growth, whose middle half is taken: by then the duty has settled
 
 
 class Drive(AbstractContextManager["Drive"]):
