@@ -288,7 +288,7 @@ def test_every_contact_has_its_mass_and_two_have_a_joint_one():
     clean = felt(20.0, -9e-4) + felt(48.0, 5e-4)
     found = find(clean + SIGMA * np.random.default_rng(3).standard_normal(10))
     assert len(found.contacts) == len(found.marginals) == 2
-    for contact, (edges, mass) in zip(found.contacts, found.marginals, strict=True):
+    for contact, (edges, mass, *_) in zip(found.contacts, found.marginals, strict=True):
         assert mass.sum() == pytest.approx(1.0)
         assert (edges[0], edges[-1]) == (0.0, pytest.approx(LENGTH))
         low, high = contact.interval
