@@ -141,7 +141,8 @@ class Console:
 
         say, document = partial(self.out.print, highlight=False), result.document
         if not document.contacts:
-            say(f"[bold]No contact[/bold] in {len(document.stages)} sweeps.")
+            swept = ", ".join(f"{stage.everted_length_cm:g}" for stage in document.stages)
+            say(f"[bold]No contact[/bold]{f' in sweeps at {swept} cm' if swept else ', no sweep'}.")
         else:
             table = Table("x", "y", "arc", "95 % interval", "force", "status", box=None)
             for c in document.contacts:

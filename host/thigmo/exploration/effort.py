@@ -54,10 +54,13 @@ class Effort:
     def skips(self, config: RobotConfig) -> str:
         """What it leaves out, and what that costs, for the operator; empty if that is nothing."""
         said = []
-        lengths = self.lengths(config)
-        if left := [length for length in stage_lengths(config) if length not in lengths]:
+        stops = self.stops_after(config, 0.0, _BEGINS_S, swept=False)
+        last = stops[-1]
+        if left := [each for each in stage_lengths(config) if each < last and each not in stops]:
             where = ", ".join(f"{length:g}" for length in left)
             said.append(f"no sweeps at {where} cm: what only so short a body reaches is missed")
+        if last < config.body.length_cm - SAME_CM:
+            said.append(f"it ends at {last:g} cm: what stands farther is not felt")
         if self.measurements == 0:
             said.append("no second, slower sweep of a contact: its place is known less well")
         return "; ".join(said)

@@ -156,9 +156,15 @@ class Exploration:
     # Each stage.
 
     def _plan(self) -> str:
-        stops = self.effort.stops_after(
-            self.config, self.length_cm, self.robot.elapsed_s, swept=self._swept
-        )
+        def left() -> list[float]:
+            return self.effort.stops_after(
+                self.config, self.length_cm, self.robot.elapsed_s, swept=self._swept
+            )
+
+        stops = left()
+        if not stops and not self._knows.stages and self._swept:  # one sweep here beats none
+            self._swept = False
+            stops = left()
         if not stops:
             full = self.length_cm > self.config.body.length_cm - SAME_CM
             self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
