@@ -890,6 +890,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
   thread_local SetsGrid sets;  // the next frame needs as much memory
   sets.reset(count, cells);
   Matrix white;
+  bool whole = true;
   for (int turn = 0; turn < kMostTurns; ++turn) {
     sets.place.clear(), sets.width.clear();
     double log_volume = 0.0;
@@ -900,6 +901,8 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
       log_volume += std::log((j + 1.0) * sets.width[j]);
     }
     sets.list();
+    // On the whole body the sets listed are all there are: their prior sums to one.
+    if (whole) log_volume = -std::log(static_cast<double>(sets.size()));
     const Levers& levers = body.levers(sets.place);
     const Row unit = prior_deviations(prior, levers.largest);
     const auto take = [&](const Whitened::At& at) {
@@ -935,7 +938,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
       const Window part = support(mass.data(), cells, window[j], 10.0 * kOutside, 2);
       if (part.far - part.near < 0.75 * (window[j].far - window[j].near) && sets.width[j] > 1e-6) {
         window[j] = part;
-        finer = true;
+        finer = true, whole = false;
       }
     }
     if (finer || !(rests || turn + 1 == kMostTurns)) continue;
