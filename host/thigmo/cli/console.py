@@ -141,7 +141,7 @@ class Console:
 
         say, document = partial(self.out.print, highlight=False), result.document
         if not document.contacts:
-            swept = ", ".join(f"{stage.everted_length_cm:g}" for stage in document.stages)
+            swept = ", ".join(f"{stage.everted_length_cm:.0f}" for stage in document.stages)
             say(f"[bold]No contact[/bold]{f' in sweeps at {swept} cm' if swept else ', no sweep'}.")
         else:
             table = Table("x", "y", "arc", "95 % interval", "force", "status", box=None)
