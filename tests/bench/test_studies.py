@@ -139,4 +139,4 @@ def test_every_study_named_can_be_loaded(name: str) -> None:
 
 def test_a_trigger_before_the_pressure_has_risen_does_not_end_the_run() -> None:
     """At four times the noise the base fires in this room before the sweep has a frame."""
-    assert visit(("empty, 4 times the noise", 16))[0].status == "silent"
+    assert visit(("empty, 4 times the noise", 16, "default"))[0].status == "silent"

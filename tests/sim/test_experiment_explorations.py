@@ -30,10 +30,10 @@ def scene() -> Scene:
     """Half of a robot, two sensors a side, and a peg in its reach."""
     made = Scene.load("default")
     robot = made.robot
-    robot.body.length_cm = LENGTH_CM
     for side in SIDES:
         column = [s for s in robot.column(side) if s.center_cm < LENGTH_CM - 5]
         robot.set_column(side, column)
+    robot.body.length_cm = LENGTH_CM
     for zone, until in zip(robot.body.zones, (10.0, 20.0, LENGTH_CM), strict=True):
         zone.until_cm = until
     peg, _ = random_peg(robot, np.random.default_rng(3))

@@ -211,7 +211,7 @@ def record(
     vent. Without one the room's pegs do, and `touch_ms` becomes the first moment at which they
     pass the threshold (1/cm).
     """
-    eeprom = _stored(scene.believed(seed).model_dump_json())
+    eeprom = _stored(scene.believed(seed).model_dump_json(by_alias=True))
     board = TouchedBoard(seed, eeprom, scene.robot)
     lockstep = Lockstep(scene, board, seed=seed)
     board.set_encoder(*lockstep.plant.encoder)  # a jump from 0 later would be a slip
