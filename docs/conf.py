@@ -45,11 +45,13 @@ myst_update_mathjax = False
 
 nb_execution_mode = "force"  # a page is executed whenever it is read
 nb_execution_raise_on_error = True
+nb_execution_in_temp = True
 nb_execution_timeout = 300
 nb_merge_streams = True
 nb_ipywidgets_js = {}  # otherwise loaded from other hosts
 # Kernels inherit it: pages show what a terminal of this width shows, wherever they are built.
 os.environ["COLUMNS"] = "88"
+os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"

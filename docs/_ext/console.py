@@ -19,7 +19,6 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any, ClassVar
@@ -76,10 +75,8 @@ class Console(SphinxDirective):
         return found
 
     def _output(self, command: str, folder: Path, expected: int) -> list[str]:
-        here = Path(sys.executable).parent
         environment = {
             **os.environ,
-            "PATH": f"{here}{os.pathsep}{os.environ['PATH']}",
             "COLUMNS": "88",
             "TERM": "dumb",
             "NO_COLOR": "1",
