@@ -553,8 +553,12 @@ def _dial_figure(rows: list[Record]) -> Figure:
             thesis = row["setting"] == "thesis"
             upper.scatter(row["time_s"], row["error_cm"], 40, marker="s" if thesis else "D",
                           color="0.4" if thesis else GREEN)  # fmt: skip
+            # Names beside their dots, where neither each other's nor the frame is.
+            at, side = {"thesis": ((-5, 5), "right"), "default": ((4, -10), "left")}.get(
+                str(row["setting"]), ((4, 4), "left")
+            )
             upper.annotate(str(row["setting"]), (row["time_s"], row["error_cm"]), fontsize=7,
-                           xytext=(4, 4), textcoords="offset points")  # fmt: skip
+                           xytext=at, ha=side, textcoords="offset points")  # fmt: skip
         upper.set_title(kind, fontsize=9)
         upper.set(xlim=(0, None), ylim=(0, 1.15 * most_cm))
         lower.set(xlabel="robot time (s)", xlim=(0, None), ylim=(-2, 115 * most + 2))
