@@ -257,6 +257,8 @@ class Robot(Supervised):
         heard: list[TelemetryFrame] = []
         with self._telemetry_to(heard.append):
             self.wait(seconds, despite_faults=despite_faults)
+            if not heard:  # a busy computer may hear it late
+                self.wait(1.0, despite_faults=despite_faults)
         if not heard:
             raise LinkError("no telemetry came", "check the parameter telemetry_ms")
         frames = [frame.message for frame in heard]
