@@ -94,6 +94,7 @@ class Robot {
     board_.task(static_cast<uint8_t>(Task::kDecide));
     controller_.decide();
     if (controller_.configure_step()) session_.finish({protocol::Status::kOk, Reason::kNone, 0});
+    refresh_one();
     write_outputs();
     board_.enable(controller_.enables());
     board_.task(static_cast<uint8_t>(Task::kTelemetry));
@@ -104,7 +105,14 @@ class Robot {
     }
   }
 
-  // Hands changed outputs to the board.
+  // Has one output written in this period although it has not changed, each in turn: what disturbs
+  // an output's registers lasts for three periods at most.
+  void refresh_one() {
+    refreshed_ = refreshed_ < kSides ? static_cast<uint8_t>(refreshed_ + 1) : uint8_t{0};
+    (refreshed_ < kSides ? written_.drive[refreshed_] : written_.motor) = kNever;
+  }
+
+  // Hands outputs to the board that have changed, or that are to be written anew.
   void write_outputs() {
     const Outputs& out = controller_.outputs();
     for (uint8_t side = 0; side < kSides; ++side) {
@@ -157,6 +165,7 @@ class Robot {
   ConfigStore store_;
   Commands commands_;
   Outputs written_ = {{kNever, kNever}, kNever};
+  uint8_t refreshed_ = 0;  // output that is written anew: a side, or the motor
   bool named_ = false;
 };
 

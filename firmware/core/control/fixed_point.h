@@ -95,9 +95,9 @@ constexpr uint16_t kQuarterSine[65] THIGMO_PROGMEM = {
 
 inline uint16_t half_sine(uint32_t phase) {
   const uint32_t folded = phase <= 0x40000000u ? phase : 0x80000000u - phase;
+  if (folded >= 0x40000000u) return folded == 0x40000000u ? 32768 : 0;  // the peak; no such phase
   const uint8_t index = static_cast<uint8_t>(folded >> 24);
   const uint16_t below = THIGMO_FLASH_U16(kQuarterSine + index);
-  if (index >= 64) return below;
   const uint16_t above = THIGMO_FLASH_U16(kQuarterSine + index + 1);
   const uint32_t fraction = (folded >> 8) & 0xFFFFu;
   return static_cast<uint16_t>(below + (((above - below) * fraction + 0x8000u) >> 16));

@@ -57,6 +57,8 @@ TEST(sine_is_within_its_stated_error) {
   CHECK_EQUAL(half_sine(0), 0);
   CHECK_EQUAL(half_sine(0x40000000u), 32768);
   CHECK_EQUAL(half_sine(0x80000000u), 0);
+  CHECK_EQUAL(half_sine(0x80000001u), 0);  // beyond the half period
+  CHECK_EQUAL(half_sine(0xFFFFFFFFu), 0);
 }
 
 TEST(products_round_to_nearest) {
