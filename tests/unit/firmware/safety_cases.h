@@ -4,6 +4,7 @@
 
 #include "check.h"
 #include "safety/faults.h"
+#include "virtual_board.h"
 
 namespace safety_cases {
 
@@ -136,6 +137,17 @@ TEST(a_fault_is_reported_once_and_cleared_only_without_its_cause) {
   CHECK_EQUAL(faults.clear(0xFFFF, 0), 0);
   faults.raise(Fault::kFlexOpen, 3, 20, &events);
   CHECK_EQUAL(events.count(), 3);
+}
+
+TEST(outputs_that_something_disturbs_are_written_anew_within_three_periods) {
+  VirtualBoard board(1, "");
+  while (!board.running()) board.step(1);
+  board.step(50);
+  board.drive(0, 300), board.drive(1, 400), board.motor(500);  // behind the core's back
+  board.step(3);
+  CHECK_EQUAL(board.drive()[0], 0);
+  CHECK_EQUAL(board.drive()[1], 0);
+  CHECK_EQUAL(board.motor(), 0);
 }
 
 }  // namespace safety_cases

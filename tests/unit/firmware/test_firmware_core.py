@@ -14,6 +14,7 @@ from compiled import compiled
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
 CORE = ROOT / "firmware" / "core"
+VIRTUAL = ROOT / "firmware" / "virtual"
 FLAGS = [
     *("-std=c++14", "-O1", "-g1", "-Wall", "-Wextra", "-Werror"),
     *("-fsanitize=address,undefined", "-fno-sanitize-recover=all"),
@@ -62,8 +63,8 @@ def runner() -> Path:
     """The program; it takes half a minute to build."""
     return compiled(
         "core",
-        ["c++", *FLAGS, f"-I{HERE}", f"-I{CORE}", HERE / "runner.cpp"],
-        [HERE, HERE / "runner.cpp", CORE, ROOT / "firmware" / "micropython"],
+        ["c++", *FLAGS, f"-I{HERE}", f"-I{CORE}", f"-I{VIRTUAL}", HERE / "runner.cpp"],
+        [HERE, HERE / "runner.cpp", CORE, VIRTUAL, ROOT / "firmware" / "micropython"],
         {"golden_vectors.h": _golden_header()},
     )
 
