@@ -39,6 +39,15 @@ def scene_at(length_cm: float) -> Scene:
     return scene
 
 
+def scene_with_motor(supply: float, friction_duty: float) -> Scene:
+    """A motor at a share of its supply, in a gearbox that takes so much duty before it turns."""
+    scene = scene_at(3.0)
+    scene.spool.line_cm_s *= supply
+    scene.spool.stall_n *= supply
+    scene.spool.dead_zone = friction_duty
+    return scene
+
+
 @pytest.mark.parametrize("share", SHARES)
 @pytest.mark.parametrize(("start_cm", "asked_cm"), [(0, 20), (12, 32), (20, 40), (28, 48)])
 def test_the_tip_grows_little_beyond_what_is_counted(
@@ -111,10 +120,7 @@ def test_what_was_learnt_accuses_no_sound_encoder(
     supply: float, friction_duty: float, learnt: list[float]
 ) -> None:
     """On another day: another supply, a gearbox that is colder or worn."""
-    scene = scene_at(3.0)
-    scene.spool.line_cm_s *= supply
-    scene.spool.stall_n *= supply
-    scene.spool.dead_zone = friction_duty
+    scene = scene_with_motor(supply, friction_duty)
     robot, transport = learned_robot(scene, learnt)
     assert list(grow(robot, transport, 50.0))[-1] == 50.0
     assert transport.lockstep.plant.length_cm == pytest.approx(50.0, abs=0.2)
@@ -142,10 +148,7 @@ def test_a_tip_that_stands_still_leaves_the_tail_slack_and_accuses_no_encoder(
 def test_a_sound_robot_within_its_tolerances_grows_and_retracts_without_a_fault(
     supply: float, friction_duty: float, psi: float, seed: int
 ) -> None:
-    scene = scene_at(3.0)
-    scene.spool.line_cm_s *= supply
-    scene.spool.stall_n *= supply
-    scene.spool.dead_zone = friction_duty
+    scene = scene_with_motor(supply, friction_duty)
     robot, transport = robot_in(scene, seed)
     plant = transport.lockstep.plant
     plant.set_body_pressure(psi)

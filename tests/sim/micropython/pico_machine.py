@@ -114,10 +114,6 @@ class Pico:
             self._advance(10)
         raise AssertionError(f"no {text!r} in {self.console!r}")
 
-    def cut_power(self) -> None:
-        """Power off and on: the flash keeps what it holds, RAM is lost."""
-        self._advance(0, cut=True)
-
     @property
     def boots(self) -> int:
         """How often the chip has started."""

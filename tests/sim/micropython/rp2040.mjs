@@ -5,7 +5,7 @@
 // Each line of standard input is an object; what is left out stays as it is. The program runs for
 // `run_us` and answers with an object in one line.
 //   in:  run_us, link (hex, to the UART), keys (text, to Python's prompt), counts (12 conversions of
-//        12 bits, by the core's channel), encoder (x4 counts), estop, motor_power, cut
+//        12 bits, by the core's channel), encoder (x4 counts), estop, motor_power
 //   out: link (hex), console (text), pins (level of each pin or its duty as a share; -1 = an input),
 //        toggles (edges of each pin since the last answer), boots, fetched (addresses in flash that
 //        core 1 has touched), starts (us by which conversions begin before and after multiples of
@@ -370,10 +370,6 @@ for await (const text of createInterface({ input: process.stdin })) {
   for (const name of Object.keys(outside)) if (name in told) outside[name] = told[name];
   waiting.link.push(...Buffer.from(told.link ?? '', 'hex'));
   waiting.keys.push(...Buffer.from(told.keys ?? '', 'latin1'));
-  if (told.cut) {
-    const { chip } = machine;
-    machine = new Machine({ sram: new Uint8Array(chip.sram.length), flash: chip.flash }, 0);
-  }
   machine.run(told.run_us ?? 0);
   const said = {
     link: Buffer.from(heard.link).toString('hex'),
