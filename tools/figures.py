@@ -388,6 +388,7 @@ SOURCES: dict[str, Source] = {
             "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
             "stability": {"stability-force-place.png": "stability.png"},
             "scaling": {},
+            "space": {},
             "cold": {},
             "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
             "loads": {},

@@ -24,11 +24,19 @@ def rod():
     bending = np.linalg.lstsq(design, strain, rcond=None)[0][1:].T
     plane = np.linalg.svd(bending, full_matrices=False)[2][0]
     curvature = bending @ plane
-    return np.arange(1, 21) * 0.01, curvature * np.sign(curvature[0]), np.hypot(*bending.T)
+    return np.arange(1, 21) * 0.01, curvature * np.sign(curvature[0]), np.hypot(*bending.T), bending
+
+
+def subsets():
+    """Evenly spaced samples, four to ten of them."""
+    for count in range(4, 11):
+        step = 20 // count
+        yield np.unique(np.rint(np.linspace(0, 19, count)).astype(int))
+        yield from (first + step * np.arange(count) for first in range(step))
 
 
 def test_all_samples_place_the_tip_contact_and_show_a_load_beside_it(rod):
-    position, *curvatures = rod
+    position, *curvatures, _ = rod
     for curvature in curvatures:
         result = thigmo.localize(curvature, position, length=LENGTH)
         (contact,) = result.contacts
@@ -40,13 +48,29 @@ def test_all_samples_place_the_tip_contact_and_show_a_load_beside_it(rod):
 
 
 def test_every_evenly_spaced_subset_covers_the_tip(rod):
-    position, *curvatures = rod
+    position, *curvatures, _ = rod
     for curvature in curvatures:
-        for count in range(4, 11):
-            choices = [np.unique(np.rint(np.linspace(0, 19, count)).astype(int))]
-            step = 20 // count
-            choices += [first + step * np.arange(count) for first in range(step)]
-            for choice in choices:
-                result = thigmo.localize(curvature[choice], position[choice], length=LENGTH)
-                contact = result.contacts[-1]
-                assert contact.interval[0] <= LENGTH <= contact.interval[1] * (1 + 1e-9), choice
+        for choice in subsets():
+            result = thigmo.localize(curvature[choice], position[choice], length=LENGTH)
+            contact = result.contacts[-1]
+            assert contact.interval[0] <= LENGTH <= contact.interval[1] * (1 + 1e-9), choice
+
+
+def test_in_space_both_planes_place_the_tip_and_nothing_else(rod):
+    bends = rod[3]
+    off, covered, elsewhere = [], [], 0
+    for noise in (0.05, 0.1, None):
+        for choice in [np.arange(20), *subsets()]:
+            result = thigmo.localize(
+                bends[choice].ravel(), np.repeat(rod[0][choice], 2), length=LENGTH, noise=noise,
+                direction=np.tile([0.0, np.pi / 2], len(choice)),
+            )  # fmt: skip
+            last = result.contacts[-1]
+            off.append(abs(last.arc - LENGTH))
+            covered.append(last.interval[1] >= LENGTH * (1 - 1e-9))
+            elsewhere += any(
+                c.status == "localized" and c.interval[1] < 0.98 * LENGTH for c in result.contacts
+            )
+    assert np.mean(off) <= 0.02 * LENGTH
+    assert np.mean(covered) >= 0.91
+    assert elsewhere == 0
