@@ -400,7 +400,7 @@ SOURCES: dict[str, Source] = {
                 "exploration-dial.png": "dial.png",
             },
             "robots": {},
-            "plant-models": {},
+            "plant-models": {"plant-models-ladder.png": "ladder.png"},
             "camera": {},
             "trigger": {"trigger-chart.png": "trigger.png"},
             "watch": {},
