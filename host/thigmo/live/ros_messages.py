@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.config import SIDES
 from thigmo.live import ros_types as ros
 from thigmo.live.relay import Facts
 from thigmo.reading_errors import Floats
 from thigmo.record import MapContact, Pose
 from thigmo.stream import BodyShape, Contacts, Grid, Telemetry
+from thigmo.stream.recorded import config_in
+from thigmo.wiring import muscle_outputs
 
 BASE, TIP = "thigmo_base", "thigmo_tip"
 _M_PER_CM = 0.01
@@ -162,11 +163,11 @@ def diagnostics(epoch_s: float, facts: Facts) -> Any:
     if board is not None:
         level = _STALE if not facts.under_way else _ERROR if board.faults else _OK
         said = ", ".join(board.faults) or board.state
-        parts.append(status("board", level, said, _board_values(board)))
+        parts.append(status("board", level, said, _board_values(board, facts)))
     return ros.DiagnosticArray(header(epoch_s, ""), parts)
 
 
-def _board_values(board: Telemetry) -> dict[str, str]:
+def _board_values(board: Telemetry, facts: Facts) -> dict[str, str]:
     values = {
         "state": board.state,
         "activity": board.activity,
@@ -174,10 +175,11 @@ def _board_values(board: Telemetry) -> dict[str, str]:
         "motor duty": _number(board.motor, 3),
         "supply (V)": _number(board.supply_v, 2),
     }
-    for muscle, side in enumerate(SIDES):
-        values[f"{side} pressure (Pa)"] = _number(board.pressure_psi[muscle] * _PA_PER_PSI, 0)
-        values[f"{side} set point (Pa)"] = _number(board.demand_psi[muscle] * _PA_PER_PSI, 0)
-        values[f"{side} transducer (mA)"] = _number(board.drive_ma[muscle], 2)
+    muscles = muscle_outputs(config_in(facts.run.folder if facts.run else ""))
+    for number, name in muscles.items():
+        values[f"{name} pressure (Pa)"] = _number(board.pressure_psi[number] * _PA_PER_PSI, 0)
+        values[f"{name} set point (Pa)"] = _number(board.demand_psi[number] * _PA_PER_PSI, 0)
+        values[f"{name} transducer (mA)"] = _number(board.drive_ma[number], 2)
     return values
 
 
