@@ -27,7 +27,7 @@ STUDIES: dict[str, str] = {
     "trigger": "contact trigger's latency against its false alarms",
     "watch": "how late the page shows a reading, and what three pages cost",
     "stopping": "how soon each way to stop has the outputs off",
-    "plant-models": "time against error of the plant's mechanics",
+    "plant-models": "time against error of each rung of plant and localizer",
 }
 
 __all__ = ["STUDIES", "Context", "Outcome", "load"]

@@ -9,7 +9,7 @@ import pytest
 
 import thigmo
 
-DATA = Path(__file__).parents[3].parent / "shared" / "data" / "fbg-rod" / "rod2.csv"
+DATA = Path(__file__).parents[2].parent / "shared" / "data" / "fbg-rod" / "rod2.csv"
 LENGTH = 0.200
 
 
