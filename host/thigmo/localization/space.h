@@ -724,7 +724,8 @@ class InSpace : public Explanations {
     const Whitened white = with(bad_, bad);
     const int count = static_cast<int>(of.loads.size());
     const bool all = settings_.contacts == count;
-    const bool beside = of.name != Load::contact && !all && settings_.held_end != Settings::Held::yes;
+    const bool beside =
+        of.name != Load::contact && !all && settings_.held_end != Settings::Held::yes;
     SpaceGrid grid;
     for (const SpaceLoad& load : of.loads) {
       const int cells = load.anywhere ? of.cells : 1;
@@ -766,8 +767,8 @@ class InSpace : public Explanations {
       fit.log_evidence = grid.top + std::log(grid.total / scales) + log_volume;
       const Whitened::At& at = white.levels[grid.level];
       if (white.levels.size() > 1) take(at);
-      // The first shape is that which the readings show, whatever explains them; the next is that of
-      // the loads.
+      // The first shape is that which the readings show, whatever explains them; the next is that
+      // of the loads.
       const double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
       if (beside && fit.log_evidence + odds < best() + hopeless) return found.size();
       if (turn == 0 && least > -INFINITY) {
@@ -822,8 +823,8 @@ class InSpace : public Explanations {
     return at.by(excess);
   }
 
-  // The likeliest set of a grid: misfit, forces, and what they bend. Returns the body's curvature by
-  // these and by the readings: what the loads leave of a reading bends the body all the same, so
+  // The likeliest set of a grid: misfit, forces, and what they bend. Returns the body's curvature
+  // by these and by the readings: what the loads leave of a reading bends the body all the same, so
   // the shape is near the true one whatever explains it.
   Curvature rest(const SpaceGrid& of, const Whitened::At& at, const SpaceShape& shape,
                  Hypothesis& out) const {
@@ -876,7 +877,7 @@ class InSpace : public Explanations {
   std::vector<Vector> direction_;
   Curvature rest_, start_, rest_weighed_;
   bool twists_ = false;  // and sensors measure it
-  Row hanging_;  // what weight adds to the readings of the free body
+  Row hanging_;          // what weight adds to the readings of the free body
 };
 
 }  // namespace thigmo
