@@ -265,7 +265,7 @@ class SpaceGrid {
     list(0, at);
     mass.assign(cell_[0].size(), 0.0);
     peak_of_.assign(mass.size(), -INFINITY), scale_of_ = mass;
-    top = peak_ = -INFINITY, total = 0.0;
+    top = -INFINITY, total = 0.0;
   }
 
   // Takes columns and readings at one level of the noise.
@@ -301,38 +301,39 @@ class SpaceGrid {
     }
   }
 
-  // Adds the weights of all sets at that level and a scale of the forces.
-  void weigh(double constant, std::size_t at_level, double at_scale) {
-    weight_.resize(mass.size());
-    const double tight = 1.0 / (at_scale * at_scale);
+  // Adds the weights of all sets at that level, over scales of the forces.
+  void weigh(double constant, std::size_t at_level, const Row& scales) {
+    const std::size_t sets = mass.size();
+    weight_.resize(sets * scales.size());
     numbers([&]<int K>() {
-      for (int s = 0; s < size(); ++s) {
-        const Solved<K> found(*this, s, tight);
-        double log_weight = 0.5 * found.gain - std::log(found.volume) - K * std::log(at_scale);
-        for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
-          // A face is pushed, never pulled.
-          if (!placed[j].load->along || placed[j].load->held) continue;
-          const double mean = found.mean()[from + 2],
-                       deviation = std::sqrt(found.variance(from + 2));
-          log_weight +=
-              std::log(std::max(std::erfc(mean / (std::numbers::sqrt2 * deviation)), 1e-300));
+      for (std::size_t s = 0; s < sets; ++s) {
+        const Normal<K> normal(*this, static_cast<int>(s));
+        for (std::size_t m = 0; m < scales.size(); ++m) {
+          const Solved<K> found(normal, 1.0 / (scales[m] * scales[m]));
+          double odds = std::pow(scales[m], K) * found.volume;
+          for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
+            // A face is pushed, never pulled.
+            if (!placed[j].load->along || placed[j].load->held) continue;
+            const double deviation = std::sqrt(2.0 * found.variance(from + 2));
+            odds /= std::max(std::erfc(found.mean()[from + 2] / deviation), 1e-300);
+          }
+          weight_[m * sets + s] = constant + 0.5 * found.gain - std::log(odds);
         }
-        weight_[s] = constant + log_weight;
       }
     });
-    const int most =
-        static_cast<int>(std::max_element(weight_.begin(), weight_.end()) - weight_.begin());
-    if (weight_[most] > top) {
-      const double shrink = std::exp(top - weight_[most]);
+    const auto most = std::max_element(weight_.begin(), weight_.end());
+    if (*most > top) {
+      const double shrink = std::exp(top - *most);
       for (double& value : mass) value *= shrink;
-      total *= shrink, top = weight_[most];
+      total *= shrink, top = *most;
+      const auto at = static_cast<std::size_t>(most - weight_.begin());
+      best = static_cast<int>(at % sets), level = at_level, scale = scales[at / sets];
     }
-    if (weight_[most] > peak_)
-      peak_ = weight_[most], best = most, level = at_level, scale = at_scale;
-    for (int s = 0; s < size(); ++s) {
-      const double share = weight_[s] < top - kNothing ? 0.0 : std::exp(weight_[s] - top);
+    for (std::size_t k = 0; k < weight_.size(); ++k) {
+      const std::size_t s = k % sets;
+      const double share = weight_[k] < top - kNothing ? 0.0 : std::exp(weight_[k] - top);
       mass[s] += share, total += share;
-      if (weight_[s] > peak_of_[s]) peak_of_[s] = weight_[s], scale_of_[s] = at_scale;
+      if (weight_[k] > peak_of_[s]) peak_of_[s] = weight_[k], scale_of_[s] = scales[k / sets];
     }
   }
 
@@ -343,7 +344,7 @@ class SpaceGrid {
     numbers([&]<int K>() {
       for (int s = 0; s < size(); ++s) {
         if (mass[s] == 0.0) continue;
-        const Solved<K> found(*this, s, 1.0 / (scale_of_[s] * scale_of_[s]));
+        const Solved<K> found(Normal<K>(*this, s), 1.0 / (scale_of_[s] * scale_of_[s]));
         const std::array<double, K> force = found.mean();
         for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
           const Placed& p = placed[j];
@@ -372,7 +373,7 @@ class SpaceGrid {
   Row likeliest() const {
     Row out;
     numbers([&]<int K>() {
-      const auto mean = Solved<K>(*this, best, 1.0 / (scale * scale)).mean();
+      const auto mean = Solved<K>(Normal<K>(*this, best), 1.0 / (scale * scale)).mean();
       out.assign(mean.begin(), mean.end());
     });
     return out;
@@ -429,35 +430,42 @@ class SpaceGrid {
     }
   }
 
-  // Normal equations of a set's K numbers, by Cholesky.
+  // Normal equations of a set's K numbers, without their prior: the lower half.
+  template <int K>
+  struct Normal {
+    std::array<std::array<double, K>, K> lower;
+    std::array<double, K> told;
+
+    Normal(const SpaceGrid& grid, int s) {
+      for (int b = 0, k = 0; b < grid.count(); ++b) {
+        const Placed& p = grid.placed[b];
+        const int column = grid.cell_[b][s] * p.size;
+        for (int a = 0, l = 0; a < b; l += grid.placed[a++].size) {
+          const Matrix& both = grid.both_[pair(a, b)];
+          for (int c = 0, size = grid.placed[a].size; c < size; ++c) {
+            const double* row = both[grid.cell_[a][s] * size + c] + column;
+            for (int d = 0; d < p.size; ++d) lower[k + d][l + c] = row[d];
+          }
+        }
+        const double* square = &p.square[static_cast<std::size_t>(column) * p.size];
+        for (int d = 0; d < p.size; ++d) {
+          told[k + d] = p.told[column + d];
+          for (int c = 0; c <= d; ++c) lower[k + d][k + c] = square[d * p.size + c];
+        }
+        k += p.size;
+      }
+    }
+  };
+
+  // The same with their prior, by Cholesky.
   template <int K>
   struct Solved {
     std::array<std::array<double, K>, K> lower;
     std::array<double, K> half;
     double gain = 0.0, volume = 1.0;
 
-    Solved(const SpaceGrid& grid, int s, double tight) {
-      std::array<int, K> load, from;
-      for (int j = 0, k = 0; j < grid.count(); ++j) {
-        for (int l = 0; l < grid.placed[j].size; ++l, ++k) load[k] = j, from[k] = l;
-      }
-      for (int k = 0; k < K; ++k) {
-        const int b = load[k];
-        const Placed& p = grid.placed[b];
-        const int column = grid.cell_[b][s] * p.size + from[k];
-        half[k] = p.told[column];
-        for (int l = 0; l <= k; ++l) {
-          const int a = load[l];
-          double value = 0.0;
-          if (a == b) {
-            value = p.square[static_cast<std::size_t>(column) * p.size + from[l]];
-          } else {
-            const int other = grid.cell_[a][s] * grid.placed[a].size + from[l];
-            value = grid.both_[pair(a, b)][other][column];
-          }
-          lower[k][l] = value + (k == l ? tight : 0.0);
-        }
-      }
+    Solved(const Normal<K>& of, double tight) : lower(of.lower), half(of.told) {
+      for (int k = 0; k < K; ++k) lower[k][k] += tight;
       for (int k = 0; k < K; ++k) {
         for (int l = 0; l < k; ++l) {
           for (int m = 0; m < l; ++m) lower[k][l] -= lower[k][m] * lower[l][m];
@@ -500,7 +508,6 @@ class SpaceGrid {
   std::array<std::vector<int>, kMostContacts> cell_;  // of each set
   std::array<Matrix, 3> both_;                        // products of the columns of two loads
   Row weight_, peak_of_, scale_of_;
-  double peak_ = -INFINITY;
 };
 
 class InSpace : public Explanations {
@@ -759,9 +766,7 @@ class InSpace : public Explanations {
       };
       for (std::size_t s = 0; s < white.levels.size(); ++s) {
         const double square = take(white.levels[s]);
-        for (const double scale : priors_.moments) {
-          grid.weigh(white.levels[s].by.log_det - 0.5 * square, s, scale);
-        }
+        grid.weigh(white.levels[s].by.log_det - 0.5 * square, s, priors_.moments);
       }
       const double scales = static_cast<double>(priors_.moments.size());
       fit.log_evidence = grid.top + std::log(grid.total / scales) + log_volume;

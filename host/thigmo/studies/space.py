@@ -31,7 +31,7 @@ BATCH = 50
 GROUPS = ("one", "weight", "two", "end")
 READ: dict[str, Any] = {
     "position": POSITION, "direction": DIRECTION, "length": 1.0, "span": SPAN, "noise": SIGMA,
-    "twist": TWIST, "stiffness": (1.0, 0.0),
+    "twist": TWIST,
 }  # fmt: skip
 TURNED = 1.234  # rad
 TIMES_PLANE = 3.0  # promised: so many times the time in a plane
@@ -102,7 +102,7 @@ def answers(task: tuple[str, tuple[int, ...], int]) -> list[Answered]:
     out = []
     for k, curvature in enumerate(noisy):
         heavy = {"weight": rods.weight[k]} if group == "weight" else {}
-        result = Localizer.of(**READ, **heavy).localize(curvature)
+        result = Localizer.of(**READ, **heavy, stiffness=(1.0, 0.0)).localize(curvature)
         heavy = {name: about @ value for name, value in heavy.items()}
         turned = READ | {"direction": DIRECTION + TURNED}
         again = Localizer.of(**turned, **heavy).localize(curvature)
