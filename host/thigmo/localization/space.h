@@ -198,13 +198,15 @@ class Lines {
 };
 
 // A load: whether it may lie anywhere on the body, or on its end only; whether it bears a force
-// along the body, and couples there, of any size or at most those of a force on the face.
+// along the body, and couples there, of any size or at most those of a force on the face, and
+// whether one may twist the end.
 struct SpaceLoad {
-  bool anywhere, along, couples, held;
+  bool anywhere, along, couples, held, twisted;
 };
-constexpr SpaceLoad kTouch{true, false, false, false};
-constexpr SpaceLoad kFace{false, true, true, false};
-constexpr SpaceLoad kGrip{false, true, true, true};
+constexpr SpaceLoad kTouch{true, false, false, false, false};
+constexpr SpaceLoad kFace{false, true, true, false, false};
+constexpr SpaceLoad kGrip{false, true, true, true, false};
+constexpr SpaceLoad kTwist{false, true, true, true, true};
 
 // What is weighed of several loads together, base to tip.
 struct SpaceExplanation {
@@ -606,11 +608,17 @@ class InSpace : public Explanations {
       if (settings_.held_end == Settings::Held::perhaps) {
         weight += odds(settings_.log_held, bends ? priors_.held : priors_.held_straight);
       }
-      const std::size_t held = add({Load::end, {kGrip}, 1}, weight, bent, -1);
-      if (held < found.size()) doubt_of(found[held], {Load::end, {kGrip}, 1}, weight);
-      if (several(2)) {
-        add({Load::contact_end, {kTouch, kGrip}, kPairCells}, weight + priors_.another, bent_by_two,
-            -1);
+      // Held, with a twist or without, and alone or beside a contact.
+      const bool twists = space_.compliance[0] > 0.0;
+      if (twists) weight -= std::log(2.0);
+      for (const SpaceLoad& load : {kTwist, kGrip}) {
+        if (load.twisted && !twists) continue;
+        const std::size_t held = add({Load::end, {load}, 1}, weight, bent, -1);
+        if (held < found.size()) doubt_of(found[held], {Load::end, {load}, 1}, weight);
+        if (several(2) && !load.twisted) {
+          add({Load::contact_end, {kTouch, load}, kPairCells}, weight + priors_.another,
+              bent_by_two, -1);
+        }
       }
     }
     if (several(3)) {
@@ -688,7 +696,7 @@ class InSpace : public Explanations {
     if (load.along) add(at.frame[0], out.unit, {}, 0.0);
     const double couple = load.held ? 1.0 : settings_.radius * out.unit;
     for (int j = 1; load.couples && j < 3; ++j) add({}, 0.0, at.frame[j], couple);
-    if (load.couples && load.held && twists_) add({}, 0.0, at.frame[0], couple);
+    if (load.couples && load.twisted) add({}, 0.0, at.frame[0], couple);
     return out;
   }
 
@@ -747,6 +755,10 @@ class InSpace : public Explanations {
     bool whole = true;
     int moves = 0;
     double last = INFINITY;
+    // What twists the end shows only by how the body bends elsewhere.
+    const bool unseen = of.loads.back().twisted && !twists_;
+    std::vector<Loaded> before;
+    double twist = 0.0;  // of the end, in the shape
     for (int turn = 0; turn < kMostTurns; ++turn) {
       const Lines lines(shape, frame_, direction_);
       double log_volume = 0.0;
@@ -759,6 +771,7 @@ class InSpace : public Explanations {
       grid.list();
       if (whole && free > 0) log_volume = -std::log(static_cast<double>(grid.size()));
       fit.known = known(shape, lines);
+      if (unseen) add_twist(grid, shape, lines, before, twist, fit.known);
       const auto take = [&](const Whitened::At& at) {
         const Row read = left(at, fit.known);
         grid.take(at.by, read);
@@ -775,18 +788,24 @@ class InSpace : public Explanations {
       // The first shape is that which the readings show, whatever explains them; the next is that
       // of the loads.
       const double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
-      if (beside && fit.log_evidence + odds < best() + hopeless) return found.size();
+      if (beside && !(unseen && turn < kTwistTurns) && fit.log_evidence + odds < best() + hopeless)
+        return found.size();
       if (turn == 0 && least > -INFINITY) {
         grid.solve(prior_.felt);
         if (fit.log_evidence + std::log(grid.all_felt()) < least) return found.size();
       }
       Hypothesis out = hypothesis(of.name, fit, weight, 0, bad);
       Curvature bent = rest(grid, at, shape, out);
+      if (unseen) before = likeliest_of(grid);
       const double change = apart(bent, shape.curvature());
-      const bool rests = change < prior_.rests || ++moves >= kMostPasses;
+      const bool rests = change < prior_.rests || ++moves >= (unseen ? 2 : 1) * kMostPasses;
       for (std::size_t c = 0; change >= 0.8 * last && c < bent.size(); ++c) {  // half a step
         const Vector& before = shape.curvature()[c];
         bent[c] = plus(before, 0.5, plus(bent[c], -1.0, before));
+      }
+      if (unseen) {
+        const double found_now = before.back().number.back();
+        twist += (change >= 0.8 * last ? 0.5 : 1.0) * (found_now - twist);
       }
       last = change;
       shape = SpaceShape(std::move(bent), space_.compliance);
@@ -869,6 +888,70 @@ class InSpace : public Explanations {
     return all;
   }
 
+  // A load of the likeliest set: its arc, and its numbers.
+  struct Loaded {
+    double arc;
+    Row number;
+  };
+  static std::vector<Loaded> likeliest_of(const SpaceGrid& grid) {
+    const Row load = grid.likeliest();
+    std::vector<Loaded> out;
+    auto from = load.begin();
+    for (int j = 0; j < grid.count(); ++j) {
+      const SpaceGrid::Placed& p = grid.placed[j];
+      out.push_back({p.place[grid.cell(j, grid.best)], Row(from, from + p.size)});
+      from += p.size;
+    }
+    return out;
+  }
+
+  // Readings under loads in a shape.
+  Row readings_of(const SpaceGrid& grid, const std::vector<Loaded>& loads, const SpaceShape& shape,
+                  const Lines& lines) const {
+    Row out(frame_.size());
+    Matrix column;
+    for (std::size_t j = 0; j < loads.size(); ++j) {
+      const Section at = shape.at(loads[j].arc);
+      const SpaceGrid::Placed& p = grid.placed[j];
+      const auto near = std::min_element(p.place.begin(), p.place.end(), [&](double a, double b) {
+        return std::abs(a - at.arc) < std::abs(b - at.arc);
+      });
+      const double unit = p.wrench[static_cast<std::size_t>(near - p.place.begin())].unit;
+      fill(lines, {at}, {wrenches(*p.load, at, 1.0 / unit)}, column);
+      for (int i = 0; i < frame_.size(); ++i) {
+        for (int k = 0; k < p.size; ++k) out[i] += loads[j].number[k] * column[i][k];
+      }
+    }
+    return out;
+  }
+
+  // The column of a couple that twists the end, whose twist turns the directions in which all other
+  // loads bend the body: its derivative where the loads were last found (Gauss and Newton).
+  // `bent`: number of that couple that bent the shape.
+  void add_twist(SpaceGrid& grid, const SpaceShape& shape, const Lines& lines,
+                 const std::vector<Loaded>& before, double bent, Row& known) const {
+    constexpr double kStep = 1e-4;
+    SpaceGrid::Placed& end = grid.placed.back();
+    const int n = frame_.size();
+    if (before.empty()) {
+      for (int i = 0; i < n; ++i) end.column[i][end.size - 1] = 0.0;
+      return;
+    }
+    Curvature u = shape.curvature();
+    for (std::size_t c = 0; c < u.size(); ++c) {
+      u[c][0] += kStep * dot(shape.section(c).frame[0], shape.end().frame[0]);
+    }
+    const SpaceShape twisted(std::move(u), space_.compliance);
+    const Row one = readings_of(grid, before, shape, lines);
+    const Row two = readings_of(grid, before, twisted, Lines(twisted, frame_, direction_));
+    if (known.empty()) known.resize(n);
+    for (int i = 0; i < n; ++i) {
+      const double slope = space_.compliance[0] * (two[i] - one[i]) / kStep;
+      end.column[i][end.size - 1] += slope;
+      known[i] -= slope * bent;
+    }
+  }
+
   void doubt_of(const Hypothesis& of, const SpaceExplanation& how, double weight) {
     doubt(of, weight - contact_,
           [this, how, weight, start = of.bent](int i) { add(how, weight, start, i); });
@@ -876,6 +959,7 @@ class InSpace : public Explanations {
 
   static constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
   static constexpr double kNothingOfAll = 1e-4;
+  static constexpr int kTwistTurns = 5;        // in which an unseen twist is found
   static constexpr double kFarFromIt = -40.0;  // log odds at the first shape, as none that is right
 
   const Space& space_;
