@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from thigmo.cli import ending
+from thigmo.config import SIDES
 from thigmo.errors import DataError
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ class Console:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Say in one line how Ctrl-C or a termination left the robot, and end with its status."""
+        """Say in one line how Ctrl-C or a termination leaves the robot, and end with its status."""
         try:
             yield
         except (KeyboardInterrupt, SystemExit) as stopped:
@@ -212,7 +213,7 @@ class Console:
         if y_cm is None:
             self.ask("Let go of the tip and lay the robot straight, then press Enter.")
             return
-        side = "left" if y_cm > 0 else "right"
+        side = SIDES[y_cm <= 0]
         self.ask(
             f"Push the tip {abs(y_cm):.1f} cm to the {side} and hold it there, then press Enter."
         )
