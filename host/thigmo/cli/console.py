@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import typer
 
 from thigmo.cli import ending
-from thigmo.config import SIDES
 from thigmo.errors import DataError
 
 if TYPE_CHECKING:
@@ -213,7 +212,7 @@ class Console:
         if y_cm is None:
             self.ask("Let go of the tip and lay the robot straight, then press Enter.")
             return
-        side = SIDES[y_cm <= 0]
+        side = "left" if y_cm > 0 else "right"
         self.ask(
             f"Push the tip {abs(y_cm):.1f} cm to the {side} and hold it there, then press Enter."
         )
