@@ -111,7 +111,13 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
                 file = stack.enter_context((target / f"{channel}.csv").open("w", newline=""))
                 writers[channel] = csv.writer(file)
                 writers[channel].writerow(names())
-            writers[channel].writerow(map(_cell, values))
+            # As it was measured: sums of binary fractions are cut where they say nothing.
+            writers[channel].writerow(
+                [
+                    each if type(each) is not float else f"{each:.15g}" if each == each else ""
+                    for each in values
+                ]
+            )
     return [target / f"{channel}.csv" for channel in writers]
 
 
@@ -184,13 +190,6 @@ def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Callable[[], list[
 
 def _columns(message: Message, named: Named, entry: Row) -> list[str]:
     return [*_names(message, named), *entry]
-
-
-def _cell(value: Any) -> Any:
-    """A value as it was measured: sums of binary fractions are cut where they say nothing."""
-    if type(value) is not float:
-        return value
-    return f"{value:.15g}" if value == value else ""
 
 
 @cache
