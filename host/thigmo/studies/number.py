@@ -208,9 +208,7 @@ def run(context: Context) -> Outcome:
     def batches(part: int, quick: int, full: int) -> list[tuple[tuple[int, ...], int]]:
         return [((seed, part, b), size) for b, size in parts(context.count(quick, full), BATCH)]
 
-    drawn = np.concatenate(
-        context.map(by_prior, batches(1, 100, 2000), "drawn by the prior", last)
-    )
+    drawn = np.concatenate(context.map(by_prior, batches(1, 100, 2000), "drawn by the prior", last))
     rows, error = calibration(drawn)
     found = np.concatenate(context.map(pairs, batches(2, 60, 6000), "pairs", last))
     edges = (0.0, *BOUNDS)
