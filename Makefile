@@ -44,7 +44,7 @@ $(BIN)/python:
 # ROS 2 itself, for the tests to talk to: in an environment of its own, for it takes over the
 # interpreter of the one that it is in.
 ROS := ros-jazzy-rclpy ros-jazzy-rmw-fastrtps-cpp ros-jazzy-nav-msgs ros-jazzy-sensor-msgs \
-       ros-jazzy-diagnostic-msgs
+       ros-jazzy-diagnostic-msgs ros-jazzy-visualization-msgs
 .stamps/ros:
 	@mkdir -p .stamps
 	$(PYTHON) -m venv .venv-ros
