@@ -9,10 +9,9 @@
 // the flash nothing but this page has to be right. Why the chip started is handed on in GPIOR2.
 //
 // Two ways to know the whole:
-// - The Makefile puts a CRC-32 over the watchdog's entry and the program behind the program
-// (seal.py):
-//   what was erased, half written or left by another image changes it. Its polynomial is 0xAF, that
-//   of CRC-32/XFER: primitive, and short enough for 36 cycles a byte without a table.
+// - The Makefile puts a CRC-32 over the watchdog's entry and the program behind the latter
+//   (seal.py): what was erased, half written or left by another image changes it. Its polynomial is
+//   0xAF, that of CRC-32/XFER: primitive, and short enough for 36 cycles a byte without a table.
 // - The Arduino IDE cannot. There the image's last bytes must be the time of compilation that this
 //   page carries: pages are written in rising order, so with them all others are there as well.
 #ifndef THIGMO_MEGA_GUARD_H_
