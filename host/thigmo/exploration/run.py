@@ -74,8 +74,8 @@ class Exploration:
     _start_cm: float = 0.0  # length at which the stage's growth began
     _zone: int = 0
     _body_psi: float | None = None  # what the operator last set
-    _swept: bool = False
     _sweeps: bool = True  # at this stage; else it only zeroes
+    _zeroed_here: bool = False  # and without a sweep
     _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
@@ -144,7 +144,6 @@ class Exploration:
         self.live.tell(Log, "info", "the operator measures the everted length")
         self.length_cm = self.robot.operator.everted_length_cm()
         self.robot.confirm_length(self.length_cm)
-        self._swept = self._knows.swept(self.length_cm)
         return "length known"
 
     def _arm(self) -> str:
@@ -156,15 +155,10 @@ class Exploration:
     # Each stage.
 
     def _plan(self) -> str:
-        def left() -> list[float]:
-            return self.effort.stops_after(
-                self.config, self.length_cm, self.robot.elapsed_s, swept=self._swept
-            )
-
-        stops = left()
-        if not stops and not self._knows.stages and self._swept:  # one sweep here beats none
-            self._swept = False
-            stops = left()
+        swept = self._knows.swept(self.length_cm)
+        stops = self.effort.stops_after(
+            self.config, self.length_cm, self.robot.elapsed_s, swept=swept
+        )
         if not stops:
             full = self.length_cm > self.config.body.length_cm - SAME_CM
             self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
@@ -173,14 +167,14 @@ class Exploration:
         if not self._knows.stages:
             # Before its first sweep it zeroes at every pitch: else nothing would tell that growth
             # has bent it aside.
-            reached_cm = self.length_cm + (SAME_CM if self._swept else -SAME_CM)
-            stage = next(each for each in stage_lengths(self.config) if each > reached_cm)
+            reached_cm = self.length_cm + (SAME_CM if self._zeroed_here else -SAME_CM)
+            stage = min(stage, *(each for each in stage_lengths(self.config) if each > reached_cm))
         self._sweeps = stage in stops
         grows = stage > self.length_cm + 0.1
         if grows and peg_ahead(self.document.contacts, self.length_cm, self.config.body.radius_cm):
             self._note(outcome="peg ahead")
             return "peg ahead"
-        self._stage_cm, self._swept, self._zero_tries = stage, False, 0
+        self._stage_cm, self._zeroed_here, self._zero_tries = stage, False, 0
         self._start_cm, self._growth = self.length_cm, GrowthWatcher()
         return "grow" if grows else "sweep here"
 
@@ -265,14 +259,14 @@ class Exploration:
             return "drifting"
         if isinstance(self._knows.met, Lean):
             return self._released()
-        if self._swept:
+        if self._knows.swept(self.length_cm):
             return "zeroed after sweep"
         if self._stage_cm > self._knows.straight_cm:
             self._knows.zeroed(self._grown(), self.robot.zeros())
         if self._knows.met is not None:
             return "held bent"
         if not self._sweeps:
-            self._swept = True
+            self._zeroed_here = True
             return "zeroed, no sweep here"
         return "zeroed after growth"
 
@@ -281,7 +275,7 @@ class Exploration:
         if self._knows.let_go(self.robot.zeros()):
             self._end_at_met()
             return "straight again: peg ahead"
-        self._swept = True
+        self._zeroed_here = True
         return "as before: the zeros moved"
 
     def _zeroed(self) -> bool:
@@ -308,7 +302,6 @@ class Exploration:
             rising_only=not thesis,
             enough=None if thesis else self._enough,
         )
-        self._swept = True
         self._knows.has_looked(looked, self._zone)
         fired = held_sides(looked)
         if not fired:
