@@ -2,7 +2,7 @@
 // asked for, or what the free body would read; the solid one is what was measured.
 
 import { $, COLUMN, css, element, index, SIDES, store } from "./store.js";
-import { minus } from "./svg.js";
+import { minus, rounded } from "./svg.js";
 
 const DASH = [5, 4];
 const FIVE = [0, 1, 2, 3, 4];
@@ -114,7 +114,7 @@ export function drawCharts() {
     });
     for (const { line, value } of values) {
       const read = columns[line.column][row];
-      value.textContent = chart.series.length > 8 || read === null || read === undefined ? "" : minus(read.toFixed(chart.digits));
+      value.textContent = chart.series.length > 8 || read === null || read === undefined ? "" : rounded(read, chart.digits);
     }
   }
 }
