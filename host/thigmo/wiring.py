@@ -88,7 +88,37 @@ def input_of(config: RobotConfig) -> dict[tuple[Side, int], int]:
     return {place: number for number, place in enumerate(places(config)) if place}
 
 
+class Column(NamedTuple):
+    """The sensors at one direction, base first."""
+
+    name: str  # of the muscle there, or the direction
+    side: Side
+    inputs: list[int]
+    centers_cm: list[float]
+
+
+def columns(config: RobotConfig) -> list[Column]:
+    """The robot's columns, and the inputs that they hang on; none if the board cannot hold them."""
+    wired = {} if beyond_board(config) else input_of(config)
+    found = []
+    for side in SIDES:
+        own = sorted((index, number) for (of, index), number in wired.items() if of == side)
+        if own:
+            name = next((m.name for m in config.muscles if m.side == side), "")
+            centers = [sensor.center_cm for sensor in config.column(side)]
+            lies = f"{config.column(side)[0].direction_deg:g} deg"
+            found.append(Column(name or lies, side, [number for _, number in own], centers))
+    return found
+
+
+def muscle_outputs(config: RobotConfig) -> dict[int, str]:
+    """The names of the muscles by the board's outputs that they hang on."""
+    return {SIDES.index(side): config.muscle(side).name for side in config.sides}
+
+
 def sensor_name(config: RobotConfig, number: int) -> str:
-    """The sensor on an input as robot.toml and the calibration call it."""
-    place = places(config)[number]
-    return f"{place[0]} {place[1]}" if place else f"on input {number}, which robot.toml leaves free"
+    """The sensor on an input, by its column and its place from the base."""
+    for column in columns(config):
+        if number in column.inputs:
+            return f"{column.name} {column.inputs.index(number)}"
+    return f"on input {number}, which robot.toml leaves free"

@@ -26,7 +26,7 @@ from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
-from thigmo.wiring import BASES, beyond_board, input_of
+from thigmo.wiring import beyond_board, columns
 
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
@@ -64,13 +64,9 @@ def judge(config: RobotConfig) -> list[Finding]:
 
 def _inputs(config: RobotConfig) -> Iterator[Finding]:
     """On which of the board's inputs each column hangs, as page, record and export name them."""
-    if beyond_board(config):
-        return
-    wired = input_of(config)
-    for side in BASES:
-        own = [str(number) for (of, _), number in sorted(wired.items()) if of == side]
-        if own:
-            yield Finding(f"{side} column", "ok", f"base first on the inputs {', '.join(own)}")
+    for column in columns(config):
+        inputs = ", ".join(map(str, column.inputs))
+        yield Finding(f"column {column.name}", "ok", f"base first on the inputs {inputs}")
 
 
 def _growth(config: RobotConfig) -> Iterator[Finding]:
@@ -202,11 +198,11 @@ def _rates(config: RobotConfig) -> Iterator[Finding]:
     """How often each kind of channel is read, by the schedule of firmware/core/board.h."""
     conversions = 2 ** PARAMETERS["oversample_log2"].defaults[0]
     bases, others = _TICKS_HZ / conversions, _TICKS_HZ / 2 / conversions
-    columns = [side for side in BASES if config.column(side)]
-    rest = len(config.sensors) - len(columns)
+    read = {sensor.side for sensor in config.sensors} - {None}
+    rest = len(config.sensors) - len(read)
     yield Finding(
         "rates",
         "ok",
-        f"base sensors ({len(columns)}) {bases:.1f} Hz, the others ({rest}) {others:.1f} Hz, "
+        f"base sensors ({len(read)}) {bases:.1f} Hz, the others ({rest}) {others:.1f} Hz, "
         f"pressures {_TICKS_HZ} Hz",
     )

@@ -32,12 +32,13 @@ from thigmo.live import shown
 from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.relay import Watched, Way, stop_port, stop_run, way_to
-from thigmo.live.shown import PastRun, board, body, config_in, pegs, row_text, thinned
+from thigmo.live.shown import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.viewer import Viewer
 from thigmo.robot import JOG_CM
 from thigmo.room import Simulated
 from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry
+from thigmo.stream.recorded import config_in
 
 PAGE = Path(__file__).parent / "page"
 PORT = 8421

@@ -2,7 +2,7 @@
 
 Lengths in cm, pressures in psi, curvature in 1/cm, currents in mA, angles in rad; x along the
 straight robot from its base, y to its left. Left comes before right, and the base before the tip.
-Sensors are numbered as on the board, the left side's five first. A number that is not known is NaN,
+Sensors are numbered by the board's inputs (`thigmo.wiring`). A number that is not known is NaN,
 and null in JSON.
 """
 

@@ -16,6 +16,7 @@ STUDIES: dict[str, str] = {
     "accuracy": "coverage and wrong answers, each error told and not told",
     "loads": "few sensors, two contacts, held ends, kinks, near the base",
     "number": "how many contacts, and where, against what can be known",
+    "space": "contacts in space, against an independent rod",
     "scaling": "time of `localize` and of batches, over sensors and rows",
     "sweeps": "one frame against all of its inflation; bad sensors",
     "cold": "the first commands of a new installation, nothing cached",
@@ -26,7 +27,7 @@ STUDIES: dict[str, str] = {
     "trigger": "contact trigger's latency against its false alarms",
     "watch": "how late the page shows a reading, and what three pages cost",
     "stopping": "how soon each way to stop has the outputs off",
-    "plant-models": "time against error of the plant's mechanics",
+    "plant-models": "time against error of each rung of plant and localizer",
 }
 
 __all__ = ["STUDIES", "Context", "Outcome", "load"]

@@ -20,6 +20,7 @@ SPAN = 5.5
 SIGMA = 6e-4
 CRITICAL = 0.01108
 RADIUS = 1.75
+NEAREST = 8.0  # no contact is drawn closer to the base
 FULL_CURVATURE = 0.04  # of the bent robot
 COLUMN: Floats = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 BOTH: Floats = np.tile(COLUMN, 2)
@@ -95,6 +96,6 @@ def actuated(rng: np.random.Generator, position: Floats = COLUMN) -> Case:
 
 
 def few_sensors(rng: np.random.Generator) -> Case:
-    """One contact, three readings."""
-    arc = float(rng.uniform(38.0, LENGTH))
+    """One contact anywhere along the body, three readings."""
+    arc = float(rng.uniform(NEAREST, LENGTH))
     return read(rng, (arc,), (_moment(rng) / arc,), position=COLUMN[[0, 2, 3]])

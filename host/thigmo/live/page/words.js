@@ -1,6 +1,6 @@
 // What is told in words: the header, banners, contacts and events.
 
-import { $, COLUMN, SIDES, element, latest, store, time } from "./store.js";
+import { $, COLUMN, muscles, element, latest, store, time } from "./store.js";
 import { minus, rounded } from "./svg.js";
 
 const ICONS = {
@@ -49,8 +49,8 @@ export function drawWords(lost) {
 function emptying() {
   const { board } = store;
   if (!board.faults.includes("stopped")) return "The board has not told the pressures since.";
-  const psi = SIDES.map((_, n) => latest(COLUMN.pressure + n));
-  const told = SIDES.map((side, n) => `${side} ${fixed(psi[n], 1)} psi`).join(", ");
+  const psi = muscles().map(({ output }) => latest(COLUMN.pressure + output));
+  const told = muscles().map(({ name }, n) => `${name} ${fixed(psi[n], 1)} psi`).join(", ");
   return `The muscles ${Math.max(...psi) < EMPTY_PSI ? "are empty" : "are emptying"}: ${told}.`;
 }
 
