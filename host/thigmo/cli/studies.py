@@ -132,7 +132,7 @@ def lines(write: Callable[[str], object], clock: Callable[[], float]) -> Tell:
         if not first and done < total and now - told < LINE_EVERY_S:
             return
         told = now
-        left = f", about {gone / done * (total - done):.0f} s left" if 0 < done < total else ""
-        write(f"{part}: {done}/{total}, {gone:.0f} s{left}")
+        rest = f", about {gone / done * (total - done):.0f} s to go" if 0 < done < total else ""
+        write(f"{part}: {done}/{total}, {gone:.0f} s{rest}")
 
     return tell

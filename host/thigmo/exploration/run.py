@@ -1,7 +1,7 @@
 """The exploration itself: walks the state table with a robot, and leaves a run folder.
 
 One method for each state, returning the outcome that the table names. Whatever happens (an error,
-Ctrl-C, a termination signal, a pulled cable), the robot is left vented and braked and the run
+Ctrl-C, a termination signal, a pulled cable), the robot stays vented and braked and the run
 folder is closed and readable.
 """
 
@@ -248,7 +248,7 @@ class Exploration:
         thesis = self.protocol == "thesis"
         # Sensors that have just everted are not needed to feel a contact, only to measure it.
         needed = (1 << SENSORS) - 1 if thesis else _BASE
-        self.robot.wait_settled(lambda left_s: self.tell(f"{left_s:.0f} s left"), needed)
+        self.robot.wait_settled(lambda rest_s: self.tell(f"{rest_s:.0f} s to go"), needed)
         if not thesis:
             status = self.robot.status()
             self.robot.set_aside(status.everted & ~status.settled)

@@ -456,7 +456,7 @@ class PageServer:
         readings = await asyncio.to_thread((await self._looked_back()).readings)
         return web.Response(body=readings, content_type="application/octet-stream")
 
-    def left(self) -> bool:
+    def deserted(self) -> bool:
         """Whether nothing runs and nobody has looked for a while."""
         return self._run.moving is None and time.monotonic() - self._left_s > _LEAVES_S
 
@@ -499,7 +499,7 @@ async def serve(options: WatchOptions, announce: Callable[[str], None]) -> None:
     try:
         with _door(runner.server, server.stop, options) as door:
             announce(f"http://{_reached_at(options.host)}:{door.port}/?token={server.token}")
-            while not (options.leaves and server.left()):
+            while not (options.leaves and server.deserted()):
                 await asyncio.sleep(1.0)
     finally:
         await runner.cleanup()

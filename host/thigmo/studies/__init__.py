@@ -21,7 +21,7 @@ STUDIES: dict[str, str] = {
     "sweeps": "one frame against all of its inflation; bad sensors",
     "cold": "the first commands of a new installation, nothing cached",
     "camera": "errors of the overhead camera over painted rooms",
-    "exploration": "pegs found, empty rooms silent, maps right; calibrated or not",
+    "exploration": "pegs found, empty rooms silent, maps true; calibrated or not",
     "robots": "other robots by description: 30 to 200 cm, one muscle",
     "faults": "single failures: what notices them, how soon, what it costs",
     "trigger": "contact trigger's latency against its false alarms",
