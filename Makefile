@@ -41,14 +41,20 @@ $(BIN)/python:
 	$(BIN)/pip install --quiet --no-build-isolation --editable '.[all,dev,bench]'
 	@touch $@
 
-# ROS 2 itself, for the tests to talk to: in an environment of its own, for it takes over the
-# interpreter of the one that it is in.
-ROS := ros-jazzy-rclpy ros-jazzy-rmw-fastrtps-cpp ros-jazzy-nav-msgs ros-jazzy-sensor-msgs \
-       ros-jazzy-diagnostic-msgs ros-jazzy-visualization-msgs
-.stamps/ros:
+# ROS 2 itself with the package ros/thigmo_ros, for the tests to talk to: in an environment of its
+# own, for it takes over the interpreter of the one that it is in. The wheels leave out some of what
+# they need (the second half of the list), and name folders of the machine that built them.
+ROS := $(addprefix ros-jazzy-, rclpy rmw-fastrtps-cpp nav-msgs sensor-msgs diagnostic-msgs std-srvs \
+       visualization-msgs \
+       rosidl-default-generators ament-cmake \
+       ament-cmake-gmock ament-cmake-gtest ament-cmake-include-directories ament-cmake-pytest \
+       ament-cmake-ros ament-package python-cmake-module rosidl-core-generators) catkin_pkg
+ROS_PACKAGE := $(shell find ros/thigmo_ros -type f)
+.stamps/ros: .stamps/install $(ROS_PACKAGE)
 	@mkdir -p .stamps
 	$(PYTHON) -m venv .venv-ros
 	.venv-ros/bin/pip install --quiet $(ROS)
+	.venv-ros/bin/python tools/build_ros_package.py
 	@touch $@
 
 explore: .stamps/robot
@@ -59,8 +65,8 @@ lint: install
 	$(BIN)/python tools/figures.py --check
 	$(BIN)/python tools/schematics.py --check
 	$(BIN)/check-jsonschema --quiet --builtin-schema vendor.github-workflows .github/workflows/*.yml
-	$(BIN)/ruff check host tests tools protocol docs
-	$(BIN)/ruff format --check host tests tools protocol docs
+	$(BIN)/ruff check host ros tests tools protocol docs
+	$(BIN)/ruff format --check host ros tests tools protocol docs
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	git ls-files '*.h' '*.cpp' '*.c' '*.ino' | xargs $(BIN)/clang-format --dry-run --Werror

@@ -23,7 +23,7 @@ from thigmo.link.stop_socket import OTHER_PLACE
 
 HERE = Path(__file__).parent
 # Folders whose name is the marker of all tests in them (tests/sim/mega: of `sim` and `mega`).
-TIERS = frozenset({"unit", "protocol", "sim", "mega", "bench", "browser", "ros"})
+TIERS = frozenset({"unit", "oracles", "protocol", "sim", "mega", "bench", "browser", "ros"})
 
 # One commit gives one verdict: every run draws the same examples. `HYPOTHESIS_PROFILE=random`
 # draws new ones. No example has a deadline, for the computer may be busy.

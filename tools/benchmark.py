@@ -44,6 +44,7 @@ EACH = 100  # frames of a group
 GAIN, OFFSET, MAP = 0.05, 1e-3, 0.05  # one sigma of a wrong calibration
 EVERY = 20  # frames, of methods that take up to a second for one
 THIRDS = 2 * np.pi / 3 * np.arange(3)
+TWIST = 1.3  # EI / GJ
 STEP_CM = 0.05
 
 
@@ -143,8 +144,8 @@ def bent_in_space(arcs: Floats, force: Floats, toward: Floats) -> tuple[Floats, 
     """Nodes (M,) and curvature vectors (S, M, 2) of straight rods under two forces (S, 2).
 
     A force acts across the body at an arc, towards an angle in the section there; EI = 1, and
-    GJ = 1 / 1.3. Integrated from the distal force, in whose section's frame all is written, to the
-    base (Antman, Nonlinear Problems of Elasticity, chapter 8): an initial value problem.
+    GJ = 1 / TWIST. Integrated from the distal force, in whose section's frame all is written, to
+    the base (Antman, Nonlinear Problems of Elasticity, chapter 8): an initial value problem.
     """
     nodes = np.arange(round(LENGTH / STEP_CM) + 1) * STEP_CM
     bodies = len(arcs)
@@ -153,7 +154,7 @@ def bent_in_space(arcs: Floats, force: Floats, toward: Floats) -> tuple[Floats, 
     bend = np.zeros((bodies, nodes.size, 2))
     local = np.stack([force * np.cos(toward), force * np.sin(toward), 0.0 * force], axis=-1)
     index = np.rint(arcs / STEP_CM).astype(int)
-    soft = np.array([1.0, 1.0, 1.3])
+    soft = np.array([1.0, 1.0, TWIST])
 
     def strain(frame: Floats, moment: Floats) -> Floats:
         return np.asarray(np.einsum("sij,si->sj", frame, moment) * soft)
@@ -258,7 +259,10 @@ def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list
     """Rows of answers.csv to one frame; none where the method does not answer."""
     position, span, direction, curvature = columns
     noise = float(row["noise_per_cm"])
-    if direction.any():
+    around: dict[str, Any] = {}
+    if direction.any() and method == METHODS[0]:
+        around = {"direction": direction, "twist": TWIST, "critical_curvature": None}
+    elif direction.any():
         (position, curvature), span = in_plane(position, direction, curvature), span[:1]
         noise *= float(np.sqrt(2.0 / 3.0))
     count, length = row["contacts"], float(row["length_cm"])
@@ -268,12 +272,16 @@ def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list
             contacts: Any = int(count) if count else "auto"
             if not count and method != METHODS[0]:
                 return []
-            localizer = Localizer.of(
-                position=position, length=length, span=span[0], noise=noise, contacts=contacts,
-                method=method, tube_radius=float(row["tube_radius_cm"]), held_end=False,
-                critical_curvature=float("inf"), gain_error=float(row["gain_error"]),
-                offset_error=float(row["offset_error_per_cm"]), map_error=float(row["map_error"]),
-            )  # fmt: skip
+            told: dict[str, Any] = {
+                "position": position, "length": length, "span": span[0], "noise": noise,
+                "contacts": contacts, "method": method, "held_end": False,
+                "critical_curvature": float("inf"),
+                "tube_radius": float(row["tube_radius_cm"]),
+                "gain_error": float(row["gain_error"]),
+                "offset_error": float(row["offset_error_per_cm"]),
+                "map_error": float(row["map_error"]),
+            }  # fmt: skip
+            localizer = Localizer.of(**(told | around))
             found = localizer.localize(curvature, free_curvature=free).contacts
             claims = [
                 [f"{c.arc:.4f}", f"{c.interval[0]:.4f}", f"{c.interval[1]:.4f}",

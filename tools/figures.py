@@ -180,8 +180,10 @@ def _robots(found: list[dict[str, Any]]) -> list[Row]:
             row["robot"],
             f"{row['missed_percent']:.3g} % missed, {row['wrong_percent']:.3g} % wrong, "
             f"{row['localized']} localized of {row['rooms']}",
-            f"median \\|x error\\| {row['error_percent']:.2g} % of the length; "
-            f"{row['empty_localized']} localized in {row['empty_rooms']} empty rooms",
+            f"in the plane {row['error_percent']:.2g} % of the length off in the median and "
+            f"{row['worst_percent']:.2g} % at most, {row['outside_percent']:.2g} % outside of "
+            f"their ellipses; {row['empty_localized']} localized in {row['empty_rooms']} empty "
+            "rooms",
         )
         for row in study["rows"]
     ]
@@ -388,6 +390,7 @@ SOURCES: dict[str, Source] = {
             "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
             "stability": {"stability-force-place.png": "stability.png"},
             "scaling": {},
+            "space": {},
             "cold": {},
             "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
             "loads": {},
@@ -398,7 +401,7 @@ SOURCES: dict[str, Source] = {
                 "exploration-dial.png": "dial.png",
             },
             "robots": {},
-            "plant-models": {},
+            "plant-models": {"plant-models-ladder.png": "ladder.png"},
             "camera": {},
             "trigger": {"trigger-chart.png": "trigger.png"},
             "watch": {},
@@ -471,6 +474,11 @@ def table(name: str) -> str:
     lines = [f"`{SOURCES[name].shown}`", ""]
     if not rows:
         return "\n".join([*lines, "Not run yet.", "", ""])
+    found = json.loads((RESULTS / f"{name}.json").read_text())
+    for study in found if isinstance(found, list) else []:
+        if samples := study.get("samples"):
+            cases = "; ".join(f"{part} {count}" for part, count in samples.items())
+            lines += [f"Cases: {cases}.", ""]
     lines += ["| what | value | |", "| --- | --- | --- |"]
     return "\n".join([*lines, *(f"| {a} | {b} | {c} |" for a, b, c in rows), "", ""])
 

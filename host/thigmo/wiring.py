@@ -1,7 +1,7 @@
 """On which of the board's inputs a robot's sensors hang, and what of a robot the board cannot hold.
 
-The firmware has ten inputs for flex sensors. The contact trigger works on input 0, the base of the
-left column, and input 5, the base of the right one; the other eight read any sensor. A column takes
+The firmware has ten inputs for flex sensors. The contact trigger works on inputs 0 and 5, the
+bases of the two columns; the other eight read any sensor. A column takes
 its own five inputs first, and then those that the other column leaves free.
 """
 
@@ -13,8 +13,8 @@ from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
 from thigmo.errors import ConfigError
 
 INPUTS = 10  # for flex sensors
-BASES: dict[Side, int] = {"left": 0, "right": 5}  # inputs of the trigger's sensors
-_OTHERS: dict[Side, tuple[int, ...]] = {"left": (1, 2, 3, 4), "right": (6, 7, 8, 9)}
+BASES: dict[Side, int] = dict(zip(SIDES, (0, 5), strict=True))  # inputs of the trigger's sensors
+_OTHERS: dict[Side, tuple[int, ...]] = dict(zip(SIDES, ((1, 2, 3, 4), (6, 7, 8, 9)), strict=True))
 PRESSURES = 3  # body pressures that the board holds maps for
 
 
@@ -30,7 +30,7 @@ def beyond_board(config: RobotConfig) -> list[Beyond]:
     found = [
         Beyond(
             f"{what} lies at {each.direction_deg:g} degrees, out of the plane",
-            "the firmware bends towards 90 (left) and 270 (right) degrees: use these",
+            "the firmware bends towards 90 and 270 degrees: use these",
         )
         for what, each in (
             *((f"muscle {muscle.name}", muscle) for muscle in config.muscles),
@@ -88,7 +88,37 @@ def input_of(config: RobotConfig) -> dict[tuple[Side, int], int]:
     return {place: number for number, place in enumerate(places(config)) if place}
 
 
+class Column(NamedTuple):
+    """The sensors at one direction, base first."""
+
+    name: str  # of the muscle there, or the direction
+    side: Side
+    inputs: list[int]
+    centers_cm: list[float]
+
+
+def columns(config: RobotConfig) -> list[Column]:
+    """The robot's columns, and the inputs that they hang on; none if the board cannot hold them."""
+    wired = {} if beyond_board(config) else input_of(config)
+    found = []
+    for side in SIDES:
+        own = sorted((index, number) for (of, index), number in wired.items() if of == side)
+        if own:
+            name = next((m.name for m in config.muscles if m.side == side), "")
+            centers = [sensor.center_cm for sensor in config.column(side)]
+            lies = f"{config.column(side)[0].direction_deg:g} deg"
+            found.append(Column(name or lies, side, [number for _, number in own], centers))
+    return found
+
+
+def muscle_outputs(config: RobotConfig) -> dict[int, str]:
+    """The names of the muscles by the board's outputs that they hang on."""
+    return {SIDES.index(side): config.muscle(side).name for side in config.sides}
+
+
 def sensor_name(config: RobotConfig, number: int) -> str:
-    """The sensor on an input as robot.toml and the calibration call it."""
-    place = places(config)[number]
-    return f"{place[0]} {place[1]}" if place else f"on input {number}, which robot.toml leaves free"
+    """The sensor on an input, by its column and its place from the base."""
+    for column in columns(config):
+        if number in column.inputs:
+            return f"{column.name} {column.inputs.index(number)}"
+    return f"on input {number}, which robot.toml leaves free"

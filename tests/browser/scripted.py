@@ -81,7 +81,7 @@ class ScriptedRun(Closing):
 
     def state(self, **changes: object) -> None:
         """Say what it does: by default a sweep at 40 cm."""
-        state = RunState(*self._now(), "SWEEP", "sweeping left and right", 40.0, 0.5)
+        state = RunState(*self._now(), "SWEEP", "sweeping", 40.0, 0.5)
         self.hub.publish(replace(state, **changes))  # type: ignore[arg-type]
 
     def event(self, name: str, severity: str, message: str, what_next: str = "") -> None:

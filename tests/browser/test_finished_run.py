@@ -10,6 +10,8 @@ from browsing import Looking, Served
 from playwright.sync_api import Page, expect
 from scripted import ScriptedRun
 
+from thigmo.design import draft
+from thigmo.emulator.reach import room_for
 from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult, explore
 
@@ -29,6 +31,23 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> ExplorationResult:
 def _shown_s(page: Page) -> float:
     shown: float = page.evaluate("thigmo.store.now")
     return shown
+
+
+def test_page_rounds_as_terminal_and_map_do(
+    looking: Looking, serve_page: ServePage, finished: ExplorationResult
+) -> None:
+    page = looking.open(serve_page(past=finished.folder).address)
+    numbers = [each / 80 for each in range(-800, -80)] + [each / 80 for each in range(4000)]
+    numbers += [38.35, 38.45, 1.005, 0.285, 99.95]
+    for digits in range(4):
+        shown = page.evaluate(
+            """async ([numbers, digits]) => {
+                const { rounded } = await import(new URL("svg.js", document.baseURI));
+                return numbers.map((number) => rounded(number, digits));
+            }""",
+            [numbers, digits],
+        )
+        assert shown == [f"{number:.{digits}f}".replace("-", "−") for number in numbers]
 
 
 def test_player_shows_any_moment_of_a_finished_run(
@@ -101,3 +120,23 @@ def test_folder_without_a_record_is_refused(serve_page: ServePage, tmp_path: Pat
 
     with pytest.raises(RunFolderError):
         serve_page(past=tmp_path)
+
+
+def test_a_robot_of_one_column_shows_its_own_muscle_and_sensors(
+    looking: Looking, serve_page: ServePage, tmp_path: Path
+) -> None:
+    scene = room_for(draft(120.0, 8, 1), 1)
+    scene.start_length_cm = 101.5
+    scene.save(tmp_path / "long.toml")
+    found = explore(f"emulator://{tmp_path / 'long.toml'}", seed=1, out=tmp_path / "runs")
+    page = looking.open(serve_page(past=found.folder).address)
+    expect(page.locator("#doing")).to_have_text("Ended: full length")
+    expect(page.locator("#body-legend")).to_contain_text("270 deg sensor")
+    charts = page.locator("#charts h3")
+    expect(charts).to_have_count(5)  # one of curvature
+    expect(charts.nth(0)).to_contain_text("left")
+    assert "right" not in page.locator("#charts").inner_text()
+    expect(charts.nth(1).locator("i:not(.dash)")).to_have_count(8)
+    # Each sensor that is out is drawn on the body, in a colour.
+    drawn = page.locator("[data-layer=body] path[stroke^='var(--right-']")
+    expect(drawn).to_have_count(8)

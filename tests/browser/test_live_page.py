@@ -38,7 +38,7 @@ def test_page_shows_state_readings_contact_and_events(page: Page, run: ScriptedR
     run.feel()
     run.read(400)
     expect(page.locator("#run-name")).to_have_text("scripted")
-    expect(page.locator("#doing")).to_have_text("sweeping left and right")
+    expect(page.locator("#doing")).to_have_text("sweeping")
     expect(page.locator("#clock")).to_have_text("2.0")
     expect(page.locator("#contact-rows")).to_contain_text("31.2 of 40.0 cm 29.8 to 32.7 cm")
     expect(page.locator("#contact-rows")).to_contain_text("x 27.5, y 11.6 cm")

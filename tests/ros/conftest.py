@@ -100,6 +100,15 @@ class Ros:
         planner.hears(lambda told: told["topic"] == "ready")
         return planner
 
+    def robot(self, url: str, options: str, namespace: str = "thigmo") -> Program:
+        """The node of ros/thigmo_ros that serves the action and the services of a robot."""
+        node = ROS_PYTHON.parents[1] / "lib" / "thigmo_ros" / "robot.py"
+        command = [str(ROS_PYTHON), str(node), "--ros-args", "-r", f"__ns:=/{namespace}"]
+        thigmo = Path(sys.executable).with_name("thigmo")
+        for name, value in (("robot", url), ("thigmo", thigmo), ("options", options)):
+            command += ["-p", f"{name}:={json.dumps(str(value))}"]
+        return self._start(command)
+
     def transforms(self) -> Program:
         """A reader of /tf and /tf_static."""
         return self._start([sys.executable, str(HERE / "transforms.py"), str(self.domain)])

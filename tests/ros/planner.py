@@ -3,6 +3,7 @@
 It prints what it receives, one JSON object a line. Given a line, it publishes stops until the
 diagnostics tell of one: DDS may lose what is published while reader and writer are still getting to
 know each other. Given "stop, latched" it says it once, from a publisher that nobody knows yet.
+"call NAME" calls the service of that name, "explore SECONDS" sends a goal, "cancel" cancels it.
 Arguments: the namespace.
 """
 
@@ -12,13 +13,16 @@ import threading
 from typing import Any
 
 import rclpy
+from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Path
+from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, String
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 
@@ -77,6 +81,10 @@ def on_joints(joints: JointState) -> None:
     tell("joints", **head(joints), names=list(joints.name), positions=list(joints.position))
 
 
+def on_description(urdf: String) -> None:
+    tell("description", urdf=urdf.data)
+
+
 STOPPED = threading.Event()
 
 
@@ -101,6 +109,7 @@ def main() -> None:
     subscribe(Path, f"/{namespace}/body", on_body, latched(1))
     subscribe(JointState, f"/{namespace}/joint_states", on_joints, qos_profile_sensor_data)
     subscribe(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
+    subscribe(String, f"/{namespace}/robot_description", on_description, latched(1))
     stops = {
         "stop": node.create_publisher(Empty, f"/{namespace}/stop", 1),
         "stop, best effort": node.create_publisher(
@@ -113,9 +122,67 @@ def main() -> None:
         rclpy.spin_once(node, timeout_sec=0.1)
 
 
+def call(node: Node, name: str) -> None:
+    service = node.create_client(Trigger, name)
+    service.wait_for_service()
+    answer = service.call(Trigger.Request())
+    tell("answer", name=name, success=answer.success, message=answer.message)
+
+
+class Exploration:
+    """A goal of the action; what comes of it is printed."""
+
+    accepted = False
+
+    def __init__(self, node: Node, name: str, seconds: float) -> None:
+        from thigmo_ros.action import Explore  # the package, which one test has built
+
+        client = ActionClient(node, Explore, name)
+        client.wait_for_server()
+        goal = Explore.Goal(name="by-action", time=seconds)
+        client.send_goal_async(goal, self._on_feedback).add_done_callback(self._on_accepted)
+
+    def cancel(self) -> None:
+        self._goal.cancel_goal_async()
+
+    def _on_feedback(self, message: Any) -> None:
+        said = message.feedback
+        tell("feedback", doing=said.doing, done=said.done, stage=said.stage)
+
+    def _on_accepted(self, future: Any) -> None:
+        self._goal = future.result()
+        self.accepted = self._goal.accepted
+        tell("goal", accepted=self.accepted)
+        if self.accepted:
+            self._goal.get_result_async().add_done_callback(self._on_result)
+
+    def _on_result(self, future: Any) -> None:
+        status, result = future.result().status, future.result().result
+        name = {
+            GoalStatus.STATUS_SUCCEEDED: "succeeded",
+            GoalStatus.STATUS_CANCELED: "canceled",
+            GoalStatus.STATUS_ABORTED: "aborted",
+        }[status]
+        tell(
+            "result", status=name, outcome=result.outcome, folder=result.folder,
+            contacts=result.contacts, length=result.length,
+        )  # fmt: skip
+
+
 def obey(node: Node, namespace: str, stops: dict[str, Any]) -> None:
     """Thread: stops."""
+    explorations: list[Exploration] = []
     for line in sys.stdin:
+        command, _, argument = line.strip().partition(" ")
+        if command == "call":
+            call(node, f"/{namespace}/{argument}")
+            continue
+        if command == "explore":
+            explorations.append(Exploration(node, f"/{namespace}/explore", float(argument)))
+            continue
+        if command == "cancel":
+            next(each for each in reversed(explorations) if each.accepted).cancel()
+            continue
         if line == "stop, latched\n":
             stops["latched"] = node.create_publisher(Empty, f"/{namespace}/stop", latched(1))
             stops["latched"].publish(Empty())

@@ -11,6 +11,7 @@ import threading
 import time
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -85,9 +86,12 @@ def test_planner_receives_map_contacts_and_body_of_a_live_run(
     _map_is_the_run_s(planner, run)
     _contacts_are_the_run_s(planner, run)
     joints = [told for told in planner.of("joints") if told["positions"][0] > 0]
-    assert joints[0]["names"] == ["everted_length", *(f"bend_{n}" for n in range(1, 11))]
+    tenths = range(1, 11)
+    assert joints[0]["names"] == [
+        "everted_length", *(f"bend_{n}" for n in tenths), *(f"grow_{n}" for n in tenths)
+    ]  # fmt: skip
     assert max(told["positions"][0] for told in joints) == pytest.approx(0.53, abs=0.005)
-    turns = [sum(told["positions"][1:]) for told in joints]
+    turns = [sum(told["positions"][1:11]) for told in joints]
     assert min(turns) < -0.5 < 0.5 < max(turns)
     assert planner.of("body")[-1]["poses"][0] == pytest.approx([0, 0, 0, 0, 0, 0, 1])
     board = planner.hears(
@@ -100,10 +104,108 @@ def test_planner_receives_map_contacts_and_body_of_a_live_run(
     base = transforms.hears(lambda told: told["topic"] == "tf_static")
     assert (base["frame"], base["child"]) == ("map", "thigmo_base")
     assert base["pose"] == [0, 0, 0, 0, 0, 0, 1]
-    tips = [told["pose"] for told in transforms.of("tf")]
-    assert {told["child"] for told in transforms.of("tf")} == {"thigmo_tip"}
+    tips = [told["pose"] for told in transforms.of("tf") if told["child"] == "thigmo_tip"]
     assert max(tip[0] for tip in tips) == pytest.approx(0.53, abs=0.01)
     assert min(tip[1] for tip in tips) < -0.1 < 0.1 < max(tip[1] for tip in tips)
+
+
+def test_description_s_joints_and_the_transforms_end_at_the_tip(
+    ros: Any, url: str, tmp_path: Path
+) -> None:
+    planner, transforms = ros.planner(), ros.transforms()
+    ros.bridge(url)
+    planner.hears(lambda told: told.get("name") == "thigmo: run")
+    thigmo.explore(url, seed=1, out=tmp_path)
+    planner.hears(lambda told: told.get("message") == "full length")
+    described = planner.hears(lambda told: told["topic"] == "description")
+    urdf = ElementTree.fromstring(described["urdf"])
+    bodies = {tuple(told["stamp"]): told["poses"][-1] for told in planner.of("body")}
+    sent: dict[tuple[int, int], dict[str, Any]] = {}
+    for told in transforms.of("tf"):
+        sent.setdefault(tuple(told["stamp"]), {})[told["child"]] = told
+    compared = 0
+    for told in planner.of("joints"):
+        stamp = tuple(told["stamp"])
+        if stamp not in bodies or len(sent.get(stamp, {})) < 21:
+            continue
+        values = dict(zip(told["names"], told["positions"], strict=True))
+        x = y = heading = 0.0
+        link = "thigmo_base"
+        while (joint := urdf.find(f"joint/parent[@link='{link}']/..")) is not None:
+            value, link = values[joint.attrib["name"]], joint.find("child").attrib["link"]
+            frame = sent[stamp][link]
+            assert frame["frame"] == joint.find("parent").attrib["link"]
+            if joint.attrib["type"] == "revolute":
+                heading += value
+                half = value / 2
+                assert frame["pose"][5:] == pytest.approx([math.sin(half), math.cos(half)])
+            else:
+                x, y = x + value * math.cos(heading), y + value * math.sin(heading)
+                assert frame["pose"][0] == pytest.approx(value)
+                assert value <= float(joint.find("limit").attrib["upper"])
+        assert link == "thigmo_end_10"
+        assert [x, y] == pytest.approx(bodies[stamp][:2], abs=1e-6)
+        compared += 1
+    assert compared > 10
+
+
+def _service(planner: Any, name: str) -> dict[str, Any]:
+    planner.say(f"call {name}")
+    answer: dict[str, Any] = planner.hears(lambda told: told.get("name") == f"/thigmo/{name}")
+    return answer
+
+
+def test_action_explores_with_feedback_and_returns_the_run(
+    ros: Any, url: str, tmp_path: Path
+) -> None:
+    planner = ros.planner()
+    ros.bridge(url)
+    ros.robot(url, f"--seed 1 --out {tmp_path}")
+    planner.say("explore 0")
+    result = planner.hears(lambda told: told["topic"] == "result")
+    assert (result["status"], result["outcome"]) == ("succeeded", "full length")
+    run = thigmo.open_run(result["folder"])
+    assert result["folder"].endswith("-by-action")
+    assert result["contacts"] == len(run.document.contacts) > 0
+    assert result["length"] == pytest.approx(0.53, abs=0.005)
+
+
+@pytest.mark.realtime
+def test_action_says_how_far_it_is_ends_when_cancelled_and_is_stopped_by_the_service(
+    ros: Any, url: str, tmp_path: Path
+) -> None:
+    planner = ros.planner()
+    ros.bridge(url)
+    ros.robot(url, f"--realtime --out {tmp_path}")
+    assert not _service(planner, "stop")["success"]  # nothing is to be stopped
+    for ending, status in (("cancel", "canceled"), ("call stop", "aborted")):
+        planner.told.clear()
+        planner.say("explore 0")
+        told = planner.hears(lambda told: told["topic"] == "feedback" and told["done"] > 0)
+        assert told["done"] < 1
+        assert told["stage"] >= 0.5
+        assert told["doing"]
+        planner.say("explore 0")
+        planner.hears(lambda told: told["topic"] == "goal" and not told["accepted"])
+        planner.say(ending)
+        result = planner.hears(lambda told: told["topic"] == "result")
+        assert result["status"] == status
+    answer = planner.hears(lambda told: told["topic"] == "answer")
+    assert answer["success"], answer["message"]
+    assert "stopped" in result["outcome"]
+
+
+def test_clear_service_clears_the_faults_of_a_robot_on_a_port(ros: Any) -> None:
+    robot = ready_to_sweep()
+    try:
+        planner = ros.planner()
+        ros.robot(robot.port, "")
+        answer = _service(planner, "stop")
+        assert answer["success"], answer["message"]
+        answer = _service(planner, "clear")
+        assert answer["success"], answer["message"]
+    finally:
+        robot.close()
 
 
 def test_planner_that_comes_later_gets_a_finished_run_s_map(
@@ -138,7 +240,7 @@ def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: st
     hello = Hello(0.0, time.time() + 3600.0, url, "another", "", 1, "0", True)
 
     def ask() -> None:
-        planner.hears(lambda told: abs(sum(told.get("positions", [0])[1:])) > 0.1)
+        planner.hears(lambda told: abs(sum(told.get("positions", [0])[1:11])) > 0.1)
         bent.set()
         planner.say(stop)
 

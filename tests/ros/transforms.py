@@ -90,6 +90,7 @@ while True:
                 at, turn = each.transform.translation, each.transform.rotation
                 told = {
                     "topic": topic,
+                    "stamp": [each.header.stamp.sec, each.header.stamp.nanosec],
                     "frame": each.header.frame_id,
                     "child": each.child_frame_id,
                     "pose": [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w],

@@ -49,7 +49,7 @@ def killed(room: Path, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """A run as it is on the disk when its process is killed in its last but one stage."""
     out = tmp_path_factory.mktemp("killed")
     with pytest.raises(Killed):
-        _explore(room, out, f"{'sweeping left and right'} at 50 cm")
+        _explore(room, out, "sweeping at 50 cm")
     (path,) = out.iterdir()
     file = path / "contacts.json"
     known = json.loads(file.read_text())

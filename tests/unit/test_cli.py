@@ -317,6 +317,34 @@ def test_frames_in_rows_get_an_answer_each(tmp_path: Path, thigmo: Thigmo) -> No
     assert "NAME=POSITION" in thigmo(*call, "--columns", "k0").err
 
 
+def test_columns_with_directions_are_localized_in_space(tmp_path: Path, thigmo: Thigmo) -> None:
+    arcs = (10, 20, 30, 40, 50)
+    bends = [(2e-4 * max(45 - arc, 0), -1e-4 * max(45 - arc, 0)) for arc in arcs]
+    table, frames = tmp_path / "fibre.csv", tmp_path / "frames.csv"
+    rows = [f"{a},{k},{d}" for a, both in zip(arcs, bends, strict=True)
+            for k, d in zip(both, (0, 90), strict=True)]  # fmt: skip
+    table.write_text("position,curvature,direction\n" + "\n".join(rows) + "\n")
+    told = ["--length", "53", "--noise", "0.0003", "--twist", "1.3", "--held-end", "no"]
+    one = json.loads(thigmo("localize", table, *told, "--json").out)
+    _, toward_0, toward_90 = one["contacts"][0]["vector"]
+    assert abs(one["contacts"][0]["arc"] - 45) < 2
+    assert toward_0 == pytest.approx(2e-4, rel=0.2)
+    assert toward_90 == pytest.approx(-1e-4, rel=0.2)
+    assert "vector" in thigmo("localize", table, *told).out
+    names = [f"k{n}" for n in range(10)]
+    frames.write_text(",".join(names) + "\n" + ",".join(str(k) for b in bends for k in b) + "\n")
+    places = [f"{n}={a}@{d}" for n, (a, d) in zip(
+        names, ((a, d) for a in arcs for d in (0, 90)), strict=True)]  # fmt: skip
+    row = thigmo("localize", frames, *told, "--columns", ",".join(places))
+    assert float(row.out.splitlines()[1].split(",")[4]) == pytest.approx(
+        one["contacts"][0]["arc"], rel=1e-5
+    )
+    some = thigmo("localize", frames, *told, "--columns", "k0=10@0,k1=10")
+    assert "DEGREES" in some.err
+    heavy = thigmo("localize", table, *told, "--weight", "0,1")
+    assert "three numbers" in heavy.err
+
+
 def test_what_holds_the_end_the_levels_and_the_stiffness_are_flags(
     tmp_path: Path, thigmo: Thigmo
 ) -> None:

@@ -41,10 +41,8 @@ FREE, UNKNOWN, OCCUPIED = 254, 205, 0  # map_saver's grey values
 
 def _contact(arc: float = 40.0, length: float = 50.0, width: float = 3.0) -> MapContact:
     """A peg on the left of a robot that bends to the left with 0.02 1/cm."""
-    bend = Bend(length, 0.02, ramp_knots([(arc, -2e-4)]))
-    placed = place_contact(
-        bend, arc, -2e-4, (arc - width, arc + width), radius_cm=RADIUS, curvature_se=5e-4
-    )
+    bend = Bend(length, 0.02, ramp_knots([(arc, -2e-4)]), curvature_se=5e-4)
+    placed = place_contact(bend, arc, -2e-4, (arc - width, arc + width), radius_cm=RADIUS)
     return MapContact(
         arc_cm=arc,
         x_cm=placed.x_cm,

@@ -54,6 +54,21 @@ def test_readings_are_extended_to_the_base_and_end_at_the_contact() -> None:
     assert excess_knots(centers, ramp, 4.0) == ()
 
 
+def test_the_shape_is_the_same_in_whichever_order_the_inputs_have_the_sensors() -> None:
+    centers, readings = np.array([5.0, 15.0, 25.0, 35.0]), np.array([4e-3, 6e-3, 9e-3, 13e-3])
+    other = np.array([2, 0, 3, 1])
+    assert excess_knots(centers[other], readings[other], 40.0) == excess_knots(
+        centers, readings, 40.0
+    )
+    assert measured_bend(40.0, centers[other], readings[other]) == measured_bend(
+        40.0, centers, readings
+    )
+    covariance = np.diag([1.0, 2.0, 3.0, 4.0])
+    assert common_error(40.0, centers[other], covariance[np.ix_(other, other)]) == pytest.approx(
+        common_error(40.0, centers, covariance)
+    )
+
+
 def test_a_body_as_its_sensors_see_it_is_the_body() -> None:
     bend = Bend(50.0, 0.02, ramp_knots([(38.0, -2e-4)]))
     centers = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
@@ -70,7 +85,7 @@ def test_a_common_error_puts_the_tip_as_far_off_as_the_sensors_own() -> None:
         centreline(measured_bend(40.0, centers, error * rng.standard_normal(4))).pose(40.0)[1]
         for _ in range(800)
     ]
-    stated = common_error(40.0, centers, error) * 40.0**2 / 2
+    stated = common_error(40.0, centers, np.diag(error**2)) * 40.0**2 / 2
     assert np.std(tips) == pytest.approx(stated, rel=0.25)
 
 
@@ -83,7 +98,7 @@ def test_the_point_is_on_the_side_that_the_force_comes_from() -> None:
 
 def test_the_covariance_is_the_interval_along_and_the_shapes_error_across() -> None:
     placed = place_contact(
-        Bend(53.0, 0.0), 40.0, -1e-4, (36.0, 44.0), radius_cm=1.75, curvature_se=5e-4
+        Bend(53.0, 0.0, curvature_se=5e-4), 40.0, -1e-4, (36.0, 44.0), radius_cm=1.75
     )
     (xx, xy), (_, yy) = placed.covariance_cm2
     assert xx**0.5 == pytest.approx(8 / 3.92, rel=2e-3)

@@ -28,7 +28,7 @@ def outlive_terminal() -> None:
 
 
 def be_done() -> None:
-    """From now on they end the process without a word: nothing is left to be undone."""
+    """From now on they end the process without a word: nothing remains to be undone."""
     _handle(signal.SIG_DFL)
 
 

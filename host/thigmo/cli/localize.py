@@ -21,8 +21,8 @@ def localize(
     file: Annotated[
         Path,
         typer.Argument(
-            help="CSV with columns position, curvature[, span]; `-` for the standard input; or "
-            "`example`."
+            help="CSV with columns position, curvature[, span][, direction: degrees about the "
+            "body, in space]; `-` for the standard input; or `example`."
         ),
     ],
     length: Annotated[float, typer.Option(help="Length of the body, in the CSV's length unit.")],
@@ -31,7 +31,7 @@ def localize(
         float, typer.Option("--free-curvature", help="Curvature from actuation alone.")
     ] = 0.0,
     noise: Annotated[
-        float | None, typer.Option(help="One sigma of a reading; estimated when left out.")
+        float | None, typer.Option(help="One sigma of a reading; estimated when omitted.")
     ] = None,
     gain_error: Annotated[
         float | None, typer.Option(help="One sigma of each sensor's gain, relative.")
@@ -46,7 +46,7 @@ def localize(
         float | None, typer.Option(help="Contact moment over EI at which the base folds.")
     ] = None,
     tube_radius: Annotated[
-        float | None, typer.Option(help="Radius of the body; 1.75/53 of the length if left out.")
+        float | None, typer.Option(help="Radius of the body; 1.75/53 of the length if omitted.")
     ] = None,
     bad_reading_odds: Annotated[
         float | None, typer.Option(help="Prior odds that a given reading is bad.")
@@ -63,6 +63,16 @@ def localize(
         typer.Option(
             help="EI and its relative error, 500,0.1, in N times the length's unit squared: forces "
             "are then in newtons."
+        ),
+    ] = None,
+    twist: Annotated[
+        float | None, typer.Option(help="In space: bending over torsional stiffness, EI/GJ.")
+    ] = None,
+    weight: Annotated[
+        str | None,
+        typer.Option(
+            help="In space: weight per length over EI, along the base, towards direction 0 and "
+            "towards 90: 0,-0.5,0."
         ),
     ] = None,
     width_limit: Annotated[
@@ -84,8 +94,9 @@ def localize(
     columns: Annotated[
         str | None,
         typer.Option(
-            help="For a frame in each row: its columns with their sensors' positions, k0=5,k1=15. "
-            "Prints one answer a row, as CSV; a column t_s is kept."
+            help="For a frame in each row: its columns with their sensors' positions, k0=5,k1=15, "
+            "in space with their directions, k0=5@0,k1=5@90. Prints one answer a row, as CSV; a "
+            "column t_s is kept."
         ),
     ] = None,
     plot: Annotated[
@@ -94,6 +105,8 @@ def localize(
     as_json: JsonOption = False,
 ) -> None:
     """Say where a body is touched, from curvature readings along it."""
+    import numpy as np
+
     import thigmo
     from thigmo.errors import DataError
     from thigmo.record import ReadingsTable, read_frames, read_readings
@@ -108,11 +121,19 @@ def localize(
         file = EXAMPLE
     if plot is not None and columns is None:
         raise DataError("--plot draws answers over time", "give --columns, too")
-    frames = None if columns is None else read_frames(file, _frames(columns))
+    named = {} if columns is None else _frames(columns)
+    places = {name: place for name, (place, _) in named.items()}
+    frames = None if columns is None else read_frames(file, places)
     if frames is None:
         table = read_readings(file)
     else:  # the sensors are the same in every row
-        table = ReadingsTable(frames.position, frames.curvature[0], None, frames.lines[:1])
+        directions = [direction for _, direction in named.values() if direction is not None]
+        if len(directions) not in (0, len(named)):
+            raise DataError("--columns has directions for some", "give each NAME=POSITION@DEGREES")
+        table = ReadingsTable(
+            frames.position, frames.curvature[0], None, frames.lines[:1],
+            np.deg2rad(directions) if directions else None,
+        )  # fmt: skip
     told = {} if config is None else _calibrated(config, side, table, length)
     flags = {
         "noise": noise,
@@ -124,7 +145,10 @@ def localize(
         "bad_reading_odds": bad_reading_odds,
         "held_end": _held(held_end),
         "end_face_odds": end_face_odds,
-        "stiffness": _stiffness(stiffness),
+        "stiffness": _numbers(stiffness, "--stiffness", "EI,ERROR such as 500,0.1"),
+        "twist": twist,
+        "weight": _numbers(weight, "--weight", "three numbers, such as 0,-0.5,0"),
+        "direction": table.direction,
         "width_limit": width_limit,
         "number_level": number_level,
     }
@@ -165,14 +189,14 @@ def _held(text: str | None) -> bool | float | None:
         raise DataError(f"--held-end is {text!r}", "give yes, no, or odds such as 0.1") from error
 
 
-def _stiffness(text: str | None) -> tuple[float, ...] | None:
-    """EI and its relative error."""
+def _numbers(text: str | None, option: str, such_as: str) -> tuple[float, ...] | None:
+    """Numbers with commas between them."""
     from thigmo.errors import DataError
 
     try:
         return None if text is None else tuple(float(part) for part in text.split(","))
     except ValueError as error:
-        raise DataError(f"--stiffness is {text!r}", "give EI,ERROR such as 500,0.1") from error
+        raise DataError(f"{option} is {text!r}", f"give {such_as}") from error
 
 
 def _calibrated(
@@ -218,15 +242,16 @@ def _facts(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:
     }
 
 
-def _frames(columns: str) -> dict[str, float]:
-    """Columns by name, with the positions of their sensors."""
+def _frames(columns: str) -> dict[str, tuple[float, float | None]]:
+    """Columns by name, with the positions of their sensors, and their directions in degrees."""
     from thigmo.errors import DataError
 
     found = {}
     for part in columns.split(","):
         name, _, place = part.rpartition("=")
+        arc, _, direction = place.partition("@")
         try:
-            found[name.strip()] = float(place)
+            found[name.strip()] = float(arc), float(direction) if direction else None
         except ValueError:
             name = ""
         if not name.strip():
@@ -289,10 +314,13 @@ def _show(result: LocalizeResult, table: ReadingsTable) -> None:
     if result.contacts:
         force = "force / EI" if result.contacts[0].newtons is None else "force, 95 % interval"
         rows = Table("arc", force, "95 % interval", "probability", "status", box=None)
+        if in_space := any(contact.vector for contact in result.contacts):
+            rows.add_column("vector")
         for contact in result.contacts:
+            vector = " ".join(f"{part:.3g}" for part in contact.vector or ())
             rows.add_row(
                 f"{contact.arc:.4g}", contact.force_text, contact.interval_text,
-                contact.probability_text, contact.status,
+                contact.probability_text, contact.status, *([vector] * in_space),
             )  # fmt: skip
         console.print(rows)
     for reading in result.discarded:

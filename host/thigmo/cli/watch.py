@@ -30,7 +30,7 @@ def watch(
             metavar="RUN|URL",
             callback=named,
             help="Folder of a finished run, or where the robot is, on which Start then explores. "
-            "Left out: whatever run is under way, or comes.",
+            "Omitted: whatever run is under way, or comes.",
         ),
     ] = None,
     host: Annotated[

@@ -3,7 +3,7 @@
 Growth against the tail's friction, the pull on the spool, bend and fold, what each muscle's sweep
 can feel and localize, how often each channel is read, and what the board cannot hold.
 
-The contact that is judged is a peg right beside the straight body, and presses as hard as that can:
+The contact that is judged is a peg just beside the straight body, and presses as hard as that can:
 a cantilever of free curvature g that is propped at its arc has a base moment over EI of 3/2 g, or
 the base folds.
 """
@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import FlexSensor, RobotConfig, Side, opposite
+from thigmo.config import SIGN, FlexSensor, RobotConfig, Side, opposite
 from thigmo.errors import ConfigError
 from thigmo.exploration.plan import stage_lengths
 from thigmo.link.protocol import PARAMETERS
@@ -26,7 +26,7 @@ from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
-from thigmo.wiring import BASES, beyond_board, input_of
+from thigmo.wiring import beyond_board, columns
 
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
@@ -64,13 +64,9 @@ def judge(config: RobotConfig) -> list[Finding]:
 
 def _inputs(config: RobotConfig) -> Iterator[Finding]:
     """On which of the board's inputs each column hangs, as page, record and export name them."""
-    if beyond_board(config):
-        return
-    wired = input_of(config)
-    for side in BASES:
-        own = [str(number) for (of, _), number in sorted(wired.items()) if of == side]
-        if own:
-            yield Finding(f"{side} column", "ok", f"base first on the inputs {', '.join(own)}")
+    for column in columns(config):
+        inputs = ", ".join(map(str, column.inputs))
+        yield Finding(f"column {column.name}", "ok", f"base first on the inputs {inputs}")
 
 
 def _growth(config: RobotConfig) -> Iterator[Finding]:
@@ -142,7 +138,7 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
     """Where a sweep towards a side feels and localizes a contact, at the full length."""
     muscle, body = config.muscle(side), config.body
     what = f"sweep of {muscle.name}"
-    sign = 1 if side == "left" else -1
+    sign = SIGN[side]
     column = [
         sensor
         for sensor in config.column(opposite(side))
@@ -202,11 +198,11 @@ def _rates(config: RobotConfig) -> Iterator[Finding]:
     """How often each kind of channel is read, by the schedule of firmware/core/board.h."""
     conversions = 2 ** PARAMETERS["oversample_log2"].defaults[0]
     bases, others = _TICKS_HZ / conversions, _TICKS_HZ / 2 / conversions
-    columns = [side for side in BASES if config.column(side)]
-    rest = len(config.sensors) - len(columns)
+    read = {sensor.side for sensor in config.sensors} - {None}
+    rest = len(config.sensors) - len(read)
     yield Finding(
         "rates",
         "ok",
-        f"base sensors ({len(columns)}) {bases:.1f} Hz, the others ({rest}) {others:.1f} Hz, "
+        f"base sensors ({len(read)}) {bases:.1f} Hz, the others ({rest}) {others:.1f} Hz, "
         f"pressures {_TICKS_HZ} Hz",
     )

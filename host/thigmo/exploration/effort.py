@@ -43,7 +43,7 @@ class Effort:
     def lengths(self, config: RobotConfig) -> list[float]:
         """Everted lengths (cm) at which to sweep, ascending.
 
-        The longest bodies reach and feel most, so the shortest are left out first. One less than
+        The longest bodies reach and feel most, so the shortest are omitted first. One less than
         half a pitch behind the full length tells little that the full length does not.
         """
         *rest, full = stage_lengths(config)
@@ -57,8 +57,8 @@ class Effort:
         said = []
         stops = self.stops_after(config, 0.0, _BEGINS_S, swept=False)
         last = stops[-1]
-        if left := [each for each in stage_lengths(config) if each < last and each not in stops]:
-            where = ", ".join(f"{length:g}" for length in left)
+        if short := [each for each in stage_lengths(config) if each < last and each not in stops]:
+            where = ", ".join(f"{length:g}" for length in short)
             said.append(f"no sweeps at {where} cm: what only so short a body reaches is missed")
         if last < config.body.length_cm - SAME_CM:
             said.append(f"it ends at {last:g} cm: what stands farther is not felt")
@@ -105,7 +105,7 @@ class Effort:
     ) -> list[float]:
         """The lengths (cm) at which to sweep from here on; empty at the end.
 
-        Of those that the budget has no time for, the shortest are left out; for the last, its
+        Of those that the budget has no time for, the shortest are omitted; for the last, its
         contact's measurement is (`measures`). Where the budget is too short for the full length as
         well, the run ends at the longest that it allows.
         """

@@ -59,7 +59,7 @@ def explore(
     Args:
         url: where the robot is (`thigmo.connect`); None: where that of the run to be resumed is,
             else `emulator://default`.
-        config: robot.toml; an emulated robot's may be left out: it is what its lab would know.
+        config: robot.toml; an emulated robot's may be omitted: it is what its lab would know.
         seed: of the emulator's noise.
         out: folder in which the run folder is made.
         name: of the run.

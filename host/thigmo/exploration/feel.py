@@ -21,7 +21,7 @@ from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.room import WIDEST_SHARE
 from thigmo.exploration.sighting import Sighting, arc_grid, contact_mass
-from thigmo.exploration.workspace import Bend, centreline, excess_knots, skin_point
+from thigmo.exploration.workspace import Bend, centreline, common_error, excess_knots, skin_point
 from thigmo.localization import METHODS, LocalizeResult, localize
 from thigmo.mechanics.closed_forms import fold_share
 from thigmo.record import Obstacle, Shape
@@ -93,7 +93,14 @@ def feel(
     centers, spans = table.center_cm[use], table.span_cm[use]
     unfolded = peak.curvature[use] - free.mean - fold * fold_share(centers, spans, body.diameter_cm)
     last = max((contact.arc for contact, _ in found), default=0.0)
-    bend = Bend(peak.length_cm, free.body_curvature, excess_knots(centers, unfolded, last), fold)
+    added = np.diag(np.square(peak.added_noise[use]))
+    bend = Bend(
+        peak.length_cm,
+        free.body_curvature,
+        excess_knots(centers, unfolded, last),
+        fold,
+        common_error(last, centers, free.sensor_errors + added),
+    )
     curve, arcs = centreline(bend), arc_grid(body.length_cm)
     expected = None
     if prior:

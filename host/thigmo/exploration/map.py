@@ -122,12 +122,16 @@ class ContactMap:
                 # At the higher pressure the tip went round what had stopped it.
                 self.stall = replace(self.stall, obstacle=probability, wall=0.0, pressure=0.0)
             placed = place_contact(
-                Bend(met.length_cm, 0.0, ramp_knots([(met.arc_cm, met.force_per_cm2)])),
+                Bend(
+                    met.length_cm,
+                    0.0,
+                    ramp_knots([(met.arc_cm, met.force_per_cm2)]),
+                    curvature_se=met.curvature_se,
+                ),
                 met.arc_cm,
                 met.force_per_cm2,
                 met.interval_cm,
                 radius_cm=radius,
-                curvature_se=met.curvature_se,
             )
         else:
             self.stall = causes(met, self._walls(), moved_on=moved_on)
@@ -185,7 +189,6 @@ class ContactMap:
             force_per_cm2,
             interval_cm,
             radius_cm=self._config.body.radius_cm,
-            curvature_se=self._config.muscle(sighting.side).offset_se,
             end_offset_cm=end_offset_cm,
         )
         return self._contact(

@@ -32,13 +32,13 @@ _SMOOTH = 5  # frames of a running median, a quarter of a second
 # A rise of so much (1/cm) is the fold's. The fold's own curvature is of the order of one
 # over the tube's radius, ten times that even where a sensor averages it; creep and noise are less.
 _FOLD_PER_CM = 0.03
-_PASSED = 0.5  # share of the rise by which a reading falls once the fold has left; creep is less
+_PASSED = 0.5  # share of the rise by which a reading falls once the fold is past; creep is less
 _SAME_PLACE_CM = 1.0
 _LEVEL = 0.03  # share of the rise by which a reading may differ from its last and count as that
 _ONSET_CM = 1.0  # a fold that has entered a sensor by less may go unseen
 
 # Standard deviations of the sensors' calibrated noise by which zeros move together when the body is
-# held bent; what is left of an eversion's creep is less.
+# held bent; what remains of an eversion's creep is less.
 _SIGMAS = 4.0
 # A lean moves every zero by its lever. Less than this share of their squares explained is a sensor
 # that moved alone.
@@ -70,7 +70,7 @@ class Met:
     arc_cm: float  # where the peg is, by the best guess
     interval_cm: tuple[float, float]  # it is within these
     sensors: int  # how many tell so
-    force_per_cm2: float  # of the peg, over EI; positive bends to the left
+    force_per_cm2: float  # of the peg, over EI; signed as curvature
     # of the sensors that everted before the tip stood still: by how much later than the line says
     late_cm: tuple[float, ...] = field(default=(), kw_only=True)
 
@@ -166,12 +166,12 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Met | None:
 
 
 def _left_late(length_cm: Floats, reading: Floats, start: float, end: float) -> float:
-    """By how much later than the line says the fold left a sensor, cm."""
+    """By how much later than the line says the fold went past a sensor, cm."""
     before = float(np.median(reading[length_cm < start][-_SMOOTH:]))
     rise = np.abs(median_filter(reading, _SMOOTH, mode="nearest") - before)
     top = int(rise.argmax())
     low = np.flatnonzero(rise[top:] < _PASSED * rise[top])
-    # It has left by half where the tip stands in the sensor's last quarter.
+    # It is past by half where the tip stands in the sensor's last quarter.
     return float(length_cm[top + low[0]] - (0.25 * start + 0.75 * end)) if low.size else 0.0
 
 

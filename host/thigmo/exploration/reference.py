@@ -51,6 +51,7 @@ class FreeReading(NamedTuple):
     mean: Floats  # (N,) 1/cm
     body_curvature: float  # of the free body itself, 1/cm
     shared_errors: Floats  # (N, K) what is unknown of `mean`: columns of one standard deviation
+    sensor_errors: Floats  # (N, N) covariance of what the sensors themselves add, 1/cm^2
 
 
 def scale_errors(config: RobotConfig) -> Floats:
@@ -139,9 +140,11 @@ class FreeResponse:
         sensors = np.flatnonzero(use)
         effect = self._effect(sensors, zone, free_curvature, curvature[sensors])
         variance, axes = np.linalg.eigh(effect @ covariance @ effect.T)
+        own = effect[:, : self._scale]
         return FreeReading(
             free_curvature + effect @ mean,
             free_curvature * (1.0 + float(mean[self._scale + zone]))
             + float(mean[self._offset + zone]),
             axes * np.sqrt(np.maximum(variance, 0.0)),
+            own @ covariance[: self._scale, : self._scale] @ own.T,
         )

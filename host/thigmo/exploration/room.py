@@ -20,6 +20,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo.config import SIGN, Side
 from thigmo.exploration.sighting import (
     BEND_LEAST,
     BEND_SHARE,
@@ -83,12 +84,12 @@ class _Way:
     nothing: Group  # sightings behind which there is no obstacle
 
 
-def touch_point(arc_cm: float, bend: float, side: str, radius_cm: float) -> tuple[float, float]:
+def touch_point(arc_cm: float, bend: float, side: Side, radius_cm: float) -> tuple[float, float]:
     """Point of the skin on the inner side of a free body: what its first touch touches."""
     turn = arc_cm * bend
     x = np.sin(turn) / bend - radius_cm * np.sin(turn)
     y = (1 - np.cos(turn)) / bend + radius_cm * np.cos(turn)
-    return float(x), float(y if side == "left" else -y)
+    return float(x), float(SIGN[side] * y)
 
 
 class Room:
@@ -228,7 +229,7 @@ class Room:
         return float(np.sum(np.log(np.array(odds) + 1e-9) + _LOG_ANOTHER))
 
     def _ways(self) -> tuple[list[_Way], float]:
-        """The ways to share the sightings out, and a bound on the share of those left out."""
+        """The ways to share the sightings out, and a bound on the share of those omitted."""
         ways, lost = [_Way(0.0, (), ())], 0.0
         for i, sighting in enumerate(self._seen):
             more: list[_Way] = []
@@ -246,7 +247,7 @@ class Room:
             ways = more[:_MOST_WAYS]
             if dropped := more[_MOST_WAYS:]:
                 top = ways[0].log
-                left, kept = (sum(np.exp(w.log - top) for w in some) for some in (dropped, ways))
+                lesser, kept = (sum(np.exp(w.log - top) for w in some) for some in (dropped, ways))
                 # Each later sighting may bear out a dropped way by its largest likelihood at most,
                 # and bears out a kept one as another obstacle at least.
                 gain = sum(
@@ -254,7 +255,7 @@ class Room:
                     - max(_LOG_ANOTHER + self._evidence((j,), "peg")[0], -50.0)
                     for j in range(i + 1, len(self._seen))
                 )
-                lost += float(left / kept * np.exp(min(gain, 50.0)))
+                lost += float(lesser / kept * np.exp(min(gain, 50.0)))
         return ways, min(lost, 1.0)
 
     def _weighed(self, groups: tuple[Group, ...], nothing: Group) -> _Way:

@@ -1,7 +1,7 @@
 """The exploration itself: walks the state table with a robot, and leaves a run folder.
 
 One method for each state, returning the outcome that the table names. Whatever happens (an error,
-Ctrl-C, a termination signal, a pulled cable), the robot is left vented and braked and the run
+Ctrl-C, a termination signal, a pulled cable), the robot stays vented and braked and the run
 folder is closed and readable.
 """
 
@@ -75,7 +75,6 @@ class Exploration:
     _start_cm: float = 0.0  # length at which the stage's growth began
     _zone: int = 0
     _body_psi: float | None = None  # what the operator last set
-    _swept: bool = False
     _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
@@ -144,7 +143,6 @@ class Exploration:
         self.live.tell(Log, "info", "the operator measures the everted length")
         self.length_cm = self.robot.operator.everted_length_cm()
         self.robot.confirm_length(self.length_cm)
-        self._swept = self._knows.swept(self.length_cm)
         return "length known"
 
     def _arm(self) -> str:
@@ -156,8 +154,9 @@ class Exploration:
     # Each stage.
 
     def _plan(self) -> str:
+        swept = self._knows.swept(self.length_cm)
         stops = self.effort.stops_after(
-            self.config, self.length_cm, self.robot.elapsed_s, swept=self._swept
+            self.config, self.length_cm, self.robot.elapsed_s, swept=swept
         )
         if not stops:
             full = self.length_cm > self.config.body.length_cm - SAME_CM
@@ -168,7 +167,7 @@ class Exploration:
         if grows and peg_ahead(self.document.contacts, self.length_cm, self.config.body.radius_cm):
             self._note(outcome="peg ahead")
             return "peg ahead"
-        self._stage_cm, self._swept, self._zero_tries = stage, False, 0
+        self._stage_cm, self._zero_tries = stage, 0
         self._start_cm, self._growth = self.length_cm, GrowthWatcher()
         return "grow" if grows else "sweep here"
 
@@ -248,7 +247,7 @@ class Exploration:
         thesis = self.protocol == "thesis"
         # Sensors that have just everted are not needed to feel a contact, only to measure it.
         needed = (1 << SENSORS) - 1 if thesis else _BASE
-        self.robot.wait_settled(lambda left_s: self.tell(f"{left_s:.0f} s left"), needed)
+        self.robot.wait_settled(lambda rest_s: self.tell(f"{rest_s:.0f} s to go"), needed)
         if not thesis:
             status = self.robot.status()
             self.robot.set_aside(status.everted & ~status.settled)
@@ -259,7 +258,7 @@ class Exploration:
             return "drifting"
         if isinstance(self._knows.met, Lean):
             return self._released()
-        if self._swept:
+        if self._knows.swept(self.length_cm):
             return "zeroed after sweep"
         if self._stage_cm > self._knows.straight_cm:
             self._knows.zeroed(self._grown(), self.robot.zeros())
@@ -272,7 +271,6 @@ class Exploration:
         if self._knows.let_go(self.robot.zeros()):
             self._end_at_met()
             return "straight again: peg ahead"
-        self._swept = True
         return "as before: the zeros moved"
 
     def _zeroed(self) -> bool:
@@ -299,7 +297,6 @@ class Exploration:
             rising_only=not thesis,
             enough=None if thesis else self._enough,
         )
-        self._swept = True
         self._knows.has_looked(looked, self._zone)
         fired = held_sides(looked)
         if not fired:

@@ -190,6 +190,6 @@ def _swept_shapes(
             bend = way * np.minimum(way * readings[last].mean(axis=0), free)
             error = np.hypot(table.noise[use], gain[use] * bend)
             poses = centreline(measured_bend(length_cm, table.center_cm[use], bend)).poses(1.0)
-            se = common_error(length_cm, table.center_cm[use], error)
+            se = common_error(length_cm, table.center_cm[use], np.diag(error**2))
             shapes.append(Shape(side, float(pressure[last].mean()), poses, round(se, 6)))
     return shapes

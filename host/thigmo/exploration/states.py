@@ -22,7 +22,7 @@ class State(StrEnum):
     GROW = "growing"
     SETTLE = "letting sensors settle"
     ZERO = "zeroing the sensors"
-    SWEEP = "sweeping left and right"
+    SWEEP = "sweeping"
     REST = "standing still to know how young sensors creep"
     MEASURE = "sweeping again to measure a contact"
     LOCALIZE = "localizing"

@@ -21,9 +21,9 @@ from thigmo.record import Pose
 
 Floats = NDArray[np.float64]
 _STEP_CM = 0.25
-# One sigma of the skin across the body, whatever the length: between two sensors, and at the fold,
-# the bend is interpolated. Over random rooms of the large-deflection plant 0.1 to 0.6 cm remain.
-_SHAPE_CM = 0.5
+# One sigma of the skin across the body, over the length: between two sensors, and at the fold, the
+# bend is interpolated. Over random rooms of the large-deflection plant 0.1 to 0.6 of 53 cm remain.
+_SHAPE_SHARE = 0.5 / 53
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +36,8 @@ class Bend:
     # beyond the last
     excess: tuple[tuple[float, float], ...] = ()
     fold_rad: float = 0.0  # angle of a fold at the base, signed; 0 without one
+    # standard error of a common curvature that puts the contact as far off as the shape's own, 1/cm
+    curvature_se: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +83,11 @@ def excess_knots(
 ) -> tuple[tuple[float, float], ...]:
     """The excess curvature along the body from readings: extended to the base, zero at the contact.
 
-    Sensors at `centers` (cm, ascending) read `excess` (1/cm); beyond the last contact the body is
-    free.
+    Sensors at `centers` (cm, in any order) read `excess` (1/cm); beyond the last contact the body
+    is free.
     """
-    before = centers < last_contact_cm - 1.0
+    along = np.argsort(centers)
+    before = along[centers[along] < last_contact_cm - 1.0]
     x, y = centers[before], excess[before]
     if not x.size:
         return ()
@@ -95,10 +98,12 @@ def excess_knots(
 
 
 def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
-    """The body as sensors at `centers` (N,) in cm, ascending, see it by their readings in 1/cm.
+    """The body as sensors at `centers` (N,) in cm, in any order, see it by their readings in 1/cm.
 
     It is linear between their centres, and constant beyond the last.
     """
+    along = np.argsort(centers)
+    centers, curvature = centers[along], curvature[along]
     slope = 0.0
     if len(centers) > 1:
         slope = float((curvature[1] - curvature[0]) / (centers[1] - centers[0]))
@@ -107,15 +112,19 @@ def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
     return Bend(length_cm, 0.0, ((0.0, at_base), *inner, (length_cm, float(curvature[-1]))))
 
 
-def common_error(length_cm: float, centers: Floats, error: Floats) -> float:
-    """Standard error of a common curvature that puts the tip as far off as the sensors' own may.
+def common_error(arc_cm: float, centers: Floats, covariance: Floats) -> float:
+    """Standard error of a common curvature that puts a place as far off as the sensors' own may.
 
-    Theirs (N,) are independent, in 1/cm, at centers (N,) in cm, ascending.
+    Theirs have a covariance (N, N), in 1/cm^2, at centers (N,) in cm, in any order; the place is at
+    an arc.
     """
-    arc = np.arange(0.0, length_cm, _STEP_CM)
-    lever = length_cm - arc
-    share = np.array([np.interp(arc, centers, one) @ lever for one in np.eye(len(centers))])
-    return float(np.hypot.reduce(share / lever.sum() * error))
+    along = np.argsort(centers)
+    arc = np.arange(0.0, arc_cm, _STEP_CM)
+    lever = arc_cm - arc
+    units = np.eye(len(centers))[:, along]
+    share = np.array([np.interp(arc, centers[along], one) @ lever for one in units])
+    share /= max(lever.sum(), _STEP_CM)
+    return float(np.sqrt(share @ covariance @ share))
 
 
 def ramp_knots(contacts: Iterable[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
@@ -135,8 +144,8 @@ def skin_point(
 ) -> Pose:
     """Point of the skin that a contact touches, and the direction from the centreline to it.
 
-    A force that adds positive curvature pushes to the left, so it comes from the right side. A
-    contact on the end bears `end_offset_cm` to the left of the centreline.
+    A force that adds positive curvature pushes towards +y, so it comes from the other side. A
+    contact on the end bears `end_offset_cm` to the +y side of the centreline.
     """
     x, y, heading = curve.pose(arc_cm)
     across = -np.copysign(radius_cm, force) if end_offset_cm is None else end_offset_cm
@@ -161,14 +170,12 @@ def place_contact(
     interval_cm: Sequence[float],
     *,
     radius_cm: float,
-    curvature_se: float,
     end_offset_cm: float | None = None,
 ) -> PlacedContact:
     """Put one of the bend's contacts into the room.
 
-    Its arc has a 95 % interval; the sign of its force over EI says from which side it comes. The
-    curvature (1/cm) has a common standard error. A contact on the end of the body bears
-    `end_offset_cm` left of the centreline.
+    Its arc has a 95 % interval; the sign of its force over EI says from which side it comes. A
+    contact on the end of the body bears `end_offset_cm` to the +y side of the centreline.
     """
     curve = centreline(bend)
     x, y, normal = skin_point(curve, arc, force, radius_cm, end_offset_cm)
@@ -182,12 +189,12 @@ def place_contact(
     # Along the body: 95 % of a normal error spans 3.92 standard deviations.
     heading = curve.pose(arc)[2]
     along = (high - low) / 3.92 * np.array([np.cos(heading), np.sin(heading)])
-    bent = replace(bend, free_curvature=bend.free_curvature + curvature_se)
+    bent = replace(bend, free_curvature=bend.free_curvature + bend.curvature_se)
     moved = skin_point(centreline(bent), arc, force, radius_cm, end_offset_cm)
     across = np.array([moved[0] - x, moved[1] - y])
     # On the end it bears anywhere across the face, which readings hardly tell.
     face = 0.0 if end_offset_cm is None else radius_cm / np.sqrt(3.0)
-    out = np.hypot(_SHAPE_CM, face) * np.array([np.cos(normal), np.sin(normal)])
+    out = np.hypot(_SHAPE_SHARE * bend.length_cm, face) * np.array([np.cos(normal), np.sin(normal)])
     covariance = np.outer(along, along) + np.outer(across, across) + np.outer(out, out)
     (xx, xy), (yx, yy) = covariance.tolist()
     drawn = [(round(px, 4), round(py, 4)) for px, py in track]

@@ -1,9 +1,9 @@
 """A run on ROS 2: maps, contacts and the body for planners, and a topic that stops the robot.
 
 Cyclone DDS speaks to every ROS 2 middleware on DDS without an installation of ROS. Of ROS's own
-conventions the topics' and types' names and the qualities of service are all that is needed;
-services do not interoperate between the vendors' layers, so stop is a topic. docs/ros.md lists the
-topics.
+conventions the topics' and types' names and the qualities of service are all that is needed.
+Services and actions do not interoperate between the vendors' layers: those are ros/thigmo_ros's.
+docs/ros.md lists all.
 
 Contacts are poses with covariances because that is what estimators and planners take; markers are
 for eyes and carry no covariance. Walls are markers as well: no pose says where a line is.
@@ -38,6 +38,7 @@ _TOPICS = {
     "contacts": (ros.PoseWithCovarianceStamped, _DEPTH, True),
     "walls": (ros.MarkerArray, 1, True),
     "body": (ros.Path, 1, True),
+    "robot_description": (ros.String, 1, True),
     "joint_states": (ros.JointState, 10, False),
     "tf": (ros.TFMessage, _DEPTH, False),
     "tf_static": (ros.TFMessage, 1, True),
@@ -71,6 +72,7 @@ class RosNode(Closing):
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*", namespace):
             raise DataError(f"{namespace!r} is no ROS namespace", "use letters, digits and /")
         self._frame = frame
+        self._described = False
         try:
             self._domain = Domain(domain, configuration(interface))
             self._participant = DomainParticipant(domain)
@@ -97,9 +99,12 @@ class RosNode(Closing):
                     self._writers["contacts"].write(pose)
                 self._writers["walls"].write(made.walls(message, self._frame))
             case BodyShape() if len(message.poses) > 1:
+                if not self._described:
+                    self._described = True
+                    self._writers["robot_description"].write(made.robot_description(message))
                 self._writers["body"].write(made.body_path(message, self._frame))
                 self._writers["joint_states"].write(made.joint_state(message))
-                self._writers["tf"].write(made.tip_transform(message))
+                self._writers["tf"].write(made.body_transforms(message))
 
     def tell(self, facts: Facts) -> None:
         """Publish how things are, as diagnostics."""

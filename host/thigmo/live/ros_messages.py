@@ -11,16 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.config import SIDES
 from thigmo.live import ros_types as ros
 from thigmo.live.relay import Facts
+from thigmo.reading_errors import Floats
 from thigmo.record import MapContact, Pose
 from thigmo.stream import BodyShape, Contacts, Grid, Telemetry
+from thigmo.stream.recorded import config_in
+from thigmo.wiring import muscle_outputs
 
 BASE, TIP = "thigmo_base", "thigmo_tip"
 _M_PER_CM = 0.01
 _PA_PER_PSI = 6894.757
-BENDS = 10  # joints that stand for the body's bend
+TENTHS = 10  # of the body, each of which is a link
+_LONGEST_CHORD_M = 0.3  # of the longest robot, 300 cm
 _SIGMAS_95 = 2 * 1.96  # standard deviations in a 95 % interval
 _LINE_STRIP, _ADD, _REMOVE_ALL = 4, 0, 3  # a marker's type and actions
 _LINE_M = 0.01  # a wall's width on the screen
@@ -88,24 +91,76 @@ def body_path(shape: BodyShape, frame: str) -> Any:
 
 
 def joint_state(shape: BodyShape) -> Any:
-    """The everted length (a prismatic joint, m), and the turn of each tenth of the body (rad)."""
-    x, y, heading = np.asarray(shape.poses, dtype=np.float64).T
+    """The joints of `robot_description`: turns (rad) and lengths (m) of the chords of the body's
+    tenths; and the everted length (m).
+    """
+    bends, lengths, everted = _chords(shape)
+    names = ["everted_length", *_numbered("bend"), *_numbered("grow")]
+    return ros.JointState(
+        header(shape.epoch_s, ""), names, [everted, *bends.tolist(), *lengths.tolist()], [], []
+    )
+
+
+def robot_description(shape: BodyShape) -> Any:
+    """The robot as URDF: a chain of the chords of the body's tenths, each of which turns (`bend`)
+    and lengthens (`grow`); spheres of the tube's radius where they meet.
+    """
+    ball = f'<sphere radius="{shape.radius_cm * _M_PER_CM:g}"/>'
+    seen = f"<visual><geometry>{ball}</geometry></visual>"
+    limits = 'lower="{}" upper="{}" effort="0" velocity="0"'
+    parts = [f'<link name="{BASE}">{seen}</link>']
+    parent = BASE
+    for bend, grow, chord, end in _chain():
+        for joint, kind, axis, link, span, shown in (
+            (bend, "revolute", "0 0 1", chord, (-pi, pi), ""),
+            (grow, "prismatic", "1 0 0", end, (0, _LONGEST_CHORD_M), seen),
+        ):
+            parts.append(
+                f'<link name="{link}">{shown}</link><joint name="{joint}" type="{kind}">'
+                f'<parent link="{parent}"/><child link="{link}"/><axis xyz="{axis}"/>'
+                f"<limit {limits.format(*span)}/></joint>"
+            )
+            parent = link
+    return ros.String(f'<?xml version="1.0"?><robot name="thigmo">{"".join(parts)}</robot>')
+
+
+def body_transforms(shape: BodyShape) -> Any:
+    """The links of `robot_description`, each in its parent's frame, and the tip in the base's."""
+    transforms = [_transform(header(shape.epoch_s, BASE), TIP, shape.poses[-1])]
+    bends, lengths, _ = _chords(shape)
+    parent = BASE
+    for turn, length, (_, _, chord, end) in zip(bends, lengths / _M_PER_CM, _chain(), strict=True):
+        transforms.append(_transform(header(shape.epoch_s, parent), chord, (0.0, 0.0, turn)))
+        transforms.append(_transform(header(shape.epoch_s, chord), end, (length, 0.0, 0.0)))
+        parent = end
+    return ros.TFMessage(transforms)
+
+
+def _chords(shape: BodyShape) -> tuple[Floats, Floats, float]:
+    """Turns (TENTHS,) from each chord to the next, the first from the base's axis, rad; their
+    lengths (TENTHS,) and the length of the body, m.
+    """
+    x, y, _ = np.asarray(shape.poses, dtype=np.float64).T * _M_PER_CM
     along = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
-    heading = np.unwrap(heading)
-    turns = np.diff(np.interp(np.linspace(0.0, along[-1], BENDS + 1), along, heading))
-    names = ["everted_length", *(f"bend_{number}" for number in range(1, BENDS + 1))]
-    positions = [float(along[-1]) * _M_PER_CM, *turns.tolist()]
-    return ros.JointState(header(shape.epoch_s, ""), names, positions, [], [])
+    places = np.linspace(0.0, along[-1], TENTHS + 1)
+    dx, dy = np.diff(np.interp(places, along, x)), np.diff(np.interp(places, along, y))
+    directions = np.unwrap(np.concatenate(([0.0], np.arctan2(dy, dx))))
+    return np.diff(directions), np.hypot(dx, dy), float(along[-1])
 
 
-def tip_transform(shape: BodyShape) -> Any:
-    """The tip in the base's frame."""
-    return _transform(header(shape.epoch_s, BASE), TIP, shape.poses[-1])
+def _numbered(name: str) -> list[str]:
+    return [f"{name}_{number}" for number in range(1, TENTHS + 1)]
+
+
+def _chain() -> list[tuple[str, str, str, str]]:
+    """Of each tenth: its two joints, and the links that they move."""
+    names = ("bend", "grow", "thigmo_chord", "thigmo_end")
+    return list(zip(*map(_numbered, names), strict=True))
 
 
 def base_transform(epoch_s: float, frame: str) -> Any:
     """The base in the map's frame: at its origin."""
-    return _transform(header(epoch_s, frame), BASE, (0.0, 0.0, 0.0))
+    return ros.TFMessage([_transform(header(epoch_s, frame), BASE, (0.0, 0.0, 0.0))])
 
 
 def diagnostics(epoch_s: float, facts: Facts) -> Any:
@@ -130,16 +185,17 @@ def diagnostics(epoch_s: float, facts: Facts) -> Any:
             "stage (m)": f"{state.stage_cm * _M_PER_CM:.4f}",
             "done": f"{state.done:.3f}",
             "paused": str(state.paused).lower(),
+            "under way": str(facts.under_way).lower(),
         }
         parts.append(status("run", level, said, values))
     if board is not None:
         level = _STALE if not facts.under_way else _ERROR if board.faults else _OK
         said = ", ".join(board.faults) or board.state
-        parts.append(status("board", level, said, _board_values(board)))
+        parts.append(status("board", level, said, _board_values(board, facts)))
     return ros.DiagnosticArray(header(epoch_s, ""), parts)
 
 
-def _board_values(board: Telemetry) -> dict[str, str]:
+def _board_values(board: Telemetry, facts: Facts) -> dict[str, str]:
     values = {
         "state": board.state,
         "activity": board.activity,
@@ -147,10 +203,11 @@ def _board_values(board: Telemetry) -> dict[str, str]:
         "motor duty": _number(board.motor, 3),
         "supply (V)": _number(board.supply_v, 2),
     }
-    for muscle, side in enumerate(SIDES):
-        values[f"{side} pressure (Pa)"] = _number(board.pressure_psi[muscle] * _PA_PER_PSI, 0)
-        values[f"{side} set point (Pa)"] = _number(board.demand_psi[muscle] * _PA_PER_PSI, 0)
-        values[f"{side} transducer (mA)"] = _number(board.drive_ma[muscle], 2)
+    muscles = muscle_outputs(config_in(facts.run.folder if facts.run else ""))
+    for number, name in muscles.items():
+        values[f"{name} pressure (Pa)"] = _number(board.pressure_psi[number] * _PA_PER_PSI, 0)
+        values[f"{name} set point (Pa)"] = _number(board.demand_psi[number] * _PA_PER_PSI, 0)
+        values[f"{name} transducer (mA)"] = _number(board.drive_ma[number], 2)
     return values
 
 
@@ -170,7 +227,7 @@ def _turned(heading: float) -> Any:
 def _transform(head: Any, child: str, pose: Pose) -> Any:
     x, y, heading = pose
     moved = ros.Transform(ros.Vector3(x * _M_PER_CM, y * _M_PER_CM, 0.0), _turned(heading))
-    return ros.TFMessage([ros.TransformStamped(head, child, moved)])
+    return ros.TransformStamped(head, child, moved)
 
 
 def _covariance(contact: MapContact) -> list[float]:

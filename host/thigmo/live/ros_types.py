@@ -26,6 +26,8 @@ Header = _message("std_msgs/Header", stamp=Time, frame_id=str)
 # IDL knows no structure without a member.
 Empty = _message("std_msgs/Empty", structure_needs_at_least_one_member=uint8)
 
+String = _message("std_msgs/String", data=str)
+
 Point = _message("geometry_msgs/Point", x=float64, y=float64, z=float64)
 Vector3 = _message("geometry_msgs/Vector3", x=float64, y=float64, z=float64)
 Quaternion = _message("geometry_msgs/Quaternion", x=float64, y=float64, z=float64, w=float64)

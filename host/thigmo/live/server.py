@@ -32,12 +32,13 @@ from thigmo.live import shown
 from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.relay import Watched, Way, stop_port, stop_run, way_to
-from thigmo.live.shown import PastRun, board, body, config_in, pegs, row_text, thinned
+from thigmo.live.shown import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.viewer import Viewer
 from thigmo.robot import JOG_CM
 from thigmo.room import Simulated
 from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry
+from thigmo.stream.recorded import config_in
 
 PAGE = Path(__file__).parent / "page"
 PORT = 8421
@@ -455,7 +456,7 @@ class PageServer:
         readings = await asyncio.to_thread((await self._looked_back()).readings)
         return web.Response(body=readings, content_type="application/octet-stream")
 
-    def left(self) -> bool:
+    def deserted(self) -> bool:
         """Whether nothing runs and nobody has looked for a while."""
         return self._run.moving is None and time.monotonic() - self._left_s > _LEAVES_S
 
@@ -498,7 +499,7 @@ async def serve(options: WatchOptions, announce: Callable[[str], None]) -> None:
     try:
         with _door(runner.server, server.stop, options) as door:
             announce(f"http://{_reached_at(options.host)}:{door.port}/?token={server.token}")
-            while not (options.leaves and server.left()):
+            while not (options.leaves and server.deserted()):
                 await asyncio.sleep(1.0)
     finally:
         await runner.cleanup()

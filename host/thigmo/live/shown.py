@@ -15,16 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.config import SIDES, RobotConfig
-from thigmo.errors import ConfigError
 from thigmo.record import RunFolder
 from thigmo.stream import Contacts, Message, Telemetry, read_messages, to_json
+from thigmo.stream.recorded import config_in
+from thigmo.wiring import columns, muscle_outputs
 
 _MOST_ROWS = 60_000  # five minutes at full rate, twenty at 50 Hz
 
 # Of a row; `page/store.js` has the same.
 COLUMNS = (
     "t_s",
-    *(f"{name}_{side}" for name in ("pressure", "demand", "drive") for side in ("left", "right")),
+    *(f"{name}_{side}" for name in ("pressure", "demand", "drive") for side in SIDES),
     *(f"curvature_{n}" for n in range(10)),
     *(f"expected_{n}" for n in range(10)),
     "length_cm",
@@ -90,20 +91,16 @@ def block(readings: Sequence[Telemetry], origin_s: float, most: int) -> NDArray[
     return np.ascontiguousarray(table.T, dtype=np.float32)
 
 
-def config_in(folder: str) -> RobotConfig:
-    """A run folder's robot.toml, or the defaults if there is none."""
-    try:
-        return RobotConfig.load(Path(folder) / "robot.toml") if folder else RobotConfig()
-    except ConfigError:
-        return RobotConfig()
-
-
 def body(config: RobotConfig) -> dict[str, Any]:
     """The robot's build."""
     return {
         "length_cm": config.body.length_cm,
         "radius_cm": config.body.radius_cm,
-        "sensors": {side: [sensor.center_cm for sensor in config.column(side)] for side in SIDES},
+        "muscles": [
+            {"name": name, "side": SIDES[output], "output": output}
+            for output, name in muscle_outputs(config).items()
+        ],
+        "columns": [column._asdict() for column in columns(config)],
     }
 
 

@@ -57,6 +57,10 @@ class Localizer:
         width_limit: float,
         number_level: float,
         norm: int,
+        direction: _Array,
+        curvature_map: _Array,
+        compliance: _Array,
+        weight: _Array,
         priors: Priors,
     ) -> None: ...
     def localize(self, curvature: _Array, free: _Array, body: _Array) -> Answer: ...

@@ -10,7 +10,7 @@
 #include <deque>
 #include <tuple>
 
-#include "hypotheses.h"
+#include "space.h"
 
 namespace thigmo {
 
@@ -18,9 +18,10 @@ struct FeltContact {
   double arc, force, low, high, deviation, offset = NAN;
   bool localized;
   std::vector<std::pair<double, double>> pieces;
-  double probability = 1.0;  // that a contact lies nearer to it than to the others
-  Row edges{}, mass{};       // cells of the body, and the share of each
-  Row force_at{}, spread{};  // mean force there, and its standard deviation
+  double probability = 1.0;      // that a contact lies nearer to it than to the others
+  Vector vector{NAN, NAN, NAN};  // in space: the force, in the base's frame
+  Row edges{}, mass{};           // cells of the body, and the share of each
+  Row force_at{}, spread{};      // mean force there, and its standard deviation
 };
 
 enum class Status { no_contact, below_detection, ambiguous, localized };
@@ -35,7 +36,9 @@ struct Answer {
   std::vector<Hypothesis> hypotheses;
   Row probability;  // of each
   int best = 0;     // the likeliest of the chosen number
-  Row bend;         // at the nodes, curvature above that of the free body, by the best
+  // At the nodes, curvature above that of the free body, by the best; in space one number for each
+  // of the body's two directions.
+  Row bend;
   int discarded = -1;
   bool end_open = false;  // only the end, which something may hold, leaves a place open
   double noise = 0.0, log_odds = 0.0;
@@ -271,12 +274,10 @@ class Posterior {
   double most_ = 0.0;
 };
 
-inline Answer answer(const Input& input, const Priors& priors, const Settings& settings) {
+// `Weighing`: what was weighed of the readings.
+template <class Weighing>
+void conclude(Weighing&& weighing, const Priors& priors, const Settings& settings, Answer& out) {
   constexpr double kNearEnd = 0.95;  // from here on a contact and a hold of the end are one place
-  Answer out;
-  std::tie(out.problem, out.shows) = problem_of(input);
-  if (out.problem != Problem::none) return out;
-  Weighing weighing(normalised(input, priors), priors, settings);
   weighing.run();
   const Readings& readings = weighing.readings;
   out.hypotheses = std::move(weighing.found);
@@ -308,8 +309,7 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
     }
   }
   const Hypothesis& best = out.hypotheses[out.best];
-  out.bend = Row(best.curvature.begin(), best.curvature.end());
-  for (int k = 0; k < kNodes; ++k) out.bend[k] -= readings.frame.rest[k];
+  out.bend = weighing.bend(best);
   out.noise = best.noise * readings.noise;
   if (best.bad >= 0) out.discarded = readings.index[best.bad];
   if (best.contacts.size() != count) count = best.contacts.size();
@@ -365,6 +365,10 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
         }
       }
     }
+    if (j < best.forces.size()) {
+      const double size = std::sqrt(std::max(dot(best.forces[j], best.forces[j]), 1e-300));
+      felt.vector = plus({}, felt.force / size, best.forces[j]);
+    }
     felt.edges = std::move(mixture.edges), felt.mass = std::move(mixture.mass);
     felt.force_at = std::move(mixture.force), felt.spread = std::move(mixture.variance);
     for (double& value : felt.spread) value = std::sqrt(value);
@@ -379,6 +383,18 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
     const bool all_localized = std::all_of(out.contacts.begin(), out.contacts.end(),
                                            [](const FeltContact& c) { return c.localized; });
     out.status = all_localized ? Status::localized : Status::ambiguous;
+  }
+}
+
+inline Answer answer(const Input& input, const Priors& priors, const Settings& settings) {
+  Answer out;
+  std::tie(out.problem, out.shows) = problem_of(input);
+  if (out.problem != Problem::none) return out;
+  Readings readings = normalised(input, priors);
+  if (settings.space) {
+    conclude(InSpace(std::move(readings), input, priors, settings), priors, settings, out);
+  } else {
+    conclude(InPlane(std::move(readings), priors, settings), priors, settings, out);
   }
   return out;
 }

@@ -33,10 +33,14 @@ class Body:
         tube_radius: radius of the body; 1.75/53 of the length if not given.
         critical_curvature: contact moment over EI at which the base folds, at this body pressure
             (it is proportional to it: `thigmo.mechanics.critical_moment`); infinity for a base
-            that does not fold. If not given, a fold at any moment is weighed.
+            that does not fold. If not given, a fold at any moment is weighed. In space none is.
         critical_curvature_error: its relative standard error.
         stiffness: bending stiffness EI, in newtons times the unit of length squared, and its
             relative standard error; contacts of a frame then have `newtons`.
+        twist: in space, bending over torsional stiffness, EI/GJ; 0 for a body that does not twist.
+        weight: (3,) in space, weight per length over EI, 1/length^3: along the body at its base,
+            towards direction 0, and a quarter turn on. `free_curvature` is then that of the body
+            without its weight.
     """
 
     length: float
@@ -44,22 +48,35 @@ class Body:
     critical_curvature: float | None = None
     critical_curvature_error: float = priors.CRITICAL_ERROR
     stiffness: tuple[float, float] | None = None
+    twist: float = 0.0
+    weight: npt.ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        _keep(self, "weight")
 
 
 @dataclass(frozen=True, slots=True)
 class Sensors:
     """N curvature sensors along the body.
 
+    A body is localized in space if its sensors have a direction, or if it has a weight. A grating
+    of a fibre that reads both of its bends is two sensors at one place.
+
     Attributes:
         position: (N,) their centres, 0 at the base.
         span: scalar or (N,) their lengths; 0 for point sensors.
+        direction: in space, (N,) the angle about the body (rad) towards which it bends where the
+            reading is positive, the same frame carried along it without a twist; or (N, 3) unit
+            vectors about which a sensor measures the turn per length: along the body, towards
+            direction 0, and a quarter turn on.
     """
 
     position: npt.ArrayLike
     span: npt.ArrayLike = 0.0
+    direction: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        _keep(self, "position", "span")
+        _keep(self, "position", "span", "direction")
 
 
 @dataclass(frozen=True, slots=True)

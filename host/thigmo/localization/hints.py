@@ -31,7 +31,9 @@ def hints(
         found.append(
             "the readings have the other sign than the free curvature: change the sign of one"
         )
-    elif opposite := _opposite_columns(curvature[seen], position[seen], result.noise):
+    elif options.get("direction") is None and (
+        opposite := _opposite_columns(curvature[seen], position[seen], result.noise)
+    ):
         found.append(
             f"the two sensors at {opposite} read opposite curvatures: change the sign of the "
             "column that faces the other way"

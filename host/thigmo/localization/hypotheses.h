@@ -10,12 +10,21 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <utility>
 
 #include "loads.h"
 #include "readings.h"
 
 namespace thigmo {
+
+// A body in space: its readings' directions, and what bends it beside contacts.
+struct Space {
+  std::vector<Vector> direction;  // (N,) axis of the turn that each measures
+  Matrix curvature_map;           // (2 cells, N) the body's bends in each cell, from readings
+  Vector compliance;              // EI over the stiffness against each component of a moment
+  Vector weight;                  // of a body of length one, over EI
+};
 
 struct Settings {
   double critical, critical_error;  // base moment that folds it, and its relative standard error
@@ -30,9 +39,21 @@ struct Settings {
   double width_limit;
   double number_level;  // probability of the number, below which nothing is localized
   int norm;             // 1 or 2 for a point fit, 0 for the posterior
+  std::optional<Space> space;
 };
 
-enum class Load { none, hinge, contact, end, fold, contact_hinge, two, three, end_fold };
+enum class Load {
+  none,
+  hinge,
+  contact,
+  end,
+  fold,
+  contact_hinge,
+  two,
+  three,
+  end_fold,
+  contact_end
+};
 
 struct Hypothesis : Fit {
   Load load;
@@ -46,9 +67,11 @@ struct Hypothesis : Fit {
   // couple on it, where that bears left of the centreline.
   double angle = NAN, at = NAN, push = NAN, couple = NAN, offset = NAN;
   double push_spread = NAN, couple_spread = NAN;  // standard deviations
+  std::vector<Vector> forces{};  // in space: of its contacts, across the body, in the base's frame
 };
 
-class Weighing {
+// What is common to bodies in a plane and in space: noise, bad readings, and the free body.
+class Explanations {
  public:
   static constexpr int kCells = 60;         // of a contact's first grid: 0.9 cm of the 53 cm body
   static constexpr double kMatters = -3.0;  // log share from which a rival has its own grid
@@ -61,7 +84,7 @@ class Weighing {
   std::vector<Hypothesis> found;
   double explained = 0.0;  // misfit of a free body that one contact takes away, if more than half
 
-  Weighing(Readings&& given, const Priors& priors, const Settings& settings)
+  Explanations(Readings&& given, const Priors& priors, const Settings& settings)
       : readings(std::move(given)),
         frame_(readings.frame),
         priors_(priors),
@@ -72,64 +95,10 @@ class Weighing {
         contact_(readings.known ? priors.contact : priors.contact_unsure),
         bad_(readings.bad) {
     found.reserve(2 * frame_.size() + 8);
-    double share = 0.0;
-    for (const double moment : priors.moments) {
-      share += std::erf(std::min(settings.critical / (std::numbers::sqrt2 * moment), 30.0));
-    }
-    unfolded_ = share / static_cast<double>(priors.moments.size());
     limit_ = misfit_at(priors.misfit_deviate);
   }
 
-  void run() {
-    free();
-    // Beyond this misfit the noise may be larger than stated.
-    const double doubtful = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
-    std::size_t one = weigh_one(bad_, readings.log_bad, frame_.rest, doubtful);
-    const bool misfit = readings.known && found[one].misfit > limit_;
-    if (readings.known) explained = found[0].misfit - found[one].misfit;
-    if (explained < found[one].misfit) explained = 0.0;
-    if (found[one].misfit > doubtful) {
-      const Nodes bent = found[one].curvature;
-      readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
-                               {priors_.noise_factor, std::log(priors_.noise_odds)}};
-      white_ = Whitened(frame_, frame_.shared);
-      found.clear();
-      free();
-      one = weigh_one(bad_, readings.log_bad, bent, INFINITY);
-    }
-    const Nodes bent = found[one].curvature;
-    const bool held = settings_.held_end == Settings::Held::yes;
-    const bool turned = std::max(readings.turn, turn_of(bent)) > priors_.end_turn;
-    const bool face = settings_.log_end > -INFINITY || std::isnan(settings_.log_end);
-    if (frame_.size() > 1 && ((turned && face) || held)) end(bent, held);
-    const double moment = std::abs(bent[0] - frame_.rest[0]);
-    if (settings_.critical < INFINITY &&
-        (misfit || moment > priors_.near_fold * settings_.critical)) {
-      fold(bent);
-    }
-    const auto several = [&](int count) {
-      if (settings_.contacts >= 0) return frame_.size() >= 2 && settings_.contacts >= count;
-      return frame_.size() >= count;
-    };
-    bool poor = misfit;
-    Nodes bent_by_two = bent;
-    if (several(2) && add_several(2, kPairCells, frame_.rest, -1)) {
-      // Noise that is not known hides a misfit.
-      poor |= !readings.known && found.back().log_weight > found[one].log_weight;
-      bent_by_two = found.back().curvature;
-    }
-    hinge(bent, true);
-    // What bends a straight body so far may hold its end.
-    const bool held_perhaps =
-        poor || (turn_of(bent) > priors_.straight && readings.turn <= priors_.end_turn);
-    if (held_perhaps && settings_.held_end == Settings::Held::perhaps) end(bent, true);
-    if (several(3)) add_several(3, kTripleCells, bent_by_two, -1);
-    for (const Doubt& doubt : doubts_) {
-      for (const int i : suspects(doubt)) doubt.weigh(i);
-    }
-  }
-
- private:
+ protected:
   // Chi-squared that one contact which is right passes as seldom as a standard normal number passes
   // `deviate` (Wilson and Hilferty, PNAS 17 (1931)).
   double misfit_at(double deviate) const {
@@ -216,6 +185,92 @@ class Weighing {
     return out;
   }
 
+  void weigh_doubts() {
+    for (const Doubt& doubt : doubts_) {
+      for (const int i : suspects(doubt)) doubt.weigh(i);
+    }
+  }
+
+  // After a change of the frame.
+  void whiten() { white_ = Whitened(frame_, frame_.shared); }
+
+  const Frame& frame_;
+  const Priors& priors_;
+  const Settings& settings_;
+  ForcePrior prior_;
+  Whitened white_;
+  double contact_;  // log prior odds of one
+  Columns bad_;
+  std::vector<Doubt> doubts_;
+  double limit_;  // misfit beyond which an explanation is poor
+};
+
+class InPlane : public Explanations {
+ public:
+  InPlane(Readings&& given, const Priors& priors, const Settings& settings)
+      : Explanations(std::move(given), priors, settings) {
+    double share = 0.0;
+    for (const double moment : priors.moments) {
+      share += std::erf(std::min(settings.critical / (std::numbers::sqrt2 * moment), 30.0));
+    }
+    unfolded_ = share / static_cast<double>(priors.moments.size());
+  }
+
+  // Curvature at the nodes above that of the free body.
+  Row bend(const Hypothesis& by) const {
+    Row out(by.curvature.begin(), by.curvature.end());
+    for (int k = 0; k < kNodes; ++k) out[k] -= frame_.rest[k];
+    return out;
+  }
+
+  void run() {
+    free();
+    // Beyond this misfit the noise may be larger than stated.
+    const double doubtful = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
+    std::size_t one = weigh_one(bad_, readings.log_bad, frame_.rest, doubtful);
+    const bool misfit = readings.known && found[one].misfit > limit_;
+    if (readings.known) explained = found[0].misfit - found[one].misfit;
+    if (explained < found[one].misfit) explained = 0.0;
+    if (found[one].misfit > doubtful) {
+      const Nodes bent = found[one].curvature;
+      readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
+                               {priors_.noise_factor, std::log(priors_.noise_odds)}};
+      whiten();
+      found.clear();
+      free();
+      one = weigh_one(bad_, readings.log_bad, bent, INFINITY);
+    }
+    const Nodes bent = found[one].curvature;
+    const bool held = settings_.held_end == Settings::Held::yes;
+    const bool turned = std::max(readings.turn, turn_of(bent)) > priors_.end_turn;
+    const bool face = settings_.log_end > -INFINITY || std::isnan(settings_.log_end);
+    if (frame_.size() > 1 && ((turned && face) || held)) end(bent, held);
+    const double moment = std::abs(bent[0] - frame_.rest[0]);
+    if (settings_.critical < INFINITY &&
+        (misfit || moment > priors_.near_fold * settings_.critical)) {
+      fold(bent);
+    }
+    const auto several = [&](int count) {
+      if (settings_.contacts >= 0) return frame_.size() >= 2 && settings_.contacts >= count;
+      return frame_.size() >= count;
+    };
+    bool poor = misfit;
+    Nodes bent_by_two = bent;
+    if (several(2) && add_several(2, kPairCells, frame_.rest, -1)) {
+      // Noise that is not known hides a misfit.
+      poor |= !readings.known && found.back().log_weight > found[one].log_weight;
+      bent_by_two = found.back().curvature;
+    }
+    hinge(bent, true);
+    // What bends a straight body so far may hold its end.
+    const bool held_perhaps =
+        poor || (turn_of(bent) > priors_.straight && readings.turn <= priors_.end_turn);
+    if (held_perhaps && settings_.held_end == Settings::Held::perhaps) end(bent, true);
+    if (several(3)) add_several(3, kTripleCells, bent_by_two, -1);
+    weigh_doubts();
+  }
+
+ private:
   // One contact, then one beside each rival that is worth weighing: on the same grid, and by
   // itself where that may change the answer. `bad` is the rival's index. Returns the index of the
   // contact alone; rivals are weighed if it leaves no more than the misfit `doubtful`.
@@ -385,16 +440,7 @@ class Weighing {
     return true;
   }
 
-  const Frame& frame_;
-  const Priors& priors_;
-  const Settings& settings_;
-  ForcePrior prior_;
-  Whitened white_;
-  double contact_;  // log prior odds of one
-  Columns bad_;
-  std::vector<Doubt> doubts_;
-  double unfolded_;  // prior share of contacts that leave the base as it is
-  double limit_;     // misfit beyond which an explanation is poor
+  double unfolded_ = 1.0;  // prior share of contacts that leave the base as it is
 };
 
 }  // namespace thigmo

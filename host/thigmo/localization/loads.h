@@ -248,6 +248,7 @@ struct Fit {
   Nodes curvature{};   // of the body that the likeliest loads bend
   Matrix loads{};      // (K, N) columns of these, in units of prior deviations
   Row known{};  // (N,) readings that the loads' prior means cause; empty where these are zero
+  std::vector<Vector> bent{};  // in space: curvature of that body, in each of its cells
 };
 
 // Posterior of one contact's place, over M cells of the body.
@@ -571,6 +572,11 @@ class SetsGrid {
   double scale = 0.0, total = 0.0, top = -INFINITY;
 
   int size() const { return static_cast<int>(mass.size()); }
+  int count() const { return count_; }
+  Row places(int contact) const {
+    const auto first = place.begin() + contact * cells_;
+    return {first, first + cells_};
+  }
   int padded() const { return (size() + 3) / 4 * 4; }  // to whole vectors of four
   int cell(int contact, int set) const { return column_[contact][set] - contact * cells_; }
 
@@ -830,14 +836,14 @@ inline std::vector<Row> marginals(const SetsGrid& sets, int cells) {
 
 // Shares the mass of a grid out among the contacts that are felt. All are taken for felt if `all`
 // says so. Leaves out sets that hold a share of less than `nothing`.
-inline void share_out(const SetsGrid& sets, bool all, double nothing, int cells,
-                      SeveralContacts& out) {
+template <class Sets>
+void share_out(const Sets& sets, bool all, double nothing, SeveralContacts& out) {
   constexpr double kUnlikely = 1e-3;
-  const int count = static_cast<int>(sets.width.size());
-  const Row none(cells, 0.0);
+  const int count = sets.count();
   for (int j = 0; j < count; ++j) {
-    const auto first = sets.place.begin() + j * cells;
-    out.contacts[j] = {{first, first + cells}, sets.width[j], none, none, none, none};
+    Row places = sets.places(j);
+    const Row none(places.size(), 0.0);
+    out.contacts[j] = {std::move(places), sets.width[j], none, none, none, none};
   }
   const double least = nothing * sets.total;
   double kept = 0.0;
@@ -944,7 +950,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
     if (finer || !(rests || turn + 1 == kMostTurns)) continue;
     const double nothing = kNothingOfAll * std::exp(std::min(matters - out.log_evidence, 3.0));
     solve();
-    share_out(sets, all, nothing, cells, out);
+    share_out(sets, all, nothing, out);
     return out;
   }
   return out;

@@ -39,6 +39,7 @@ from thigmo.localization.readings import (
     vector,
 )
 from thigmo.localization.result import STATUSES, Contact, LocalizeResult, OfBody, Status
+from thigmo.localization.space import in_space
 
 MOST_CONTACTS = 3
 COMPILED = ("posterior", "l1", "l2")  # the norm of a point fit is its place here
@@ -241,6 +242,13 @@ class Localizer:
         face = known.end_face_odds
         held, held_odds = grip(known.held_end)
         slack = positive(body.critical_curvature_error, "critical_curvature_error")
+        space = in_space(body, self.sensors, x, widths)
+        if space.direction.size and self.method != "posterior":
+            raise DataError(f"{self.method} knows no direction", "leave it out, or the method")
+        if space.direction.size and moment < math.inf:
+            raise DataError(
+                "critical_curvature is given, and no fold is weighed in space", "leave it out"
+            )
         return _posterior.Localizer(
             position=x,
             span=widths,
@@ -263,6 +271,7 @@ class Localizer:
             width_limit=limit,
             number_level=share(known.number_level, "number_level"),
             norm=COMPILED.index("posterior" if self.method == "thesis" else self.method),
+            **space._asdict(),
             priors=priors.compiled(),
         )
 

@@ -46,7 +46,8 @@ constexpr const char* kLoads[] = {"free body",
                                   "one contact, hinge",
                                   "two contacts",
                                   "three contacts",
-                                  "end wrench, folded base"};
+                                  "end wrench, folded base",
+                                  "one contact, end wrench"};
 
 // Hypotheses of one key have one name.
 int key_of(const Hypothesis& of) { return 2 * static_cast<int>(of.load) + (of.bad >= 0); }
@@ -147,12 +148,17 @@ NB_MODULE(_posterior, m) {
                }
                const Status lowest = c.localized ? Status::localized : Status::ambiguous;
                const bool hint = a.status == Status::below_detection;
-               out.append(
-                   nb::make_tuple(c.arc * length, c.force / (length * length),
-                                  nb::make_tuple(c.low * length, c.high * length),
-                                  kStatuses[static_cast<int>(hint ? a.status : lowest)],
-                                  nb::tuple(pieces), c.deviation / (length * length), c.probability,
-                                  std::isnan(c.offset) ? nb::none() : nb::cast(c.offset * length)));
+               out.append(nb::make_tuple(
+                   c.arc * length, c.force / (length * length),
+                   nb::make_tuple(c.low * length, c.high * length),
+                   kStatuses[static_cast<int>(hint ? a.status : lowest)], nb::tuple(pieces),
+                   c.deviation / (length * length), c.probability,
+                   std::isnan(c.offset) ? nb::none() : nb::cast(c.offset * length),
+                   std::isnan(c.vector[0])
+                       ? nb::none()
+                       : nb::object(nb::make_tuple(c.vector[0] / (length * length),
+                                                   c.vector[1] / (length * length),
+                                                   c.vector[2] / (length * length)))));
              }
              return out;
            })
@@ -242,11 +248,24 @@ NB_MODULE(_posterior, m) {
              double radius, double critical, double critical_error, bool folds_perhaps,
              int held_end, double end_odds, double held_odds, int contacts,
              std::pair<double, double> within, double width_limit, double number_level, int norm,
+             Table direction, Table curvature_map, Numbers compliance, Numbers weight,
              const Priors& priors) {
             Input in{};
             in.position = row(position), in.span = row(span), in.noise = row(noise);
             in.gain = row(gain), in.bad_odds = row(bad_odds), in.shared = matrix(shared);
             in.offset = offset, in.map = map, in.length = length, in.radius = radius;
+            std::optional<Space> space;
+            if (direction.shape(0) > 0) {
+              space.emplace();
+              const auto vector = [](const double* from) {
+                return Vector{from[0], from[1], from[2]};
+              };
+              for (std::size_t i = 0; i < direction.shape(0); ++i) {
+                space->direction.push_back(vector(direction.data() + 3 * i));
+              }
+              space->curvature_map = matrix(curvature_map);
+              space->compliance = vector(compliance.data()), space->weight = vector(weight.data());
+            }
             const Settings settings{critical,
                                     critical_error,
                                     folds_perhaps,
@@ -258,13 +277,15 @@ NB_MODULE(_posterior, m) {
                                     {within.first, within.second},
                                     width_limit,
                                     number_level,
-                                    norm};
+                                    norm,
+                                    space};
             new (self) Localizer{in, settings, priors};
           },
           nb::kw_only(), "position"_a, "span"_a, "noise"_a, "gain"_a, "bad_odds"_a, "shared"_a,
           "offset"_a, "map_scale"_a, "length"_a, "radius"_a, "critical"_a, "critical_error"_a,
           "folds_perhaps"_a, "held_end"_a, "end_odds"_a, "held_odds"_a, "contacts"_a, "within"_a,
-          "width_limit"_a, "number_level"_a, "norm"_a, "priors"_a)
+          "width_limit"_a, "number_level"_a, "norm"_a, "direction"_a, "curvature_map"_a,
+          "compliance"_a, "weight"_a, "priors"_a)
       .def_prop_ro("length", [](const Localizer& self) { return self.sensors.length; })
       .def_prop_ro("count", [](const Localizer& self) { return self.sensors.position.size(); })
       .def("localize",

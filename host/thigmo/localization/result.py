@@ -53,6 +53,9 @@ class Contact:
             for a `point estimate`.
         end_offset: where a contact on the end of the body bears, left of the centreline; None for
             one on the side.
+        vector: in space, the force over EI across the body by the likeliest explanation: along the
+            body at its base, towards direction 0, and a quarter turn on; None in a plane. `force`
+            is its size there.
         newtons: the load in newtons, if the body's `stiffness` is known.
     """
 
@@ -64,6 +67,7 @@ class Contact:
     force_deviation: float = 0.0
     probability: float = 1.0
     end_offset: float | None = None
+    vector: tuple[float, float, float] | None = None
     newtons: Newtons | None = None
 
     def __repr__(self) -> str:
@@ -276,7 +280,12 @@ class LocalizeResult:
     def bend(self) -> Array:
         """(K, 2) arc, and curvature above the free one that the loads cause there, without a fold.
 
-        (0, 2) where no contact is listed.
+        In space (K, 3): curvature towards direction 0, and towards a quarter turn on. No rows where
+        no contact is listed.
         """
         above = self._body.bend[: None if self.contacts else 0] / self.length
-        return np.column_stack([np.linspace(0.0, self.length, above.size), above])
+        if not any(contact.vector for contact in self.contacts):
+            return np.column_stack([np.linspace(0.0, self.length, above.size), above])
+        about = above.reshape(-1, 2)  # normal and binormal, in the middle of each cell
+        arc = (np.arange(len(about)) + 0.5) / max(len(about), 1) * self.length
+        return np.column_stack([arc, about[:, 1], -about[:, 0]])

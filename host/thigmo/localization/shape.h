@@ -23,6 +23,7 @@
 namespace thigmo {
 
 using Row = std::vector<double>;
+using Vector = std::array<double, 3>;
 
 constexpr int kNodes = 107;
 constexpr double kPoint = 1e-9;  // a span shorter than this is a point sensor

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
@@ -23,7 +23,7 @@ from thigmo.robot.readings import SensorTable
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
 from thigmo.stream.blocks import Phase, TelemetryBlock
 from thigmo.stream.messages import Severity
-from thigmo.wiring import sensor_name
+from thigmo.wiring import muscle_outputs, sensor_name
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client
@@ -70,9 +70,12 @@ def _told(event: wire.Event, config: RobotConfig) -> tuple[str, Severity, str, s
         return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure
     text = {
         wire.EventCode.CONTACT: lambda: (
-            f"contact: the base is {value / 1e5:+.4f} 1/cm off the free bend to the {SIDES[arg]}"
+            f"contact: the base is {value / 1e5:+.4f} 1/cm off the free bend of muscle "
+            f"{muscle_outputs(config).get(arg, arg)}"
         ),
-        wire.EventCode.PEAK: lambda: f"peak of the bend to the {SIDES[arg]}: {value} readings",
+        wire.EventCode.PEAK: lambda: (
+            f"peak of muscle {muscle_outputs(config).get(arg, arg)}: {value} readings"
+        ),
         wire.EventCode.ACTIVITY_DONE: lambda: (
             f"{wire.Activity(arg).key} done at {value / 1e4:.1f} cm"
         ),

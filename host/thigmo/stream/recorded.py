@@ -21,8 +21,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from thigmo.config import SIDES
-from thigmo.errors import RunFolderError
+from thigmo.config import SIDES, RobotConfig
+from thigmo.errors import ConfigError, RunFolderError
 from thigmo.extras import require
 from thigmo.files import whole_file
 from thigmo.record import LogWriter
@@ -39,8 +39,10 @@ from thigmo.stream.messages import (
     Posterior,
     Telemetry,
 )
+from thigmo.wiring import INPUTS, columns, muscle_outputs
 
 Row = dict[str, Any]
+Named = dict[int, list[tuple[int, str]]]  # place in a message's tuple and name
 # What of a message becomes a row for each entry, and what no table has.
 _APART = {"contacts", "places_cm", "probability", "poses", "radius_cm"}
 
@@ -109,7 +111,13 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
                 file = stack.enter_context((target / f"{channel}.csv").open("w", newline=""))
                 writers[channel] = csv.writer(file)
                 writers[channel].writerow(names())
-            writers[channel].writerow(map(_cell, values))
+            # As it was measured: sums of binary fractions are cut where they say nothing.
+            writers[channel].writerow(
+                [
+                    each if type(each) is not float else f"{each:.15g}" if each == each else ""
+                    for each in values
+                ]
+            )
     return [target / f"{channel}.csv" for channel in writers]
 
 
@@ -151,24 +159,37 @@ def _made(folder: Path) -> Iterator[None]:
         ) from error
 
 
+def config_in(folder: str | os.PathLike[str]) -> RobotConfig:
+    """A run folder's robot.toml, or the defaults if there is none."""
+    try:
+        return RobotConfig.load(Path(folder) / "robot.toml") if folder else RobotConfig()
+    except ConfigError:
+        return RobotConfig()
+
+
+def _named(config: RobotConfig) -> Named:
+    """What muscles' and sensors' numbers are called, by how many a message has of them."""
+    sensors = [
+        (number, f"{column.name.replace(' ', '')}_{place}")
+        for column in columns(config)
+        for place, number in enumerate(column.inputs)
+    ]
+    return {len(SIDES): [*muscle_outputs(config).items()], INPUTS: sensors}
+
+
 def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Callable[[], list[str]], list[Any]]]:
     """Rows of all tables: the channel, what names its columns, and the values."""
+    path = Path(run)
+    named = _named(config_in(path if path.is_dir() else path.parent))
     for message in read_messages(run, set(RECORDED) - {Grid.CHANNEL}):
-        own = _values(message)
+        own = _values(message, named)
         for entry in _entries(message):
-            names = partial(_columns, message, entry)
+            names = partial(_columns, message, named, entry)
             yield message.CHANNEL, names, [*own, *entry.values()]
 
 
-def _columns(message: Message, entry: Row) -> list[str]:
-    return [*_names(message), *entry]
-
-
-def _cell(value: Any) -> Any:
-    """A value as it was measured: sums of binary fractions are cut where they say nothing."""
-    if type(value) is not float:
-        return value
-    return f"{value:.15g}" if value == value else ""
+def _columns(message: Message, named: Named, entry: Row) -> list[str]:
+    return [*_names(message, named), *entry]
 
 
 @cache
@@ -177,24 +198,19 @@ def _own(channel: str) -> tuple[str, ...]:
     return tuple(each.name for each in fields(CHANNELS[channel]) if each.name not in _APART)
 
 
-def _names(message: Message) -> list[str]:
-    """Columns of a message's fields; a tuple has one for each side, or each place of a side."""
+def _names(message: Message, named: Named) -> list[str]:
+    """Columns of a message's fields; a tuple has one for each muscle or sensor there is."""
     names = []
     for name in _own(message.CHANNEL):
         value = getattr(message, name)
         if name == "faults" or not isinstance(value, tuple):
             names.append(name)
             continue
-        a_side = len(value) // len(SIDES)
-        names += [
-            f"{name}_{side}" + (f"_{place}" if a_side > 1 else "")
-            for side in SIDES
-            for place in range(a_side)
-        ]
+        names += [f"{name}_{each}" for _, each in named[len(value)]]
     return names
 
 
-def _values(message: Message) -> list[Any]:
+def _values(message: Message, named: Named) -> list[Any]:
     """What stands in these columns."""
     values: list[Any] = []
     for name in _own(message.CHANNEL):
@@ -202,7 +218,7 @@ def _values(message: Message) -> list[Any]:
         if name == "faults":
             values.append(" ".join(value))
         elif isinstance(value, tuple):
-            values += value
+            values += [value[number] for number, _ in named[len(value)]]
         else:
             values.append(value)
     return values

@@ -16,17 +16,18 @@ STUDIES: dict[str, str] = {
     "accuracy": "coverage and wrong answers, each error told and not told",
     "loads": "few sensors, two contacts, held ends, kinks, near the base",
     "number": "how many contacts, and where, against what can be known",
+    "space": "contacts in space, against an independent rod",
     "scaling": "time of `localize` and of batches, over sensors and rows",
     "sweeps": "one frame against all of its inflation; bad sensors",
     "cold": "the first commands of a new installation, nothing cached",
     "camera": "errors of the overhead camera over painted rooms",
-    "exploration": "pegs found, empty rooms silent, maps right; calibrated or not",
+    "exploration": "pegs found, empty rooms silent, maps true; calibrated or not",
     "robots": "other robots by description: 30 to 200 cm, one muscle",
     "faults": "single failures: what notices them, how soon, what it costs",
     "trigger": "contact trigger's latency against its false alarms",
     "watch": "how late the page shows a reading, and what three pages cost",
     "stopping": "how soon each way to stop has the outputs off",
-    "plant-models": "time against error of the plant's mechanics",
+    "plant-models": "time against error of each rung of plant and localizer",
 }
 
 __all__ = ["STUDIES", "Context", "Outcome", "load"]

@@ -22,7 +22,7 @@ from thigmo.localization import LocalizeResult, localize
 from thigmo.report.axes import BLUE, RED
 from thigmo.studies import touches
 from thigmo.studies.charts import curves, legend_below, panels
-from thigmo.studies.engine import Claim, Context, Outcome, parts, share
+from thigmo.studies.engine import Claim, Context, Outcome, last, parts, share
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import LENGTH, ROBOT, SIGMA, SPAN
 from thigmo.studies.touches import BENT, GROUPS, TOUCHED, Scenes, holds
@@ -268,18 +268,18 @@ def _told_figure(rows: list[Row]) -> Figure:
     """Coverage and wrong answers under each error that can be told: told, and not."""
     lines = {(row["error"], row["group"], row["told"]): row for row in rows}
     pairs = [(e, g) for e, g, told in lines if told and not g.startswith("free")]
-    figure, (left, right) = panels(1, 2, size=(5.5, 0.3 * len(pairs) + 1.4), share=True)
+    figure, (first, second) = panels(1, 2, size=(5.5, 0.3 * len(pairs) + 1.4), share=True)
     at = np.arange(len(pairs))
     for label, color, place in (("not told", RED, at - 0.2), ("told", BLUE, at + 0.2)):
         some = [lines[*pair, label == "told"] for pair in pairs]
-        left.barh(place, [100 * row["covered"] for row in some], 0.4, color=color)
-        right.barh(place, [100 * row["wrong"] for row in some], 0.4, color=color, label=label)
-    left.axvline(95.0, color="black", linewidth=0.8)
-    right.axvline(3.0, color="black", linewidth=0.8, label="stated (left), promised (right)")
+        first.barh(place, [100 * row["covered"] for row in some], 0.4, color=color)
+        second.barh(place, [100 * row["wrong"] for row in some], 0.4, color=color, label=label)
+    first.axvline(95.0, color="black", linewidth=0.8)
+    second.axvline(3.0, color="black", linewidth=0.8, label="stated, and promised")
     names = [error if error.startswith(group) else f"{error}, {group}" for error, group in pairs]
-    left.set_yticks(at, names, fontsize=8)
-    left.set(xlabel="intervals that hold the contact (%)", xlim=(40, 100), ylim=(len(pairs), -1))
-    right.set_xlabel("localized where nothing is (% of frames)")
+    first.set_yticks(at, names, fontsize=8)
+    first.set(xlabel="intervals that hold the contact (%)", xlim=(40, 100), ylim=(len(pairs), -1))
+    second.set_xlabel("localized where nothing is (% of frames)")
     legend_below(figure, panel=1)
     return figure
 
@@ -307,7 +307,7 @@ def run(context: Context) -> Outcome:
 
     def scored(part: str, some: list[tuple[int, int]], cases: list[Case]) -> list[Row]:
         tasks = [(case, context.seed, *batch) for case in cases for batch in some]
-        got = iter(context.map(judge, tasks, part))
+        got = iter(context.map(judge, tasks, part, last))
         return [score(case, np.concatenate([next(got) for _ in some])) for case in cases]
 
     outcome = Outcome()

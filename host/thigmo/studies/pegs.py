@@ -15,11 +15,10 @@ import numpy as np
 
 from thigmo.studies import scenes
 from thigmo.studies.rod import Bodies, Floats, solve
-from thigmo.studies.scenes import COLUMN, CRITICAL, LENGTH, RADIUS, SPAN
+from thigmo.studies.scenes import COLUMN, CRITICAL, LENGTH, NEAREST, RADIUS, SPAN
 
 Part = Literal["side", "corner", "anywhere"]
 
-NEAREST = 8.0  # no contact is drawn closer to the base (cm)
 STEP = 0.004  # of the free curvature, from one equilibrium to the next (1/cm)
 NEWTON_STEPS = 6
 RESOLVED = 1e-6  # distance (cm) to which a peg is met

@@ -1,21 +1,44 @@
-"""Models of the body by need: what each costs and how wrong it is, on the same scenes.
+"""No more than a scene needs: what each rung of the plant and of the localizer costs and misses.
 
-Random scenes of three kinds (free, gently touched, swept into a peg) are followed step by step by
-`arc`, `beam`, `elastica` and the automatic choice at several tolerances. Error is the largest
-distance, along the body at the end, from an elastica with a four times finer mesh.
+Plant: random scenes of three kinds (free, gently touched, swept into a peg) are followed step by
+step by `arc`, `beam`, `elastica` and the automatic choice at several tolerances. Error is the
+largest distance, along the body at the end, from an elastica with a four times finer mesh.
+
+Localizer: frames of one to three contacts are answered by a point fit, by each number of contacts,
+and by the automatic choice. Error is the mean distance of each true contact from the nearest
+answered one, and of each answered one from the nearest true one; 10 cm where there is none nearer.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable, Sequence
 from functools import partial
-from time import perf_counter
+from time import perf_counter, process_time
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from thigmo.localization import Localizer
 from thigmo.mechanics import ModelChoice, Peg, Rod, Tube
+from thigmo.report.axes import GREEN
+from thigmo.studies import charts
+from thigmo.studies.attempt import FAILURE_CM
 from thigmo.studies.engine import Claim, Context, Outcome, Record
+from thigmo.studies.scenes import (
+    LENGTH,
+    ROBOT,
+    SIGMA,
+    SPAN,
+    Case,
+    actuated,
+    one_contact,
+    three_contacts,
+    two_contacts,
+)
 
-LENGTH = 53.0
 _STEPS = 200
 _KINDS = ("free", "touched gently", "swept into a peg")
 _WAYS: dict[str, tuple[ModelChoice, float]] = {
@@ -26,6 +49,24 @@ _WAYS: dict[str, tuple[ModelChoice, float]] = {
     "auto, 0.2 cm": ("auto", 0.2),
     "auto, 0.05 cm": ("auto", 0.05),
 }
+
+
+# Rungs of the localizer: number of contacts, and method.
+_RUNGS: dict[str, dict[str, Any]] = {
+    "point fit, 1": {"contacts": 1, "method": "l2"},
+    "1 contact": {"contacts": 1},
+    "2 contacts": {"contacts": 2},
+    "3 contacts": {"contacts": 3},
+    "auto": {"contacts": "auto"},
+}
+_FRAMES: dict[str, Callable[[np.random.Generator], Case]] = {
+    "one contact, straight": one_contact,
+    "one contact, bent": actuated,
+    "two contacts": two_contacts,
+    "three contacts": three_contacts,
+}
+_CALLS = 5  # whose mean time counts: one is too short for the clock
+_LEAST_CM = 1e-3  # what the chart shows of smaller errors
 
 
 def scene(kind: str, seed: int) -> tuple[list[Peg], float]:
@@ -64,8 +105,102 @@ def compare(seed: int, kind: str) -> list[tuple[float, float, str]]:
     return runs
 
 
+def answered(seed: int, kind: str) -> list[tuple[float, float, str]]:
+    """Every rung on one frame: time of a call (us), error (cm), and the number of contacts."""
+    case = _FRAMES[kind](np.random.default_rng(seed))
+    runs = []
+    for settings in _RUNGS.values():
+        localizer = Localizer.of(
+            position=case.position, length=LENGTH, span=SPAN, noise=SIGMA, **settings, **ROBOT
+        )
+        began = process_time()
+        for _ in range(_CALLS):
+            result = localizer.localize(case.curvature, free_curvature=case.free)
+        call_us = (process_time() - began) / _CALLS * 1e6
+        found = [contact.arc for contact in result.contacts]
+        runs.append((call_us, _apart(found, case.arcs), str(len(found))))
+    return runs
+
+
+def _apart(found: Sequence[float], true: Sequence[float]) -> float:
+    if not found:
+        return FAILURE_CM
+    distance = np.minimum(np.abs(np.subtract.outer(found, true)), FAILURE_CM)
+    return float(np.concatenate([distance.min(axis=0), distance.min(axis=1)]).mean())
+
+
+def ladder(rows: Sequence[Record]) -> Figure:
+    """Error against time of each rung, a panel a kind of scene; the automatic choice is green."""
+    figure, axes = charts.panels(
+        4, 2, size=(3.7, 2.3),
+        title="No more than a scene needs: the localizer's rungs (left) and the plant's (right)",
+    )  # fmt: skip
+    columns = (axes[0::2], list(_FRAMES)), (axes[1::2], list(_KINDS))
+    drawn = []
+    for panels, scenes in columns:
+        for axis, name in zip(panels, scenes, strict=False):
+            drawn.append((axis, [row for row in rows if row["scene"] == name]))
+            _draw(*drawn[-1])
+    axes[-1].set_axis_off()
+    axes[-1].text(
+        0.0, 0.5, "Dots: mean error. Green: the automatic choice, and what\nit chose most often: "
+        "the number of contacts, or the models\nof the plant, which takes the error (cm) that it "
+        "may make.\nErrors below 0.001 cm are drawn at 0.001.", fontsize=8, va="center",
+    )  # fmt: skip
+    figure.draw_without_rendering()
+    for axis, here in drawn:
+        names = [_name(row) for row in here]
+        charts.named(axis, [_at(row) for row in here], names, [])
+    return figure
+
+
+def _auto(row: Record) -> bool:
+    return str(row["model"]).startswith("auto")
+
+
+def _name(row: Record) -> str:
+    name = str(row["model"])
+    if not _auto(row):
+        return name
+    # A body is an arc until it is touched.
+    return f"{name.removesuffix(' cm').replace(',', '')}: {str(row['used']).removeprefix('arc+')}"
+
+
+def _at(row: Record) -> tuple[float, float]:
+    return float(row["step_us"]), max(float(row["mean_cm"]), _LEAST_CM)
+
+
+def _draw(axis: Axes, rows: Sequence[Record]) -> None:
+    times, errors = np.array([_at(row) for row in rows]).T
+    axis.scatter(times, errors, s=16, color=[GREEN if _auto(row) else "0.5" for row in rows])
+    axis.set(
+        xscale="log", yscale="log", title=rows[0]["scene"], xlabel="time of a call or step (µs)",
+        ylabel="error (cm)", xlim=(times.min() / 10, times.max() * 100),
+        ylim=(errors.min() / 2, errors.max() * 2),
+    )  # fmt: skip
+    axis.yaxis.set_major_formatter("{x:g}")
+    if errors.max() < 10 * errors.min():
+        axis.yaxis.set_minor_formatter("{x:g}")
+    axis.tick_params(axis="y", which="both", labelsize=7)
+
+
+def _rows(
+    kind: str, ways: Sequence[str], runs: Sequence[Sequence[tuple[float, float, str]]]
+) -> list[Record]:
+    rows: list[Record] = []
+    for way, *mine in zip(ways, *runs, strict=True):
+        times, errors, used = zip(*mine, strict=True)
+        common, count = Counter(used).most_common(1)[0]
+        rows.append({
+            "scene": kind, "model": way, "step_us": round(float(np.median(times)), 2),
+            "mean_cm": float(np.mean(errors)), "worst_cm": max(errors), "cases": len(mine),
+            "used": common if count == len(mine) else f"{common} ({100 * count // len(mine)} %)",
+        })  # fmt: skip
+    return rows
+
+
 def run(context: Context) -> Outcome:
-    """Time against error of the plant's models."""
+    """Time against error of the plant's models and of the localizer's numbers of contacts."""
     count = context.count(5, 40)
     rows: list[Record] = []
     touched: list[float] = []
@@ -73,20 +208,18 @@ def run(context: Context) -> Outcome:
     for number, kind in enumerate(_KINDS):
         seeds = [int(s) for s in context.rng(number).integers(0, 2**31, count)]
         runs = context.map(partial(compare, kind=kind), seeds, kind)
-        for way, *mine in zip(_WAYS, *runs, strict=True):
-            model, tolerance = _WAYS[way]
-            times, errors, models = zip(*mine, strict=True)
-            rows.append({
-                "scene": kind, "model": way, "step_us": round(float(np.median(times)), 2),
-                "median_cm": float(np.median(errors)), "worst_cm": max(errors),
-                "used": "; ".join(sorted(set(models))),
-            })  # fmt: skip
+        rows += _rows(kind, list(_WAYS), runs)
+        for (model, tolerance), *mine in zip(_WAYS.values(), *runs, strict=True):
             if model == "auto":
                 excess += [error - tolerance for _, error, used in mine if used != "arc"]
             if model == "elastica" and kind != "free":
-                touched += times
+                touched += [time for time, *_ in mine]
+    for number, kind in enumerate(_FRAMES, start=len(_KINDS)):
+        seeds = [int(s) for s in context.rng(number).integers(0, 2**31, context.count(10, 400))]
+        rows += _rows(kind, list(_RUNGS), context.map(partial(answered, kind=kind), seeds, kind))
     return Outcome(
         {"models": rows},
+        {"ladder": ladder(rows)},
         claims=[
             Claim("error above the stated tolerance, worst scene", max(excess), 0.0, unit="cm"),
             Claim("a warm elastica step among pegs", float(np.median(touched)), 150.0, unit="us"),

@@ -19,9 +19,13 @@ from thigmo.design import draft
 from thigmo.emulator.reach import room_for
 from thigmo.emulator.scene import Scene
 from thigmo.errors import ThigmoError
+from thigmo.exploration.map import best_contact, of_stage
+from thigmo.record import RunDocument, Truth
 from thigmo.studies.engine import Claim, Context, Outcome, Record, share
 from thigmo.studies.exploration import Explored
 from thigmo.studies.rooms import explored
+
+_ELLIPSE = 5.991  # 95 % of chi-squared of two degrees of freedom
 
 THESIS = "53 cm, 5 a side"
 
@@ -55,6 +59,24 @@ class Visited(Explored):
 
     peg: bool = True
     length_cm: float = nan  # of the robot
+    plane_cm: float = nan  # error of the best contact in the plane; NaN without one
+    # the 95 % ellipse of the best contact does not hold the true point
+    outside: bool = False
+
+    def judge_place(self, document: RunDocument) -> None:
+        """Hold the place of the run's best contact against the true point of its stage."""
+        best, truth = best_contact(document.contacts), document.truth or Truth()
+        if best is None:
+            return
+        apart = [
+            np.array([true.x_cm - best.x_cm, true.y_cm - best.y_cm])
+            for true in truth.contacts
+            if of_stage(true, best.everted_length_cm, best.side)
+        ]
+        if nearest := sorted(apart, key=np.linalg.norm)[:1]:
+            self.plane_cm = float(np.linalg.norm(nearest[0]))
+            squared = nearest[0] @ np.linalg.solve(np.asarray(best.covariance_cm2), nearest[0])
+            self.outside = bool(squared > _ELLIPSE)
 
 
 def visit(room: tuple[str, int, bool]) -> Visited:
@@ -66,7 +88,9 @@ def visit(room: tuple[str, int, bool]) -> Visited:
         file = Path(folder) / "room.toml"
         scene.save(file)
         try:
-            found.judge(explored(f"emulator://{file}", folder, seed).document)
+            document = explored(f"emulator://{file}", folder, seed).document
+            found.judge(document)
+            found.judge_place(document)
         except ThigmoError as error:
             found.status = f"aborted: {error.what}"
     return found
@@ -96,7 +120,8 @@ def _outcome(found: list[Visited]) -> Outcome:
             ("pegs missed", "missed_percent", 10.0, "%"),
             ("localized, and wrong", "wrong_percent", 5.0, "%"),
             ("empty rooms with a localized contact", "empty_localized", 0.0, "rooms"),
-            ("median |x error|", "error_percent", 3.0, "% of the length"),
+            ("median error in the plane", "error_percent", 3.0, "% of the length"),
+            ("true points outside of the 95 % ellipse", "outside_percent", 10.0, "%"),
         )
     ]
     rows.append(whole)
@@ -106,15 +131,17 @@ def _outcome(found: list[Visited]) -> Outcome:
 def _row(name: str, found: list[Visited]) -> Record:
     there, empty = ([one for one in found if one.peg is peg] for peg in (True, False))
     localized = [one for one in there if one.status == "localized"]
-    errors = [abs(one.error_x_cm) / one.length_cm for one in there]
-    known = [error for error in errors if np.isfinite(error)]
+    placed = [one for one in there if np.isfinite(one.plane_cm)]
+    errors = [one.plane_cm / one.length_cm for one in placed]
     return {
         "robot": name,
         "rooms": len(there),
         "missed_percent": 100 * share([one.missed for one in there]),
         "localized": len(localized),
         "wrong_percent": 100 * share([one.wrong for one in there]),
-        "error_percent": 100 * float(np.median(known)) if known else nan,
+        "error_percent": 100 * float(np.median(errors)) if errors else nan,
+        "worst_percent": 100 * max(errors, default=nan),
+        "outside_percent": 100 * share([one.outside for one in placed]),
         "empty_rooms": len(empty),
         "empty_localized": sum(one.status == "localized" for one in empty),
         "aborted": sum(one.status.startswith("aborted") for one in found),

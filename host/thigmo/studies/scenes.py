@@ -20,6 +20,7 @@ SPAN = 5.5
 SIGMA = 6e-4
 CRITICAL = 0.01108
 RADIUS = 1.75
+NEAREST = 8.0  # no contact is drawn closer to the base
 FULL_CURVATURE = 0.04  # of the bent robot
 COLUMN: Floats = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 BOTH: Floats = np.tile(COLUMN, 2)
@@ -56,7 +57,7 @@ def read(
 
 
 def side_of(rng: np.random.Generator) -> float:
-    """Left or right."""
+    """Either side."""
     return float(rng.choice([-1.0, 1.0]))
 
 
@@ -95,6 +96,6 @@ def actuated(rng: np.random.Generator, position: Floats = COLUMN) -> Case:
 
 
 def few_sensors(rng: np.random.Generator) -> Case:
-    """One contact, three readings."""
-    arc = float(rng.uniform(38.0, LENGTH))
+    """One contact anywhere along the body, three readings."""
+    arc = float(rng.uniform(NEAREST, LENGTH))
     return read(rng, (arc,), (_moment(rng) / arc,), position=COLUMN[[0, 2, 3]])

@@ -19,18 +19,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from thigmo.localization import METHODS
-from thigmo.report.axes import GREEN, RED
+from thigmo.report.axes import BLUE, GREEN, RED
 from thigmo.studies import charts
 from thigmo.studies.attempt import attempt, mean_and_failures, mean_over
 from thigmo.studies.baselines import BASELINES
 from thigmo.studies.engine import Claim, Context, Outcome
 from thigmo.studies.pegs import any_peg
+from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import LENGTH, Case, actuated, few_sensors, one_contact, two_contacts
 
 DEFAULT = METHODS[0]
 CLAIMED = "one contact"
 SLOW = ("alternating-trust-constr", "trust-constr", "differential-evolution", "dual-annealing")
 EVERY = 5
+RESAMPLED = 2000
+FEWEST = 20  # cases on which a bootstrap says anything
+SPAN_95 = 2 * 1.96  # standard errors in a 95 % interval
 # Variants: the remedies for a folded base differ from the solver behind them only where one folds.
 _LEFT_OUT = ("clamped", "coupled", "alternating-2-norm")
 COMPARED = (*METHODS, *(name for name in BASELINES if name not in _LEFT_OUT))
@@ -49,14 +53,16 @@ Row = dict[str, Any]
     standard_error_cm: of the mean.
     guess_cm: mean error of guessing even places.
     slower: times the default method's median time.
-    default_over_it: the default method's mean error on the same cases over its own.
+    default_over_it: the default method's mean error on the same cases over its own; `ratio_low`
+        and `ratio_high` hold it with 95 % (bootstrap over the cases).
+    tie: the two do not differ by that: 1 lies between them.
 """
 
 
 def _case_scores(task: tuple[str, int, int]) -> list[tuple[float, float]]:
     """All methods on one case, one after the other, so that all see the same machine.
 
-    Error and time of each; NaN twice for one that is left out here.
+    Error and time of each; NaN twice for one that is omitted here.
     """
     scene, seed, index = task
     case = SCENES[scene](np.random.default_rng([seed, index]))
@@ -85,9 +91,23 @@ def score(context: Context, scene: str, cases: int) -> list[Row]:
             "standard_error_cm": float(np.std(some) / np.sqrt(some.size)),
             "median_cm": float(np.median(some)), "p95_cm": float(np.percentile(some, 95)),
             "failures": failures, "time_us": time_us, "slower": time_us / default,
-            "guess_cm": guess, "default_over_it": mean_over(table[seen, 0, 0], errors),
+            "guess_cm": guess, **_against(table[seen, 0, 0], errors),
         })  # fmt: skip
     return scores
+
+
+def _against(mine: Floats, other: Floats) -> Row:
+    """The default method's mean error over another's on the same cases, and how sure that is."""
+    both = np.isfinite(mine) & np.isfinite(other)
+    low = high = nan
+    if (count := int(both.sum())) >= FEWEST:
+        drawn = np.random.default_rng(0).integers(0, count, (RESAMPLED, count))
+        ratios = mine[both][drawn].mean(axis=1) / other[both][drawn].mean(axis=1)
+        low, high = map(float, np.quantile(ratios, (0.025, 0.975)))
+    return {
+        "default_over_it": mean_over(mine, other), "ratio_low": low, "ratio_high": high,
+        "tie": not (low > 1.0 or high < 1.0),
+    }  # fmt: skip
 
 
 def guess_cm(cases: list[Case]) -> float:
@@ -143,11 +163,12 @@ def _draw(axis: Axes, scene: str, here: list[Row]) -> None:
         here[0]["guess_cm"], color=RED, linewidth=0.9, linestyle="--", zorder=1,
         label="guessing even places, without a reading",
     )  # fmt: skip
-    colors = [GREEN if one in front else "0.5" for one in here]
+    colors = [GREEN if one in front else BLUE if one["tie"] else "0.5" for one in here]
     bars = np.minimum([one["standard_error_cm"] for one in here], 0.9 * errors)
     axis.errorbar(times, errors, bars, fmt="none", ecolor="0.45", elinewidth=0.8, zorder=2)
     sizes = [10 + 60 * one["failures"] for one in here]
     axis.scatter(times, errors, s=sizes, color=colors, zorder=2)
+    axis.plot([], [], "o", color=BLUE, markersize=4, label=f"ties with {DEFAULT} (bootstrap)")
     axis.set(
         xscale="log", yscale="log", title=scene, xlabel="median time of one call (µs)",
         ylabel="mean error of the arc (cm)", xlim=(times.min() / 8, times.max() * 40),
@@ -180,8 +201,12 @@ def run(context: Context) -> Outcome:
         ours, *rest = some = [s for s in scores if s["scene"] == scene]
         on_front += ours in pareto(some)
         best = max(rest, key=lambda s: np.nan_to_num(s["default_over_it"]))
-        text = f"default method's mean error over that of the best other ({best['method']})"
-        outcome.claims.append(Claim(f"{scene}: {text}", best["default_over_it"], 1.0))
+        sure = f"95 %: {best['ratio_low']:.2f} to {best['ratio_high']:.2f}"
+        text = f"default method's mean error over that of the best other ({best['method']}"
+        text += f", a tie; {sure})" if best["tie"] else f"; {sure})"
+        error = (best["ratio_high"] - best["ratio_low"]) / SPAN_95
+        claim = Claim(f"{scene}: {text}", best["default_over_it"], 1.0, standard_error=error)
+        outcome.claims.append(claim)
     text = "panels where the default method is on the Pareto front"
     outcome.claims.append(Claim(text, on_front, len(SCENES), at_most=False))
     return outcome

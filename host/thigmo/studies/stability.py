@@ -63,8 +63,8 @@ def _layout(rng: np.random.Generator, first: float, _: float) -> tuple[Case, flo
 
 def _lost(rng: np.random.Generator, lost: float, _: float) -> tuple[Case, float]:
     case = one_contact(rng)
-    left = np.where(rng.permutation(case.curvature.size) < lost, np.nan, case.curvature)
-    return replace(case, curvature=left), SIGMA
+    rest = np.where(rng.permutation(case.curvature.size) < lost, np.nan, case.curvature)
+    return replace(case, curvature=rest), SIGMA
 
 
 def _start_place(rng: np.random.Generator, _start: float, arc: float) -> tuple[Case, float]:

@@ -97,7 +97,7 @@ def test_lost_marker_leaves_a_blank_row_that_the_fit_leaves_out(lab, monkeypatch
     assert np.isnan(readings.tip_cm[2]).all()
     assert any("is not seen" in text for text in lab.told)
     lost = rows[2]["key"]
-    assert any(f"{lost} is left out" in text for text in lab.told)
+    assert any(f"{lost} is omitted" in text for text in lab.told)
     assert lost in readings.name
     # Run once more, the step takes that one and no other.
     again = tip_rows(bench)

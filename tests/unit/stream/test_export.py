@@ -11,6 +11,7 @@ from test_hub import ONE_OF_EACH, a_block, a_telemetry
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
+from thigmo.design import draft
 from thigmo.errors import DataError, RunFolderError
 from thigmo.record import LogWriter
 from thigmo.stream import Hub, recording
@@ -93,3 +94,16 @@ def test_a_folder_that_cannot_be_written_is_named(run: Path, tmp_path: Path) -> 
     (tmp_path / "file").write_text("")
     with pytest.raises(RunFolderError, match="choose another folder"):
         export_csv(run, tmp_path / "file")
+
+
+def test_columns_have_the_names_of_the_robot_that_was_used(run: Path, tmp_path: Path) -> None:
+    """Sensors of one column stand base first, also those that hang on the other's inputs."""
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.mcap").write_bytes((run / "run.mcap").read_bytes())
+    draft(120.0, 8, 1).save(tmp_path / "run" / "robot.toml")
+    export_csv(tmp_path / "run", tmp_path)
+    (_, known) = _table(tmp_path / "telemetry.csv")
+    assert [name for name in known if name.startswith("pressure")] == ["pressure_psi_left"]
+    inputs = [known[f"flex_sum_270deg_{place}"] for place in range(8)]
+    assert inputs == ["5", "6", "7", "8", "9", "1", "2", "3"]
+    assert not any("right" in name or name.endswith("left_0") for name in known)

@@ -1,8 +1,8 @@
 // Along the body: what the localizer believes of a contact's place, over what every sensor reads
 // against what the free body would read there. Both share the axis, from the base to the tip.
 
-import { $, COLUMN, index, pointEstimate, posterior as shown, store } from "./store.js";
-import { line, make, minus, sized, text, ticks } from "./svg.js";
+import { $, COLUMN, columns, element, index, muscles, pointEstimate, posterior as shown, store } from "./store.js";
+import { line, make, rounded, sized, text, ticks } from "./svg.js";
 import { percent } from "./words.js";
 
 const svg = $("body");
@@ -18,7 +18,7 @@ export function drawBodyChart() {
   const width = svg.clientWidth, height = svg.clientHeight;
   const row = index(), { last, page } = store;
   const values = row < 0 ? [] : Array.from({ length: 20 }, (_, n) => store.columns[COLUMN.curvature + n][row]);
-  const key = JSON.stringify([width, height, row, shown()?.t_s, shown()?.side, last.contacts?.t_s, page?.body?.length_cm]);
+  const key = JSON.stringify([width, height, row, shown()?.t_s, shown()?.side, last.contacts?.t_s, page?.body]);
   if (key === drawn || width < 10) return;
   drawn = key;
   layer.replaceChildren();
@@ -38,6 +38,7 @@ export function drawBodyChart() {
     const near = X(length) > width - 60;
     text(layer, X(length) + (near ? -5 : 5), upper.y0 + 9, "tip", { "text-anchor": near ? "end" : "start", fill: "var(--soft)" });
   }
+  drawLegend();
   drawDensity(upper, X);
   drawCurvature(values, lower, X);
 }
@@ -62,7 +63,8 @@ function drawDensity({ y0, y1 }, X) {
     }
     const certain = posterior.contact_probability === null ? "" : `, ${percent(posterior.contact_probability)}`;
     const what = svg.clientWidth < NARROW ? "contact" : "probability density of a contact";
-    words = `${what}${posterior.sweeping ? " so far" : ""}, ${side} muscle: ${posterior.status}${certain}`;
+    const muscle = muscles().find((each) => each.side === side)?.name ?? side;
+    words = `${what}${posterior.sweeping ? " so far" : ""}, ${muscle} muscle: ${posterior.status}${certain}`;
   } else if (posterior) {
     words = posterior.status;
   }
@@ -82,14 +84,13 @@ function drawCurvature(values, { y0, y1 }, X) {
   const most = Math.ceil(least * 100) / 100, Y = (value) => (y0 + y1) / 2 - value / most * (y1 - y0) / 2;
   for (const value of [-most, 0, most]) {
     make("line", { x1: PAD.left, x2: X(store.page?.body?.length_cm ?? 60), y1: Y(value), y2: Y(value), stroke: value ? "var(--grid)" : "var(--line)" }, layer);
-    text(layer, PAD.left - 8, Y(value) + 4, minus(value.toFixed(2)), { "text-anchor": "end", fill: "var(--faint)" });
+    text(layer, PAD.left - 8, Y(value) + 4, rounded(value, 2), { "text-anchor": "end", fill: "var(--faint)" });
   }
   text(layer, 14, (y0 + y1) / 2, "curvature, 1/cm", { transform: `rotate(-90 14 ${(y0 + y1) / 2})`, "text-anchor": "middle" });
-  const sensors = store.page?.body?.sensors;
-  if (!sensors || !values.length) return;
-  for (const [side, first] of [["left", 0], ["right", 5]]) {
-    sensors[side].forEach((arc, n) => {
-      const read = values[first + n], free = values[10 + first + n], colour = `var(--${side})`;
+  if (!values.length) return;
+  for (const { side, inputs, centers_cm: centers } of columns()) {
+    centers.forEach((arc, n) => {
+      const read = values[inputs[n]], free = values[10 + inputs[n]], colour = `var(--${side})`;
       const x = X(arc) + (side === "left" ? -5 : 5);
       if (has(read) && has(free)) make("line", { x1: x, x2: x, y1: Y(read), y2: Y(free), stroke: colour, "stroke-width": 1.5, "stroke-opacity": .45 }, layer);
       if (has(free)) make("line", { x1: x - 7, x2: x + 7, y1: Y(free), y2: Y(free), stroke: colour, "stroke-width": 2, "stroke-opacity": .75 }, layer);
@@ -102,9 +103,12 @@ function drawCurvature(values, { y0, y1 }, X) {
   }
 }
 
-$("body-legend").innerHTML = `
-  <span><i class="dot" style="background:var(--left)"></i>left sensor</span>
-  <span><i class="dot" style="background:var(--right);border-radius:1px;transform:rotate(45deg)"></i>right sensor</span>
-  <span><i></i>what the free body would read</span>`;
+function drawLegend() {
+  const key = columns().map(({ name, side }) => {
+    const shape = side === "left" ? "" : ";border-radius:1px;transform:rotate(45deg)";
+    return element("span", {}, element("i", { class: "dot", style: `background:var(--${side})${shape}` }), `${name} sensor`);
+  });
+  $("body-legend").replaceChildren(...key, element("span", {}, element("i"), "what the free body would read"));
+}
 
 sized(svg, () => { drawn = ""; drawBodyChart(); });

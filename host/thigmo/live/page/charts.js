@@ -1,33 +1,29 @@
 // Strip charts of the telemetry, drawn by uPlot from the store's columns. A dashed line is what was
 // asked for, or what the free body would read; the solid one is what was measured.
 
-import { $, COLUMN, css, element, index, SIDES, store } from "./store.js";
-import { minus } from "./svg.js";
+import { $, COLUMN, columns, css, element, index, muscles, shade, store } from "./store.js";
+import { minus, rounded } from "./svg.js";
 
 const DASH = [5, 4];
-const FIVE = [0, 1, 2, 3, 4];
-const sensors = (side, first) => [
-  ...FIVE.map((n) => ({ column: COLUMN.curvature + first + n, colour: `--${side}-${n + 1}`, width: 1, soft: true, alpha: .28 })),
-  ...FIVE.map((n) => ({ column: COLUMN.telling + first + n, colour: `--${side}-${n + 1}`, width: 1.6, name: `${n}` })),
-  ...FIVE.map((n) => ({ column: COLUMN.expected + first + n, colour: "--ink", width: 1.1, dash: DASH, soft: true })),
+const sensors = (of) => [
+  ...of.inputs.map((input, n) => ({ column: COLUMN.curvature + input, colour: shade(of, n), width: 1, soft: true, alpha: .28 })),
+  ...of.inputs.map((input, n) => ({ column: COLUMN.telling + input, colour: shade(of, n), width: 1.6, name: `${n}` })),
+  ...of.inputs.map((input) => ({ column: COLUMN.expected + input, colour: "--ink", width: 1.1, dash: DASH, soft: true })),
 ];
-const sides = (column, options = {}) => SIDES.map((side, n) => (
-  { column: column + n, colour: `--${side}`, width: 1.8, name: side, ...options }
+const sides = (column, options = {}) => muscles().map(({ name, side, output }) => (
+  { column: column + output, colour: `--${side}`, width: 1.8, name, ...options }
 ));
-const CHARTS = [
+const curvatures = (of) => ({
+  title: `Curvature, ${of.name} sensors`, unit: "1/cm", height: 136, least: [-.01, .01], digits: 4,
+  series: sensors(of), many: true, note: "0: base; pale: inflated side", dashed: "the free body",
+});
+const charts = () => [
   {
     title: "Muscle pressure", unit: "psi", height: 132, least: [0, 4], digits: 2,
     series: [...sides(COLUMN.pressure), ...sides(COLUMN.demand, { colour: "--ink", dash: DASH, width: 1.1, soft: true })],
     dashed: "set point",
   },
-  {
-    title: "Curvature, left sensors", unit: "1/cm", height: 136, least: [-.01, .02], digits: 4,
-    series: sensors("left", 0), note: "0: base; pale: inflated side", dashed: "the free body",
-  },
-  {
-    title: "Curvature, right sensors", unit: "1/cm", height: 136, least: [-.02, .01], digits: 4,
-    series: sensors("right", 5), note: "0: base; pale: inflated side", dashed: "the free body",
-  },
+  ...columns().map(curvatures),
   {
     title: "Valve current", unit: "mA", height: 92, least: [0, 8], digits: 1, series: sides(COLUMN.drive),
   },
@@ -42,7 +38,7 @@ const CHARTS = [
 ];
 const sync = uPlot.sync("time");
 const plots = [];
-let shown = 30, drawn = "";
+let shown = 30, drawn = "", built = null;
 
 // Range of y: the least one, and whatever is shown, with a little air.
 function range([low, high]) {
@@ -59,7 +55,8 @@ function build() {
   $("charts").replaceChildren();
   const grid = { stroke: css("--grid"), width: 1 }, faint = css("--faint"), soft = css("--soft");
   const font = '11px Inter, "Inter Variable", system-ui, sans-serif';
-  for (const chart of CHARTS) {
+  built = store.page?.body;
+  for (const chart of charts()) {
     const legend = element("span", { class: "legend" });
     const values = [];
     for (const line of chart.series) {
@@ -101,6 +98,7 @@ function build() {
 
 export function drawCharts() {
   const { columns, now, page } = store;
+  if (JSON.stringify(page?.body) !== JSON.stringify(built)) build();
   const key = `${columns[0].length} ${now} ${shown} ${columns[0][0]}`;
   if (key === drawn) return;
   drawn = key;
@@ -114,7 +112,7 @@ export function drawCharts() {
     });
     for (const { line, value } of values) {
       const read = columns[line.column][row];
-      value.textContent = chart.series.length > 8 || read === null || read === undefined ? "" : minus(read.toFixed(chart.digits));
+      value.textContent = chart.many || read === null || read === undefined ? "" : rounded(read, chart.digits);
     }
   }
 }

@@ -1,7 +1,7 @@
 // The room from above: what was swept, what is occupied, the robot, and its contacts with what is
 // known of their place. x runs along the straight robot, y to its left, in cm.
 
-import { $, css, latest, pointEstimate, posterior, store, time, COLUMN } from "./store.js";
+import { $, columns, css, latest, pointEstimate, posterior, shade, store, time, COLUMN } from "./store.js";
 import { line, make, minus, sized, text, ticks } from "./svg.js";
 
 const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
@@ -68,6 +68,11 @@ export function drawRoom() {
   for (const peg of page?.truth ?? []) include(peg.x_cm, peg.y_cm, peg.radius_cm + 2);
   for (const poses of store.trail) include(...poses.at(-1).slice(0, 2), 3);
   for (const [x, y] of last.shape?.poses ?? []) include(x, y);
+  if (last.grid) {
+    const { origin: [x, y], width, height, resolution_cm: size } = last.grid;
+    include(x, y, 0);
+    include(x + width * size, y + height * size, 0);
+  }
   fit();
   changed("map", last.grid, drawMap);
   changed("truth", page?.truth, drawTruth);
@@ -154,13 +159,14 @@ function drawBody(shape) {
   const { poses, radius_cm: radius } = shape, layer = layers.body;
   make("path", { d: tube(poses, radius), fill: "var(--tube)", stroke: "var(--tube-edge)", "stroke-width": 1.6, "stroke-linejoin": "round" }, layer);
   make("path", { d: line(beside(poses, 0)), fill: "none", stroke: "var(--tube-edge)", "stroke-width": 1, "stroke-dasharray": "1 4", "stroke-linecap": "round", opacity: .6 }, layer);
-  for (const [side, sign] of [["left", 1], ["right", -1]]) {
-    (store.page?.body?.sensors?.[side] ?? []).forEach((arc, n) => {
+  for (const of of columns()) {
+    const sign = of.side === "left" ? 1 : -1;
+    of.centers_cm.forEach((arc, n) => {
       const [from, to] = [arc - 3, arc + 3].map((at) => along(poses, at));
       const middle = along(poses, arc);
       if (!middle) return;
       const points = [from ?? middle, middle, to ?? middle];
-      make("path", { d: line(beside(points, sign * radius * .72)), fill: "none", stroke: `var(--${side}-${n + 1})`, "stroke-width": 3.2, "stroke-linecap": "round" }, layer);
+      make("path", { d: line(beside(points, sign * radius * .72)), fill: "none", stroke: `var(${shade(of, n)})`, "stroke-width": 3.2, "stroke-linecap": "round" }, layer);
     });
   }
   drawBase(layer, radius);
@@ -239,7 +245,7 @@ function drawWall(layer, { surface, wall_probability: wall }) {
 function label(layer, contact, words, x, y, placed) {
   const range = pointEstimate(contact) ? words.interval : `95 %: ${minus(words.interval)}`;
   const up = contact.y_cm >= 0 ? -1 : 1;
-  const width = 116, anchor = x + 20 + width > svg.clientWidth - 12 ? "end" : "start";
+  const width = 158, anchor = x + 20 + width > svg.clientWidth - 12 ? "end" : "start";
   const out = anchor === "start" ? 1 : -1, tx = x + 20 * out;
   let ty = y + up * 30;
   while (placed.some((at) => Math.abs(at.y - ty) < 32 && Math.abs(at.x - tx) < width)) ty += up * 8;

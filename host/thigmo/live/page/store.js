@@ -10,7 +10,14 @@ export const COLUMNS = 29;
 // Beside them: curvature where it tells something, which is where the free body's is known. The
 // sensors of an inflated side wrinkle.
 COLUMN.telling = COLUMNS;
-export const SIDES = ["left", "right"];
+// The robot's muscles and columns of sensors, as robot.toml names them.
+export const muscles = () => store.page?.body?.muscles ?? [];
+export const columns = () => store.page?.body?.columns ?? [];
+const SHADES = 5;
+// The colour of a column's sensor, from dark at the base to pale: a name in style.css.
+export const shade = ({ side, inputs }, n) => (
+  `--${side}-${1 + Math.round(n * Math.min(1, (SHADES - 1) / Math.max(inputs.length - 1, 1)))}`
+);
 const KEPT = 40_000; // rows: more than three minutes of full telemetry
 const TRAIL = 400; // shapes of a stage
 const SWEEPING = ["SWEEP", "REST", "MEASURE", "LOCALIZE"];

@@ -44,7 +44,7 @@ Row = dict[str, Any]
 def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None) -> Outcome:
     """Solve every trial by every method that its experiment compares, once; rows and figures.
 
-    Conditions without trials are left out.
+    Conditions without trials are omitted.
 
     Raises:
         DataError: no trial.
@@ -85,7 +85,7 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
 
 
 def errors(solved: Sequence[Solved], method: str) -> dict[str, float]:
-    """A method's errors over trials, cm; trials without an answer are left out.
+    """A method's errors over trials, cm; trials without an answer are omitted.
 
     Mean and std are in the thesis's measure; nearest_mean and other_mean of the closest pair of
     contact and obstacle, and of the others; workspace_mean is of the x in the workspace.

@@ -1,0 +1,883 @@
+// Loads on a body in space, weighed as those in a plane are.
+//
+// The body carries a frame (tangent, normal, binormal) that turns about its tangent only where a
+// couple twists it. Its curvature is a vector u in that frame, R' = R [u], and a reading the mean
+// of h . u over a span. A force F at r(a) and a couple C, over EI, bend the body before a by
+//     K R(s)' (C + (r(a) - r(s)) x F),    K = (EI / GJ, 1, 1),
+// so with the integrals of R K and of r x R K up to any arc, the response of a reading to a load at
+// any place is a difference of two of them: every reading is a line, every load a wrench. Given
+// places and shape, readings are linear in the loads, and evidence, noise and bad readings are
+// those of loads.h. Weight is a known wrench.
+#pragma once
+
+#include "hypotheses.h"
+
+namespace thigmo {
+
+inline double dot(const Vector& a, const Vector& b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+inline Vector cross(const Vector& a, const Vector& b) {
+  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
+}
+// a + x b
+inline Vector plus(const Vector& a, double x, const Vector& b) {
+  return {a[0] + x * b[0], a[1] + x * b[1], a[2] + x * b[2]};
+}
+
+// Three columns: of a frame tangent, normal and binormal.
+using Columns3 = std::array<Vector, 3>;
+
+inline Vector times(const Columns3& m, const Vector& v) {
+  return plus(plus(plus({}, v[0], m[0]), v[1], m[1]), v[2], m[2]);
+}
+inline Columns3 times(const Columns3& m, const Columns3& n) {
+  return {times(m, n[0]), times(m, n[1]), times(m, n[2])};
+}
+
+// By a rotation vector of less than half a radian (Rodrigues, by Taylor's series: 1e-10).
+inline Columns3 rotation(const Vector& w) {
+  const double t = dot(w, w);
+  const double a = 1.0 - t / 6.0 * (1.0 - t / 20.0 * (1.0 - t / 42.0));
+  const double b = 0.5 - t / 24.0 * (1.0 - t / 30.0 * (1.0 - t / 56.0));
+  const double c = 1.0 - b * t;
+  return {{{c + b * w[0] * w[0], b * w[0] * w[1] + a * w[2], b * w[0] * w[2] - a * w[1]},
+           {b * w[0] * w[1] - a * w[2], c + b * w[1] * w[1], b * w[1] * w[2] + a * w[0]},
+           {b * w[0] * w[2] + a * w[1], b * w[1] * w[2] - a * w[0], c + b * w[2] * w[2]}}};
+}
+
+// A section of the body, and the integrals up to there.
+struct Section {
+  double arc = 0.0;
+  Columns3 frame{{{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}}};
+  Vector at{};        // its place
+  Columns3 turns{};   // of the frame's columns, times K
+  Columns3 levers{};  // of the place's cross products with them
+  Vector places{};    // of the place
+};
+
+using Curvature = std::vector<Vector>;  // in each cell of the body
+
+// The body's shape, from its curvature.
+class SpaceShape {
+ public:
+  SpaceShape(Curvature u, const Vector& compliance) : u_(std::move(u)), compliance_(compliance) {
+    const int cells = static_cast<int>(u_.size());
+    sections_.resize(cells + 1);
+    middle_.resize(cells);
+    for (int c = 0; c < cells; ++c) {
+      sections_[c + 1] = beyond(sections_[c], u_[c], 1.0 / cells, &middle_[c]);
+      sections_[c + 1].arc = (c + 1.0) / cells;
+    }
+  }
+
+  const Curvature& curvature() const { return u_; }
+  const Section& end() const { return sections_.back(); }
+
+  Section at(double arc) const {
+    const int cells = static_cast<int>(u_.size());
+    const int c = std::min(static_cast<int>(arc * cells), cells - 1);
+    Section out = beyond(sections_[c], u_[c], arc - sections_[c].arc, nullptr);
+    out.arc = arc;
+    return out;
+  }
+
+  // Largest lever of forces across the body at a section.
+  double largest_lever(const Section& of) const {
+    double most = 0.0;
+    for (std::size_t c = 0; c < sections_.size() && sections_[c].arc < of.arc; c += 4) {
+      most = std::max(most, std::abs(dot(of.frame[0], plus(of.at, -1.0, sections_[c].at))));
+    }
+    return most;
+  }
+
+  // Adds the curvature that a force and a couple at a section cause.
+  void add(const Section& of, const Vector& force, const Vector& couple, Curvature& to) const {
+    const double cells = static_cast<double>(u_.size());
+    for (std::size_t c = 0; c < u_.size() && sections_[c].arc < of.arc; ++c) {
+      const double before = std::min((of.arc - sections_[c].arc) * cells, 1.0);
+      const Vector way = plus(of.at, -1.0, middle_[c].at), arm = cross(way, force);
+      const Vector moment = plus(couple, 1.0, arm);
+      for (int j = 0; j < 3; ++j) {
+        to[c][j] += before * compliance_[j] * dot(middle_[c].frame[j], moment);
+      }
+    }
+  }
+
+  // Curvature that a weight per length causes at a section.
+  Vector by_weight(const Section& of, const Vector& weight) const {
+    const Vector rest = plus(end().places, -1.0, of.places);  // of the body beyond
+    const Vector moment = cross(plus(rest, of.arc - 1.0, of.at), weight);
+    Vector out{};
+    for (int j = 0; j < 3; ++j) out[j] = compliance_[j] * dot(of.frame[j], moment);
+    return out;
+  }
+  const Section& section(std::size_t c) const { return sections_[c]; }
+
+ private:
+  struct Middle {
+    Columns3 frame;
+    Vector at;
+  };
+  Section beyond(const Section& from, const Vector& u, double step, Middle* middle) const {
+    const double half = 0.5 * step;
+    const Columns3 turn = rotation({u[0] * half, u[1] * half, u[2] * half});
+    const Columns3 frame = times(from.frame, turn);
+    const Vector centre = plus(from.at, half, frame[0]);
+    Section out = from;
+    out.frame = times(frame, turn);
+    out.at = plus(from.at, step, frame[0]);
+    for (int j = 0; j < 3; ++j) {
+      const double share = step * compliance_[j];
+      out.turns[j] = plus(from.turns[j], share, frame[j]);
+      out.levers[j] = plus(from.levers[j], share, cross(centre, frame[j]));
+    }
+    out.places = plus(from.places, step, centre);
+    if (middle) *middle = {frame, centre};
+    return out;
+  }
+
+  Curvature u_;
+  Vector compliance_;
+  std::vector<Section> sections_;  // between the cells
+  std::vector<Middle> middle_;     // of the cells
+};
+
+// Directions of the readings on a shape: what turns unit wrenches into readings.
+class Lines {
+ public:
+  Lines(const SpaceShape& shape, const Frame& frame, const std::vector<Vector>& direction)
+      : direction_(direction) {
+    for (int i = 0; i < frame.size(); ++i) {
+      // A point sensor is a short one.
+      const double half = std::max(0.5 * (frame.high[i] - frame.low[i]), 1e-4);
+      const double middle = std::clamp(0.5 * (frame.low[i] + frame.high[i]), half, 1.0 - half);
+      if (i > 0 && frame.low[i] == frame.low[i - 1] && frame.high[i] == frame.high[i - 1]) {
+        near_.push_back(near_.back()), far_.push_back(far_.back());
+      } else {
+        near_.push_back(shape.at(middle - half)), far_.push_back(shape.at(middle + half));
+      }
+      line_.push_back(between(i, far_[i]));
+    }
+  }
+
+  // Of reading i, to a force and to a couple at a section.
+  std::pair<Vector, Vector> response(int i, const Section& of) const {
+    if (of.arc <= near_[i].arc) return {};
+    const Line line = of.arc < far_[i].arc ? between(i, of) : line_[i];
+    return {plus(line.lever, 1.0, cross(line.turn, of.at)), line.turn};
+  }
+
+  // What weight adds to reading i: the mean over its span, by Simpson's rule.
+  double by_weight(int i, const SpaceShape& shape, const Vector& weight) const {
+    const Section middle = shape.at(0.5 * (near_[i].arc + far_[i].arc));
+    const Vector ends =
+        plus(shape.by_weight(near_[i], weight), 1.0, shape.by_weight(far_[i], weight));
+    return dot(direction_[i], plus(ends, 4.0, shape.by_weight(middle, weight))) / 6.0;
+  }
+
+ private:
+  struct Line {
+    Vector turn, lever;
+  };
+  Line between(int i, const Section& to) const {
+    const Section& from = near_[i];
+    const Vector& h = direction_[i];
+    const double share = 1.0 / (far_[i].arc - from.arc);
+    Line out{};
+    for (int j = 0; j < 3; ++j) {
+      out.turn = plus(out.turn, share * h[j], plus(to.turns[j], -1.0, from.turns[j]));
+      out.lever = plus(out.lever, share * h[j], plus(to.levers[j], -1.0, from.levers[j]));
+    }
+    return out;
+  }
+
+  const std::vector<Vector>& direction_;
+  std::vector<Section> near_, far_;
+  std::vector<Line> line_;
+};
+
+// A load: whether it may lie anywhere on the body, or on its end only; whether it bears a force
+// along the body, and couples there, of any size or at most those of a force on the face.
+struct SpaceLoad {
+  bool anywhere, along, couples, held;
+};
+constexpr SpaceLoad kTouch{true, false, false, false};
+constexpr SpaceLoad kFace{false, true, true, false};
+constexpr SpaceLoad kGrip{false, true, true, true};
+
+// What is weighed of several loads together, base to tip.
+struct SpaceExplanation {
+  Load name;
+  std::vector<SpaceLoad> loads;
+  int cells;  // of the first grid of each that may lie anywhere
+};
+
+// Unit wrenches of loads at a section: one prior standard deviation each, for a largest moment of
+// one; forces across the body first.
+struct Wrenches {
+  int count = 0;
+  double unit = 0.0;  // of a force
+  std::array<Vector, 6> force{}, couple{};
+};
+
+// Sets of places, one of each load's cells, and the columns of all cells.
+class SpaceGrid {
+ public:
+  static constexpr int kMost = 8;  // numbers of a set
+
+  struct Placed {
+    const SpaceLoad* load;
+    Window window;
+    int cells, size;  // numbers of a load
+    double width;
+    Row place;
+    std::vector<Section> section;
+    std::vector<Wrenches> wrench;
+    Matrix column;     // (N, cells * size)
+    Matrix white;      // the same, whitened at one level of the noise
+    Row told, square;  // products with the readings; (cells, size, size) with each other
+  };
+  std::vector<Placed> placed;
+  Row mass;                   // of each set
+  Matrix mean, spread, felt;  // (loads, sets) size of the force across the body
+  double top = -INFINITY, total = 0.0;
+  int best = 0;           // index of the likeliest set
+  std::size_t level = 0;  // of the noise that suits it
+  double scale = 0.0;     // of the forces that suits it
+
+  // As `share_out` asks for them.
+  int size() const { return static_cast<int>(mass.size()); }
+  int cell(int load, int set) const { return cell_[load][set]; }
+  int count() const { return static_cast<int>(placed.size()); }
+  // A load on the end is drawn as one on the last cell.
+  Row places(int load) const {
+    const Placed& p = placed[load];
+    return p.load->anywhere ? p.place : Row{1.0 - 0.5 * p.width};
+  }
+  Row width;  // of the cells of each load
+
+  void list() {
+    width.clear();
+    for (const Placed& p : placed) width.push_back(p.width);
+    for (auto& each : cell_) each.clear();
+    std::array<int, kMostContacts> at{};
+    list(0, at);
+    mass.assign(cell_[0].size(), 0.0);
+    peak_of_.assign(mass.size(), -INFINITY), scale_of_ = mass;
+    top = peak_ = -INFINITY, total = 0.0;
+  }
+
+  // Takes columns and readings at one level of the noise.
+  THIGMO_WIDE void take(const Whitener& by, const Row& read) {
+    for (Placed& p : placed) {
+      by(p.column, p.white);
+      const int wide = p.white.columns, k = p.size;
+      p.told.assign(wide, 0.0), p.square.assign(static_cast<std::size_t>(wide) * k, 0.0);
+      for (int i = 0; i < p.white.rows; ++i) {
+        const double *row = p.white[i], own = read[i];
+        for (int c = 0; c < wide; ++c) p.told[c] += row[c] * own;
+        for (int c = 0; c < wide; ++c) {
+          const double value = row[c];
+          const double* beside = row + c / k * k;
+          for (int j = 0; j < k; ++j) p.square[c * k + j] += value * beside[j];
+        }
+      }
+    }
+    for (int b = 1; b < count(); ++b) {
+      for (int a = 0; a < b; ++a) {
+        const Matrix &one = placed[a].white, &two = placed[b].white;
+        Matrix& to = both_[pair(a, b)];
+        to.resize(one.columns, two.columns);
+        std::fill(to.value.begin(), to.value.end(), 0.0);
+        for (int i = 0; i < one.rows; ++i) {
+          const double *left = one[i], *right = two[i];
+          for (int c = 0; c < one.columns; ++c) {
+            double* __restrict row = to[c];
+            for (int d = 0; d < two.columns; ++d) row[d] += left[c] * right[d];
+          }
+        }
+      }
+    }
+  }
+
+  // Adds the weights of all sets at that level and a scale of the forces.
+  void weigh(double constant, std::size_t at_level, double at_scale) {
+    weight_.resize(mass.size());
+    const double tight = 1.0 / (at_scale * at_scale);
+    numbers([&]<int K>() {
+      for (int s = 0; s < size(); ++s) {
+        const Solved<K> found(*this, s, tight);
+        double log_weight = 0.5 * found.gain - std::log(found.volume) - K * std::log(at_scale);
+        for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
+          // A face is pushed, never pulled.
+          if (!placed[j].load->along || placed[j].load->held) continue;
+          const double mean = found.mean()[from + 2],
+                       deviation = std::sqrt(found.variance(from + 2));
+          log_weight +=
+              std::log(std::max(std::erfc(mean / (std::numbers::sqrt2 * deviation)), 1e-300));
+        }
+        weight_[s] = constant + log_weight;
+      }
+    });
+    const int most =
+        static_cast<int>(std::max_element(weight_.begin(), weight_.end()) - weight_.begin());
+    if (weight_[most] > top) {
+      const double shrink = std::exp(top - weight_[most]);
+      for (double& value : mass) value *= shrink;
+      total *= shrink, top = weight_[most];
+    }
+    if (weight_[most] > peak_)
+      peak_ = weight_[most], best = most, level = at_level, scale = at_scale;
+    for (int s = 0; s < size(); ++s) {
+      const double share = weight_[s] < top - kNothing ? 0.0 : std::exp(weight_[s] - top);
+      mass[s] += share, total += share;
+      if (weight_[s] > peak_of_[s]) peak_of_[s] = weight_[s], scale_of_[s] = at_scale;
+    }
+  }
+
+  // Forces of all sets at the level that was taken last, and whether they move the readings by
+  // `least` standard errors.
+  void solve(double least) {
+    for (Matrix* each : {&mean, &spread, &felt}) *each = Matrix(count(), size());
+    numbers([&]<int K>() {
+      for (int s = 0; s < size(); ++s) {
+        if (mass[s] == 0.0) continue;
+        const Solved<K> found(*this, s, 1.0 / (scale_of_[s] * scale_of_[s]));
+        const std::array<double, K> force = found.mean();
+        for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
+          const Placed& p = placed[j];
+          const int cell = cell_[j][s];
+          const double* square = &p.square[static_cast<std::size_t>(cell) * p.size * p.size];
+          std::array<double, K> across{}, moves{};
+          double length = 0.0, moved = 0.0;
+          for (int k = 0; k < p.size; ++k) {
+            if (k < 2)
+              across[from + k] = force[from + k], length += force[from + k] * force[from + k];
+            for (int l = 0; l < p.size; ++l)
+              moves[from + k] += square[k * p.size + l] * force[from + l];
+            moved += moves[from + k] * force[from + k];
+          }
+          length = std::sqrt(std::max(length, 1e-300)), moved = std::sqrt(std::max(moved, 1e-300));
+          mean[j][s] = length * p.wrench[cell].unit;
+          spread[j][s] = std::sqrt(found.variance(across)) / length * p.wrench[cell].unit;
+          felt[j][s] = probability_felt(moved, std::sqrt(found.variance(moves)) / moved, least);
+        }
+      }
+    });
+  }
+
+  // Loads of the likeliest set, in units of their deviations at a scale of one, at the level that
+  // was taken last.
+  Row likeliest() const {
+    Row out;
+    numbers([&]<int K>() {
+      const auto mean = Solved<K>(*this, best, 1.0 / (scale * scale)).mean();
+      out.assign(mean.begin(), mean.end());
+    });
+    return out;
+  }
+
+  // Probability that all loads of a set are felt.
+  double all_felt() const {
+    double sum = 0.0;
+    for (int s = 0; s < size(); ++s) {
+      double likely = mass[s];
+      for (int j = 0; j < count(); ++j) likely *= felt[j][s];
+      sum += likely;
+    }
+    return sum / total;
+  }
+
+ private:
+  static int pair(int a, int b) { return a + b - 1; }  // (0, 1), (0, 2), (1, 2)
+
+  void list(int load, std::array<int, kMostContacts>& at) {
+    if (load == count() || load == static_cast<int>(kMostContacts)) {
+      for (int j = 0; j < count(); ++j) cell_[j].push_back(at[j]);
+      return;
+    }
+    const Placed& p = placed[load];
+    for (at[load] = 0; at[load] < p.cells; ++at[load]) {
+      if (load > 0) {
+        const Placed& before = placed[load - 1];
+        const double gap = 0.5 * std::min(p.width, before.width);
+        if (p.place[at[load]] - before.place[at[load - 1]] < gap) continue;
+      }
+      list(load + 1, at);
+    }
+  }
+
+  // Calls `run` for as many numbers as a set has.
+  template <class Run>
+  void numbers(const Run& run) const {
+    int sum = 0;
+    for (const Placed& p : placed) sum += p.size;
+    switch (sum) {
+      case 2:
+        return run.template operator()<2>();
+      case 4:
+        return run.template operator()<4>();
+      case 5:
+        return run.template operator()<5>();
+      case 6:
+        return run.template operator()<6>();
+      case 7:
+        return run.template operator()<7>();
+      default:
+        return run.template operator()<8>();
+    }
+  }
+
+  // Normal equations of a set's K numbers, by Cholesky.
+  template <int K>
+  struct Solved {
+    std::array<std::array<double, K>, K> lower;
+    std::array<double, K> half;
+    double gain = 0.0, volume = 1.0;
+
+    Solved(const SpaceGrid& grid, int s, double tight) {
+      std::array<int, K> load, from;
+      for (int j = 0, k = 0; j < grid.count(); ++j) {
+        for (int l = 0; l < grid.placed[j].size; ++l, ++k) load[k] = j, from[k] = l;
+      }
+      for (int k = 0; k < K; ++k) {
+        const int b = load[k];
+        const Placed& p = grid.placed[b];
+        const int column = grid.cell_[b][s] * p.size + from[k];
+        half[k] = p.told[column];
+        for (int l = 0; l <= k; ++l) {
+          const int a = load[l];
+          double value = 0.0;
+          if (a == b) {
+            value = p.square[static_cast<std::size_t>(column) * p.size + from[l]];
+          } else {
+            const int other = grid.cell_[a][s] * grid.placed[a].size + from[l];
+            value = grid.both_[pair(a, b)][other][column];
+          }
+          lower[k][l] = value + (k == l ? tight : 0.0);
+        }
+      }
+      for (int k = 0; k < K; ++k) {
+        for (int l = 0; l < k; ++l) {
+          for (int m = 0; m < l; ++m) lower[k][l] -= lower[k][m] * lower[l][m];
+          lower[k][l] /= lower[l][l];
+          lower[k][k] -= lower[k][l] * lower[k][l];
+          half[k] -= lower[k][l] * half[l];
+        }
+        lower[k][k] = std::sqrt(std::max(lower[k][k], 1e-300));
+        half[k] /= lower[k][k];
+        gain += half[k] * half[k];
+        volume *= lower[k][k];
+      }
+    }
+
+    std::array<double, K> mean() const {
+      std::array<double, K> out = half;
+      for (int k = K; k-- > 0;) {
+        for (int l = k + 1; l < K; ++l) out[k] -= lower[l][k] * out[l];
+        out[k] /= lower[k][k];
+      }
+      return out;
+    }
+    // Variance of a sum of the numbers.
+    double variance(std::array<double, K> of) const {
+      double sum = 0.0;
+      for (int k = 0; k < K; ++k) {
+        for (int l = 0; l < k; ++l) of[k] -= lower[k][l] * of[l];
+        of[k] /= lower[k][k];
+        sum += of[k] * of[k];
+      }
+      return sum;
+    }
+    double variance(int number) const {
+      std::array<double, K> of{};
+      of[number] = 1.0;
+      return variance(of);
+    }
+  };
+
+  std::array<std::vector<int>, kMostContacts> cell_;  // of each set
+  std::array<Matrix, 3> both_;                        // products of the columns of two loads
+  Row weight_, peak_of_, scale_of_;
+  double peak_ = -INFINITY;
+};
+
+class InSpace : public Explanations {
+ public:
+  InSpace(Readings&& given, const Input& in, const Priors& priors, const Settings& settings)
+      : Explanations(std::move(given), priors, settings), space_(*settings.space) {
+    for (const int i : readings.index) direction_.push_back(space_.direction[i]);
+    rest_ = curvature_of([&](int i) { return pick(in.body, i) * in.length; });
+    // The body that the readings show: with what is missing as if it were free.
+    Row shown(in.curvature.size());
+    for (std::size_t i = 0; i < shown.size(); ++i) shown[i] = pick(in.body, i) * in.length;
+    for (int i = 0; i < frame_.size(); ++i) shown[readings.index[i]] += frame_.excess[i];
+    start_ = curvature_of([&](int i) { return shown[i]; });
+    if (weighs()) {
+      Curvature hanging = rest_;
+      for (int pass = 0; pass < kMostTurns; ++pass) {
+        const SpaceShape shape(hanging, space_.compliance);
+        Curvature next = base(shape);
+        const double change = apart(next, hanging);
+        for (std::size_t c = 0; c < next.size(); ++c) {
+          for (int j = 0; j < 3; ++j) next[c][j] = 0.5 * (next[c][j] + hanging[c][j]);
+        }
+        hanging = std::move(next);
+        if (change < 1e-6) break;
+      }
+      const SpaceShape shape(hanging, space_.compliance);
+      const Lines lines(shape, frame_, direction_);
+      hanging_.resize(frame_.size());
+      for (int i = 0; i < frame_.size(); ++i) {
+        hanging_[i] = lines.by_weight(i, shape, space_.weight);
+        readings.frame.excess[i] -= hanging_[i];
+      }
+      rest_weighed_ = base(shape);
+      whiten();
+    } else {
+      rest_weighed_ = rest_;
+    }
+    for (const Vector& h : direction_) twists_ |= space_.compliance[0] > 0.0 && h[0] != 0.0;
+    readings.turn = turn_of(rest_);
+  }
+
+  // Curvature in each cell above that of the free body: about the normal, about the binormal.
+  Row bend(const Hypothesis& by) const {
+    Row out;
+    for (std::size_t c = 0; c < by.bent.size(); ++c) {
+      for (int j = 1; j < 3; ++j) out.push_back(by.bent[c][j] - rest_weighed_[c][j]);
+    }
+    return out;
+  }
+
+  void run() {
+    free();
+    const double doubtful = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
+    std::size_t one = add({Load::contact, {kTouch}, kCells}, contact_, start_, -1);
+    const bool misfit = readings.known && found[one].misfit > limit_;
+    if (readings.known) explained = found[0].misfit - found[one].misfit;
+    if (explained < found[one].misfit) explained = 0.0;
+    if (found[one].misfit > doubtful) {
+      const Curvature bent = found[one].bent;
+      readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
+                               {priors_.noise_factor, std::log(priors_.noise_odds)}};
+      whiten();
+      found.clear();
+      free();
+      one = add({Load::contact, {kTouch}, kCells}, contact_, bent, -1);
+    }
+    doubt_of(found[one], {Load::contact, {kTouch}, kCells}, contact_);
+    const Curvature bent = found[one].bent;
+    const double turn = turn_of(bent);
+    const bool bends = readings.turn > priors_.end_turn;
+    const auto odds = [](double given, double usual) { return std::isnan(given) ? usual : given; };
+    const bool grip = settings_.held_end != Settings::Held::no;
+    const bool face = settings_.log_end > -INFINITY || std::isnan(settings_.log_end);
+    if (frame_.size() > 1 && face && std::max(readings.turn, turn) > priors_.end_turn &&
+        settings_.held_end != Settings::Held::yes) {
+      add({Load::end, {kFace}, 1},
+          contact_ + odds(settings_.log_end, bends ? priors_.end : priors_.end_straight), bent, -1);
+    }
+    const auto several = [&](int count) {
+      if (settings_.contacts >= 0) return frame_.size() >= 2 && settings_.contacts >= count;
+      return frame_.size() >= count;
+    };
+    bool poor = misfit;
+    Curvature bent_by_two = bent;
+    if (several(2)) {
+      const std::size_t two =
+          add({Load::two, {kTouch, kTouch}, kPairCells}, contact_ + priors_.another, bent, -1);
+      if (two < found.size()) {
+        poor |= !readings.known && found[two].log_weight > found[one].log_weight;
+        bent_by_two = found[two].bent;
+        doubt_of(found[two], {Load::two, {kTouch, kTouch}, kPairCells}, contact_ + priors_.another);
+      }
+    }
+    if (grip && frame_.size() > 1 && (poor || turn > priors_.straight)) {
+      double weight = contact_;
+      if (settings_.held_end == Settings::Held::perhaps) {
+        weight += odds(settings_.log_held, bends ? priors_.held : priors_.held_straight);
+      }
+      const std::size_t held = add({Load::end, {kGrip}, 1}, weight, bent, -1);
+      if (held < found.size()) doubt_of(found[held], {Load::end, {kGrip}, 1}, weight);
+      if (several(2)) {
+        add({Load::contact_end, {kTouch, kGrip}, kPairCells}, weight + priors_.another, bent_by_two,
+            -1);
+      }
+    }
+    if (several(3)) {
+      add({Load::three, {kTouch, kTouch, kTouch}, kTripleCells}, contact_ + 2.0 * priors_.another,
+          bent_by_two, -1);
+    }
+    weigh_doubts();
+  }
+
+ private:
+  bool weighs() const { return dot(space_.weight, space_.weight) > 0.0; }
+
+  // Curvature of a body that the readings `of` show.
+  template <class Of>
+  Curvature curvature_of(const Of& of) const {
+    const Matrix& map = space_.curvature_map;
+    Curvature out(map.rows / 2, Vector{});
+    for (int r = 0; r < map.rows; ++r) {
+      double sum = 0.0;
+      for (int i = 0; i < map.columns; ++i) sum += map[r][i] * of(i);
+      out[r / 2][1 + r % 2] = sum;
+    }
+    return out;
+  }
+
+  static double apart(const Curvature& a, const Curvature& b) {
+    double most = 0.0;
+    for (std::size_t c = 0; c < a.size(); ++c) {
+      const Vector between = plus(a[c], -1.0, b[c]);
+      most = std::max(most, dot(between, between));
+    }
+    return std::sqrt(most);
+  }
+
+  // The largest angle of the body with its base.
+  double turn_of(const Curvature& u) const {
+    const SpaceShape shape(u, space_.compliance);
+    double least = 1.0;
+    for (std::size_t c = 0; c <= u.size(); ++c)
+      least = std::min(least, shape.section(c).frame[0][0]);
+    return std::acos(std::clamp(least, -1.0, 1.0));
+  }
+
+  // Curvature of the body under its weight alone, in a shape.
+  Curvature base(const SpaceShape& shape) const {
+    Curvature out = rest_;
+    if (!weighs()) return out;
+    const double cells = static_cast<double>(out.size());
+    for (std::size_t c = 0; c < out.size(); ++c) {
+      out[c] =
+          plus(out[c], 1.0,
+               shape.by_weight(shape.at((static_cast<double>(c) + 0.5) / cells), space_.weight));
+    }
+    return out;
+  }
+
+  // What weight adds to the readings in a shape, beyond what it adds to those of the free body.
+  Row known(const SpaceShape& shape, const Lines& lines) const {
+    Row out;
+    if (!weighs()) return out;
+    for (int i = 0; i < frame_.size(); ++i) {
+      out.push_back(lines.by_weight(i, shape, space_.weight) - hanging_[i]);
+    }
+    return out;
+  }
+
+  Wrenches wrenches(const SpaceLoad& load, const Section& at, double lever) const {
+    Wrenches out;
+    out.unit = 1.0 / lever;
+    const auto add = [&](const Vector& force, double f, const Vector& couple, double c) {
+      out.force[out.count] = plus({}, f, force);
+      out.couple[out.count++] = plus({}, c, couple);
+    };
+    for (int j = 1; j < 3; ++j) add(at.frame[j], out.unit, {}, 0.0);
+    if (load.along) add(at.frame[0], out.unit, {}, 0.0);
+    const double couple = load.held ? 1.0 : settings_.radius * out.unit;
+    for (int j = 1; load.couples && j < 3; ++j) add({}, 0.0, at.frame[j], couple);
+    if (load.couples && load.held && twists_) add({}, 0.0, at.frame[0], couple);
+    return out;
+  }
+
+  // Lays the cells of a load in its window, on a shape.
+  void place(SpaceGrid::Placed& p, const SpaceShape& shape, const Lines& lines) const {
+    p.place = p.load->anywhere ? middles(p.window, p.cells) : Row{1.0};
+    Row lever;
+    p.section.clear(), p.wrench.clear();
+    for (const double arc : p.place) {
+      p.section.push_back(shape.at(arc));
+      lever.push_back(shape.largest_lever(p.section.back()));
+    }
+    const double least = std::max(priors_.least_lever * shape.largest_lever(shape.end()), 1e-6);
+    for (std::size_t m = 0; m < lever.size(); ++m) {
+      p.wrench.push_back(wrenches(*p.load, p.section[m], std::max(lever[m], least)));
+    }
+    p.size = p.wrench[0].count;
+    fill(lines, p.section, p.wrench, p.column);
+  }
+
+  // Columns of loads at sections: (N, places * numbers).
+  void fill(const Lines& lines, const std::vector<Section>& section,
+            const std::vector<Wrenches>& wrench, Matrix& out) const {
+    const int places = static_cast<int>(section.size()), size = wrench[0].count;
+    out.resize(frame_.size(), places * size);
+    for (int i = 0; i < frame_.size(); ++i) {
+      double* row = out[i];
+      for (int m = 0; m < places; ++m) {
+        const auto [force, couple] = lines.response(i, section[m]);
+        for (int k = 0; k < size; ++k) {
+          *row++ = dot(force, wrench[m].force[k]) + dot(couple, wrench[m].couple[k]);
+        }
+      }
+    }
+  }
+
+  // Weighs an explanation; the index of the hypothesis, or that beyond the last if no set of places
+  // is possible.
+  std::size_t add(const SpaceExplanation& of, double weight, const Curvature& start, int bad) {
+    const Whitened white = with(bad_, bad);
+    const int count = static_cast<int>(of.loads.size());
+    const bool all = settings_.contacts == count;
+    const bool beside =
+        of.name != Load::contact && !all && settings_.held_end != Settings::Held::yes;
+    SpaceGrid grid;
+    for (const SpaceLoad& load : of.loads) {
+      const int cells = load.anywhere ? of.cells : 1;
+      grid.placed.push_back({&load, {0.0, 1.0}, cells, 0, 0.0, {}, {}, {}, {}, {}, {}, {}});
+    }
+    const double odds = bad < 0 ? weight : weight + readings.log_bad[bad];
+    const double matters = best() - odds + (count == 1 ? -INFINITY : kSeveralMatter);
+    const double least = count < 3 || all ? -INFINITY : best() - odds + kNegligible;
+    SpaceShape shape(start, space_.compliance);
+    SeveralContacts fit;
+    fit.contacts.resize(count);
+    bool whole = true;
+    int moves = 0;
+    double last = INFINITY;
+    for (int turn = 0; turn < kMostTurns; ++turn) {
+      const Lines lines(shape, frame_, direction_);
+      double log_volume = 0.0;
+      int free = 0;
+      for (SpaceGrid::Placed& p : grid.placed) {
+        p.width = p.load->anywhere ? (p.window.far - p.window.near) / p.cells : priors_.end_cell;
+        if (p.load->anywhere) log_volume += std::log(++free * p.width);
+        place(p, shape, lines);
+      }
+      grid.list();
+      if (whole && free > 0) log_volume = -std::log(static_cast<double>(grid.size()));
+      fit.known = known(shape, lines);
+      const auto take = [&](const Whitened::At& at) {
+        const Row read = left(at, fit.known);
+        grid.take(at.by, read);
+        return Whitener::dot(read.data(), read.data(), frame_.size());
+      };
+      for (std::size_t s = 0; s < white.levels.size(); ++s) {
+        const double square = take(white.levels[s]);
+        for (const double scale : priors_.moments) {
+          grid.weigh(white.levels[s].by.log_det - 0.5 * square, s, scale);
+        }
+      }
+      const double scales = static_cast<double>(priors_.moments.size());
+      fit.log_evidence = grid.top + std::log(grid.total / scales) + log_volume;
+      const Whitened::At& at = white.levels[grid.level];
+      if (white.levels.size() > 1) take(at);
+      // The first shape is that which the readings show, whatever explains them; the next is that
+      // of the loads.
+      const double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
+      if (beside && fit.log_evidence + odds < best() + hopeless) return found.size();
+      if (turn == 0 && least > -INFINITY) {
+        grid.solve(prior_.felt);
+        if (fit.log_evidence + std::log(grid.all_felt()) < least) return found.size();
+      }
+      Hypothesis out = hypothesis(of.name, fit, weight, 0, bad);
+      Curvature bent = rest(grid, at, shape, out);
+      const double change = apart(bent, shape.curvature());
+      const bool rests = change < prior_.rests || ++moves >= kMostPasses;
+      for (std::size_t c = 0; change >= 0.8 * last && c < bent.size(); ++c) {  // half a step
+        const Vector& before = shape.curvature()[c];
+        bent[c] = plus(before, 0.5, plus(bent[c], -1.0, before));
+      }
+      last = change;
+      shape = SpaceShape(std::move(bent), space_.compliance);
+      bool finer = false;
+      for (int j = 0; rests && j < count; ++j) {
+        SpaceGrid::Placed& p = grid.placed[j];
+        if (!p.load->anywhere) continue;
+        Row each(p.cells);
+        for (int s = 0; s < grid.size(); ++s) each[grid.cell(j, s)] += grid.mass[s] / grid.total;
+        const double coarse = all || fit.log_evidence > matters ? kResolved : kCoarse;
+        if (*std::max_element(each.begin(), each.end()) < coarse || p.width < 1e-6) continue;
+        const Window part = support(each.data(), p.cells, p.window, 10.0 * kOutside, 2);
+        if (part.far - part.near >= 0.75 * (p.window.far - p.window.near)) continue;
+        p.window = part;
+        finer = true, whole = false;
+      }
+      if (finer || !(rests || turn + 1 == kMostTurns)) continue;
+      grid.solve(prior_.felt);
+      const double nothing = kNothingOfAll * std::exp(std::min(matters - fit.log_evidence, 3.0));
+      SeveralContacts shares;
+      shares.contacts.resize(count);
+      share_out(grid, all, count == 1 ? 0.0 : nothing, shares);
+      out.contacts = std::move(shares.contacts), out.sets = std::move(shares.sets);
+      for (const SpaceGrid::Placed& p : grid.placed) {
+        out.numbers += p.size + p.load->anywhere;
+        out.held |= p.load->held;
+      }
+      found.push_back(std::move(out));
+      return found.size() - 1;
+    }
+    return found.size();
+  }
+
+  // Readings, less what is known in a shape, whitened.
+  Row left(const Whitened::At& at, const Row& known) const {
+    if (known.empty()) return at.read;
+    Row excess = frame_.excess;
+    for (std::size_t i = 0; i < excess.size(); ++i) excess[i] -= known[i];
+    return at.by(excess);
+  }
+
+  // The likeliest set of a grid: misfit, forces, and what they bend. Returns the body's curvature
+  // by these and by the readings: what the loads leave of a reading bends the body all the same, so
+  // the shape is near the true one whatever explains it.
+  Curvature rest(const SpaceGrid& of, const Whitened::At& at, const SpaceShape& shape,
+                 Hypothesis& out) const {
+    const Row load = of.likeliest();
+    const int n = frame_.size();
+    const Row read = left(at, out.known);
+    Row white = read, left = frame_.excess;
+    for (std::size_t i = 0; i < out.known.size(); ++i) left[i] -= out.known[i];
+    out.loads = Matrix(static_cast<int>(load.size()), n);
+    out.bent = base(shape);
+    int number = 0;
+    for (int j = 0; j < of.count(); ++j) {
+      const SpaceGrid::Placed& p = of.placed[j];
+      const int cell = of.cell(j, of.best);
+      const Wrenches& wrench = p.wrench[cell];
+      Vector force{}, couple{};
+      for (int k = 0; k < p.size; ++k, ++number) {
+        force = plus(force, load[number], wrench.force[k]);
+        couple = plus(couple, load[number], wrench.couple[k]);
+        if (k == 1) out.forces.push_back(force);
+        for (int i = 0; i < n; ++i) {
+          white[i] -= load[number] * p.white[i][cell * p.size + k];
+          left[i] -= load[number] * p.column[i][cell * p.size + k];
+          out.loads[number][i] = of.scale * p.column[i][cell * p.size + k];
+        }
+      }
+      shape.add(p.section[cell], force, couple, out.bent);
+    }
+    out.noise = at.factor, out.misfit = Whitener::dot(white.data(), white.data(), n);
+    Curvature all = out.bent;
+    const Matrix& map = space_.curvature_map;
+    for (int r = 0; r < map.rows; ++r) {
+      for (int i = 0; i < n; ++i) {
+        if (i != out.bad) all[r / 2][1 + r % 2] += map[r][readings.index[i]] * left[i];
+      }
+    }
+    return all;
+  }
+
+  void doubt_of(const Hypothesis& of, const SpaceExplanation& how, double weight) {
+    doubt(of, weight - contact_,
+          [this, how, weight, start = of.bent](int i) { add(how, weight, start, i); });
+  }
+
+  static constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
+  static constexpr double kNothingOfAll = 1e-4;
+  static constexpr double kFarFromIt = -40.0;  // log odds at the first shape, as none that is right
+
+  const Space& space_;
+  std::vector<Vector> direction_;
+  Curvature rest_, start_, rest_weighed_;
+  bool twists_ = false;  // and sensors measure it
+  Row hanging_;          // what weight adds to the readings of the free body
+};
+
+}  // namespace thigmo

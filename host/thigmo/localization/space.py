@@ -1,0 +1,87 @@
+"""A body in space, as the compiled code takes it: directions of readings, and what bends it.
+
+The frame at a place is carried along the body without a twist: along it, towards direction 0, and a
+quarter turn on (`space.h`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from thigmo.errors import DataError
+from thigmo.localization.described import Body, Sensors
+from thigmo.localization.readings import Array, positive, vector
+
+_CELLS = 96  # of the body
+_SMOOTH = 1e-4  # of a body's bends between sensors, over what a reading counts
+
+
+class Space(NamedTuple):
+    """Nothing in each of them for a body in a plane."""
+
+    direction: Array  # (N, 3) axis of the turn that each reading measures
+    curvature_map: Array  # (2 cells, N) the body's bends in each cell, from readings
+    compliance: Array  # (3,) EI over the stiffness against twist and both bends
+    weight: Array  # (3,) over EI, of a body of length one
+
+
+def in_space(body: Body, sensors: Sensors, position: Array, span: Array) -> Space:
+    """The body in space, if it has directions or a weight; nothing if it has neither.
+
+    Raises:
+        DataError: directions, twist or weight that are not possible.
+    """
+    twist = positive(body.twist, "twist")
+    if sensors.direction is None and body.weight is None:
+        if twist > 0.0:
+            raise DataError("twist is given without directions", "give direction, too")
+        return Space(np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0), np.zeros(0))
+    weight = vector(np.zeros(3) if body.weight is None else body.weight, "weight")
+    if weight.size != 3 or not np.isfinite(weight).all():
+        raise DataError(
+            f"weight is {body.weight!r}", "give three numbers: along the base, and across it twice"
+        )
+    axis = _axes(sensors, position.size)
+    return Space(
+        axis, _curvature_map(position / body.length, span / body.length, axis),
+        np.array([twist, 1.0, 1.0]), weight * body.length**3,
+    )  # fmt: skip
+
+
+def _axes(sensors: Sensors, count: int) -> Array:
+    try:
+        given = np.asarray(0.0 if sensors.direction is None else sensors.direction, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError("direction is not numeric", "give angles in rad, (N,)") from error
+    if not np.isfinite(given).all():
+        raise DataError("a direction is not finite", "give each sensor's angle")
+    if given.ndim < 2 and given.size in (1, count):
+        if np.abs(given).max() > 4.0 * np.pi:
+            raise DataError(
+                f"a direction is {np.abs(given).max():g}",
+                "it looks like degrees: give rad",
+            )
+        angle = np.broadcast_to(given, count)
+        return np.column_stack([np.zeros(count), -np.sin(angle), np.cos(angle)])
+    if given.shape != (count, 3):
+        raise DataError(
+            f"direction has shape {given.shape}", "give an angle or a unit vector for each sensor"
+        )
+    if np.abs(np.linalg.norm(given, axis=1) - 1.0).max() > 1e-3:
+        raise DataError("a direction is no unit vector", "divide each by its length")
+    return np.ascontiguousarray(given)
+
+
+def _curvature_map(position: Array, span: Array, axis: Array) -> Array:
+    """(2 cells, N) by least squares: bends about the normal and the binormal, all but linear."""
+    low, high = (np.clip(position + side * span / 2.0, 0.0, 1.0) for side in (-1.0, 1.0))
+    low, high = np.minimum(low, 1.0 - 0.5 / _CELLS), np.maximum(high, low + 0.5 / _CELLS)
+    edges = np.linspace(0.0, 1.0, _CELLS + 1)
+    inside = np.minimum(high[:, None], edges[1:]) - np.maximum(low[:, None], edges[:-1])
+    share = np.maximum(inside, 0.0) / (high - low)[:, None]
+    seen = (share[:, :, None] * axis[:, None, 1:]).reshape(len(axis), -1)
+    step = np.diff(np.eye(_CELLS), axis=0)
+    smooth = np.kron(_SMOOTH * _CELLS * step.T @ step + 1e-9 * np.eye(_CELLS), np.eye(2))
+    return np.linalg.solve(seen.T @ seen + smooth, seen.T)
