@@ -31,8 +31,8 @@ from thigmo.link.transport import emulated, open_transport
 from thigmo.live import shown
 from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
+from thigmo.live.page_data import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.relay import Watched, Way, stop_port, stop_run, way_to
-from thigmo.live.shown import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.viewer import Viewer
 from thigmo.robot import JOG_CM
