@@ -22,8 +22,8 @@ from thigmo.exploration.measuring import (
     pressed_enough,
     touch_curvature,
 )
-from thigmo.exploration.missed import judged
 from thigmo.exploration.reference import FreeResponse, gain_errors
+from thigmo.exploration.scoring import judged
 from thigmo.exploration.sighting import LEVEL, passed_before, passed_freely, touch_mass
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
