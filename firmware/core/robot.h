@@ -165,7 +165,7 @@ class Robot {
   ConfigStore store_;
   Commands commands_;
   Outputs written_ = {{kNever, kNever}, kNever};
-  uint8_t refreshed_ = kSides;  // output that was written anew last: a side, or the motor
+  uint8_t refreshed_ = 0;  // output that was written again last: a side, or the motor
   bool named_ = false;
 };
 

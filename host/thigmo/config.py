@@ -39,7 +39,7 @@ SIDES: tuple[Side, Side] = ("left", "right")  # of the plane in which the robot 
 SIGN: dict[Side, float] = {"left": 1.0, "right": -1.0}  # of curvature towards a side
 _PASCAL = 6894.757  # of one psi
 _TOWARDS: dict[float, Side] = {90.0: "left", 270.0: "right"}
-_DEGREES: dict[Side, float] = {side: degrees for degrees, side in _TOWARDS.items()}
+DEGREES: dict[Side, float] = {side: degrees for degrees, side in _TOWARDS.items()}
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -162,7 +162,7 @@ class FlexSensor(_Placed):
 
 def _default_sensors() -> list[FlexSensor]:
     return [
-        FlexSensor(direction_deg=_DEGREES[side], center_cm=center)
+        FlexSensor(direction_deg=DEGREES[side], center_cm=center)
         for side in SIDES
         for center in (5.0, 15.0, 25.0, 35.0, 45.0)
     ]
@@ -208,7 +208,7 @@ class Muscle(_Placed):
 
 
 def _default_muscles() -> list[Muscle]:
-    return [Muscle(name=side, direction_deg=_DEGREES[side]) for side in SIDES]
+    return [Muscle(name=side, direction_deg=DEGREES[side]) for side in SIDES]
 
 
 class Board(Model):
@@ -296,7 +296,7 @@ class RobotConfig(Model):
         """Replace the sensors of a side."""
         by_side = {one: self.column(one) for one in SIDES} | {side: list(sensors)}
         for sensor in sensors:
-            sensor.direction_deg = _DEGREES[side]
+            sensor.direction_deg = DEGREES[side]
         others = [sensor for sensor in self.sensors if sensor.side is None]
         self.sensors = [*(s for one in SIDES for s in by_side[one]), *others]
 
@@ -344,13 +344,13 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
     centers = [{"center_cm": sensor.center_cm} for sensor in _default_sensors()[:5]]
     if sensors:
         made["sensor"] = [
-            sensor | {"direction_deg": _DEGREES[side]}
+            sensor | {"direction_deg": DEGREES[side]}
             for side in SIDES
             for sensor in sensors.get(side, centers)
         ]
     if actuators:
         made["muscle"] = [
-            {"name": side, "direction_deg": _DEGREES[side]}
+            {"name": side, "direction_deg": DEGREES[side]}
             | {{"maps": "map"}.get(k, k): v for k, v in actuators.get(side, {}).items()}
             for side in SIDES
         ]

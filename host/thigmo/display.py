@@ -83,10 +83,10 @@ def body_strip(
         An SVG picture that takes the page's text colour.
     """
     width, ground, top = 560.0, 62.0, 8.0
-    left, right = 12.0, 548.0
+    start, end = 12.0, 548.0
 
     def x(arc: float) -> float:
-        return left + (right - left) * min(max(arc / length, 0.0), 1.0)
+        return start + (end - start) * min(max(arc / length, 0.0), 1.0)
 
     drawn = []
     density = [
@@ -105,7 +105,7 @@ def body_strip(
             f'{ground - 8:.1f}Z" fill="{color}" fill-opacity="0.28"/>'
         )
     drawn.append(
-        f'<line x1="{left}" x2="{right}" y1="{ground}" y2="{ground}" stroke="currentColor" '
+        f'<line x1="{start}" x2="{end}" y1="{ground}" y2="{ground}" stroke="currentColor" '
         'stroke-opacity="0.25" stroke-width="9" stroke-linecap="round"/>'
     )
     for bar in bars:
@@ -117,9 +117,9 @@ def body_strip(
         ]
         drawn.append(f'<circle cx="{x(bar.arc):.1f}" cy="{ground}" r="5" fill="{color}"/>')
     style = 'fill="currentColor" font-size="11" font-family="sans-serif"'
-    drawn.append(f'<text x="{left}" y="{ground + 20}" {style}>base 0</text>')
+    drawn.append(f'<text x="{start}" y="{ground + 20}" {style}>base 0</text>')
     drawn.append(
-        f'<text x="{right}" y="{ground + 20}" text-anchor="end" {style}>tip {length:.4g}</text>'
+        f'<text x="{end}" y="{ground + 20}" text-anchor="end" {style}>tip {length:.4g}</text>'
     )
     return (
         f'<svg viewBox="0 0 {width:g} {ground + 26:g}" width="{width:g}" role="img" '

@@ -1,7 +1,7 @@
 """On which of the board's inputs a robot's sensors hang, and what of a robot the board cannot hold.
 
-The firmware has ten inputs for flex sensors. The contact trigger works on input 0, the base of the
-left column, and input 5, the base of the right one; the other eight read any sensor. A column takes
+The firmware has ten inputs for flex sensors. The contact trigger works on inputs 0 and 5, the
+bases of the two columns; the other eight read any sensor. A column takes
 its own five inputs first, and then those that the other column leaves free.
 """
 
@@ -13,8 +13,8 @@ from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
 from thigmo.errors import ConfigError
 
 INPUTS = 10  # for flex sensors
-BASES: dict[Side, int] = {"left": 0, "right": 5}  # inputs of the trigger's sensors
-_OTHERS: dict[Side, tuple[int, ...]] = {"left": (1, 2, 3, 4), "right": (6, 7, 8, 9)}
+BASES: dict[Side, int] = dict(zip(SIDES, (0, 5), strict=True))  # inputs of the trigger's sensors
+_OTHERS: dict[Side, tuple[int, ...]] = dict(zip(SIDES, ((1, 2, 3, 4), (6, 7, 8, 9)), strict=True))
 PRESSURES = 3  # body pressures that the board holds maps for
 
 
@@ -30,7 +30,7 @@ def beyond_board(config: RobotConfig) -> list[Beyond]:
     found = [
         Beyond(
             f"{what} lies at {each.direction_deg:g} degrees, out of the plane",
-            "the firmware bends towards 90 (left) and 270 (right) degrees: use these",
+            "the firmware bends towards 90 and 270 degrees: use these",
         )
         for what, each in (
             *((f"muscle {muscle.name}", muscle) for muscle in config.muscles),

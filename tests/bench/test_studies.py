@@ -123,13 +123,13 @@ def test_progress_on_a_pipe_is_a_line_now_and_then_with_what_is_left() -> None:
         tell("part", done, 100)
     assert told[:3] == [
         "part: 0/100, 0 s",
-        "part: 20/100, 10 s, about 40 s left",
-        "part: 40/100, 20 s, about 30 s left",
+        "part: 20/100, 10 s, about 40 s to go",
+        "part: 40/100, 20 s, about 30 s to go",
     ]
     assert told[-1] == "part: 100/100, 50 s"
     assert len(told) == 6
     tell("counted from one", 1, 3)
-    assert told[-1] == "counted from one: 1/3, 0 s, about 0 s left"
+    assert told[-1] == "counted from one: 1/3, 0 s, about 0 s to go"
 
 
 @pytest.mark.parametrize("name", list(STUDIES))

@@ -51,7 +51,7 @@ class Score:
     Attributes:
         frames: in the group.
         answered: of these.
-        number: share of the answered with the right number of contacts.
+        number: share of the answered with the true number of contacts.
         error_cm: mean distance of answer and truth, ordered along the body, over these.
         standard_error_cm: of that mean.
         median_cm: of the frames' distances.
@@ -160,11 +160,11 @@ def _scored(
     group: str, frames: Sequence[str], pairs: Sequence[tuple[list[Claim], list[float]]]
 ) -> Score:
     errors = []
-    right = 0
+    hits = 0
     for claims, arcs in pairs:
         if len(claims) != len(arcs):
             continue
-        right += 1
+        hits += 1
         if arcs:
             places = sorted(claim.arc_cm for claim in claims)
             errors.append(fmean(abs(a - b) for a, b in zip(places, arcs, strict=True)))
@@ -180,9 +180,9 @@ def _scored(
     sure = sum(any(claim.localized for claim in claims) for claims, _ in pairs)
     many = len(pairs)
     return Score(
-        group, len(frames), many, _share(right, many), fmean(errors) if errors else math.nan,
+        group, len(frames), many, _share(hits, many), fmean(errors) if errors else math.nan,
         stdev(errors) / math.sqrt(len(errors)) if len(errors) > 1 else math.nan,
-        median(errors) if errors else math.nan, _share(many - right + far, many),
+        median(errors) if errors else math.nan, _share(many - hits + far, many),
         _share(sum(held), len(held)), median(widths) if widths else math.nan,
         _share(sure, many), _share(sum(wrong), len(wrong)),
     )  # fmt: skip

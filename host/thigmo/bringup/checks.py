@@ -19,7 +19,7 @@ from thigmo.robot import SENSORS, WITHOUT_BRAKE, Robot
 
 _ESTOP_S = 1.0
 _EMPTY_PSI = 1.5  # a sensor's error before its zero is calibrated
-_ZERO_PSI = 0.1  # less is left to `thigmo calibrate pressure`
+_ZERO_PSI = 0.1  # less is for `thigmo calibrate pressure`
 _BROKEN_PSI = -4.0  # an input at 0 V reads 0 - 10 % of 75 psi
 _FLAT_OHM = (5e3, 6e4)  # 10 or 25 kOhm +- 30 %, bent or not
 _TEST_MA = 4.2  # just above the live zero: 2.7 psi of a 2..60 psi transducer
@@ -180,7 +180,7 @@ def _valves(robot: Robot, attendant: Attendant) -> Found:
         rise = [b - a for a, b in zip(before, _psi(robot), strict=True)]
         robot.vent(wait=False)  # ends the push
         robot.wait(_VENT_S, despite_faults=True)
-        left = _psi(robot)[side]
+        kept = _psi(robot)[side]
         own, other = rise[side], rise[1 - side]
         at = f"{_TEST_MA} mA moves its pressure by {own:.1f} psi"
         stuck = False
@@ -193,8 +193,8 @@ def _valves(robot: Robot, attendant: Attendant) -> Found:
                     f"Y{side + 1} (enable, pin 24) and its tube")  # fmt: skip
         elif not _RISE_PSI[0] <= own <= _RISE_PSI[1]:
             what, cure = at, "check the transducer's range: 4..20 mA to 2..60 psi is expected"
-        elif stuck := left - before[side] > _NO_RISE_PSI:
-            what = f"at 0 mA it keeps {left:.1f} psi"
+        elif stuck := kept - before[side] > _NO_RISE_PSI:
+            what = f"at 0 mA it keeps {kept:.1f} psi"
             cure = f"check its exhaust, and that {point} is at 0 V"
         else:
             what, cure = f"{at}; 0 mA vents", ""
@@ -220,13 +220,13 @@ def _enables(robot: Robot, attendant: Attendant) -> Found:
         full = _psi(robot)[side]
         robot.vent(wait=False)
         push(robot, _VENTS[side], current, _TEST_S)
-        left = _psi(robot)[side]
+        kept = _psi(robot)[side]
         robot.vent(wait=False)
         robot.wait(_VENT_S)
-        what, cure = f"{full:.1f} psi; without its enable {left:.1f} psi at {_TEST_MA} mA", ""
+        what, cure = f"{full:.1f} psi; without its enable {kept:.1f} psi at {_TEST_MA} mA", ""
         if full - empty < _NO_RISE_PSI:
             what, cure = "no pressure to empty", "go on from stage valves"
-        elif left - empty > _NO_RISE_PSI:
+        elif kept - empty > _NO_RISE_PSI:
             cure = f"Y{side + 1} sticks or is bridged, or Q21 is shorted: check J{12 + side}"
         yield f"Y{side + 1}", what, cure
     attendant.ready("Set PR1 to 0.5 psi: the body fills and must stand firm")

@@ -34,9 +34,9 @@ def duty_of(milliampere: float) -> int:
 def push(robot: Robot, output: Output, level: int, seconds: float) -> None:
     """Drive one output for a while; refused unless armed, and for the motor vented."""
     end = robot.now() + seconds
-    while (left := end - robot.now()) > 1e-9:
-        robot.test_output(output, level, min(_PUSH_S, left + 1e-3))
-        robot.wait(min(_REPEAT_S, left))
+    while (rest := end - robot.now()) > 1e-9:
+        robot.test_output(output, level, min(_PUSH_S, rest + 1e-3))
+        robot.wait(min(_REPEAT_S, rest))
 
 
 def jog(robot: Robot, cm: float) -> float:

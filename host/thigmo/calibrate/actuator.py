@@ -204,7 +204,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     notes: list[str] = []
     if not finite.all():
         lost = listed(readings.names(), np.flatnonzero(~finite).tolist())
-        notes.append(f"left out {lost}: the camera lost the body; clear the view to take it again")
+        notes.append(f"omitted {lost}: the camera lost the body; clear the view to take it again")
     highest = float(p[finite].max())
     if np.median(sign * k[finite & (p > 0.5 * highest)]) < 0:
         verdict = Verdict(
@@ -274,7 +274,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     out = np.flatnonzero(finite & ~used).tolist()
     if out:
         names = listed(readings.names(), out)
-        notes.append(f"left out {len(out)} of {total} bends as outliers ({names})")
+        notes.append(f"omitted {len(out)} of {total} bends as outliers ({names})")
     spread = float(np.std(offsets, ddof=1)) if len(trials) > 1 else offset_sigma
     moved = trials[np.abs(offsets - np.median(offsets)) > 3e-3]
     full = float(inflate.curvature(highest))
@@ -316,7 +316,7 @@ def _maps(
 
 
 def _judged(moved: bool, left_out: float, share: float, full: float) -> tuple[bool, str]:
-    """Whether the maps may be used, and why: by shares of bends left out and of g's error."""
+    """Whether the maps may be used, and why: by shares of bends omitted and of g's error."""
     if moved:
         return False, (
             "the camera or the base moved between trials; fix it, run `thigmo camera locate` "
@@ -342,9 +342,9 @@ def _trial_gain(rest: Array, bend: Array, slot: NDArray[np.intp], used: Mask, tr
         if pick.sum() < 4 or power < 1e-12:
             continue
         gain = float(lever @ rest[pick]) / power
-        left = rest[pick] - rest[pick].mean() - gain * lever
+        over = rest[pick] - rest[pick].mean() - gain * lever
         squares += gain**2
-        own += float(left @ left) / (pick.sum() - 2) / power
+        own += float(over @ over) / (pick.sum() - 2) / power
     between = max(squares - own * (trials - 1) / trials, 0.0)
     counted = trials - 1 + _TRIAL_GAIN_COUNT
     return float(np.sqrt((between + _TRIAL_GAIN_COUNT * _TRIAL_GAIN**2) / counted))

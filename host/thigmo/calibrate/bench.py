@@ -17,11 +17,11 @@ import numpy as np
 from thigmo import wiring
 from thigmo.calibrate.columns import Array, places_of
 from thigmo.calibrate.drive import Drive
-from thigmo.calibrate.eyes import Eyes
+from thigmo.calibrate.overhead import Eyes
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.errors import CameraError, CameraMovedError
-from thigmo.config import RobotConfig, Side
+from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.link import protocol as wire
 from thigmo.robot import Reading, Robot
@@ -99,7 +99,7 @@ class Bench:
             self._configured = True
 
     def start(self) -> None:
-        """Configure, learn the length, arm; what is done already is left as it is."""
+        """Configure, learn the length, arm; what is done already stays as it is."""
         self.configure()
         self.robot.known_length_cm()
         if self.robot.status().state == "safe":
@@ -192,7 +192,7 @@ class Bench:
             row = {"key": key, **take(key, planned[key])}
             self.session.add(procedure, row)
             if row.get("unseen"):
-                self.say(f"{key} is left out: the camera did not see it; run this step once more, "
+                self.say(f"{key} is omitted: the camera did not see it; run this step once more, "
                          "and only what it missed is taken")  # fmt: skip
         return [row for key, row in self.session.rows(procedure).items() if key in planned]
 
@@ -320,7 +320,7 @@ def tip_rows(bench: Bench) -> list[Row]:
             y = seen["tip"][1]
             if wanted is None or y is None or y * wanted > 0 or abs(y) < _ASIDE_CM:
                 break
-            stood, side = ("left", "right") if y > 0 else ("right", "left")
+            stood, side = SIDES if y > 0 else SIDES[::-1]
             bench.say(f"{key}: the tip stands {abs(y):.1f} cm to the {stood}: push it to the "
                       f"{side} (if it is there, the camera's +y is not the robot's left: mend the "
                       "cards' places in the sheet file)")  # fmt: skip

@@ -81,12 +81,12 @@ def fit_bending(
         raise DataError(
             "no pull is read by two healthy sensors before it", "pull at the tip, and harder"
         )
-    notes = [] if kept.all() else [f"{int((~kept).sum())} pull(s) left out: too few readings"]
+    notes = [] if kept.all() else [f"{int((~kept).sum())} pull(s) omitted: too few readings"]
     if n >= 4:
         odd = np.zeros(len(each), bool)
         odd[kept] = outlying(each[kept], 4.5, float(np.median(own[kept])))
         if odd.any():
-            notes.append(f"{int(odd.sum())} pull(s) left out as outliers")
+            notes.append(f"{int(odd.sum())} pull(s) omitted as outliers")
         kept &= ~odd
         n = int(kept.sum())
     mean = float(each[kept].mean())
@@ -117,7 +117,7 @@ def from_fold(config: RobotConfig) -> BendingResult:
 def _over_stiffness(
     row: Array, center: Array, span: Array, noise: Array, arc: float
 ) -> tuple[float, float]:
-    """Force over EI (1/cm^2) at an arc, and its standard error, of a body bent to the left."""
+    """Force over EI (1/cm^2) at an arc, and its standard error, of a body of positive curvature."""
     force = 1e-6
     error = 0.0
     for _ in range(_PASSES):

@@ -137,7 +137,7 @@ def fit_buckling(
     left_out = ((shallow, ", the base did not fold: push harder"),
                 (unread, ", too few readings"), (odd, " as outlier"))  # fmt: skip
     notes = tuple(
-        f"trial {', '.join(str(r + 1) for r in rows)} left out{what}"
+        f"trial {', '.join(str(r + 1) for r in rows)} omitted{what}"
         for rows, what in left_out
         if rows
     )
@@ -167,7 +167,7 @@ def fit_buckling(
 def _moment(
     row: Array, center: Array, span: Array, noise: Array, length: float
 ) -> tuple[float, float]:
-    """Contact moment at the base (1/cm) and its standard error in one trial, bent to the left."""
+    """Contact moment at the base (1/cm) and its standard error in one trial, its bend positive."""
     estimate, error = 0.01, 0.0
     for _ in range(4):
         lever = _levers(estimate, center, span, length)

@@ -11,7 +11,7 @@ import numpy as np
 from thigmo.calibrate.bench import STEADY_S, Bench
 from thigmo.calibrate.columns import Array, medians, places_of
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import SIGN, FlexSensor, RobotConfig, Side, opposite
+from thigmo.config import SIDES, SIGN, FlexSensor, RobotConfig, Side, opposite
 from thigmo.errors import DataError
 
 Mark = Literal["ok", "warning", "bad"]
@@ -135,7 +135,7 @@ def _bent(
                "recalibrate the actuator")  # fmt: skip
     else:
         yield what, "ok", f"bends by {seen:+.4f} 1/cm as mapped"
-    shares: dict[Side, list[float]] = {"left": [], "right": []}
+    shares: dict[Side, list[float]] = {side: [] for side in SIDES}
     gone = readings.bend_ohm[side] - zero
     for (of, k), ohm in zip(places_of(config), gone.tolist(), strict=True):
         sensor = config.column(of)[k]

@@ -1,4 +1,4 @@
-"""The order of a row's columns, one for each sensor: left base first, then right."""
+"""The order of a row's columns, one for each sensor: column by column, base first."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def sides_of(table: Table) -> list[Side]:
     """(n,) the column `side` of a CSV."""
     words = table.words("side")
     if set(words) - set(SIDES):
-        raise DataError(f"{table.name}: side must be left or right", "mend that column")
+        raise DataError(f"{table.name}: side must be {' or '.join(SIDES)}", "mend that column")
     return cast("list[Side]", words)
 
 

@@ -69,7 +69,7 @@ def fit_encoder(
     notes: list[str] = []
     if missing.any():
         rows = listed(names, np.flatnonzero(missing).tolist())
-        notes.append(f"left out {rows}: no counts, or the camera lost the tip")
+        notes.append(f"omitted {rows}: no counts, or the camera lost the tip")
     if (~missing).sum() < 4 or np.ptp(length_cm[np.isfinite(length_cm)]) < 5:
         raise DataError("four or more lengths over 5 cm or more are needed", "grow in steps")
     # Counts are exact, the camera is not: length over counts, then inverted.
@@ -93,7 +93,7 @@ def fit_encoder(
     else:
         out = np.flatnonzero(~fit.used & ~missing).tolist()
         if out:
-            notes.append(f"left out {listed(names, out)} as outliers")
+            notes.append(f"omitted {listed(names, out)} as outliers")
         if fit.used.sum() >= 6:
             unit = counts / max(np.nanmax(np.abs(counts)), 1)
             kept = np.where(fit.used, length_cm, np.nan)

@@ -1,4 +1,4 @@
-"""Figures of the calibration steps: data, fit, and what was left out."""
+"""Figures of the calibration steps: data, fit, and what was omitted."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _flex(result: FlexResult, path: Path) -> None:
         for kind, (mark, color) in _MARK.items():
             pick = (kinds == kind) & (active != fit.side) & good
             axes.plot(k[pick], ohm[pick], mark, color=color, ms=4, label=kind)
-        axes.plot(k[~good], ohm[~good], "x", color=RED, ms=5, label="left out")
+        axes.plot(k[~good], ohm[~good], "x", color=RED, ms=5, label="omitted")
         if fit.healthy:
             line = np.array([np.nanmin(k), np.nanmax(k)])
             if fit.valid_direction:
@@ -115,7 +115,7 @@ def _actuator(result: ActuatorResult, path: Path) -> None:
             pick, curve = (branch == name) & used, getattr(result.zone, name)
             axes.plot(r.pressure_psi[pick], r.curvature[pick], mark, color=color, ms=4, label=name)
             axes.plot(grid, [sign * curve.curvature(p) for p in grid], "-", color=color, lw=1)
-        axes.plot(r.pressure_psi[~used], r.curvature[~used], "x", color=RED, label="left out")
+        axes.plot(r.pressure_psi[~used], r.curvature[~used], "x", color=RED, label="omitted")
         axes.set_title(
             f"{r.side} muscle at {r.body_pressure_psi:g} psi of body pressure", fontsize=9
         )
@@ -145,7 +145,7 @@ def _hysteresis(result: HysteresisResult, path: Path) -> None:
             axes.plot(record.t_s, record.curvature - rest, ".", ms=2, color=color)
         t = np.linspace(0, max(float(r.t_s.max()) for r in result.records), 200)
         for fit in result.sensors:
-            axes.plot(t, fit.law.left(t)[0], "-", lw=1, label=f"{fit.side} {fit.index}")
+            axes.plot(t, fit.law.excess(t)[0], "-", lw=1, label=f"{fit.side} {fit.index}")
 
 
 @draw.register
@@ -175,6 +175,6 @@ def _noise(result: NoiseResult, path: Path) -> None:
 @draw.register
 def _encoder(result: EncoderResult, path: Path) -> None:
     with _panel(path, result.verdict, "length by camera (cm)", "encoder counts") as axes:
-        for pick, look, label in ((result.used, "o", "used"), (~result.used, "x", "left out")):
+        for pick, look, label in ((result.used, "o", "used"), (~result.used, "x", "omitted")):
             color = BLUE if look == "o" else RED
             axes.plot(result.length_cm[pick], result.counts[pick], look, color=color, label=label)

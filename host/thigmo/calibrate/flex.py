@@ -8,7 +8,7 @@ tip; free bends mend that.
 
 Before any line is fitted the rows are judged together: a tip on the wrong side, a moved camera or
 a lost marker disagree with all sensors at once, a dead sensor with all rows, an outlier with
-neither, a loose wire stands at one value for many bends. Each is named in the verdict and left out.
+neither, a loose wire stands at one value for many bends. Each is named in the verdict and omitted.
 The errors stated hold from sweep to sweep (`flex_lines`).
 """
 
@@ -56,7 +56,7 @@ class FlexFit:
     healthy: bool  # usable
     reason: str  # why good or bad
     used: int = 0  # rows that went into the line
-    rejected: int = 0  # rows left out as outliers of this sensor
+    rejected: int = 0  # rows omitted as outliers of this sensor
     scale_per_ohm: float = 0.0  # 1/cm per ohm, sign included
     scale_se: float = np.inf  # its standard error over sweeps, relative
     sweep_se: float = np.nan  # one sigma of the scale from one sweep to the next, relative
@@ -69,8 +69,8 @@ class FlexFit:
     nonlinearity: float = np.nan
     # departure of the readings' curve from the line, rms, relative; 0 if there is none
     misfit: float = np.nan
-    # half width of its loop, 1/cm, signed: what it reads too much after long bending to the left,
-    # and too little after bending to the right
+    # half width of its loop, 1/cm, signed: what it reads too much after long bending to
+    # one side (positive), and too little after bending to the other
     hysteresis: float = np.nan
     hysteresis_se: float = np.nan  # its standard error
     # share of the scale that the loop may have taken, where bends only grew; 0 where they went back
@@ -161,7 +161,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
             share = lost.sum() / max(1, rows.asked(number))
             rows.notes.append(
                 f"{side} {k} stands at {at} kOhm in {share:.0%} of its rows, however it is bent: "
-                "those rows are left out; look for a loose wire"
+                "those rows are omitted; look for a loose wire"
             )
     directions = directions_of(rows.columns(), rows.sides)
     rows.usable &= (directions == 0) | (directions * rows.model >= -1e-12)
@@ -216,8 +216,8 @@ def _sensor(
     scale = 1.0 / float(line.coefficients[1])
     one_way = _one_way(column, line)
     se = float(np.hypot(np.hypot(line.se(1) * abs(scale), _CAMERA_SCALE_SE), one_way))
-    left = line.residuals[line.used]
-    spread = float(np.sqrt(left @ left / max(1, used - 3)))
+    rest = line.residuals[line.used]
+    spread = float(np.sqrt(rest @ rest / max(1, used - 3)))
     bend, bend_se, misfit = curve
     curves = abs(bend) > 0.05 and abs(bend) > 4 * bend_se
     reason = f"scale known to {100 * se:.1f} %"
@@ -261,7 +261,7 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
         total = sum(fit.used + fit.rejected for fit in everted)
         each = ", ".join(f"{fit.name}: {fit.rejected}" for fit in dropped)
         notes.append(
-            f"left out {sum(fit.rejected for fit in dropped)} of {total} single readings as "
+            f"omitted {sum(fit.rejected for fit in dropped)} of {total} single readings as "
             f"outliers ({each}); many of one sensor mean a loose wire"
         )
     grew = [fit for fit in everted if fit.one_way > _TOLD]
@@ -292,7 +292,7 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
         )
         return Verdict(False, reason, tuple(notes))
     notes.extend(
-        f"left out sensor {fit.name} (0 = at the base), which {fit.reason}; the robot does without "
+        f"omitted sensor {fit.name} (0 = at the base), which {fit.reason}; the robot does without "
         "it until flex is repeated"
         for fit in everted
         if not fit.healthy

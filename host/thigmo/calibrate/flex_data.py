@@ -28,8 +28,8 @@ class FlexReadings:
     tip_cm: Array  # (n, 2) tip by camera; nan where the marker was not seen or there is none
     curvature: Array  # (n,) of free bends, by camera, 1/cm; nan elsewhere
     curvature_se: Array  # (n,) its one sigma
-    active: tuple[str, ...]  # (n,) muscle in use: "left", "right" or ""
-    ohm: Array  # (n, m) resistances, left base first
+    active: tuple[str, ...]  # (n,) muscle in use, or ""
+    ohm: Array  # (n, m) resistances, in the order of `columns`
     length_cm: float  # everted length
     intended_y_cm: Array  # (n,) where the operator was asked to put the tip (sign used); nan = free
     # (n,) session of each row: after an eversion the sensors' zeros are others

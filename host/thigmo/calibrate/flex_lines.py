@@ -43,7 +43,7 @@ _PRIOR_COUNT = 1.0  # weight of the prior, in sensors
 
 
 def loop_turns(model: Array, block: NDArray[np.int64], width: float = LOOP_WIDTHS[1]) -> Array:
-    """(n, m) where each sensor is in its loop: 1 after long bending to the left, -1 to the right.
+    """(n, m) where each sensor is in its loop: 1 after long positive bending, -1 after negative.
 
     It turns over within `width` of curvature (Dahl's model of friction), and starts between the
     two in every session.
@@ -62,7 +62,7 @@ def loop_turns(model: Array, block: NDArray[np.int64], width: float = LOOP_WIDTH
 
 
 class Column(NamedTuple):
-    """One sensor's rows, (n,) each: readings (nan where left out), and what they are fitted by."""
+    """One sensor's rows, (n,) each: readings (nan where omitted), and what they are fitted by."""
 
     ohm: Array
     model: Array  # curvature that it should show, 1/cm
@@ -202,8 +202,8 @@ def _over_grid(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]
     spread = gain @ covariance @ gain.T + solved @ prior @ solved
     spread *= (squares / max(freedom - 2, 1))[:, None, None]
     coefficients = gain @ values
-    left = column.ohm - design @ coefficients
-    return replace(fit, coefficients=coefficients, residuals=left), evidence, spread
+    rest = column.ohm - design @ coefficients
+    return replace(fit, coefficients=coefficients, residuals=rest), evidence, spread
 
 
 def sweeps_of(
@@ -258,7 +258,7 @@ def working(fit: LinearFit) -> bool:
 def directions_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[np.int64]:
     """(m,) bending direction that each sensor answers to; 0 = both alike.
 
-    A line with a kink at zero gives the ratio of a sensor's slopes to the left and to the right.
+    A line with a kink at zero gives the ratio of a sensor's slopes to either side.
     The sensors of a column are mounted alike, so they are asked together: where the weaker side's
     slope is surely below `_ONE_WAY` of the stronger's, only the stronger side counts. A sensor that
     surely differs from its column stands for itself.

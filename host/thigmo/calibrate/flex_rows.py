@@ -43,7 +43,7 @@ class Rows:
     usable: Mask  # (n, m) what a sensor can answer
     good: Mask  # (n,) rows that can be trusted
     sweep: NDArray[np.int64]  # (n,) number of each row's sweep
-    notes: list[str]  # what was left out, and why
+    notes: list[str]  # what was omitted, and why
     loop_width: float = LOOP_WIDTHS[1]  # curvature over which the sensors' loops turn
 
     @property
@@ -77,10 +77,10 @@ class Rows:
         self.loop_width = min(scatter, key=scatter.__getitem__)
 
     def note(self, rows: Sequence[int], what: str, cure: str) -> None:
-        """Say which rows are left out, if any are."""
+        """Say which rows are omitted, if any are."""
         if rows:
             names = listed(self.readings.name, rows)
-            self.notes.append(f"left out {names}: {what}; {cure} to take it again")
+            self.notes.append(f"omitted {names}: {what}; {cure} to take it again")
 
 
 def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) -> Array:
@@ -192,7 +192,7 @@ def judge_rows(rows: Rows) -> None:
         since, shift = moved
         rows.good[since:] &= ~rows.tips[since:]
         rows.notes.append(
-            f"left out {rows.readings.name[since]} and all later tip places: the camera or the "
+            f"omitted {rows.readings.name[since]} and all later tip places: the camera or the "
             f"base moved by about {abs(shift):.1f} cm before it; fix it, run `thigmo camera "
             "locate` and take them again"
         )
@@ -262,7 +262,7 @@ def columns_swapped(rows: Rows) -> bool:
     """Whether the columns of sensors are exchanged.
 
     In a free bend the side of the active muscle wrinkles. If instead the other side's readings
-    scatter about their lines far more than the active side's, left and right are swapped.
+    scatter about their lines far more than the active side's, the two columns are swapped.
     """
     ratios: list[float] = []
     for side in SIDES:

@@ -102,7 +102,7 @@ def of_csv(table: Table, config: RobotConfig) -> HysteresisResult:
 
 
 def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
-    """tau, amplitude, rest (3,) of one record and their covariance (3, 3); outliers left out."""
+    """tau, amplitude, rest (3,) of one record and their covariance (3, 3); outliers omitted."""
     finite = np.isfinite(t_s) & np.isfinite(curvature)
     t, y = t_s[finite], curvature[finite]
     if len(t) < 10 or np.ptp(t) < 5:

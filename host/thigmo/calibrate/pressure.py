@@ -42,7 +42,7 @@ class PressureResult(StepResult):
         return {**super().as_data(), "pressure_zero": self.board_values()}
 
     def board_values(self) -> list[int]:
-        """The board's parameter `pressure_zero`, in 1/64 count, left then right."""
+        """The board's parameter `pressure_zero`, in 1/64 count, by output."""
         return [round(np.nan_to_num(z.zero_count) * 64) for z in self.zeros]
 
 

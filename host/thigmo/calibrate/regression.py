@@ -1,7 +1,7 @@
 """Linear fits that outliers cannot bend, with standard errors that hold.
 
 Least trimmed squares finds the line of most, whatever a fifth of the readings do; points beyond
-four of its sigmas are left out (and named by the caller), and what remains is fitted by
+four of its sigmas are omitted (and named by the caller), and what remains is fitted by
 weighted least squares, whose standard errors are the textbook's: those of independent rows (see
 `flex_lines` for rows that are not).
 """
@@ -137,7 +137,7 @@ def _weighted(a: Array, b: Array, e: Array) -> tuple[Array, Array, float]:
         root = np.sqrt(weights)
         coefficients = _least_squares(a * root[:, None], b * root)
         rest = b - a @ coefficients
-        # Moment estimate: the weighted squares add up to n - p when sigma2 is right.
+        # Moment estimate: the weighted squares add up to n - p when sigma2 is correct.
         excess = float(weights @ (rest**2 * len(b) / freedom - e**2))
         before, sigma2 = sigma2, max(0.0, excess / float(weights.sum()))
         if abs(sigma2 - before) <= 1e-6 * max(sigma2, tiny):

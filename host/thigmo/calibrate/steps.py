@@ -40,7 +40,7 @@ class Step:
 
     guided: Callable[..., StepResult]  # of a Bench, and of another fit than its own
     of_csv: Callable[..., StepResult] | None = None  # of a Table and a RobotConfig, and the same
-    columns: str = ""  # of its CSV; those in brackets may be left out
+    columns: str = ""  # of its CSV; those in brackets may be omitted
     rows: tuple[str, ...] = ()  # names of the tables of readings that are its own
     # without it later steps would measure nonsense; a bad other one spoils nothing else
     needed: bool = False
@@ -116,5 +116,5 @@ def fit_csv(
     try:
         return fit(Table.read(path), config, *STEPS[step].other_fit(method))
     except MissingColumnError as error:
-        error.add_note(f"columns of {step}: {columns}; those in brackets may be left out")
+        error.add_note(f"columns of {step}: {columns}; those in brackets may be omitted")
         raise

@@ -76,9 +76,7 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
     for number, picture in enumerate(pictures, start=1):
         bend = float(np.abs(picture.points_cm[:, 1]).max())
         if len(picture.points_cm) < 20 or bend < 3:
-            notes.append(
-                f"picture {number} left out: bent by {bend:.1f} cm only, or too few points"
-            )
+            notes.append(f"picture {number} omitted: bent by {bend:.1f} cm only, or too few points")
         else:
             found.append((*_one(picture, fine, gap), bend))
     if len(found) < 3:
@@ -92,7 +90,7 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
     se = middle * float(np.median(errors / each * bends)) / bends
     odd = outlying(each, 4.5, se)
     if odd.any():
-        notes.append(f"{int(odd.sum())} picture(s) left out as outliers")
+        notes.append(f"{int(odd.sum())} picture(s) omitted as outliers")
     kept, weights = each[~odd], 1 / se[~odd] ** 2
     ratio = float((weights * kept).sum() / weights.sum())
     scatter = float(np.sqrt((weights * (kept - ratio) ** 2).sum() / max(1, len(kept) - 1)))

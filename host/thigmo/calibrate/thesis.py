@@ -77,7 +77,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
             fits.append(FlexFit(side, index, False, reason, int(used.sum())))
             continue
         scale = float(change[used] @ model[used, number]) / power
-        left = model[used, number] - scale * change[used]
+        rest = model[used, number] - scale * change[used]
         fits.append(
             FlexFit(
                 side,
@@ -87,7 +87,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
                 int(used.sum()),
                 scale_per_ohm=scale,
                 zero_ohm=float(np.nanmean(at_rest)),
-                noise=float(np.sqrt(np.mean(left**2))),
+                noise=float(np.sqrt(np.mean(rest**2))),
             )
         )
     everted = [fit for fit, on in zip(fits, rows.on_body, strict=True) if on]
@@ -96,7 +96,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
         2 * healthy >= len(everted) > 0,
         f"constants of {healthy} of {len(everted)} sensors by (2.12), from {int(tips.sum())} tip "
         f"places; it states no errors, so {100 * _SCALE_SE:.0f} % is kept for each",
-        (*rows.notes, *(f"left out sensor {f.name}, which {f.reason}" for f in everted
+        (*rows.notes, *(f"omitted sensor {f.name}, which {f.reason}" for f in everted
                         if not f.healthy)),
     )  # fmt: skip
     return ThesisFlexResult(tuple(fits), verdict, rows, LOOP_WIDTHS[1])
@@ -129,7 +129,7 @@ def fit_buckling(
     mean = float(kept.mean())
     scatter = float(kept.std(ddof=1) / np.sqrt(kept.size)) if kept.size > 1 else 0.0
     lost = tuple(
-        f"trial {n + 1} left out, too few readings" for n in np.flatnonzero(~np.isfinite(each))
+        f"trial {n + 1} omitted, too few readings" for n in np.flatnonzero(~np.isfinite(each))
     )
     reason = f"{mean:.5f} 1/cm, by a line through the sensors beyond the fold, {kept.size} trials"
     return BucklingResult(

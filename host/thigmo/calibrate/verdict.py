@@ -1,4 +1,4 @@
-"""How a calibration step ends: good or bad, why, and everything that was left out on the way."""
+"""How a calibration step ends: good or bad, why, and everything that was omitted on the way."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Verdict:
 
     good: bool  # whether the result may be used
     reason: str  # one sentence: why good, or what is wrong and what to do
-    notes: tuple[str, ...] = ()  # what was detected and left out, each a sentence
+    notes: tuple[str, ...] = ()  # what was detected and omitted, each a sentence
 
 
 class StepResult:

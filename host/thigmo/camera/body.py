@@ -88,8 +88,8 @@ def bodyness(
         features = features - _features(background.image)
         lighting, loosest = np.diag([1e-5, 1e-5, 0.03]), 0.04
     corners = flat.pixels(np.array([[1.0, 0.5 * radius_cm], [4.0, -0.5 * radius_cm]]))
-    (left, upper), (right, lower) = np.round(corners).astype(int)
-    seed = features[upper:lower, left:right].reshape(-1, 3).astype(float)
+    (near, upper), (far, lower) = np.round(corners).astype(int)
+    seed = features[upper:lower, near:far].reshape(-1, 3).astype(float)
     table = features[::6, ::6].reshape(-1, 3)
     center, spread = np.median(seed, axis=0), np.cov(seed.T)
     middle = np.median(table, axis=0)
@@ -144,20 +144,20 @@ def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
     lost = 0
     while len(steps) * _STEP_CM < _LONGEST_CM:
         normal = np.array([-np.sin(heading), np.cos(heading)])
-        left, right, filling = _flanks(flat, score, point, normal, radius_cm)
+        port, starboard, filling = _flanks(flat, score, point, normal, radius_cm)
         if filling < 0.5:
             break
-        whole = bool(abs((left - right) / (2 * radius_cm) - 1) < 0.22)
+        whole = bool(abs((port - starboard) / (2 * radius_cm) - 1) < 0.22)
         shift = 0.0
         if whole:
-            shift = (left + right) / 2
-        elif np.isfinite(left) != np.isfinite(right):
-            shift = left - radius_cm if np.isfinite(left) else right + radius_cm
+            shift = (port + starboard) / 2
+        elif np.isfinite(port) != np.isfinite(starboard):
+            shift = port - radius_cm if np.isfinite(port) else starboard + radius_cm
         lost = 0 if whole else lost + 1
         if lost * _STEP_CM > 4 * radius_cm:
             break
         point = point + float(np.clip(shift, -0.35 * radius_cm, 0.35 * radius_cm)) * normal
-        steps.append((point, heading, left - right, whole))
+        steps.append((point, heading, port - starboard, whole))
         recent = np.array([middle for middle, *_ in steps[-12:]])
         if len(recent) >= 4:
             # A parabola through the last 6 cm tells where the tube goes next.
@@ -203,7 +203,7 @@ def _sample(flat: Flat, score: NDArray[np.float32], points: Array) -> NDArray[np
 def _flanks(
     flat: Flat, score: NDArray[np.float32], point: Array, normal: Array, radius_cm: float
 ) -> tuple[float, float, float]:
-    """Offsets of the left and right flank (nan if not plausible), and filling between."""
+    """Offsets of the two flanks, port first (nan if not plausible), and filling between."""
     reach = np.arange(-2.2, 2.2001, 0.05) * radius_cm
     profile = _sample(flat, score, (point + reach[:, None] * normal)[None])[0]
     edge = {}

@@ -1,7 +1,7 @@
 """What can go wrong between a lens and a number, each with the operator's next step.
 
 Raised by every part of the camera; calibration catches them per picture, so that one bad picture
-is named and left out instead of averaged in.
+is named and omitted instead of averaged in.
 """
 
 from thigmo.errors import ThigmoError

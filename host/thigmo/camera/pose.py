@@ -3,7 +3,7 @@
 `locate` is what the command line and the guided steps call. With a calibrated lens only the pose is
 fitted. Without, focal length, principal point and two radial terms are fitted too, which the cards'
 sixteen markers tell well but for one thing: a plane seen from above looks alike to a long lens far
-away and to a short one near by. Places on the table are right either way, places above it are not.
+away and to a short one near by. Places on the table are true either way, places above it are not.
 One of three things settles it: a lens board (`thigmo camera lens`), the camera's height by tape
 (`camera_height_cm`), or one card on a box (`z_cm` of that card). `accuracy_cm` says which holds.
 """

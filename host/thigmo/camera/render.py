@@ -305,12 +305,12 @@ def _paste(canvas: Canvas, camera: CameraModel, patch: Decal) -> None:
     corners = np.asarray(patch.corners_cm, float)
     outline = camera.project(corners)
     rows, columns = canvas.shape[:2]
-    left, upper = np.maximum(np.floor(outline.min(axis=0)).astype(int) - 2, 0)
-    right, lower = np.ceil(outline.max(axis=0)).astype(int) + 3
-    right, lower = min(int(right), columns), min(int(lower), rows)
-    if right <= left or lower <= upper:
+    near, upper = np.maximum(np.floor(outline.min(axis=0)).astype(int) - 2, 0)
+    far, lower = np.ceil(outline.max(axis=0)).astype(int) + 3
+    far, lower = min(int(far), columns), min(int(lower), rows)
+    if far <= near or lower <= upper:
         return
-    box = (slice(int(upper), lower), slice(int(left), right))
+    box = (slice(int(upper), lower), slice(int(near), far))
     across, down = corners[1] - corners[0], corners[3] - corners[0]
     normal = np.cross(across, down)
     rays = camera.rays[box].astype(float)

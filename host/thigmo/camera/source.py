@@ -32,10 +32,10 @@ class PictureSource:
 
 def _stills(paths: Sequence[Path]) -> PictureSource:
     """Picture files, in that order."""
-    left = iter(paths)
+    others = iter(paths)
 
     def read() -> Picture:
-        path = next(left, None)
+        path = next(others, None)
         if path is None:
             told = f"all {len(paths)} stills have been used"
             raise PictureError(told, "add the missing pictures")

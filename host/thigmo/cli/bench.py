@@ -13,7 +13,7 @@ from thigmo.cli.output import JsonOption
 def bench(
     studies: Annotated[
         list[str] | None,
-        typer.Argument(help="Studies to run; all when left out. `list` names them."),
+        typer.Argument(help="Studies to run; all when omitted. `list` names them."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for tables and figures.")] = Path("bench-out"),
     scale: Annotated[

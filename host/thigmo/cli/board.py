@@ -22,7 +22,7 @@ _EMERGENCY = "use the emergency stop"
 
 def stop(
     robot: Annotated[
-        str | None, robot_option("Where it is, as /dev/ttyACM0; left out: every robot in use.")
+        str | None, robot_option("Where it is, as /dev/ttyACM0; omitted: every robot in use.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -109,7 +109,7 @@ def bringup(
     good = all(finding.good for finding in findings)
     stage = findings[-1].stage
     if not good:
-        on = f"Put it right, then: thigmo bringup --robot {robot} --from {stage}"
+        on = f"Mend it, then: thigmo bringup --robot {robot} --from {stage}"
     elif stage == STAGES[-1]:
         on = f"All is as it should be. Next: thigmo calibrate all --robot {robot}"
     else:

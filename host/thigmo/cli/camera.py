@@ -127,7 +127,7 @@ def lens(
     _keep_old(out)
     found.save(out)
     facts = {"rms_px": found.rms_px, "focal_px": found.matrix[0][0], "file": str(out)}
-    show(as_json, facts, f"lens good: {found.rms_px:.2f} px left; wrote {out}")
+    show(as_json, facts, f"lens good: {found.rms_px:.2f} px remain; wrote {out}")
 
 
 @group.command()

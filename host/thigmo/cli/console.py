@@ -69,7 +69,7 @@ class Console:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Say in one line how Ctrl-C or a termination left the robot, and end with its status."""
+        """Say in one line how Ctrl-C or a termination leaves the robot, and end with its status."""
         try:
             yield
         except (KeyboardInterrupt, SystemExit) as stopped:

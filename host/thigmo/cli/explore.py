@@ -42,7 +42,7 @@ def explore(
     effort: Annotated[
         Literal["quick", "default", "careful"] | None,
         typer.Option(
-            help="How much robot time goes into how good a map. What is left out is said at the "
+            help="How much robot time goes into how good a map. What is omitted is said at the "
             "start and at the end."
         ),
     ] = None,

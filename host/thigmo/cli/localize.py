@@ -31,7 +31,7 @@ def localize(
         float, typer.Option("--free-curvature", help="Curvature from actuation alone.")
     ] = 0.0,
     noise: Annotated[
-        float | None, typer.Option(help="One sigma of a reading; estimated when left out.")
+        float | None, typer.Option(help="One sigma of a reading; estimated when omitted.")
     ] = None,
     gain_error: Annotated[
         float | None, typer.Option(help="One sigma of each sensor's gain, relative.")
@@ -46,7 +46,7 @@ def localize(
         float | None, typer.Option(help="Contact moment over EI at which the base folds.")
     ] = None,
     tube_radius: Annotated[
-        float | None, typer.Option(help="Radius of the body; 1.75/53 of the length if left out.")
+        float | None, typer.Option(help="Radius of the body; 1.75/53 of the length if omitted.")
     ] = None,
     bad_reading_odds: Annotated[
         float | None, typer.Option(help="Prior odds that a given reading is bad.")

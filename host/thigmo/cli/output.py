@@ -10,7 +10,7 @@ import typer
 
 
 def named(address: str | None) -> str | None:
-    """An address that a user gave, which a shell variable may have left empty."""
+    """An address that a user gave, which a shell variable may leave empty."""
     if address == "":
         raise typer.BadParameter("it is empty")
     return address

@@ -23,9 +23,7 @@ _FileArgument = Annotated[Path, typer.Argument(help="robot.toml.")]
 def new(
     length: Annotated[float, typer.Option(help="Length of the body, cm (30 to 300).")] = 53.0,
     sensors: Annotated[int, typer.Option(help="Flex sensors in each column.")] = 5,
-    muscles: Annotated[
-        int, typer.Option(help="1 (on the left; one column, on the right) or 2.")
-    ] = 2,
+    muscles: Annotated[int, typer.Option(help="1 (one column, opposite) or 2.")] = 2,
     diameter: Annotated[float, typer.Option(help="Diameter of the tube, cm.")] = 3.5,
     out: Annotated[Path, typer.Option(help="Folder for robot.toml and scene.toml.")] = Path(
         "robot"

@@ -22,7 +22,7 @@ def ros(
         typer.Argument(
             metavar="RUN|URL",
             callback=named,
-            help="A run folder, whose map is published; or where a robot is. Left out: whatever "
+            help="A run folder, whose map is published; or where a robot is. Omitted: whatever "
             "run is under way, or comes.",
         ),
     ] = None,

@@ -1,4 +1,4 @@
-"""`thigmo replay`, `info` and `export`: what runs left behind, and what a board says of itself."""
+"""`thigmo replay`, `info` and `export`: what runs leave behind, and what a board says of itself."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def replay(
         for contact in result.document.contacts
     ]
     if not result.document.contacts:
-        lines.append("no contact in what is left" if result.missing else "no contact")
+        lines.append("no contact in what remains" if result.missing else "no contact")
     lines.append(f"{result.sweeps} sweeps; {run / 'replay.json'}")
     show(as_json, result.as_json(), *lines)
 

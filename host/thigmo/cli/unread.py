@@ -2,7 +2,7 @@
 
 A reader may leave (`thigmo explore | head -1`), a terminal may be closed, a disk may be full. A
 program that drives a robot goes on: what it prints to stdout and stderr is then dropped. What was
-lost of a command's result for another reason than that its reader left is told at the end. Only the
+lost of a command's result for another reason than that its reader went is told at the end. Only the
 standard library is imported here, for this stands before all else that `thigmo` does.
 """
 
@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any, TextIO, cast
 
-# The reader left, or the terminal was closed.
+# The reader went, or the terminal was closed.
 _LEFT = (errno.EPIPE, errno.EIO, errno.ENXIO, errno.EBADF)
 # A reader of stderr that takes nothing, such as a terminal that is held (Ctrl-S), is waited for.
 _PATIENCE_S = 1.0

@@ -1,8 +1,8 @@
 """A robot of a given length, sensors and muscles, with what is known of such robots.
 
-The thesis's robot is scaled. Tail friction grows with the length inside the body and acts on its
-rim, the pressure on its section, so that its pressure goes with 1 / radius (Blumenschein et al.
-2017: "Modeling of bioinspired apical extension in a soft robot"). Body pressures are those of the
+The thesis's robot is scaled. Tail friction is assumed, not taken from a source: that it grows with
+the length inside the body and acts on its rim, while the pressure acts on its section, so that its
+pressure goes with 1 / radius. Body pressures are those of the
 thesis, or what growth needs if that is more. Muscles of a long robot are drafted weaker, so that a
 full bend does not close on itself.
 """
@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from thigmo.config import (
+    DEGREES,
     SIDES,
     SIGN,
     Body,
@@ -21,6 +22,7 @@ from thigmo.config import (
     FlexSensor,
     Muscle,
     RobotConfig,
+    Side,
     TanhMap,
     ZoneMap,
     opposite,
@@ -43,8 +45,8 @@ def draft(
 
     Args:
         length_cm: 30 to 300.
-        sensors: flex sensors in each column. Two muscles have two columns. A single muscle, on the
-            left, has one column on the right, which it leaves at rest.
+        sensors: flex sensors in each column. Two muscles have two columns. A single muscle has one
+            column opposite, which it leaves at rest.
         muscles: 1 or 2.
         diameter_cm: of the tube.
         name: of the robot; by its length if empty.
@@ -75,12 +77,12 @@ def draft(
         muscles=[_muscle(side, body) for side in sides],
         sensors=[
             FlexSensor(
-                direction_deg=90 if side == "left" else 270,
+                direction_deg=DEGREES[side],
                 center_cm=float(pitch * (number + 0.5)),
                 span_cm=min(_SPAN_CM, float(pitch) - _GAP_CM),
                 # Resistance rises on the outside of a bend.
                 scale_per_ohm=-SIGN[side] * FlexSensor(center_cm=1.0).scale_per_ohm,
-                valid_direction=-1 if side == "left" else 1,
+                valid_direction=1 if SIGN[side] < 0 else -1,
             )
             for side in columns
             for number in range(sensors)
@@ -108,11 +110,11 @@ def _body(length_cm: float, diameter_cm: float, pitch_cm: float) -> Body:
     )
 
 
-def _muscle(side: str, body: Body) -> Muscle:
+def _muscle(side: Side, body: Body) -> Muscle:
     share = min(1.0, _FULL_BEND_RAD / (_AMPLITUDE[0] * body.length_cm))
     return Muscle(
         name=side,
-        direction_deg=90 if side == "left" else 270,
+        direction_deg=DEGREES[side],
         lag_s=0.31,
         maps=[_map(zone.pressure_psi, share, (9.0, 7.8)) for zone in body.zones],
     )

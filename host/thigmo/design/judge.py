@@ -3,7 +3,7 @@
 Growth against the tail's friction, the pull on the spool, bend and fold, what each muscle's sweep
 can feel and localize, how often each channel is read, and what the board cannot hold.
 
-The contact that is judged is a peg right beside the straight body, and presses as hard as that can:
+The contact that is judged is a peg just beside the straight body, and presses as hard as that can:
 a cantilever of free curvature g that is propped at its arc has a base moment over EI of 3/2 g, or
 the base folds.
 """
@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import FlexSensor, RobotConfig, Side, opposite
+from thigmo.config import SIGN, FlexSensor, RobotConfig, Side, opposite
 from thigmo.errors import ConfigError
 from thigmo.exploration.plan import stage_lengths
 from thigmo.link.protocol import PARAMETERS
@@ -138,7 +138,7 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
     """Where a sweep towards a side feels and localizes a contact, at the full length."""
     muscle, body = config.muscle(side), config.body
     what = f"sweep of {muscle.name}"
-    sign = 1 if side == "left" else -1
+    sign = SIGN[side]
     column = [
         sensor
         for sensor in config.column(opposite(side))

@@ -14,7 +14,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 CHANNELS = 16
-# ADC channels: flex left 0..4, flex right 5..9 (base first), pressure left 10 and right 11.
+# ADC channels: flex sensors 0..9 (`thigmo.wiring`), pressures 10 and 11.
 FLEX_RIGHT = 5
 PRESSURE = 10
 DRIVE_FULL = 1599  # transducer duty of 20 mA
@@ -57,7 +57,7 @@ class Board(Protocol):
 
     @property
     def drive(self) -> tuple[int, int]:
-        """Transducer duties, left and right, 0..1599 = 0..20 mA."""
+        """Transducer duties by output, 0..1599 = 0..20 mA."""
 
     @property
     def drive_enabled(self) -> tuple[bool, bool]:

@@ -26,7 +26,7 @@ _DEFAULTS = {
     "flex_noisy": 40.0,  # counts, one sigma
     "motor_shorted": 800.0,  # duty
     "encoder_share": 0.7,  # of the counts are seen
-    "reference_off": 0.8,  # of the converter's reference is left
+    "reference_off": 0.8,  # of the converter's reference remains
     "spool_slip": 2.0,  # cm/s of line to which a failing brake lets it run
     "brown_out": 3800.0,  # mV
     "power_cut_saving": 100.0,  # bytes written before the cut

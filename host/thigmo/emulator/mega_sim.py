@@ -218,20 +218,20 @@ class SimulatedMega:
     def drive(self) -> tuple[int, int]:
         """Transducer duties, 0..1599, from timer and pins."""
         pwm = self.chip.pwm(5)
-        left, right = (
+        first, second = (
             (pwm.compare[n] + 1 if pwm.top else 0)
             if pwm.connected[n] and self.chip.output(*pin) is not None
             else DRIVE_FULL * self._level(pin)
             for n, pin in enumerate(DRIVES)
         )
-        return left, right
+        return first, second
 
     @property
     def drive_enabled(self) -> tuple[bool, bool]:
         """Whether each transducer's compare output is connected, or its pin high."""
         pwm = self.chip.pwm(5)
-        left, right = (pwm.connected[n] or self._level(pin) for n, pin in enumerate(DRIVES))
-        return left, right
+        first, second = (pwm.connected[n] or self._level(pin) for n, pin in enumerate(DRIVES))
+        return first, second
 
     @property
     def direction(self) -> int:

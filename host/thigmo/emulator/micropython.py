@@ -358,14 +358,14 @@ class MicroPythonBoard:
     @property
     def drive(self) -> tuple[int, int]:
         """Transducer duties, 0..1599."""
-        left, right = self._drive
-        return max(left, 0), max(right, 0)
+        first, second = self._drive
+        return max(first, 0), max(second, 0)
 
     @property
     def drive_enabled(self) -> tuple[bool, bool]:
         """Whether each transducer's output is connected."""
-        left, right = self._drive
-        return left >= 0, right >= 0
+        first, second = self._drive
+        return first >= 0, second >= 0
 
     @property
     def braked(self) -> bool:

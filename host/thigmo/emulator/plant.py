@@ -99,9 +99,9 @@ class Plant:
         self.estop = False  # pressed: its own contact cuts the motor's supply, if there is a brake
         self.contact_welded = False  # that of the motor's enable
         self.brake_stuck: bool | None = None  # open, closed, or as its coil says
-        self.reference = 1.0  # share of the converter's reference that is left
+        self.reference = 1.0  # what remains of the converter's reference
         self.stuck: dict[int, float] = {}  # counts at which analog inputs stand, by channel
-        self.flex_noise: dict[int, float] = {}  # counts, by sensor, left base first
+        self.flex_noise: dict[int, float] = {}  # counts, by input
         # What ails the pressure sensors: psi at which they stand, factor, psi added, psi of noise.
         self.pressure_frozen = np.full(2, np.nan)
         self.pressure_gain = np.ones(2)
@@ -250,7 +250,7 @@ class Plant:
 
     @property
     def muscle_psi(self) -> tuple[float, float]:
-        """True pressures of the left and right muscle."""
+        """True pressures of the muscles, by output."""
         return self._muscles[0].outlet_psi, self._muscles[1].outlet_psi
 
     @property
@@ -293,7 +293,7 @@ class Plant:
 
     @property
     def sensor_curvature(self) -> Floats:
-        """True mean curvature at each sensor, left base first; 0 where not everted; shape (10,)."""
+        """True mean curvature at each input's sensor; 0 where not everted; shape (10,)."""
         return self._curvature.copy()
 
     def truth(self) -> Truth:
@@ -329,11 +329,11 @@ class Plant:
             if not air[0]:
                 outlets = _EMPTY
             self._move_body_air(open_=air[1])
-        left, right = (
+        first, second = (
             muscle.advance(20.0 * drive[side] / DRIVE_FULL if enabled[side] else 0.0, outlets[side])
             for side, muscle in enumerate(self._muscles)
         )
-        self._swing.follow(left - right)
+        self._swing.follow(first - second)
         before = self._encoder()
         if self.scene.spool.wiring in _MOTOR_SWAPPED:
             motor = -motor

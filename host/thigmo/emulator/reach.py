@@ -42,7 +42,7 @@ def first_felt(robot: RobotConfig, pegs: Sequence[Peg]) -> Felt | None:
     """The first growth stage and side whose full sweep is felt at the base, or None.
 
     The base contact curvature is the base sensor's mean curvature (fold included) less the free
-    curvature. At each stage the left half of the sweep comes first.
+    curvature. At each stage the first muscle's half of the sweep comes first.
     """
     sweeps = (sweep_once(robot, pegs, at, side) for at in stages(robot) for side in robot.sides)
     return next((felt for felt in sweeps if felt is not None and felt.peak >= TRIGGER), None)
@@ -83,7 +83,7 @@ def random_peg(
     """A peg beside the path of growth that the exploration must feel, and where it first does.
 
     Only pegs that still hold the body at the peak of that sweep are made: a body that slips past
-    its peg (contacts are frictionless) has nothing left to measure there.
+    its peg (contacts are frictionless) has nothing to measure there.
     """
     full = robot.body.length_cm
     while True:

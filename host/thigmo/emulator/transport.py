@@ -243,7 +243,7 @@ def parse_url(
     """Scene, seed and further options of `emulator://SCENE?seed=N&OPTION=CHOICE`.
 
     The scene is a name or a path to a .toml file. The seed given comes first, then the address's,
-    then the scene's. An option that is left out takes its first choice.
+    then the scene's. An option that is omitted takes its first choice.
     """
     place, _, query = url.partition("://")[2].partition("?")
     told = {key: values[-1] for key, values in parse_qs(query, keep_blank_values=True).items()}

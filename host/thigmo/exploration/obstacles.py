@@ -17,6 +17,7 @@ import numpy as np
 from contourpy import FillType, contour_generator
 from numpy.typing import NDArray
 
+from thigmo.config import SIDES
 from thigmo.record import (
     OBSTACLES_FILE,
     Ellipse,
@@ -174,7 +175,7 @@ def _free(grid: OccupancyGrid, document: RunDocument, radius_cm: float, sigmas: 
     shapes = [
         outline(passed(mine, sigmas), inner)
         for stage in document.stages
-        for side in ("left", "right")
+        for side in SIDES
         if (mine := [s for s in stage.shapes if s.side == side and s.curvature_se is not None])
     ]
     return _within(grid, shapes)

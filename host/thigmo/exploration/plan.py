@@ -25,7 +25,7 @@ def half_everted(config: RobotConfig, length_cm: float) -> str:
 def stage_lengths(config: RobotConfig) -> list[float]:
     """Everted lengths (cm) at which to sweep: whole pitches, the last step shorter.
 
-    Pitches at which a sensor would lie in the fold are left out: a bend there would crease it.
+    Pitches at which a sensor would lie in the fold are omitted: a bend there would crease it.
     Raises ConfigError if one does at the full length.
     """
     full = config.body.length_cm

@@ -75,7 +75,7 @@ def _squared(obstacle: Obstacle, points: Floats, covariance: Floats) -> Floats:
 def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:
     """Obstacles of a map: a run folder, its obstacles.json, or a ROS map's YAML file.
 
-    Those that the map had itself found gone are left out, and places of unknown error. Raises
+    Those that the map had itself found gone are omitted, and places of unknown error. Raises
     RunFolderError: it is neither, or cannot be read.
     """
     file = Path(path)

@@ -144,8 +144,8 @@ def skin_point(
 ) -> Pose:
     """Point of the skin that a contact touches, and the direction from the centreline to it.
 
-    A force that adds positive curvature pushes to the left, so it comes from the right side. A
-    contact on the end bears `end_offset_cm` to the left of the centreline.
+    A force that adds positive curvature pushes towards +y, so it comes from the other side. A
+    contact on the end bears `end_offset_cm` to the +y side of the centreline.
     """
     x, y, heading = curve.pose(arc_cm)
     across = -np.copysign(radius_cm, force) if end_offset_cm is None else end_offset_cm
@@ -175,7 +175,7 @@ def place_contact(
     """Put one of the bend's contacts into the room.
 
     Its arc has a 95 % interval; the sign of its force over EI says from which side it comes. A
-    contact on the end of the body bears `end_offset_cm` left of the centreline.
+    contact on the end of the body bears `end_offset_cm` to the +y side of the centreline.
     """
     curve = centreline(bend)
     x, y, normal = skin_point(curve, arc, force, radius_cm, end_offset_cm)

@@ -76,7 +76,7 @@ def stop_port(run: Hello | None) -> list[str]:
 
 
 def _socket(url: str) -> str:
-    # What two URLs of one robot may differ in is left out.
+    # What two URLs of one robot may differ in is omitted.
     return stop_socket.address(url.partition("?baud=")[0])
 
 

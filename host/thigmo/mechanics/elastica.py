@@ -50,8 +50,8 @@ class PegContact:
     peg: int  # index into the pegs given
     arc: float  # arc length of the closest centreline point (cm); the everted length at the end
     kind: Kind  # where on the tube
-    # Forces at `arc` along the body's left normal (positive adds positive curvature: the peg is on
-    # the right) and along its tangent (negative pushes towards the base; 0 on the side), 1/cm^2.
+    # Forces at `arc` along the body's normal (positive adds positive curvature) and along its
+    # tangent (negative pushes towards the base; 0 on the side), 1/cm^2.
     normal: float
     tangential: float
     # Moment about the centreline, 1/cm, counter-clockwise; its lever at a corner: the tube radius.
@@ -207,7 +207,7 @@ def push(
     peg that does this is found with `peg_for`.
 
     Args:
-        force: normal forces (1/cm^2, signed: positive bends left), scalar or shape (n,).
+        force: normal forces (1/cm^2, signed as the curvature they add), scalar or shape (n,).
         arc: their arc lengths (cm), same shape.
         free_curvature: 1/cm.
         length: everted length, cm.

@@ -27,7 +27,7 @@ class Settling:
     amplitude: float = 0.0  # mean at eversion, 1/cm
     amplitude_sd: float = 0.0  # spread from one eversion to the next, 1/cm
 
-    def left(self, t_s: npt.ArrayLike) -> tuple[Floats, Floats]:
+    def excess(self, t_s: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Expected rest of the creep at a time since eversion, and its one sigma (1/cm)."""
         t = np.asarray(t_s, dtype=np.float64)
         decay = np.exp(-t / self.tau_s)

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from thigmo.config import SIDES
 from thigmo.mechanics import traced
 from thigmo.record.document import Shape
 
@@ -18,12 +19,12 @@ _BETWEEN = 9  # positions from one recorded shape to the next
 
 
 def outline(poses: ArrayLike, radius_cm: float) -> Floats:
-    """The tube's (..., 2n, 2) corners around centrelines (..., n, 3): left side out, right back."""
+    """The tube's (..., 2n, 2) corners around centrelines (..., n, 3): out and back."""
     line = np.asarray(poses, dtype=np.float64)
     heading = line[..., 2:]
     across = radius_cm * np.concatenate((-np.sin(heading), np.cos(heading)), axis=-1)
-    left, right = line[..., :2] + across, line[..., :2] - across
-    around: Floats = np.concatenate((left, right[..., ::-1, :]), axis=-2)
+    out, back = line[..., :2] + across, line[..., :2] - across
+    around: Floats = np.concatenate((out, back[..., ::-1, :]), axis=-2)
     return around
 
 
@@ -42,7 +43,7 @@ def passed(shapes: Iterable[Shape], drawn_in: float = 0.0) -> Floats:
     straight = np.zeros_like(bent[0])
     straight[1:, 0] = np.cumsum(steps[0])
     if drawn_in:
-        way = 1.0 if ordered[0].side == "left" else -1.0
+        way = -1.0 if ordered[0].side == SIDES[1] else 1.0
         less = way * drawn_in * np.array([shape.curvature_se or 0.0 for shape in ordered])
         straight = _turned(straight[None], steps[:1], less[:1])[0]
         bent = _turned(bent, steps, -less)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo.config import SIDES
 from thigmo.display import COLORS, OTHER_COLOR, POINT_ESTIMATE
 from thigmo.errors import RunFolderError
 from thigmo.extras import NotInstalledError, require
@@ -85,7 +86,7 @@ def plot_map(
     sides = [
         [shape for shape in stage.shapes if shape.side == side]
         for stage in document.stages
-        for side in ("left", "right")
+        for side in SIDES
     ]
     swept = [polygon for shapes in sides for polygon in outline(passed(shapes), radius_cm)]
 
@@ -117,16 +118,16 @@ def _zooms(
     """Enlarged views of the surest contact on each side, in the corners beside the base.
 
     A robot sweeps a fan in front of its base, so the corners are empty unless it curls back; a view
-    that would cover something is left out.
+    that would cover something is omitted.
     """
     from matplotlib.patches import Rectangle
     from matplotlib.transforms import Bbox
 
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    side_cm = min(0.36 * (right - left), 0.34 * (top - bottom))
+    (low_x, high_x), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    side_cm = min(0.36 * (high_x - low_x), 0.34 * (top - bottom))
     points = np.concatenate([np.zeros((1, 2)), *swept])
     for y_cm, corner_cm in ((1.0, top - side_cm), (-1.0, bottom)):
-        corner = Bbox.from_bounds(left, corner_cm, side_cm, side_cm)
+        corner = Bbox.from_bounds(low_x, corner_cm, side_cm, side_cm)
         mine = [c for c in contacts if (c.y_cm >= 0) == (y_cm > 0)]
         if not mine or corner.count_contains(points):
             continue
@@ -138,7 +139,7 @@ def _zooms(
         x, y = contact.x_cm - zoom_cm, contact.y_cm - zoom_cm
         if corner.overlaps(Bbox.from_bounds(x, y, 2 * zoom_cm, 2 * zoom_cm)):
             continue
-        zoom = axes.inset_axes((left, corner_cm, side_cm, side_cm), transform=axes.transData)
+        zoom = axes.inset_axes((low_x, corner_cm, side_cm, side_cm), transform=axes.transData)
         room(zoom)
         zoom.set(
             xlim=(x, x + 2 * zoom_cm), ylim=(y, y + 2 * zoom_cm), xticks=[], yticks=[],
@@ -173,7 +174,7 @@ def _robot(
     longest = max((stage.everted_length_cm for stage in stages), default=0.0) or 1.0
     for stage in stages:
         shade = colormaps["Blues"](0.35 + 0.6 * stage.everted_length_cm / longest)
-        for side in ("left", "right"):
+        for side in SIDES:
             shapes = [shape for shape in stage.shapes if shape.side == side]
             if shapes:
                 poses = max(shapes, key=lambda shape: shape.pressure_psi).poses

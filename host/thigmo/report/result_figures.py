@@ -65,7 +65,7 @@ def _contact(axes: Axes, contact: Contact, body: float, height: float, *, point_
         axes.plot([low, high], [body, body], color=color, lw=7, solid_capstyle="butt", zorder=3)
     axes.plot(arc, body, "o", color=color, ms=8, mec="white", mew=1.2, zorder=4)
     axes.plot([arc, arc], [body, 1.04 * height], color=color, lw=0.8, ls=(0, (4, 2)))
-    right = arc < 0.5 * axes.dataLim.x1
+    early = arc < 0.5 * axes.dataLim.x1
     words = f"{arc:.4g}"
     if point_fit:
         words += f"  ({contact.interval_text})"
@@ -75,7 +75,7 @@ def _contact(axes: Axes, contact: Contact, body: float, height: float, *, point_
     axes.annotate(
         words,
         (arc, 1.06 * height), xytext=(0, 2), textcoords="offset points",
-        ha="left" if right else "right", va="bottom", fontsize=8, color=color,
+        ha="left" if early else "right", va="bottom", fontsize=8, color=color,
     )  # fmt: skip
 
 

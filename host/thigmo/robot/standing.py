@@ -94,9 +94,9 @@ class StandingWatch:
             *_, own = law.observe(when, told, noise)
             again = Settling(law.tau_s, law.tau_se_s, own.amplitude, law.amplitude_sd)
             settled, settled_sd, own = again.observe(when, told, noise)
-            left, left_sd = own.left(at_s - self._everted_s[i])
-            value[i] = level + settled + float(left)
-            sigma[i] = np.hypot(settled_sd, float(left_sd))
+            excess, excess_sd = own.excess(at_s - self._everted_s[i])
+            value[i] = level + settled + float(excess)
+            sigma[i] = np.hypot(settled_sd, float(excess_sd))
         return value, sigma
 
     def curvature(self, flex_sum: Floats, at_s: float, sensors: int) -> tuple[Floats, Floats]:

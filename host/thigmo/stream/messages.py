@@ -1,7 +1,8 @@
 """The messages of the stream, and their JSON.
 
 Lengths in cm, pressures in psi, curvature in 1/cm, currents in mA, angles in rad; x along the
-straight robot from its base, y to its left. Left comes before right, and the base before the tip.
+straight robot from its base, y to its left. Muscles are in the order of
+the board's outputs.
 Sensors are numbered by the board's inputs (`thigmo.wiring`). A number that is not known is NaN,
 and null in JSON.
 """
@@ -21,7 +22,7 @@ from thigmo.record import MapContact, OccupancyGrid, Pose
 from thigmo.record.document import Number
 
 # JSON has no NaN.
-Pair = tuple[Number, Number]  # left, right
+Pair = tuple[Number, Number]  # by output
 Severity = Literal["info", "warning", "fault"]
 
 

@@ -32,7 +32,7 @@ _COMMANDS: tuple[Command, ...] = get_args(Command)
 _MOST_BYTES = 4096
 _POLL_S = 0.1
 _LINGER_S = 0.01  # a thread that wakes for every message would take the robot's time
-_LAST_S = 5.0  # for all clients to take what is left when the run ends
+_LAST_S = 5.0  # for all clients to take what remains when the run ends
 _PATIENCE_S = 2.0  # for a server's hello
 _HUNG_S = 0.05  # for that of one which has not answered before
 # How the names of this user's streams begin on Windows.
@@ -83,7 +83,7 @@ class Server(Closing):
         self._accepting = _thread(self._accept)
 
     def close(self) -> None:
-        """Serve no more; clients get five seconds for what is left. May be called twice."""
+        """Serve no more; clients get five seconds for what remains. May be called twice."""
         with self._lock:
             if self._closed:
                 return

@@ -13,7 +13,7 @@ from thigmo.studies.engine import Context, Outcome, Study
 STUDIES: dict[str, str] = {
     "speed-accuracy": "speed against accuracy of every method",
     "stability": "error and failures of each method as conditions get harder",
-    "accuracy": "coverage and wrong answers, each error told and not told",
+    "accuracy": "coverage and wrong answers, each error stated and not stated",
     "loads": "few sensors, two contacts, held ends, kinks, near the base",
     "number": "how many contacts, and where, against what can be known",
     "space": "contacts in space, against an independent rod",
@@ -21,7 +21,7 @@ STUDIES: dict[str, str] = {
     "sweeps": "one frame against all of its inflation; bad sensors",
     "cold": "the first commands of a new installation, nothing cached",
     "camera": "errors of the overhead camera over painted rooms",
-    "exploration": "pegs found, empty rooms silent, maps right; calibrated or not",
+    "exploration": "pegs found, empty rooms silent, maps true; calibrated or not",
     "robots": "other robots by description: 30 to 200 cm, one muscle",
     "faults": "single failures: what notices them, how soon, what it costs",
     "trigger": "contact trigger's latency against its false alarms",

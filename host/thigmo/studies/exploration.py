@@ -29,8 +29,8 @@ from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort, within
 from thigmo.exploration.map import best_contact, of_stage
-from thigmo.exploration.missed import felt_pegs, from_line
 from thigmo.exploration.obstacles import occupancy
+from thigmo.exploration.scoring import felt_pegs, from_line
 from thigmo.mechanics import Peg
 from thigmo.record import RunDocument, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
@@ -90,7 +90,7 @@ DIALLED = (TRUE, MORE, WALLS)  # kinds in which every effort is tried
 DIAL_ROOMS = 6  # of each
 BUDGETS_S = (60.0, 100.0, 150.0, 250.0, 400.0)
 SETTINGS = ("thesis", *EFFORTS, *(f"{time_s:g} s" for time_s in BUDGETS_S))
-_NEAR_CM = 1.5  # an occupied cell so near a surface is right
+_NEAR_CM = 1.5  # an occupied cell so near a surface is true
 _OFF_CM = 4.0  # farther from all that was touched a contact is false, and a true one missed
 
 
@@ -451,14 +451,14 @@ def _claims(found: list[Explored]) -> list[Claim]:
 
     walls, stalls, several, pegs = of(WALLS), of(STALLS), of(MORE), of(TRUE, *_OTHERS)
     noisy = share([one.false > 0 for one in of(*_NOISY)])
-    right = total(walls, "contacts_localized") - total(walls, "contacts_wrong")
+    held = total(walls, "contacts_localized") - total(walls, "contacts_wrong")
     stalled = [one for one in stalls if one.cause]
     one_peg, off = f"one peg, {len(pegs)} rooms", f"{_OFF_CM:g} cm"
     empty, more = f"{STALLS}, {len(stalls)} rooms", f"{MORE}, {len(several)} rooms"
     walled = f"{WALLS}, {len(walls)} rooms"
     return [
         Claim(f"{walled}: localized wrong", total(walls, "contacts_wrong"), 1.0),
-        Claim(f"{WALLS}: localized right", right, 8.0, False),
+        Claim(f"{WALLS}: localized, and held", held, 8.0, False),
         Claim(f"{WALLS}: false contacts, a room", total(walls, "far") / max(len(walls), 1), 0.3),
         Claim(f"{WALLS}: contacts missed by {off}", missed(walls), 20.0, unit="%"),
         Claim(f"{empty}: localized", total(stalls, "contacts_localized"), 0.0),
@@ -571,7 +571,7 @@ def _dial_figure(rows: list[Record]) -> Figure:
 
 def _figure(found: list[Explored]) -> Figure:
     """Where pegs were found, and what went wrong by kind."""
-    figure, (left, right) = charts.panels(1, 2, size=(6.5, 5.5))
+    figure, (first, second) = charts.panels(1, 2, size=(6.5, 5.5))
     pegs = [one for one in found if np.isfinite(one.x_cm)]
     for label, marker, color, those in (
         ("found", "o", GREEN, [e for e in pegs if not e.missed and not e.wrong]),
@@ -579,9 +579,9 @@ def _figure(found: list[Explored]) -> Figure:
         ("missed", "X", RED, [e for e in pegs if e.missed]),
     ):
         x, y = [e.x_cm for e in those], [e.y_cm for e in those]
-        left.scatter(x, y, 14, marker=marker, color=color, label=f"{label} ({len(those)})")
-    left.fill_between([0.0, 53.0], -1.75, 1.75, color="0.85", label="straight robot")
-    left.set(xlabel="x along the straight robot (cm)", ylabel="y (cm)", aspect="equal")
+        first.scatter(x, y, 14, marker=marker, color=color, label=f"{label} ({len(those)})")
+    first.fill_between([0.0, 53.0], -1.75, 1.75, color="0.85", label="straight robot")
+    first.set(xlabel="x along the straight robot (cm)", ylabel="y (cm)", aspect="equal")
     rows, at = _by_kind(found), np.arange(len(KINDS))
     for shift, (label, color, what) in enumerate((
         ("missed", RED, "missed"),
@@ -589,11 +589,11 @@ def _figure(found: list[Explored]) -> Figure:
         ("with false contacts", "0.5", "with_false_contacts"),
     )):  # fmt: skip
         shares = [100 * float(row[what]) / max(float(row["rooms"]), 1.0) for row in rows]
-        right.barh(at + 0.25 * (shift - 1), shares, 0.25, color=color, label=label)
-    right.set_yticks(at, list(KINDS), fontsize=8)
-    right.invert_yaxis()
-    right.set(xlabel="share of the rooms of a kind (%)", xlim=(0, None))
+        second.barh(at + 0.25 * (shift - 1), shares, 0.25, color=color, label=label)
+    second.set_yticks(at, list(KINDS), fontsize=8)
+    second.invert_yaxis()
+    second.set(xlabel="share of the rooms of a kind (%)", xlim=(0, None))
     legend: dict[str, Any] = {"fontsize": 7, "ncols": 2, "frameon": False}
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", **legend)
-    figure.legend(*right.get_legend_handles_labels(), loc="outside lower right", **legend)
+    figure.legend(*first.get_legend_handles_labels(), loc="outside lower left", **legend)
+    figure.legend(*second.get_legend_handles_labels(), loc="outside lower right", **legend)
     return figure

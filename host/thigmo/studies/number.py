@@ -1,6 +1,6 @@
 """The localizer's two claims: how many contacts there are, and where each of them lies.
 
-Is the number right as often as its probability says? (Frames drawn by the localizer's own prior, on
+Is the number true as often as its probability says? (Frames drawn by the localizer's own prior, on
 the independent rod.) Are both of two contacts found where the Cramer-Rao bound says that they can
 be? What does it cost to hold claims to a higher level, and to say nothing of the body's end and of
 its fold? A contact counts if it alone moves the readings by three standard errors or more.
@@ -23,7 +23,7 @@ from thigmo.mechanics.closed_forms import phi
 from thigmo.report.axes import BLUE, ORANGE
 from thigmo.studies import touches
 from thigmo.studies.charts import curves, legend_below, panels
-from thigmo.studies.engine import Claim, Context, Outcome, Record, parts, share
+from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, share
 from thigmo.studies.loads import DENSE, NOTHING_SAID, anywhere
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
@@ -43,7 +43,7 @@ TRADED: dict[str, touches.Draw] = {
     "two bent, 20 readings": partial(anywhere, 2, True, DENSE),
 }
 SINGLES = tuple(TRADED)[:3]
-# Told besides, where the truth has no bad reading and nothing on the end's face.
+# Stated besides, where the truth has no bad reading and nothing on the end's face.
 PLAIN: dict[str, Any] = ROBOT | {"end_face_odds": 0.0, "bad_reading_odds": 1e-6}
 
 
@@ -91,15 +91,15 @@ def by_prior(task: tuple[tuple[int, ...], int]) -> NDArray[np.float64]:
 
 
 def calibration(frames: NDArray[np.float64]) -> tuple[list[dict[str, Any]], float]:
-    """Of each bin of the likeliest number's probability: how often it was right; and the error."""
-    said, right = frames[:, :4].max(axis=1), frames[:, :4].argmax(axis=1) == frames[:, 4]
+    """Of each bin of the likeliest number's probability: how often it was true; and the error."""
+    said, correct = frames[:, :4].max(axis=1), frames[:, :4].argmax(axis=1) == frames[:, 4]
     place = np.clip(np.digitize(said, BINS) - 1, 0, len(BINS) - 2)
     rows = [
-        {"said": float(said[place == b].mean()), "right": share(right[place == b]),
+        {"said": float(said[place == b].mean()), "correct": share(correct[place == b]),
          "count": int((place == b).sum())}
         for b in range(len(BINS) - 1) if (place == b).any()
     ]  # fmt: skip
-    error = sum(row["count"] * abs(row["said"] - row["right"]) for row in rows) / len(frames)
+    error = sum(row["count"] * abs(row["said"] - row["correct"]) for row in rows) / len(frames)
     return rows, error
 
 
@@ -139,14 +139,14 @@ def trade(task: tuple[str, tuple[int, ...], int]) -> NDArray[np.bool_]:
     rng = np.random.default_rng(key)
     scenes = TRADED[name](rng, size)
     noisy = scenes.curvature + SIGMA * rng.standard_normal(scenes.curvature.shape)
-    told: dict[str, Any] = {"position": scenes.position, "length": LENGTH, "span": SPAN}
-    told |= {"noise": SIGMA} | ROBOT
+    stated: dict[str, Any] = {"position": scenes.position, "length": LENGTH, "span": SPAN}
+    stated |= {"noise": SIGMA} | ROBOT
     ways: list[dict[str, Any]] = [
         *({"number_level": level} for level in NUMBER_LEVELS),
         *({"width_limit": LENGTH * width} for width in WIDTHS),
         NOTHING_SAID,
     ]
-    localizers = [Localizer.of(**(told | way)) for way in ways]
+    localizers = [Localizer.of(**(stated | way)) for way in ways]
     frames = list(zip(noisy, scenes.free, scenes.arcs, strict=True))
     return np.array([
         [_localized(each.localize(y, free_curvature=g), arcs) for y, g, arcs in frames]
@@ -155,14 +155,14 @@ def trade(task: tuple[str, tuple[int, ...], int]) -> NDArray[np.bool_]:
 
 
 def _calibration_figure(rows: list[dict[str, Any]], curve: list[dict[str, Any]]) -> Figure:
-    figure, (left, right) = panels(1, 2, size=(3.7, 3.4))
-    left.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
+    figure, (first, second) = panels(1, 2, size=(3.7, 3.4))
+    first.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
     said, hit, count = (
-        np.array([row[what] for row in rows]) for what in ("said", "right", "count")
+        np.array([row[what] for row in rows]) for what in ("said", "correct", "count")
     )
     error = np.sqrt(np.maximum(hit * (1.0 - hit), 0.25 / count) / count)
-    left.errorbar(said, hit, 1.96 * error, fmt="o", color=BLUE, markersize=4, linewidth=1.0)
-    left.set(
+    first.errorbar(said, hit, 1.96 * error, fmt="o", color=BLUE, markersize=4, linewidth=1.0)
+    first.set(
         xlabel="probability of the likeliest number", ylabel="share of frames with that number",
         xlim=(0.25, 1.02), ylim=(0, 1.05),
     )  # fmt: skip
@@ -170,11 +170,11 @@ def _calibration_figure(rows: list[dict[str, Any]], curve: list[dict[str, Any]])
         name: [(row["bound_cm"], 100.0 * row[what]) for row in curve]
         for name, what in (("both found", "both"), ("two answered", "two"))
     }
-    curves(right, lines, xlabel="Cramér-Rao bound of the worse place (cm)", ylabel="frames (%)")
-    right.axvline(PROMISED_CM, color="0.6", linewidth=0.8)
-    right.axhline(60.0, color="0.6", linewidth=0.8)
-    right.set(xlim=(0, BOUNDS[-1]), ylim=(0, 102))
-    right.legend(fontsize=7, frameon=False)
+    curves(second, lines, xlabel="Cramér-Rao bound of the worse place (cm)", ylabel="frames (%)")
+    second.axvline(PROMISED_CM, color="0.6", linewidth=0.8)
+    second.axhline(60.0, color="0.6", linewidth=0.8)
+    second.set(xlim=(0, BOUNDS[-1]), ylim=(0, 102))
+    second.legend(fontsize=7, frameon=False)
     return figure
 
 
@@ -208,9 +208,9 @@ def run(context: Context) -> Outcome:
     def batches(part: int, quick: int, full: int) -> list[tuple[tuple[int, ...], int]]:
         return [((seed, part, b), size) for b, size in parts(context.count(quick, full), BATCH)]
 
-    drawn = np.concatenate(context.map(by_prior, batches(1, 100, 2000), "frames of the prior"))
+    drawn = np.concatenate(context.map(by_prior, batches(1, 100, 2000), "drawn by the prior", last))
     rows, error = calibration(drawn)
-    found = np.concatenate(context.map(pairs, batches(2, 60, 6000), "pairs"))
+    found = np.concatenate(context.map(pairs, batches(2, 60, 6000), "pairs", last))
     edges = (0.0, *BOUNDS)
     curve = []
     for low, high in pairwise(edges):
@@ -225,7 +225,7 @@ def run(context: Context) -> Outcome:
     tasks = [(name, key, size) for n, name in enumerate(TRADED)
              for key, size in batches(3 + n, 20, 600)]  # fmt: skip
     answers: dict[str, list[NDArray[np.bool_]]] = {name: [] for name in TRADED}
-    for (name, *_), each in zip(tasks, context.map(trade, tasks, "levels"), strict=True):
+    for (name, *_), each in zip(tasks, context.map(trade, tasks, "levels", last), strict=True):
         answers[name].append(each)
     levels = [("number", level) for level in NUMBER_LEVELS] + [("place", w) for w in WIDTHS]
     traded: list[Traded] = []
@@ -235,9 +235,9 @@ def run(context: Context) -> Outcome:
         for (claim, level), frames in zip(levels, together[:-1], strict=True):
             localized, wrong = frames.mean(axis=0).tolist()
             traded.append(Traded(name, claim, level, localized, wrong, len(frames)))
-        (told, wrong), (silent, silent_wrong) = together[[0, -1]].mean(axis=1).tolist()
+        (stated, wrong), (silent, silent_wrong) = together[[0, -1]].mean(axis=1).tolist()
         priced.append({
-            "group": name, "localized_said": told, "wrong_said": wrong,
+            "group": name, "localized_said": stated, "wrong_said": wrong,
             "localized_not_said": silent, "wrong_not_said": silent_wrong,
         })  # fmt: skip
     kept = [row["localized_not_said"] / max(row["localized_said"], 1e-9)
@@ -257,10 +257,10 @@ def run(context: Context) -> Outcome:
         "rows": rows, "bounds": curve, "trade": [asdict(row) for row in traded], "price": priced
     }  # fmt: skip
     doubted = drawn[drawn[:, :4].max(axis=1) < SURE]
-    right = share(doubted[:, :4].argmax(axis=1) == doubted[:, 4])
+    correct = share(doubted[:, :4].argmax(axis=1) == doubted[:, 4])
     said = float(doubted[:, :4].max(axis=1).mean()) if len(doubted) else float("nan")
     note = (
         f"{len(doubted)} of {len(drawn)} frames have a likeliest number of probability below "
-        f"{SURE:g}: {said:.2f} on average, and {right:.2f} of them have that number"
+        f"{SURE:g}: {said:.2f} on average, and {correct:.2f} of them have that number"
     )
     return Outcome(tables, figures, claims, [note], summary=curve)

@@ -57,7 +57,7 @@ def read(
 
 
 def side_of(rng: np.random.Generator) -> float:
-    """Left or right."""
+    """Either side."""
     return float(rng.choice([-1.0, 1.0]))
 
 

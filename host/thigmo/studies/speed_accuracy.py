@@ -62,7 +62,7 @@ Row = dict[str, Any]
 def _case_scores(task: tuple[str, int, int]) -> list[tuple[float, float]]:
     """All methods on one case, one after the other, so that all see the same machine.
 
-    Error and time of each; NaN twice for one that is left out here.
+    Error and time of each; NaN twice for one that is omitted here.
     """
     scene, seed, index = task
     case = SCENES[scene](np.random.default_rng([seed, index]))

@@ -26,7 +26,7 @@ from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import CRITICAL, LENGTH, SIGMA, SPAN, Case, one_contact, read, side_of
 
 Draw = Callable[[np.random.Generator, float, float], tuple[Case, float]]
-"""Case and the noise that the method is told, for a row and a column condition."""
+"""Case and the noise that the method is given, for a row and a column condition."""
 
 DEFAULT = METHODS[0]
 # Methods quick enough to map; the rest stand in the speed-accuracy chart.
@@ -63,8 +63,8 @@ def _layout(rng: np.random.Generator, first: float, _: float) -> tuple[Case, flo
 
 def _lost(rng: np.random.Generator, lost: float, _: float) -> tuple[Case, float]:
     case = one_contact(rng)
-    left = np.where(rng.permutation(case.curvature.size) < lost, np.nan, case.curvature)
-    return replace(case, curvature=left), SIGMA
+    rest = np.where(rng.permutation(case.curvature.size) < lost, np.nan, case.curvature)
+    return replace(case, curvature=rest), SIGMA
 
 
 def _start_place(rng: np.random.Generator, _start: float, arc: float) -> tuple[Case, float]:

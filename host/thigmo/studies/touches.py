@@ -161,16 +161,16 @@ def misfit_of_one_contact(curvature: Floats, position: Floats, free: Floats) -> 
     bend = np.repeat(free, len(places))[:, None]
     read = np.repeat(curvature, len(places), axis=0)
 
-    def left(force: Floats) -> Floats:
+    def excess(force: Floats) -> Floats:
         bodies = solve(arcs, force, length=LENGTH, free_curvature=bend)
         return read - bodies.readings(position, SPAN)
 
     force, step = np.zeros_like(arcs), 1e-6  # 1/cm^2
     for _ in range(2):  # Gauss and Newton: the body is all but linear in the force
-        rest = left(force)
-        slope = (rest - left(force + step)) / step
+        rest = excess(force)
+        slope = (rest - excess(force + step)) / step
         power = np.maximum((slope**2).sum(axis=1), 1e-12)
         force = force + ((slope * rest).sum(axis=1) / power)[:, None]
-    each = np.square(left(force) / SIGMA).sum(axis=1).reshape(len(curvature), -1)
+    each = np.square(excess(force) / SIGMA).sum(axis=1).reshape(len(curvature), -1)
     least: Floats = each.min(axis=1)
     return least

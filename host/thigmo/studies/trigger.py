@@ -9,7 +9,7 @@ trigger is measured, on the virtual board.
 
 The defaults in protocol/schema.yaml are chosen by this rule. 50 Hz hum of ten thresholds must not
 alarm, and at most 1 of 100 empty sweeps with all three noise parts at twice their default. Of the
-settings left, those within 10 ms of the shortest latency in 90 % of sweeps into pegs count as
+remaining settings, those within 10 ms of the shortest latency in 90 % of sweeps into pegs count as
 equal, and the shortest latency for 95 % of the steps of 1.5 times the threshold decides.
 
 No scene has mains hum: nobody knows its size before the wires lie. But how much of it a setting
@@ -132,7 +132,7 @@ def quantile(values: Floats, share: float, *, early: bool) -> float:
     """A quantile of latencies (ms); missed contacts are infinite.
 
     What fired before the touch counts if `early` (a peg bends the base before it passes the
-    threshold); else it is a false alarm and left out (before a step there is nothing). NaN when
+    threshold); else it is a false alarm and omitted (before a step there is nothing). NaN when
     false alarms came before every touch.
     """
     good = np.sort(values if early else values[values >= 0])

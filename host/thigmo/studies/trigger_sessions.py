@@ -55,7 +55,7 @@ class Setting(NamedTuple):
 
 
 class Half(NamedTuple):
-    """One side's part of a sweep: the side (0 left), and when it starts."""
+    """One side's part of a sweep: the muscle's output, and when it starts."""
 
     side: int
     start_ms: int
@@ -76,7 +76,7 @@ class Session:
     # seed, eeprom: of the board
     seed: int
     eeprom: bytes
-    script: Script  # of the host, with the setting left out
+    script: Script  # of the host, with the setting omitted
     halves: tuple[Half, ...]  # of the sweeps, in order of time; times by the firmware's clock
     # rows of (tick, channel, count) of the channels that the trigger looks at
     conversions: npt.NDArray[np.int64]
@@ -88,7 +88,7 @@ class TouchedBoard(VirtualBoard):
 
     def __init__(self, seed: int, eeprom: bytes, robot: RobotConfig) -> None:
         super().__init__(seed, eeprom)
-        self.touch = [0.0, 0.0]  # 1/cm, added to what the left and the right base sensor read
+        self.touch = [0.0, 0.0]  # 1/cm, added to what the two base sensors read
         self._divider = robot.board.divider_ohm
         self._scale = [robot.column(side)[0].scale_per_ohm for side in SIDES]
 
@@ -127,7 +127,7 @@ def converse(
 ) -> Floats:
     """Say a script to a board that has just started, beat its heart, acknowledge its events.
 
-    `advance` runs the board by `step_ms` after each exchange, and is told the ms since the first.
+    `advance` runs the board by `step_ms` after each exchange, and is passed the ms since the first.
     Returns the times of the contacts that the board reports, ms by its own clock.
 
     Raises:

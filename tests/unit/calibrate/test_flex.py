@@ -109,7 +109,7 @@ def test_dead_sensor_is_named_and_left_out():
     assert [f.name for f in result.sensors if not f.healthy] == ["left 2", "right 2"]
     assert "open or shorted" in result.sensors[2].reason
     assert "does not answer" in result.sensors[7].reason
-    said = [note for note in result.verdict.notes if "left out sensor" in note]
+    said = [note for note in result.verdict.notes if "omitted sensor" in note]
     assert ["left 2" in said[0], "right 2" in said[1], len(said)] == [True, True, 2]
     assert all("check its" in note for note in said)
     made = result.apply(lab.config)
@@ -127,7 +127,7 @@ def test_lost_marker_is_named_and_left_out():
     assert any("row 6: the camera lost the marker" in note for note in result.verdict.notes)
     named = tuple(f"tip {n}" for n in range(len(tip)))
     notes = fit_flex(replace(readings, tip_cm=tip, name=named), lab.config).verdict.notes
-    assert any("left out tip 5: the camera lost the marker" in note for note in notes)
+    assert any("omitted tip 5: the camera lost the marker" in note for note in notes)
     assert np.abs(errors(result, lab)).max() < 0.05
 
 
@@ -170,7 +170,7 @@ def test_moved_camera_is_detected_and_later_rows_left_out():
     result = fit_flex(shuffled, lab.config)
     said = [note for note in result.verdict.notes if "moved" in note]
     assert said, result.verdict
-    assert "left out row " in said[0]
+    assert "omitted row " in said[0]
     assert "`thigmo camera locate`" in said[0]
     assert not result.rows.good[12:19].any()
     assert result.rows.good[:10].all()
@@ -200,7 +200,7 @@ def test_swapped_sides_are_detected():
     assert not result.verdict.good
     assert "swapped" in result.verdict.reason
     # No sensor is blamed for it.
-    assert not any("left out sensor" in note for note in result.verdict.notes)
+    assert not any("omitted sensor" in note for note in result.verdict.notes)
     blind = fit_flex(lab.flex(places=20, bends=0), lab.config)
     assert any("left and right are swapped" in note for note in blind.verdict.notes)
 

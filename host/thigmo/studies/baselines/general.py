@@ -109,8 +109,8 @@ def grid(problem: Problem) -> tuple[Array, Array]:
     else:
         gram = phi @ phi.transpose(0, 2, 1) + 1e-9 * np.eye(problem.contacts)
         forces = np.linalg.solve(gram, (phi @ problem.curvature)[..., None])[..., 0]
-    left = problem.curvature - (forces[:, None, :] @ phi)[:, 0, :]
-    arcs = nodes[chosen[np.abs(left).sum(axis=1).argmin()]]
+    rest = problem.curvature - (forces[:, None, :] @ phi)[:, 0, :]
+    arcs = nodes[chosen[np.abs(rest).sum(axis=1).argmin()]]
     return arcs, best_forces(problem, arcs)
 
 
@@ -217,5 +217,5 @@ def _features(problem: Problem, mechanics: bool) -> Array:
         contacts=problem.contacts, method="l1",
     ).contacts  # fmt: skip
     arcs, forces = (np.array([getattr(c, what) for c in fit]) for what in ("arc", "force"))
-    left = problem.curvature - influence(problem, arcs) @ forces
-    return np.concatenate([plain, arcs, forces * problem.length**2, left * problem.length])
+    rest = problem.curvature - influence(problem, arcs) @ forces
+    return np.concatenate([plain, arcs, forces * problem.length**2, rest * problem.length])

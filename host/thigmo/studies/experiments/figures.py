@@ -139,8 +139,8 @@ def _surface(solved: Sequence[Solved]) -> Figure:
     arcs = np.linspace(1.0, trial.length_cm, 261)
     moments = np.linspace(0.1, 3.0, 240) * force * trial.arcs_cm[0]
     levers = np.array([phi(arc, trial.position, 0.0) / arc for arc in arcs])
-    left = (trial.curvature - trial.free) - moments[:, None, None] * levers
-    value = np.abs(left).sum(axis=2)  # (moments, arcs)
+    rest = (trial.curvature - trial.free) - moments[:, None, None] * levers
+    value = np.abs(rest).sum(axis=2)  # (moments, arcs)
     figure, (axis,) = charts.panels(
         size=(7, 4.6),
         title=f"Residuals over place and force, {trial.condition} at {trial.place} (thesis, "
@@ -231,8 +231,8 @@ def _pressed(experiment: str, title: str) -> Figure:
     for one in plan(experiment, 2):
         if one.side == "right":
             moment, *more = np.multiply(one.arcs_cm, one.forces)
-            told = f"{one.condition}: base moment {moment:.4f} 1/cm"
-            text = "" if more else told + (", folded" if one.folds else "")
+            label = f"{one.condition}: base moment {moment:.4f} 1/cm"
+            text = "" if more else label + (", folded" if one.folds else "")
             body = pushed(one.arcs_cm, one.forces, fold_rad=one.fold(frozen().fold_rad))
             drawn[text].append((one.place, body))
     return _drawn(drawn, title, 4.2)

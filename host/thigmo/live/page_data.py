@@ -25,7 +25,7 @@ _MOST_ROWS = 60_000  # five minutes at full rate, twenty at 50 Hz
 # Of a row; `page/store.js` has the same.
 COLUMNS = (
     "t_s",
-    *(f"{name}_{side}" for name in ("pressure", "demand", "drive") for side in ("left", "right")),
+    *(f"{name}_{side}" for name in ("pressure", "demand", "drive") for side in SIDES),
     *(f"curvature_{n}" for n in range(10)),
     *(f"expected_{n}" for n in range(10)),
     "length_cm",
