@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from thigmo.config import SIDES
+from thigmo.config import Side
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import Truth
@@ -29,7 +29,7 @@ class GrowthWatcher:
     growth or several in a row."""
 
     length_cm: list[float] = field(default_factory=list)  # everted, by the spool's encoder
-    flex_sum: list[tuple[int, ...]] = field(default_factory=list)  # raw readings, left base first
+    flex_sum: list[tuple[int, ...]] = field(default_factory=list)  # raw readings
     _next_s: float = 0.0
 
     def telemetry(self, frame: TelemetryFrame) -> None:
@@ -45,11 +45,15 @@ class GrowthWatcher:
         return np.asarray(self.length_cm), table.unzeroed(sums.reshape(-1, SENSORS))
 
 
-def peak_frame(reply: wire.Snapshot, t_s: float) -> SweepFrame:
-    """A reading that the board captured at a peak, in host units; `t_s` is its unwrapped time."""
+def peak_frame(reply: wire.Snapshot, t_s: float, sides: Sequence[Side]) -> SweepFrame:
+    """A reading that the board captured at a peak, in host units; `t_s` is its unwrapped time.
+
+    `sides` are those to which the muscles bend the body.
+    """
     free = reply.free_e5 / 1e5
     excess = reply.base_e5 / 1e5 - free
-    return SweepFrame(SIDES[reply.side], t_s, reply.lagged_cpsi / 100, free, excess, reply.flex_sum)
+    side = sides[reply.muscle]
+    return SweepFrame(side, t_s, reply.lagged_cpsi / 100, free, excess, reply.flex_sum)
 
 
 @dataclass
@@ -64,6 +68,7 @@ class SweepWatcher:
     standing: StandingWatch | None = None  # what they rest at
     # the sweep is cut short after its first peak; what comes later does not count
     rising: bool = False
+    sides: Sequence[Side] = ()  # to which the muscles bend the body
     stopped: bool = False  # the sweep was stopped on the way up; its last half second is its peak
     triggers: list[ContactTrigger] = field(default_factory=list)
     peaks: list[list[SweepFrame]] = field(default_factory=list)  # captured readings of each
@@ -73,7 +78,7 @@ class SweepWatcher:
     def triggered(self, event: wire.Event, t_s: float) -> None:
         """Take the event of a contact, of device time `t_s`."""
         if not self.stopped:
-            self.triggers.append(ContactTrigger(SIDES[event.arg], t_s, event.value / 1e5))
+            self.triggers.append(ContactTrigger(self.sides[event.arg], t_s, event.value / 1e5))
 
     def telemetry(self, frame: TelemetryFrame) -> None:
         """Take a frame; one in fifty milliseconds is decoded."""
@@ -82,9 +87,9 @@ class SweepWatcher:
             return
         self._next_s = t_s + _FRAME_SPACING_S
         told = frame.message
-        pressure = max(told.left_cpsi, told.right_cpsi)
+        pressure = max(told.pressure_cpsi)
         if pressure >= _IDLE_CPSI:
-            side = SIDES[told.left_cpsi < told.right_cpsi]
+            side = self.sides[told.pressure_cpsi.index(pressure)]
             free, excess = told.free_e5 / 1e5, (told.base_e5 - told.free_e5) / 1e5
             self.frames.append(SweepFrame(side, t_s, pressure / 100, free, excess, told.flex_sum))
 
