@@ -22,6 +22,7 @@ from mega_rig import RAM, Figure, Rig, painted_stack, scene, sections, static_ra
 from soak import Soak
 
 from thigmo.emulator.chip import CHANNELS, CYCLES_PER_MS, NO_COUNT
+from thigmo.emulator.mega_sim import SimulatedMega
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
@@ -37,6 +38,14 @@ INTERRUPTS = {
 }  # fmt: skip
 US = 16  # cycles
 SEED = 3
+
+
+def start() -> Figure:
+    """From a reset to the first tick, boot loader aside: the check of the image, then setup."""
+    mega = SimulatedMega(SEED, boot_loader=False)
+    mega.run_to_tick()
+    ms = round(mega.chip.tick_origin / CYCLES_PER_MS, 1)
+    return Figure("start, with the check of the image", ms, "ms", 300)
 
 
 def session(rig: Rig) -> tuple[Robot, Client]:
@@ -240,7 +249,7 @@ def trigger_latency() -> list[Figure]:
 
 def measure() -> list[Figure]:
     """All figures."""
-    figures = memory()
+    figures = [*memory(), start()]
     rig = Rig(SEED)
     depth = painted_stack(rig)
     figures += busy_robot(rig)

@@ -474,6 +474,11 @@ def table(name: str) -> str:
     lines = [f"`{SOURCES[name].shown}`", ""]
     if not rows:
         return "\n".join([*lines, "Not run yet.", "", ""])
+    found = json.loads((RESULTS / f"{name}.json").read_text())
+    for study in found if isinstance(found, list) else []:
+        if samples := study.get("samples"):
+            cases = "; ".join(f"{part} {count}" for part, count in samples.items())
+            lines += [f"Cases: {cases}.", ""]
     lines += ["| what | value | |", "| --- | --- | --- |"]
     return "\n".join([*lines, *(f"| {a} | {b} | {c} |" for a, b, c in rows), "", ""])
 

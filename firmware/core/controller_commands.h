@@ -155,7 +155,10 @@ inline void Controller::start_spool(Activity activity, int32_t target_counts, in
   spool_.start(encoder_, target_counts, derived_.speed_q16(speed), derived_.accel_q16,
                homing ? derived_.homing_duty : derived_.top_duty);
   // What growth has missed adds up over the moves that follow each other.
-  if (activity != Activity::kGrowing) motion_.restart(encoder_);
+  if (activity != Activity::kGrowing) {
+    motion_.restart(encoder_);
+    fold_.restart();
+  }
   errors_before_ = encoder_errors_;
   moved_from_ = encoder_;
   if (activity == Activity::kGrowing) fold_.begin(length_um_, derived_.enabled_mask, config_);
@@ -212,6 +215,7 @@ inline Outcome Controller::confirm_length(int32_t length_um, bool settled) {
   length_known_ = true;
   slip_.accept(encoder_);
   motion_.restart(encoder_);
+  fold_.restart();
   follow_length();  // nothing everts by being vouched for: no events
   eversion_.confirm(settled, tick_);
   if (!settled) zeros_.invalidate(0xFFFF);

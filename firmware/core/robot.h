@@ -159,11 +159,7 @@ class Robot {
     board_.tx_write(wire, encode(*frame, wire));
   }
 
-  Board& board_;
-  Controller controller_;
-  Session session_;
-  ConfigStore store_;
-  Commands commands_;
+  // Outputs that none equals.
   static Outputs nothing() {
     Outputs none;
     for (uint8_t i = 0; i < kMuscles; ++i) none.drive[i] = kNever;
@@ -171,8 +167,13 @@ class Robot {
     return none;
   }
 
+  Board& board_;
+  Controller controller_;
+  Session session_;
+  ConfigStore store_;
+  Commands commands_;
   Outputs written_ = nothing();
-  uint8_t refreshed_ = kMuscles;  // output that was written anew last: a muscle's, or the motor
+  uint8_t refreshed_ = 0;  // output that was written again last: a muscle's, or the motor
   bool named_ = false;
 };
 

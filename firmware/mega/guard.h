@@ -9,9 +9,9 @@
 // the flash nothing but this page has to be right. Why the chip started is handed on in GPIOR2.
 //
 // Two ways to know the whole:
-// - The Makefile puts a CRC-16 (CCITT, from 0xFFFF) over the watchdog's entry and the program
-// behind
-//   the program (seal.py): what was erased, half written or left by another image changes it.
+// - The Makefile puts a CRC-32 over the watchdog's entry and the program behind the latter
+//   (seal.py): what was erased, half written or left by another image changes it. Its polynomial is
+//   0xAF, that of CRC-32/XFER: primitive, and short enough for 36 cycles a byte without a table.
 // - The Arduino IDE cannot. There the image's last bytes must be the time of compilation that this
 //   page carries: pages are written in rising order, so with them all others are there as well.
 #ifndef THIGMO_MEGA_GUARD_H_
@@ -54,10 +54,13 @@ extern "C" void __init() {
       "sts %[wdtcsr], r24\n\t"
       "sts %[wdtcsr], r25\n\t"
 #ifdef THIGMO_SEALED
-      // CRC in r25:r24, place in RAMPZ:Z, end of the segment in r20:r19:r18. First segment: the
-      // watchdog's entry. x is the high byte with the next one taken in.
+      // CRC in r27:r26:r25:r24, place in RAMPZ:Z, end of the segment in r20:r19:r18. First segment:
+      // the watchdog's entry. t is the CRC's high byte with the next byte of flash; the rest of the
+      // CRC moves up by a byte and takes in t * 0xAF, without carries: with b = t * (x^2 + 1) that
+      // is b ^ (b ^ b << 4) << 1.
       "ldi r24, 0xff\n\t"
       "ldi r25, 0xff\n\t"
+      "movw r26, r24\n\t"
       "ldi r18, lo8(thigmo_watchdog_entry_end)\n\t"
       "ldi r19, hi8(thigmo_watchdog_entry_end)\n\t"
       "ldi r20, hh8(thigmo_watchdog_entry_end)\n\t"
@@ -66,35 +69,46 @@ extern "C" void __init() {
       "out %[rampz], r20\n"
       "1:\twdr\n\t"
       "elpm r0, Z+\n\t"
-      "eor r25, r0\n\t"
-      "mov r22, r25\n\t"
-      "swap r22\n\t"
-      "andi r22, 0x0f\n\t"
-      "eor r25, r22\n\t"  // x ^= x >> 4
-      "mov r22, r25\n\t"
-      "swap r22\n\t"
-      "mov r23, r22\n\t"
-      "andi r22, 0x0f\n\t"
-      "andi r23, 0xf0\n\t"
-      "eor r24, r23\n\t"  // high byte: low ^ x << 4 ..
-      "lsl r23\n\t"
-      "rol r22\n\t"
-      "eor r24, r22\n\t"  // .. ^ x >> 3
-      "eor r23, r25\n\t"  // low byte: x << 5 ^ x
-      "mov r25, r24\n\t"
-      "mov r24, r23\n\t"
-      "in r22, %[rampz]\n\t"
+      "eor r27, r0\n\t"  // t
+      "mov r22, r27\n\t"
+      "clr r23\n\t"
+      "lsl r22\n\t"
+      "rol r23\n\t"
+      "lsl r22\n\t"
+      "rol r23\n\t"
+      "eor r22, r27\n\t"  // b in r23:r22
+      "mov r16, r22\n\t"
+      "swap r16\n\t"
+      "mov r17, r16\n\t"
+      "andi r16, 0x0f\n\t"
+      "andi r17, 0xf0\n\t"
+      "mov r0, r23\n\t"
+      "swap r0\n\t"
+      "or r16, r0\n\t"  // b << 4 in r16:r17
+      "eor r17, r22\n\t"
+      "eor r16, r23\n\t"
+      "lsl r17\n\t"
+      "rol r16\n\t"
+      "eor r22, r17\n\t"
+      "eor r23, r16\n\t"  // t * 0xAF in r23:r22
+      "mov r27, r26\n\t"
+      "mov r26, r25\n\t"
+      "eor r23, r24\n\t"
+      "movw r24, r22\n\t"
+      "in r16, %[rampz]\n\t"
       "cp r30, r18\n\t"
       "cpc r31, r19\n\t"
-      "cpc r22, r20\n\t"
+      "cpc r16, r20\n\t"
       "brne 1b\n\t"
       // Second segment: the program from 0, its data's initial values, and the CRC itself.
-      "ldi r18, lo8(__data_load_end + 2)\n\t"
-      "ldi r19, hi8(__data_load_end + 2)\n\t"
-      "ldi r21, hh8(__data_load_end + 2)\n\t"
+      "ldi r18, lo8(__data_load_end + 4)\n\t"
+      "ldi r19, hi8(__data_load_end + 4)\n\t"
+      "ldi r21, hh8(__data_load_end + 4)\n\t"
       "cpse r20, r21\n\t"
       "rjmp 2f\n\t"
       "or r24, r25\n\t"
+      "or r24, r26\n\t"
+      "or r24, r27\n\t"
       "breq 4f\n\t"
       "rjmp 3f\n"
       "2:\tmov r20, r21\n\t"

@@ -33,6 +33,23 @@ def _shown_s(page: Page) -> float:
     return shown
 
 
+def test_page_rounds_as_terminal_and_map_do(
+    looking: Looking, serve_page: ServePage, finished: ExplorationResult
+) -> None:
+    page = looking.open(serve_page(past=finished.folder).address)
+    numbers = [each / 80 for each in range(-800, -80)] + [each / 80 for each in range(4000)]
+    numbers += [38.35, 38.45, 1.005, 0.285, 99.95]
+    for digits in range(4):
+        shown = page.evaluate(
+            """async ([numbers, digits]) => {
+                const { rounded } = await import(new URL("svg.js", document.baseURI));
+                return numbers.map((number) => rounded(number, digits));
+            }""",
+            [numbers, digits],
+        )
+        assert shown == [f"{number:.{digits}f}".replace("-", "−") for number in numbers]
+
+
 def test_player_shows_any_moment_of_a_finished_run(
     looking: Looking, serve_page: ServePage, finished: ExplorationResult
 ) -> None:

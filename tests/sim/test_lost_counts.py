@@ -114,6 +114,41 @@ def test_a_fifth_of_the_counts_is_missed_by_the_motors_constant(
     assert 0.1 < plant.length_cm - counted_cm <= MOST_CM * TENTH
 
 
+@pytest.mark.parametrize(("share", "most_cm"), [(0.9, MOST_CM * TENTH), (0.85, 3.0), (0.82, 3.0)])
+@pytest.mark.parametrize("start_cm", [0, 2, 5, 8, 12, 16, 18, 20, 24, 28, 33])
+def test_a_tenth_of_the_counts_is_missed_between_two_eversions(
+    start_cm: float, share: float, most_cm: float, learnt: list[float]
+) -> None:
+    """Judged by the confirmed length alone, nine of ten counts went unnoticed from 2 cm."""
+    robot, transport = learned_robot(scene_at(start_cm), learnt)
+    plant = transport.lockstep.plant
+    transport.lockstep.faults.inject(
+        FaultTable(kind="encoder_share", at_s=robot.now(), value=share)
+    )
+    with pytest.raises(RobotFaultError, match="spool_stall"):
+        list(grow(robot, transport, start_cm + 20.0))
+    robot.wait(0.5, despite_faults=True)
+    counted_cm = robot.read(0.05, despite_faults=True).length_cm
+    assert 0.1 < plant.length_cm - counted_cm <= most_cm
+
+
+@pytest.mark.parametrize("share", [1.0, 0.98])
+@pytest.mark.parametrize("seed", range(4))
+def test_places_that_are_off_and_a_spool_that_is_accuse_no_encoder(
+    share: float, seed: int, learnt: list[float]
+) -> None:
+    scene = scene_at(0.0)
+    scene.seed = seed
+    scene.belief.position_spread_cm = 0.3
+    robot, transport = learned_robot(scene, learnt)
+    transport.lockstep.faults.inject(
+        FaultTable(kind="encoder_share", at_s=robot.now(), value=share)
+    )
+    for _ in range(2):
+        assert list(grow(robot, transport, 50.0))[-1] == 50.0
+        robot.retract_to(0.5)
+
+
 @pytest.mark.parametrize("supply", [0.95, 1.05])
 @pytest.mark.parametrize("friction_duty", [48.0, 72.0])
 def test_what_was_learnt_accuses_no_sound_encoder(

@@ -6,8 +6,7 @@
 // - Missed: growth that the motor must have made and the encoder has not shown. A loop that closes
 //   on an encoder which loses counts drives the body further than asked, and nothing else tells.
 // - Astray: motion that neither the motor nor the profile accounts for, either way: a driver that
-// is
-//   shorted, a brake that lets go.
+//   is shorted, a brake that lets go.
 //
 // Sums forget what is within tolerance, so that they can watch for ever.
 #ifndef THIGMO_CORE_CONTROL_MOTION_WATCH_H_

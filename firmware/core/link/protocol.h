@@ -175,8 +175,9 @@ enum class Fault : uint8_t {
            // (drive_4ma_cpsi, drive_20ma_cpsi), then clear.
   kLinkOverrun = 13,  // The board's receive buffer overran; lower the baud rate or the telemetry
                       // rate, then clear.
-  kStopped = 15,  // The robot was stopped: by Ctrl-C, by `thigmo stop`, or because its run hung or
-                  // died; see that nobody is in its way, then clear.
+  kStopped =
+      15,  // The robot was stopped: by a viewer, by Ctrl-C, by `thigmo stop`, or because its run
+           // hung or died; see that nobody is in its way, then let it go with `thigmo clear`.
 };
 constexpr uint8_t kFaultCount = 16;
 

@@ -1,9 +1,13 @@
 // What a growing body's own sensors say of its length: the tip's fold bends each as it passes.
 //
 // A sensor in the tail rests. While the fold passes, its reading swings out and back, and is
-// furthest out when its centre is in the fold. If that top has passed while the encoder is still
-// short of the sensor's centre, the body is longer than the encoder says: it loses counts. How far
-// a sensor swings is not needed, only that it does. Two sensors must say so, for one may be bad.
+// furthest out when its centre is in the fold. How far a sensor swings is not needed, only that it
+// does. Where the encoder then is, less the sensor's centre, is its lag. Sensors are judged in
+// pairs, in the order in which they pass, for one may be bad: two that agree by their mean, others
+// by the one that accuses less. The encoder loses counts if a pair
+//
+// - lags by less than places and the confirmed length may be off, or
+// - lags by less than the pair before it: between the two the body grew more than was counted.
 //
 // While a reading still swings out the tip moves: the body then pulls at the tail.
 #ifndef THIGMO_CORE_SENSING_FOLD_WATCH_H_
@@ -21,6 +25,9 @@ class FoldWatch {
   // A top is noticed some 0.7 cm behind the centre, once an eighth of the swing is gone. Places of
   // sensors and the confirmed length may be off by 1.1 cm.
   static constexpr int32_t kEarlyUm = 4000;
+  // Between two pairs only the sensors' places are in doubt, each by some 0.2 cm.
+  static constexpr int32_t kApartUm = 6000;
+  static constexpr int32_t kAgreeUm = 10000;  // lags of a pair
   // A swing that grows by so much, more than noise, is of a tip that moved within the last looks.
   static constexpr int32_t kRiseE5 = 200;
   static constexpr uint8_t kMovesSteps = 30;
@@ -33,10 +40,16 @@ class FoldWatch {
       if (ahead) watched_ = static_cast<uint16_t>(watched_ | (enabled & 1u << i));
     }
     unseen_ = watched_;
-    next_ = early_ = moves_ = 0;
+    next_ = moves_ = 0;
   }
 
-  // Looks at one sensor, in turn. True when the second one has passed the tip too early.
+  // Forgets what earlier growth felt: when the spool winds in, and when a length is confirmed.
+  void restart() {
+    waits_ = false;
+    least_um_ = -kEarlyUm;
+  }
+
+  // Looks at one sensor, in turn. True when a pair has passed the tip too early.
   bool step(const FlexReadings& flex, int32_t length_um, const Configuration& c, const Derived& d) {
     if (moves_ != 0) --moves_;
     const uint8_t i = next_;
@@ -58,21 +71,37 @@ class FoldWatch {
     }
     if (top_e5_[i] < kSwingE5 || swing > top_e5_[i] - (top_e5_[i] >> 3)) return false;
     watched_ = static_cast<uint16_t>(watched_ & ~bit);
-    if (length_um >= c.get(Param::kFlexCenterUm, i) - kEarlyUm) return false;
-    return ++early_ == 2;
+    return judge(length_um - c.get(Param::kFlexCenterUm, i));
   }
 
   // Whether a sensor in the fold shows that the tip moves.
   bool moves() const { return moves_ != 0; }
 
  private:
-  int32_t rest_[kSensors] = {};  // total resistance, in the tail
+  bool judge(int32_t lag_um) {
+    waits_ = !waits_;
+    if (waits_) {
+      first_um_ = lag_um;
+      return false;
+    }
+    const int32_t most = greater(first_um_, lag_um);
+    const int32_t least = lesser(first_um_, lag_um);
+    const bool agree = most - least < kAgreeUm;
+    const int32_t mean = least + (most - least) / 2;
+    if ((agree ? mean : most) < least_um_) return true;
+    least_um_ = greater(-kEarlyUm, (agree ? mean : least) - kApartUm);
+    return false;
+  }
+
+  int32_t first_um_ = 0;          // lag of a pair's first sensor
+  int32_t least_um_ = -kEarlyUm;  // that a pair of a sound encoder has
+  int32_t rest_[kSensors] = {};   // total resistance, in the tail
   int16_t top_e5_[kSensors] = {};
   uint16_t watched_ = 0;
   uint16_t unseen_ = 0;  // no resting value yet
   uint8_t next_ = 0;
-  uint8_t early_ = 0;  // sensors that passed too early
-  uint8_t moves_ = 0;  // control steps for which the tip counts as moving
+  bool waits_ = false;  // a pair's first sensor for the second
+  uint8_t moves_ = 0;   // control steps for which the tip counts as moving
 };
 
 }  // namespace thigmo

@@ -19,7 +19,7 @@ from thigmo.cli import ending
 from thigmo.cli.output import print_json
 
 if TYPE_CHECKING:
-    from thigmo.studies.engine import Context, Outcome, Record, Study
+    from thigmo.studies.engine import Context, Outcome, Record, Scale, Study
 
 Tell = Callable[[str, int, int], None]
 
@@ -38,16 +38,20 @@ def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: 
         with study_progress(name) as tell:
             save = partial(write, name=name, folder=out)
             try:
-                outcome = study(replace(context, progress=tell, save=save))
+                own = replace(context, progress=tell, save=save, samples={})
+                outcome = study(own)
             except KeyboardInterrupt:
                 typer.echo(f"thigmo: stopped; finished parts are in {out}/{name}-*", err=True)
                 raise typer.Exit(ending.status()) from None
-        found.append(report(name, outcome, out, as_json))
+        outcome.samples = own.samples
+        found.append(report(name, outcome, out, as_json, context.scale))
     if as_json:
         print_json(found)
 
 
-def report(name: str, outcome: Outcome, out: Path, as_json: bool) -> dict[str, Any]:
+def report(
+    name: str, outcome: Outcome, out: Path, as_json: bool, scale: Scale = "full"
+) -> dict[str, Any]:
     """Write what a study found, print it for people, and return it for programs."""
     from thigmo.studies.engine import write
 
@@ -55,7 +59,10 @@ def report(name: str, outcome: Outcome, out: Path, as_json: bool) -> dict[str, A
     if not as_json:
         if outcome.summary:
             _show(name, outcome.summary)
-        for line in (*outcome.claims, *outcome.notes):
+        if outcome.samples:
+            cases = "; ".join(f"{part} {count}" for part, count in outcome.samples.items())
+            typer.echo(f"  cases: {cases}")
+        for line in (*(claim.said(scale) for claim in outcome.claims), *outcome.notes):
             typer.echo(f"  {line}")
         typer.echo(f"  wrote {len(paths)} files to {out}/{name}-*")
     return {"study": name, **outcome.record(), "files": [str(path) for path in paths]}

@@ -14,6 +14,7 @@ from math import tanh
 
 from thigmo.errors import StoppedByViewerError
 from thigmo.exploration.feel import Feeling
+from thigmo.link import protocol as wire
 from thigmo.robot import Robot
 from thigmo.stream import Command, Message, Posterior, Question
 
@@ -92,9 +93,8 @@ class RunControl:
     def obey_stop(self) -> None:
         """Called while the robot is waited for; StoppedByViewerError if a viewer wants so."""
         if self._stopped.is_set():
-            raise StoppedByViewerError(
-                "stopped from a viewer", "look at the robot, then let it go with `thigmo clear`"
-            )
+            what, cure = wire.Fault.STOPPED.told  # as the board's fault says it
+            raise StoppedByViewerError(f"{wire.Fault.STOPPED.key}: {what}", cure)
 
 
 class Questions:

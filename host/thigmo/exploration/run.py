@@ -22,13 +22,14 @@ from thigmo.exploration.met import Lean
 from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import SAME_CM, growth_target, growth_zone, stage_lengths, trial_zone
-from thigmo.exploration.reducer import Profile, Reducer
+from thigmo.exploration.reducer import Reducer
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
     SENSORS,
     TRIGGER_PER_CM,
     GrowthWatcher,
+    Profile,
     Robot,
     SensorTable,
     SweepResult,
@@ -74,8 +75,6 @@ class Exploration:
     _start_cm: float = 0.0  # length at which the stage's growth began
     _zone: int = 0
     _body_psi: float | None = None  # what the operator last set
-    _swept: bool = False
-    _sweeps: bool = True  # at this stage; else it only zeroes
     _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
@@ -144,7 +143,6 @@ class Exploration:
         self.live.tell(Log, "info", "the operator measures the everted length")
         self.length_cm = self.robot.operator.everted_length_cm()
         self.robot.confirm_length(self.length_cm)
-        self._swept = self._knows.swept(self.length_cm)
         return "length known"
 
     def _arm(self) -> str:
@@ -156,31 +154,20 @@ class Exploration:
     # Each stage.
 
     def _plan(self) -> str:
-        def ahead() -> list[float]:
-            return self.effort.stops_after(
-                self.config, self.length_cm, self.robot.elapsed_s, swept=self._swept
-            )
-
-        stops = ahead()
-        if not stops and not self._knows.stages and self._swept:  # one sweep here beats none
-            self._swept = False
-            stops = ahead()
+        swept = self._knows.swept(self.length_cm)
+        stops = self.effort.stops_after(
+            self.config, self.length_cm, self.robot.elapsed_s, swept=swept
+        )
         if not stops:
             full = self.length_cm > self.config.body.length_cm - SAME_CM
             self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
             return "fully deployed" if full else "time is up"
         stage = stops[0]
-        if not self._knows.stages:
-            # Before its first sweep it zeroes at every pitch: else nothing would tell that growth
-            # has bent it aside.
-            reached_cm = self.length_cm + (SAME_CM if self._swept else -SAME_CM)
-            stage = next(each for each in stage_lengths(self.config) if each > reached_cm)
-        self._sweeps = stage in stops
         grows = stage > self.length_cm + 0.1
         if grows and peg_ahead(self.document.contacts, self.length_cm, self.config.body.radius_cm):
             self._note(outcome="peg ahead")
             return "peg ahead"
-        self._stage_cm, self._swept, self._zero_tries = stage, False, 0
+        self._stage_cm, self._zero_tries = stage, 0
         self._start_cm, self._growth = self.length_cm, GrowthWatcher()
         return "grow" if grows else "sweep here"
 
@@ -209,8 +196,14 @@ class Exploration:
         target = growth_target(self.config, self.length_cm, self._stage_cm)
         if target > self.length_cm + 0.1:
             self.length_cm = self.robot.grow_to(target, self._growth)
-            if self._knows.grown(self._grown()) is not None:
+            grown = self._grown()
+            if self._knows.grown(grown) is not None:
                 return "no eversion"
+            whole = [each for each in stage_lengths(self.config) if each >= target]
+            if not self._knows.stages and self._knows.leans(grown):
+                self._stage_cm = whole[0]  # what it leans on is passed no farther
+            elif target < self._stage_cm and target == whole[0]:
+                self._start_cm = target
             if self._knows.tried is not None and target == self._stage_cm:
                 self._knows.moved_on()
                 self._note(stall=self._found.map.stall)
@@ -265,15 +258,12 @@ class Exploration:
             return "drifting"
         if isinstance(self._knows.met, Lean):
             return self._released()
-        if self._swept:
+        if self._knows.swept(self.length_cm):
             return "zeroed after sweep"
         if self._stage_cm > self._knows.straight_cm:
             self._knows.zeroed(self._grown(), self.robot.zeros())
         if self._knows.met is not None:
             return "held bent"
-        if not self._sweeps:
-            self._swept = True
-            return "zeroed, no sweep here"
         return "zeroed after growth"
 
     def _released(self) -> str:
@@ -281,7 +271,6 @@ class Exploration:
         if self._knows.let_go(self.robot.zeros()):
             self._end_at_met()
             return "straight again: peg ahead"
-        self._swept = True
         return "as before: the zeros moved"
 
     def _zeroed(self) -> bool:
@@ -308,7 +297,6 @@ class Exploration:
             rising_only=not thesis,
             enough=None if thesis else self._enough,
         )
-        self._swept = True
         self._knows.has_looked(looked, self._zone)
         fired = held_sides(looked)
         if not fired:

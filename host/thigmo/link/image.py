@@ -10,7 +10,6 @@ import shutil
 import struct
 import subprocess
 import sys
-from binascii import crc_hqx
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,7 +88,7 @@ def write_hex(path: Path, blocks: list[tuple[int, bytes]]) -> Path:
 
 
 def seal(blocks: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
-    """Put the CRC that firmware/mega/guard.h checks behind a program: over its entry, then itself.
+    """Put guard.h's CRC-32 behind a program: over its entry, then itself.
 
     The program is the block at 0, the entry after a watchdog's reset the one at `WATCHDOG_ENTRY`.
     """
@@ -100,8 +99,12 @@ def seal(blocks: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
             f" {WATCHDOG_ENTRY:#x}",
             "link it as firmware/mega/Makefile does",
         )
-    crc = crc_hqx(parts[WATCHDOG_ENTRY] + parts[0], 0xFFFF)
-    return [(0, parts[0] + crc.to_bytes(2, "big")), (WATCHDOG_ENTRY, parts[WATCHDOG_ENTRY])]
+    crc = 0xFFFFFFFF
+    for byte in parts[WATCHDOG_ENTRY] + parts[0]:
+        crc ^= byte << 24
+        for _ in range(8):
+            crc = crc << 1 ^ (0x1000000AF if crc >> 31 else 0)
+    return [(0, parts[0] + crc.to_bytes(4, "big")), (WATCHDOG_ENTRY, parts[WATCHDOG_ENTRY])]
 
 
 def read_image(path: Path) -> Image:

@@ -126,7 +126,8 @@ class Fault(Documented):  # Latched faults, by bit number.
     INTERLOCK = 12  # The length became unknown or a sensor half everted during a bend; vented.
     PRESSURE_MISMATCH = 14  # Muscle pressure and the transducer's current disagree
     LINK_OVERRUN = 13  # The board's receive buffer overran
-    # The robot was stopped: by Ctrl-C, by `thigmo stop`, or because its run hung or died
+    # The robot was stopped: by a viewer, by Ctrl-C, by `thigmo stop`, or because its run hung or
+    # died
     STOPPED = 15
 
 

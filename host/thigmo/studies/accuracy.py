@@ -22,7 +22,7 @@ from thigmo.localization import LocalizeResult, localize
 from thigmo.report.axes import BLUE, RED
 from thigmo.studies import touches
 from thigmo.studies.charts import curves, legend_below, panels
-from thigmo.studies.engine import Claim, Context, Outcome, parts, share
+from thigmo.studies.engine import Claim, Context, Outcome, last, parts, share
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import LENGTH, ROBOT, SIGMA, SPAN
 from thigmo.studies.touches import BENT, GROUPS, TOUCHED, Scenes, holds
@@ -307,7 +307,7 @@ def run(context: Context) -> Outcome:
 
     def scored(part: str, some: list[tuple[int, int]], cases: list[Case]) -> list[Row]:
         tasks = [(case, context.seed, *batch) for case in cases for batch in some]
-        got = iter(context.map(judge, tasks, part))
+        got = iter(context.map(judge, tasks, part, last))
         return [score(case, np.concatenate([next(got) for _ in some])) for case in cases]
 
     outcome = Outcome()

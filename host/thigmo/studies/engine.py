@@ -41,6 +41,11 @@ def share(flags: Sequence[Any] | NDArray[Any]) -> float:
     return float(np.mean(flags)) if len(flags) else float("nan")
 
 
+def last(item: Sequence[Any]) -> int:
+    """Size of an item whose last part is its number of cases, as of `parts`."""
+    return int(item[-1])
+
+
 def parts(total: int, size: int) -> list[tuple[int, int]]:
     """Number and size of each batch of at most `size` that together make `total`."""
     return [(k, min(size, total - size * k)) for k in range(-(-total // size))]
@@ -56,6 +61,11 @@ class Claim:
     at_most: bool = True
     unit: str = ""
     standard_error: float = 0.0  # of the value, by the size of its sample; NaN if it is not known
+
+    def said(self, scale: Scale) -> str:
+        """The claim with its verdict; a quick look decides none that does not hold."""
+        text = str(self)
+        return text.replace("MISSED", "not met in a quick look") if scale == "quick" else text
 
     @property
     def holds(self) -> bool:
@@ -90,11 +100,14 @@ class Outcome:
     claims: list[Claim] = field(default_factory=list)  # written, and printed with their verdicts
     notes: list[str] = field(default_factory=list)  # sentences that are printed
     summary: Sequence[Record] | None = None  # a table that is printed
+    samples: Mapping[str, int] = field(default_factory=dict)  # cases of each part that was run
 
     def record(self) -> dict[str, Any]:
         """What programs are told: the rows of the comparison, if there is one, claims and notes."""
         claims = [claim.record() for claim in self.claims]
-        return {"rows": self.tables.get("rows", []), "claims": claims, "notes": self.notes}
+        rows = self.tables.get("rows", [])
+        samples = dict(self.samples)
+        return {"rows": rows, "claims": claims, "notes": self.notes, "samples": samples}
 
 
 @dataclass(frozen=True)
@@ -110,6 +123,7 @@ class Context:
     # called with what a study has found so far, when a part of it is done: what it has of tables
     # and claims is then written, and stopping the rest loses nothing
     save: Callable[[Outcome], object] = lambda outcome: None
+    samples: dict[str, int] = field(default_factory=dict)  # cases of each part that `map` has run
 
     def count(self, quick: int, full: int) -> int:
         """Number of cases at this scale."""
@@ -120,11 +134,20 @@ class Context:
         return np.random.default_rng([self.seed, *key])
 
     def map(
-        self, function: Callable[[Item], Value], items: Iterable[Item], part: str
+        self,
+        function: Callable[[Item], Value],
+        items: Iterable[Item],
+        part: str,
+        size: Callable[[Item], int] = lambda item: 1,
     ) -> list[Value]:
-        """Run a picklable function over items, in order of the items; progress names the part."""
+        """Run a picklable function over items, in order of the items; progress names the part.
+
+        `size` is the number of cases in an item.
+        """
         from joblib import Parallel, delayed, parallel_config
 
+        items = list(items)
+        self.samples[part] = self.samples.get(part, 0) + sum(map(size, items))
         calls = [delayed(function)(item) for item in items]
         self.progress(part, 0, len(calls))
         results: list[Value] = []

@@ -311,6 +311,8 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
         ("pull on the line where the driver obeys", [v.pull_n for v in obeys], RATING_N, "N"),
         ("time to safe of a noticed failure whose spool works",
          [v.safe_s or 0.0 for c, v in seen if not c.failure.spool], 8.0, "s"),
+        ("time to safe of a noticed failure of the spool, some of which only a motion's end shows",
+         [v.safe_s or 0.0 for c, v in seen if c.failure.spool], LASTS_S - QUIET_S, "s"),
         ("noticed failures after which an output stays on",
          [sum(v.safe_s is None for _, v in seen)], 0, ""),
         ("failures in motion that nothing notices and nothing covers",

@@ -19,7 +19,7 @@ from scipy.stats import chi2
 
 from thigmo.localization import Localizer, arc_bounds
 from thigmo.studies import touches
-from thigmo.studies.engine import Claim, Context, Outcome, Record, parts, share
+from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, share
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
 from thigmo.studies.touches import Draw, Scenes, holds, signs, straight
@@ -426,7 +426,7 @@ def run(context: Context) -> Outcome:
         for b, size in parts(context.count(min(20, group.count), group.count), BATCH)
     ]
     seen: dict[str, list[Seen]] = {name: [] for name in GROUPS}
-    for (name, *_), found in zip(tasks, context.map(see, tasks, "frames"), strict=True):
+    for (name, *_), found in zip(tasks, context.map(see, tasks, "frames", last), strict=True):
         seen[name] += found
     rows = [_row(name, frames) for name, frames in seen.items()]
     return Outcome({"rows": rows}, claims=_claims(seen), summary=rows)

@@ -23,7 +23,7 @@ from thigmo.mechanics.closed_forms import phi
 from thigmo.report.axes import BLUE, ORANGE
 from thigmo.studies import touches
 from thigmo.studies.charts import curves, legend_below, panels
-from thigmo.studies.engine import Claim, Context, Outcome, Record, parts, share
+from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, share
 from thigmo.studies.loads import DENSE, NOTHING_SAID, anywhere
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
@@ -208,9 +208,9 @@ def run(context: Context) -> Outcome:
     def batches(part: int, quick: int, full: int) -> list[tuple[tuple[int, ...], int]]:
         return [((seed, part, b), size) for b, size in parts(context.count(quick, full), BATCH)]
 
-    drawn = np.concatenate(context.map(by_prior, batches(1, 100, 2000), "frames of the prior"))
+    drawn = np.concatenate(context.map(by_prior, batches(1, 100, 2000), "drawn by the prior", last))
     rows, error = calibration(drawn)
-    found = np.concatenate(context.map(pairs, batches(2, 60, 6000), "pairs"))
+    found = np.concatenate(context.map(pairs, batches(2, 60, 6000), "pairs", last))
     edges = (0.0, *BOUNDS)
     curve = []
     for low, high in pairwise(edges):
@@ -225,7 +225,7 @@ def run(context: Context) -> Outcome:
     tasks = [(name, key, size) for n, name in enumerate(TRADED)
              for key, size in batches(3 + n, 20, 600)]  # fmt: skip
     answers: dict[str, list[NDArray[np.bool_]]] = {name: [] for name in TRADED}
-    for (name, *_), each in zip(tasks, context.map(trade, tasks, "levels"), strict=True):
+    for (name, *_), each in zip(tasks, context.map(trade, tasks, "levels", last), strict=True):
         answers[name].append(each)
     levels = [("number", level) for level in NUMBER_LEVELS] + [("place", w) for w in WIDTHS]
     traded: list[Traded] = []

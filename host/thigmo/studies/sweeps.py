@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.localization import Localizer, LocalizeResult, localize
-from thigmo.studies.engine import Claim, Context, Outcome, parts, share
+from thigmo.studies.engine import Claim, Context, Outcome, last, parts, share
 from thigmo.studies.pegs import Rooms, rooms
 from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import COLUMN, LENGTH, RADIUS, ROBOT, SIGMA, SPAN
@@ -141,7 +141,7 @@ def run(context: Context) -> Outcome:
     batches = parts(context.count(BATCH, 160), BATCH)
     scores = {}
     for error in ERRORS:
-        got = context.map(judge, [(error, context.seed, *part) for part in batches], error)
+        got = context.map(judge, [(error, context.seed, *part) for part in batches], error, last)
         for method in METHODS:
             judged = np.concatenate([some[method] for some in got])
             scores[error, method] = score(error, method, judged)

@@ -1,8 +1,8 @@
 """An upload that is cut: whatever mixture of images it leaves, nothing is energised.
 
 Each case is a flash, and a chip that is powered on with it. Three images of this repository's past,
-which had no guard (firmware/mega/guard.h), are written under and over today's; so is one of today
-with other options.
+which had no guard (firmware/mega/guard.h), are written under and over today's; so are one whose
+guard had a CRC-16, and one of today with other options.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import subprocess
 import tarfile
+from binascii import crc_hqx
 from functools import cache
 from pathlib import Path
 
@@ -18,12 +19,13 @@ from cut_uploads import Board, mixtures, pages, some
 
 from thigmo.emulator import mega_build
 from thigmo.link.flash import in_safe_order
-from thigmo.link.image import BUILD, ROOT, make, read_hex
+from thigmo.link.image import BUILD, PAGE, ROOT, WATCHDOG_ENTRY, make, read_hex
 
 # Commits with other layouts of the image: 41, 84 and 92 KB of program.
 PAST = ("ecd8b59", "6e0dbea", "7dc5063")
+WITH_CRC_16 = "c90d69d"
 WITH_GUARD = "today's at -O2"
-UNDER = ("blank", WITH_GUARD, *PAST)
+UNDER = ("blank", WITH_GUARD, WITH_CRC_16, *PAST)
 
 
 def build(name: str) -> Path:
@@ -33,8 +35,9 @@ def build(name: str) -> Path:
     if name == WITH_GUARD:
         return make(ROOT / "firmware" / "mega", image, f"BUILD={folder}", "OPTIMIZE=-O2")
     if not image.exists():
+        parts = ["firmware", "host/thigmo"] if name == WITH_CRC_16 else ["firmware"]  # for its seal
         archive = subprocess.run(
-            ["git", "-C", str(ROOT), "archive", name, "firmware"], capture_output=True, check=False
+            ["git", "-C", str(ROOT), "archive", name, *parts], capture_output=True, check=False
         )
         if archive.returncode:
             pytest.skip(f"this checkout has no commit {name}: {archive.stderr.decode().strip()}")
@@ -83,6 +86,19 @@ def test_a_cut_upload_in_rising_order_energises_nothing_before_page_1_is_written
     for written, state, flash in mixtures(pages(blocks(under)), pages(today()), cuts=range(2)):
         if written < 2:
             assert board.outcome_of(flash) != "energises", (written, state)
+
+
+@pytest.mark.parametrize("at", [4, 600, 60_000, WATCHDOG_ENTRY])
+def test_a_change_that_a_crc_16_does_not_see_starts_nothing(at: int, board: Board) -> None:
+    flash = pages(today())
+    number, place = divmod(at, PAGE)
+    page = bytearray(flash[number])
+    for index, bits in enumerate((0x11021 << 3).to_bytes(3, "big"), place):  # its polynomial
+        page[index] ^= bits
+    assert page != flash[number]
+    assert crc_hqx(page, 0xFFFF) == crc_hqx(flash[number], 0xFFFF)
+    assert board.outcome_of(flash | {number: bytes(page)}) == "stays"
+    assert board.outcome_of(flash) == "starts"
 
 
 @pytest.mark.parametrize("cuts", ["some", pytest.param("all", marks=pytest.mark.ci)])

@@ -47,7 +47,8 @@ def test_sampling_instants_are_exact_whatever_else_happens() -> None:
     # Bytes both ways at the full rate, and the encoder at 3150 edges a second.
     mega = SimulatedMega(2, boot_loader=False)
     mega.set_encoder(0.0, 0.0)
-    mega.step(205)
+    mega.run_to_tick()
+    mega.step(50)
     mega.record_trace(True)
     place = 0.0
     for number in range(300):

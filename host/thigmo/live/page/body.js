@@ -2,7 +2,7 @@
 // against what the free body would read there. Both share the axis, from the base to the tip.
 
 import { $, COLUMN, columns, element, index, muscles, pointEstimate, posterior as shown, store } from "./store.js";
-import { line, make, minus, sized, text, ticks } from "./svg.js";
+import { line, make, rounded, sized, text, ticks } from "./svg.js";
 import { percent } from "./words.js";
 
 const svg = $("body");
@@ -84,7 +84,7 @@ function drawCurvature(values, { y0, y1 }, X) {
   const most = Math.ceil(least * 100) / 100, Y = (value) => (y0 + y1) / 2 - value / most * (y1 - y0) / 2;
   for (const value of [-most, 0, most]) {
     make("line", { x1: PAD.left, x2: X(store.page?.body?.length_cm ?? 60), y1: Y(value), y2: Y(value), stroke: value ? "var(--grid)" : "var(--line)" }, layer);
-    text(layer, PAD.left - 8, Y(value) + 4, minus(value.toFixed(2)), { "text-anchor": "end", fill: "var(--faint)" });
+    text(layer, PAD.left - 8, Y(value) + 4, rounded(value, 2), { "text-anchor": "end", fill: "var(--faint)" });
   }
   text(layer, 14, (y0 + y1) / 2, "curvature, 1/cm", { transform: `rotate(-90 14 ${(y0 + y1) / 2})`, "text-anchor": "middle" });
   if (!values.length) return;

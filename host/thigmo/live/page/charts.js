@@ -2,7 +2,7 @@
 // asked for, or what the free body would read; the solid one is what was measured.
 
 import { $, COLUMN, columns, css, element, index, muscles, shade, store } from "./store.js";
-import { minus } from "./svg.js";
+import { minus, rounded } from "./svg.js";
 
 const DASH = [5, 4];
 const sensors = (of) => [
@@ -112,7 +112,7 @@ export function drawCharts() {
     });
     for (const { line, value } of values) {
       const read = columns[line.column][row];
-      value.textContent = chart.many || read === null || read === undefined ? "" : minus(read.toFixed(chart.digits));
+      value.textContent = chart.many || read === null || read === undefined ? "" : rounded(read, chart.digits);
     }
   }
 }

@@ -2,7 +2,7 @@
 // stays the stop's, also here; P plays, the arrow keys go a second back and forth.
 
 import { $, BOARD, COLUMN, COLUMNS, add, hold, reset, store, time, until } from "./store.js";
-import { make } from "./svg.js";
+import { make, rounded } from "./svg.js";
 
 const ONCE = ["event", "log"]; // listed; what else is told holds until the next of its kind
 let messages = [], boards = [], end = 0, playing = null, loads = 0;
@@ -45,8 +45,8 @@ export function seek(t) {
   for (const message of messages) if (time(message.t_s) <= store.now + 1e-9) hold(message);
   store.board = boards[until(boards, store.now, (each) => each.t) - 1] ?? BOARD;
   $("scrub").value = store.now;
-  $("scrub").setAttribute("aria-valuetext", `${store.now.toFixed(1)} s`);
-  $("position").textContent = `${store.now.toFixed(1)} of ${end.toFixed(1)} s`;
+  $("scrub").setAttribute("aria-valuetext", `${rounded(store.now, 1)} s`);
+  $("position").textContent = `${rounded(store.now, 1)} of ${rounded(end, 1)} s`;
 }
 
 // Stages as bands, events and contacts as marks.

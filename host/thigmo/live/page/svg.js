@@ -39,3 +39,11 @@ export function ticks(low, high, count) {
   for (let n = Math.ceil(low / step - 1e-9); n * step <= high + 1e-9; n++) found.push(+(n * step).toPrecision(10));
   return found;
 }
+
+// A number to its digits. What lies in the middle goes to the even digit, as in the terminal's and
+// the map's words; such numbers are whole multiples of a power of two, and so are exact here.
+export const rounded = (value, digits) => {
+  const scaled = value * 10 ** digits;
+  const middle = Number.isInteger(value * 2 ** (digits + 1)) && Math.abs(scaled % 1) === .5;
+  return minus((middle ? 2 * Math.round(scaled / 2) / 10 ** digits : value).toFixed(digits));
+};

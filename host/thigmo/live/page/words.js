@@ -1,7 +1,7 @@
 // What is told in words: the header, banners, contacts and events.
 
 import { $, COLUMN, muscles, element, latest, store, time } from "./store.js";
-import { minus } from "./svg.js";
+import { minus, rounded } from "./svg.js";
 
 const ICONS = {
   info: '<svg class="icon" viewBox="0 0 12 12" aria-label="info"><circle cx="6" cy="6" r="3" fill="var(--faint)"/></svg>',
@@ -19,7 +19,7 @@ forget();
 
 // As a sentence: events come as clauses.
 const sentence = (words) => words && words[0].toUpperCase() + words.slice(1) + (/[.!?:]$/.test(words) ? "" : ".");
-const fixed = (value, digits) => Number.isFinite(value) ? minus(value.toFixed(digits)) : "–";
+const fixed = (value, digits) => Number.isFinite(value) ? rounded(value, digits) : "–";
 
 export function drawWords(lost) {
   const { page, last, board } = store;
@@ -32,7 +32,7 @@ export function drawWords(lost) {
   document.title = run ? `${title} · thigmo` : "thigmo";
   $("doing").textContent = doing(lost);
   $("stage").textContent = state?.stage_cm ? `stage ${fixed(state.stage_cm, 0)} cm` : "";
-  const done = Math.round(100 * (state?.done ?? 0));
+  const done = rounded(100 * (state?.done ?? 0), 0);
   $("done").style.width = `${done}%`;
   $("done").parentElement.setAttribute("aria-valuenow", done);
   const any = store.columns[0].length > 0;
@@ -108,7 +108,7 @@ function drawWhy() {
   $("contacts-why").textContent = doubts ? `The last sweep by itself is ambiguous: ${posterior.message}. The map weighs every stage.` : "";
 }
 
-export const percent = (share) => share > .999 ? "> 99.9 %" : `${(100 * share).toFixed(1)} %`;
+export const percent = (share) => share > .999 ? "> 99.9 %" : `${rounded(100 * share, 1)} %`;
 
 function drawEvents() {
   const { events, page } = store;
@@ -150,7 +150,7 @@ function drawBanners(lost) {
     told.push(["fault", "Stop not connected: use the e-stop.", "The process that owns the robot’s port does not answer."]);
   }
   if (page?.mode === "live" && !lost && page.silent_s > 2 && !page.ended) {
-    told.push(["warning", `No reading for ${page.silent_s.toFixed(0)} s.`, "The run may hang. Stop works: the process that owns the port takes it."]);
+    told.push(["warning", `No reading for ${rounded(page.silent_s, 0)} s.`, "The run may hang. Stop works: the process that owns the port takes it."]);
   }
   const stopped = document.body.dataset.stop === "stopped" && !lost;
   if (stopped) {
