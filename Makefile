@@ -45,6 +45,7 @@ $(BIN)/python:
 # own, for it takes over the interpreter of the one that it is in. The wheels leave out some of what
 # they need (the second half of the list), and name folders of the machine that built them.
 ROS := $(addprefix ros-jazzy-, rclpy rmw-fastrtps-cpp nav-msgs sensor-msgs diagnostic-msgs std-srvs \
+       visualization-msgs \
        rosidl-default-generators ament-cmake \
        ament-cmake-gmock ament-cmake-gtest ament-cmake-include-directories ament-cmake-pytest \
        ament-cmake-ros ament-package python-cmake-module rosidl-core-generators) catkin_pkg

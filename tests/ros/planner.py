@@ -23,6 +23,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profi
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker, MarkerArray
 
 
 def latched(depth: int) -> QoSProfile:
@@ -61,6 +62,17 @@ def on_contact(contact: PoseWithCovarianceStamped) -> None:
     tell("contact", **head(contact), pose=pose(inner.pose), covariance=list(inner.covariance))
 
 
+def on_walls(walls: MarkerArray) -> None:
+    lines = [each for each in walls.markers if each.action == Marker.ADD]
+    tell(
+        "walls",
+        removed=sum(each.action == Marker.DELETEALL for each in walls.markers),
+        lines=[[[p.x, p.y, p.z] for p in each.points] for each in lines],
+        kinds=[each.type for each in lines], texts=[each.text for each in lines],
+        solid=[each.color.a for each in lines],
+    )  # fmt: skip
+
+
 def on_body(path: Path) -> None:
     tell("body", **head(path), poses=[pose(each.pose) for each in path.poses])
 
@@ -93,6 +105,7 @@ def main() -> None:
     subscribe = node.create_subscription
     subscribe(OccupancyGrid, f"/{namespace}/map", on_map, latched(1))
     subscribe(PoseWithCovarianceStamped, f"/{namespace}/contacts", on_contact, latched(100))
+    subscribe(MarkerArray, f"/{namespace}/walls", on_walls, latched(1))
     subscribe(Path, f"/{namespace}/body", on_body, latched(1))
     subscribe(JointState, f"/{namespace}/joint_states", on_joints, qos_profile_sensor_data)
     subscribe(DiagnosticArray, "/diagnostics", on_diagnostics, 10)

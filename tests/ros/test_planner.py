@@ -218,6 +218,18 @@ def test_planner_that_comes_later_gets_a_finished_run_s_map(
     _contacts_are_the_run_s(planner, run)
 
 
+def test_planner_receives_walls_as_lines_with_their_probability(ros: Any, tmp_path: Path) -> None:
+    run = thigmo.explore("emulator://wall", seed=1, out=tmp_path)
+    (wall,) = (contact for contact in run.contacts if contact.surface)
+    ros.bridge(run.folder)
+    told = ros.planner().hears(lambda told: told["topic"] == "walls" and told["lines"])
+    assert told["removed"] == 1
+    assert told["kinds"] == [4]  # a line strip
+    assert np.allclose(told["lines"], [[[x / 100, y / 100, 0.0] for x, y in wall.surface]])
+    assert told["solid"] == pytest.approx([wall.wall_probability])
+    assert told["texts"] == [f"wall, probability {wall.wall_probability:.2f}"]
+
+
 @pytest.mark.realtime
 @pytest.mark.parametrize("stop", ["stop", "stop, best effort"])
 def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: str) -> None:

@@ -293,10 +293,16 @@ def test_an_unwritable_folder_is_said_before_anything_moves(tmp_path: Path) -> N
         explore("emulator://empty", out=tmp_path / "runs")
 
 
-@pytest.mark.parametrize("time_s", [60.0, 100.0])
+@pytest.mark.parametrize("time_s", [45.0, 60.0])
 def test_a_short_budget_is_kept_to_and_buys_a_sweep(tmp_path: Path, time_s: float) -> None:
     run = explore("emulator://default", seed=1, time_s=time_s, out=tmp_path)
     assert run.document.outcome.startswith("time is up")
     assert run.document.robot_time_s <= time_s
     assert run.document.stages
     assert "what stands farther is not felt" in run.document.skips
+
+
+def test_a_budget_of_a_minute_and_a_half_reaches_the_full_length(tmp_path: Path) -> None:
+    run = explore("emulator://default", seed=1, time_s=90.0, out=tmp_path)
+    assert run.document.outcome == "full length"
+    assert run.document.robot_time_s <= 90.0

@@ -6,6 +6,7 @@ import asyncio
 import json
 import struct
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -144,6 +145,37 @@ def test_foxglove_sees_a_run_and_late_comers_its_map(url: str, tmp_path: Path) -
 
     with served(url) as address:
         asyncio.run(look(address))
+
+
+@pytest.mark.usefixtures("own_sockets")
+def test_foxglove_draws_walls_as_lines_with_their_probability(tmp_path: Path) -> None:
+    run = thigmo.explore("emulator://wall", seed=1, out=tmp_path)
+    (wall,) = (contact for contact in run.contacts if contact.surface)
+
+    async def look(address: str) -> None:
+        async with aiohttp.ClientSession() as session:
+            client = await connected(session, address)
+            await client.subscribe("/foxglove/scene")
+            lines: list[Any] = []
+            while not lines:
+                _, _, data = await client.message()
+                scene: Any = VIEWS["/foxglove/scene"].FromString(data)
+                lines = [
+                    (line, {each.key: each.value for each in entity.metadata})
+                    for entity in scene.entities
+                    for line in entity.lines
+                    if len(line.points) == len(wall.surface)
+                ]
+            (drawn, said) = lines[0]
+            points = [(100 * point.x, 100 * point.y) for point in drawn.points]
+            assert points == [pytest.approx(point) for point in wall.surface]
+            assert drawn.color.a == pytest.approx(wall.wall_probability)
+            assert said["kind"] == "wall"
+            assert said["wall_probability"] == f"{wall.wall_probability:.2f}"
+
+    with FoxgloveServer(lambda: "", port=0) as server:
+        server.publish(Contacts(0.0, time.time(), tuple(run.contacts)))
+        asyncio.run(look(server.address))
 
 
 @pytest.mark.realtime

@@ -10,7 +10,7 @@ import pytest
 
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.exploration import explore, reducer, replay
-from thigmo.exploration.met import Lean
+from thigmo.exploration.stall import Lean
 from thigmo.record import OBSTACLES_FILE, read_obstacles
 from thigmo.studies.rooms import explored
 
@@ -93,7 +93,7 @@ def test_zeros_that_moved_by_themselves_end_no_run(
 
     def moved(*grown: Any) -> Lean | None:
         """What zeros that move in proportion to their levers look like, when 40 cm are out."""
-        asked.append(round(max(grown[0], default=30.0)))
+        asked.append(round(max(grown[0].length_cm, default=30.0)))
         if asked[-1] != 40:
             return None
         lever = np.maximum(34.0 - grown[-1].center_cm, 0.0)

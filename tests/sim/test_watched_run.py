@@ -19,7 +19,7 @@ import thigmo
 from thigmo.emulator.scene import Scene
 from thigmo.errors import CommandRefusedError, StoppedByViewerError
 from thigmo.exploration import explore
-from thigmo.exploration.live import RunControl
+from thigmo.exploration.run_control import RunControl
 from thigmo.link import protocol as wire
 from thigmo.link.framing import decode
 from thigmo.record import RunFolder, read_ros_map

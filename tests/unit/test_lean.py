@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.met import Lean, lean
-from thigmo.robot import SensorTable
+from thigmo.exploration.stall import Lean, lean
+from thigmo.robot import Profile, SensorTable
 from thigmo.robot.readings import Floats
 
 TABLE = SensorTable.of(RobotConfig())
@@ -28,7 +28,7 @@ def _grown(force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0) 
     bent = step * change
     readings = np.nan_to_num(before) + bent + rng.normal(0.0, 3e-4, bent.shape)
     after = np.nan_to_num(before) + change + creep
-    return lean(LENGTHS, readings, before, after, TABLE)
+    return lean(Profile(LENGTHS / 2.0, LENGTHS, readings), before, after, TABLE)
 
 
 @pytest.mark.parametrize("force", [2e-4, -2e-4])

@@ -22,6 +22,7 @@ _BEGINS_S = 5.0  # the operator measures the length
 _PRESSURE_S = 5.0  # the operator turns the regulator
 _GROWS_MORE_S = 0.6  # speeding up and slowing down
 _ZERO_S = 5.2  # two windows of drift, and the average
+_ZERO_SETTLED_S = 3.2  # the same of a robot that has stood still: one window
 _VENTS_S = 1.5  # after a side
 _MEASURE_S = 6.6
 _REST_S = 6.0  # of young sensors, on average
@@ -63,6 +64,8 @@ class Effort:
             said.append(f"it ends at {last:g} cm: what stands farther is not felt")
         if self.measurements == 0:
             said.append("no second, slower sweep of a contact: its place is known less well")
+        elif self.rest_noise == inf:
+            said.append("no rest for sensors that have just everted: places are known less well")
         return "; ".join(said)
 
     def expected_s(
@@ -75,24 +78,18 @@ class Effort:
         speed = config.spool.max_speed_cm_s
         columns = (config.column(side) for side in SIDES)
         base_cm = max((c[0].center_cm + c[0].span_cm / 2 for c in columns if c), default=0.0)
+        pitches = stage_lengths(config)
+        boundaries = [zone.until_cm for zone in config.body.zones]
         spent = settled_s = 0.0
-        first = stage_lengths(config)[0]
-        if length_cm < first - SAME_CM:
-            settled_s = _PRESSURE_S + base_cm / speed + config.board.settle_s
+        if length_cm < base_cm:
             spent = _PRESSURE_S
-            for pitch in stage_lengths(config):
-                if not stops or pitch >= stops[0]:
-                    break
-                spent += (pitch - length_cm) / speed + _GROWS_MORE_S
-                spent = max(spent, settled_s) + _ZERO_S
-                length_cm = pitch
+            settled_s = spent + (base_cm - length_cm) / speed + config.board.settle_s
         for stop in stops:
-            spent += max(stop - length_cm, 0.0) / speed + _GROWS_MORE_S
-            ends = (zone.until_cm for zone in config.body.zones)
-            spent += _PRESSURE_S * sum(length_cm < end < stop for end in ends)
-            zone = config.body.zone_at(stop)
-            look_s = 2 * (rising_period_s(config, zone) / 4 + _VENTS_S)
-            spent = max(spent, settled_s) + _ZERO_S + look_s
+            passed = [end for end in {*pitches, *boundaries} if length_cm + SAME_CM < end < stop]
+            spent += max(stop - length_cm, 0.0) / speed + _GROWS_MORE_S * (1 + len(passed))
+            spent += _PRESSURE_S * sum(end in boundaries for end in passed)
+            look_s = 2 * (rising_period_s(config, config.body.zone_at(stop)) / 4 + _VENTS_S)
+            spent = max(spent + _ZERO_S, settled_s + _ZERO_SETTLED_S) + look_s
             if self.measurements and stop > config.body.length_cm / 2:
                 spent += self.measurement_s / 2
             length_cm = stop
@@ -137,7 +134,7 @@ _FAR_FIRST = 2  # whole pitches that come before the one near the full length
 EFFORTS = {
     each.name: each
     for each in (
-        Effort("quick", 3, 0),
+        Effort("quick", 3, 1, rest_noise=inf),
         Effort("default", 4, 1),
         Effort("careful", 6, 2, rest_noise=0.5),
     )

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import RunFolderError
 from thigmo.exploration.plan import trial_zone
-from thigmo.exploration.reducer import Profile, Reducer
+from thigmo.exploration.reducer import Reducer
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import FrameError, decode
@@ -22,6 +22,7 @@ from thigmo.record import Entry, Log, Note, Obstacle, RunFolder
 from thigmo.robot import (
     SENSORS,
     GrowthWatcher,
+    Profile,
     SensorTable,
     StandingWatch,
     SweepFrame,

@@ -10,18 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from thigmo.config import RobotConfig
 from thigmo.exploration.feel import Feeling
-from thigmo.exploration.met import Lean, Met, lean, stall
 from thigmo.exploration.stage import Interpreter
+from thigmo.exploration.stall import Lean, Met, lean, stall
 from thigmo.record import Obstacle, Stage, Stall
-from thigmo.robot import SensorTable, SweepResult
+from thigmo.robot import Profile, SensorTable, SweepResult
 from thigmo.robot.readings import Floats
 
 _SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
-
-Profile = tuple[Floats, Floats]
-"""Lengths of a growth, and what the sensors read at each (`GrowthWatcher.profile`)."""
 
 
 class Reducer:
@@ -58,15 +57,20 @@ class Reducer:
 
     def grown(self, profile: Profile) -> Met | None:
         """The stage has grown so far: what has stopped the tip, if anything."""
-        self.met = stall(*profile, self._table)
+        self.met = stall(profile.length_cm, profile.bend, self._table)
         return self.met
+
+    def leans(self, profile: Profile) -> bool:
+        """Whether a growth whose sensors have no zero yet looks as if the body were held bent."""
+        unknown = np.full(profile.bend.shape[1], np.nan)
+        return lean(profile, unknown, unknown, self._table) is not None
 
     def zeroed(self, profile: Profile, zeros: tuple[Floats, Floats]) -> Met | None:
         """The stage has grown, and its sensors are zeroed: what holds the body bent, if anything.
 
         `zeros`: before and after.
         """
-        self.met = lean(*profile, *zeros, self._table)
+        self.met = lean(profile, *zeros, self._table)
         return self.met
 
     def let_go(self, zeros: tuple[Floats, Floats]) -> bool:

@@ -21,27 +21,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.config import SIGN, Side
-from thigmo.exploration.sighting import BENDS, LEVEL, Passed, Sighting, median, shortest
+from thigmo.exploration.sighting import (
+    BEND_LEAST,
+    BEND_SHARE,
+    BENDS,
+    LEVEL,
+    Passed,
+    Sighting,
+    median,
+    shortest,
+)
+from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.robot.readings import Floats
 
 Group = tuple[int, ...]  # sightings of one obstacle
 Masses = dict[int, Floats]  # posterior over the arcs of each of a group's sightings
 
-WIDEST_SHARE = 10 / 53  # of the body's length: a wider set is no place, as for the localizer
-# A wall is felt by this last part of the body, or farther from the tip by so much on average: of
-# 163 emulated touches of walls 75 % lie within it, and 91 % within 5 cm of the tip.
-_TIP_CM, _AT_TIP, _BEHIND_CM = 1.75, 0.75, 4.0
-_SLIDE_CM = 0.7  # one sigma by which a contact moves along the body while a peg stands still
-_SLACK_CM = 1.75  # at the rim of an earlier tip a peg may have slid off unfelt: one tube radius
-_OVER_CM = 2.5  # what the end's face felt, a longer body's side feels up to so far beyond it
-_BEND_SHARE, _BEND_LEAST = 0.02, 2e-4  # one sigma of a touch's bend: a share of it, and at least
+# Lengths are shares of the body's, measured on one of 53 cm; where a peg rolls on the skin they are
+# tube radii. At the rim of an earlier tip, one radius, a peg may have slid off unfelt.
+# A wall is felt by the last tube radius of the body, or farther from the tip by so much on average:
+# of 163 emulated touches of walls 75 % lie within it, and 91 % within 5 cm of the tip.
+_AT_TIP, _BEHIND = 0.75, 4.0 / 53
+_SLIDE = 0.7 / 1.75  # one sigma by which a contact moves along the body while a peg stands still
+# What the end felt, a longer body's side feels by less than the peg's radius beyond it; pegs have
+# any of these.
+_RADII_CM = (0.25, 0.5, 1.0, 2.0, 4.0)
 _OTHERS_TOUCH = 0.05  # probability that the touch was not this contact's: a bad zero, noise
 # Of 2007 emulated pairs of sweeps, 7 passed a place at which the other touched something.
 _PASSED_UNFELT = 0.01
 _OTHERS_OF_SEVERAL = 0.5  # the same where the sweep felt several contacts
 _WRONG_FRAME = 0.03  # probability that the readings were explained wrongly altogether
+# The same where only a wrench on the end explains them, at every length: friction and a body
+# squeezed from both sides look like that. Of 18 such contacts at emulated walls 4 were elsewhere.
+_WRONG_END = 0.2
 # A wall's points lie on a line but for one sigma of this; points of other things do but for that.
-_STRAIGHT_CM, _OFF_CM = 1.2, 15.0
+_STRAIGHT, _OFF = 1.2 / 53, 15.0 / 53
 _LOG_ANOTHER = np.log(0.1)  # prior odds of one more obstacle
 _LOG_WALL = np.log(0.05)  # of a wall against a peg
 _MOST_WAYS = 400  # kept after each sighting; up to six sightings have no more
@@ -89,14 +103,17 @@ class Room:
         self, arcs: Floats, seen: Sequence[Sighting], passed: Sequence[Passed], radius_cm: float
     ) -> None:
         self._arcs, self._radius_cm = arcs, radius_cm
+        self._full_cm = float(arcs[-1])
         self._seen = sorted(seen, key=lambda each: each.length_cm)
         self._passed = passed
-        reach = np.arange(-3 * _SLIDE_CM, 3 * _SLIDE_CM + 1e-9, arcs[1] - arcs[0])
-        self._slide = np.exp(-0.5 * (reach / _SLIDE_CM) ** 2)
+        slide_cm = _SLIDE * radius_cm
+        reach = np.arange(-3 * slide_cm, 3 * slide_cm + 1e-9, arcs[1] - arcs[0])
+        self._slide = np.exp(-0.5 * (reach / slide_cm) ** 2)
         self._alone = [self._arc_likelihood(each, slides=False) for each in self._seen]
         self._shared = [self._arc_likelihood(each, slides=True) for each in self._seen]
         self._tip = [self._near_tip(each.length_cm) for each in self._seen]
         self._touch = [_touch_likelihood(each) for each in self._seen]
+        self._at_end = [self._end_likelihood(each) for each in self._seen]
         self._told: dict[tuple[Group, str], tuple[float, Masses]] = {}
 
     def place(self, index: int) -> Floats:
@@ -140,12 +157,21 @@ class Room:
         lost: float,
     ) -> Found:
         mass = mixed[group[-1]] / mixed[group[-1]].sum()
+        newest = self._seen[group[-1]]
+        length_cm = newest.length_cm
+        on_end = [self._seen[i].hypothesis.startswith("end wrench") for i in group]
+        # A peg's place is shared by its sightings; along a wall each has its own.
+        if all(on_end) or (kind == "wall" and any(on_end)):
+            body = self._arcs <= length_cm + 1e-9
+            mass = (1 - _WRONG_END) * mass + _WRONG_END * body / body.sum()
         low, high = shortest(self._arcs, mass)
-        length_cm = self._seen[group[-1]].length_cm
         if high > length_cm - (self._arcs[1] - self._arcs[0]):
             high = length_cm  # the last node on the body stands for all up to its end
         real = 1.0 - min(share.get(((i,), "nothing"), 0.0) for i in group)
-        sure = real - lost >= LEVEL and high - low <= WIDEST_SHARE * self._arcs[-1] + 1e-9
+        # Of several contacts in one frame the localizer may know that its numbers are too many.
+        vouched = len(group) > 1 or newest.alone or newest.contact.status == "localized"
+        narrow = high - low <= WIDTH_SHARE * self._full_cm + 1e-9
+        sure = vouched and narrow and real - lost >= LEVEL
         kinds = {each: share.get((group, each), 0.0) for each in ("peg", "wall")}
         touch = np.prod([self._touch[i] for i in group], axis=0)
         same = float(touch @ BENDS / touch.sum()) if kind == "peg" else None
@@ -171,14 +197,29 @@ class Room:
             mass = np.convolve(mass, self._slide, mode="same") / np.maximum(inside, 1e-9) * body
         mass = ((1 - _WRONG_FRAME) * mass / mass.sum()) * body.sum() + _WRONG_FRAME * body
         other = _PASSED_UNFELT if s.alone else _OTHERS_OF_SEVERAL
-        beyond = BENDS * (1 + 2 * _BEND_SHARE) + 2 * _BEND_LEAST
+        touched = _same_bend(s)
         for each in self._passed:
             if each.side == s.side and abs(each.length_cm - s.length_cm) > 0.5:
-                clear = (1 - other) * float(np.interp(beyond, BENDS, each.free) @ s.touch)
-                mass = mass * np.where(arcs < each.length_cm - _SLACK_CM, 1 - clear, 1.0)
-        end = body & (arcs > s.length_cm - _TIP_CM)
-        mass[~body & (arcs <= s.length_cm + _OVER_CM)] = mass[end].mean()
+                clear = (1 - other) * float(each.free @ touched)
+                mass = mass * np.where(arcs < each.length_cm - self._radius_cm, 1 - clear, 1.0)
+        end = body & (arcs > s.length_cm - self._radius_cm)
+        mass[~body & (arcs <= s.length_cm + _RADII_CM[-1])] = mass[end].mean()
         return np.asarray(mass)
+
+    def _end_likelihood(self, s: Sighting) -> dict[int, Floats]:
+        """The touch's likelihood (145,) at each node of the grid just beyond the body's end.
+
+        There the end's corner touches a peg that stands beside a longer body: it bends farther, by
+        what the peg's round leaves between the corner and the side.
+        """
+        same, likelihood = _same_bend(s), {}
+        over = self._arcs - s.length_cm
+        for n in np.flatnonzero((over > 1e-9) & (over <= _RADII_CM[-1])).tolist():
+            late = [r - np.sqrt(r**2 - over[n] ** 2) for r in _RADII_CM if r >= over[n]]
+            bends = [BENDS + 2 * cm / s.length_cm**2 for cm in late]
+            density = np.sum([np.interp(each, BENDS, same, right=0.0) for each in bends], axis=0)
+            likelihood[n] = _or_another(s, density / len(_RADII_CM))
+        return likelihood
 
     def _expected(self, group: Group) -> Floats:
         """Prior density over the arc that a given map adds, as the longest body sees it."""
@@ -240,19 +281,21 @@ class Room:
 
     def _peg(self, group: Group, within: NDArray[np.bool_] | None = None) -> tuple[float, Floats]:
         """Log evidence that these felt one peg, and the posterior of its arc."""
-        lengths = [self._seen[i].length_cm for i in group]
-        there = self._arcs <= min(min(lengths) + _OVER_CM, max(lengths))
+        lengths = np.array([self._seen[i].length_cm for i in group])
+        there = self._arcs <= min(lengths.min() + _RADII_CM[-1], lengths.max())
         if within is not None:
             there &= within
         arc = self._alone if len(group) == 1 else self._shared
         log = np.sum([np.log(arc[i] + 1e-12) for i in group], axis=0)
         prior = there * self._expected(group)
-        bends = np.prod([self._touch[i] for i in group], axis=0)
-        total = float((np.exp(log) * prior).sum() / max(there.sum(), 1))
+        bends = np.full(len(self._arcs), np.prod([self._touch[i] for i in group], axis=0).mean())
+        for n in np.flatnonzero(there & (self._arcs > lengths.min() + 1e-9)).tolist():
+            each = [self._at_end[i].get(n, self._touch[i]) for i in group]
+            bends[n] = np.prod(each, axis=0).mean()
+        total = float((np.exp(log) * prior * bends).sum() / max(there.sum(), 1))
         # Sightings share errors of map and gains: on the place n of them count as the root of n.
-        mass = np.exp((log - log.max()) / np.sqrt(len(group))) * prior
-        evidence = float(np.log(total + 1e-300) + np.log(bends.mean()))
-        return evidence, mass / max(float(mass.sum()), 1e-300)
+        mass = np.exp((log - log.max()) / np.sqrt(len(group))) * prior * bends
+        return float(np.log(total + 1e-300)), mass / max(float(mass.sum()), 1e-300)
 
     def _wall(self, group: Group) -> tuple[float, Masses]:
         """Log evidence that these felt one wall, and the posterior of each arc."""
@@ -265,17 +308,17 @@ class Room:
                 # Their errors are shared: so many sightings say as much as their root's number.
                 log += np.log(mass.sum() + 1e-300) / np.sqrt(slid)
                 masses[i] = mass / max(float(mass.sum()), 1e-300)
-                points.append(self._point(i, self._seen[i].length_cm - _TIP_CM / 2))
+                points.append(self._point(i, self._seen[i].length_cm - self._radius_cm / 2))
             if rest := group[slid:]:
-                beyond = self._arcs >= self._seen[group[slid - 1]].length_cm - _SLACK_CM
+                beyond = self._arcs >= self._seen[group[slid - 1]].length_cm - self._radius_cm
                 more, mass = self._peg(rest, beyond)
                 log += more
                 masses |= dict.fromkeys(rest, mass)
                 points.append(self._point(rest[0], float(mass @ self._arcs)))
             if len(points) > 2:  # two points always lie on a line
                 off = np.linalg.svd(points - np.mean(points, axis=0), compute_uv=False)[1]
-                log -= 0.5 * (off / _STRAIGHT_CM) ** 2
-                log += (len(points) - 2) * np.log(_OFF_CM / (_STRAIGHT_CM * np.sqrt(2 * np.pi)))
+                log -= 0.5 * (off / (_STRAIGHT * self._full_cm)) ** 2
+                log += (len(points) - 2) * np.log(_OFF / (_STRAIGHT * np.sqrt(2 * np.pi)))
             ways.append((float(log), masses))
         top = max(log for log, _ in ways)
         weight = np.exp([log - top for log, _ in ways])
@@ -290,8 +333,8 @@ class Room:
         """Prior of the arc at which a body feels a wall, (n,), of sum one."""
         behind = length_cm - self._arcs
         body = behind >= -1e-9
-        at_tip = body & (behind <= _TIP_CM + 1e-9)
-        farther = body * np.exp(-behind / _BEHIND_CM)
+        at_tip = body & (behind <= self._radius_cm + 1e-9)
+        farther = body * np.exp(-behind / (_BEHIND * self._full_cm))
         share = _AT_TIP * at_tip / at_tip.sum() + (1 - _AT_TIP) * farther / farther.sum()
         return np.asarray(share)
 
@@ -301,9 +344,19 @@ class Room:
         return touch_point(arc_cm, began, sighting.side, self._radius_cm)
 
 
+def _same_bend(s: Sighting) -> Floats:
+    """Posterior of the bend at which another body touches the same place, (145,)."""
+    sigma = np.hypot(BEND_SHARE * BENDS, BEND_LEAST)
+    kernel = np.exp(-0.5 * ((BENDS[:, None] - BENDS) / sigma) ** 2)
+    return np.asarray((kernel / kernel.sum(0)) @ s.touch)
+
+
 def _touch_likelihood(s: Sighting) -> Floats:
     """Likelihood of the bend at which its obstacle is touched, (145,); one if it tells nothing."""
-    sigma = np.hypot(_BEND_SHARE * BENDS, _BEND_LEAST)
-    kernel = np.exp(-0.5 * ((BENDS[:, None] - BENDS) / sigma) ** 2)
+    return _or_another(s, _same_bend(s))
+
+
+def _or_another(s: Sighting, bend: Floats) -> Floats:
+    """Likelihood of a bend, (145,), from its density over the bends, of sum one at most."""
     other = _OTHERS_TOUCH if s.alone else _OTHERS_OF_SEVERAL
-    return np.asarray(((1 - other) * (kernel / kernel.sum(0)) @ s.touch) * len(BENDS) + other)
+    return np.asarray((1 - other) * bend * len(BENDS) + other)

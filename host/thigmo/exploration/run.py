@@ -15,20 +15,21 @@ from typing import Any, Literal
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort
-from thigmo.exploration.live import Live, RunControl
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import held_now, held_sides, measuring_pressure, pressed_enough
-from thigmo.exploration.met import Lean
-from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import SAME_CM, growth_target, growth_zone, stage_lengths, trial_zone
-from thigmo.exploration.reducer import Profile, Reducer
+from thigmo.exploration.reducer import Reducer
+from thigmo.exploration.run_control import Live, RunControl
+from thigmo.exploration.scoring import met_ahead
+from thigmo.exploration.stall import Lean
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
     SENSORS,
     TRIGGER_PER_CM,
     GrowthWatcher,
+    Profile,
     Robot,
     SensorTable,
     SweepResult,
@@ -74,8 +75,6 @@ class Exploration:
     _start_cm: float = 0.0  # length at which the stage's growth began
     _zone: int = 0
     _body_psi: float | None = None  # what the operator last set
-    _sweeps: bool = True  # at this stage; else it only zeroes
-    _zeroed_here: bool = False  # and without a sweep
     _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
@@ -164,17 +163,11 @@ class Exploration:
             self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
             return "fully deployed" if full else "time is up"
         stage = stops[0]
-        if not self._knows.stages:
-            # Before its first sweep it zeroes at every pitch: else nothing would tell that growth
-            # has bent it aside.
-            reached_cm = self.length_cm + (SAME_CM if self._zeroed_here else -SAME_CM)
-            stage = min(stage, *(each for each in stage_lengths(self.config) if each > reached_cm))
-        self._sweeps = stage in stops
         grows = stage > self.length_cm + 0.1
         if grows and peg_ahead(self.document.contacts, self.length_cm, self.config.body.radius_cm):
             self._note(outcome="peg ahead")
             return "peg ahead"
-        self._stage_cm, self._zeroed_here, self._zero_tries = stage, False, 0
+        self._stage_cm, self._zero_tries = stage, 0
         self._start_cm, self._growth = self.length_cm, GrowthWatcher()
         return "grow" if grows else "sweep here"
 
@@ -203,8 +196,14 @@ class Exploration:
         target = growth_target(self.config, self.length_cm, self._stage_cm)
         if target > self.length_cm + 0.1:
             self.length_cm = self.robot.grow_to(target, self._growth)
-            if self._knows.grown(self._grown()) is not None:
+            grown = self._grown()
+            if self._knows.grown(grown) is not None:
                 return "no eversion"
+            whole = [each for each in stage_lengths(self.config) if each >= target]
+            if not self._knows.stages and self._knows.leans(grown):
+                self._stage_cm = whole[0]  # what it leans on is passed no farther
+            elif target < self._stage_cm and target == whole[0]:
+                self._start_cm = target
             if self._knows.tried is not None and target == self._stage_cm:
                 self._knows.moved_on()
                 self._note(stall=self._found.map.stall)
@@ -265,9 +264,6 @@ class Exploration:
             self._knows.zeroed(self._grown(), self.robot.zeros())
         if self._knows.met is not None:
             return "held bent"
-        if not self._sweeps:
-            self._zeroed_here = True
-            return "zeroed, no sweep here"
         return "zeroed after growth"
 
     def _released(self) -> str:
@@ -275,7 +271,6 @@ class Exploration:
         if self._knows.let_go(self.robot.zeros()):
             self._end_at_met()
             return "straight again: peg ahead"
-        self._zeroed_here = True
         return "as before: the zeros moved"
 
     def _zeroed(self) -> bool:

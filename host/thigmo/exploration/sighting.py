@@ -29,6 +29,8 @@ TRIGGER_LATE = 0.0042
 # One sigma of where a touch began. Over 344 pairs of emulated stages that touched one peg, the two
 # differ by 1.7e-4 in half of them and by 5e-4 in one of ten.
 _TOUCH_STD = 2.5e-4
+# One sigma by which it differs between bodies of two lengths: a share of it, and at least.
+BEND_SHARE, BEND_LEAST = 0.02, 2e-4
 # The line through these readings of a held base (1/cm) crosses the trigger's threshold.
 _LINE_LOW, _LINE_HIGH = 0.0025, 0.0085
 
@@ -121,7 +123,10 @@ def _triggered_at(frames: Sequence[SweepFrame], side: Side) -> float | None:
 
 def passed_before(touch: Floats, peak: Peak) -> Passed:
     """What a sweep passed until its touch, of which the posterior (145,) is known."""
-    return Passed(peak.side, peak.length_cm, np.clip(1 - np.cumsum(touch), 0.0, 1.0))
+    # What another sweep touched no clearly earlier, this one may have touched.
+    free = 1 - np.cumsum(touch)
+    clearly = BENDS * (1 + 2 * BEND_SHARE) + 2 * BEND_LEAST
+    return Passed(peak.side, peak.length_cm, np.clip(np.interp(clearly, BENDS, free), 0.0, 1.0))
 
 
 def passed_freely(peak: Peak) -> Passed:

@@ -64,7 +64,6 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.ZERO, "straight again: peg ahead", State.FINISH),
     Transition(State.ZERO, "as before: the zeros moved", State.PLAN),
     Transition(State.ZERO, "zeroed after growth", State.SWEEP),
-    Transition(State.ZERO, "zeroed, no sweep here", State.PLAN),
     Transition(State.ZERO, "zeroed after sweep", State.PLAN),
     Transition(State.SWEEP, "contact", State.REST),
     Transition(State.SWEEP, "contact, and its place", State.LOCALIZE),

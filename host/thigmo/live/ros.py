@@ -6,7 +6,7 @@ Services and actions do not interoperate between the vendors' layers: those are 
 docs/ros.md lists all.
 
 Contacts are poses with covariances because that is what estimators and planners take; markers are
-for eyes and carry no covariance.
+for eyes and carry no covariance. Walls are markers as well: no pose says where a line is.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ _DEPTH = 100  # contacts that a late listener gets, and transforms under way
 _TOPICS = {
     "map": (ros.OccupancyGrid, 1, True),
     "contacts": (ros.PoseWithCovarianceStamped, _DEPTH, True),
+    "walls": (ros.MarkerArray, 1, True),
     "body": (ros.Path, 1, True),
     "robot_description": (ros.String, 1, True),
     "joint_states": (ros.JointState, 10, False),
@@ -96,6 +97,7 @@ class RosNode(Closing):
             case Contacts():
                 for pose in made.contact_poses(message, self._frame):
                     self._writers["contacts"].write(pose)
+                self._writers["walls"].write(made.walls(message, self._frame))
             case BodyShape() if len(message.poses) > 1:
                 if not self._described:
                     self._described = True

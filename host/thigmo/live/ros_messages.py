@@ -25,6 +25,8 @@ _PA_PER_PSI = 6894.757
 TENTHS = 10  # of the body, each of which is a link
 _LONGEST_CHORD_M = 0.3  # of the longest robot, 300 cm
 _SIGMAS_95 = 2 * 1.96  # standard deviations in a 95 % interval
+_LINE_STRIP, _ADD, _REMOVE_ALL = 4, 0, 3  # a marker's type and actions
+_LINE_M = 0.01  # a wall's width on the screen
 _OK, _ERROR, _STALE = 0, 2, 3  # levels of a diagnostic status
 
 
@@ -54,6 +56,32 @@ def contact_poses(contacts: Contacts, frame: str) -> list[Any]:
         known = ros.PoseWithCovariance(pose, _covariance(contact))
         made.append(ros.PoseWithCovarianceStamped(head, known))
     return made
+
+
+def walls(contacts: Contacts, frame: str) -> Any:
+    """The walls' lines, as solid as they are probable; those of before are removed."""
+    head = header(contacts.epoch_s, frame)
+    known = [contact for contact in contacts.contacts if contact.surface]
+    return ros.MarkerArray([
+        _marker(head, 0, _REMOVE_ALL, [], 0.0),
+        *(
+            _marker(head, n, _ADD, contact.surface, contact.wall_probability)
+            for n, contact in enumerate(known)
+        ),
+    ])  # fmt: skip
+
+
+def _marker(
+    head: Any, number: int, action: int, line: Sequence[tuple[float, float]], probability: float
+) -> Any:
+    nothing = ros.CompressedImage(head, "", [])
+    points = [ros.Point(x * _M_PER_CM, y * _M_PER_CM, 0.0) for x, y in line]
+    return ros.Marker(
+        head, "walls", number, _LINE_STRIP, action, _pose((0.0, 0.0, 0.0)),
+        ros.Vector3(_LINE_M, 0.0, 0.0), ros.ColorRGBA(0.85, 0.15, 0.10, probability),
+        ros.Duration(0, 0), False, points, [], "", nothing, [],
+        f"wall, probability {probability:.2f}", ros.MeshFile("", []), "", False,
+    )  # fmt: skip
 
 
 def body_path(shape: BodyShape, frame: str) -> Any:

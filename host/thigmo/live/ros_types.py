@@ -56,6 +56,24 @@ OccupancyGrid = _message(
 )
 Path = _message("nav_msgs/Path", header=Header, poses=sequence[PoseStamped])
 
+# Of markers in use here: lines, and what removes those of before. The rest stays empty.
+ColorRGBA = _message("std_msgs/ColorRGBA", r=float32, g=float32, b=float32, a=float32)
+Duration = _message("builtin_interfaces/Duration", sec=int32, nanosec=uint32)
+CompressedImage = _message(
+    "sensor_msgs/CompressedImage", header=Header, format=str, data=sequence[uint8]
+)
+UVCoordinate = _message("visualization_msgs/UVCoordinate", u=float32, v=float32)
+MeshFile = _message("visualization_msgs/MeshFile", filename=str, data=sequence[uint8])
+Marker = _message(
+    "visualization_msgs/Marker",
+    header=Header, ns=str, id=int32, type=int32, action=int32, pose=Pose, scale=Vector3,
+    color=ColorRGBA, lifetime=Duration, frame_locked=bool, points=sequence[Point],
+    colors=sequence[ColorRGBA], texture_resource=str, texture=CompressedImage,
+    uv_coordinates=sequence[UVCoordinate], text=str, mesh_file=MeshFile, mesh_resource=str,
+    mesh_use_embedded_materials=bool,
+)  # fmt: skip
+MarkerArray = _message("visualization_msgs/MarkerArray", markers=sequence[Marker])
+
 _Numbers = sequence[float64]  # empty where nothing is known
 JointState = _message(
     "sensor_msgs/JointState",

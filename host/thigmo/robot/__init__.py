@@ -17,7 +17,7 @@ from thigmo.robot.state import (
 )
 from thigmo.robot.supervised import WITHOUT_BRAKE
 from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
-from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
+from thigmo.robot.watchers import GrowthWatcher, Profile, SweepWatcher, peak_frame
 from thigmo.room import Operator
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "GrowthWatcher",
     "Operator",
     "Peak",
+    "Profile",
     "Reading",
     "Robot",
     "SensorTable",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,11 +24,20 @@ _IDLE_CPSI = 10
 _PEAK_READINGS = 10  # thesis: ten
 
 
+class Profile(NamedTuple):
+    """What the sensors read in a growth."""
+
+    t_s: Floats  # (n,) device time
+    length_cm: Floats  # (n,) everted, by the encoder
+    bend: Floats  # (n, 10) readings without a zero, 1/cm
+
+
 @dataclass
 class GrowthWatcher:
     """What the flex sensors say while the tip's fold passes through them: thinned telemetry of one
     growth or several in a row."""
 
+    t_s: list[float] = field(default_factory=list)  # device time
     length_cm: list[float] = field(default_factory=list)  # everted, by the spool's encoder
     flex_sum: list[tuple[int, ...]] = field(default_factory=list)  # raw readings, left base first
     _next_s: float = 0.0
@@ -36,13 +46,15 @@ class GrowthWatcher:
         """Take a frame; one in fifty milliseconds is decoded."""
         if frame.device_s >= self._next_s:
             self._next_s = frame.device_s + _FRAME_SPACING_S
+            self.t_s.append(frame.device_s)
             self.length_cm.append(frame.message.length_um / 1e4)
             self.flex_sum.append(frame.message.flex_sum)
 
-    def profile(self, table: SensorTable) -> tuple[Floats, Floats]:
-        """Lengths (n,) in cm, and what each sensor read there, (n, 10) in 1/cm, without a zero."""
+    def profile(self, table: SensorTable) -> Profile:
+        """Times, lengths and readings so far."""
         sums: Floats = np.asarray(self.flex_sum, dtype=np.float64)
-        return np.asarray(self.length_cm), table.unzeroed(sums.reshape(-1, SENSORS))
+        bend = table.unzeroed(sums.reshape(-1, SENSORS))
+        return Profile(np.asarray(self.t_s), np.asarray(self.length_cm), bend)
 
 
 def peak_frame(reply: wire.Snapshot, t_s: float) -> SweepFrame:

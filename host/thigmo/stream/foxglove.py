@@ -114,7 +114,12 @@ def _contact(name: str, contact: MapContact, stamp: Timestamp) -> SceneEntity:
     entity.spheres.append(SpherePrimitive(pose=place, size=size, color=color))
     if contact.status != POINT_ESTIMATE:
         entity.lines.append(_line(contact.track, _CONTACT_M / 3, color))
+    if contact.surface:
+        solid = Color(r=color.r, g=color.g, b=color.b, a=contact.wall_probability)
+        entity.lines.append(_line(contact.surface, _CONTACT_M, solid))
+        entity.metadata.add(key="wall_probability", value=f"{contact.wall_probability:.2f}")
     for key, value in {
+        "kind": contact.kind,
         "status": contact.status,
         "arc_cm": f"{contact.arc_cm:.2f}",
         "interval_cm": contact.interval_text,

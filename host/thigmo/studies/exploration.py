@@ -29,8 +29,8 @@ from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort, within
 from thigmo.exploration.map import best_contact, of_stage
-from thigmo.exploration.missed import felt_pegs, from_line
 from thigmo.exploration.obstacles import occupancy
+from thigmo.exploration.scoring import felt_pegs, from_line
 from thigmo.mechanics import Peg
 from thigmo.record import RunDocument, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED

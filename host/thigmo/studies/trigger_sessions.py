@@ -127,7 +127,7 @@ def converse(
 ) -> Floats:
     """Say a script to a board that has just started, beat its heart, acknowledge its events.
 
-    `advance` runs the board by `step_ms` after each exchange, and is told the ms since the first.
+    `advance` runs the board by `step_ms` after each exchange, and is passed the ms since the first.
     Returns the times of the contacts that the board reports, ms by its own clock.
 
     Raises:

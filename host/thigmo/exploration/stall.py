@@ -24,7 +24,7 @@ from scipy.ndimage import median_filter
 
 from thigmo.exploration.plan import FOLD_MARGIN_CM
 from thigmo.record import Stall
-from thigmo.robot import SensorTable
+from thigmo.robot import Profile, SensorTable
 from thigmo.robot.readings import Floats
 
 _SMOOTH = 5  # frames of a running median, a quarter of a second
@@ -53,6 +53,8 @@ _MOVED_ON, _STOOD = 0.02, 30.0
 # By how much later than the line says a fold leaves a sensor (cm): one sigma where the tip stops at
 # once, and the mean where it slows.
 _LATE_CM, _SLOWED_CM, _LATE_FLOOR = 0.3, 1.5, 1e-3
+# A sensor's creep after its eversion: sums of these decays, each of this size (1/cm, one sigma).
+_DECAYS_S, _CREEP = (5.0, 11.0), 0.03
 _CLEAR_CM = 1.0  # wound in so far behind the peg, the tip is clear of it
 _CAME_BACK = 0.5  # share of a bend
 # The side comes to rest beside the peg's middle. Half of the bend is there when the tip's corner is
@@ -194,15 +196,17 @@ def _stalled(
     return tip, start, end
 
 
-def lean(
-    length_cm: Floats, bend: Floats, before: Floats, after: Floats, table: SensorTable
-) -> Lean | None:
+def lean(profile: Profile, before: Floats, after: Floats, table: SensorTable) -> Lean | None:
     """What a growth's readings and the zeros around it say of the body; None if it is straight.
 
-    Lengths and readings are as for `stall`; `before` and `after` (10,) are NaN without a zero.
+    `before` and `after` (10,) are NaN without a zero. Before the first of all zeros, the growth's
+    own readings stand for it.
     """
-    if len(length_cm) < _SMOOTH:
+    if len(profile.length_cm) < _SMOOTH:
         return None
+    if np.isnan(before).all():
+        profile, before, after = _first_zeros(profile, table)
+    length_cm, bend = profile.length_cm, profile.bend
     moved = after - before
     known = table.healthy & np.isfinite(moved) & np.isfinite(bend).all(axis=0)
     for way in (1, -1):
@@ -229,6 +233,37 @@ def lean(
         told = np.where(use, moved, np.nan)
         return Lean(float(length_cm[-1]), arc, (low, high), count, force, noise, told)
     return None
+
+
+def _first_zeros(profile: Profile, table: SensorTable) -> tuple[Profile, Floats, Floats]:
+    """A growth before the first zeros, without creep, and what they were before a bend and after.
+
+    Of the sensors nearest to the base, which everted first. Each creeps back to its rest, as a sum
+    of a slow and a fast decay; what a peg adds, it adds at once, to all of them at one length. The
+    length is that which leaves least.
+    """
+    before, after = np.full((2, len(table.center_cm)), np.nan)
+    out_cm = table.center_cm + table.span_cm / 2 + FOLD_MARGIN_CM
+    place_cm = np.min(out_cm[table.healthy], initial=np.inf)
+    first = table.healthy & (out_cm <= place_cm + _SAME_PLACE_CM)
+    rows = profile.length_cm > place_cm + _ONSET_CM
+    t_s, bend = profile.t_s[rows], profile.bend[rows][:, first]
+    straight = np.full((len(t_s), len(first)), np.nan)
+    if len(t_s) > 4 * _SMOOTH:
+        decays = np.exp(-(t_s - t_s[0])[:, None] / _DECAYS_S)
+        design = np.zeros((len(t_s) + 2, 4))  # the decays' priors below the readings
+        design[:-2, 0], design[:-2, 2:] = 1.0, decays
+        design[-2:, 2:] = np.eye(2) * table.noise[first].mean() / _CREEP
+        told = np.vstack([bend, np.zeros((2, bend.shape[1]))])
+        fits = []
+        for at in range(_SMOOTH, len(t_s) - _SMOOTH):
+            design[:-2, 1] = np.arange(len(t_s)) >= at
+            fit = np.linalg.lstsq(design, told)[0]
+            fits.append((float(((design @ fit - told) ** 2).sum()), fit))
+        start, step, *creep = min(fits, key=lambda fit: fit[0])[1]
+        before[first], after[first] = start, start + step
+        straight[:, first] = bend - decays @ np.array(creep)
+    return Profile(t_s, profile.length_cm[rows], straight), before, after
 
 
 def _half_bent(length_cm: Floats, bend: Floats, moved: Floats) -> float | None:
