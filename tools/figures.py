@@ -236,6 +236,21 @@ def _loads(found: list[dict[str, Any]]) -> list[Row]:
     ]
 
 
+def _in_space(found: list[dict[str, Any]]) -> list[Row]:
+    """The claims, and each group's places."""
+    return _claims(found) + [
+        (
+            f"{row['group']}: mean place error",
+            f"{100 * row['place_off']:.2f} %",
+            f"coverage {row['coverage']:.3f}, number right {100 * row['found']:.1f} %, "
+            f"localized {100 * row['localized']:.1f} %, wrong {100 * row['wrong']:.1f} %, "
+            f"force in its interval {100 * row['newtons_covered']:.1f} % of {row['count']} rods",
+        )
+        for study in found
+        for row in study["rows"]
+    ]
+
+
 def _number_claims(found: list[dict[str, Any]]) -> list[Row]:
     """The claims, and how many frames leave the number in doubt."""
     notes = [note.split(": ", 1) for study in found for note in study["notes"]]
@@ -358,6 +373,7 @@ OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "accuracy": _accuracy,
     "loads": _loads,
     "number": _number_claims,
+    "space": _in_space,
     "sweeps": _sweeps,
     "stability": _stability,
     "stopping": _stopping,
