@@ -139,14 +139,14 @@ def _claims(found: list[dict[str, Any]]) -> list[Row]:
             rows.append(
                 (
                     claim["claim"].replace("|", "\\|"),
-                    f"{_told(claim)} {claim['unit']}".strip(),
+                    f"{_value(claim)} {claim['unit']}".strip(),
                     f"promised {sign} {_number(claim['limit'])}{verdict}",
                 )
             )
     return rows
 
 
-def _told(claim: dict[str, Any]) -> str:
+def _value(claim: dict[str, Any]) -> str:
     """A claim's value, with one more digit where a miss would look like a hit."""
     shown = _number(claim["value"])
     return shown if claim["holds"] or shown != _number(claim["limit"]) else f"{claim['value']:.4g}"
@@ -199,20 +199,21 @@ def _accuracy(found: list[dict[str, Any]]) -> list[Row]:
     (study,) = found
     rows = _claims(found)
     for error in dict.fromkeys(row["error"] for row in study["rows"]):
-        for told in (False, True):
+        for stated in (False, True):
             some = [
                 row
                 for row in study["rows"]
-                if (row["error"], row["told"]) == (error, told) and "free" not in row["group"]
+                if (row["error"], row["stated"]) == (error, stated) and "free" not in row["group"]
             ]
             if not some:
                 continue
-            tellable = any(row["error"] == error and row["told"] for row in study["rows"])
+            can_be = any(row["error"] == error and row["stated"] for row in study["rows"])
+            how = ", stated" if stated else ", not stated" if can_be else ""
             cover = [row["covered"] for row in some]
             wrong = max(some, key=lambda row: row["wrong"])
             rows.append(
                 (
-                    f"{error}{', told' if told else ', not told' if tellable else ''}: coverage",
+                    f"{error}{how}: coverage",
                     f"{min(cover):.3f} to {max(cover):.3f}",
                     f"localized and wrong at most {100 * wrong['wrong']:.2g} % "
                     f"({wrong['group']}), contacts found {min(r['found'] for r in some):.2f} to "
@@ -231,6 +232,21 @@ def _loads(found: list[dict[str, Any]]) -> list[Row]:
             f"of {row['count']} frames answered with no, one, two contacts; "
             f"localized {100 * row['localized']:.1f} %, wrong {100 * row['wrong']:.1f} %",
         )
+        for row in study["rows"]
+    ]
+
+
+def _in_space(found: list[dict[str, Any]]) -> list[Row]:
+    """The claims, and each group's places."""
+    return _claims(found) + [
+        (
+            f"{row['group']}: mean place error",
+            f"{100 * row['place_off']:.2f} %",
+            f"coverage {row['coverage']:.3f}, number right {100 * row['found']:.1f} %, "
+            f"localized {100 * row['localized']:.1f} %, wrong {100 * row['wrong']:.1f} %, "
+            f"force in its interval {100 * row['newtons_covered']:.1f} % of {row['count']} rods",
+        )
+        for study in found
         for row in study["rows"]
     ]
 
@@ -357,6 +373,7 @@ OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "accuracy": _accuracy,
     "loads": _loads,
     "number": _number_claims,
+    "space": _in_space,
     "sweeps": _sweeps,
     "stability": _stability,
     "stopping": _stopping,
@@ -392,7 +409,7 @@ SOURCES: dict[str, Source] = {
             "scaling": {},
             "space": {},
             "cold": {},
-            "accuracy": {"accuracy-told.png": "told.png", "accuracy-odds.png": "odds.png"},
+            "accuracy": {"accuracy-stated.png": "stated.png", "accuracy-odds.png": "odds.png"},
             "loads": {},
             "number": {"number-number.png": "number.png", "number-trade.png": "trade.png"},
             "sweeps": {},
@@ -450,8 +467,8 @@ HEADLINES = (
     ),
     (
         "bench-accuracy",
-        "errors told: least coverage",
-        "share of 95 % intervals that hold the true contact, in the worst case of errors told",
+        "errors stated: least coverage",
+        "share of 95 % intervals that hold the true contact, in the worst case of stated errors",
     ),
     (
         "bench-scaling",

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         Priors,
         Sensors,
         arc_bounds,
+        from_headings,
         identifiability,
         localize,
         localize_batch,
@@ -50,8 +51,8 @@ _NAMES = {
     "exploration": ["ExplorationResult", "explore", "open_run", "replay"],
     "localization": [
         "BatchResult", "Body", "Contact", "ContactFilter", "Errors", "Identifiability",
-        "LocalizeResult", "Localizer", "Priors", "Sensors", "arc_bounds", "identifiability",
-        "localize", "localize_batch",
+        "LocalizeResult", "Localizer", "Priors", "Sensors", "arc_bounds", "from_headings",
+        "identifiability", "localize", "localize_batch",
     ],
     "record": [
         "MapContact", "ObstacleMap", "OccupancyGrid", "RunDocument", "read_obstacles",
@@ -84,6 +85,7 @@ __all__ = [
     "arc_bounds",
     "connect",
     "explore",
+    "from_headings",
     "identifiability",
     "localize",
     "localize_batch",

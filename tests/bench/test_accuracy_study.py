@@ -105,13 +105,13 @@ def test_scores_count_what_they_say() -> None:
     assert found["rmse_over_bound"] == pytest.approx(np.sqrt(40.0 / 20.0))
 
 
-def test_an_error_told_is_no_worse_than_one_that_is_not() -> None:
-    told, untold = (
+def test_a_stated_error_is_no_worse_than_one_that_is_not() -> None:
+    stated, silent = (
         score(case, judge((case, 0, 0, 25)))
-        for case in (Case("bent", "map 10 %", told) for told in (True, False))
+        for case in (Case("bent", "map 10 %", stated) for stated in (True, False))
     )
-    assert told["covered"] > untold["covered"]
-    assert told["wrong"] <= untold["wrong"]
+    assert stated["covered"] > silent["covered"]
+    assert stated["wrong"] <= silent["wrong"]
 
 
 def test_the_study_makes_its_tables_claims_and_figures(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,5 +121,5 @@ def test_the_study_makes_its_tables_claims_and_figures(monkeypatch: pytest.Monke
     groups = sum(len(e.groups) * (2 if e.tell else 1) for e in ERRORS.values())
     assert len(errors) == groups
     assert len(odds) == len(accuracy.ODDS) * len(TOUCHED) * (1 + len(BAD))
-    assert set(outcome.figures) == {"told", "odds"}
+    assert set(outcome.figures) == {"stated", "odds"}
     assert len(outcome.claims) == 12

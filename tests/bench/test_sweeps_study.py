@@ -23,12 +23,12 @@ def test_readings_are_those_of_the_free_body_until_the_touch() -> None:
 def test_errors_stay_the_same_through_an_inflation(error: str) -> None:
     free = np.linspace(0.01, 0.04, FRAMES)
     clean = np.repeat(free[:, None], 5, axis=1)
-    spoil, told = ERRORS[error]
+    spoil, stated = ERRORS[error]
     curvature, _ = spoil(np.random.default_rng(1), clean, free)
     if error != sweeps.OTHER_NOISE:
         steps = np.diff(curvature, axis=0)
         assert np.allclose(steps, steps[0])
-    assert (told != {}) == (error in sweeps.TOLD and error != "none")
+    assert (stated != {}) == (error in sweeps.STATED and error != "none")
 
 
 def test_all_frames_are_judged_as_the_last_one_is() -> None:

@@ -43,7 +43,7 @@ def raising(*args, **options):
     signal.raise_signal(number)
     return real(*args, **options)
 setattr(owner, name.split(".")[-1], raising)
-sys.argv = ["thigmo", "localize", "example", "--length", "53", "--span", "5.5"]
+sys.argv = ["thigmo", *sys.argv[3:]]
 from thigmo.__main__ import run
 run()
 """
@@ -64,8 +64,18 @@ KEPT = "thigmo: interrupted; what was finished is kept\n"
     ],
 )
 def test_at_a_place(place: str, line: str, number: signal.Signals) -> None:
-    ran = run_python(AT_A_PLACE, str(int(number)), place)
+    readings = ("localize", "example", "--length", "53", "--span", "5.5")
+    ran = run_python(AT_A_PLACE, str(int(number)), place, *readings)
     assert (ran.code, ran.err) == (128 + number, line)
+
+
+@pytest.mark.parametrize("number", [number for number, _ in BOTH])
+def test_in_a_task_of_the_page(own_sockets: None, number: signal.Signals) -> None:
+    page = ("watch", "--no-browser", "--port", "0")
+    ran = run_python(AT_A_PLACE, str(int(number)), "asyncio:sleep", *page)
+    assert ran.code == 0
+    assert "Ctrl-C ends the page" in ran.err
+    assert len(ran.err.splitlines()) == 1
 
 
 @pytest.mark.parametrize("number", [number for number, _ in BOTH])

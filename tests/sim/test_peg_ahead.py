@@ -10,7 +10,7 @@ import pytest
 
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.exploration import explore, reducer, replay
-from thigmo.exploration.met import Lean
+from thigmo.exploration.stall import Lean
 from thigmo.record import OBSTACLES_FILE, read_obstacles
 from thigmo.studies.rooms import explored
 

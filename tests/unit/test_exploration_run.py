@@ -229,7 +229,7 @@ def test_a_sweep_that_placed_its_contact_is_not_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _well_calibrated(monkeypatch)
-    monkeypatch.setattr("thigmo.exploration.stage.ENOUGH_CM", 20.0)
+    monkeypatch.setattr("thigmo.exploration.stage.ENOUGH", 6.0)
     robot = Script(touches_at=50)
     robot.clear = True
     run = _explore(tmp_path, robot)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.met import Lean, lean
+from thigmo.exploration.stall import Lean, lean
 from thigmo.robot import Profile, SensorTable
 from thigmo.robot.readings import Floats
 

@@ -15,9 +15,9 @@ from PIL import Image
 
 from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
-from thigmo.exploration.missed import judged
 from thigmo.exploration.obstacles import SIGMAS, export_obstacles, occupancy
 from thigmo.exploration.prior import match, read_prior
+from thigmo.exploration.scoring import judged
 from thigmo.exploration.workspace import Bend, centreline, place_contact, ramp_knots
 from thigmo.record import (
     Ellipse,

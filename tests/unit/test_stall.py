@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from thigmo.config import RobotConfig
 from thigmo.exploration.map import ContactMap
-from thigmo.exploration.met import Met, causes, stall
+from thigmo.exploration.stall import Met, causes, stall
 from thigmo.robot import SensorTable
 from thigmo.robot.readings import Floats
 

@@ -17,7 +17,7 @@ import numpy as np
 from thigmo import wiring
 from thigmo.calibrate.columns import Array, places_of
 from thigmo.calibrate.drive import Drive
-from thigmo.calibrate.eyes import Eyes
+from thigmo.calibrate.overhead import Eyes
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.errors import CameraError, CameraMovedError

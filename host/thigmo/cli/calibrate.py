@@ -13,7 +13,7 @@ from thigmo.cli.output import AnyRobotOption, JsonOption, print_json, show
 from thigmo.errors import DataError
 
 if TYPE_CHECKING:
-    from thigmo.calibrate.eyes import Eyes
+    from thigmo.calibrate.overhead import Eyes
     from thigmo.calibrate.session import Session
     from thigmo.calibrate.verdict import StepResult
     from thigmo.robot import Robot
@@ -181,7 +181,7 @@ def _eyes(
     machine: Robot, session: Session, camera: str, sheet_file: Path, camera_file: Path, seed: int
 ) -> Eyes:
     """The camera: painted over an emulated robot, opened and located on a real one."""
-    from thigmo.calibrate.eyes import Eyes, emulated_source
+    from thigmo.calibrate.overhead import Eyes, emulated_source
     from thigmo.camera import CameraModel, locate, open_source
     from thigmo.cli.camera import load_sheet
 

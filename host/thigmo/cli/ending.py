@@ -27,6 +27,19 @@ def outlive_terminal() -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
+def call(action: Callable[[], object]) -> None:
+    """From now on they call `action`, until `be_ready`: an event loop must not be interrupted at
+    any line.
+    """
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        global _caught
+        _caught = signal.Signals(number)
+        action()
+
+    _handle(handle)
+
+
 def be_done() -> None:
     """From now on they end the process without a word: nothing remains to be undone."""
     _handle(signal.SIG_DFL)

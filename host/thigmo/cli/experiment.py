@@ -121,7 +121,7 @@ def _fit(seed: int, out: Path) -> None:
 
 def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float], list[Place]]:
     """A function of the body's diameter (cm) that measures the centres of the dowels beside it."""
-    from thigmo.calibrate.eyes import Eyes
+    from thigmo.calibrate.overhead import Eyes
     from thigmo.camera import CameraModel, open_source
     from thigmo.cli.camera import load_sheet
     from thigmo.studies.experiments import thesis

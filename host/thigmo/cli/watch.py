@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from thigmo.cli import ending
 from thigmo.cli.output import named
 
 if TYPE_CHECKING:
@@ -83,9 +84,18 @@ def watch(
         if browser:
             _open_browser(address)
 
+    async def until_interrupted() -> None:
+        loop, serving = asyncio.get_running_loop(), asyncio.ensure_future(serve(options, announce))
+        ending.call(lambda: loop.call_soon_threadsafe(serving.cancel))
+        try:
+            with suppress(asyncio.CancelledError):
+                await serving
+        finally:
+            ending.be_ready()
+
     with _foxglove(url, foxglove_port) if foxglove else nullcontext():
         try:
-            asyncio.run(serve(options, announce))
+            asyncio.run(until_interrupted())
         except KeyboardInterrupt:
             raise typer.Exit from None
 

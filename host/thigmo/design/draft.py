@@ -1,8 +1,8 @@
 """A robot of a given length, sensors and muscles, with what is known of such robots.
 
-The thesis's robot is scaled. Tail friction grows with the length inside the body and acts on its
-rim, the pressure on its section, so that its pressure goes with 1 / radius (Blumenschein et al.
-2017: "Modeling of bioinspired apical extension in a soft robot"). Body pressures are those of the
+The thesis's robot is scaled. Tail friction is assumed, not taken from a source: that it grows with
+the length inside the body and acts on its rim, while the pressure acts on its section, so that its
+pressure goes with 1 / radius. Body pressures are those of the
 thesis, or what growth needs if that is more. Muscles of a long robot are drafted weaker, so that a
 full bend does not close on itself.
 """

@@ -18,11 +18,11 @@ from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.effort import EFFORTS, chosen_effort, within
 from thigmo.exploration.feel import check_method
-from thigmo.exploration.live import Questions, RunControl
 from thigmo.exploration.prior import read_prior
 from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.resume import interrupted
 from thigmo.exploration.run import Exploration, Progress, Protocol
+from thigmo.exploration.run_control import Questions, RunControl
 from thigmo.record import PRIOR_FILE, ObstacleMap, RunDocument, RunFolder, write_obstacles
 from thigmo.report import draw_map
 from thigmo.robot import Operator, connect

@@ -19,10 +19,10 @@ from thigmo.errors import DataError
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
-from thigmo.exploration.room import WIDEST_SHARE
 from thigmo.exploration.sighting import Sighting, arc_grid, contact_mass
 from thigmo.exploration.workspace import Bend, centreline, common_error, excess_knots, skin_point
 from thigmo.localization import METHODS, LocalizeResult, localize
+from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics.closed_forms import fold_share
 from thigmo.record import Obstacle, Shape
 from thigmo.robot import Peak, SensorTable
@@ -77,7 +77,7 @@ def feel(
         tube_radius=body.radius_cm,
         stiffness=body.stiffness,
         held_end=False,
-        width_limit=WIDEST_SHARE * body.length_cm,
+        width_limit=WIDTH_SHARE * body.length_cm,
         method=method,
     )
     marginals = result.marginals or (None,) * len(result.contacts)

@@ -17,19 +17,20 @@ import numpy as np
 from thigmo.config import SIDES, RobotConfig
 from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.feel import LIKELY
-from thigmo.exploration.met import Lean, Met, causes
 from thigmo.exploration.prior import match
-from thigmo.exploration.room import WIDEST_SHARE, Found, Room
+from thigmo.exploration.room import Found, Room
 from thigmo.exploration.sighting import LEVEL, Passed, Sighting, arc_grid, shortest
+from thigmo.exploration.stall import Lean, Met, causes
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
 from thigmo.localization import Contact
+from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.record import MapContact, Obstacle, Stall, TrueContact
 
 # No place is known better than this: the peg's own size and the slide along it.
 _FLOOR_CM = 1.0
-_REACH_CM2 = 3000.0  # of the plane, where an obstacle may be: what a 53 cm body sweeps
+_REACH = 3000.0 / 53**2  # of the length squared: where an obstacle may be, what a body sweeps
 _ANOTHER = 0.1  # prior odds of one more obstacle, as in the room
-_ASIDE_CM = 5.0  # a body that leans so near a stall leans on what stopped it
+_ASIDE = 5.0 / 53  # of the length: a body that leans so near a stall leans on what stopped it
 _SAME_LENGTH_CM = 0.5  # of two measurements at one stage
 
 
@@ -86,8 +87,11 @@ class ContactMap:
             ]
         found.sort(key=lambda contact: min([*contact.merged, contact.everted_length_cm]))
         known: list[MapContact] = []
+        reach_cm2 = _REACH * self._config.body.length_cm**2
         for contact in [*found, *self._met]:
-            same = next((n for n, other in enumerate(known) if _one_place(other, contact)), None)
+            same = next(
+                (n for n, other in enumerate(known) if _one_place(other, contact, reach_cm2)), None
+            )
             if same is None:
                 known.append(contact)
             else:
@@ -114,11 +118,12 @@ class ContactMap:
         """Take what growth met; of a stall, whether the tip moved on at a higher pressure."""
         low, high = met.interval_cm
         radius = self._config.body.radius_cm
-        narrow = high - low <= WIDEST_SHARE * self._config.body.length_cm
+        full_cm = self._config.body.length_cm
+        narrow = high - low <= WIDTH_SHARE * full_cm
         probability, kind = 1.0, "peg"
         if isinstance(met, Lean):
             model = "growth bent the body: its zeros moved"
-            if self.stall and abs(met.arc_cm - self.stall.length_cm) < _ASIDE_CM:
+            if self.stall and abs(met.arc_cm - self.stall.length_cm) < _ASIDE * full_cm:
                 # At the higher pressure the tip went round what had stopped it.
                 self.stall = replace(self.stall, obstacle=probability, wall=0.0, pressure=0.0)
             placed = place_contact(
@@ -237,7 +242,7 @@ def _newtons(contact: Contact, times: float) -> dict[str, Any]:
     return {"force_n": times * across.value, "force_interval_n": ends}
 
 
-def _one_place(a: MapContact, b: MapContact) -> bool:
+def _one_place(a: MapContact, b: MapContact, reach_cm2: float) -> bool:
     """Whether one place explains two obstacles better than two do.
 
     They are of the two muscles' sweeps, on the same skin of the body, or one of them was met by
@@ -251,7 +256,7 @@ def _one_place(a: MapContact, b: MapContact) -> bool:
     apart = np.array([a.x_cm - b.x_cm, a.y_cm - b.y_cm])
     squared = float(apart @ np.linalg.solve(covariance, apart))
     density = np.exp(-0.5 * squared) / (2 * np.pi * np.sqrt(np.linalg.det(covariance)))
-    return bool(density * _REACH_CM2 > _ANOTHER)
+    return bool(density * reach_cm2 > _ANOTHER)
 
 
 def _rank(contact: MapContact) -> tuple[bool, float]:

@@ -14,8 +14,8 @@ import numpy as np
 
 from thigmo.config import RobotConfig
 from thigmo.exploration.feel import Feeling
-from thigmo.exploration.met import Lean, Met, lean, stall
 from thigmo.exploration.stage import Interpreter
+from thigmo.exploration.stall import Lean, Met, lean, stall
 from thigmo.record import Obstacle, Stage, Stall
 from thigmo.robot import Profile, SensorTable, SweepResult
 from thigmo.robot.readings import Floats

@@ -31,17 +31,18 @@ from thigmo.exploration.sighting import (
     median,
     shortest,
 )
+from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.robot.readings import Floats
 
 Group = tuple[int, ...]  # sightings of one obstacle
 Masses = dict[int, Floats]  # posterior over the arcs of each of a group's sightings
 
-WIDEST_SHARE = 10 / 53  # of the body's length: a wider set is no place, as for the localizer
-# A wall is felt by this last part of the body, or farther from the tip by so much on average: of
-# 163 emulated touches of walls 75 % lie within it, and 91 % within 5 cm of the tip.
-_TIP_CM, _AT_TIP, _BEHIND_CM = 1.75, 0.75, 4.0
-_SLIDE_CM = 0.7  # one sigma by which a contact moves along the body while a peg stands still
-_SLACK_CM = 1.75  # at the rim of an earlier tip a peg may have slid off unfelt: one tube radius
+# Lengths are shares of the body's, measured on one of 53 cm; where a peg rolls on the skin they are
+# tube radii. At the rim of an earlier tip, one radius, a peg may have slid off unfelt.
+# A wall is felt by the last tube radius of the body, or farther from the tip by so much on average:
+# of 163 emulated touches of walls 75 % lie within it, and 91 % within 5 cm of the tip.
+_AT_TIP, _BEHIND = 0.75, 4.0 / 53
+_SLIDE = 0.7 / 1.75  # one sigma by which a contact moves along the body while a peg stands still
 # What the end felt, a longer body's side feels by less than the peg's radius beyond it; pegs have
 # any of these.
 _RADII_CM = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -54,7 +55,7 @@ _WRONG_FRAME = 0.03  # probability that the readings were explained wrongly alto
 # squeezed from both sides look like that. Of 18 such contacts at emulated walls 4 were elsewhere.
 _WRONG_END = 0.2
 # A wall's points lie on a line but for one sigma of this; points of other things do but for that.
-_STRAIGHT_CM, _OFF_CM = 1.2, 15.0
+_STRAIGHT, _OFF = 1.2 / 53, 15.0 / 53
 _LOG_ANOTHER = np.log(0.1)  # prior odds of one more obstacle
 _LOG_WALL = np.log(0.05)  # of a wall against a peg
 _MOST_WAYS = 400  # kept after each sighting; up to six sightings have no more
@@ -102,10 +103,12 @@ class Room:
         self, arcs: Floats, seen: Sequence[Sighting], passed: Sequence[Passed], radius_cm: float
     ) -> None:
         self._arcs, self._radius_cm = arcs, radius_cm
+        self._full_cm = float(arcs[-1])
         self._seen = sorted(seen, key=lambda each: each.length_cm)
         self._passed = passed
-        reach = np.arange(-3 * _SLIDE_CM, 3 * _SLIDE_CM + 1e-9, arcs[1] - arcs[0])
-        self._slide = np.exp(-0.5 * (reach / _SLIDE_CM) ** 2)
+        slide_cm = _SLIDE * radius_cm
+        reach = np.arange(-3 * slide_cm, 3 * slide_cm + 1e-9, arcs[1] - arcs[0])
+        self._slide = np.exp(-0.5 * (reach / slide_cm) ** 2)
         self._alone = [self._arc_likelihood(each, slides=False) for each in self._seen]
         self._shared = [self._arc_likelihood(each, slides=True) for each in self._seen]
         self._tip = [self._near_tip(each.length_cm) for each in self._seen]
@@ -167,7 +170,7 @@ class Room:
         real = 1.0 - min(share.get(((i,), "nothing"), 0.0) for i in group)
         # Of several contacts in one frame the localizer may know that its numbers are too many.
         vouched = len(group) > 1 or newest.alone or newest.contact.status == "localized"
-        narrow = high - low <= WIDEST_SHARE * self._arcs[-1] + 1e-9
+        narrow = high - low <= WIDTH_SHARE * self._full_cm + 1e-9
         sure = vouched and narrow and real - lost >= LEVEL
         kinds = {each: share.get((group, each), 0.0) for each in ("peg", "wall")}
         touch = np.prod([self._touch[i] for i in group], axis=0)
@@ -198,8 +201,8 @@ class Room:
         for each in self._passed:
             if each.side == s.side and abs(each.length_cm - s.length_cm) > 0.5:
                 clear = (1 - other) * float(each.free @ touched)
-                mass = mass * np.where(arcs < each.length_cm - _SLACK_CM, 1 - clear, 1.0)
-        end = body & (arcs > s.length_cm - _TIP_CM)
+                mass = mass * np.where(arcs < each.length_cm - self._radius_cm, 1 - clear, 1.0)
+        end = body & (arcs > s.length_cm - self._radius_cm)
         mass[~body & (arcs <= s.length_cm + _RADII_CM[-1])] = mass[end].mean()
         return np.asarray(mass)
 
@@ -305,17 +308,17 @@ class Room:
                 # Their errors are shared: so many sightings say as much as their root's number.
                 log += np.log(mass.sum() + 1e-300) / np.sqrt(slid)
                 masses[i] = mass / max(float(mass.sum()), 1e-300)
-                points.append(self._point(i, self._seen[i].length_cm - _TIP_CM / 2))
+                points.append(self._point(i, self._seen[i].length_cm - self._radius_cm / 2))
             if rest := group[slid:]:
-                beyond = self._arcs >= self._seen[group[slid - 1]].length_cm - _SLACK_CM
+                beyond = self._arcs >= self._seen[group[slid - 1]].length_cm - self._radius_cm
                 more, mass = self._peg(rest, beyond)
                 log += more
                 masses |= dict.fromkeys(rest, mass)
                 points.append(self._point(rest[0], float(mass @ self._arcs)))
             if len(points) > 2:  # two points always lie on a line
                 off = np.linalg.svd(points - np.mean(points, axis=0), compute_uv=False)[1]
-                log -= 0.5 * (off / _STRAIGHT_CM) ** 2
-                log += (len(points) - 2) * np.log(_OFF_CM / (_STRAIGHT_CM * np.sqrt(2 * np.pi)))
+                log -= 0.5 * (off / (_STRAIGHT * self._full_cm)) ** 2
+                log += (len(points) - 2) * np.log(_OFF / (_STRAIGHT * np.sqrt(2 * np.pi)))
             ways.append((float(log), masses))
         top = max(log for log, _ in ways)
         weight = np.exp([log - top for log, _ in ways])
@@ -330,8 +333,8 @@ class Room:
         """Prior of the arc at which a body feels a wall, (n,), of sum one."""
         behind = length_cm - self._arcs
         body = behind >= -1e-9
-        at_tip = body & (behind <= _TIP_CM + 1e-9)
-        farther = body * np.exp(-behind / _BEHIND_CM)
+        at_tip = body & (behind <= self._radius_cm + 1e-9)
+        farther = body * np.exp(-behind / (_BEHIND * self._full_cm))
         share = _AT_TIP * at_tip / at_tip.sum() + (1 - _AT_TIP) * farther / farther.sum()
         return np.asarray(share)
 

@@ -15,14 +15,14 @@ from typing import Any, Literal
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort
-from thigmo.exploration.live import Live, RunControl
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import held_now, held_sides, measuring_pressure, pressed_enough
-from thigmo.exploration.met import Lean
-from thigmo.exploration.missed import met_ahead
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import SAME_CM, growth_target, growth_zone, stage_lengths, trial_zone
 from thigmo.exploration.reducer import Reducer
+from thigmo.exploration.run_control import Live, RunControl
+from thigmo.exploration.scoring import met_ahead
+from thigmo.exploration.stall import Lean
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (

@@ -22,8 +22,8 @@ from thigmo.exploration.measuring import (
     pressed_enough,
     touch_curvature,
 )
-from thigmo.exploration.missed import judged
 from thigmo.exploration.reference import FreeResponse, gain_errors
+from thigmo.exploration.scoring import judged
 from thigmo.exploration.sighting import LEVEL, passed_before, passed_freely, touch_mass
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
@@ -35,9 +35,9 @@ _AVERAGED = 5  # frames behind a shape, a quarter of a second
 # The trigger fires when the base is held back by its threshold, so the body was touched before:
 # by so much less free curvature (1/cm).
 _TOUCH_MARGIN = TRIGGER_PER_CM / GIVES_UP
-# A 95 % interval this narrow ends a sweep: less than the tube's diameter. Contacts on the tip's end
-# need it: at 5 cm they were 0.8 cm farther off, for 7 s of robot time less.
-ENOUGH_CM = 3.0
+# A 95 % interval this narrow ends a sweep, in diameters of the tube. Contacts on the tip's end need
+# it: at 5 cm they were 0.8 cm farther off on a tube of 3.5 cm, for 7 s of robot time less.
+ENOUGH = 3.0 / 3.5
 # Probability from which a contact counts although the trigger did not fire.
 _CERTAIN = 0.99
 _CAUGHT = (
@@ -111,7 +111,10 @@ class Interpreter:
         if len(feeling.felt) != 1:
             return False
         low, high = self.map.interval(feeling.felt[0])
-        return feeling.felt[0].probability >= LEVEL and high - low <= ENOUGH_CM
+        return (
+            feeling.felt[0].probability >= LEVEL
+            and high - low <= ENOUGH * self._config.body.diameter_cm
+        )
 
     def add(self, feelings: Iterable[Feeling]) -> None:
         """Put what a stage felt on the map."""

@@ -28,11 +28,11 @@ from aiohttp.http_exceptions import HttpProcessingError
 from thigmo.config import RobotConfig
 from thigmo.errors import ThigmoError
 from thigmo.link.transport import emulated, open_transport
-from thigmo.live import shown
+from thigmo.live import page_data
 from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
+from thigmo.live.page_data import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.relay import Watched, Way, stop_port, stop_run, way_to
-from thigmo.live.shown import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.viewer import Viewer
 from thigmo.robot import JOG_CM
@@ -214,7 +214,7 @@ class PageServer:
         for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *others]:
             if isinstance(message, RunState) and message.paused:
                 self._run.pausing = False
-            channel, text = message.CHANNEL, shown.text(message).decode()
+            channel, text = message.CHANNEL, page_data.text(message).decode()
             if channel in RETAINED:
                 self._run.held[channel] = text
             elif isinstance(message, Event):

@@ -198,13 +198,15 @@ class Lines {
 };
 
 // A load: whether it may lie anywhere on the body, or on its end only; whether it bears a force
-// along the body, and couples there, of any size or at most those of a force on the face.
+// along the body, and couples there, of any size or at most those of a force on the face, and
+// whether one may twist the end.
 struct SpaceLoad {
-  bool anywhere, along, couples, held;
+  bool anywhere, along, couples, held, twisted;
 };
-constexpr SpaceLoad kTouch{true, false, false, false};
-constexpr SpaceLoad kFace{false, true, true, false};
-constexpr SpaceLoad kGrip{false, true, true, true};
+constexpr SpaceLoad kTouch{true, false, false, false, false};
+constexpr SpaceLoad kFace{false, true, true, false, false};
+constexpr SpaceLoad kGrip{false, true, true, true, false};
+constexpr SpaceLoad kTwist{false, true, true, true, true};
 
 // What is weighed of several loads together, base to tip.
 struct SpaceExplanation {
@@ -265,7 +267,7 @@ class SpaceGrid {
     list(0, at);
     mass.assign(cell_[0].size(), 0.0);
     peak_of_.assign(mass.size(), -INFINITY), scale_of_ = mass;
-    top = peak_ = -INFINITY, total = 0.0;
+    top = -INFINITY, total = 0.0;
   }
 
   // Takes columns and readings at one level of the noise.
@@ -301,38 +303,39 @@ class SpaceGrid {
     }
   }
 
-  // Adds the weights of all sets at that level and a scale of the forces.
-  void weigh(double constant, std::size_t at_level, double at_scale) {
-    weight_.resize(mass.size());
-    const double tight = 1.0 / (at_scale * at_scale);
+  // Adds the weights of all sets at that level, over scales of the forces.
+  void weigh(double constant, std::size_t at_level, const Row& scales) {
+    const std::size_t sets = mass.size();
+    weight_.resize(sets * scales.size());
     numbers([&]<int K>() {
-      for (int s = 0; s < size(); ++s) {
-        const Solved<K> found(*this, s, tight);
-        double log_weight = 0.5 * found.gain - std::log(found.volume) - K * std::log(at_scale);
-        for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
-          // A face is pushed, never pulled.
-          if (!placed[j].load->along || placed[j].load->held) continue;
-          const double mean = found.mean()[from + 2],
-                       deviation = std::sqrt(found.variance(from + 2));
-          log_weight +=
-              std::log(std::max(std::erfc(mean / (std::numbers::sqrt2 * deviation)), 1e-300));
+      for (std::size_t s = 0; s < sets; ++s) {
+        const Normal<K> normal(*this, static_cast<int>(s));
+        for (std::size_t m = 0; m < scales.size(); ++m) {
+          const Solved<K> found(normal, 1.0 / (scales[m] * scales[m]));
+          double odds = std::pow(scales[m], K) * found.volume;
+          for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
+            // A face is pushed, never pulled.
+            if (!placed[j].load->along || placed[j].load->held) continue;
+            const double deviation = std::sqrt(2.0 * found.variance(from + 2));
+            odds /= std::max(std::erfc(found.mean()[from + 2] / deviation), 1e-300);
+          }
+          weight_[m * sets + s] = constant + 0.5 * found.gain - std::log(odds);
         }
-        weight_[s] = constant + log_weight;
       }
     });
-    const int most =
-        static_cast<int>(std::max_element(weight_.begin(), weight_.end()) - weight_.begin());
-    if (weight_[most] > top) {
-      const double shrink = std::exp(top - weight_[most]);
+    const auto most = std::max_element(weight_.begin(), weight_.end());
+    if (*most > top) {
+      const double shrink = std::exp(top - *most);
       for (double& value : mass) value *= shrink;
-      total *= shrink, top = weight_[most];
+      total *= shrink, top = *most;
+      const auto at = static_cast<std::size_t>(most - weight_.begin());
+      best = static_cast<int>(at % sets), level = at_level, scale = scales[at / sets];
     }
-    if (weight_[most] > peak_)
-      peak_ = weight_[most], best = most, level = at_level, scale = at_scale;
-    for (int s = 0; s < size(); ++s) {
-      const double share = weight_[s] < top - kNothing ? 0.0 : std::exp(weight_[s] - top);
+    for (std::size_t k = 0; k < weight_.size(); ++k) {
+      const std::size_t s = k % sets;
+      const double share = weight_[k] < top - kNothing ? 0.0 : std::exp(weight_[k] - top);
       mass[s] += share, total += share;
-      if (weight_[s] > peak_of_[s]) peak_of_[s] = weight_[s], scale_of_[s] = at_scale;
+      if (weight_[k] > peak_of_[s]) peak_of_[s] = weight_[k], scale_of_[s] = scales[k / sets];
     }
   }
 
@@ -343,7 +346,7 @@ class SpaceGrid {
     numbers([&]<int K>() {
       for (int s = 0; s < size(); ++s) {
         if (mass[s] == 0.0) continue;
-        const Solved<K> found(*this, s, 1.0 / (scale_of_[s] * scale_of_[s]));
+        const Solved<K> found(Normal<K>(*this, s), 1.0 / (scale_of_[s] * scale_of_[s]));
         const std::array<double, K> force = found.mean();
         for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
           const Placed& p = placed[j];
@@ -372,7 +375,7 @@ class SpaceGrid {
   Row likeliest() const {
     Row out;
     numbers([&]<int K>() {
-      const auto mean = Solved<K>(*this, best, 1.0 / (scale * scale)).mean();
+      const auto mean = Solved<K>(Normal<K>(*this, best), 1.0 / (scale * scale)).mean();
       out.assign(mean.begin(), mean.end());
     });
     return out;
@@ -429,35 +432,42 @@ class SpaceGrid {
     }
   }
 
-  // Normal equations of a set's K numbers, by Cholesky.
+  // Normal equations of a set's K numbers, without their prior: the lower half.
+  template <int K>
+  struct Normal {
+    std::array<std::array<double, K>, K> lower;
+    std::array<double, K> told;
+
+    Normal(const SpaceGrid& grid, int s) {
+      for (int b = 0, k = 0; b < grid.count(); ++b) {
+        const Placed& p = grid.placed[b];
+        const int column = grid.cell_[b][s] * p.size;
+        for (int a = 0, l = 0; a < b; l += grid.placed[a++].size) {
+          const Matrix& both = grid.both_[pair(a, b)];
+          for (int c = 0, size = grid.placed[a].size; c < size; ++c) {
+            const double* row = both[grid.cell_[a][s] * size + c] + column;
+            for (int d = 0; d < p.size; ++d) lower[k + d][l + c] = row[d];
+          }
+        }
+        const double* square = &p.square[static_cast<std::size_t>(column) * p.size];
+        for (int d = 0; d < p.size; ++d) {
+          told[k + d] = p.told[column + d];
+          for (int c = 0; c <= d; ++c) lower[k + d][k + c] = square[d * p.size + c];
+        }
+        k += p.size;
+      }
+    }
+  };
+
+  // The same with their prior, by Cholesky.
   template <int K>
   struct Solved {
     std::array<std::array<double, K>, K> lower;
     std::array<double, K> half;
     double gain = 0.0, volume = 1.0;
 
-    Solved(const SpaceGrid& grid, int s, double tight) {
-      std::array<int, K> load, from;
-      for (int j = 0, k = 0; j < grid.count(); ++j) {
-        for (int l = 0; l < grid.placed[j].size; ++l, ++k) load[k] = j, from[k] = l;
-      }
-      for (int k = 0; k < K; ++k) {
-        const int b = load[k];
-        const Placed& p = grid.placed[b];
-        const int column = grid.cell_[b][s] * p.size + from[k];
-        half[k] = p.told[column];
-        for (int l = 0; l <= k; ++l) {
-          const int a = load[l];
-          double value = 0.0;
-          if (a == b) {
-            value = p.square[static_cast<std::size_t>(column) * p.size + from[l]];
-          } else {
-            const int other = grid.cell_[a][s] * grid.placed[a].size + from[l];
-            value = grid.both_[pair(a, b)][other][column];
-          }
-          lower[k][l] = value + (k == l ? tight : 0.0);
-        }
-      }
+    Solved(const Normal<K>& of, double tight) : lower(of.lower), half(of.told) {
+      for (int k = 0; k < K; ++k) lower[k][k] += tight;
       for (int k = 0; k < K; ++k) {
         for (int l = 0; l < k; ++l) {
           for (int m = 0; m < l; ++m) lower[k][l] -= lower[k][m] * lower[l][m];
@@ -500,7 +510,6 @@ class SpaceGrid {
   std::array<std::vector<int>, kMostContacts> cell_;  // of each set
   std::array<Matrix, 3> both_;                        // products of the columns of two loads
   Row weight_, peak_of_, scale_of_;
-  double peak_ = -INFINITY;
 };
 
 class InSpace : public Explanations {
@@ -599,11 +608,17 @@ class InSpace : public Explanations {
       if (settings_.held_end == Settings::Held::perhaps) {
         weight += odds(settings_.log_held, bends ? priors_.held : priors_.held_straight);
       }
-      const std::size_t held = add({Load::end, {kGrip}, 1}, weight, bent, -1);
-      if (held < found.size()) doubt_of(found[held], {Load::end, {kGrip}, 1}, weight);
-      if (several(2)) {
-        add({Load::contact_end, {kTouch, kGrip}, kPairCells}, weight + priors_.another, bent_by_two,
-            -1);
+      // Held, with a twist or without, and alone or beside a contact.
+      const bool twists = space_.compliance[0] > 0.0;
+      if (twists) weight -= std::log(2.0);
+      for (const SpaceLoad& load : {kTwist, kGrip}) {
+        if (load.twisted && !twists) continue;
+        const std::size_t held = add({Load::end, {load}, 1}, weight, bent, -1);
+        if (held < found.size()) doubt_of(found[held], {Load::end, {load}, 1}, weight);
+        if (several(2) && !load.twisted) {
+          add({Load::contact_end, {kTouch, load}, kPairCells}, weight + priors_.another,
+              bent_by_two, -1);
+        }
       }
     }
     if (several(3)) {
@@ -681,7 +696,7 @@ class InSpace : public Explanations {
     if (load.along) add(at.frame[0], out.unit, {}, 0.0);
     const double couple = load.held ? 1.0 : settings_.radius * out.unit;
     for (int j = 1; load.couples && j < 3; ++j) add({}, 0.0, at.frame[j], couple);
-    if (load.couples && load.held && twists_) add({}, 0.0, at.frame[0], couple);
+    if (load.couples && load.twisted) add({}, 0.0, at.frame[0], couple);
     return out;
   }
 
@@ -740,6 +755,10 @@ class InSpace : public Explanations {
     bool whole = true;
     int moves = 0;
     double last = INFINITY;
+    // What twists the end shows only by how the body bends elsewhere.
+    const bool unseen = of.loads.back().twisted && !twists_;
+    std::vector<Loaded> before;
+    double twist = 0.0;  // of the end, in the shape
     for (int turn = 0; turn < kMostTurns; ++turn) {
       const Lines lines(shape, frame_, direction_);
       double log_volume = 0.0;
@@ -752,6 +771,7 @@ class InSpace : public Explanations {
       grid.list();
       if (whole && free > 0) log_volume = -std::log(static_cast<double>(grid.size()));
       fit.known = known(shape, lines);
+      if (unseen) add_twist(grid, shape, lines, before, twist, fit.known);
       const auto take = [&](const Whitened::At& at) {
         const Row read = left(at, fit.known);
         grid.take(at.by, read);
@@ -759,9 +779,7 @@ class InSpace : public Explanations {
       };
       for (std::size_t s = 0; s < white.levels.size(); ++s) {
         const double square = take(white.levels[s]);
-        for (const double scale : priors_.moments) {
-          grid.weigh(white.levels[s].by.log_det - 0.5 * square, s, scale);
-        }
+        grid.weigh(white.levels[s].by.log_det - 0.5 * square, s, priors_.moments);
       }
       const double scales = static_cast<double>(priors_.moments.size());
       fit.log_evidence = grid.top + std::log(grid.total / scales) + log_volume;
@@ -770,18 +788,24 @@ class InSpace : public Explanations {
       // The first shape is that which the readings show, whatever explains them; the next is that
       // of the loads.
       const double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
-      if (beside && fit.log_evidence + odds < best() + hopeless) return found.size();
+      if (beside && !(unseen && turn < kTwistTurns) && fit.log_evidence + odds < best() + hopeless)
+        return found.size();
       if (turn == 0 && least > -INFINITY) {
         grid.solve(prior_.felt);
         if (fit.log_evidence + std::log(grid.all_felt()) < least) return found.size();
       }
       Hypothesis out = hypothesis(of.name, fit, weight, 0, bad);
       Curvature bent = rest(grid, at, shape, out);
+      if (unseen) before = likeliest_of(grid);
       const double change = apart(bent, shape.curvature());
-      const bool rests = change < prior_.rests || ++moves >= kMostPasses;
+      const bool rests = change < prior_.rests || ++moves >= (unseen ? 2 : 1) * kMostPasses;
       for (std::size_t c = 0; change >= 0.8 * last && c < bent.size(); ++c) {  // half a step
         const Vector& before = shape.curvature()[c];
         bent[c] = plus(before, 0.5, plus(bent[c], -1.0, before));
+      }
+      if (unseen) {
+        const double found_now = before.back().number.back();
+        twist += (change >= 0.8 * last ? 0.5 : 1.0) * (found_now - twist);
       }
       last = change;
       shape = SpaceShape(std::move(bent), space_.compliance);
@@ -864,6 +888,70 @@ class InSpace : public Explanations {
     return all;
   }
 
+  // A load of the likeliest set: its arc, and its numbers.
+  struct Loaded {
+    double arc;
+    Row number;
+  };
+  static std::vector<Loaded> likeliest_of(const SpaceGrid& grid) {
+    const Row load = grid.likeliest();
+    std::vector<Loaded> out;
+    auto from = load.begin();
+    for (int j = 0; j < grid.count(); ++j) {
+      const SpaceGrid::Placed& p = grid.placed[j];
+      out.push_back({p.place[grid.cell(j, grid.best)], Row(from, from + p.size)});
+      from += p.size;
+    }
+    return out;
+  }
+
+  // Readings under loads in a shape.
+  Row readings_of(const SpaceGrid& grid, const std::vector<Loaded>& loads, const SpaceShape& shape,
+                  const Lines& lines) const {
+    Row out(frame_.size());
+    Matrix column;
+    for (std::size_t j = 0; j < loads.size(); ++j) {
+      const Section at = shape.at(loads[j].arc);
+      const SpaceGrid::Placed& p = grid.placed[j];
+      const auto near = std::min_element(p.place.begin(), p.place.end(), [&](double a, double b) {
+        return std::abs(a - at.arc) < std::abs(b - at.arc);
+      });
+      const double unit = p.wrench[static_cast<std::size_t>(near - p.place.begin())].unit;
+      fill(lines, {at}, {wrenches(*p.load, at, 1.0 / unit)}, column);
+      for (int i = 0; i < frame_.size(); ++i) {
+        for (int k = 0; k < p.size; ++k) out[i] += loads[j].number[k] * column[i][k];
+      }
+    }
+    return out;
+  }
+
+  // The column of a couple that twists the end, whose twist turns the directions in which all other
+  // loads bend the body: its derivative where the loads were last found (Gauss and Newton).
+  // `bent`: number of that couple that bent the shape.
+  void add_twist(SpaceGrid& grid, const SpaceShape& shape, const Lines& lines,
+                 const std::vector<Loaded>& before, double bent, Row& known) const {
+    constexpr double kStep = 1e-4;
+    SpaceGrid::Placed& end = grid.placed.back();
+    const int n = frame_.size();
+    if (before.empty()) {
+      for (int i = 0; i < n; ++i) end.column[i][end.size - 1] = 0.0;
+      return;
+    }
+    Curvature u = shape.curvature();
+    for (std::size_t c = 0; c < u.size(); ++c) {
+      u[c][0] += kStep * dot(shape.section(c).frame[0], shape.end().frame[0]);
+    }
+    const SpaceShape twisted(std::move(u), space_.compliance);
+    const Row one = readings_of(grid, before, shape, lines);
+    const Row two = readings_of(grid, before, twisted, Lines(twisted, frame_, direction_));
+    if (known.empty()) known.resize(n);
+    for (int i = 0; i < n; ++i) {
+      const double slope = space_.compliance[0] * (two[i] - one[i]) / kStep;
+      end.column[i][end.size - 1] += slope;
+      known[i] -= slope * bent;
+    }
+  }
+
   void doubt_of(const Hypothesis& of, const SpaceExplanation& how, double weight) {
     doubt(of, weight - contact_,
           [this, how, weight, start = of.bent](int i) { add(how, weight, start, i); });
@@ -871,6 +959,7 @@ class InSpace : public Explanations {
 
   static constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
   static constexpr double kNothingOfAll = 1e-4;
+  static constexpr int kTwistTurns = 5;        // in which an unseen twist is found
   static constexpr double kFarFromIt = -40.0;  // log odds at the first shape, as none that is right
 
   const Space& space_;

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.report.axes import INK, MUTED, small
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.Array
         two.plot(found.separation, found.pair_bound[m, :, 1], color=colors[m])
     half = np.broadcast_to(np.asarray(span, dtype=np.float64) / 2, centers.shape)
     one.hlines(np.full(centers.size, 0.115), centers - half, centers + half, INK, linewidth=4)
-    limit = found.length * 10 / 53 / 3.92
+    limit = found.length * WIDTH_SHARE / 3.92
     one.axhline(limit, color=MUTED, linewidth=1, linestyle=(0, (1, 1)))
     one.set(
         xlabel="arc of the contact (cm)", xlim=(0, found.length), title="One contact",

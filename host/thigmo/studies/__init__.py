@@ -13,7 +13,7 @@ from thigmo.studies.engine import Context, Outcome, Study
 STUDIES: dict[str, str] = {
     "speed-accuracy": "speed against accuracy of every method",
     "stability": "error and failures of each method as conditions get harder",
-    "accuracy": "coverage and wrong answers, each error told and not told",
+    "accuracy": "coverage and wrong answers, each error stated and not stated",
     "loads": "few sensors, two contacts, held ends, kinks, near the base",
     "number": "how many contacts, and where, against what can be known",
     "space": "contacts in space, against an independent rod",

@@ -1,7 +1,7 @@
 """What `localize` knows of its own errors: accuracy, coverage and wrong answers, error by error.
 
 Bodies of independent truth (`touches`), each read under every error that sensors and models have in
-practice (`ERRORS`), once told to `localize` and once not. A localized contact whose 95 % interval
+practice (`ERRORS`), once passed to `localize` and once not. A localized contact whose 95 % interval
 holds no true place is wrong; shares are of all frames. The price of distrust is charted too:
 contacts found, and bad readings believed, over the odds that a reading is bad.
 """
@@ -36,12 +36,12 @@ STEP = 1.6e-3  # 1/cm: one count of the converter
 
 @dataclass(frozen=True)
 class Frame:
-    """Readings (N,) of one body, and what `localize` is told with them."""
+    """Readings (N,) of one body, and what `localize` is given with them."""
 
     curvature: Floats
     position: Floats
     free: float
-    told: dict[str, Any]
+    stated: dict[str, Any]
 
 
 def _noise(rng: np.random.Generator, size: int) -> Floats:
@@ -50,9 +50,9 @@ def _noise(rng: np.random.Generator, size: int) -> Floats:
 
 @dataclass(frozen=True)
 class Error:
-    """One kind of error: how it changes a frame, and how `localize` is told."""
+    """One kind of error: how it changes a frame, and how `localize` is given."""
 
-    # keyword arguments of `localize`, from the frame; None if it cannot be told
+    # keyword arguments of `localize`, from the frame; None if it cannot be stated
     tell: Callable[[Frame], dict[str, Any]] | None = None
     # what it does to a frame without noise
     clean: Callable[[np.random.Generator, Frame], Frame] = lambda rng, frame: frame
@@ -139,20 +139,20 @@ BAD = ("one reading 2e-3 off", "one reading 8e-3 off", "one reading stuck")
 OTHER_NOISE = ("Student's noise", "noise twice stated", "noise half stated", "counts")
 
 
-def ask(frame: Frame, told: dict[str, Any]) -> LocalizeResult:
-    """What `localize` answers, told so much beside what it is always told."""
+def ask(frame: Frame, stated: dict[str, Any]) -> LocalizeResult:
+    """What `localize` answers, with these options beside the usual ones."""
     return localize(
         frame.curvature, frame.position, length=LENGTH, span=SPAN, free_curvature=frame.free,
-        noise=SIGMA, **ROBOT, **frame.told, **told,
+        noise=SIGMA, **ROBOT, **frame.stated, **stated,
     )  # fmt: skip
 
 
 class Case(NamedTuple):
-    """Group, error, whether it is told, and the odds of a bad reading (None: the usual ones)."""
+    """Group, error, whether it is stated, and the odds of a bad reading (None: the usual ones)."""
 
     group: str
     error: str
-    told: bool = False
+    stated: bool = False
     odds: float | None = None
 
 
@@ -198,7 +198,7 @@ def judge(task: tuple[Case, int, int, int]) -> Floats:
     """
     case, seed, number, size = task
     scenes, error = _scenes(seed, case.group, number, size), ERRORS[case.error]
-    # The same errors, told or not.
+    # The same errors, stated or not.
     key = [seed, tuple(GROUPS).index(case.group), number, tuple(ERRORS).index(case.error)]
     rng = np.random.default_rng(key)
     odds = {} if case.odds is None else {"bad_reading_odds": case.odds}
@@ -211,7 +211,7 @@ def judge(task: tuple[Case, int, int, int]) -> Floats:
     # Only bad readings, at the usual odds, are asked about.
     out[:, 5] = other_readings_tell(frames) if case.error in BAD and case.odds is None else 0.0
     for i, (frame, arcs) in enumerate(zip(frames, scenes.arcs, strict=True)):
-        contacts = ask(frame, error.tell(frame) if case.told and error.tell else {}).contacts
+        contacts = ask(frame, error.tell(frame) if case.stated and error.tell else {}).contacts
         listed = [contact for contact in contacts if contact.probability > 0.5]
         wrong = any(c.status == "localized" and not holds(arcs, c.interval) for c in contacts)
         out[i, [0, 2]] = bool(listed), wrong
@@ -228,14 +228,14 @@ def score(case: Case, frames: Floats) -> Row:
     fine = felt & (bound < RESOLVABLE)
     ratio = np.sqrt(off[fine].sum() / (bound[fine] ** 2).sum()) if fine.any() else np.nan
     return {
-        "error": case.error, "group": case.group, "told": case.told, "count": len(frames),
+        "error": case.error, "group": case.group, "stated": case.stated, "count": len(frames),
         "found": share(found), "covered": share(covered[felt]), "wrong": share(wrong),
         "wrong_against_others": share(wrong[tells > 0.5]), "rmse_over_bound": float(ratio),
     }  # fmt: skip
 
 
 def _claims(rows: list[Row]) -> list[Claim]:
-    """The promises: of clean frames, of errors told, of bad readings and of other noise."""
+    """The promises: of clean frames, of errors stated, of bad readings and of other noise."""
     clean = {row["group"]: row for row in rows if row["error"] == "none"}
     limits = {"pressed": 1.15, "bent": 1.2, "peg": 1.2, "corner": 1.0}
     claims = [
@@ -246,17 +246,17 @@ def _claims(rows: list[Row]) -> list[Claim]:
         least = promised - 2.0 * np.sqrt(promised * (1.0 - promised) / clean[group]["count"])
         text = f"{group}: contacts found ({promised:g} within two standard errors)"
         claims.append(Claim(text, clean[group]["found"], least, at_most=False))
-    fair = [row for row in rows if row["told"] or row["error"] == "none"]
-    told = [row for row in fair if not row["group"].startswith("free")]
+    fair = [row for row in rows if row["stated"] or row["error"] == "none"]
+    stated = [row for row in fair if not row["group"].startswith("free")]
     free = [row["found"] for row in fair if row["group"].startswith("free")]
     other = [row for row in rows if row["error"] in OTHER_NOISE]
     bad = [row["wrong_against_others"] for row in rows if row["error"] in BAD]
     return [
         *claims,
-        Claim("errors told: least coverage", min(row["covered"] for row in told), 0.93, False),
-        Claim("errors told: localized and wrong, most", max(row["wrong"] for row in told), 0.03),
-        Claim("errors told: false contacts, most", max(free), 0.01),
-        Claim("one bad reading that others tell of: localized and wrong", np.nanmax(bad), 0.03),
+        Claim("errors stated: least coverage", min(row["covered"] for row in stated), 0.93, False),
+        Claim("errors stated: localized and wrong, most", max(r["wrong"] for r in stated), 0.03),
+        Claim("errors stated: false contacts, most", max(free), 0.01),
+        Claim("one bad reading that others contradict: localized and wrong", np.nanmax(bad), 0.03),
         Claim("other noise than stated: least coverage",
               np.nanmin([row["covered"] for row in other]), 0.9, False),
         Claim("other noise than stated: localized and wrong",
@@ -264,14 +264,14 @@ def _claims(rows: list[Row]) -> list[Claim]:
     ]  # fmt: skip
 
 
-def _told_figure(rows: list[Row]) -> Figure:
-    """Coverage and wrong answers under each error that can be told: told, and not."""
-    lines = {(row["error"], row["group"], row["told"]): row for row in rows}
-    pairs = [(e, g) for e, g, told in lines if told and not g.startswith("free")]
+def _stated_figure(rows: list[Row]) -> Figure:
+    """Coverage and wrong answers under each error that can be stated: stated, and not."""
+    lines = {(row["error"], row["group"], row["stated"]): row for row in rows}
+    pairs = [(e, g) for e, g, stated in lines if stated and not g.startswith("free")]
     figure, (first, second) = panels(1, 2, size=(5.5, 0.3 * len(pairs) + 1.4), share=True)
     at = np.arange(len(pairs))
-    for label, color, place in (("not told", RED, at - 0.2), ("told", BLUE, at + 0.2)):
-        some = [lines[*pair, label == "told"] for pair in pairs]
+    for label, color, place in (("not stated", RED, at - 0.2), ("stated", BLUE, at + 0.2)):
+        some = [lines[*pair, label == "stated"] for pair in pairs]
         first.barh(place, [100 * row["covered"] for row in some], 0.4, color=color)
         second.barh(place, [100 * row["wrong"] for row in some], 0.4, color=color, label=label)
     first.axvline(95.0, color="black", linewidth=0.8)
@@ -301,7 +301,7 @@ def _odds_figure(prices: list[Row]) -> Figure:
 
 
 def run(context: Context) -> Outcome:
-    """The study: every error on every group, told and not; then the odds of a bad reading."""
+    """The study: every error on every group, stated and not; then the odds of a bad reading."""
     batches = parts(context.count(min(BATCH, 50), 3000), BATCH)  # shares of 1 % to a fifth
     few = batches[: max(1, len(batches) // 5)]
 
@@ -314,7 +314,9 @@ def run(context: Context) -> Outcome:
     rows: list[Row] = []
     for name, error in ERRORS.items():
         ways = (False, True) if error.tell else (False,)
-        rows += scored(name, batches, [Case(g, name, told) for g in error.groups for told in ways])
+        rows += scored(
+            name, batches, [Case(g, name, stated) for g in error.groups for stated in ways]
+        )
         outcome.tables["rows"] = rows
         context.save(outcome)
     cases = [Case(g, e, odds=o) for o in ODDS for g in TOUCHED for e in ("none", *BAD)]
@@ -323,5 +325,5 @@ def run(context: Context) -> Outcome:
     prices = [{"odds": case.odds} | {what: row[what] for what in kept} for case, row in priced]
     outcome.tables["odds"] = prices
     outcome.claims = _claims(rows)
-    outcome.figures = {"told": _told_figure(rows), "odds": _odds_figure(prices)}
+    outcome.figures = {"stated": _stated_figure(rows), "odds": _odds_figure(prices)}
     return outcome

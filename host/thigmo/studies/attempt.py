@@ -22,7 +22,7 @@ FAILURE_CM = 10.0
 def attempt(
     case: Case, method: str, *, noise: float = SIGMA, start: float | None = None
 ) -> tuple[float, float]:
-    """Error (cm, infinite for no answer) and processor time (us) of a call, told the noise (1/cm).
+    """Error (cm, infinite for no answer) and processor time (us) of a call, given the noise (1/cm).
 
     The localizer is made before, as by any caller with more than one frame.
     Baselines that need a starting point take `start`; the others none.

@@ -103,7 +103,7 @@ class Outcome:
     samples: Mapping[str, int] = field(default_factory=dict)  # cases of each part that was run
 
     def record(self) -> dict[str, Any]:
-        """What programs are told: the rows of the comparison, if there is one, claims and notes."""
+        """What programs get: the rows of the comparison, if there is one, claims and notes."""
         claims = [claim.record() for claim in self.claims]
         rows = self.tables.get("rows", [])
         samples = dict(self.samples)

@@ -29,8 +29,8 @@ from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort, within
 from thigmo.exploration.map import best_contact, of_stage
-from thigmo.exploration.missed import felt_pegs, from_line
 from thigmo.exploration.obstacles import occupancy
+from thigmo.exploration.scoring import felt_pegs, from_line
 from thigmo.mechanics import Peg
 from thigmo.record import RunDocument, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
@@ -463,7 +463,7 @@ def _claims(found: list[Explored]) -> list[Claim]:
         Claim(f"{WALLS}: contacts missed by {off}", missed(walls), 20.0, unit="%"),
         Claim(f"{empty}: localized", total(stalls, "contacts_localized"), 0.0),
         Claim(
-            f"{STALLS}: of {len(stalled)} that stalled, the cause is right after a trial",
+            f"{STALLS}: of {len(stalled)} that stalled, the cause is true after a trial",
             share([one.cause == "pressure" for one in stalled]), 0.8, False,
         ),
         Claim(f"{one_peg}: missed by {off}", total(pegs, "touched_missed"), 1.0),

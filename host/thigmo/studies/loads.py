@@ -233,7 +233,7 @@ def _groups() -> dict[str, Group]:
                     name = f"{gap:g} cm apart, first sensor at {first:g} cm, {moments[1]:g} 1/cm"
                     groups[name] = Group(partial(pair, gap, first, moments))
     rod = {"length": ROD_CM, "span": 0.0, "noise": ROD_NOISE, "held_end": None}
-    for radius, name in ((None, "rod held at its end"), (0.8, "rod held, radius told")):
+    for radius, name in ((None, "rod held at its end"), (0.8, "rod held, radius stated")):
         groups[name] = Group(held_rod, options=rod | {"tube_radius": radius}, noise=ROD_NOISE)
     for held in (0.0, 0.9):
         for position in (DENSE, COLUMN):
@@ -268,10 +268,10 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
         free = np.square((frames - scenes.free[:, None]) / SIGMA).sum(axis=1)
         stands_out = free - least
     fits = least < chi2.isf(0.01, scenes.position.size - 2)
-    told = {"length": LENGTH, "span": SPAN, "noise": SIGMA, **ROBOT, **group.options}
-    localizer = Localizer.of(position=scenes.position, **told)
+    stated = {"length": LENGTH, "span": SPAN, "noise": SIGMA, **ROBOT, **group.options}
+    localizer = Localizer.of(position=scenes.position, **stated)
     seen = []
-    turns = np.abs(scenes.curvature.mean(axis=1)) * told["length"]
+    turns = np.abs(scenes.curvature.mean(axis=1)) * stated["length"]
     for frame, free, arcs, out, fit, turn in zip(
         frames, scenes.free, scenes.arcs, stands_out, fits, turns, strict=True
     ):
@@ -340,7 +340,7 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
     explained = [f for frames in beside for f in frames if f.found == 1 and f.fits]
     both = [[f for f in frames if f.found == 2] for frames in opposed]
     rods = seen["rod held at its end"]
-    told = [f for frames in some("kink") for f in frames if f.stands_out >= SEEN_KINK]
+    clear = [f for frames in some("kink") for f in frames if f.stands_out >= SEEN_KINK]
     hidden = [[f for f in frames if f.stands_out < SEEN_KINK] for frames in some("kink and")]
     return [
         *claims,
@@ -370,8 +370,8 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
               share([f.off_cm > 0.05 * ROD_CM for f in rods]), 0.0),
         Claim("of the rods that turn by 45 degrees or more: localized so far from there",
               share([f.off_cm > 0.05 * ROD_CM for f in rods if f.turn >= BENT]), 0.0),
-        Claim("rod held, radius told: localized more than 5 % of its length from there",
-              share([f.off_cm > 0.05 * ROD_CM for f in seen["rod held, radius told"]]), 0.0),
+        Claim("rod held, radius stated: localized more than 5 % of its length from there",
+              share([f.off_cm > 0.05 * ROD_CM for f in seen["rod held, radius stated"]]), 0.0),
         Claim("two anywhere, bent, 20 readings: localized and wrong",
               share([f.wrong for f in seen["two anywhere, bent, 20 readings, number 0"]]), 0.13),
         at_least("of these, frames with a localized contact",
@@ -393,9 +393,9 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
         at_least("nothing said: least coverage",
                  min(_coverage(seen[f"{name}, nothing said"]) for name in ("pressed", "bent")),
                  0.93),
-        Claim("kinks of 3 standard errors or more: not told, and a contact localized",
-              share([f.localized and not f.hinge for f in told]), 0.0),
-        Claim("of these, localized where nothing is", share([f.wrong for f in told]), 0.03),
+        Claim("kinks of 3 standard errors or more: not reported, and a contact localized",
+              share([f.localized and not f.hinge for f in clear]), 0.0),
+        Claim("of these, localized where nothing is", share([f.wrong for f in clear]), 0.03),
         at_least("kinks that hardly show: least coverage",
                  min(share([f.held > 0 for f in frames if f.found]) for frames in hidden), 0.93),
         Claim("kinks that hardly show: localized and wrong, most",

@@ -43,7 +43,7 @@ TRADED: dict[str, touches.Draw] = {
     "two bent, 20 readings": partial(anywhere, 2, True, DENSE),
 }
 SINGLES = tuple(TRADED)[:3]
-# Told besides, where the truth has no bad reading and nothing on the end's face.
+# Stated besides, where the truth has no bad reading and nothing on the end's face.
 PLAIN: dict[str, Any] = ROBOT | {"end_face_odds": 0.0, "bad_reading_odds": 1e-6}
 
 
@@ -139,14 +139,14 @@ def trade(task: tuple[str, tuple[int, ...], int]) -> NDArray[np.bool_]:
     rng = np.random.default_rng(key)
     scenes = TRADED[name](rng, size)
     noisy = scenes.curvature + SIGMA * rng.standard_normal(scenes.curvature.shape)
-    told: dict[str, Any] = {"position": scenes.position, "length": LENGTH, "span": SPAN}
-    told |= {"noise": SIGMA} | ROBOT
+    stated: dict[str, Any] = {"position": scenes.position, "length": LENGTH, "span": SPAN}
+    stated |= {"noise": SIGMA} | ROBOT
     ways: list[dict[str, Any]] = [
         *({"number_level": level} for level in NUMBER_LEVELS),
         *({"width_limit": LENGTH * width} for width in WIDTHS),
         NOTHING_SAID,
     ]
-    localizers = [Localizer.of(**(told | way)) for way in ways]
+    localizers = [Localizer.of(**(stated | way)) for way in ways]
     frames = list(zip(noisy, scenes.free, scenes.arcs, strict=True))
     return np.array([
         [_localized(each.localize(y, free_curvature=g), arcs) for y, g, arcs in frames]
@@ -235,9 +235,9 @@ def run(context: Context) -> Outcome:
         for (claim, level), frames in zip(levels, together[:-1], strict=True):
             localized, wrong = frames.mean(axis=0).tolist()
             traded.append(Traded(name, claim, level, localized, wrong, len(frames)))
-        (told, wrong), (silent, silent_wrong) = together[[0, -1]].mean(axis=1).tolist()
+        (stated, wrong), (silent, silent_wrong) = together[[0, -1]].mean(axis=1).tolist()
         priced.append({
-            "group": name, "localized_said": told, "wrong_said": wrong,
+            "group": name, "localized_said": stated, "wrong_said": wrong,
             "localized_not_said": silent, "wrong_not_said": silent_wrong,
         })  # fmt: skip
     kept = [row["localized_not_said"] / max(row["localized_said"], 1e-9)

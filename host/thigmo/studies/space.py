@@ -1,6 +1,7 @@
 """Contacts in space: rods under known loads by an independent solver, read by a fibre.
 
-One contact, one on a body with weight, two, and a load of force and couple on the end. Errors are
+One contact, one on a body with weight, two, and a load of force and couple on the end, without a
+couple about the body's axis and with one, which a fibre cannot see. Errors are
 held against the Cramer-Rao bound of place and force together. A body turned about its axis with
 everything on it (sensors, weight, loads) is answered alike.
 """
@@ -28,10 +29,11 @@ NEAREST, TURNS, MOST_MOMENT = 0.15, (0.2, 1.6), 6.0
 END = 0.98  # from here on a place is the end's
 STEP = 1e-4
 BATCH = 50
-GROUPS = ("one", "weight", "two", "end")
+GROUPS = ("one", "weight", "two", "end", "twisted end")
+ENDS = GROUPS[3:]
 READ: dict[str, Any] = {
     "position": POSITION, "direction": DIRECTION, "length": 1.0, "span": SPAN, "noise": SIGMA,
-    "twist": TWIST, "stiffness": (1.0, 0.0),
+    "twist": TWIST,
 }  # fmt: skip
 TURNED = 1.234  # rad
 TIMES_PLANE = 3.0  # promised: so many times the time in a plane
@@ -64,9 +66,9 @@ def _rods(group: str, rng: np.random.Generator, count: int) -> tuple[RodsInSpace
     size = np.minimum(2.0 * rng.uniform(*TURNS, (count, contacts)) / arcs**2, MOST_MOMENT / arcs)
     force = np.stack([0.0 * size, size * np.cos(around), size * np.sin(around)], axis=2)
     weight = rng.standard_normal((count, 3)) if group == "weight" else None
-    if group == "end":
-        # No couple about the axis: what twists a body cannot be seen by what reads its bends.
-        couple = 0.7 * rng.standard_normal((count, 1, 3)) * [0.0, 1.0, 1.0]
+    if group in ENDS:
+        about = [0.0 if group == "end" else 1.0, 1.0, 1.0]
+        couple = 0.7 * rng.standard_normal((count, 1, 3)) * about
         force = rng.standard_normal((count, 1, 3))
         across = np.linalg.norm(force[:, 0, 1:], axis=1)
         rods = solve(np.ones((count, 1)), force, couple=couple, twist=TWIST)
@@ -102,7 +104,7 @@ def answers(task: tuple[str, tuple[int, ...], int]) -> list[Answered]:
     out = []
     for k, curvature in enumerate(noisy):
         heavy = {"weight": rods.weight[k]} if group == "weight" else {}
-        result = Localizer.of(**READ, **heavy).localize(curvature)
+        result = Localizer.of(**READ, **heavy, stiffness=(1.0, 0.0)).localize(curvature)
         heavy = {name: about @ value for name, value in heavy.items()}
         turned = READ | {"direction": DIRECTION + TURNED}
         again = Localizer.of(**turned, **heavy).localize(curvature)
@@ -125,7 +127,7 @@ def answers(task: tuple[str, tuple[int, ...], int]) -> list[Answered]:
                     not any(low <= arc <= high for low, high in c.intervals for arc in true)
                     for c in placed
                 )
-                if group != "end"
+                if group not in ENDS
                 else any(c.interval[1] < END for c in placed),
                 float(((vector - rods.forces[k, 0]) ** 2).sum()),
                 float(bound[k]),

@@ -26,7 +26,7 @@ from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import CRITICAL, LENGTH, SIGMA, SPAN, Case, one_contact, read, side_of
 
 Draw = Callable[[np.random.Generator, float, float], tuple[Case, float]]
-"""Case and the noise that the method is told, for a row and a column condition."""
+"""Case and the noise that the method is given, for a row and a column condition."""
 
 DEFAULT = METHODS[0]
 # Methods quick enough to map; the rest stand in the speed-accuracy chart.

@@ -1,7 +1,7 @@
 """One frame against all frames of an inflation: `localize` of the last, and `ContactFilter`.
 
-Truth is the independent rod bent into a peg at rest (`pegs`), of a size that nobody is told. Errors
-stay the same through an inflation: those of gains, map and zeros are told; a bad sensor is not. A
+Truth is the independent rod bent into a peg at rest (`pegs`), of a size that is not stated. Errors
+stay the same through an inflation: those of gains, map and zeros are stated; a bad sensor is not. A
 localized contact whose 95 % interval does not hold the place is wrong; shares are of all rooms.
 """
 
@@ -22,11 +22,11 @@ from thigmo.studies.scenes import COLUMN, LENGTH, RADIUS, ROBOT, SIGMA, SPAN
 MOST = 0.05  # free curvature (1/cm) that an inflation can reach
 FRAMES = 8
 BATCH = 20  # rooms that a process takes at a time
-GAIN, MAP, ZERO = 0.05, 0.05, 1e-3  # standard errors that are told
+GAIN, MAP, ZERO = 0.05, 0.05, 1e-3  # standard errors that are stated
 BODY: dict[str, Any] = {"length": LENGTH, "span": SPAN, "noise": SIGMA, "tube_radius": RADIUS}
 
 
-Told = dict[str, Any]
+Stated = dict[str, Any]
 Spoil = Callable[[np.random.Generator, Floats, Floats], tuple[Floats, Floats]]
 """What an error does to readings (T, N) of one body and to free curvatures (T,) as believed."""
 
@@ -59,8 +59,8 @@ def _more(rng: np.random.Generator, curvature: Floats, free: Floats) -> tuple[Fl
     return curvature + np.sqrt(3.0) * SIGMA * rng.standard_normal(curvature.shape), free
 
 
-OTHER_NOISE = "twice the noise, not told"
-ERRORS: dict[str, tuple[Spoil, Told]] = {
+OTHER_NOISE = "twice the noise, not stated"
+ERRORS: dict[str, tuple[Spoil, Stated]] = {
     "none": (lambda rng, curvature, free: (curvature, free), {}),
     "gains 5 % off": (_gains, {"gain_error": GAIN}),
     "map 5 % off": (_map, {"map_error": MAP}),
@@ -70,7 +70,7 @@ ERRORS: dict[str, tuple[Spoil, Told]] = {
     "a sensor stuck at zero": (_bad(None), {}),
     OTHER_NOISE: (_more, {}),
 }
-TOLD, BAD = tuple(ERRORS)[:4], tuple(ERRORS)[4:7]
+STATED, BAD = tuple(ERRORS)[:4], tuple(ERRORS)[4:7]
 
 
 @cache
@@ -82,12 +82,12 @@ def _rooms(seed: int, number: int, size: int) -> tuple[Rooms, Floats]:
     return there, np.stack(read, axis=1)
 
 
-def _last(curvature: Floats, free: Floats, told: Told) -> LocalizeResult:
-    return localize(curvature[-1], COLUMN, free_curvature=free[-1], **BODY | ROBOT, **told)
+def _last(curvature: Floats, free: Floats, stated: Stated) -> LocalizeResult:
+    return localize(curvature[-1], COLUMN, free_curvature=free[-1], **BODY | ROBOT, **stated)
 
 
-def _all(curvature: Floats, free: Floats, told: Told) -> LocalizeResult:
-    felt = Localizer.of(position=COLUMN, **BODY, **told).filter(1.25 * MOST)
+def _all(curvature: Floats, free: Floats, stated: Stated) -> LocalizeResult:
+    felt = Localizer.of(position=COLUMN, **BODY, **stated).filter(1.25 * MOST)
     felt.update(curvature, free)
     return felt.result()
 
@@ -104,13 +104,13 @@ def judge(task: tuple[str, int, int, int]) -> dict[str, Floats]:
     error, seed, number, size = task
     there, clean = _rooms(seed, number, size)
     rng = np.random.default_rng([seed, 0x5F, list(ERRORS).index(error), number])
-    spoil, told = ERRORS[error]
+    spoil, stated = ERRORS[error]
     rows = {name: np.full((size, 5), np.nan) for name in METHODS}
     for room, arc in enumerate(there.arc[-1]):
         noise = SIGMA * rng.standard_normal(clean[room].shape)
         curvature, free = spoil(rng, clean[room], there.free[:, room])
         for name, method in METHODS.items():
-            result = method(curvature + noise, free, told)
+            result = method(curvature + noise, free, stated)
             rows[name][room, [0, 2]] = bool(result.contacts), False
             if result.contacts:
                 best = min(result.contacts, key=lambda contact: abs(contact.arc - arc))
@@ -146,9 +146,10 @@ def run(context: Context) -> Outcome:
             judged = np.concatenate([some[method] for some in got])
             scores[error, method] = score(error, method, judged)
     whole = {error: scores[error, "all frames"] for error in ERRORS}
+    stated = [whole[error] for error in STATED]
     claims = [
-        Claim("errors told: least coverage", min(whole[e]["covered"] for e in TOLD), 0.93, False),
-        Claim("errors told: localized and wrong, most", max(whole[e]["wrong"] for e in TOLD), 0.03),
+        Claim("errors stated: least coverage", min(row["covered"] for row in stated), 0.93, False),
+        Claim("errors stated: localized and wrong, most", max(r["wrong"] for r in stated), 0.03),
         Claim("a bad sensor: localized and wrong, most", max(whole[e]["wrong"] for e in BAD), 0.03),
         Claim("twice the noise: coverage", whole[OTHER_NOISE]["covered"], 0.9, at_most=False),
         Claim("twice the noise: localized and wrong", whole[OTHER_NOISE]["wrong"], 0.05),

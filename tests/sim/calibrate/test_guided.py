@@ -10,8 +10,8 @@ import pytest
 import thigmo
 from thigmo.calibrate import steps
 from thigmo.calibrate.bench import Bench, Plan, tip_rows
-from thigmo.calibrate.eyes import Eyes, emulated_source
 from thigmo.calibrate.flex_data import FlexReadings
+from thigmo.calibrate.overhead import Eyes, emulated_source
 from thigmo.calibrate.session import Session, blank
 from thigmo.camera import CameraMovedError, MarkerMissingError, Sheet, locate
 from thigmo.camera.sheet import card_decals
@@ -129,7 +129,7 @@ def test_pushed_tip_without_its_marker_is_not_seen(lab, monkeypatch):
     bench.hand.push_tip(5.0)
     lab.robot.wait(2.0)
     monkeypatch.setattr(
-        "thigmo.calibrate.eyes.tip_decal", lambda sheet, x, y, d: card_decals(sheet)[0]
+        "thigmo.calibrate.overhead.tip_decal", lambda sheet, x, y, d: card_decals(sheet)[0]
     )
     with pytest.raises(MarkerMissingError, match="id 40"):
         lab.eyes.axis(free_bend=False)

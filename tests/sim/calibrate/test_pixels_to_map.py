@@ -10,7 +10,7 @@ import pytest
 import thigmo
 from thigmo.calibrate import steps
 from thigmo.calibrate.bench import Bench, Plan
-from thigmo.calibrate.eyes import Eyes, emulated_source
+from thigmo.calibrate.overhead import Eyes, emulated_source
 from thigmo.calibrate.session import Session, blank
 from thigmo.camera import Sheet, locate
 from thigmo.config import SIDES

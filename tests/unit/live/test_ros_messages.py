@@ -79,8 +79,11 @@ def test_joints_are_length_and_turns_of_the_body() -> None:
     joints = made.joint_state(BodyShape(1.0, 5.0, poses, 1.75))
     assert joints.name[0] == "everted_length"
     assert joints.position[0] == pytest.approx(0.4, rel=1e-3)
-    assert list(joints.position[1:]) == pytest.approx([math.pi / 20] * 10, rel=1e-3)
-    (tip,) = made.tip_transform(BodyShape(1.0, 5.0, poses, 1.75)).transforms
+    # Chords of equal arcs: the first turns by half of what the others do.
+    turns = [math.pi / 40, *[math.pi / 20] * 9]
+    assert list(joints.position[1:11]) == pytest.approx(turns, rel=1e-2)
+    assert sum(joints.position[11:]) == pytest.approx(0.4, rel=2e-3)
+    tip, *_ = made.body_transforms(BodyShape(1.0, 5.0, poses, 1.75)).transforms
     assert (tip.header.frame_id, tip.child_frame_id) == ("thigmo_base", "thigmo_tip")
     assert tip.transform.translation.y == pytest.approx(radius / 100)
 

@@ -2,7 +2,7 @@
 // Live, that moment is the last reading; in a finished run the player moves it. All times are the
 // robot's, in seconds; `now` and what is drawn count from the start of the run.
 
-// Columns of a telemetry row, as live/shown.py makes them.
+// Columns of a telemetry row, as live/page_data.py makes them.
 export const COLUMN = {
   t: 0, pressure: 1, demand: 3, drive: 5, curvature: 7, expected: 17, length: 27, motor: 28,
 };

@@ -43,7 +43,7 @@ class Answer:
 
 
 def thesis_method(trial: Trial, name: str = THEIRS) -> Answer:
-    """The thesis's solver or one of its variants, told the number of contacts as the thesis was."""
+    """The thesis's solver or one of its variants, given the number of contacts as it was."""
     problem = Problem(
         trial.curvature - trial.free, trial.position, trial.span, trial.length_cm,
         contacts=len(trial.arcs_cm), critical_curvature=trial.critical,
@@ -53,7 +53,7 @@ def thesis_method(trial: Trial, name: str = THEIRS) -> Answer:
 
 
 def ours(trial: Trial) -> Answer:
-    """The project's localizer, told the number of contacts as the thesis was.
+    """The project's localizer, given the number of contacts as the thesis was.
 
     As in an exploration, what the untouched robot has shown of its sensors is taken off first.
     Where the robot bent into a dowel, all frames are taken together, for the dowel stood still.

@@ -209,27 +209,27 @@ def _shown(r: Row) -> Row:
 
 def _remarks(r: Row) -> list[str]:
     """What the row's numbers do not say by themselves."""
-    told = []
+    lines = []
     if r["experiment"] == "two-contacts":
-        told.append(
+        lines.append(
             ", closest contact and obstacle paired first (that pair / the other): its method "
             f"{r['here_nearest_mean']:.2f} / {r['here_other_mean']:.2f} cm, ours "
             f"{r['ours_nearest_mean']:.2f} / {r['ours_other_mean']:.2f}"
         )
     if r["unbounded"]:
-        told.append(f": no finite bound for {r['unbounded']} contacts, which its mean leaves out")
+        lines.append(f": no finite bound for {r['unbounded']} contacts, which its mean leaves out")
     if np.isfinite(r["less_se"]) and abs(r["less_mean"]) < 2 * r["less_se"]:
-        told.append(
+        lines.append(
             f": a tie: the two differ by {r['less_mean']:.2f} +- {r['less_se']:.2f} cm over the "
             "robots"
         )
     if r["perfect_arc_mean"] > r["bound_mean"]:
-        told.append(
+        lines.append(
             f": |a - x of the obstacle| of a perfect arc is {r['perfect_arc_mean']:.2f} cm, for a "
             "bent robot's arc is longer than its x; an estimator at the bound has "
             f"{r['bound_measured_mean']:.2f} in that measure"
         )
-    return told
+    return lines
 
 
 def _answers(solved: Sequence[Solved]) -> list[dict[str, str]]:

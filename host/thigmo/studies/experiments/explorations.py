@@ -160,8 +160,8 @@ def _figure(runs: list[Record]) -> Figure:
         mapped = points[np.isfinite(points[:, 1])]
         count = f"{len(mapped)} of {len(runs)} mapped"
         axis.plot(*mapped.T, "o", color=color, alpha=0.7, label=f"{label} ({count})")
-    told, _ = thesis.RESULTS["exploration", "obstacle at the farthest place"]
-    axis.axhline(told, color="gray", linestyle="--", label=f"thesis, one run: {told} cm")
+    published, _ = thesis.RESULTS["exploration", "obstacle at the farthest place"]
+    axis.axhline(published, color="gray", linestyle="--", label=f"thesis, one run: {published} cm")
     axis.set(
         xlabel="robot time (s)", ylabel="|x error| of the mapped contact (cm)", xlim=(0, None),
         ylim=(0, None),

@@ -231,8 +231,8 @@ def _pressed(experiment: str, title: str) -> Figure:
     for one in plan(experiment, 2):
         if one.side == "right":
             moment, *more = np.multiply(one.arcs_cm, one.forces)
-            told = f"{one.condition}: base moment {moment:.4f} 1/cm"
-            text = "" if more else told + (", folded" if one.folds else "")
+            label = f"{one.condition}: base moment {moment:.4f} 1/cm"
+            text = "" if more else label + (", folded" if one.folds else "")
             body = pushed(one.arcs_cm, one.forces, fold_rad=one.fold(frozen().fold_rad))
             drawn[text].append((one.place, body))
     return _drawn(drawn, title, 4.2)

@@ -165,16 +165,16 @@ def _cells(item: tuple[Setting, int, int, int]) -> list[Cell]:
 
 def remarks(found: Sequence[Cell]) -> list[str]:
     """One sentence a row: fitted or predicted, how near, and which constant moves it most."""
-    told = []
+    lines = []
     for cell in [c for c in found if c["changed"] == _FROZEN]:
         row, camera = (cell["experiment"], cell["condition"]), cell["camera_cm"]
         same = [c for c in found if (c["experiment"], c["condition"]) == row and c is not cell]
         most = max(same, key=lambda c: abs(c["camera_cm"] - camera))
         holds = 1 / _WITHIN <= camera / cell["thesis_cm"] <= _WITHIN
         verdict = "fitted" if row[0] == "single-contact" else "holds" if holds else "FAILS"
-        told.append(
+        lines.append(
             f"{row[0]}, {row[1]}: thesis {cell['thesis_cm']:.2f} cm, its method here "
             f"{camera:.2f} ({verdict}; in the workspace {cell['workspace_cm']:.2f}); "
             f"moved most by {most['changed']}: {most['camera_cm']:.2f}"
         )
-    return told
+    return lines

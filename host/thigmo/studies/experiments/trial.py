@@ -179,5 +179,5 @@ def arc_bound_cm(
     length_cm: float,
 ) -> tuple[float, ...]:
     """Mean absolute error, of a Gaussian estimator, of each arc at the beam model's bound."""
-    told = np.array(arcs_cm), np.array(forces), position, span, np.maximum(sigma, 1e-9)
-    return tuple((np.sqrt(2 / np.pi) * arc_bounds(*told, length_cm)).tolist())
+    stated = np.array(arcs_cm), np.array(forces), position, span, np.maximum(sigma, 1e-9)
+    return tuple((np.sqrt(2 / np.pi) * arc_bounds(*stated, length_cm)).tolist())

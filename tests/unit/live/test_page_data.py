@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from thigmo.live.shown import COLUMNS, block, row_text, thinned
+from thigmo.live.page_data import COLUMNS, block, row_text, thinned
 from thigmo.stream import Telemetry
 
 

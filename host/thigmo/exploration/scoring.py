@@ -14,8 +14,8 @@ import numpy as np
 from thigmo.config import RobotConfig
 from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.map import errors, of_stage
-from thigmo.exploration.met import Met
 from thigmo.exploration.obstacles import GONE, occupancy
+from thigmo.exploration.stall import Met
 from thigmo.record import (
     FalseContact,
     MapContact,
