@@ -611,7 +611,7 @@ def nozzle_and_spool() -> schemdraw.Drawing:
     _dimension(d, (x + 0.3, top + 0.4), (x + 2.3, top + 0.4), "20 between the flanges")
     _dimension(d, (x + 1.2, top - 2.5), (x + 1.2, top - 0.5), "20")
     _dimension(d, (x + 3.0, top - 3.0), (x + 3.0, top), "30")
-    _text(d, (x - 1.4, top - 1.5), "motor's\nshaft", "right", 9)
+    _text(d, (x - 1.4, top - 1.5), "M1's\nshaft", "right", 9)
     _text(
         d,
         (x - 2.0, top - 4.0),
