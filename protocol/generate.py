@@ -55,6 +55,8 @@ TYPES = {
 DEADLINE_MS = 2000  # message.py's default
 INBOUND_DATAGRAMS = ("heartbeat", "stop")
 BIT_ENUMS = ("Fault", "Condition", "SweepOption")
+# What a board has so many of: the schema's `capacity`, and the constant of the C++ header.
+CAPACITY = {"muscles": "kMuscles", "sensors": "kSensors", "body_pressures": "kBodyPressures"}
 
 
 class SchemaError(Exception):
@@ -81,25 +83,46 @@ _UniqueLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _m
 
 
 @dataclass(frozen=True)
+class Capacity:
+    """How many of something a board has: at most on the wire, and for the thesis's robot."""
+
+    most: int
+    usual: int
+
+
+@dataclass(frozen=True)
 class Field:
     """One field of a message."""
 
     name: str
     type: str
-    count: int
+    count: int  # at most
+    of: str  # what of the capacity counts it; "" for a fixed count
+    counted: bool  # its count comes before it
     unit: str
     enum: str
     doc: str
 
     @property
     def code(self) -> str:
-        """Its struct format."""
+        """Its struct format; `?` and what counts it come before that of an array's element."""
+        if self.of:
+            return f"{self.of}?{TYPES[self.type][0]}"
         return (str(self.count) if self.count > 1 else "") + TYPES[self.type][0]
 
     @property
     def size(self) -> int:
-        """Bytes on the wire."""
-        return TYPES[self.type][2] * self.count
+        """Bytes on the wire, at most, its count included."""
+        return TYPES[self.type][2] * self.count + self.counted
+
+    @property
+    def extent(self) -> str:
+        """Its bytes as a C++ expression, its count included."""
+        width = TYPES[self.type][2]
+        if not self.of:
+            return str(width * self.count)
+        each = CAPACITY[self.of] if width == 1 else f"{width} * {CAPACITY[self.of]}"
+        return f"1 + {each}" if self.counted else each
 
 
 @dataclass(frozen=True)
@@ -130,6 +153,17 @@ class Message:
         return sum(field.size for field in self.fields)
 
     @property
+    def varies(self) -> bool:
+        """Whether its size is the capacity's matter."""
+        return any(field.of for field in self.fields)
+
+    def offset(self, number: int) -> str:
+        """Where a field (its count, if one comes before it) begins, as a C++ expression."""
+        before = self.fields[:number]
+        fixed = sum(int(field.extent) for field in before if not field.of)
+        return " + ".join([str(fixed), *(field.extent for field in before if field.of)])
+
+    @property
     def wire(self) -> int:
         """Most bytes on the wire, delimiter included."""
         return self.size + OVERHEAD
@@ -141,12 +175,11 @@ class Parameter:
 
     name: str
     id: int
-    index: int
-    count: int
+    of: str  # what of the capacity counts its elements; "" for a single one
     unit: str
     low: int
     high: int
-    defaults: tuple[int, ...]
+    defaults: tuple[int, ...]  # one for each element, or of the first ones: the rest is 0
     doc: str
 
 
@@ -173,13 +206,9 @@ class Schema:
     hash: int
     enums: dict[str, tuple[str, tuple[Value, ...]]]
     open_enums: frozenset[str]  # whose values may be others than those listed
+    capacity: dict[str, Capacity]
     messages: tuple[Message, ...]
     parameters: tuple[Parameter, ...]
-
-    @property
-    def parameter_count(self) -> int:
-        """Indices in all."""
-        return sum(p.count for p in self.parameters)
 
 
 def camel(name: str) -> str:
@@ -193,7 +222,9 @@ def wire_layout(tree: Any) -> Any:
     Names belong to it: two fields of one type that change places change what a byte means.
     """
     return {
-        "frame": {key: tree[key] for key in ("protocol", "max_wire_bytes", "crc", "map")},
+        "frame": {
+            key: tree[key] for key in ("protocol", "max_wire_bytes", "crc", "map", "capacity")
+        },
         "enums": {
             name: "open"
             if members.get("open")
@@ -253,6 +284,8 @@ def load(path: Path) -> Schema:
         _require(all(0 <= n <= top for n in numbers), f"enums.{name}: values must be 0..{top}")
         enums[name] = (members["doc"], values)
 
+    capacity = {name: Capacity(**body) for name, body in tree["capacity"].items()}
+    _require(set(capacity) == set(CAPACITY), f"capacity: give {', '.join(CAPACITY)}")
     messages = []
     for name, body in tree["messages"].items():
         where = f"messages.{name}"
@@ -266,8 +299,20 @@ def load(path: Path) -> Schema:
             enum = f.get("enum", "")
             _require(not enum or enum in enums, f"{where}.{f['name']}: unknown enum {enum}")
             _require(not enum or f["type"] == "u8", f"{where}.{f['name']}: enums travel as u8")
+            count = f.get("count", 1)
+            of = count if isinstance(count, str) else ""
+            _require(not of or of in capacity, f"{where}.{f['name']}: nothing counts {of}")
             fields.append(
-                Field(f["name"], f["type"], f.get("count", 1), f.get("unit", ""), enum, f["doc"])
+                Field(
+                    f["name"],
+                    f["type"],
+                    capacity[of].most if of else count,
+                    of,
+                    bool(of) and all(of != other.of for other in fields),
+                    f.get("unit", ""),
+                    enum,
+                    f["doc"],
+                )
             )
         names = [f.name for f in fields]
         _require(len(set(names)) == len(names), f"{where}: a field name is used twice")
@@ -312,17 +357,18 @@ def load(path: Path) -> Schema:
         _require(not m.reply or m.reply in replies, f"messages.{m.name}: unknown reply {m.reply}")
 
     parameters = []
-    index = 0
     for name, body in tree["parameters"].items():
         where = f"parameters.{name}"
         unknown = set(body) - {"id", "count", "unit", "range", "default", "doc"}
         _require(not unknown, f"{where}: unknown keys {sorted(unknown)}")
         _require("id" in body, f"{where}: give it an id; the next free one stands above the list")
-        count = body.get("count", 1)
+        of = body.get("count", "")
+        _require(not of or of in capacity, f"{where}: nothing counts {of}")
         low, high = body["range"]
         default = body["default"]
-        defaults = tuple(default) if isinstance(default, list) else (default,) * count
-        _require(len(defaults) == count, f"{where}: {len(defaults)} defaults for {count}")
+        defaults = tuple(default) if isinstance(default, list) else (default,)
+        _require(len(defaults) <= (capacity[of].most if of else 1), f"{where}: too many defaults")
+        _require(not isinstance(default, list) or low <= 0, f"{where}: 0 is out of its range")
         _require(
             TYPES["i32"][3] <= low < high <= TYPES["i32"][4], f"{where}: bad range {low}..{high}"
         )
@@ -331,8 +377,7 @@ def load(path: Path) -> Schema:
             Parameter(
                 name,
                 body["id"],
-                index,
-                count,
+                of,
                 body.get("unit", ""),
                 low,
                 high,
@@ -340,7 +385,6 @@ def load(path: Path) -> Schema:
                 body["doc"],
             )
         )
-        index += count
     stored = [tree["map"]["id"], *(p.id for p in parameters)]
     _require(all(0 < i < 256 for i in stored), "parameters: ids must be 1..255")
     _require(len(set(stored)) == len(stored), "parameters: a stored id is used twice")
@@ -355,6 +399,7 @@ def load(path: Path) -> Schema:
         schema_hash(tree),
         enums,
         frozenset(open_enums),
+        capacity,
         tuple(messages),
         tuple(parameters),
     )
@@ -371,27 +416,42 @@ def _cpp_type(field: Field) -> str:
     return field.enum or TYPES[field.type][1]
 
 
-def _cpp_put(field: Field, offset: int) -> list[str]:
+def _cpp_array(field: Field) -> str:
+    """How many elements it has, as a C++ expression; "" for a single one."""
+    if field.of:
+        return CAPACITY[field.of]
+    return str(field.count) if field.count > 1 else ""
+
+
+def _cpp_put(field: Field, offset: str) -> list[str]:
     width = TYPES[field.type][2]
     put = {1: "put8", 2: "put16", 4: "put32"}[width]
     cast = {1: "uint8_t", 2: "uint16_t", 4: "uint32_t"}[width]
-    if field.count == 1:
+    array = _cpp_array(field)
+    if not array:
         return [f"    detail::{put}(out + {offset}, static_cast<{cast}>({field.name}));"]
+    count = [f"    detail::put8(out + {offset}, {array});"] if field.counted else []
+    offset += " + 1" if field.counted else ""
     return [
-        f"    for (uint8_t i = 0; i < {field.count}; ++i) {{",
+        *count,
+        f"    for (uint8_t i = 0; i < {array}; ++i) {{",
         f"      detail::{put}(out + {offset} + {width} * i, static_cast<{cast}>({field.name}[i]));",
         "    }",
     ]
 
 
-def _cpp_get(field: Field, offset: int) -> list[str]:
+def _cpp_get(field: Field, offset: str) -> list[str]:
     width = TYPES[field.type][2]
     get = {1: "get8", 2: "get16", 4: "get32"}[width]
     cast = _cpp_type(field)
-    if field.count == 1:
+    array = _cpp_array(field)
+    if not array:
         return [f"    out->{field.name} = static_cast<{cast}>(detail::{get}(in + {offset}));"]
+    count = [f"    if (in[{offset}] != {array}) return false;"] if field.counted else []
+    offset += " + 1" if field.counted else ""
     return [
-        f"    for (uint8_t i = 0; i < {field.count}; ++i) {{",
+        *count,
+        f"    for (uint8_t i = 0; i < {array}; ++i) {{",
         f"      out->{field.name}[i] = static_cast<{cast}>(detail::{get}(in + {offset} + "
         f"{width} * i));",
         "    }",
@@ -402,27 +462,23 @@ def _cpp_struct(m: Message) -> list[str]:
     lines = [f"// {m.doc}", f"struct {m.camel} {{"]
     lines += [
         f"  static constexpr uint8_t kId = k{m.camel};",
-        f"  static constexpr uint8_t kSize = {m.size};",
+        f"  static constexpr uint8_t kSize = {m.offset(len(m.fields))};",
     ]
     for f in m.fields:
-        array = f"[{f.count}]" if f.count > 1 else ""
+        array = f"[{_cpp_array(f)}]" if _cpp_array(f) else ""
         unit = f" ({f.unit})" if f.unit else ""
         lines.append(f"  {_cpp_type(f)} {f.name}{array};  // {f.doc}{unit}")
     out, source, target = ("out", "in", "out") if m.fields else ("", "", "")
     lines.append(f"  void encode(uint8_t* {out}) const {{")
-    offset = 0
-    for f in m.fields:
-        lines += _cpp_put(f, offset)
-        offset += f.size
+    for number, f in enumerate(m.fields):
+        lines += _cpp_put(f, m.offset(number))
     lines += [
         "  }",
         f"  static bool decode(const uint8_t* {source}, uint8_t length, {m.camel}* {target}) {{",
         "    if (length != kSize) return false;",
     ]
-    offset = 0
-    for f in m.fields:
-        lines += _cpp_get(f, offset)
-        offset += f.size
+    for number, f in enumerate(m.fields):
+        lines += _cpp_get(f, m.offset(number))
     return [*lines, "    return true;", "  }", "};", ""]
 
 
@@ -437,6 +493,8 @@ def cpp(schema: Schema) -> str:
         "#define THIGMO_CORE_LINK_PROTOCOL_H_",
         "",
         "#include <stdint.h>",
+        "",
+        '#include "../capacity.h"',
         "",
         "// Where constant tables live; a board whose flash is apart from its memory defines it.",
         "#ifndef THIGMO_PROGMEM",
@@ -456,6 +514,10 @@ def cpp(schema: Schema) -> str:
         f"constexpr uint8_t kMapId = {schema.map_id};  // under which the store keeps the maps",
         f"constexpr uint8_t kMapPoints = {schema.map_points};",
         f"constexpr int16_t kMapStepCpsi = {schema.map_step_cpsi};",
+        *(
+            f'static_assert({CAPACITY[name]} > 0 && {CAPACITY[name]} <= {of.most}, "{name}");'
+            for name, of in schema.capacity.items()
+        ),
         "",
     ]
     for name, (doc, values) in schema.enums.items():
@@ -471,19 +533,6 @@ def cpp(schema: Schema) -> str:
     out += ["", "// Message ids."]
     out += [f"constexpr uint8_t k{m.camel} = 0x{m.id:02X};" for m in schema.messages]
     out += [
-        "",
-        "// Payload size of a message that the host may send, or kUnknownMessage.",
-        "constexpr uint8_t kUnknownMessage = 255;",
-        "constexpr uint8_t inboundSize(uint8_t id) {",
-        "  switch (id) {",
-    ]
-    inbound = [m for m in schema.messages if m.kind == "command" or m.name in INBOUND_DATAGRAMS]
-    for m in inbound:
-        out += [f"    case k{m.camel}: return {m.size};"]
-    out += [
-        "    default: return kUnknownMessage;",
-        "  }",
-        "}",
         "",
         "namespace detail {",
         "inline void put8(uint8_t* out, uint8_t value) { out[0] = value; }",
@@ -507,26 +556,29 @@ def cpp(schema: Schema) -> str:
     ]
     for m in schema.messages:
         out += _cpp_struct(m)
+    inbound = [m for m in schema.messages if m.kind == "command" or m.name in INBOUND_DATAGRAMS]
     out += [
+        "// Payload size of a message that the host may send, or kUnknownMessage.",
+        "constexpr uint8_t kUnknownMessage = 255;",
+        "constexpr uint8_t inboundSize(uint8_t id) {",
+        "  switch (id) {",
+        *(f"    case k{m.camel}: return {m.camel}::kSize;" for m in inbound),
+        "    default: return kUnknownMessage;",
+        "  }",
+        "}",
+        "",
         "// Parameters: first index of each; arrays take consecutive ones.",
         "enum class Param : uint16_t {",
     ]
+    at = "0"
     for p in schema.parameters:
         unit = f" ({p.unit})" if p.unit else ""
-        size = f" [{p.count}]" if p.count > 1 else ""
-        out.append(f"  {_enumerator(p.name)} = {p.index},  // {p.doc}{unit}{size}")
+        size = f" [{CAPACITY[p.of]}]" if p.of else ""
+        out.append(f"  {_enumerator(p.name)} = {at},  // {p.doc}{unit}{size}")
+        at = f"{_enumerator(p.name)} + {CAPACITY[p.of] if p.of else 1}"
+    out += [f"  kEnd = {at}", "};"]
     out += [
-        "};",
-        f"constexpr uint16_t kParamCount = {schema.parameter_count};",
-        "struct ParamRow {",
-        "  int32_t low, high, initial;",
-        "};",
-        "constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {",
-    ]
-    for p in schema.parameters:
-        out += [f"    {{{p.low}, {p.high}, {d}}},  // {p.name}" for d in p.defaults]
-    out += [
-        "};",
+        "constexpr uint16_t kParamCount = static_cast<uint16_t>(Param::kEnd);",
         "",
         "// What the store keeps them under, in the order of their indices.",
         "struct ParamKey {",
@@ -534,8 +586,50 @@ def cpp(schema: Schema) -> str:
         "};",
         f"constexpr uint8_t kParamKeys = {len(schema.parameters)};",
         "constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {",
-        *[f"    {{{p.id}, {p.count}}},  // {p.name}" for p in schema.parameters],
+        *(
+            f"    {{{p.id}, {CAPACITY[p.of] if p.of else 1}}},  // {p.name}"
+            for p in schema.parameters
+        ),
         "};",
+        "",
+        "// Limits and default of each element.",
+        "struct ParamRow {",
+        "  int32_t low, high, initial;",
+        "};",
+        "struct ParamRows {",
+        "  ParamRow row[kParamCount];",
+        "  uint16_t filled;",
+        "",
+        "  // Adds an array with defaults of its first elements; the rest is 0.",
+        "  template <uint8_t given>",
+        "  constexpr void add(uint8_t count, int32_t low, int32_t high, "
+        "const int32_t (&initial)[given]) {",
+        "    for (uint8_t i = 0; i < count; ++i) "
+        "row[filled++] = {low, high, i < given ? initial[i] : 0};",
+        "  }",
+        "  // Adds one, or an array with one default.",
+        "  constexpr void add(uint8_t count, int32_t low, int32_t high, int32_t initial) {",
+        "    for (uint8_t i = 0; i < count; ++i) row[filled++] = {low, high, initial};",
+        "  }",
+        "};",
+        "constexpr ParamRows param_rows() {",
+        "  ParamRows rows{};",
+    ]
+    for p in schema.parameters:
+        count = CAPACITY[p.of] if p.of else "1"
+        if p.of and len(p.defaults) > 1:
+            given = ", ".join(str(d) for d in p.defaults)
+            out += [
+                f"  const int32_t {p.name}[] = {{{given}}};",
+                f"  rows.add({count}, {p.low}, {p.high}, {p.name});",
+            ]
+        else:
+            out.append(f"  rows.add({count}, {p.low}, {p.high}, {p.defaults[0]});  // {p.name}")
+    out += [
+        "  return rows;",
+        "}",
+        "constexpr ParamRows kParamRows THIGMO_PROGMEM = param_rows();",
+        'static_assert(kParamRows.filled == kParamCount, "a row for each index");',
         "",
         "}  // namespace protocol",
         "}  // namespace thigmo",
@@ -549,7 +643,7 @@ def cpp(schema: Schema) -> str:
 
 
 def _py_type(field: Field) -> str:
-    if field.count > 1:
+    if field.of or field.count > 1:
         return f'Annotated[tuple[int, ...], "{field.code}"]'
     return field.enum or field.type.upper()
 
@@ -594,8 +688,8 @@ def python(schema: Schema) -> str:
         "from typing import Annotated",
         "",
         "from thigmo.link.message import I16, I32, MESSAGES, PARAMETERS, U8, U16, U32",
-        "from thigmo.link.message import Command, Documented, Message, OpenDocumented",
-        "from thigmo.link.message import Parameter, Reply",
+        "from thigmo.link.message import PARAMETER_COUNT, Command, Documented, Message",
+        "from thigmo.link.message import OpenDocumented, Parameter, Reply, parameters",
         "",
         f"PROTOCOL = {schema.protocol}",
         f"SCHEMA_HASH = 0x{schema.hash:08X}",
@@ -606,7 +700,7 @@ def python(schema: Schema) -> str:
         f"MAP_ID = {schema.map_id}",
         f"MAP_POINTS = {schema.map_points}",
         f"MAP_STEP_CPSI = {schema.map_step_cpsi}",
-        f"PARAMETER_COUNT = {schema.parameter_count}",
+        *(f"MOST_{name.upper()} = {of.most}" for name, of in schema.capacity.items()),
         "",
         "",
     ]
@@ -632,9 +726,10 @@ def data(schema: Schema) -> str:
         for name, (_, values) in schema.enums.items()
     ]
     rows = [f"  {json.dumps(asdict(p))}" for p in schema.parameters]
+    usual = json.dumps({name: of.usual for name, of in schema.capacity.items()})
     about = json.dumps("Generated by protocol/generate.py from protocol/schema.yaml: do not edit.")
     return (
-        f'{{\n "about": {about},\n "enums": {{\n'
+        f'{{\n "about": {about},\n "usual": {usual},\n "enums": {{\n'
         + ",\n".join(enums)
         + '\n },\n "parameters": [\n'
         + ",\n".join(rows)
@@ -669,6 +764,16 @@ def markdown(schema: Schema) -> str:
         f"`{schema.crc}` (polynomial 0x1021, start 0xFFFF, unreflected) over id, seq, session and "
         "payload. A receiver drops, and counts, what is not a whole good frame, and finds the "
         "next one at the next 0x00.",
+        "",
+        "An array of muscles or sensors is as long as the board's capacity, which `capacity` tells "
+        "after the hello: "
+        + ", ".join(
+            f"{of.usual} {name.replace('_', ' ')} on boards built for the thesis's robot, "
+            f"{of.most} at most"
+            for name, of in schema.capacity.items()
+        )
+        + ". The first array of a message that counts muscles (or sensors) comes after their "
+        "number; a command with another number than the board's is refused (`bad_value`).",
         "",
         "## Rules",
         "",
@@ -720,18 +825,20 @@ def markdown(schema: Schema) -> str:
     for m in schema.messages:
         title = f"### `{m.name}` 0x{m.id:02X}"
         out += [title, "", m.doc, ""]
-        facts = [m.kind, f"{m.size} bytes of payload", f"at most {m.wire} on the wire"]
+        most = "at most " if m.varies else ""
+        facts = [m.kind, f"{most}{m.size} bytes of payload", f"at most {m.wire} on the wire"]
         if m.kind == "command":
             facts += [f"answered by `{m.reply}`", f"within {m.deadline_ms} ms"]
         out += ["; ".join(facts).capitalize() + ".", ""]
         if m.fields:
-            out += ["| offset | field | type | unit | meaning |", "| --- | --- | --- | --- | --- |"]
-            offset = 0
+            out += ["| field | type | unit | meaning |", "| --- | --- | --- | --- |"]
             for f in m.fields:
-                kind = f.type + (f"[{f.count}]" if f.count > 1 else "")
+                if f.counted:
+                    out.append(f"| | u8 | | How many {f.of.replace('_', ' ')} follow. |")
+                count = f.of or (f.count if f.count > 1 else "")
+                kind = f.type + (f"[{count}]" if count else "")
                 kind += f" {f.enum}" if f.enum else ""
-                out.append(f"| {offset} | `{f.name}` | {kind} | {f.unit} | {_cell(f.doc)} |")
-                offset += f.size
+                out.append(f"| `{f.name}` | {kind} | {f.unit} | {_cell(f.doc)} |")
             out.append("")
     out += ["## Enumerations", ""]
     for name, (doc, values) in schema.enums.items():
@@ -741,20 +848,18 @@ def markdown(schema: Schema) -> str:
     out += [
         "## Parameters",
         "",
-        "Each value is an i32. Arrays take consecutive indices: flex arrays run over the ten "
-        "sensors, left base first; arrays of two are left, right. The store keeps each under its "
-        "id, through updates of the firmware.",
+        "Each value is an i32. Indices count the elements in this order, arrays as long as the "
+        "board's capacity. Defaults that are listed are of the first elements; the rest is 0. The "
+        "store keeps each parameter under its id, through updates of the firmware.",
         "",
-        "| index | id | name | unit | range | default | meaning |",
+        "| elements | id | name | unit | range | default | meaning |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for p in schema.parameters:
-        index = str(p.index) if p.count == 1 else f"{p.index}..{p.index + p.count - 1}"
-        same = len(set(p.defaults)) == 1
-        default = str(p.defaults[0]) if same else ", ".join(str(d) for d in p.defaults)
+        default = ", ".join(str(d) for d in p.defaults)
         out.append(
-            f"| {index} | {p.id} | `{p.name}` | {p.unit} | {p.low}..{p.high} | {default} "
-            f"| {_cell(p.doc)} |"
+            f"| {p.of.replace('_', ' ') or 1} | {p.id} | `{p.name}` | {p.unit} "
+            f"| {p.low}..{p.high} | {default} | {_cell(p.doc)} |"
         )
     return "\n".join(out) + "\n"
 
@@ -779,13 +884,16 @@ def golden(schema: Schema) -> str:
         for which in ("zero", "low", "high", "random") if m.fields else ("zero",):
             fields: dict[str, Any] = {}
             flat: list[int] = []
+            layout = "<"
             for f in m.fields:
-                values = [_vector_value(f, which, rng, schema) for _ in range(f.count)]
-                fields[f.name] = values if f.count > 1 else values[0]
-                flat += values
+                count = schema.capacity[f.of].usual if f.of else f.count
+                values = [_vector_value(f, which, rng, schema) for _ in range(count)]
+                fields[f.name] = values if f.of or count > 1 else values[0]
+                layout += ("B" if f.counted else "") + f"{count}{TYPES[f.type][0]}"
+                flat += [count, *values] if f.counted else values
             seq = {"zero": 0, "low": 1, "high": 0xFFFF}.get(which, rng.randrange(0x10000))
             session = {"zero": 0, "low": 1, "high": 0xFFFF}.get(which, rng.randrange(0x10000))
-            payload = struct.pack(m.format, *flat)
+            payload = struct.pack(layout, *flat)
             body = HEADER.pack(m.id, seq, session) + payload
             frame = body + struct.pack("<H", crc(body))
             vectors.append(

@@ -33,7 +33,7 @@ client = Client(open_transport(sys.argv[1]))
 while not client.request(wire.GetStatus()).conditions & wire.Condition.HOST_ALIVE.mask:
     client.poll(0.01)
 client.request(wire.Arm())
-client.request(wire.Sweep(1200, 0, 24_000, 1, 0))
+client.request(wire.Sweep((1200, 0), 24_000, 1, 0))
 print("sweeping", flush=True)
 """
 LIVE = SWEEP + "client.wait_for(lambda: False, 60.0)"

@@ -201,7 +201,7 @@ def _step_run(with_step: bool) -> tuple[Rig, int, int, list[tuple[int, int]]]:
     chip = rig.chip
     chip.record_trace(True)
     # Left muscle first: the right base sensor (channel 5) is the one that counts.
-    client.request(wire.Sweep(1400, 0, 8000, 1, wire.SweepOption.HOLD_ON_CONTACT.mask))
+    client.request(wire.Sweep((1400, 0), 8000, 1, wire.SweepOption.HOLD_ON_CONTACT.mask))
     robot.wait(1.2)
     trace = chip.take_trace()
     last = int(trace["tick"][-1])

@@ -263,7 +263,7 @@ class Soak:
             wire.GetParameter(chance.randrange(wire.PARAMETER_COUNT)),
             wire.GetMap(
                 chance.randrange(3),
-                chance.choice(list(wire.Side)),
+                chance.randrange(2),
                 chance.choice(list(wire.Branch)),
             ),
             wire.GetSnapshot(chance.choice((*range(10), 255))),
@@ -271,8 +271,8 @@ class Soak:
         ]
         return chance.choice(asked)
 
-    def _side(self) -> wire.Side:
-        return self.random.choice(list(wire.Side))
+    def _side(self) -> int:
+        return self.random.randrange(2)
 
     def _branch(self) -> wire.Branch:
         return self.random.choice(list(wire.Branch))
@@ -286,10 +286,10 @@ class Soak:
         assert self.transport is not None
         true_um = round(1e4 * self.transport.lockstep.plant.length_cm)
         orders: list[tuple[int, wire.Command[wire.Message]]] = [
-            (6, wire.Sweep(*chance.sample((cpsi, other), 2), chance.randrange(1000, 6000),
+            (6, wire.Sweep(tuple(chance.sample((cpsi, other), 2)), chance.randrange(1000, 6000),
                            chance.randrange(1, 3), chance.randrange(2))),
-            (5, wire.SetPressure(*sides, chance.choice((0, 300, 3000)))),
-            (2, wire.SetPressure(0, 0, 0)),
+            (5, wire.SetPressure(sides, chance.choice((0, 300, 3000)))),
+            (2, wire.SetPressure((0, 0), 0)),
             (5, wire.GrowTo(length, chance.choice((0, 5000, 25000)))),
             (3, wire.RetractTo(length, chance.choice((0, 5000, 25000)))),
             (1, wire.Home()),

@@ -23,35 +23,38 @@
 
 #include <stdint.h>
 
+#include "capacity.h"
 #include "flash.h"
 #include "link/protocol.h"
 
 namespace thigmo {
 
-// Sides as on the wire: 0 = left, 1 = right. Sensors are numbered left base first.
-constexpr uint8_t kSides = 2;
-constexpr uint8_t kSensorsPerSide = 5;
-constexpr uint8_t kSensors = kSides * kSensorsPerSide;
+// Flex inputs come in two columns; the first of each is a base sensor's, for the contact trigger.
+constexpr uint8_t kColumns = 2;
+constexpr uint8_t kColumn = kSensors / kColumns;  // inputs in each
+constexpr uint8_t base_input(uint8_t column) { return static_cast<uint8_t>(column * kColumn); }
+static_assert(kSensors == kColumns * kColumn && kColumn > 1 && kSensors <= 16,
+              "masks have 16 bits");
 
 // Scales of the core's outputs. A binding maps them to whatever its timers count.
 constexpr int16_t kDriveFull = 1599;  // transducer duty of 20 mA
 constexpr int16_t kMotorFull = 800;   // motor duty of full voltage
 
-// ADC channels: flex left 0..4 (A0..A4), flex right 5..9 (A5..A9), pressure left 10, right 11.
-constexpr uint8_t kPressureChannel = 10;
-constexpr uint8_t kAdcSlots = 8;   // conversions in each tick
+// ADC channels: flex inputs, then the muscles' pressures (on the Mega A0..A9, A10 and A11).
+constexpr uint8_t kPressureChannel = kSensors;
+// Conversions in each tick: pressures, base sensors, and one column's others.
+constexpr uint8_t kAdcSlots = kMuscles + kColumns + kColumn - 1;
 constexpr uint8_t kAdcFrames = 4;  // frames that a binding must be able to hold for the core
 constexpr uint8_t kAdcBits = 10;   // of the counts that sums, limits and the wire are made of
 constexpr uint16_t kAdcTop = (1u << kAdcBits) - 1;
 
-// Channel converted in a slot of a tick: both pressures, both base sensors, then four of the other
-// eight sensors, left ones on even ticks and right ones on odd ticks. Usable in an interrupt.
+// Channel converted in a slot of a tick: all pressures, both base sensors, then the others of the
+// first column on even ticks and of the second on odd ticks. Usable in an interrupt.
 constexpr uint8_t adc_channel(bool odd_tick, uint8_t slot) {
-  return slot == 0   ? 10
-         : slot == 1 ? 11
-         : slot == 2 ? 0
-         : slot == 3 ? 5
-                     : static_cast<uint8_t>(slot - 3 + (odd_tick ? 5 : 0));
+  return slot < kMuscles ? static_cast<uint8_t>(kPressureChannel + slot)
+         : slot < kMuscles + kColumns
+             ? base_input(static_cast<uint8_t>(slot - kMuscles))
+             : static_cast<uint8_t>(slot - kMuscles - kColumns + 1 + base_input(odd_tick ? 1 : 0));
 }
 
 // The conversions of one tick, count[slot] of adc_channel(tick & 1, slot), of kAdcBits each.
@@ -98,7 +101,7 @@ struct Enables {
 
 // Bytes of EEPROM that the core uses, from address 0: boot counter and two configuration slots.
 // (config/store.h lays them out; a binding may use what lies beyond.)
-constexpr uint16_t kEepromUsed = 2048;
+constexpr uint16_t kEepromUsed = kMuscles * kBodyPressures > 6 ? 8192 : 2048;
 
 // The policy itself. This class is documentation and is never defined: a binding is any class with
 // these members (static or not).
@@ -124,8 +127,8 @@ class BoardPolicy {
 
   // --- outputs -----------------------------------------------------------------------------------
   // All outputs are off from reset until the core's first call.
-  void drive(uint8_t side, int16_t duty);  // transducer current, 0..kDriveFull = 0..20 mA
-  void drive_off(uint8_t side);            // true zero: compare output disconnected, pin low
+  void drive(uint8_t muscle, int16_t duty);  // transducer current, 0..kDriveFull = 0..20 mA
+  void drive_off(uint8_t muscle);            // true zero: compare output disconnected, pin low
   // Motor duty -kMotorFull..kMotorFull, positive pays out. The core passes through brake() or 0 for
   // at least one control period (5 ms) before the sign changes; set DIR then.
   void motor(int16_t duty);

@@ -58,7 +58,8 @@ class Commands {
         return answer.ack(controller_.clear_faults(m.mask));
       }
       case protocol::kSetPressure: {
-        const auto m = read<protocol::SetPressure>(command);
+        protocol::SetPressure m;
+        if (!counted(command, &m)) return answer.ack({Reason::kBadValue, kMuscles});
         return answer.ack(controller_.set_pressure(m));
       }
       case protocol::kGrowTo: {
@@ -88,7 +89,8 @@ class Commands {
         return answer.ack(controller_.test_output(m));
       }
       case protocol::kSweep: {
-        const auto m = read<protocol::Sweep>(command);
+        protocol::Sweep m;
+        if (!counted(command, &m)) return answer.ack({Reason::kBadValue, kMuscles});
         return answer.ack(controller_.sweep(m));
       }
       case protocol::kZeroSensors: {
@@ -140,6 +142,10 @@ class Commands {
         return stats(answer);
       case protocol::kGetConfigReport:
         return config_report(answer);
+      case protocol::kGetCapacity:
+        return answer.send(protocol::Capacity{protocol::Status::kOk, kMuscles, kSensors,
+                                              kBodyPressures, kAdcBits, kDriveFull, kMotorFull,
+                                              1000});
       default:
         return answer.ack({Reason::kUnknownId, command.id()});
     }
@@ -172,6 +178,12 @@ class Commands {
     return message;
   }
 
+  // The payload of a command with arrays; false if they count other than the board does.
+  template <typename Message>
+  static bool counted(const Frame& command, Message* message) {
+    return Message::decode(command.payload(), command.payload_size(), message);
+  }
+
   Handled status(Reply& answer) {
     protocol::StatusReport m;
     controller_.fill(&m);
@@ -201,18 +213,17 @@ class Commands {
   }
 
   Handled map(Reply& answer, const protocol::GetMap& wanted) {
-    const uint8_t side = static_cast<uint8_t>(wanted.side);
     const uint8_t branch = static_cast<uint8_t>(wanted.branch);
-    if (wanted.zone >= kZones || side >= kSides || branch >= kBranches) {
+    if (wanted.zone >= kBodyPressures || wanted.muscle >= kMuscles || branch >= kBranches) {
       return answer.ack({Reason::kBadValue, 0});
     }
     protocol::MapValues m;
     m.status = protocol::Status::kOk;
     m.zone = wanted.zone;
-    m.side = wanted.side;
+    m.muscle = wanted.muscle;
     m.branch = wanted.branch;
     for (uint8_t i = 0; i < protocol::kMapPoints; ++i) {
-      m.curvature_e5[i] = controller_.configuration().map[wanted.zone][side][branch][i];
+      m.curvature_e5[i] = controller_.configuration().map[wanted.zone][wanted.muscle][branch][i];
     }
     return answer.send(m);
   }
@@ -224,12 +235,11 @@ class Commands {
     m.status = protocol::Status::kOk;
     m.index = index;
     m.count = controller_.snapshots().count();
-    m.side = reading->side;
+    m.muscle = reading->muscle;
     m.branch = reading->branch;
     m.t_us = reading->t_us;
     for (uint8_t i = 0; i < kSensors; ++i) m.flex_sum[i] = reading->flex_sum[i];
-    m.left_cpsi = reading->cpsi[0];
-    m.right_cpsi = reading->cpsi[1];
+    for (uint8_t i = 0; i < kMuscles; ++i) m.pressure_cpsi[i] = reading->cpsi[i];
     m.lagged_cpsi = reading->lagged_cpsi;
     m.base_e5 = reading->base_e5;
     m.free_e5 = reading->free_e5;

@@ -5,10 +5,12 @@
 // over the five ticks of a control period, so that no tick has more than one loop's load:
 //
 //   tick % 5   every tick: conversions, trigger, peak readings, emergency stop, supervisor
-//      0       sweep generator; left pressure loop, left muscle's lag and branch; sensors in the
-//      fold 1       right pressure loop, right muscle's lag and branch 2       spool: profile,
-//      position loop, stall; slip, motion by duty 3       everted length, eversion, settle clocks,
-//      vented, quiet 4       free curvature by the maps, conditions, faults
+//      0       sweep generator; pressure loop, lag and branch of every second muscle; sensors in
+//              the fold
+//      1       pressure loop, lag and branch of the other muscles
+//      2       spool: profile, position loop, stall; slip, motion by duty
+//      3       everted length, eversion, settle clocks, vented, quiet
+//      4       free curvature by the maps, conditions, faults
 //
 // Commands (commands.h) call the public methods between ticks.
 #ifndef THIGMO_CORE_CONTROLLER_H_
@@ -55,8 +57,8 @@ struct Inputs {
 };
 
 struct Outputs {
-  int16_t drive[kSides];  // duty, or PressureLoop::kOff
-  int16_t motor;          // 0 = brake
+  int16_t drive[kMuscles];  // duty, or PressureLoop::kOff
+  int16_t motor;            // 0 = brake
 };
 
 class Controller {
@@ -132,11 +134,12 @@ class Controller {
   static constexpr uint8_t kTelemetryPhase = 3;
   static constexpr uint8_t kSparePhase = 2;      // the spool's, which stands still then
   static constexpr int32_t kReferenceMv = 1100;  // by which a board measures its supply
-  static constexpr uint16_t kBaseSensors = 1u | 1u << kSensorsPerSide;
-  static constexpr uint8_t kVentedSteps = 20;       // 0.1 s below the threshold
-  static constexpr uint8_t kRestSteps = 250;        // 1.25 s: the body has swung back
+  static constexpr uint16_t kBaseSensors = 1u | 1u << kColumn;
+  static constexpr uint8_t kAtRest = 0x80;     // of trigger_when: while no muscle bends the body
+  static constexpr uint8_t kVentedSteps = 20;  // 0.1 s below the threshold
+  static constexpr uint8_t kRestSteps = 250;   // 1.25 s: the body has swung back
   static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
-  static constexpr uint8_t kAppliedAtOnce = 16;     // parameters looked at in a control period
+  static constexpr uint8_t kAppliedAtOnce = 18;     // parameters looked at in a control period
   static constexpr uint16_t kRearmMs = 200;
   // While the spool winds, telemetry comes so often at least, whatever its period: by it the host's
   // port process sees how far the body grows while the host hangs, and stops it.
@@ -182,19 +185,23 @@ class Controller {
   void scale_supply();
   void advance_sweep();
   void begin_half();
-  void pressure_step(uint8_t side);
+  void pressure_step(uint8_t muscle);
+  bool released() const;
+  bool fitted(uint8_t muscle) const { return (derived_.fitted_mask >> muscle & 1) != 0; }
+  bool acceptable(const int16_t* cpsi, uint8_t most) const;
+  static uint8_t above_zero(const int16_t* cpsi);
+  int16_t highest(const int16_t* cpsi) const;
+  void press_only(uint8_t muscle, int16_t cpsi);
   void end_test();
   bool testing(protocol::Output output) const {
     return activity_ == Activity::kTesting && test_.output == output;
   }
   // A transducer's current, its muscle's valve held or not.
-  bool testing(uint8_t side) const {
-    return testing(static_cast<protocol::Output>(side)) || (testing_vent() && vent_side() == side);
+  bool testing(uint8_t muscle) const {
+    return activity_ == Activity::kTesting && test_.output != protocol::Output::kMotor &&
+           test_.muscle == muscle;
   }
-  bool testing_vent() const {
-    return testing(protocol::Output::kLeftVent) || testing(protocol::Output::kRightVent);
-  }
-  uint8_t vent_side() const { return test_.output == protocol::Output::kRightVent ? 1 : 0; }
+  bool testing_vent() const { return testing(protocol::Output::kVent); }
   void spool_step();
   void watch_motion(int16_t duty);
   void watch_power();
@@ -207,8 +214,9 @@ class Controller {
   void free_step();
   void zeroing_step();
   void trigger_step();
-  void look_at_base(uint8_t side);
-  void hold_contact(uint8_t side);
+  void look_at_base(uint8_t column);
+  void hold_contact(uint8_t muscle);
+  bool bends_back(uint8_t muscle) const;
   Reading reading() const;
   uint16_t causes() const;
   void watch_faults();
@@ -232,10 +240,10 @@ class Controller {
     return {derived_.um_per_count_q16, derived_.oversample_log2, derived_.trigger_log2};
   }
   void take_over(const Scales& before);
-  void take_parameter(uint8_t index);
+  void take_parameter(uint16_t index);
   bool apply_step();
   bool defaults_step();
-  uint8_t active_side() const;
+  uint8_t active_muscle() const;
   bool bending() const {
     return activity_ == Activity::kSweeping || activity_ == Activity::kPressing ||
            activity_ == Activity::kHolding;
@@ -249,10 +257,10 @@ class Controller {
   StagedParameters staged_;
   Derived derived_;
   FlexReadings flex_;
-  PressureReading pressure_[kSides];
-  MovingSum base_sum_[kSides];
-  MuscleState muscle_[kSides];
-  PressureLoop loop_[kSides];
+  PressureReading pressure_[kMuscles];
+  MovingSum base_sum_[kColumns];
+  MuscleState muscle_[kMuscles];
+  PressureLoop loop_[kMuscles];
   SpoolLoop spool_;
   SlipWatch slip_;
   MotionWatch motion_;
@@ -265,7 +273,13 @@ class Controller {
   DriftWatch drift_;
   Faults faults_;
   EventQueue events_;
-  Outputs outputs_ = {{PressureLoop::kOff, PressureLoop::kOff}, 0};
+  static Outputs safe_outputs() {
+    Outputs safe;
+    for (uint8_t i = 0; i < kMuscles; ++i) safe.drive[i] = PressureLoop::kOff;
+    safe.motor = 0;
+    return safe;
+  }
+  Outputs outputs_ = safe_outputs();
 
   const uint16_t frame_us_;
   uint32_t tick_ = 0;
@@ -293,8 +307,8 @@ class Controller {
   uint16_t rx_overruns_ = 0;
   uint16_t overruns_seen_ = 0;
   uint16_t judged_conditions_ = 0;
-  uint16_t quiet_run_ = 0;        // ms below half the trigger's threshold
-  int16_t side_e5_[kSides] = {};  // base curvature of each side, when last looked at
+  uint16_t quiet_run_ = 0;            // ms below half the trigger's threshold
+  int16_t column_e5_[kColumns] = {};  // by each base sensor, when last looked at
   int16_t base_e5_ = 0;
   int16_t free_e5_ = 0;
   State state_ = State::kBoot;
@@ -303,15 +317,15 @@ class Controller {
   uint8_t phase_ = 0;
   uint8_t judged_signals_ = 0;
   uint8_t vented_steps_ = 0;
-  uint8_t over_steps_[kSides] = {};
+  uint8_t over_steps_[kMuscles] = {};
   uint8_t sweep_options_ = 0;
   uint8_t zeroing_next_ = 0;
-  uint8_t defaults_next_ = Configuration::kItems;
-  uint8_t apply_next_ = protocol::kParamCount;
+  uint16_t defaults_next_ = Configuration::kItems;
+  uint16_t apply_next_ = protocol::kParamCount;
   uint8_t zeroing_window_ = 0;  // drift windows closed when the zeroing began
-  uint8_t peak_side_ = 0;
+  uint8_t peak_muscle_ = 0;
   enum class Homing : uint8_t { kSeek, kBackOff, kTouch } homing_ = Homing::kSeek;
-  bool side_known_[kSides] = {};
+  bool column_known_[kColumns] = {};
   bool rescaled_ = false;  // by what is being applied
   bool greeted_ = false;
   bool beaten_ = false;

@@ -40,8 +40,8 @@ inline Outcome Controller::arm() {
 inline void Controller::prove_brake() {
   const int32_t push = kProofN * kMotorFull / config_.get(Param::kMotorStallN);
   const int32_t duty = config_.get(Param::kSpoolDeadZone) + push;
-  test_ = {protocol::Output::kMotor, static_cast<int16_t>(lesser<int32_t>(duty, derived_.top_duty)),
-           kProofMs};
+  test_ = {protocol::Output::kMotor, 0,
+           static_cast<int16_t>(lesser<int32_t>(duty, derived_.top_duty)), kProofMs};
   test_tick_ = tick_;
   proof_count_ = encoder_;
   proving_ = true;
@@ -50,9 +50,9 @@ inline void Controller::prove_brake() {
 
 inline Outcome Controller::vent() {
   if (activity_ == Activity::kTesting) end_test();
-  for (uint8_t side = 0; side < kSides; ++side) {
-    loop_[side].cut();
-    outputs_.drive[side] = PressureLoop::kOff;
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    loop_[i].cut();
+    outputs_.drive[i] = PressureLoop::kOff;
   }
   if (activity_ == Activity::kSweeping) {
     snapshots_.cancel_peak();
@@ -97,26 +97,50 @@ inline Outcome Controller::clear_faults(uint16_t wanted) {
   return {Reason::kNone, left};
 }
 
+inline uint8_t Controller::above_zero(const int16_t* cpsi) {
+  uint8_t count = 0;
+  for (uint8_t i = 0; i < kMuscles; ++i) count = static_cast<uint8_t>(count + (cpsi[i] > 0));
+  return count;
+}
+
+inline int16_t Controller::highest(const int16_t* cpsi) const {
+  int16_t most = 0;
+  for (uint8_t i = 0; i < kMuscles; ++i) most = greater<int16_t>(most, cpsi[i]);
+  return most;
+}
+
+// Pressures of muscles: none below zero, at most so many above it, and those only where a muscle
+// is.
+inline bool Controller::acceptable(const int16_t* cpsi, uint8_t most) const {
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    if (cpsi[i] < 0 || (cpsi[i] > 0 && !fitted(i))) return false;
+  }
+  return above_zero(cpsi) <= most;
+}
+
 inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
-  const bool release = wanted.left_cpsi == 0 && wanted.right_cpsi == 0;
+  const bool release = above_zero(wanted.set_cpsi) == 0;
   if (!release) {
     const Outcome allowed = permit(Permit::kPress);
     if (allowed.reason != Reason::kNone) return allowed;
   } else if (activity_ != Activity::kPressing && activity_ != Activity::kIdle) {
     return {Reason::kBusy, 0};
   }
-  if (wanted.left_cpsi < 0 || wanted.right_cpsi < 0 ||
-      (wanted.left_cpsi > 0 && wanted.right_cpsi > 0)) {
-    return {Reason::kBadValue, 0};
-  }
+  if (!acceptable(wanted.set_cpsi, 1)) return {Reason::kBadValue, 0};
   const int32_t most = config_.get(Param::kMaxPressureCpsi);
-  if (wanted.left_cpsi > most || wanted.right_cpsi > most) return {Reason::kOverLimit, most};
+  if (highest(wanted.set_cpsi) > most) return {Reason::kOverLimit, most};
   const uint16_t fastest = static_cast<uint16_t>(config_.get(Param::kPressureSlewCpsiS));
   const uint16_t slew =
       wanted.ramp_cpsi_s == 0 ? fastest : lesser<uint16_t>(wanted.ramp_cpsi_s, fastest);
   const int32_t step_q8 = Derived::slew_step_q8(slew);
-  loop_[0].set_target(wanted.left_cpsi, step_q8);
-  loop_[1].set_target(wanted.right_cpsi, step_q8);
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    // One muscle at a time: what another one held falls at once, and by the ramp if all are let go.
+    if (!release && wanted.set_cpsi[i] == 0) {
+      loop_[i].cut();
+    } else {
+      loop_[i].set_target(wanted.set_cpsi[i], step_q8);
+    }
+  }
   if (!release && activity_ == Activity::kIdle) start(Activity::kPressing);
   return kAccepted;
 }
@@ -202,7 +226,7 @@ inline Outcome Controller::confirm_length(int32_t length_um, bool settled) {
 inline Outcome Controller::select_zone(uint8_t zone) {
   const Outcome allowed = permit(Permit::kZone);
   if (allowed.reason != Reason::kNone) return allowed;
-  if (zone >= kZones && zone != kZoneUnknown) return {Reason::kBadValue, 0};
+  if (zone >= kBodyPressures && zone != kZoneUnknown) return {Reason::kBadValue, 0};
   zone_ = zone;
   free_step();
   assemble_conditions();
@@ -225,13 +249,14 @@ inline Outcome Controller::test_output(const protocol::TestOutput& wanted) {
   const Outcome allowed = permit(motor ? Permit::kTestMotor : Permit::kTestValve);
   if (allowed.reason != Reason::kNone) return allowed;
   if (static_cast<uint8_t>(wanted.output) >= protocol::kOutputCount || wanted.duration_ms == 0 ||
-      (!motor && wanted.level < 0)) {
+      (!motor && (wanted.level < 0 || wanted.muscle >= kMuscles || !fitted(wanted.muscle)))) {
     return {Reason::kBadValue, 0};
   }
   const int16_t most = motor ? kTestMotorMost : kTestDriveMost;
   if (magnitude(static_cast<int32_t>(wanted.level)) > most) return {Reason::kOverLimit, most};
   if (wanted.duration_ms > kTestMostMs) return {Reason::kOverLimit, kTestMostMs};
-  if (activity_ == Activity::kTesting && (proving_ || wanted.output != test_.output)) {
+  if (activity_ == Activity::kTesting &&
+      (proving_ || wanted.output != test_.output || wanted.muscle != test_.muscle)) {
     return {Reason::kBusy, 0};
   }
   test_ = wanted;
@@ -245,15 +270,15 @@ inline Outcome Controller::sweep(const protocol::Sweep& wanted) {
   if (allowed.reason != Reason::kNone) return allowed;
   // The ten readings of a peak must lie within their half.
   const uint32_t peak_ms = 10 * static_cast<uint32_t>(config_.get(Param::kPeakSpacingMs));
-  if (wanted.left_cpsi < 0 || wanted.right_cpsi < 0 ||
-      (wanted.left_cpsi == 0 && wanted.right_cpsi == 0) || wanted.cycles == 0 ||
-      wanted.period_ms < 1000 || wanted.period_ms > 600000 || wanted.period_ms / 2 < peak_ms) {
+  if (!acceptable(wanted.amplitude_cpsi, kMuscles) || above_zero(wanted.amplitude_cpsi) == 0 ||
+      wanted.cycles == 0 || wanted.period_ms < 1000 || wanted.period_ms > 600000 ||
+      wanted.period_ms / 2 < peak_ms) {
     return {Reason::kBadValue, 0};
   }
   const int32_t most = config_.get(Param::kMaxPressureCpsi);
-  if (wanted.left_cpsi > most || wanted.right_cpsi > most) return {Reason::kOverLimit, most};
+  if (highest(wanted.amplitude_cpsi) > most) return {Reason::kOverLimit, most};
   sweep_options_ = wanted.options;
-  sweep_.start(wanted.left_cpsi, wanted.right_cpsi, wanted.period_ms, wanted.cycles, tick_);
+  sweep_.start(wanted.amplitude_cpsi, wanted.period_ms, wanted.cycles, tick_);
   start(Activity::kSweeping);
   begin_half();
   return kAccepted;
@@ -262,7 +287,7 @@ inline Outcome Controller::sweep(const protocol::Sweep& wanted) {
 inline Outcome Controller::zero_sensors(uint16_t wanted) {
   const Outcome allowed = permit(Permit::kZero);
   if (allowed.reason != Reason::kNone) return allowed;
-  if (wanted == 0 || wanted >> kSensors != 0) return {Reason::kBadValue, 0};
+  if (wanted == 0 || static_cast<uint32_t>(wanted) >> kSensors != 0) return {Reason::kBadValue, 0};
   for (uint8_t i = 0; i < kSensors; ++i) {
     const uint16_t one = static_cast<uint16_t>(1u << i);
     if ((wanted & one) == 0) continue;
@@ -296,17 +321,17 @@ inline Outcome Controller::begin_apply() {
   return kAccepted;
 }
 
-inline void Controller::take_parameter(uint8_t index) {
+inline void Controller::take_parameter(uint16_t index) {
   const Scales before = scales();
   derived_.update(config_, index);
   rescaled_ = rescaled_ || Derived::is_scale(index);
   take_over(before);
-  if (index == static_cast<uint8_t>(Param::kReferenceMv)) scale_supply();
+  if (index == static_cast<uint16_t>(Param::kReferenceMv)) scale_supply();
 }
 
 inline bool Controller::apply_step() {
   for (uint8_t tries = 0; tries < kAppliedAtOnce; ++tries) {
-    const uint8_t index = apply_next_++;
+    const uint16_t index = apply_next_++;
     const bool changes = staged_.waits(index);
     const bool due = changes || (rescaled_ && Derived::is_scaled(index));
     if (changes) config_.value[index] = staged_.get(config_, index);
@@ -330,7 +355,7 @@ inline void Controller::take_over(const Scales& before) {
     drift_.set_quiet(false, tick_);
   }
   if (derived_.trigger_log2 != before.trigger) {
-    for (uint8_t side = 0; side < kSides; ++side) base_sum_[side].start(derived_.trigger_log2);
+    for (MovingSum& sum : base_sum_) sum.start(derived_.trigger_log2);
   }
   // Another scale of length is another length.
   if (derived_.um_per_count_q16 != before.um_per_count) length_known_ = false;
@@ -340,13 +365,12 @@ inline void Controller::take_over(const Scales& before) {
 inline Outcome Controller::set_map(const protocol::SetMap& wanted) {
   const Outcome allowed = permit(Permit::kConfigure);
   if (allowed.reason != Reason::kNone) return allowed;
-  const uint8_t side = static_cast<uint8_t>(wanted.side);
   const uint8_t branch = static_cast<uint8_t>(wanted.branch);
-  if (wanted.zone >= kZones || side >= kSides || branch >= kBranches) {
+  if (wanted.zone >= kBodyPressures || wanted.muscle >= kMuscles || branch >= kBranches) {
     return {Reason::kBadValue, 0};
   }
   for (uint8_t i = 0; i < protocol::kMapPoints; ++i) {
-    config_.map[wanted.zone][side][branch][i] = wanted.curvature_e5[i];
+    config_.map[wanted.zone][wanted.muscle][branch][i] = wanted.curvature_e5[i];
   }
   return kAccepted;
 }
@@ -371,7 +395,7 @@ inline Outcome Controller::begin_defaults() {
 
 inline bool Controller::defaults_step() {
   for (uint8_t tries = 0; tries < 8; ++tries) {
-    const uint8_t item = defaults_next_++;
+    const uint16_t item = defaults_next_++;
     const bool changed = config_.load_default(item) || (rescaled_ && Derived::is_scaled(item));
     if (changed && item < protocol::kParamCount) take_parameter(item);
     if (defaults_next_ == Configuration::kItems) {

@@ -9,7 +9,7 @@ namespace thigmo {
 inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause, StopLatch stop) {
   derived_.update(config_);
   flex_.set_oversampling(derived_.oversample_log2);
-  for (uint8_t side = 0; side < kSides; ++side) base_sum_[side].start(derived_.trigger_log2);
+  for (MovingSum& sum : base_sum_) sum.start(derived_.trigger_log2);
   config_valid_ = loaded == LoadResult::kLoaded;
   if (!config_valid_) raise(Fault::kBadConfig, static_cast<uint8_t>(loaded));
   if (cause == protocol::ResetCause::kWatchdog) raise(Fault::kWatchdog, 0);
@@ -35,11 +35,9 @@ inline void Controller::sense(const Inputs& in) {
   estop_ = in.estop;
   const bool odd = (in.frame->tick & 1) != 0;
   const uint16_t* count = in.frame->count;
-  for (uint8_t side = 0; side < kSides; ++side) {
-    pressure_[side].add(count[side]);
-    base_sum_[side].add(count[kSides + side]);
-  }
-  uint16_t done = flex_.add_tick(odd, count + kSides);
+  for (uint8_t i = 0; i < kMuscles; ++i) pressure_[i].add(count[i]);
+  for (uint8_t i = 0; i < kColumns; ++i) base_sum_[i].add(count[kMuscles + i]);
+  uint16_t done = flex_.add_tick(odd, count + kMuscles);
   for (uint8_t i = 0; done != 0; ++i, done = static_cast<uint16_t>(done >> 1)) {
     if ((done & 1) == 0) continue;
     drift_.add(i, flex_.latest(i));
@@ -66,7 +64,7 @@ THIGMO_NOINLINE inline void Controller::decide() {
   if (activity_ == Activity::kTesting && tick_ - test_tick_ >= test_.duration_ms) end_test();
   trigger_step();
   if (snapshots_.due(tick_) && snapshots_.store_peak(reading())) {
-    post(protocol::EventCode::kPeak, peak_side_, kPeakReadings);
+    post(protocol::EventCode::kPeak, peak_muscle_, kPeakReadings);
   }
   if (estop_) raise(Fault::kEstop, 0);
   watch_power();
@@ -89,10 +87,14 @@ inline void Controller::run_phase(uint8_t phase) {
           fold_.step(flex_, length_um_, config_, derived_)) {
         stall(protocol::StallCause::kEverted);
       }
-      pressure_step(0);
+      for (uint8_t i = 0; i < kMuscles; i += 2) pressure_step(i);
       break;
     case 1:
-      pressure_step(1);
+      for (uint8_t i = 1; i < kMuscles; i += 2) pressure_step(i);
+      // A press that was let go ends when all set points are back at zero.
+      if (activity_ == Activity::kPressing && released()) {
+        finish_activity(protocol::EventCode::kActivityDone, length_um_);
+      }
       break;
     case 2:
       spool_step();
@@ -110,14 +112,30 @@ inline void Controller::run_phase(uint8_t phase) {
 
 inline void Controller::advance_sweep() {
   if (!sweep_.advance(tick_)) {
-    for (uint8_t side = 0; side < kSides; ++side) loop_[side].cut();
+    for (PressureLoop& loop : loop_) loop.cut();
     finish_activity(protocol::EventCode::kActivityDone, length_um_);
     return;
   }
   if (sweep_.half_began()) begin_half();
-  const uint8_t side = sweep_.side();
-  loop_[side].set_target(sweep_.set_cpsi(tick_), derived_.slew_q8);
-  loop_[side ^ 1].cut();
+  press_only(sweep_.muscle(), sweep_.set_cpsi(tick_));
+}
+
+// One muscle's set point; the others' are zero at once.
+inline void Controller::press_only(uint8_t muscle, int16_t cpsi) {
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    if (i == muscle) {
+      loop_[i].set_target(cpsi, derived_.slew_q8);
+    } else {
+      loop_[i].cut();
+    }
+  }
+}
+
+inline bool Controller::released() const {
+  for (const PressureLoop& loop : loop_) {
+    if (loop.target_cpsi() != 0 || loop.set_cpsi() != 0) return false;
+  }
+  return true;
 }
 
 inline void Controller::begin_half() {
@@ -125,31 +143,28 @@ inline void Controller::begin_half() {
   const uint32_t spacing = static_cast<uint32_t>(config_.get(Param::kPeakSpacingMs));
   // Ten readings, nine gaps, centred on the peak.
   snapshots_.plan_peak(sweep_.peak_tick() - 9 * spacing / 2, static_cast<uint16_t>(spacing));
-  peak_side_ = sweep_.side();
+  peak_muscle_ = sweep_.muscle();
 }
 
-// Inlined by order, once for each side: places that are known then cost a fifth of the work less.
-__attribute__((always_inline)) inline void Controller::pressure_step(uint8_t side) {
-  PressureReading& sensor = pressure_[side];
-  sensor.update(config_.get(Param::kPressureZero, side), derived_.pressure_gain[side]);
+// Inlined by order, once for each muscle: places that are known then cost a fifth of the work less.
+__attribute__((always_inline)) inline void Controller::pressure_step(uint8_t muscle) {
+  if (!fitted(muscle)) return;
+  PressureReading& sensor = pressure_[muscle];
+  sensor.update(config_.get(Param::kPressureZero, muscle), derived_.pressure_gain[muscle]);
   const int16_t measured = sensor.cpsi();
-  muscle_[side].update(measured, derived_.lag_alpha_q16[side],
-                       static_cast<int16_t>(config_.get(Param::kReversalCpsi, side)),
-                       derived_.reversal_inverse_q24[side]);
+  muscle_[muscle].update(measured, derived_.lag_alpha_q16[muscle],
+                         static_cast<int16_t>(config_.get(Param::kReversalCpsi, muscle)),
+                         derived_.reversal_inverse_q24[muscle]);
   // Under test the output is what the host says, and the loop stands by.
-  const int16_t duty = testing(side) ? test_.level : loop_[side].step(measured, config_, derived_);
-  outputs_.drive[side] = may_energise(state_) ? duty : PressureLoop::kOff;
+  const int16_t duty =
+      testing(muscle) ? test_.level : loop_[muscle].step(measured, config_, derived_);
+  outputs_.drive[muscle] = may_energise(state_) ? duty : PressureLoop::kOff;
 
   const bool over = measured > config_.get(Param::kOverPressureCpsi) && !sensor.wire_doubtful();
   if (!over) {
-    over_steps_[side] = 0;
-  } else if (over_steps_[side] < kOverPressureSteps) {
-    ++over_steps_[side];
-  }
-  // A press that was let go ends when both set points are back at zero.
-  if (activity_ == Activity::kPressing && side == 1 && loop_[0].target_cpsi() == 0 &&
-      loop_[1].target_cpsi() == 0 && loop_[0].set_cpsi() == 0 && loop_[1].set_cpsi() == 0) {
-    finish_activity(protocol::EventCode::kActivityDone, length_um_);
+    over_steps_[muscle] = 0;
+  } else if (over_steps_[muscle] < kOverPressureSteps) {
+    ++over_steps_[muscle];
   }
 }
 
@@ -195,7 +210,7 @@ inline void Controller::watch_motion(int16_t duty) {
     return;
   }
   const bool growing = activity_ == Activity::kGrowing;
-  const bool pulls = fold_.moves() && zone_ < kZones;
+  const bool pulls = fold_.moves() && zone_ < kBodyPressures;
   motion_.step(encoder_, duty, winding() ? spool_.wanted_q16() : 0, growing,
                pulls ? config_.get(Param::kPullDuty, zone_) : 0, config_, derived_);
   if (growing && motion_.missed(derived_)) stall(protocol::StallCause::kSlow);
@@ -318,8 +333,10 @@ inline void Controller::body_step() {
     }
   }
   const int32_t limit = config_.get(Param::kVentCpsi);
-  const bool low = pressure_[0].cpsi() < limit && pressure_[1].cpsi() < limit &&
-                   outputs_.drive[0] < 0 && outputs_.drive[1] < 0;
+  bool low = true;
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    low = low && pressure_[i].cpsi() < limit && outputs_.drive[i] < 0;
+  }
   if (!low) {
     vented_steps_ = 0;
   } else if (vented_steps_ < kRestSteps) {
@@ -329,15 +346,13 @@ inline void Controller::body_step() {
 }
 
 inline void Controller::free_step() {
-  if (zone_ >= kZones) {
+  if (zone_ >= kBodyPressures) {
     free_e5_ = 0;
     return;
   }
-  // The muscle that is not driven holds (almost) no pressure and adds (almost) nothing.
+  // The muscles that are not driven hold (almost) no pressure and add (almost) nothing.
   int32_t sum = 0;
-  for (uint8_t side = 0; side < kSides; ++side) {
-    sum += muscle_[side].free_e5(config_.map[zone_][side]);
-  }
+  for (uint8_t i = 0; i < kMuscles; ++i) sum += muscle_[i].free_e5(config_.map[zone_][i]);
   free_e5_ = saturated16(sum);
 }
 
@@ -385,16 +400,25 @@ THIGMO_NOINLINE inline void Controller::zeroing_step() {
 }
 
 // The muscle that bends the body: the one that is driven, or the one with more pressure left.
-inline uint8_t Controller::active_side() const {
-  if (activity_ == Activity::kSweeping) return sweep_.side();
-  if (activity_ == Activity::kHolding) return peak_side_;
-  return muscle_[1].lagged_cpsi() > muscle_[0].lagged_cpsi() ? 1 : 0;
+inline uint8_t Controller::active_muscle() const {
+  if (activity_ == Activity::kSweeping) return sweep_.muscle();
+  if (activity_ == Activity::kHolding) return peak_muscle_;
+  uint8_t most = 0;
+  for (uint8_t i = 1; i < kMuscles; ++i) {
+    if (muscle_[i].lagged_cpsi() > muscle_[most].lagged_cpsi()) most = i;
+  }
+  return most;
 }
 
-THIGMO_NOINLINE inline void Controller::look_at_base(uint8_t side) {
-  const uint8_t sensor = static_cast<uint8_t>(side * kSensorsPerSide);
-  const int32_t total = total_ohm_q4(count_q6(base_sum_[side].sum(), derived_.trigger_log2));
-  side_e5_[side] =
+// Whether a muscle bends the body towards negative curvature, by its map.
+inline bool Controller::bends_back(uint8_t muscle) const {
+  return config_.map[zone_][muscle][0][protocol::kMapPoints - 1] < 0;
+}
+
+THIGMO_NOINLINE inline void Controller::look_at_base(uint8_t column) {
+  const uint8_t sensor = base_input(column);
+  const int32_t total = total_ohm_q4(count_q6(base_sum_[column].sum(), derived_.trigger_log2));
+  column_e5_[column] =
       curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
 }
 
@@ -402,28 +426,34 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
   const uint16_t usable =
       static_cast<uint16_t>(derived_.enabled_mask & eversion_.everted_mask() & zeros_.valid_mask());
   const bool vented = (conditions_ & mask(Condition::kVented)) != 0 && !bending();
-  const uint8_t active = active_side();
+  const uint8_t active = active_muscle();
+  const uint8_t now = vented ? kAtRest : static_cast<uint8_t>(1u << active);
   int32_t sum = 0;
   uint8_t count = 0;
   bool wrinkled = false;
-  for (uint8_t side = 0; side < kSides; ++side) {
-    const bool known = side_known_[side];
-    side_known_[side] = false;
-    // The pressurised side wrinkles: its readings are worth nothing.
-    if (!vented && side == active) continue;
-    const uint16_t bit = static_cast<uint16_t>(side == 0 ? 1u : 1u << kSensorsPerSide);
-    if ((usable & bit) == 0 || !base_sum_[side].full()) continue;
+  for (uint8_t i = 0; i < kColumns; ++i) {
+    const bool known = column_known_[i];
+    column_known_[i] = false;
+    // A sensor under a muscle wrinkles while that holds pressure: its readings are worth nothing.
+    const uint8_t counts = static_cast<uint8_t>(config_.get(Param::kTriggerWhen, base_input(i)));
+    if ((counts & now) == 0) continue;
+    const uint16_t bit = static_cast<uint16_t>(i == 0 ? 1u : 1u << kColumn);
+    if ((usable & bit) == 0 || !base_sum_[i].full()) continue;
     // When both count, each is looked at on every second tick: the work of one a tick.
-    if (!vented || (tick_ & 1) == side || !known) look_at_base(side);
-    side_known_[side] = true;
-    sum += side_e5_[side];
+    if (!vented || (tick_ & 1) == i || !known) look_at_base(i);
+    column_known_[i] = true;
+    sum += column_e5_[i];
     ++count;
-    // Nor is the other side's, while its muscle still empties after its own half.
-    wrinkled = wrinkled || pressure_[side].cpsi() >= config_.get(Param::kVentCpsi);
+    // So does one whose muscle still empties after its own half.
+    for (uint8_t m = 0; m < kMuscles; ++m) {
+      if ((counts >> m & 1) == 0 && pressure_[m].cpsi() >= config_.get(Param::kVentCpsi)) {
+        wrinkled = true;
+      }
+    }
   }
   base_e5_ = static_cast<int16_t>(count == 2 ? sum >> 1 : sum);
   const bool swings = vented && vented_steps_ < kRestSteps;
-  if (count == 0 || wrinkled || swings || zone_ >= kZones || !may_energise(state_)) {
+  if (count == 0 || wrinkled || swings || zone_ >= kBodyPressures || !may_energise(state_)) {
     trigger_.interrupt();
     return;
   }
@@ -435,7 +465,7 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
   } else {
     quiet_run_ = 0;
   }
-  const int32_t held_back = active == 0 ? -difference : difference;
+  const int32_t held_back = bends_back(active) ? difference : -difference;
   if (!trigger_.update(vented ? magnitude(difference) : held_back, threshold,
                        static_cast<uint16_t>(config_.get(Param::kTriggerDebounceMs)))) {
     return;
@@ -448,33 +478,34 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
   }
 }
 
-inline void Controller::hold_contact(uint8_t side) {
+inline void Controller::hold_contact(uint8_t muscle) {
   activity_ = Activity::kHolding;
-  loop_[side].set_target(pressure_[side].cpsi(), derived_.slew_q8);
-  loop_[side ^ 1].cut();
-  peak_side_ = side;
+  press_only(muscle, pressure_[muscle].cpsi());
+  peak_muscle_ = muscle;
   // The ten readings are taken here instead, once the body has come to rest.
-  const uint32_t wait = 2 * static_cast<uint32_t>(config_.get(Param::kLagMs, side)) + kHoldSettleMs;
+  const uint32_t wait =
+      2 * static_cast<uint32_t>(config_.get(Param::kLagMs, muscle)) + kHoldSettleMs;
   snapshots_.plan_peak(tick_ + wait, static_cast<uint16_t>(config_.get(Param::kPeakSpacingMs)));
 }
 
 inline Reading Controller::reading() const {
   Reading r;
-  const uint8_t active = active_side();
+  const uint8_t active = active_muscle();
   r.t_us = t_us();
   for (uint8_t i = 0; i < kSensors; ++i) r.flex_sum[i] = flex_.latest(i);
-  for (uint8_t side = 0; side < kSides; ++side) r.cpsi[side] = pressure_[side].cpsi();
+  for (uint8_t i = 0; i < kMuscles; ++i) r.cpsi[i] = pressure_[i].cpsi();
   r.lagged_cpsi = muscle_[active].lagged_cpsi();
   r.base_e5 = base_e5_;
   r.free_e5 = free_e5_;
-  r.side = static_cast<protocol::Side>(active);
+  r.muscle = active;
   r.branch = muscle_[active].branch();
   return r;
 }
 
 inline void Controller::assemble_conditions() {
   const uint16_t in_use = static_cast<uint16_t>(derived_.enabled_mask & eversion_.everted_mask());
-  const bool energised = outputs_.drive[0] >= 0 || outputs_.drive[1] >= 0 || outputs_.motor != 0;
+  bool energised = outputs_.motor != 0;
+  for (const int16_t drive : outputs_.drive) energised = energised || drive >= 0;
   const uint32_t patience = static_cast<uint32_t>(config_.get(Param::kHeartbeatMs));
   uint16_t c = 0;
   if (length_known_) {
@@ -484,7 +515,7 @@ inline void Controller::assemble_conditions() {
     if (eversion_.half_mask() != 0) c |= mask(Condition::kHalfEverted);
     if ((in_use & zeros_.valid_mask() & kBaseSensors) != 0) c |= mask(Condition::kBaseUsable);
   }
-  if (zone_ < kZones) c |= mask(Condition::kZoneKnown);
+  if (zone_ < kBodyPressures) c |= mask(Condition::kZoneKnown);
   if (vented_steps_ >= kVentedSteps) c |= mask(Condition::kVented);
   if (beaten_ && tick_ - beat_tick_ <= patience) c |= mask(Condition::kHostAlive);
   if (energised) c |= mask(Condition::kEnergised);
@@ -506,10 +537,10 @@ inline uint16_t Controller::causes() const {
   bool over = false;
   bool wire = false;
   bool stuck = false;
-  for (uint8_t side = 0; side < kSides; ++side) {
-    over = over || over_steps_[side] >= kOverPressureSteps;
-    wire = wire || pressure_[side].wire_broken();
-    stuck = stuck || loop_[side].astray();
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    over = over || over_steps_[i] >= kOverPressureSteps;
+    wire = wire || (fitted(i) && pressure_[i].wire_broken());
+    stuck = stuck || loop_[i].astray();
   }
   bool open = false;
   bool shorted = false;
@@ -540,11 +571,12 @@ inline void Controller::watch_faults() {
   if (may_energise(state_) && !is(Condition::kHostAlive)) {
     raise(Fault::kHostSilent, static_cast<int32_t>(tick_ - beat_tick_));
   }
-  for (uint8_t side = 0; side < kSides; ++side) {
-    if (over_steps_[side] >= kOverPressureSteps) raise(Fault::kOverPressure, side);
-    if (pressure_[side].wire_broken()) raise(Fault::kPressureWire, side);
-    if (loop_[side].stuck()) raise(Fault::kPressureStuck, side);
-    if (loop_[side].mismatched(derived_)) raise(Fault::kPressureMismatch, side);
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    if (!fitted(i)) continue;
+    if (over_steps_[i] >= kOverPressureSteps) raise(Fault::kOverPressure, i);
+    if (pressure_[i].wire_broken()) raise(Fault::kPressureWire, i);
+    if (loop_[i].stuck()) raise(Fault::kPressureStuck, i);
+    if (loop_[i].mismatched(derived_)) raise(Fault::kPressureMismatch, i);
   }
   for (uint8_t i = 0; flex_.any_bad() && i < kSensors; ++i) {
     if (!enabled(i)) continue;
@@ -588,9 +620,9 @@ inline void Controller::supervise(uint8_t requests) {
 
 // Valves to 0 mA, motor braked, body emptied, activity ended. Never a retraction.
 inline void Controller::make_safe(Reason reason) {
-  for (uint8_t side = 0; side < kSides; ++side) {
-    loop_[side].disarm();
-    outputs_.drive[side] = PressureLoop::kOff;
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    loop_[i].disarm();
+    outputs_.drive[i] = PressureLoop::kOff;
   }
   outputs_.motor = 0;
   body_air_ = false;
@@ -604,8 +636,8 @@ inline void Controller::make_safe(Reason reason) {
 }
 
 inline void Controller::end_test() {
-  for (uint8_t side = 0; side < kSides; ++side) {
-    if (testing(side)) outputs_.drive[side] = PressureLoop::kOff;
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    if (testing(i)) outputs_.drive[i] = PressureLoop::kOff;
   }
   outputs_.motor = 0;
   proving_ = false;
@@ -628,12 +660,11 @@ inline void Controller::finish_activity(protocol::EventCode code, int32_t value)
 THIGMO_NOINLINE inline void Controller::fill(protocol::Telemetry* out) const {
   out->t_us = t_us();
   for (uint8_t i = 0; i < kSensors; ++i) out->flex_sum[i] = flex_.latest(i);
-  out->left_cpsi = pressure_[0].cpsi();
-  out->right_cpsi = pressure_[1].cpsi();
-  out->left_set_cpsi = loop_[0].set_cpsi();
-  out->right_set_cpsi = loop_[1].set_cpsi();
-  out->left_drive = static_cast<uint16_t>(greater<int16_t>(outputs_.drive[0], 0));
-  out->right_drive = static_cast<uint16_t>(greater<int16_t>(outputs_.drive[1], 0));
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    out->pressure_cpsi[i] = pressure_[i].cpsi();
+    out->set_cpsi[i] = loop_[i].set_cpsi();
+    out->drive[i] = static_cast<uint16_t>(greater<int16_t>(outputs_.drive[i], 0));
+  }
   out->length_um = length_um_;
   out->motor = outputs_.motor;
   out->base_e5 = base_e5_;
@@ -652,8 +683,7 @@ inline void Controller::fill(protocol::StatusReport* out) const {
   out->conditions = conditions_;
   out->t_us = t_us();
   out->length_um = length_um_;
-  out->left_cpsi = pressure_[0].cpsi();
-  out->right_cpsi = pressure_[1].cpsi();
+  for (uint8_t i = 0; i < kMuscles; ++i) out->pressure_cpsi[i] = pressure_[i].cpsi();
   out->everted_mask = eversion_.everted_mask();
   out->settled_mask = eversion_.settled_mask();
   out->zeroed_mask = zeros_.valid_mask();

@@ -106,22 +106,22 @@ class Robot {
   }
 
   // Has one output written in this period although it has not changed, each in turn: what disturbs
-  // an output's registers lasts for three periods at most.
+  // an output's registers lasts for as many periods as there are outputs.
   void refresh_one() {
-    refreshed_ = refreshed_ < kSides ? static_cast<uint8_t>(refreshed_ + 1) : uint8_t{0};
-    (refreshed_ < kSides ? written_.drive[refreshed_] : written_.motor) = kNever;
+    refreshed_ = refreshed_ < kMuscles ? static_cast<uint8_t>(refreshed_ + 1) : uint8_t{0};
+    (refreshed_ < kMuscles ? written_.drive[refreshed_] : written_.motor) = kNever;
   }
 
   // Hands outputs to the board that have changed, or that are to be written anew.
   void write_outputs() {
     const Outputs& out = controller_.outputs();
-    for (uint8_t side = 0; side < kSides; ++side) {
-      if (out.drive[side] == written_.drive[side]) continue;
-      written_.drive[side] = out.drive[side];
-      if (out.drive[side] < 0) {
-        board_.drive_off(side);
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      if (out.drive[i] == written_.drive[i]) continue;
+      written_.drive[i] = out.drive[i];
+      if (out.drive[i] < 0) {
+        board_.drive_off(i);
       } else {
-        board_.drive(side, out.drive[side]);
+        board_.drive(i, out.drive[i]);
       }
     }
     if (out.motor == written_.motor) return;
@@ -159,13 +159,21 @@ class Robot {
     board_.tx_write(wire, encode(*frame, wire));
   }
 
+  // Outputs that none equals.
+  static Outputs nothing() {
+    Outputs none;
+    for (uint8_t i = 0; i < kMuscles; ++i) none.drive[i] = kNever;
+    none.motor = kNever;
+    return none;
+  }
+
   Board& board_;
   Controller controller_;
   Session session_;
   ConfigStore store_;
   Commands commands_;
-  Outputs written_ = {{kNever, kNever}, kNever};
-  uint8_t refreshed_ = 0;  // output that was written again last: a side, or the motor
+  Outputs written_ = nothing();
+  uint8_t refreshed_ = 0;  // output that was written again last: a muscle's, or the motor
   bool named_ = false;
 };
 

@@ -16,7 +16,7 @@ namespace thigmo {
 
 class Analog {
  public:
-  static constexpr int kChannels = 16;
+  static constexpr int kChannels = kSensors + kMuscles > 16 ? kSensors + kMuscles : 16;
 
   // A converter of so many bits, whose frame is complete so long after its tick began.
   Analog(uint64_t seed, uint8_t bits, uint16_t frame_us)

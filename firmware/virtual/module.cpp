@@ -27,7 +27,7 @@ nb::bytes bytes(const std::string& text) { return nb::bytes(text.data(), text.si
 
 void check_eeprom(const std::string& image) {
   if (image.size() > VirtualBoard::kEepromSize) {
-    throw std::invalid_argument("the EEPROM holds 4096 bytes");
+    throw std::invalid_argument("the image is longer than the EEPROM");
   }
 }
 
@@ -137,12 +137,17 @@ NB_MODULE(_board, m) {
              return nb::ndarray<nb::numpy, int64_t, nb::ndim<2>>(copy->data(), {copy->size(), 3},
                                                                  owner);
            })
-      .def_prop_ro(
-          "drive",
-          [](const VirtualBoard& self) { return nb::make_tuple(self.drive()[0], self.drive()[1]); })
+      .def_prop_ro("drive",
+                   [](const VirtualBoard& self) {
+                     nb::list drive;
+                     for (const int duty : self.drive()) drive.append(duty);
+                     return nb::tuple(drive);
+                   })
       .def_prop_ro("drive_enabled",
                    [](const VirtualBoard& self) {
-                     return nb::make_tuple(self.drive_enabled()[0], self.drive_enabled()[1]);
+                     nb::list enabled;
+                     for (const bool on : self.drive_enabled()) enabled.append(on);
+                     return nb::tuple(enabled);
                    })
       .def_prop_ro("motor", static_cast<int (VirtualBoard::*)() const>(&VirtualBoard::motor))
       .def_prop_ro("braked", &VirtualBoard::braked)

@@ -27,7 +27,7 @@ namespace thigmo {
 class VirtualBoard {
  public:
   static constexpr protocol::Board kKind = protocol::Board::kVirtual;
-  static constexpr uint32_t kEepromSize = 4096;
+  static constexpr uint32_t kEepromSize = kEepromUsed > 4096 ? kEepromUsed : 4096;
   static constexpr uint64_t kByteUs = 40;  // 250 kbaud, 8N1
   static constexpr uint64_t kEepromWriteUs = 3400;
   static constexpr uint64_t kBootLoaderUs = 840000;
@@ -132,8 +132,8 @@ class VirtualBoard {
     cut_after_ = bytes;
   }
 
-  const std::array<int, kSides>& drive() const { return drive_; }
-  const std::array<bool, kSides>& drive_enabled() const { return drive_enabled_; }
+  const std::array<int, kMuscles>& drive() const { return drive_; }
+  const std::array<bool, kMuscles>& drive_enabled() const { return drive_enabled_; }
   int motor() const { return motor_; }
   bool braked() const { return motor_ == 0; }
   int direction() const { return direction_; }
@@ -160,13 +160,13 @@ class VirtualBoard {
     return &taken_;
   }
 
-  void drive(uint8_t side, int16_t duty) {
-    drive_[side] = duty;
-    drive_enabled_[side] = true;
+  void drive(uint8_t muscle, int16_t duty) {
+    drive_[muscle] = duty;
+    drive_enabled_[muscle] = true;
   }
-  void drive_off(uint8_t side) {
-    drive_[side] = 0;
-    drive_enabled_[side] = false;
+  void drive_off(uint8_t muscle) {
+    drive_[muscle] = 0;
+    drive_enabled_[muscle] = false;
   }
   void motor(int16_t duty) {
     motor_ = duty;
@@ -279,8 +279,8 @@ class VirtualBoard {
 
   void outputs_off() {
     // Pull-downs hold PWM and current stage low while the chip floats its pins.
-    drive_ = {0, 0};
-    drive_enabled_ = {false, false};
+    drive_.fill(0);
+    drive_enabled_.fill(false);
     motor_ = 0;
   }
 
@@ -323,8 +323,8 @@ class VirtualBoard {
   std::deque<AdcFrame> frames_;
   AdcFrame taken_{};
   std::string to_host_;
-  std::array<int, kSides> drive_{};
-  std::array<bool, kSides> drive_enabled_{};
+  std::array<int, kMuscles> drive_{};
+  std::array<bool, kMuscles> drive_enabled_{};
   int motor_ = 0;
   int direction_ = 1;
   std::array<uint64_t, 4> enabled_us_{};  // when each enable last toggled

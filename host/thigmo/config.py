@@ -23,7 +23,7 @@ from __future__ import annotations
 import os
 import shutil
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import pi, tanh
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -277,6 +277,33 @@ class RobotConfig(Model):
         """The sides of the plane towards which a muscle bends the body."""
         there = {muscle.side for muscle in self.muscles}
         return tuple(side for side in SIDES if side in there)
+
+    @property
+    def muscle_sides(self) -> tuple[Side, ...]:
+        """The side towards which each muscle bends the body, in their order, which is the board's.
+
+        Raises ConfigError for a muscle that bends it out of the plane.
+        """
+        found = []
+        for muscle in self.muscles:
+            if muscle.side is None:
+                raise ConfigError(
+                    f"muscle {muscle.name} bends the body out of the plane",
+                    "give its direction_deg as 90 or 270",
+                )
+            found.append(muscle.side)
+        return tuple(found)
+
+    def by_muscle(self, told: Mapping[Side, float], count: int) -> tuple[float, ...]:
+        """Numbers of sides as the board has them: one for each of its muscles, 0 where none is.
+
+        Raises ConfigError for a number other than 0 of a side without a muscle.
+        """
+        for side, number in told.items():
+            if number:
+                self.muscle(side)
+        sides = self.muscle_sides
+        return tuple(told.get(side, 0.0) for side in sides) + (0.0,) * (count - len(sides))
 
     def muscle(self, side: Side) -> Muscle:
         """The muscle that bends the body towards a side; ConfigError if there is none."""

@@ -112,8 +112,8 @@ def columns(config: RobotConfig) -> list[Column]:
 
 
 def muscle_outputs(config: RobotConfig) -> dict[int, str]:
-    """The names of the muscles by the board's outputs that they hang on."""
-    return {SIDES.index(side): config.muscle(side).name for side in config.sides}
+    """The names of the muscles by the board's outputs that they hang on: in the file's order."""
+    return {number: muscle.name for number, muscle in enumerate(config.muscles)}
 
 
 def sensor_name(config: RobotConfig, number: int) -> str:

@@ -16,7 +16,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.transport import Transport, open_transport
 
 SILENCE_S = 1.6
-MAPS = list(product(range(3), wire.Side, wire.Branch))
+MAPS = list(product(range(3), range(2), wire.Branch))
 
 
 class Board(Protocol):

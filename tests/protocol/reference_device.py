@@ -98,7 +98,7 @@ class ReferenceDevice:
                 self._telemetry_seq = (self._telemetry_seq + 1) & 0xFFFF
                 flex = (ms & 0xFFF,) * 10
                 row = wire.Telemetry(
-                    self._t_us, flex, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, self.state << 4, 0
+                    self._t_us, flex, *((0, 0),) * 3, 0, 0, 0, 0, self.state << 4, 0
                 )
                 self._send(row, self._telemetry_seq, self.session)
 

@@ -556,7 +556,7 @@ def test_a_hundred_thousand_telemetry_frames_are_cheap(client: Client) -> None:
     import time
 
     count, seq = 100_000, client._telemetry_seq or 0
-    row = wire.Telemetry(0, (9999,) * 10, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 0x21, 0)
+    row = wire.Telemetry(0, (9999,) * 10, (1, 2), (3, 4), (5, 6), 7, 8, 9, 10, 0x21, 0)
     stream = [encode(row, (seq + n) & 0xFFFF, client.session) for n in range(1, count + 1)]
     chunks = iter([b"".join(stream[n : n + 2]) for n in range(0, count, 2)])
     client.transport.read = lambda timeout_s: next(chunks, b"")

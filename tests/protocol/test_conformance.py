@@ -322,6 +322,28 @@ def test_an_unknown_id_is_refused(host: RawHost, message_id: int) -> None:
     host.get(wire.GetStatus())
 
 
+def test_messages_are_as_long_as_the_capacity_says(host: RawHost) -> None:
+    told = host.get(wire.GetCapacity())
+    status = host.get(wire.GetStatus())
+    assert len(status.pressure_cpsi) == told.muscles
+    frame = host.next_frame(lambda f: f.id == wire.Telemetry.ID, 1.0)
+    assert frame is not None
+    row = wire.Telemetry.unpack(frame.payload)
+    assert len(row.flex_sum) == told.sensors
+    assert len(row.set_cpsi) == len(row.drive) == told.muscles
+    assert (told.adc_bits, told.drive_full, told.motor_full, told.tick_us) == (10, 1599, 800, 1000)
+
+
+@pytest.mark.parametrize("command", [wire.SetPressure, wire.Sweep])
+def test_a_command_that_counts_other_muscles_is_refused(
+    host: RawHost, command: type[wire.SetPressure | wire.Sweep]
+) -> None:
+    muscles = host.get(wire.GetCapacity()).muscles
+    for count in {0, muscles - 1, muscles + 1, 255}:
+        payload = bytes([count]) + bytes(command.SIZE - 1)
+        assert host.refusal(RawMessage(command.ID, payload)) == (R.BAD_VALUE, muscles), count
+
+
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda m: m.NAME)
 def test_a_command_of_the_wrong_size_is_refused(host: RawHost, command: type[wire.Message]) -> None:
     for size in {max(command.SIZE - 1, 0), command.SIZE + 1, wire.MAX_PAYLOAD} - {command.SIZE}:
@@ -469,8 +491,8 @@ def test_telemetry_agrees_with_the_status(host: RawHost) -> None:
     assert row.state_activity >> 4 == report.state
     assert row.state_activity & 15 == report.activity
     assert row.faults == report.faults
-    assert row.left_cpsi == pytest.approx(report.left_cpsi, abs=50)
-    assert (row.left_drive, row.right_drive, row.motor) == (0, 0, 0)
+    assert row.pressure_cpsi == pytest.approx(report.pressure_cpsi, abs=50)
+    assert (*row.drive, row.motor) == (0, 0, 0)
 
 
 # Events.
@@ -565,7 +587,7 @@ def test_every_map_is_held_apart(host: RawHost) -> None:
         host.get(wire.SetMap(*place, wanted[place]))
     for place in MAPS:
         reply = host.get(wire.GetMap(*place))
-        assert (reply.zone, reply.side, reply.branch) == place
+        assert (reply.zone, reply.muscle, reply.branch) == place
         assert reply.curvature_e5 == wanted[place]
     host.get(wire.LoadDefaults())
     assert host.get(wire.GetMap(*MAPS[0])).curvature_e5 != wanted[MAPS[0]]
@@ -582,14 +604,14 @@ def test_what_was_saved_comes_back_after_a_restart(desk: Desk) -> None:
     host = desk.calm()
     host.get(wire.SetParameter(SETTLE, 12_345))
     host.get(wire.ApplyParameters())
-    host.get(wire.SetMap(1, wire.Side.RIGHT, wire.Branch.DEFLATE, tuple(range(11))))
+    host.get(wire.SetMap(1, 1, wire.Branch.DEFLATE, tuple(range(11))))
     generation = host.save()
     host.get(wire.SetParameter(SETTLE, 54_321))  # not saved
     desk.restart()
     host = desk.host
     host.hello()
     assert host.get(wire.GetParameter(SETTLE)).value == 12_345
-    reply = host.get(wire.GetMap(1, wire.Side.RIGHT, wire.Branch.DEFLATE))
+    reply = host.get(wire.GetMap(1, 1, wire.Branch.DEFLATE))
     assert reply.curvature_e5 == tuple(range(11))
     assert host.get(wire.GetStatus()).config_generation == generation
 
@@ -597,8 +619,8 @@ def test_what_was_saved_comes_back_after_a_restart(desk: Desk) -> None:
 # Refusals that a desk can provoke.
 
 NEEDS_ARMED: list[wire.Message] = [
-    wire.Sweep(1500, 1500, 20_000, 1, 0),
-    wire.SetPressure(500, 0, 0),
+    wire.Sweep((1500, 1500), 20_000, 1, 0),
+    wire.SetPressure((500, 0), 0),
     wire.GrowTo(100_000, 0),
     wire.RetractTo(0, 0),
     wire.Home(),
@@ -712,7 +734,7 @@ def test_growth_and_retraction_know_their_limits(ready: RawHost) -> None:
 
 
 def test_a_bend_needs_whole_sensors_a_zone_and_zeros(ready: RawHost) -> None:
-    bends = [wire.Sweep(1500, 1500, 20_000, 1, 0), wire.SetPressure(500, 0, 0)]
+    bends = [wire.Sweep((1500, 1500), 20_000, 1, 0), wire.SetPressure((500, 0), 0)]
     ready.get(wire.ConfirmLength(50_000, 1))  # the first sensors' middle
     for bend in bends:
         assert ready.refusal(bend)[0] is R.HALF_EVERTED
@@ -756,17 +778,17 @@ def test_a_zeroed_board_still_refuses_bends_that_cannot_be(desk: Desk) -> None:
         lambda f: f.id == wire.Event.ID and f.payload[2] == wire.EventCode.ACTIVITY_DONE, 1.0
     )
     for sweep in [
-        wire.Sweep(-1, 0, 20_000, 1, 0),
-        wire.Sweep(0, 0, 20_000, 1, 0),
-        wire.Sweep(1500, 0, 20_000, 0, 0),
-        wire.Sweep(1500, 0, 10, 1, 0),
-        wire.Sweep(1500, 0, 0xFFFF_FFFF, 1, 0),
+        wire.Sweep((-1, 0), 20_000, 1, 0),
+        wire.Sweep((0, 0), 20_000, 1, 0),
+        wire.Sweep((1500, 0), 20_000, 0, 0),
+        wire.Sweep((1500, 0), 10, 1, 0),
+        wire.Sweep((1500, 0), 0xFFFF_FFFF, 1, 0),
     ]:
         assert host.refusal(sweep)[0] is R.BAD_VALUE, sweep
-    assert host.refusal(wire.Sweep(1851, 0, 20_000, 1, 0)) == (R.OVER_LIMIT, 1850)
-    assert host.refusal(wire.SetPressure(500, 500, 0))[0] is R.BAD_VALUE
-    assert host.refusal(wire.SetPressure(-1, 0, 0))[0] is R.BAD_VALUE
-    assert host.refusal(wire.SetPressure(0, 1851, 0)) == (R.OVER_LIMIT, 1850)
+    assert host.refusal(wire.Sweep((1851, 0), 20_000, 1, 0)) == (R.OVER_LIMIT, 1850)
+    assert host.refusal(wire.SetPressure((500, 500), 0))[0] is R.BAD_VALUE
+    assert host.refusal(wire.SetPressure((-1, 0), 0))[0] is R.BAD_VALUE
+    assert host.refusal(wire.SetPressure((0, 1851), 0)) == (R.OVER_LIMIT, 1850)
     report = host.get(wire.GetSensor(0))
     assert report.flags & 0b111 == 0b111  # everted, settled, zeroed
     assert not host.get(wire.GetSensor(1)).flags & 0b001

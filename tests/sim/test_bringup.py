@@ -102,7 +102,7 @@ def test_a_pressure_sensor_within_its_error_band_is_zeroed_and_passes(psi: float
     assert [f for f in found if not f.good] == []
     (left,) = [f for f in found if f.subject == "pressure left"]
     assert "stored as its zero" in left.what
-    assert robot.read(0.3).left_psi == pytest.approx(0.0, abs=0.1)
+    assert robot.read(0.3).pressure_psi[0] == pytest.approx(0.0, abs=0.1)
     assert robot.status().config_generation == 3  # after the defaults; then the direction
 
 
@@ -198,6 +198,6 @@ def test_a_press_shows_the_pressure_and_vents() -> None:
     assert press(robot, "right", 3.0, 4.0, seen.append) == pytest.approx(3.0, abs=0.7)
     assert len(seen) > 10
     robot.wait(3.0)
-    assert robot.status().right_psi < 0.5
+    assert robot.status().pressure_psi[1] < 0.5
     with pytest.raises(ConfigError, match="at most 5 psi"):
         press(robot, "left", 6.0, 1.0)

@@ -45,7 +45,7 @@ while True:
     client.poll(0.1)
     try:
         client.request(wire.Arm())
-        client.request(wire.Sweep(1200, 0, 24_000, 1, 0))
+        client.request(wire.Sweep((1200, 0), 24_000, 1, 0))
     except CommandRefusedError as error:
         print(error.reason, flush=True)
 """

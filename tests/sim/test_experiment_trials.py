@@ -60,7 +60,7 @@ def take_all(scene: str, path: Path, experiment: str) -> Folder:
         assert robot.known_config is not None
         folder = Folder(path, robot.known_config)
         assert run_trials(robot, Attendant(robot=robot), folder, experiment, 1)
-        assert robot.status().left_psi < 0.5
+        assert robot.status().pressure_psi[0] < 0.5
     return folder
 
 

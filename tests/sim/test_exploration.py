@@ -119,8 +119,8 @@ def test_the_robot_ends_vented_braked_and_safe(default: ExplorationResult) -> No
     frames = [decode(e.frame) for e in RunFolder(default.folder).read_log().entries]
     last = [f.message() for f in frames if f.id == wire.Telemetry.ID][-1]
     assert isinstance(last, wire.Telemetry)
-    assert (last.left_drive, last.right_drive, last.motor) == (0, 0, 0)
-    assert max(last.left_cpsi, last.right_cpsi) < 50
+    assert (*last.drive, last.motor) == (0, 0, 0)
+    assert max(last.pressure_cpsi) < 50
     stops = [f for f in frames if f.id == wire.Disarm.ID]
     assert stops
 

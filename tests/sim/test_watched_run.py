@@ -212,9 +212,9 @@ def test_every_typed_value_equals_the_raw_frames(run: Watched) -> None:
         assert told.t_s == pytest.approx(t_s, abs=2e-9)
         assert told.device_s == pytest.approx(frame.t_us / 1e6, abs=1e-9)
         assert told.flex_sum == frame.flex_sum
-        assert told.pressure_psi == (frame.left_cpsi / 100, frame.right_cpsi / 100)
-        assert told.demand_psi == (frame.left_set_cpsi / 100, frame.right_set_cpsi / 100)
-        assert told.drive_ma == (frame.left_drive * 20 / 1599, frame.right_drive * 20 / 1599)
+        assert told.pressure_psi == tuple(each / 100 for each in frame.pressure_cpsi)
+        assert told.demand_psi == tuple(each / 100 for each in frame.set_cpsi)
+        assert told.drive_ma == tuple(each * 20 / 1599 for each in frame.drive)
         assert told.length_cm == frame.length_um / 1e4
         assert told.motor == frame.motor / 800
         assert (told.base_per_cm, told.free_per_cm) == (frame.base_e5 / 1e5, frame.free_e5 / 1e5)

@@ -32,8 +32,8 @@ def _frame(
     motor: int = -400,
 ) -> TelemetryFrame:
     message = wire.Telemetry(
-        5_000_000, tuple(flex), left_cpsi, right_cpsi, 1000, 0, 1599, 0, length_um, motor, 1234,
-        1200, wire.State.MOVING << 4 | wire.Activity.SWEEPING, wire.Fault.STOPPED.mask,
+        5_000_000, tuple(flex), (left_cpsi, right_cpsi), (1000, 0), (1599, 0), length_um, motor,
+        1234, 1200, wire.State.MOVING << 4 | wire.Activity.SWEEPING, wire.Fault.STOPPED.mask,
     )  # fmt: skip
     return TelemetryFrame(1, 6.0, 5_000_000, message.pack())
 

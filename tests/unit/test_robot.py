@@ -46,6 +46,8 @@ class DictionaryBoard:
             for entry in wire.PARAMETERS.values()
             for i, value in enumerate(entry.defaults)
         }
+        self.capacity = wire.Capacity(OK, 2, 10, 3, 10, 1599, 800, 1000)
+        self.parameters = wire.PARAMETERS
         self.maps: dict[tuple[int, int, int], tuple[int, ...]] = {}
         self.faults = 0
         self.lasting = 0  # faults whose cause is still there
@@ -87,10 +89,10 @@ class DictionaryBoard:
                     self.values[command.index] = command.value
                 return wire.ParameterValue(OK, command.index, command.value)
             case wire.GetMap():
-                key = (command.zone, command.side, command.branch)
+                key = (command.zone, command.muscle, command.branch)
                 return wire.MapValues(OK, *key, self.maps.get(key, (0,) * 11))
             case wire.SetMap():
-                self.maps[command.zone, command.side, command.branch] = command.curvature_e5
+                self.maps[command.zone, command.muscle, command.branch] = command.curvature_e5
             case wire.SaveConfig():
                 self.generation += 1
             case wire.ClearFaults():
@@ -107,7 +109,7 @@ class DictionaryBoard:
     def _status(self) -> wire.StatusReport:
         return wire.StatusReport(
             OK, wire.State.READY, wire.Activity.IDLE, 255, self.faults, self.conditions, 0,
-            123_400, 0, 0, 0, 0, 0, 0, self.generation, 4980, 3, 0,
+            123_400, (0, 0), 0, 0, 0, 0, self.generation, 4980, 3, 0,
         )  # fmt: skip
 
 
@@ -249,25 +251,9 @@ def test_events_from_before_a_command_do_not_end_it() -> None:
 def test_an_aborted_activity_says_why() -> None:
     robot, board = _robot()
     everted = wire.StatusReport(
-        OK,
-        wire.State.READY,
-        wire.Activity.IDLE,
-        0,
-        0,
-        0,
-        0,
-        0,
-        0,
-        0,
-        0x21,
-        0x21,
-        0,
-        0,
-        1,
-        5000,
-        0,
-        0,
-    )
+        OK, wire.State.READY, wire.Activity.IDLE, 0, 0, 0, 0, 0, (0, 0), 0x21, 0x21, 0, 0, 1, 5000,
+        0, 0,
+    )  # fmt: skip
     board._status = lambda: everted  # type: ignore[method-assign]
     board.coming = [
         _event(wire.EventCode.ACTIVITY_ABORTED, wire.Activity.ZEROING, wire.Reason.DRIFTING)

@@ -15,12 +15,11 @@ namespace thigmo {
 
 using protocol::Param;
 
-constexpr uint8_t kZones = 3;
 constexpr uint8_t kBranches = 2;
 constexpr uint8_t kZoneUnknown = 255;
 
 // Free curvature of a muscle until its calibration is sent: 0.04 1/cm * tanh(p / 10 psi), a guess
-// that the host's robot.toml shares; the right muscle bends the other way.
+// that the host's robot.toml shares; every second muscle bends the other way.
 constexpr int16_t kGuessedMap[protocol::kMapPoints] THIGMO_PROGMEM = {
     0, 790, 1520, 2148, 2656, 3046, 3335, 3541, 3687, 3787, 3856};
 
@@ -33,14 +32,14 @@ constexpr int32_t kOrphanUm = 17000;
 
 struct Configuration {
   int32_t value[protocol::kParamCount];
-  int16_t map[kZones][kSides][kBranches][protocol::kMapPoints];
+  int16_t map[kBodyPressures][kMuscles][kBranches][protocol::kMapPoints];
 
   int32_t get(Param name, uint8_t element = 0) const {
     return value[static_cast<uint16_t>(name) + element];
   }
 
   static protocol::ParamRow row(uint16_t index) {
-    const protocol::ParamRow* at = protocol::kParamTable + index;
+    const protocol::ParamRow* at = protocol::kParamRows.row + index;
     return {static_cast<int32_t>(THIGMO_FLASH_U32(&at->low)),
             static_cast<int32_t>(THIGMO_FLASH_U32(&at->high)),
             static_cast<int32_t>(THIGMO_FLASH_U32(&at->initial))};
@@ -61,10 +60,10 @@ struct Configuration {
   }
 
   // Parameters, then maps.
-  static constexpr uint8_t kItems = protocol::kParamCount + kZones * kSides * kBranches;
+  static constexpr uint16_t kItems = protocol::kParamCount + kBodyPressures * kMuscles * kBranches;
 
   // Puts one item back to its default; true if that changed it.
-  bool load_default(uint8_t item) {
+  bool load_default(uint16_t item) {
     if (item < protocol::kParamCount) {
       const int32_t initial = row(item).initial;
       const bool differs = value[item] != initial;
@@ -72,12 +71,12 @@ struct Configuration {
       return differs;
     }
     const uint8_t which = static_cast<uint8_t>(item - protocol::kParamCount);
-    const uint8_t side = static_cast<uint8_t>(which / kBranches % kSides);
-    int16_t* const points = map[which / (kBranches * kSides)][side][which % kBranches];
+    const uint8_t muscle = static_cast<uint8_t>(which / kBranches % kMuscles);
+    int16_t* const points = map[which / (kBranches * kMuscles)][muscle][which % kBranches];
     bool differs = false;
     for (uint8_t i = 0; i < protocol::kMapPoints; ++i) {
       const int16_t guess = static_cast<int16_t>(THIGMO_FLASH_U16(kGuessedMap + i));
-      const int16_t initial = side == 0 ? guess : static_cast<int16_t>(-guess);
+      const int16_t initial = muscle % 2 == 0 ? guess : static_cast<int16_t>(-guess);
       differs = differs || points[i] != initial;
       points[i] = initial;
     }
@@ -85,7 +84,7 @@ struct Configuration {
   }
 
   void load_defaults() {
-    for (uint8_t i = 0; i < kItems; ++i) load_default(i);
+    for (uint16_t i = 0; i < kItems; ++i) load_default(i);
   }
 
   // Index of the first parameter that is out of range, or -1: for what comes from the store. set()
@@ -128,8 +127,9 @@ struct Configuration {
 };
 
 // The store writes the structure's bytes, so it must have no holes; all boards are little-endian.
-static_assert(sizeof(Configuration) == 4 * protocol::kParamCount +
-                                           2 * kZones * kSides * kBranches * protocol::kMapPoints,
+static_assert(sizeof(Configuration) == 4 * protocol::kParamCount + 2 * kBodyPressures * kMuscles *
+                                                                       kBranches *
+                                                                       protocol::kMapPoints,
               "the stored image has holes");
 
 }  // namespace thigmo

@@ -54,17 +54,17 @@ struct Gain16 {
 };
 
 struct Derived {
-  int32_t flex_gain_q16[kSensors];        // 1e-5/cm per 1/16 ohm
-  Gain16 pressure_gain[kSides];           // 0.01 psi per 1/64 count of a sum of five
-  uint32_t reversal_inverse_q24[kSides];  // rounded up, so that the whole width gives 256 / 256
-  uint16_t lag_alpha_q16[kSides];         // share of the way to the input in one control step
-  int16_t drive_ceiling_cpsi;             // highest transducer output that a loop may ask for
-  uint16_t drive_slope_q16;               // duty per 0.01 psi
-  uint32_t um_per_count_q16;              // tip movement per encoder count
-  uint32_t counts_per_um_q24;             // and the other way
-  uint32_t step_per_um_s_q32;             // counts in a control step at a tip speed
-  int32_t accel_q16;                      // counts per control step and step, in 1/65536
-  int32_t top_speed_um_s;                 // the fastest tip whose host or firmware may die
+  int32_t flex_gain_q16[kSensors];          // 1e-5/cm per 1/16 ohm
+  Gain16 pressure_gain[kMuscles];           // 0.01 psi per 1/64 count of a sum of five
+  uint32_t reversal_inverse_q24[kMuscles];  // rounded up, so that the whole width gives 256 / 256
+  uint16_t lag_alpha_q16[kMuscles];         // share of the way to the input in one control step
+  int16_t drive_ceiling_cpsi;               // highest transducer output that a loop may ask for
+  uint16_t drive_slope_q16;                 // duty per 0.01 psi
+  uint32_t um_per_count_q16;                // tip movement per encoder count
+  uint32_t counts_per_um_q24;               // and the other way
+  uint32_t step_per_um_s_q32;               // counts in a control step at a tip speed
+  int32_t accel_q16;                        // counts per control step and step, in 1/65536
+  int32_t top_speed_um_s;                   // the fastest tip whose host or firmware may die
   int32_t slip_counts;
   int32_t tolerance_counts;
   int32_t lead_counts;
@@ -82,6 +82,7 @@ struct Derived {
   uint16_t stuck_steps;
   uint16_t stall_steps;
   uint16_t enabled_mask = 0;
+  uint8_t fitted_mask = 0;  // muscles
   bool telemetry_aligned;
   bool judges_encoder;  // by the motor's duty, and by the sensors that pass the tip
   uint8_t oversample_log2;
@@ -89,10 +90,11 @@ struct Derived {
 
   void update(const Configuration& c) {
     for (uint8_t i = 0; i < kSensors; ++i) update_flex(c, i);
-    for (uint8_t side = 0; side < kSides; ++side) {
-      update_gain(c, side);
-      update_reversal(c, side);
-      update_lag(c, side);
+    for (uint8_t muscle = 0; muscle < kMuscles; ++muscle) {
+      update_gain(c, muscle);
+      update_reversal(c, muscle);
+      update_lag(c, muscle);
+      update_fitted(c, muscle);
     }
     update_scale(c);
     update_distances(c);
@@ -138,14 +140,16 @@ struct Derived {
       update_force(c);
     } else if (within(Param::kMotorStallN, 3) || within(Param::kHomeSpeedUmS, 1)) {
       update_force(c);
-    } else if (within(Param::kPressureSpan, kSides)) {
+    } else if (within(Param::kPressureSpan, kMuscles)) {
       update_gain(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kPressureSpan)));
     } else if (within(Param::kPressureFullCpsi, 1)) {
-      for (uint8_t side = 0; side < kSides; ++side) update_gain(c, side);
-    } else if (within(Param::kReversalCpsi, kSides)) {
+      for (uint8_t muscle = 0; muscle < kMuscles; ++muscle) update_gain(c, muscle);
+    } else if (within(Param::kReversalCpsi, kMuscles)) {
       update_reversal(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kReversalCpsi)));
-    } else if (within(Param::kLagMs, kSides)) {
+    } else if (within(Param::kLagMs, kMuscles)) {
       update_lag(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kLagMs)));
+    } else if (within(Param::kMuscleFitted, kMuscles)) {
+      update_fitted(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kMuscleFitted)));
     } else if (within(Param::kDrive4maCpsi, 1) || within(Param::kDrive20maCpsi, 1)) {
       update_drive(c);
     } else if (within(Param::kSpoolAccelUmS2, 1)) {
@@ -199,21 +203,27 @@ struct Derived {
                                                                             : enabled_mask & ~bit);
   }
 
-  void update_gain(const Configuration& c, uint8_t side) {
-    pressure_gain[side].set(static_cast<uint32_t>(c.get(Param::kPressureFullCpsi)),
-                            static_cast<uint32_t>(c.get(Param::kPressureSpan, side)) * 5u);
+  void update_gain(const Configuration& c, uint8_t muscle) {
+    pressure_gain[muscle].set(static_cast<uint32_t>(c.get(Param::kPressureFullCpsi)),
+                              static_cast<uint32_t>(c.get(Param::kPressureSpan, muscle)) * 5u);
   }
 
-  void update_reversal(const Configuration& c, uint8_t side) {
-    reversal_inverse_q24[side] =
-        0x1000000u / static_cast<uint32_t>(c.get(Param::kReversalCpsi, side)) + 1;
+  void update_reversal(const Configuration& c, uint8_t muscle) {
+    reversal_inverse_q24[muscle] =
+        0x1000000u / static_cast<uint32_t>(c.get(Param::kReversalCpsi, muscle)) + 1;
   }
 
-  void update_lag(const Configuration& c, uint8_t side) {
+  void update_lag(const Configuration& c, uint8_t muscle) {
     // First-order lag, exact to second order in step / lag; a lag below half a step passes all.
-    const int32_t lag = c.get(Param::kLagMs, side);
+    const int32_t lag = c.get(Param::kLagMs, muscle);
     const int32_t alpha = 2 * kControlMs * 65536 / (2 * lag + kControlMs);
-    lag_alpha_q16[side] = static_cast<uint16_t>(lesser<int32_t>(alpha, 65535));
+    lag_alpha_q16[muscle] = static_cast<uint16_t>(lesser<int32_t>(alpha, 65535));
+  }
+
+  void update_fitted(const Configuration& c, uint8_t muscle) {
+    const uint8_t bit = static_cast<uint8_t>(1u << muscle);
+    fitted_mask = static_cast<uint8_t>(
+        c.get(Param::kMuscleFitted, muscle) != 0 ? fitted_mask | bit : fitted_mask & ~bit);
   }
 
   void update_scale(const Configuration& c) {

@@ -27,19 +27,23 @@ namespace thigmo {
 // Layout in the EEPROM.
 constexpr uint16_t kCounterAt = 0;  // four of u32, little-endian
 constexpr uint8_t kCounters = 4;
-constexpr uint16_t kSlotAt[2] = {16, 1032};
-constexpr uint16_t kSlotRoom = 1016;
+constexpr uint16_t kSlotRoom = kEepromUsed / 2 - 8;
+constexpr uint16_t kSlotAt[2] = {16, 16 + kSlotRoom};
 // In a slot: commit byte, generation u32, length of the entries u16, entries, crc u16 from the
 // generation on.
 constexpr uint16_t kSlotHeader = 7;
 constexpr uint16_t kSlotMost = kSlotRoom - kSlotHeader - 2;  // bytes of entries
 // An entry: id, bytes of a value, number of values, values (signed, little-endian).
 constexpr uint8_t kEntryHeader = 3;
-constexpr uint8_t kMapCount = kZones * kSides * kBranches * protocol::kMapPoints;
+// Of the maps: points, or whole maps where a byte does not hold the number of points.
+constexpr uint16_t kMapPointCount = kBodyPressures * kMuscles * kBranches * protocol::kMapPoints;
+constexpr uint8_t kMapWidth = kMapPointCount <= 255 ? 2 : 2 * protocol::kMapPoints;
+constexpr uint8_t kMapCount = kMapPointCount * 2 / kMapWidth;
 constexpr uint16_t kEntriesSize = kEntryHeader * (protocol::kParamKeys + 1) + sizeof(Configuration);
 constexpr uint16_t kSlotSize = kSlotHeader + kEntriesSize + 2;
-constexpr uint8_t kCommitted = 0xA6;
+constexpr uint8_t kCommitted = 0xA7;
 constexpr uint8_t kSpoiled = 0x00;
+constexpr uint8_t kTwoSides = 0xA6;  // committed by a firmware that knew a left and a right muscle
 constexpr uint8_t kWholeImage = 0xA5;  // committed by a firmware that stored no ids
 static_assert(kSlotSize <= kSlotRoom, "the configuration outgrew its slot");
 static_assert(16 + 2 * kSlotRoom <= kEepromUsed, "the slots outgrew the EEPROM's used part");
@@ -51,6 +55,7 @@ enum class LoadResult : uint8_t {
   kDamaged = 2,
   kOldFormat = 3,
   kOutOfLimits = 4,  // by another firmware's limits, or contradictory by this one's rules
+  kToConfirm = 5,    // kept, of a firmware that knew no lists: the host must say what is fitted
 };
 
 // A list of ids: all are counted, the first eight are kept.
@@ -104,14 +109,17 @@ class ConfigStore {
     }
     configuration->load_defaults();
     if (generation_ == 0) return worst;
-    LoadResult result = LoadResult::kLoaded;
+    const bool old = board.eeprom_read(kSlotAt[slot_]) == kTwoSides;
+    LoadResult result = old ? LoadResult::kToConfirm : LoadResult::kLoaded;
     if (!read_entries(board, configuration)) {
       result = LoadResult::kDamaged;
     } else if (configuration->first_out_of_range() >= 0 || configuration->first_conflict() >= 0) {
       result = LoadResult::kOutOfLimits;
     }
     // Never some of the stored values beside some defaults.
-    if (result != LoadResult::kLoaded) configuration->load_defaults();
+    if (result != LoadResult::kLoaded && result != LoadResult::kToConfirm) {
+      configuration->load_defaults();
+    }
     return result;
   }
 
@@ -215,7 +223,7 @@ class ConfigStore {
     const uint8_t commit = board.eeprom_read(at);
     if (commit == 0xFF) return LoadResult::kBlank;
     if (commit == kWholeImage) return LoadResult::kOldFormat;
-    if (commit != kCommitted) return LoadResult::kDamaged;
+    if (commit != kCommitted && commit != kTwoSides) return LoadResult::kDamaged;
     const uint16_t length = read16(board, at + 5u);
     if (length > kSlotMost) return LoadResult::kDamaged;
     const uint16_t end = static_cast<uint16_t>(at + kSlotHeader + length);
@@ -239,7 +247,7 @@ class ConfigStore {
   };
 
   static Kind kind(uint8_t index) {
-    if (index == protocol::kParamKeys) return {protocol::kMapId, 2, kMapCount};
+    if (index == protocol::kParamKeys) return {protocol::kMapId, kMapWidth, kMapCount};
     const protocol::ParamKey* const at = protocol::kParamKeyTable + index;
     return {THIGMO_FLASH_U8(&at->id), 4, THIGMO_FLASH_U8(&at->count)};
   }

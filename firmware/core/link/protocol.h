@@ -7,6 +7,8 @@
 
 #include <stdint.h>
 
+#include "../capacity.h"
+
 // Where constant tables live; a board whose flash is apart from its memory defines it.
 #ifndef THIGMO_PROGMEM
 #define THIGMO_PROGMEM
@@ -16,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x063720F1u;
+constexpr uint32_t kSchemaHash = 0x18614AFEu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -25,6 +27,9 @@ constexpr uint8_t kCrcSize = 2;
 constexpr uint8_t kMapId = 255;  // under which the store keeps the maps
 constexpr uint8_t kMapPoints = 11;
 constexpr int16_t kMapStepCpsi = 200;
+static_assert(kMuscles > 0 && kMuscles <= 4, "muscles");
+static_assert(kSensors > 0 && kSensors <= 16, "sensors");
+static_assert(kBodyPressures > 0 && kBodyPressures <= 8, "body_pressures");
 
 // The supervisor's states.
 enum class State : uint8_t {
@@ -53,21 +58,12 @@ constexpr uint8_t kActivityCount = 10;
 
 // What `test_output` drives.
 enum class Output : uint8_t {
-  kLeftTransducer = 0,   // Current of the left transducer, 20 mA/1599.
-  kRightTransducer = 1,  // Current of the right transducer, 20 mA/1599.
-  kMotor = 2,            // Duty of the spool motor, 1/800 of full, positive pays out.
-  kLeftVent =
-      3,  // Current of the left transducer, while the muscles' enable is off: Y1 must empty it.
-  kRightVent = 4,  // The same on the right: Y2.
+  kTransducer = 0,  // Current of a muscle's transducer, 20 mA/1599.
+  kMotor = 1,       // Duty of the spool motor, 1/800 of full, positive pays out.
+  kVent = 2,  // Current of a muscle's transducer, while the muscles' enable is off: its valve must
+              // empty it.
 };
-constexpr uint8_t kOutputCount = 5;
-
-// A muscle and its column of sensors.
-enum class Side : uint8_t {
-  kLeft = 0,   // Bends the body to the left (positive curvature).
-  kRight = 1,  // Bends the body to the right.
-};
-constexpr uint8_t kSideCount = 2;
+constexpr uint8_t kOutputCount = 3;
 
 // Which of a muscle's two maps.
 enum class Branch : uint8_t {
@@ -167,13 +163,14 @@ enum class Fault : uint8_t {
                     // shut the body air, check brake and driver, then clear and confirm the length.
   kBrownOut = 8,    // The supply sagged below its limit; check the power supply, then clear.
   kWatchdog = 9,  // The firmware hung and was restarted; report it with the run folder, then clear.
-  kBadConfig = 10,  // No valid configuration is stored; configure and save (`thigmo params --robot
-                    // PORT --load-defaults`), then clear.
+  kBadConfig = 10,  // No valid configuration is stored, or one of a firmware that knew no lists of
+                    // muscles; send robot.toml (any run does, or `thigmo params --robot PORT
+                    // --load-defaults`), then clear.
   kEstop = 11,      // The emergency stop was pressed; release it, then clear.
   kInterlock = 12,  // The length became unknown or a sensor half everted during a bend; vented.
                     // Clear, confirm the length if unknown, and grow or retract to a whole pitch.
   kPressureMismatch =
-      14,  // Muscle pressure and the transducer's current disagree; check that the two sides' plugs
+      14,  // Muscle pressure and the transducer's current disagree; check that the muscles' plugs
            // are not swapped, the pressure sensor's zero and gain, the transducer and its map
            // (drive_4ma_cpsi, drive_20ma_cpsi), then clear.
   kLinkOverrun = 13,  // The board's receive buffer overran; lower the baud rate or the telemetry
@@ -211,7 +208,7 @@ constexpr uint8_t kSlipCauseCount = 6;
 enum class Condition : uint8_t {
   kLengthKnown = 0,  // Homed or confirmed since the reset.
   kZoneKnown = 1,    // The host selected the body-pressure map.
-  kVented = 2,       // Both muscles below the vent threshold.
+  kVented = 2,       // All muscles below the vent threshold.
   kSettled = 3,      // Every everted sensor is past its settling time.
   kZeroed = 4,       // Every everted healthy sensor has a zero taken since its last eversion.
   kHalfEverted = 5,  // A sensor, with the margin, lies in the tip's fold.
@@ -231,9 +228,9 @@ constexpr uint8_t kConditionCount = 15;
 // What happened. Events stay latched at the board until acknowledged.
 enum class EventCode : uint8_t {
   kFault = 1,    // A fault latched: arg = bit number, value = channel or detail.
-  kContact = 2,  // The trigger fired: arg = active Side, value = base curvature minus free
+  kContact = 2,  // The trigger fired: arg = active muscle, value = base curvature minus free
                  // curvature, 1e-5/cm.
-  kPeak = 3,  // Readings of a sweep's peak are captured: arg = active Side, value = their number.
+  kPeak = 3,  // Readings of a sweep's peak are captured: arg = active muscle, value = their number.
   kActivityDone = 4,     // An activity ended: arg = Activity, value = everted length in um.
   kActivityAborted = 5,  // An activity ended early: arg = Activity, value = Reason.
   kZeroed = 6,           // Zeros are taken: arg = mask of sensors.
@@ -288,6 +285,7 @@ constexpr uint8_t kBodyAir = 0x1C;
 constexpr uint8_t kTestOutput = 0x1D;
 constexpr uint8_t kGetLinkStats = 0x18;
 constexpr uint8_t kClearStop = 0x1A;
+constexpr uint8_t kGetCapacity = 0x1E;
 constexpr uint8_t kGetConfigReport = 0x19;
 constexpr uint8_t kAck = 0x80;
 constexpr uint8_t kHelloReply = 0x81;
@@ -297,6 +295,7 @@ constexpr uint8_t kParameterValue = 0x84;
 constexpr uint8_t kMapValues = 0x85;
 constexpr uint8_t kSnapshot = 0x86;
 constexpr uint8_t kLinkStats = 0x87;
+constexpr uint8_t kCapacity = 0x89;
 constexpr uint8_t kConfigReport = 0x88;
 constexpr uint8_t kStop = 0x21;
 constexpr uint8_t kStopped = 0xA2;
@@ -305,77 +304,6 @@ constexpr uint8_t kPulse = 0xA0;
 constexpr uint8_t kAnnounce = 0xA1;
 constexpr uint8_t kTelemetry = 0xC0;
 constexpr uint8_t kEvent = 0xE0;
-
-// Payload size of a message that the host may send, or kUnknownMessage.
-constexpr uint8_t kUnknownMessage = 255;
-constexpr uint8_t inboundSize(uint8_t id) {
-  switch (id) {
-    case kHello:
-      return 9;
-    case kGetStatus:
-      return 0;
-    case kArm:
-      return 0;
-    case kVent:
-      return 0;
-    case kDisarm:
-      return 0;
-    case kClearFaults:
-      return 2;
-    case kSetPressure:
-      return 6;
-    case kGrowTo:
-      return 8;
-    case kRetractTo:
-      return 8;
-    case kHome:
-      return 0;
-    case kConfirmLength:
-      return 5;
-    case kSelectZone:
-      return 1;
-    case kSweep:
-      return 10;
-    case kZeroSensors:
-      return 2;
-    case kGetSensor:
-      return 1;
-    case kGetParameter:
-      return 2;
-    case kSetParameter:
-      return 6;
-    case kSetMap:
-      return 25;
-    case kGetMap:
-      return 3;
-    case kSaveConfig:
-      return 0;
-    case kLoadDefaults:
-      return 0;
-    case kGetSnapshot:
-      return 1;
-    case kAckEvent:
-      return 2;
-    case kApplyParameters:
-      return 0;
-    case kBodyAir:
-      return 1;
-    case kTestOutput:
-      return 5;
-    case kGetLinkStats:
-      return 0;
-    case kClearStop:
-      return 4;
-    case kGetConfigReport:
-      return 0;
-    case kStop:
-      return 4;
-    case kHeartbeat:
-      return 4;
-    default:
-      return kUnknownMessage;
-  }
-}
 
 namespace detail {
 inline void put8(uint8_t* out, uint8_t value) { out[0] = value; }
@@ -444,7 +372,7 @@ struct Arm {
   }
 };
 
-// Both muscles to 0 mA; ends a sweep or a press; state stays ready.
+// All muscles to 0 mA; ends a sweep or a press; state stays ready.
 struct Vent {
   static constexpr uint8_t kId = kVent;
   static constexpr uint8_t kSize = 0;
@@ -483,20 +411,23 @@ struct ClearFaults {
 // Hold a muscle pressure (calibration, diagnostics). Under the sweep's interlocks.
 struct SetPressure {
   static constexpr uint8_t kId = kSetPressure;
-  static constexpr uint8_t kSize = 6;
-  int16_t left_cpsi;     // Left set point; at most one side above zero. (0.01 psi)
-  int16_t right_cpsi;    // Right set point. (0.01 psi)
-  uint16_t ramp_cpsi_s;  // Slew rate; 0 = as fast as configured. (0.01 psi/s)
+  static constexpr uint8_t kSize = 2 + 1 + 2 * kMuscles;
+  int16_t set_cpsi[kMuscles];  // Set points; at most one muscle above zero. (0.01 psi)
+  uint16_t ramp_cpsi_s;        // Slew rate; 0 = as fast as configured. (0.01 psi/s)
   void encode(uint8_t* out) const {
-    detail::put16(out + 0, static_cast<uint16_t>(left_cpsi));
-    detail::put16(out + 2, static_cast<uint16_t>(right_cpsi));
-    detail::put16(out + 4, static_cast<uint16_t>(ramp_cpsi_s));
+    detail::put8(out + 0, kMuscles);
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      detail::put16(out + 0 + 1 + 2 * i, static_cast<uint16_t>(set_cpsi[i]));
+    }
+    detail::put16(out + 0 + 1 + 2 * kMuscles, static_cast<uint16_t>(ramp_cpsi_s));
   }
   static bool decode(const uint8_t* in, uint8_t length, SetPressure* out) {
     if (length != kSize) return false;
-    out->left_cpsi = static_cast<int16_t>(detail::get16(in + 0));
-    out->right_cpsi = static_cast<int16_t>(detail::get16(in + 2));
-    out->ramp_cpsi_s = static_cast<uint16_t>(detail::get16(in + 4));
+    if (in[0] != kMuscles) return false;
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      out->set_cpsi[i] = static_cast<int16_t>(detail::get16(in + 0 + 1 + 2 * i));
+    }
+    out->ramp_cpsi_s = static_cast<uint16_t>(detail::get16(in + 0 + 1 + 2 * kMuscles));
     return true;
   }
 };
@@ -576,7 +507,7 @@ struct ConfirmLength {
 struct SelectZone {
   static constexpr uint8_t kId = kSelectZone;
   static constexpr uint8_t kSize = 1;
-  uint8_t zone;  // 0..2; 255 = unknown.
+  uint8_t zone;  // Body pressure, from 0; 255 = unknown.
   void encode(uint8_t* out) const { detail::put8(out + 0, static_cast<uint8_t>(zone)); }
   static bool decode(const uint8_t* in, uint8_t length, SelectZone* out) {
     if (length != kSize) return false;
@@ -585,29 +516,32 @@ struct SelectZone {
   }
 };
 
-// One or more half sines of pressure, left then right; side with amplitude 0 is left out.
+// Half sines of pressure, one muscle after the other; a muscle with amplitude 0 is left out.
 struct Sweep {
   static constexpr uint8_t kId = kSweep;
-  static constexpr uint8_t kSize = 10;
-  int16_t left_cpsi;   // Amplitude of the left half. (0.01 psi)
-  int16_t right_cpsi;  // Amplitude of the right half. (0.01 psi)
-  uint32_t period_ms;  // Period of the whole sine; each half takes half of it. (ms)
-  uint8_t cycles;      // Whole periods, at least 1.
-  uint8_t options;     // Bits of SweepOption.
+  static constexpr uint8_t kSize = 6 + 1 + 2 * kMuscles;
+  int16_t amplitude_cpsi[kMuscles];  // Of each muscle's half sine. (0.01 psi)
+  uint32_t period_ms;                // Period of a whole sine; each muscle takes half of it. (ms)
+  uint8_t cycles;                    // Rounds of the muscles, at least 1.
+  uint8_t options;                   // Bits of SweepOption.
   void encode(uint8_t* out) const {
-    detail::put16(out + 0, static_cast<uint16_t>(left_cpsi));
-    detail::put16(out + 2, static_cast<uint16_t>(right_cpsi));
-    detail::put32(out + 4, static_cast<uint32_t>(period_ms));
-    detail::put8(out + 8, static_cast<uint8_t>(cycles));
-    detail::put8(out + 9, static_cast<uint8_t>(options));
+    detail::put8(out + 0, kMuscles);
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      detail::put16(out + 0 + 1 + 2 * i, static_cast<uint16_t>(amplitude_cpsi[i]));
+    }
+    detail::put32(out + 0 + 1 + 2 * kMuscles, static_cast<uint32_t>(period_ms));
+    detail::put8(out + 4 + 1 + 2 * kMuscles, static_cast<uint8_t>(cycles));
+    detail::put8(out + 5 + 1 + 2 * kMuscles, static_cast<uint8_t>(options));
   }
   static bool decode(const uint8_t* in, uint8_t length, Sweep* out) {
     if (length != kSize) return false;
-    out->left_cpsi = static_cast<int16_t>(detail::get16(in + 0));
-    out->right_cpsi = static_cast<int16_t>(detail::get16(in + 2));
-    out->period_ms = static_cast<uint32_t>(detail::get32(in + 4));
-    out->cycles = static_cast<uint8_t>(detail::get8(in + 8));
-    out->options = static_cast<uint8_t>(detail::get8(in + 9));
+    if (in[0] != kMuscles) return false;
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      out->amplitude_cpsi[i] = static_cast<int16_t>(detail::get16(in + 0 + 1 + 2 * i));
+    }
+    out->period_ms = static_cast<uint32_t>(detail::get32(in + 0 + 1 + 2 * kMuscles));
+    out->cycles = static_cast<uint8_t>(detail::get8(in + 4 + 1 + 2 * kMuscles));
+    out->options = static_cast<uint8_t>(detail::get8(in + 5 + 1 + 2 * kMuscles));
     return true;
   }
 };
@@ -617,7 +551,7 @@ struct Sweep {
 struct ZeroSensors {
   static constexpr uint8_t kId = kZeroSensors;
   static constexpr uint8_t kSize = 2;
-  uint16_t mask;  // Sensors, bit 0 = left base.
+  uint16_t mask;  // Sensors, bit 0 = the first.
   void encode(uint8_t* out) const { detail::put16(out + 0, static_cast<uint16_t>(mask)); }
   static bool decode(const uint8_t* in, uint8_t length, ZeroSensors* out) {
     if (length != kSize) return false;
@@ -630,7 +564,7 @@ struct ZeroSensors {
 struct GetSensor {
   static constexpr uint8_t kId = kGetSensor;
   static constexpr uint8_t kSize = 1;
-  uint8_t sensor;  // 0..9, left base first.
+  uint8_t sensor;  // Its input, from 0.
   void encode(uint8_t* out) const { detail::put8(out + 0, static_cast<uint8_t>(sensor)); }
   static bool decode(const uint8_t* in, uint8_t length, GetSensor* out) {
     if (length != kSize) return false;
@@ -639,7 +573,8 @@ struct GetSensor {
   }
 };
 
-// Read a parameter, as set last; what was set runs once it is applied.
+// Read a parameter, as set last; what was set runs once it is applied. Indices run over the
+// parameters in their order, arrays as long as the board's capacity.
 struct GetParameter {
   static constexpr uint8_t kId = kGetParameter;
   static constexpr uint8_t kSize = 2;
@@ -675,13 +610,13 @@ struct SetParameter {
 struct SetMap {
   static constexpr uint8_t kId = kSetMap;
   static constexpr uint8_t kSize = 25;
-  uint8_t zone;              // 0..2.
-  Side side;                 // Muscle.
+  uint8_t zone;              // Body pressure, from 0.
+  uint8_t muscle;            // Its number, from 0.
   Branch branch;             // Inflating or deflating.
-  int16_t curvature_e5[11];  // Free curvature, signed (right side negative). (1e-5/cm)
+  int16_t curvature_e5[11];  // Free curvature in the plane of the base sensors, signed. (1e-5/cm)
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(zone));
-    detail::put8(out + 1, static_cast<uint8_t>(side));
+    detail::put8(out + 1, static_cast<uint8_t>(muscle));
     detail::put8(out + 2, static_cast<uint8_t>(branch));
     for (uint8_t i = 0; i < 11; ++i) {
       detail::put16(out + 3 + 2 * i, static_cast<uint16_t>(curvature_e5[i]));
@@ -690,7 +625,7 @@ struct SetMap {
   static bool decode(const uint8_t* in, uint8_t length, SetMap* out) {
     if (length != kSize) return false;
     out->zone = static_cast<uint8_t>(detail::get8(in + 0));
-    out->side = static_cast<Side>(detail::get8(in + 1));
+    out->muscle = static_cast<uint8_t>(detail::get8(in + 1));
     out->branch = static_cast<Branch>(detail::get8(in + 2));
     for (uint8_t i = 0; i < 11; ++i) {
       out->curvature_e5[i] = static_cast<int16_t>(detail::get16(in + 3 + 2 * i));
@@ -703,18 +638,18 @@ struct SetMap {
 struct GetMap {
   static constexpr uint8_t kId = kGetMap;
   static constexpr uint8_t kSize = 3;
-  uint8_t zone;   // 0..2.
-  Side side;      // Muscle.
-  Branch branch;  // Inflating or deflating.
+  uint8_t zone;    // Body pressure, from 0.
+  uint8_t muscle;  // Its number, from 0.
+  Branch branch;   // Inflating or deflating.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(zone));
-    detail::put8(out + 1, static_cast<uint8_t>(side));
+    detail::put8(out + 1, static_cast<uint8_t>(muscle));
     detail::put8(out + 2, static_cast<uint8_t>(branch));
   }
   static bool decode(const uint8_t* in, uint8_t length, GetMap* out) {
     if (length != kSize) return false;
     out->zone = static_cast<uint8_t>(detail::get8(in + 0));
-    out->side = static_cast<Side>(detail::get8(in + 1));
+    out->muscle = static_cast<uint8_t>(detail::get8(in + 1));
     out->branch = static_cast<Branch>(detail::get8(in + 2));
     return true;
   }
@@ -800,20 +735,23 @@ struct BodyAir {
 // neither length nor zone nor zeros; the motor needs empty muscles. Limits are compiled in.
 struct TestOutput {
   static constexpr uint8_t kId = kTestOutput;
-  static constexpr uint8_t kSize = 5;
+  static constexpr uint8_t kSize = 6;
   Output output;         // Which.
+  uint8_t muscle;        // Whose transducer; 0 for the motor.
   int16_t level;         // Transducer 0..400 (5 mA), motor -200..200 (a quarter).
   uint16_t duration_ms;  // 1..500. (ms)
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(output));
-    detail::put16(out + 1, static_cast<uint16_t>(level));
-    detail::put16(out + 3, static_cast<uint16_t>(duration_ms));
+    detail::put8(out + 1, static_cast<uint8_t>(muscle));
+    detail::put16(out + 2, static_cast<uint16_t>(level));
+    detail::put16(out + 4, static_cast<uint16_t>(duration_ms));
   }
   static bool decode(const uint8_t* in, uint8_t length, TestOutput* out) {
     if (length != kSize) return false;
     out->output = static_cast<Output>(detail::get8(in + 0));
-    out->level = static_cast<int16_t>(detail::get16(in + 1));
-    out->duration_ms = static_cast<uint16_t>(detail::get16(in + 3));
+    out->muscle = static_cast<uint8_t>(detail::get8(in + 1));
+    out->level = static_cast<int16_t>(detail::get16(in + 2));
+    out->duration_ms = static_cast<uint16_t>(detail::get16(in + 4));
     return true;
   }
 };
@@ -839,6 +777,17 @@ struct ClearStop {
   static bool decode(const uint8_t* in, uint8_t length, ClearStop* out) {
     if (length != kSize) return false;
     out->nonce = static_cast<uint32_t>(detail::get32(in + 0));
+    return true;
+  }
+};
+
+// What the board holds; a host asks once after its hello, whose own layout is frozen.
+struct GetCapacity {
+  static constexpr uint8_t kId = kGetCapacity;
+  static constexpr uint8_t kSize = 0;
+  void encode(uint8_t*) const {}
+  static bool decode(const uint8_t*, uint8_t length, GetCapacity*) {
+    if (length != kSize) return false;
     return true;
   }
 };
@@ -927,26 +876,25 @@ struct HelloReply {
 // The board's whole state.
 struct StatusReport {
   static constexpr uint8_t kId = kStatusReport;
-  static constexpr uint8_t kSize = 40;
-  Status status;               // ok.
-  State state;                 // Supervisor.
-  Activity activity;           // What it is doing.
-  uint8_t zone;                // Selected body-pressure map; 255 = unknown.
-  uint16_t faults;             // Latched Fault bits.
-  uint16_t conditions;         // Condition bits.
-  uint32_t t_us;               // Device clock, wraps. (us)
-  int32_t length_um;           // Everted length, if known. (um)
-  int16_t left_cpsi;           // Left muscle pressure. (0.01 psi)
-  int16_t right_cpsi;          // Right muscle pressure. (0.01 psi)
-  uint16_t everted_mask;       // Sensors fully everted, with margin.
-  uint16_t settled_mask;       // Sensors past their settling time.
-  uint16_t zeroed_mask;        // Sensors with a valid zero.
-  uint16_t event_number;       // Newest event.
-  uint32_t config_generation;  // Of the stored configuration; 0 = none.
-  uint16_t supply_mv;          // Supply voltage, by reference_mv. (mV)
-  uint16_t encoder_errors;     // Illegal transitions of the spool's encoder since boot; wraps. More
-                               // than a few mean noise, or a channel that fails.
-  uint32_t stop_nonce;         // Of the latest stop, if fault stopped is latched.
+  static constexpr uint8_t kSize = 36 + 1 + 2 * kMuscles;
+  Status status;                    // ok.
+  State state;                      // Supervisor.
+  Activity activity;                // What it is doing.
+  uint8_t zone;                     // Selected body-pressure map; 255 = unknown.
+  uint16_t faults;                  // Latched Fault bits.
+  uint16_t conditions;              // Condition bits.
+  uint32_t t_us;                    // Device clock, wraps. (us)
+  int32_t length_um;                // Everted length, if known. (um)
+  int16_t pressure_cpsi[kMuscles];  // Muscle pressures. (0.01 psi)
+  uint16_t everted_mask;            // Sensors fully everted, with margin.
+  uint16_t settled_mask;            // Sensors past their settling time.
+  uint16_t zeroed_mask;             // Sensors with a valid zero.
+  uint16_t event_number;            // Newest event.
+  uint32_t config_generation;       // Of the stored configuration; 0 = none.
+  uint16_t supply_mv;               // Supply voltage, by reference_mv. (mV)
+  uint16_t encoder_errors;  // Illegal transitions of the spool's encoder since boot; wraps. More
+                            // than a few mean noise, or a channel that fails.
+  uint32_t stop_nonce;      // Of the latest stop, if fault stopped is latched.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(state));
@@ -956,16 +904,18 @@ struct StatusReport {
     detail::put16(out + 6, static_cast<uint16_t>(conditions));
     detail::put32(out + 8, static_cast<uint32_t>(t_us));
     detail::put32(out + 12, static_cast<uint32_t>(length_um));
-    detail::put16(out + 16, static_cast<uint16_t>(left_cpsi));
-    detail::put16(out + 18, static_cast<uint16_t>(right_cpsi));
-    detail::put16(out + 20, static_cast<uint16_t>(everted_mask));
-    detail::put16(out + 22, static_cast<uint16_t>(settled_mask));
-    detail::put16(out + 24, static_cast<uint16_t>(zeroed_mask));
-    detail::put16(out + 26, static_cast<uint16_t>(event_number));
-    detail::put32(out + 28, static_cast<uint32_t>(config_generation));
-    detail::put16(out + 32, static_cast<uint16_t>(supply_mv));
-    detail::put16(out + 34, static_cast<uint16_t>(encoder_errors));
-    detail::put32(out + 36, static_cast<uint32_t>(stop_nonce));
+    detail::put8(out + 16, kMuscles);
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      detail::put16(out + 16 + 1 + 2 * i, static_cast<uint16_t>(pressure_cpsi[i]));
+    }
+    detail::put16(out + 16 + 1 + 2 * kMuscles, static_cast<uint16_t>(everted_mask));
+    detail::put16(out + 18 + 1 + 2 * kMuscles, static_cast<uint16_t>(settled_mask));
+    detail::put16(out + 20 + 1 + 2 * kMuscles, static_cast<uint16_t>(zeroed_mask));
+    detail::put16(out + 22 + 1 + 2 * kMuscles, static_cast<uint16_t>(event_number));
+    detail::put32(out + 24 + 1 + 2 * kMuscles, static_cast<uint32_t>(config_generation));
+    detail::put16(out + 28 + 1 + 2 * kMuscles, static_cast<uint16_t>(supply_mv));
+    detail::put16(out + 30 + 1 + 2 * kMuscles, static_cast<uint16_t>(encoder_errors));
+    detail::put32(out + 32 + 1 + 2 * kMuscles, static_cast<uint32_t>(stop_nonce));
   }
   static bool decode(const uint8_t* in, uint8_t length, StatusReport* out) {
     if (length != kSize) return false;
@@ -977,16 +927,18 @@ struct StatusReport {
     out->conditions = static_cast<uint16_t>(detail::get16(in + 6));
     out->t_us = static_cast<uint32_t>(detail::get32(in + 8));
     out->length_um = static_cast<int32_t>(detail::get32(in + 12));
-    out->left_cpsi = static_cast<int16_t>(detail::get16(in + 16));
-    out->right_cpsi = static_cast<int16_t>(detail::get16(in + 18));
-    out->everted_mask = static_cast<uint16_t>(detail::get16(in + 20));
-    out->settled_mask = static_cast<uint16_t>(detail::get16(in + 22));
-    out->zeroed_mask = static_cast<uint16_t>(detail::get16(in + 24));
-    out->event_number = static_cast<uint16_t>(detail::get16(in + 26));
-    out->config_generation = static_cast<uint32_t>(detail::get32(in + 28));
-    out->supply_mv = static_cast<uint16_t>(detail::get16(in + 32));
-    out->encoder_errors = static_cast<uint16_t>(detail::get16(in + 34));
-    out->stop_nonce = static_cast<uint32_t>(detail::get32(in + 36));
+    if (in[16] != kMuscles) return false;
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      out->pressure_cpsi[i] = static_cast<int16_t>(detail::get16(in + 16 + 1 + 2 * i));
+    }
+    out->everted_mask = static_cast<uint16_t>(detail::get16(in + 16 + 1 + 2 * kMuscles));
+    out->settled_mask = static_cast<uint16_t>(detail::get16(in + 18 + 1 + 2 * kMuscles));
+    out->zeroed_mask = static_cast<uint16_t>(detail::get16(in + 20 + 1 + 2 * kMuscles));
+    out->event_number = static_cast<uint16_t>(detail::get16(in + 22 + 1 + 2 * kMuscles));
+    out->config_generation = static_cast<uint32_t>(detail::get32(in + 24 + 1 + 2 * kMuscles));
+    out->supply_mv = static_cast<uint16_t>(detail::get16(in + 28 + 1 + 2 * kMuscles));
+    out->encoder_errors = static_cast<uint16_t>(detail::get16(in + 30 + 1 + 2 * kMuscles));
+    out->stop_nonce = static_cast<uint32_t>(detail::get32(in + 32 + 1 + 2 * kMuscles));
     return true;
   }
 };
@@ -996,7 +948,7 @@ struct SensorReport {
   static constexpr uint8_t kId = kSensorReport;
   static constexpr uint8_t kSize = 19;
   Status status;            // ok.
-  uint8_t sensor;           // 0..9.
+  uint8_t sensor;           // Its input.
   uint16_t flex_sum;        // Latest reading.
   uint32_t zero_sum_q8;     // Zero, in 1/256 of a sum.
   int16_t drift_e5;         // Drift as last measured. (1e-5/cm/s)
@@ -1053,14 +1005,14 @@ struct MapValues {
   static constexpr uint8_t kId = kMapValues;
   static constexpr uint8_t kSize = 26;
   Status status;             // ok.
-  uint8_t zone;              // 0..2.
-  Side side;                 // Muscle.
+  uint8_t zone;              // Body pressure, from 0.
+  uint8_t muscle;            // Its number, from 0.
   Branch branch;             // Inflating or deflating.
   int16_t curvature_e5[11];  // At 0, 2, .. 20 psi. (1e-5/cm)
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(zone));
-    detail::put8(out + 2, static_cast<uint8_t>(side));
+    detail::put8(out + 2, static_cast<uint8_t>(muscle));
     detail::put8(out + 3, static_cast<uint8_t>(branch));
     for (uint8_t i = 0; i < 11; ++i) {
       detail::put16(out + 4 + 2 * i, static_cast<uint16_t>(curvature_e5[i]));
@@ -1070,7 +1022,7 @@ struct MapValues {
     if (length != kSize) return false;
     out->status = static_cast<Status>(detail::get8(in + 0));
     out->zone = static_cast<uint8_t>(detail::get8(in + 1));
-    out->side = static_cast<Side>(detail::get8(in + 2));
+    out->muscle = static_cast<uint8_t>(detail::get8(in + 2));
     out->branch = static_cast<Branch>(detail::get8(in + 3));
     for (uint8_t i = 0; i < 11; ++i) {
       out->curvature_e5[i] = static_cast<int16_t>(detail::get16(in + 4 + 2 * i));
@@ -1082,51 +1034,63 @@ struct MapValues {
 // A captured reading, raw and as the trigger saw it.
 struct Snapshot {
   static constexpr uint8_t kId = kSnapshot;
-  static constexpr uint8_t kSize = 39;
-  Status status;          // ok.
-  uint8_t index;          // As asked.
-  uint8_t count;          // Readings of the peak captured so far.
-  Side side;              // Active muscle.
-  Branch branch;          // Inflating or deflating.
-  uint32_t t_us;          // When it was taken. (us)
-  uint16_t flex_sum[10];  // Flex readings, left base first.
-  int16_t left_cpsi;      // Left pressure, measured. (0.01 psi)
-  int16_t right_cpsi;     // Right pressure, measured. (0.01 psi)
-  int16_t lagged_cpsi;    // Active pressure filtered by the calibrated lag. (0.01 psi)
-  int16_t base_e5;        // Base curvature of the inactive side. (1e-5/cm)
-  int16_t free_e5;        // Free curvature by the map. (1e-5/cm)
+  static constexpr uint8_t kSize = 15 + 1 + 2 * kSensors + 1 + 2 * kMuscles;
+  Status status;                    // ok.
+  uint8_t index;                    // As asked.
+  uint8_t count;                    // Readings of the peak captured so far.
+  uint8_t muscle;                   // Active muscle.
+  Branch branch;                    // Inflating or deflating.
+  uint32_t t_us;                    // When it was taken. (us)
+  uint16_t flex_sum[kSensors];      // Flex readings, by input.
+  int16_t pressure_cpsi[kMuscles];  // Muscle pressures, measured. (0.01 psi)
+  int16_t lagged_cpsi;              // Active pressure filtered by the calibrated lag. (0.01 psi)
+  int16_t base_e5;  // Base curvature by the base sensors that the active muscle leaves at rest.
+                    // (1e-5/cm)
+  int16_t free_e5;  // Free curvature by the map. (1e-5/cm)
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(index));
     detail::put8(out + 2, static_cast<uint8_t>(count));
-    detail::put8(out + 3, static_cast<uint8_t>(side));
+    detail::put8(out + 3, static_cast<uint8_t>(muscle));
     detail::put8(out + 4, static_cast<uint8_t>(branch));
     detail::put32(out + 5, static_cast<uint32_t>(t_us));
-    for (uint8_t i = 0; i < 10; ++i) {
-      detail::put16(out + 9 + 2 * i, static_cast<uint16_t>(flex_sum[i]));
+    detail::put8(out + 9, kSensors);
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      detail::put16(out + 9 + 1 + 2 * i, static_cast<uint16_t>(flex_sum[i]));
     }
-    detail::put16(out + 29, static_cast<uint16_t>(left_cpsi));
-    detail::put16(out + 31, static_cast<uint16_t>(right_cpsi));
-    detail::put16(out + 33, static_cast<uint16_t>(lagged_cpsi));
-    detail::put16(out + 35, static_cast<uint16_t>(base_e5));
-    detail::put16(out + 37, static_cast<uint16_t>(free_e5));
+    detail::put8(out + 9 + 1 + 2 * kSensors, kMuscles);
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      detail::put16(out + 9 + 1 + 2 * kSensors + 1 + 2 * i,
+                    static_cast<uint16_t>(pressure_cpsi[i]));
+    }
+    detail::put16(out + 9 + 1 + 2 * kSensors + 1 + 2 * kMuscles,
+                  static_cast<uint16_t>(lagged_cpsi));
+    detail::put16(out + 11 + 1 + 2 * kSensors + 1 + 2 * kMuscles, static_cast<uint16_t>(base_e5));
+    detail::put16(out + 13 + 1 + 2 * kSensors + 1 + 2 * kMuscles, static_cast<uint16_t>(free_e5));
   }
   static bool decode(const uint8_t* in, uint8_t length, Snapshot* out) {
     if (length != kSize) return false;
     out->status = static_cast<Status>(detail::get8(in + 0));
     out->index = static_cast<uint8_t>(detail::get8(in + 1));
     out->count = static_cast<uint8_t>(detail::get8(in + 2));
-    out->side = static_cast<Side>(detail::get8(in + 3));
+    out->muscle = static_cast<uint8_t>(detail::get8(in + 3));
     out->branch = static_cast<Branch>(detail::get8(in + 4));
     out->t_us = static_cast<uint32_t>(detail::get32(in + 5));
-    for (uint8_t i = 0; i < 10; ++i) {
-      out->flex_sum[i] = static_cast<uint16_t>(detail::get16(in + 9 + 2 * i));
+    if (in[9] != kSensors) return false;
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      out->flex_sum[i] = static_cast<uint16_t>(detail::get16(in + 9 + 1 + 2 * i));
     }
-    out->left_cpsi = static_cast<int16_t>(detail::get16(in + 29));
-    out->right_cpsi = static_cast<int16_t>(detail::get16(in + 31));
-    out->lagged_cpsi = static_cast<int16_t>(detail::get16(in + 33));
-    out->base_e5 = static_cast<int16_t>(detail::get16(in + 35));
-    out->free_e5 = static_cast<int16_t>(detail::get16(in + 37));
+    if (in[9 + 1 + 2 * kSensors] != kMuscles) return false;
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      out->pressure_cpsi[i] =
+          static_cast<int16_t>(detail::get16(in + 9 + 1 + 2 * kSensors + 1 + 2 * i));
+    }
+    out->lagged_cpsi =
+        static_cast<int16_t>(detail::get16(in + 9 + 1 + 2 * kSensors + 1 + 2 * kMuscles));
+    out->base_e5 =
+        static_cast<int16_t>(detail::get16(in + 11 + 1 + 2 * kSensors + 1 + 2 * kMuscles));
+    out->free_e5 =
+        static_cast<int16_t>(detail::get16(in + 13 + 1 + 2 * kSensors + 1 + 2 * kMuscles));
     return true;
   }
 };
@@ -1163,6 +1127,42 @@ struct LinkStats {
     out->rx_overruns = static_cast<uint16_t>(detail::get16(in + 11));
     out->tx_dropped = static_cast<uint16_t>(detail::get16(in + 13));
     out->loop_max_us = static_cast<uint16_t>(detail::get16(in + 15));
+    return true;
+  }
+};
+
+// What the board holds, fixed when its firmware was compiled.
+struct Capacity {
+  static constexpr uint8_t kId = kCapacity;
+  static constexpr uint8_t kSize = 11;
+  Status status;           // ok.
+  uint8_t muscles;         // Muscles: transducers and their pressure sensors.
+  uint8_t sensors;         // Flex sensors: inputs.
+  uint8_t body_pressures;  // Body pressures that it keeps maps for.
+  uint8_t adc_bits;        // Bits of the counts that readings are sums of.
+  uint16_t drive_full;     // Transducer duty of 20 mA.
+  uint16_t motor_full;     // Motor duty of full voltage.
+  uint16_t tick_us;        // Between two conversions of a base sensor. (us)
+  void encode(uint8_t* out) const {
+    detail::put8(out + 0, static_cast<uint8_t>(status));
+    detail::put8(out + 1, static_cast<uint8_t>(muscles));
+    detail::put8(out + 2, static_cast<uint8_t>(sensors));
+    detail::put8(out + 3, static_cast<uint8_t>(body_pressures));
+    detail::put8(out + 4, static_cast<uint8_t>(adc_bits));
+    detail::put16(out + 5, static_cast<uint16_t>(drive_full));
+    detail::put16(out + 7, static_cast<uint16_t>(motor_full));
+    detail::put16(out + 9, static_cast<uint16_t>(tick_us));
+  }
+  static bool decode(const uint8_t* in, uint8_t length, Capacity* out) {
+    if (length != kSize) return false;
+    out->status = static_cast<Status>(detail::get8(in + 0));
+    out->muscles = static_cast<uint8_t>(detail::get8(in + 1));
+    out->sensors = static_cast<uint8_t>(detail::get8(in + 2));
+    out->body_pressures = static_cast<uint8_t>(detail::get8(in + 3));
+    out->adc_bits = static_cast<uint8_t>(detail::get8(in + 4));
+    out->drive_full = static_cast<uint16_t>(detail::get16(in + 5));
+    out->motor_full = static_cast<uint16_t>(detail::get16(in + 7));
+    out->tick_us = static_cast<uint16_t>(detail::get16(in + 9));
     return true;
   }
 };
@@ -1306,57 +1306,83 @@ struct Announce {
 // All channels. seq numbers the frames; gaps are drops.
 struct Telemetry {
   static constexpr uint8_t kId = kTelemetry;
-  static constexpr uint8_t kSize = 49;
-  uint32_t t_us;           // When its readings were complete. (us)
-  uint16_t flex_sum[10];   // Latest flex readings, left base first.
-  int16_t left_cpsi;       // Left pressure. (0.01 psi)
-  int16_t right_cpsi;      // Right pressure. (0.01 psi)
-  int16_t left_set_cpsi;   // Left set point. (0.01 psi)
-  int16_t right_set_cpsi;  // Right set point. (0.01 psi)
-  uint16_t left_drive;     // Left transducer current. (20 mA/1599)
-  uint16_t right_drive;    // Right transducer current. (20 mA/1599)
-  int32_t length_um;       // Everted length. (um)
-  int16_t motor;           // Motor duty, positive pays out. (1/800 of full)
-  int16_t base_e5;         // Base curvature as the trigger sees it. (1e-5/cm)
-  int16_t free_e5;         // Free curvature by the map. (1e-5/cm)
-  uint8_t state_activity;  // State in the high, Activity in the low four bits.
-  uint16_t faults;         // Latched Fault bits.
+  static constexpr uint8_t kSize =
+      17 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles;
+  uint32_t t_us;                    // When its readings were complete. (us)
+  uint16_t flex_sum[kSensors];      // Latest flex readings, by input.
+  int16_t pressure_cpsi[kMuscles];  // Muscle pressures. (0.01 psi)
+  int16_t set_cpsi[kMuscles];       // Set points. (0.01 psi)
+  uint16_t drive[kMuscles];         // Transducer currents. (20 mA/1599)
+  int32_t length_um;                // Everted length. (um)
+  int16_t motor;                    // Motor duty, positive pays out. (1/800 of full)
+  int16_t base_e5;                  // Base curvature as the trigger sees it. (1e-5/cm)
+  int16_t free_e5;                  // Free curvature by the map. (1e-5/cm)
+  uint8_t state_activity;           // State in the high, Activity in the low four bits.
+  uint16_t faults;                  // Latched Fault bits.
   void encode(uint8_t* out) const {
     detail::put32(out + 0, static_cast<uint32_t>(t_us));
-    for (uint8_t i = 0; i < 10; ++i) {
-      detail::put16(out + 4 + 2 * i, static_cast<uint16_t>(flex_sum[i]));
+    detail::put8(out + 4, kSensors);
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      detail::put16(out + 4 + 1 + 2 * i, static_cast<uint16_t>(flex_sum[i]));
     }
-    detail::put16(out + 24, static_cast<uint16_t>(left_cpsi));
-    detail::put16(out + 26, static_cast<uint16_t>(right_cpsi));
-    detail::put16(out + 28, static_cast<uint16_t>(left_set_cpsi));
-    detail::put16(out + 30, static_cast<uint16_t>(right_set_cpsi));
-    detail::put16(out + 32, static_cast<uint16_t>(left_drive));
-    detail::put16(out + 34, static_cast<uint16_t>(right_drive));
-    detail::put32(out + 36, static_cast<uint32_t>(length_um));
-    detail::put16(out + 40, static_cast<uint16_t>(motor));
-    detail::put16(out + 42, static_cast<uint16_t>(base_e5));
-    detail::put16(out + 44, static_cast<uint16_t>(free_e5));
-    detail::put8(out + 46, static_cast<uint8_t>(state_activity));
-    detail::put16(out + 47, static_cast<uint16_t>(faults));
+    detail::put8(out + 4 + 1 + 2 * kSensors, kMuscles);
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      detail::put16(out + 4 + 1 + 2 * kSensors + 1 + 2 * i,
+                    static_cast<uint16_t>(pressure_cpsi[i]));
+    }
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      detail::put16(out + 4 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * i,
+                    static_cast<uint16_t>(set_cpsi[i]));
+    }
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      detail::put16(out + 4 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * i,
+                    static_cast<uint16_t>(drive[i]));
+    }
+    detail::put32(out + 4 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles,
+                  static_cast<uint32_t>(length_um));
+    detail::put16(out + 8 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles,
+                  static_cast<uint16_t>(motor));
+    detail::put16(out + 10 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles,
+                  static_cast<uint16_t>(base_e5));
+    detail::put16(out + 12 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles,
+                  static_cast<uint16_t>(free_e5));
+    detail::put8(out + 14 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles,
+                 static_cast<uint8_t>(state_activity));
+    detail::put16(out + 15 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles,
+                  static_cast<uint16_t>(faults));
   }
   static bool decode(const uint8_t* in, uint8_t length, Telemetry* out) {
     if (length != kSize) return false;
     out->t_us = static_cast<uint32_t>(detail::get32(in + 0));
-    for (uint8_t i = 0; i < 10; ++i) {
-      out->flex_sum[i] = static_cast<uint16_t>(detail::get16(in + 4 + 2 * i));
+    if (in[4] != kSensors) return false;
+    for (uint8_t i = 0; i < kSensors; ++i) {
+      out->flex_sum[i] = static_cast<uint16_t>(detail::get16(in + 4 + 1 + 2 * i));
     }
-    out->left_cpsi = static_cast<int16_t>(detail::get16(in + 24));
-    out->right_cpsi = static_cast<int16_t>(detail::get16(in + 26));
-    out->left_set_cpsi = static_cast<int16_t>(detail::get16(in + 28));
-    out->right_set_cpsi = static_cast<int16_t>(detail::get16(in + 30));
-    out->left_drive = static_cast<uint16_t>(detail::get16(in + 32));
-    out->right_drive = static_cast<uint16_t>(detail::get16(in + 34));
-    out->length_um = static_cast<int32_t>(detail::get32(in + 36));
-    out->motor = static_cast<int16_t>(detail::get16(in + 40));
-    out->base_e5 = static_cast<int16_t>(detail::get16(in + 42));
-    out->free_e5 = static_cast<int16_t>(detail::get16(in + 44));
-    out->state_activity = static_cast<uint8_t>(detail::get8(in + 46));
-    out->faults = static_cast<uint16_t>(detail::get16(in + 47));
+    if (in[4 + 1 + 2 * kSensors] != kMuscles) return false;
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      out->pressure_cpsi[i] =
+          static_cast<int16_t>(detail::get16(in + 4 + 1 + 2 * kSensors + 1 + 2 * i));
+    }
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      out->set_cpsi[i] =
+          static_cast<int16_t>(detail::get16(in + 4 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * i));
+    }
+    for (uint8_t i = 0; i < kMuscles; ++i) {
+      out->drive[i] = static_cast<uint16_t>(
+          detail::get16(in + 4 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * i));
+    }
+    out->length_um = static_cast<int32_t>(
+        detail::get32(in + 4 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles));
+    out->motor = static_cast<int16_t>(
+        detail::get16(in + 8 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles));
+    out->base_e5 = static_cast<int16_t>(
+        detail::get16(in + 10 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles));
+    out->free_e5 = static_cast<int16_t>(
+        detail::get16(in + 12 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles));
+    out->state_activity = static_cast<uint8_t>(
+        detail::get8(in + 14 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles));
+    out->faults = static_cast<uint16_t>(
+        detail::get16(in + 15 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles));
     return true;
   }
 };
@@ -1388,274 +1414,355 @@ struct Event {
   }
 };
 
+// Payload size of a message that the host may send, or kUnknownMessage.
+constexpr uint8_t kUnknownMessage = 255;
+constexpr uint8_t inboundSize(uint8_t id) {
+  switch (id) {
+    case kHello:
+      return Hello::kSize;
+    case kGetStatus:
+      return GetStatus::kSize;
+    case kArm:
+      return Arm::kSize;
+    case kVent:
+      return Vent::kSize;
+    case kDisarm:
+      return Disarm::kSize;
+    case kClearFaults:
+      return ClearFaults::kSize;
+    case kSetPressure:
+      return SetPressure::kSize;
+    case kGrowTo:
+      return GrowTo::kSize;
+    case kRetractTo:
+      return RetractTo::kSize;
+    case kHome:
+      return Home::kSize;
+    case kConfirmLength:
+      return ConfirmLength::kSize;
+    case kSelectZone:
+      return SelectZone::kSize;
+    case kSweep:
+      return Sweep::kSize;
+    case kZeroSensors:
+      return ZeroSensors::kSize;
+    case kGetSensor:
+      return GetSensor::kSize;
+    case kGetParameter:
+      return GetParameter::kSize;
+    case kSetParameter:
+      return SetParameter::kSize;
+    case kSetMap:
+      return SetMap::kSize;
+    case kGetMap:
+      return GetMap::kSize;
+    case kSaveConfig:
+      return SaveConfig::kSize;
+    case kLoadDefaults:
+      return LoadDefaults::kSize;
+    case kGetSnapshot:
+      return GetSnapshot::kSize;
+    case kAckEvent:
+      return AckEvent::kSize;
+    case kApplyParameters:
+      return ApplyParameters::kSize;
+    case kBodyAir:
+      return BodyAir::kSize;
+    case kTestOutput:
+      return TestOutput::kSize;
+    case kGetLinkStats:
+      return GetLinkStats::kSize;
+    case kClearStop:
+      return ClearStop::kSize;
+    case kGetCapacity:
+      return GetCapacity::kSize;
+    case kGetConfigReport:
+      return GetConfigReport::kSize;
+    case kStop:
+      return Stop::kSize;
+    case kHeartbeat:
+      return Heartbeat::kSize;
+    default:
+      return kUnknownMessage;
+  }
+}
+
 // Parameters: first index of each; arrays take consecutive ones.
 enum class Param : uint16_t {
-  kFlexEnabled = 0,      // 0 marks a sensor dead or absent. [10]
-  kFlexCenterUm = 10,    // Arc length of the sensor's centre from the base. (um) [10]
-  kFlexSpanUm = 20,      // Active length. (um) [10]
-  kFlexScale = 30,       // Curvature per ohm, sign included. (1e-9/cm per ohm) [10]
-  kSettleMs = 40,        // Settling time after eversion (thesis: 30 s). (ms)
-  kFoldMarginUm = 41,    // Keep-out around a sensor's ends for the tip's fold. (um)
-  kDriftLimitE5 = 42,    // Most drift at which zeroing is allowed. (1e-5/cm/s)
-  kZeroMs = 43,          // Averaging time of a zero. (ms)
-  kOversampleLog2 = 44,  // Conversions summed in a reading, as a power of two.
-  kPressureZero =
-      45,  // Reading at 0 psi, in 1/64 of an ADC count (10 % of the supply). (1/64 count) [2]
-  kPressureSpan = 47,       // Reading span of full scale, in 1/64 of an ADC count. (1/64 count) [2]
-  kPressureFullCpsi = 49,   // Full scale of the pressure sensors. (0.01 psi)
-  kMaxPressureCpsi = 50,    // Highest set point accepted (the thesis: 18 psi is the most the muscle
-                            // holds reliably). The limit of 20 psi is compiled in. (0.01 psi)
-  kOverPressureCpsi = 51,   // Fault above this. (0.01 psi)
-  kVentCpsi = 52,           // A muscle below this is vented. (0.01 psi)
-  kLiveZeroCpsi = 53,       // Set points below this are unreachable: 0 mA. (0.01 psi)
-  kDrive4maCpsi = 54,       // Transducer output at 4 mA. (0.01 psi)
-  kDrive20maCpsi = 55,      // Transducer output at 20 mA. (0.01 psi)
-  kPressureKp = 56,         // Proportional gain, psi of drive per psi of error. (1/256)
-  kPressureKi = 57,         // Integral gain. (1/256 per s)
-  kPressureKd = 58,         // Derivative gain, on the measurement. (1/256 s)
-  kPressureSlewCpsiS = 59,  // Fastest set-point change. (0.01 psi/s)
-  kStuckCpsi = 60,          // Set-point error that counts as stuck. (0.01 psi)
-  kStuckMs = 61,            // For so long. (ms)
-  kDriveToleranceCpsi =
-      62,  // Difference between pressure and transducer output by its map that is a fault, when it
-           // lasts stuck_ms. Default: the sensor's error band before zeroing (1.2 psi), 2 % of gain
-           // and what the lags leave. (0.01 psi)
-  kLagMs = 63,  // Lag from measured pressure to bend, by which pressure is filtered before the map.
-                // (ms) [2]
-  kReversalCpsi =
-      65,  // Pressure change over which the inflate map turns into the deflate map. (0.01 psi) [2]
-  kTriggerE5 = 67,  // Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back,
-                    // or a vented one pushed. (1e-5/cm)
-  kTriggerDebounceMs = 68,  // The threshold must be passed for so long, counted in samples of 1 ms.
-                            // Default: see trigger_filter_log2. (ms)
-  kTriggerFilterLog2 = 69,  // Samples of 1 ms averaged in the trigger's base reading, as a power of
-                            // two. Default: by the rule of `thigmo bench trigger`, at most 1 false
-                            // alarm in 100 empty sweeps at twice the noise, then the fastest.
-  kPeakSpacingMs = 70,      // Between the ten readings around a sweep's peak. (ms)
-  kFullLengthUm = 71,       // Deployable length. (um)
-  kCountsPerM = 72,         // Encoder counts per metre of line. (count/m)
-  kPayoutQ8 = 73,           // Line paid out per length grown (base-fed eversion: 2). (1/256)
-  kSpoolSpeedUmS = 74,      // Tip speed of growth. (um/s)
-  kSpoolAccelUmS2 = 75,     // Acceleration of the trapezoid profile. (um/s2)
-  kSpoolKp = 76,            // Position gain. (1/256 duty per count)
-  kSpoolKi = 77,            // Integral gain. (1/256 duty per count s)
-  kSpoolKd = 78,            // Derivative gain. (1/256 duty s per count)
-  kSpoolKff = 79,           // Feed-forward of speed. (1/256 duty s per count)
-  kSpoolDeadZone = 80,      // Duty at which the motor begins to turn. (1/800 of full)
-  kSpoolToleranceUm = 81,   // At the target within this. (um)
-  kStallMs = 82,       // Driven and still for so long is a stall. In growth, so is 3 mm behind the
-                       // profile without a count: the encoder may be what fails. (ms)
-  kSlipUm = 83,        // Movement with the motor off that is a slip. (um)
-  kHomeSpeedUmS = 84,  // Tip speed of homing. (um/s)
-  kLineSpeedUmS = 85,  // Speed of the line at full duty, without load (default: 225 rpm on a spool
-                       // of 2 cm). The encoder is judged by it, so calibrate it. (um/s)
-  kSpeedMarginDuty =
-      86,  // Duty by which growth may need more than spool_dead_zone and line_speed_um_s say,
-           // before it is a spool_stall for an encoder that loses counts; 1/16 for supply and heat
-           // comes on top. Negative where a calibration has seen how much the body's pull saves.
-           // 800 = the encoder is judged neither by its speed nor by the sensors that pass the tip,
-           // as while it is calibrated. (1/800 of full)
-  kPullDuty = 87,  // Duty that growth needs less than spool_dead_zone and line_speed_um_s say, for
-                   // each body pressure: mostly what the body's pull on the tail saves. `thigmo
-                   // calibrate encoder` learns it. While the swing of a sensor in the tip's fold
-                   // shows that the body grows, the motor's speed is judged with it; a tip that
-                   // stands still leaves the tail slack, and the duty higher. (1/800 of full) [3]
-  kMotorStallN =
-      90,  // Pull on the line at which full duty stalls, by the motor's data (default: 15 kg cm on
-           // a spool of 2 cm). 1/8 is added for a high supply and a cold winding. (N)
-  kLineRatingN = 91,  // What line and tail may be pulled with. Bounds the duty, and the speed of
-                      // winding in. (N)
-  kTouchNSM = 92,  // Pull that a line which is stopped at once adds for each m/s of its speed: the
-                   // root of its stiffness times the mass that the turning motor is to the line.
-                   // Default: 5 N/mm and 40 kg. (N s/m)
-  kBrakeFitted =
-      93,  // 1: a spring-applied brake holds the spool, and contacts cut the motor's supply
-           // (docs/hardware/electronics.md). The board then proves at arming that the brake holds.
-           // 0: a robot without them; its motor keeps its supply when it is stopped.
-  kDirectionSeen =
-      94,  // 1: somebody has seen the spool pay out when the motor was driven to, and the encoder
-           // agreed; `thigmo bringup` asks, and stores it. Motor leads and encoder that are both
-           // swapped look right to the board. 0: programs do not let the robot move by itself.
-  kHeartbeatMs = 95,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
-                      // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where
-                      // the watchdog's 250 ms count if heartbeat_ms is less. (ms)
-  kSupplyMinMv = 96,  // Supply below this is a brown-out. Default: 4.7 V, read against a reference
-                      // that is 10 % off. (mV)
-  kReferenceMv = 97,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured
-                      // supply / supply_mv as the board reports it. (mV)
-  kTelemetryMs =
-      98,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
+  kFlexEnabled = 0,  // 0 marks a sensor dead or absent. [kSensors]
+  kFlexCenterUm = kFlexEnabled +
+      kSensors,  // Arc length of the sensor's centre from the base. (um) [kSensors]
+  kFlexSpanUm = kFlexCenterUm + kSensors,  // Active length. (um) [kSensors]
+  kFlexScale = kFlexSpanUm +
+      kSensors,  // Curvature per ohm, sign included. (1e-9/cm per ohm) [kSensors]
+  kSettleMs = kFlexScale + kSensors,  // Settling time after eversion (thesis: 30 s). (ms)
+  kFoldMarginUm = kSettleMs + 1,      // Keep-out around a sensor's ends for the tip's fold. (um)
+  kDriftLimitE5 = kFoldMarginUm + 1,  // Most drift at which zeroing is allowed. (1e-5/cm/s)
+  kZeroMs = kDriftLimitE5 + 1,        // Averaging time of a zero. (ms)
+  kOversampleLog2 = kZeroMs + 1,      // Conversions summed in a reading, as a power of two.
+  kPressureZero = kOversampleLog2 +
+      1,  // Reading at 0 psi, in 1/64 of an ADC count (10 % of the supply). (1/64 count) [kMuscles]
+  kPressureSpan = kPressureZero +
+      kMuscles,  // Reading span of full scale, in 1/64 of an ADC count. (1/64 count) [kMuscles]
+  kPressureFullCpsi = kPressureSpan + kMuscles,  // Full scale of the pressure sensors. (0.01 psi)
+  kMaxPressureCpsi = kPressureFullCpsi +
+      1,  // Highest set point accepted (the thesis: 18 psi is the most the muscle holds reliably).
+          // The limit of 20 psi is compiled in. (0.01 psi)
+  kOverPressureCpsi = kMaxPressureCpsi + 1,  // Fault above this. (0.01 psi)
+  kVentCpsi = kOverPressureCpsi + 1,         // A muscle below this is vented. (0.01 psi)
+  kLiveZeroCpsi = kVentCpsi + 1,       // Set points below this are unreachable: 0 mA. (0.01 psi)
+  kDrive4maCpsi = kLiveZeroCpsi + 1,   // Transducer output at 4 mA. (0.01 psi)
+  kDrive20maCpsi = kDrive4maCpsi + 1,  // Transducer output at 20 mA. (0.01 psi)
+  kPressureKp = kDrive20maCpsi + 1,    // Proportional gain, psi of drive per psi of error. (1/256)
+  kPressureKi = kPressureKp + 1,       // Integral gain. (1/256 per s)
+  kPressureKd = kPressureKi + 1,       // Derivative gain, on the measurement. (1/256 s)
+  kPressureSlewCpsiS = kPressureKd + 1,  // Fastest set-point change. (0.01 psi/s)
+  kStuckCpsi = kPressureSlewCpsiS + 1,   // Set-point error that counts as stuck. (0.01 psi)
+  kStuckMs = kStuckCpsi + 1,             // For so long. (ms)
+  kDriveToleranceCpsi = kStuckMs +
+      1,  // Difference between pressure and transducer output by its map that is a fault, when it
+          // lasts stuck_ms. Default: the sensor's error band before zeroing (1.2 psi), 2 % of gain
+          // and what the lags leave. (0.01 psi)
+  kLagMs = kDriveToleranceCpsi + 1,   // Lag from measured pressure to bend, by which pressure is
+                                      // filtered before the map. (ms) [kMuscles]
+  kReversalCpsi = kLagMs + kMuscles,  // Pressure change over which the inflate map turns into the
+                                      // deflate map. (0.01 psi) [kMuscles]
+  kTriggerE5 = kReversalCpsi +
+      kMuscles,  // Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back, or
+                 // a vented one pushed. (1e-5/cm)
+  kTriggerDebounceMs = kTriggerE5 + 1,  // The threshold must be passed for so long, counted in
+                                        // samples of 1 ms. Default: see trigger_filter_log2. (ms)
+  kTriggerFilterLog2 = kTriggerDebounceMs +
+      1,  // Samples of 1 ms averaged in the trigger's base reading, as a power of two. Default: by
+          // the rule of `thigmo bench trigger`, at most 1 false alarm in 100 empty sweeps at twice
+          // the noise, then the fastest.
+  kPeakSpacingMs = kTriggerFilterLog2 + 1,  // Between the ten readings around a sweep's peak. (ms)
+  kFullLengthUm = kPeakSpacingMs + 1,       // Deployable length. (um)
+  kCountsPerM = kFullLengthUm + 1,          // Encoder counts per metre of line. (count/m)
+  kPayoutQ8 = kCountsPerM + 1,     // Line paid out per length grown (base-fed eversion: 2). (1/256)
+  kSpoolSpeedUmS = kPayoutQ8 + 1,  // Tip speed of growth. (um/s)
+  kSpoolAccelUmS2 = kSpoolSpeedUmS + 1,  // Acceleration of the trapezoid profile. (um/s2)
+  kSpoolKp = kSpoolAccelUmS2 + 1,        // Position gain. (1/256 duty per count)
+  kSpoolKi = kSpoolKp + 1,               // Integral gain. (1/256 duty per count s)
+  kSpoolKd = kSpoolKi + 1,               // Derivative gain. (1/256 duty s per count)
+  kSpoolKff = kSpoolKd + 1,              // Feed-forward of speed. (1/256 duty s per count)
+  kSpoolDeadZone = kSpoolKff + 1,        // Duty at which the motor begins to turn. (1/800 of full)
+  kSpoolToleranceUm = kSpoolDeadZone + 1,  // At the target within this. (um)
+  kStallMs = kSpoolToleranceUm +
+      1,  // Driven and still for so long is a stall. In growth, so is 3 mm behind the profile
+          // without a count: the encoder may be what fails. (ms)
+  kSlipUm = kStallMs + 1,       // Movement with the motor off that is a slip. (um)
+  kHomeSpeedUmS = kSlipUm + 1,  // Tip speed of homing. (um/s)
+  kLineSpeedUmS = kHomeSpeedUmS +
+      1,  // Speed of the line at full duty, without load (default: 225 rpm on a spool of 2 cm). The
+          // encoder is judged by it, so calibrate it. (um/s)
+  kSpeedMarginDuty = kLineSpeedUmS +
+      1,  // Duty by which growth may need more than spool_dead_zone and line_speed_um_s say, before
+          // it is a spool_stall for an encoder that loses counts; 1/16 for supply and heat comes on
+          // top. Negative where a calibration has seen how much the body's pull saves. 800 = the
+          // encoder is judged neither by its speed nor by the sensors that pass the tip, as while
+          // it is calibrated. (1/800 of full)
+  kPullDuty = kSpeedMarginDuty +
+      1,  // Duty that growth needs less than spool_dead_zone and line_speed_um_s say, for each body
+          // pressure: mostly what the body's pull on the tail saves. `thigmo calibrate encoder`
+          // learns it. While the swing of a sensor in the tip's fold shows that the body grows, the
+          // motor's speed is judged with it; a tip that stands still leaves the tail slack, and the
+          // duty higher. (1/800 of full) [kBodyPressures]
+  kMotorStallN = kPullDuty +
+      kBodyPressures,  // Pull on the line at which full duty stalls, by the motor's data (default:
+                       // 15 kg cm on a spool of 2 cm). 1/8 is added for a high supply and a cold
+                       // winding. (N)
+  kLineRatingN = kMotorStallN + 1,  // What line and tail may be pulled with. Bounds the duty, and
+                                    // the speed of winding in. (N)
+  kTouchNSM = kLineRatingN + 1,  // Pull that a line which is stopped at once adds for each m/s of
+                                 // its speed: the root of its stiffness times the mass that the
+                                 // turning motor is to the line. Default: 5 N/mm and 40 kg. (N s/m)
+  kBrakeFitted = kTouchNSM +
+      1,  // 1: a spring-applied brake holds the spool, and contacts cut the motor's supply
+          // (docs/hardware/electronics.md). The board then proves at arming that the brake holds.
+          // 0: a robot without them; its motor keeps its supply when it is stopped.
+  kDirectionSeen = kBrakeFitted +
+      1,  // 1: somebody has seen the spool pay out when the motor was driven to, and the encoder
+          // agreed; `thigmo bringup` asks, and stores it. Motor leads and encoder that are both
+          // swapped look right to the board. 0: programs do not let the robot move by itself.
+  kHeartbeatMs = kDirectionSeen +
+      1,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
+          // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where the watchdog's
+          // 250 ms count if heartbeat_ms is less. (ms)
+  kSupplyMinMv = kHeartbeatMs + 1,  // Supply below this is a brown-out. Default: 4.7 V, read
+                                    // against a reference that is 10 % off. (mV)
+  kReferenceMv = kSupplyMinMv +
+      1,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured supply /
+          // supply_mv as the board reports it. (mV)
+  kTelemetryMs = kReferenceMv +
+      1,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
+  kMuscleFitted = kTelemetryMs +
+      1,  // 1: there is a muscle, with its transducer and pressure sensor. Those of others are
+          // neither driven nor read. [kMuscles]
+  kTriggerWhen = kMuscleFitted +
+      kMuscles,  // When a base sensor counts for the contact trigger, as bits: 0 to 6 while that
+                 // muscle bends the body, 7 while none does. A muscle that it does not lie under
+                 // leaves it at rest. Base sensors are the first input and the first of the upper
+                 // half: they are converted in every ms. [kSensors]
+  kEnd = kTriggerWhen + kSensors
 };
-constexpr uint16_t kParamCount = 99;
-struct ParamRow {
-  int32_t low, high, initial;
-};
-constexpr ParamRow kParamTable[kParamCount] THIGMO_PROGMEM = {
-    {0, 1, 1},                   // flex_enabled
-    {0, 1, 1},                   // flex_enabled
-    {0, 1, 1},                   // flex_enabled
-    {0, 1, 1},                   // flex_enabled
-    {0, 1, 1},                   // flex_enabled
-    {0, 1, 1},                   // flex_enabled
-    {0, 1, 1},                   // flex_enabled
-    {0, 1, 1},                   // flex_enabled
-    {0, 1, 1},                   // flex_enabled
-    {0, 1, 1},                   // flex_enabled
-    {0, 5000000, 50000},         // flex_center_um
-    {0, 5000000, 150000},        // flex_center_um
-    {0, 5000000, 250000},        // flex_center_um
-    {0, 5000000, 350000},        // flex_center_um
-    {0, 5000000, 450000},        // flex_center_um
-    {0, 5000000, 50000},         // flex_center_um
-    {0, 5000000, 150000},        // flex_center_um
-    {0, 5000000, 250000},        // flex_center_um
-    {0, 5000000, 350000},        // flex_center_um
-    {0, 5000000, 450000},        // flex_center_um
-    {0, 500000, 55000},          // flex_span_um
-    {0, 500000, 55000},          // flex_span_um
-    {0, 500000, 55000},          // flex_span_um
-    {0, 500000, 55000},          // flex_span_um
-    {0, 500000, 55000},          // flex_span_um
-    {0, 500000, 55000},          // flex_span_um
-    {0, 500000, 55000},          // flex_span_um
-    {0, 500000, 55000},          // flex_span_um
-    {0, 500000, 55000},          // flex_span_um
-    {0, 500000, 55000},          // flex_span_um
-    {-2000000, 2000000, 35000},  // flex_scale
-    {-2000000, 2000000, 35000},  // flex_scale
-    {-2000000, 2000000, 35000},  // flex_scale
-    {-2000000, 2000000, 35000},  // flex_scale
-    {-2000000, 2000000, 35000},  // flex_scale
-    {-2000000, 2000000, 35000},  // flex_scale
-    {-2000000, 2000000, 35000},  // flex_scale
-    {-2000000, 2000000, 35000},  // flex_scale
-    {-2000000, 2000000, 35000},  // flex_scale
-    {-2000000, 2000000, 35000},  // flex_scale
-    {0, 600000, 30000},          // settle_ms
-    {0, 100000, 5000},           // fold_margin_um
-    {1, 10000, 40},              // drift_limit_e5
-    {50, 10000, 1000},           // zero_ms
-    {0, 6, 4},                   // oversample_log2
-    {0, 20000, 6554},            // pressure_zero
-    {0, 20000, 6554},            // pressure_zero
-    {5000, 65000, 52429},        // pressure_span
-    {5000, 65000, 52429},        // pressure_span
-    {100, 20000, 6000},          // pressure_full_cpsi
-    {100, 2000, 1850},           // max_pressure_cpsi
-    {100, 2500, 2300},           // over_pressure_cpsi
-    {5, 100, 50},                // vent_cpsi
-    {0, 1000, 220},              // live_zero_cpsi
-    {0, 2000, 200},              // drive_4ma_cpsi
-    {500, 20000, 6000},          // drive_20ma_cpsi
-    {0, 32767, 128},             // pressure_kp
-    {0, 32767, 512},             // pressure_ki
-    {0, 32767, 5},               // pressure_kd
-    {10, 10000, 1500},           // pressure_slew_cpsi_s
-    {10, 600, 200},              // stuck_cpsi
-    {100, 5000, 1500},           // stuck_ms
-    {50, 600, 250},              // drive_tolerance_cpsi
-    {0, 2000, 200},              // lag_ms
-    {0, 2000, 200},              // lag_ms
-    {1, 1000, 100},              // reversal_cpsi
-    {1, 1000, 100},              // reversal_cpsi
-    {10, 10000, 500},            // trigger_e5
-    {1, 1000, 9},                // trigger_debounce_ms
-    {0, 8, 4},                   // trigger_filter_log2
-    {5, 1000, 50},               // peak_spacing_ms
-    {10000, 5000000, 530000},    // full_length_um
-    {100, 1000000, 7600},        // counts_per_m
-    {64, 1024, 512},             // payout_q8
-    {100, 200000, 20000},        // spool_speed_um_s
-    {100, 1000000, 40000},       // spool_accel_um_s2
-    {0, 32767, 1024},            // spool_kp
-    {0, 32767, 1024},            // spool_ki
-    {0, 32767, 26},              // spool_kd
-    {0, 32767, 106},             // spool_kff
-    {0, 200, 60},                // spool_dead_zone
-    {50, 50000, 500},            // spool_tolerance_um
-    {50, 2000, 400},             // stall_ms
-    {100, 100000, 3000},         // slip_um
-    {100, 100000, 8000},         // home_speed_um_s
-    {10000, 2000000, 236000},    // line_speed_um_s
-    {-200, 800, 5},              // speed_margin_duty
-    {-200, 400, 0},              // pull_duty
-    {-200, 400, 0},              // pull_duty
-    {-200, 400, 0},              // pull_duty
-    {5, 2000, 147},              // motor_stall_n
-    {5, 2000, 100},              // line_rating_n
-    {0, 20000, 450},             // touch_n_s_m
-    {0, 1, 0},                   // brake_fitted
-    {0, 1, 0},                   // direction_seen
-    {50, 10000, 500},            // heartbeat_ms
-    {3000, 5500, 4250},          // supply_min_mv
-    {950, 1250, 1100},           // reference_mv
-    {0, 10000, 5},               // telemetry_ms
-};
+constexpr uint16_t kParamCount = static_cast<uint16_t>(Param::kEnd);
 
 // What the store keeps them under, in the order of their indices.
 struct ParamKey {
   uint8_t id, count;
 };
-constexpr uint8_t kParamKeys = 57;
+constexpr uint8_t kParamKeys = 59;
 constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
-    {1, 10},  // flex_enabled
-    {2, 10},  // flex_center_um
-    {3, 10},  // flex_span_um
-    {4, 10},  // flex_scale
-    {5, 1},   // settle_ms
-    {6, 1},   // fold_margin_um
-    {7, 1},   // drift_limit_e5
-    {8, 1},   // zero_ms
-    {9, 1},   // oversample_log2
-    {10, 2},  // pressure_zero
-    {11, 2},  // pressure_span
-    {12, 1},  // pressure_full_cpsi
-    {13, 1},  // max_pressure_cpsi
-    {14, 1},  // over_pressure_cpsi
-    {15, 1},  // vent_cpsi
-    {16, 1},  // live_zero_cpsi
-    {17, 1},  // drive_4ma_cpsi
-    {18, 1},  // drive_20ma_cpsi
-    {19, 1},  // pressure_kp
-    {20, 1},  // pressure_ki
-    {21, 1},  // pressure_kd
-    {22, 1},  // pressure_slew_cpsi_s
-    {23, 1},  // stuck_cpsi
-    {24, 1},  // stuck_ms
-    {49, 1},  // drive_tolerance_cpsi
-    {25, 2},  // lag_ms
-    {26, 2},  // reversal_cpsi
-    {27, 1},  // trigger_e5
-    {28, 1},  // trigger_debounce_ms
-    {29, 1},  // trigger_filter_log2
-    {30, 1},  // peak_spacing_ms
-    {31, 1},  // full_length_um
-    {33, 1},  // counts_per_m
-    {34, 1},  // payout_q8
-    {35, 1},  // spool_speed_um_s
-    {36, 1},  // spool_accel_um_s2
-    {37, 1},  // spool_kp
-    {38, 1},  // spool_ki
-    {39, 1},  // spool_kd
-    {40, 1},  // spool_kff
-    {41, 1},  // spool_dead_zone
-    {42, 1},  // spool_tolerance_um
-    {43, 1},  // stall_ms
-    {44, 1},  // slip_um
-    {45, 1},  // home_speed_um_s
-    {51, 1},  // line_speed_um_s
-    {52, 1},  // speed_margin_duty
-    {58, 3},  // pull_duty
-    {53, 1},  // motor_stall_n
-    {54, 1},  // line_rating_n
-    {55, 1},  // touch_n_s_m
-    {56, 1},  // brake_fitted
-    {57, 1},  // direction_seen
-    {46, 1},  // heartbeat_ms
-    {47, 1},  // supply_min_mv
-    {50, 1},  // reference_mv
-    {48, 1},  // telemetry_ms
+    {1, kSensors},         // flex_enabled
+    {2, kSensors},         // flex_center_um
+    {3, kSensors},         // flex_span_um
+    {4, kSensors},         // flex_scale
+    {5, 1},                // settle_ms
+    {6, 1},                // fold_margin_um
+    {7, 1},                // drift_limit_e5
+    {8, 1},                // zero_ms
+    {9, 1},                // oversample_log2
+    {10, kMuscles},        // pressure_zero
+    {11, kMuscles},        // pressure_span
+    {12, 1},               // pressure_full_cpsi
+    {13, 1},               // max_pressure_cpsi
+    {14, 1},               // over_pressure_cpsi
+    {15, 1},               // vent_cpsi
+    {16, 1},               // live_zero_cpsi
+    {17, 1},               // drive_4ma_cpsi
+    {18, 1},               // drive_20ma_cpsi
+    {19, 1},               // pressure_kp
+    {20, 1},               // pressure_ki
+    {21, 1},               // pressure_kd
+    {22, 1},               // pressure_slew_cpsi_s
+    {23, 1},               // stuck_cpsi
+    {24, 1},               // stuck_ms
+    {49, 1},               // drive_tolerance_cpsi
+    {25, kMuscles},        // lag_ms
+    {26, kMuscles},        // reversal_cpsi
+    {27, 1},               // trigger_e5
+    {28, 1},               // trigger_debounce_ms
+    {29, 1},               // trigger_filter_log2
+    {30, 1},               // peak_spacing_ms
+    {31, 1},               // full_length_um
+    {33, 1},               // counts_per_m
+    {34, 1},               // payout_q8
+    {35, 1},               // spool_speed_um_s
+    {36, 1},               // spool_accel_um_s2
+    {37, 1},               // spool_kp
+    {38, 1},               // spool_ki
+    {39, 1},               // spool_kd
+    {40, 1},               // spool_kff
+    {41, 1},               // spool_dead_zone
+    {42, 1},               // spool_tolerance_um
+    {43, 1},               // stall_ms
+    {44, 1},               // slip_um
+    {45, 1},               // home_speed_um_s
+    {51, 1},               // line_speed_um_s
+    {52, 1},               // speed_margin_duty
+    {58, kBodyPressures},  // pull_duty
+    {53, 1},               // motor_stall_n
+    {54, 1},               // line_rating_n
+    {55, 1},               // touch_n_s_m
+    {56, 1},               // brake_fitted
+    {57, 1},               // direction_seen
+    {46, 1},               // heartbeat_ms
+    {47, 1},               // supply_min_mv
+    {50, 1},               // reference_mv
+    {48, 1},               // telemetry_ms
+    {59, kMuscles},        // muscle_fitted
+    {60, kSensors},        // trigger_when
 };
+
+// Limits and default of each element.
+struct ParamRow {
+  int32_t low, high, initial;
+};
+struct ParamRows {
+  ParamRow row[kParamCount];
+  uint16_t filled;
+
+  // Adds an array with defaults of its first elements; the rest is 0.
+  template <uint8_t given>
+  constexpr void add(uint8_t count, int32_t low, int32_t high, const int32_t (&initial)[given]) {
+    for (uint8_t i = 0; i < count; ++i) row[filled++] = {low, high, i < given ? initial[i] : 0};
+  }
+  // Adds one, or an array with one default.
+  constexpr void add(uint8_t count, int32_t low, int32_t high, int32_t initial) {
+    for (uint8_t i = 0; i < count; ++i) row[filled++] = {low, high, initial};
+  }
+};
+constexpr ParamRows param_rows() {
+  ParamRows rows{};
+  const int32_t flex_enabled[] = {1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+  rows.add(kSensors, 0, 1, flex_enabled);
+  const int32_t flex_center_um[] = {50000, 150000, 250000, 350000, 450000,
+                                    50000, 150000, 250000, 350000, 450000};
+  rows.add(kSensors, 0, 5000000, flex_center_um);
+  rows.add(kSensors, 0, 500000, 55000);          // flex_span_um
+  rows.add(kSensors, -2000000, 2000000, 35000);  // flex_scale
+  rows.add(1, 0, 600000, 30000);                 // settle_ms
+  rows.add(1, 0, 100000, 5000);                  // fold_margin_um
+  rows.add(1, 1, 10000, 40);                     // drift_limit_e5
+  rows.add(1, 50, 10000, 1000);                  // zero_ms
+  rows.add(1, 0, 6, 4);                          // oversample_log2
+  rows.add(kMuscles, 0, 20000, 6554);            // pressure_zero
+  rows.add(kMuscles, 5000, 65000, 52429);        // pressure_span
+  rows.add(1, 100, 20000, 6000);                 // pressure_full_cpsi
+  rows.add(1, 100, 2000, 1850);                  // max_pressure_cpsi
+  rows.add(1, 100, 2500, 2300);                  // over_pressure_cpsi
+  rows.add(1, 5, 100, 50);                       // vent_cpsi
+  rows.add(1, 0, 1000, 220);                     // live_zero_cpsi
+  rows.add(1, 0, 2000, 200);                     // drive_4ma_cpsi
+  rows.add(1, 500, 20000, 6000);                 // drive_20ma_cpsi
+  rows.add(1, 0, 32767, 128);                    // pressure_kp
+  rows.add(1, 0, 32767, 512);                    // pressure_ki
+  rows.add(1, 0, 32767, 5);                      // pressure_kd
+  rows.add(1, 10, 10000, 1500);                  // pressure_slew_cpsi_s
+  rows.add(1, 10, 600, 200);                     // stuck_cpsi
+  rows.add(1, 100, 5000, 1500);                  // stuck_ms
+  rows.add(1, 50, 600, 250);                     // drive_tolerance_cpsi
+  rows.add(kMuscles, 0, 2000, 200);              // lag_ms
+  rows.add(kMuscles, 1, 1000, 100);              // reversal_cpsi
+  rows.add(1, 10, 10000, 500);                   // trigger_e5
+  rows.add(1, 1, 1000, 9);                       // trigger_debounce_ms
+  rows.add(1, 0, 8, 4);                          // trigger_filter_log2
+  rows.add(1, 5, 1000, 50);                      // peak_spacing_ms
+  rows.add(1, 10000, 5000000, 530000);           // full_length_um
+  rows.add(1, 100, 1000000, 7600);               // counts_per_m
+  rows.add(1, 64, 1024, 512);                    // payout_q8
+  rows.add(1, 100, 200000, 20000);               // spool_speed_um_s
+  rows.add(1, 100, 1000000, 40000);              // spool_accel_um_s2
+  rows.add(1, 0, 32767, 1024);                   // spool_kp
+  rows.add(1, 0, 32767, 1024);                   // spool_ki
+  rows.add(1, 0, 32767, 26);                     // spool_kd
+  rows.add(1, 0, 32767, 106);                    // spool_kff
+  rows.add(1, 0, 200, 60);                       // spool_dead_zone
+  rows.add(1, 50, 50000, 500);                   // spool_tolerance_um
+  rows.add(1, 50, 2000, 400);                    // stall_ms
+  rows.add(1, 100, 100000, 3000);                // slip_um
+  rows.add(1, 100, 100000, 8000);                // home_speed_um_s
+  rows.add(1, 10000, 2000000, 236000);           // line_speed_um_s
+  rows.add(1, -200, 800, 5);                     // speed_margin_duty
+  rows.add(kBodyPressures, -200, 400, 0);        // pull_duty
+  rows.add(1, 5, 2000, 147);                     // motor_stall_n
+  rows.add(1, 5, 2000, 100);                     // line_rating_n
+  rows.add(1, 0, 20000, 450);                    // touch_n_s_m
+  rows.add(1, 0, 1, 0);                          // brake_fitted
+  rows.add(1, 0, 1, 0);                          // direction_seen
+  rows.add(1, 50, 10000, 500);                   // heartbeat_ms
+  rows.add(1, 3000, 5500, 4250);                 // supply_min_mv
+  rows.add(1, 950, 1250, 1100);                  // reference_mv
+  rows.add(1, 0, 10000, 5);                      // telemetry_ms
+  const int32_t muscle_fitted[] = {1, 1};
+  rows.add(kMuscles, 0, 1, muscle_fitted);
+  const int32_t trigger_when[] = {130, 0, 0, 0, 0, 129};
+  rows.add(kSensors, 0, 255, trigger_when);
+  return rows;
+}
+constexpr ParamRows kParamRows THIGMO_PROGMEM = param_rows();
+static_assert(kParamRows.filled == kParamCount, "a row for each index");
 
 }  // namespace protocol
 }  // namespace thigmo

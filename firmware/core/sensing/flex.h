@@ -83,7 +83,7 @@ inline int16_t curvature_e5(int32_t total, int32_t total_at_zero, int32_t gain_q
   return wide_curvature_e5(change, gain_q16);
 }
 
-// Sums conversions of the ten sensors into readings, and watches their wires.
+// Sums conversions of the sensors into readings, and watches their wires.
 class FlexReadings {
  public:
   // Conversions in a row outside the plausible band that make an open or short circuit.
@@ -107,19 +107,19 @@ class FlexReadings {
     taken_[0] = taken_[1] = 0;
   }
 
-  // Takes a tick's six flex conversions, in the order of adc_channel()'s slots 2 to 7. Returns the
-  // sensors whose readings they completed, as bits.
+  // Takes a tick's flex conversions, in the order of adc_channel(). Returns the sensors whose
+  // readings they completed, as bits.
   uint16_t add_tick(bool odd, const uint16_t* count) {
-    static_assert(kSensorsPerSide == 5, "the schedule of adc_channel()");
-    // The base sensors are converted in each tick, either side's others in every second.
+    constexpr uint16_t kOthers = ((1u << (kColumn - 1)) - 1) << 1;  // of the first column
+    // The base sensors are converted in each tick, either column's others in every second.
     const bool base_full = full(&base_taken_);
-    add(channels_, count[0], base_full);
-    add(channels_ + 5, count[1], base_full);
-    const bool side_full = full(&taken_[odd]);
-    Channel* channel = channels_ + (odd ? 6 : 1);
-    for (uint8_t i = 2; i < 6; ++i, ++channel) add(channel, count[i], side_full);
-    uint16_t done = base_full ? 1u << 0 | 1u << 5 : 0;
-    if (side_full) done |= odd ? 0xFu << 6 : 0xFu << 1;
+    for (uint8_t i = 0; i < kColumns; ++i) add(channels_ + base_input(i), count[i], base_full);
+    const bool column_full = full(&taken_[odd]);
+    Channel* channel = channels_ + (odd ? kColumn + 1 : 1);
+    for (uint8_t i = kColumns; i < kColumns + kColumn - 1; ++i, ++channel)
+      add(channel, count[i], column_full);
+    uint16_t done = base_full ? 1u << 0 | 1u << kColumn : 0;
+    if (column_full) done |= odd ? kOthers << kColumn : kOthers;
     ready_ |= done;
     return done;
   }
@@ -175,7 +175,7 @@ class FlexReadings {
   Channel channels_[kSensors] = {};
   uint16_t ready_ = 0;
   uint8_t base_taken_ = 0;  // conversions in the running sums
-  uint8_t taken_[kSides] = {};
+  uint8_t taken_[kColumns] = {};
   uint8_t bad_count_ = 0;
   uint8_t full_ = 0;  // conversions in a reading
   uint8_t log2_ = 0;

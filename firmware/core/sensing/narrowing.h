@@ -36,7 +36,7 @@ class Narrowing {
 
  private:
   uint8_t extra_;
-  int32_t carry_[kPressureChannel + kSides] = {};  // of each channel
+  int32_t carry_[kPressureChannel + kMuscles] = {};  // of each channel
 };
 
 }  // namespace thigmo

@@ -1,8 +1,8 @@
 // Captured readings: one at the trigger, ten around a sweep's peak.
 //
 // There is one peak buffer: the peak captured last wins. The host has half a sweep period, less the
-// peak's own length, to fetch it before the other side's peak begins to overwrite it, and each
-// snapshot names its side.
+// peak's own length, to fetch it before the next muscle's peak begins to overwrite it, and each
+// snapshot names its muscle.
 #ifndef THIGMO_CORE_SENSING_SNAPSHOT_H_
 #define THIGMO_CORE_SENSING_SNAPSHOT_H_
 
@@ -15,11 +15,11 @@ namespace thigmo {
 struct Reading {
   uint32_t t_us;
   uint16_t flex_sum[kSensors];
-  int16_t cpsi[kSides];
+  int16_t cpsi[kMuscles];
   int16_t lagged_cpsi;
   int16_t base_e5;
   int16_t free_e5;
-  protocol::Side side;
+  uint8_t muscle;
   protocol::Branch branch;
 };
 

@@ -142,8 +142,8 @@ void step(const uint8_t* at) {
                                  (board().enabled(0) ? 16 : 0) | (board().enabled(1) ? 32 : 0) |
                                  (board().enabled(2) ? 64 : 0) | (board().enabled(3) ? 128 : 0));
   }
-  for (uint8_t side = 0; side < kSides; ++side) {
-    put<int16_t>(out, alive ? board().duty(side) : static_cast<int16_t>(-1));
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    put<int16_t>(out, alive ? board().duty(i) : static_cast<int16_t>(-1));
   }
   put<int16_t>(out, alive ? board().motor_duty() : static_cast<int16_t>(0));
   uint8_t* const length = out;

@@ -215,7 +215,7 @@ class InjectedBoard {
   uint16_t supply_mv_ = 5000;
   uint16_t encoder_errors_ = 0;
   uint16_t overruns_ = 0;
-  int16_t drive_[kSides] = {-1, -1};
+  int16_t drive_[kMuscles] = {-1, -1};
   int16_t motor_ = 0;
   bool pays_out_ = true;
   bool estop_ = true;

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from thigmo.bringup.push import TRANSDUCERS, duty_of, push
+from thigmo.bringup.push import duty_of, push
 from thigmo.config import SIDES
 from thigmo.errors import RobotFaultError, ThigmoError
 from thigmo.link.protocol import Output
@@ -117,9 +117,12 @@ def _estop_reads(robot: Robot, pressed: bool) -> bool:
     return True
 
 
-def _psi(robot: Robot, seconds: float = 0.1) -> tuple[float, float]:
-    reading = robot.read(seconds, despite_faults=True)
-    return reading.left_psi, reading.right_psi
+def _muscles(robot: Robot) -> list[str]:
+    return [muscle.name for muscle in robot.config.muscles]
+
+
+def _psi(robot: Robot, seconds: float = 0.1) -> tuple[float, ...]:
+    return robot.read(seconds, despite_faults=True).pressure_psi
 
 
 def _pressure(robot: Robot, attendant: Attendant) -> Found:
@@ -129,7 +132,8 @@ def _pressure(robot: Robot, attendant: Attendant) -> Found:
     zero, span = robot.parameter("pressure_zero"), robot.parameter("pressure_span")
     full_psi = robot.parameter("pressure_full_cpsi")[0] / 100
     off = False
-    for index, (side, psi, plug) in enumerate(zip(SIDES, pressures, ("J8", "J9"), strict=True)):
+    for index, (name, psi) in enumerate(zip(_muscles(robot), pressures, strict=True)):
+        plug = f"J{8 + index}"
         what, cure = f"{psi:+.2f} psi, empty", ""
         if psi < _BROKEN_PSI:
             what, cure = "no signal", f"plug it in, check {plug}.1 (5 V), {plug}.2"
@@ -141,7 +145,7 @@ def _pressure(robot: Robot, attendant: Attendant) -> Found:
             zero[index] += round(psi / full_psi * span[index])
             off = True
             what += ": stored as its zero"
-        yield f"pressure {side}", what, cure
+        yield f"pressure {name}", what, cure
     if off:
         robot.set_parameter("pressure_zero", zero)
         robot.save()
@@ -173,19 +177,19 @@ def _valves(robot: Robot, attendant: Attendant) -> Found:
     attendant.ready("Turn the 24 V on, then the air: FR1 at 25 psi. Hands away from the muscles")
     robot.arm(body_air=False)
     robot.vent()
-    for side, output in enumerate(TRANSDUCERS):
+    for side, name in enumerate(_muscles(robot)):
         plug, point = f"J{10 + side}", f"TP{10 * side + 1}"
         before = _psi(robot)
-        push(robot, output, duty_of(_TEST_MA), _TEST_S)
+        push(robot, Output.TRANSDUCER, duty_of(_TEST_MA), _TEST_S, side)
         rise = [b - a for a, b in zip(before, _psi(robot), strict=True)]
         robot.vent(wait=False)  # ends the push
         robot.wait(_VENT_S, despite_faults=True)
         kept = _psi(robot)[side]
-        own, other = rise[side], rise[1 - side]
+        own, other = rise[side], max([0.0, *rise[:side], *rise[side + 1 :]])
         at = f"{_TEST_MA} mA moves its pressure by {own:.1f} psi"
         stuck = False
         if own < _NO_RISE_PSI and other > _RISE_PSI[0]:
-            what = f"{_TEST_MA} mA moves the other side's pressure"
+            what = f"{_TEST_MA} mA moves another muscle's pressure"
             cure = f"swap the tubes of Y1 and Y2, or {plug} with its neighbour, or J8 and J9"
         elif own < _NO_RISE_PSI:
             what = f"dead: {at}"
@@ -198,12 +202,9 @@ def _valves(robot: Robot, attendant: Attendant) -> Found:
             cure = f"check its exhaust, and that {point} is at 0 V"
         else:
             what, cure = f"{at}; 0 mA vents", ""
-        yield f"valve {SIDES[side]}", what, cure
+        yield f"valve {name}", what, cure
         if stuck:
             return  # the board may have latched it: it drives no other now
-
-
-_VENTS = (Output.LEFT_VENT, Output.RIGHT_VENT)
 
 
 def _enables(robot: Robot, attendant: Attendant) -> Found:
@@ -214,12 +215,12 @@ def _enables(robot: Robot, attendant: Attendant) -> Found:
     robot.arm(body_air=False)
     robot.vent()
     current = duty_of(_TEST_MA)
-    for side in range(len(SIDES)):
+    for side in range(len(_muscles(robot))):
         empty = _psi(robot)[side]
-        push(robot, TRANSDUCERS[side], current, _TEST_S)
+        push(robot, Output.TRANSDUCER, current, _TEST_S, side)
         full = _psi(robot)[side]
         robot.vent(wait=False)
-        push(robot, _VENTS[side], current, _TEST_S)
+        push(robot, Output.VENT, current, _TEST_S, side)
         kept = _psi(robot)[side]
         robot.vent(wait=False)
         robot.wait(_VENT_S)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from thigmo.config import SIDES, Side
+from thigmo.config import Side
 from thigmo.errors import ConfigError, RobotFaultError
 from thigmo.link.protocol import Output
 from thigmo.robot import JOG_CM, Robot
@@ -17,7 +17,6 @@ from thigmo.robot import JOG_CM, Robot
 PRESS_PSI = 5.0
 PRESS_S = 60.0
 
-TRANSDUCERS = (Output.LEFT_TRANSDUCER, Output.RIGHT_TRANSDUCER)
 _PUSH_S = 0.4
 _REPEAT_S = 0.15
 _JOG_DUTY = 160  # of 800: beyond friction, a tenth of full speed
@@ -31,11 +30,12 @@ def duty_of(milliampere: float) -> int:
     return round(milliampere / 20.0 * 1599)
 
 
-def push(robot: Robot, output: Output, level: int, seconds: float) -> None:
-    """Drive one output for a while; refused unless armed, and for the motor vented."""
+def push(robot: Robot, output: Output, level: int, seconds: float, muscle: int = 0) -> None:
+    """Drive one output, a muscle's or the motor, for a while; refused unless armed, and for the
+    motor vented."""
     end = robot.now() + seconds
     while (rest := end - robot.now()) > 1e-9:
-        robot.test_output(output, level, min(_PUSH_S, rest + 1e-3))
+        robot.test_output(output, level, min(_PUSH_S, rest + 1e-3), muscle)
         robot.wait(min(_REPEAT_S, rest))
 
 
@@ -97,13 +97,14 @@ def press(
             f"a press of {psi:g} psi for {seconds:g} s",
             f"give more than 0, and at most {PRESS_PSI:g} psi and {PRESS_S:g} s",
         )
+    muscle = robot.config.muscles.index(robot.config.muscle(side))
     low, high = (robot.parameter(f"drive_{n}ma_cpsi")[0] / 100 for n in (4, 20))
     level = duty_of(max(4.0 + 16.0 * (psi - low) / (high - low), 0.0))
     reached, end = 0.0, robot.now() + seconds
     try:
         while robot.now() < end:
-            push(robot, TRANSDUCERS[SIDES.index(side)], level, _REPEAT_S)
-            reached = getattr(robot.read(0.02), f"{side}_psi")
+            push(robot, Output.TRANSDUCER, level, _REPEAT_S, muscle)
+            reached = robot.read(0.02).pressure_psi[muscle]
             progress(reached)
     finally:
         robot.vent()

@@ -60,7 +60,7 @@ def guided(bench: Bench) -> PressureResult:
         np.array(robot.parameter(f"pressure_{name}"), float) / 64 for name in ("zero", "span")
     )
     full = robot.parameter("pressure_full_cpsi")[0] / 100
-    psi = np.column_stack([record.left_psi, record.right_psi])
+    psi = record.pressure_psi
     result = fit_pressure_zero(zero + psi * span / full, float(span.mean()), full)
     if result.verdict.good:
         robot.set_parameter("pressure_zero", result.board_values())

@@ -56,11 +56,11 @@ class Board(Protocol):
         """Input that shows the motor's supply, behind its contacts."""
 
     @property
-    def drive(self) -> tuple[int, int]:
+    def drive(self) -> tuple[int, ...]:
         """Transducer duties by output, 0..1599 = 0..20 mA."""
 
     @property
-    def drive_enabled(self) -> tuple[bool, bool]:
+    def drive_enabled(self) -> tuple[bool, ...]:
         """Whether each transducer's output is connected; otherwise it carries 0 mA."""
 
     @property

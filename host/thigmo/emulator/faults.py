@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 
-from thigmo.config import SIDES
 from thigmo.emulator.board import PRESSURE, Board
 from thigmo.emulator.plant import OPEN_COUNT, SHORT_COUNT, Plant
 from thigmo.emulator.scene import FaultTable, Scene
@@ -83,9 +82,11 @@ class FaultInjector:
 
     def _set(self, fault: FaultTable, plant: Plant, board: Board, *, on: bool) -> None:
         (self.active.add if on else self.active.discard)(fault.kind)
-        side = SIDES.index(fault.side)
+        robot = plant.scene.robot
+        sides = robot.muscle_sides
+        muscle = sides.index(fault.side) if fault.side in sides else 0
         flex = fault.kind.startswith("flex")
-        channel = input_of(plant.scene.robot)[fault.side, fault.sensor] if flex else PRESSURE + side
+        channel = input_of(robot)[fault.side, fault.sensor] if flex else PRESSURE + muscle
         value = _DEFAULTS.get(fault.kind, 0.0) if fault.value is None else fault.value
         match fault.kind:
             case "flex_wire_cut" | "pressure_wire_cut":
@@ -97,16 +98,16 @@ class FaultInjector:
             case "flex_noisy":
                 self._hold(plant.flex_noise, channel, value, on)
             case "pressure_frozen":
-                here = plant.pressure_seen[side] if fault.value is None else value
-                plant.pressure_frozen[side] = here if on else math.nan
+                here = plant.pressure_seen[muscle] if fault.value is None else value
+                plant.pressure_frozen[muscle] = here if on else math.nan
             case "pressure_gain" | "pressure_offset" | "pressure_noisy":
                 neutral = 1.0 if fault.kind == "pressure_gain" else 0.0
-                getattr(plant, fault.kind)[side] = value if on else neutral
+                getattr(plant, fault.kind)[muscle] = value if on else neutral
             case "pressure_stuck":
-                here = plant.muscle_psi[side] if fault.value is None else value
-                plant.forced_outlet[side] = here if on else math.nan
+                here = plant.muscle_psi[muscle] if fault.value is None else value
+                plant.forced_outlet[muscle] = here if on else math.nan
             case "over_pressure":
-                plant.forced_outlet[side] = value if on else math.nan
+                plant.forced_outlet[muscle] = value if on else math.nan
             case "air_lost":
                 plant.forced_outlet[:] = 0.0 if on else math.nan
             case "motor_shorted":

@@ -44,7 +44,8 @@ class Lockstep:
         plant, board = self.plant, self.board
         self.faults.update(plant, board)
         if not self.faults.powered:
-            plant.step((0, 0), (False, False), 0, True)
+            none = len(plant.muscle_psi)
+            plant.step((0,) * none, (False,) * none, 0, True)
             return
         plant.step(
             board.drive, board.drive_enabled, board.motor, board.braked, board.air,

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import exp, hypot, isnan, nan, pi
+from math import exp, hypot, isnan, nan, pi, radians, sin
 
 import numpy as np
 import numpy.typing as npt
 
 from thigmo import config, wiring
-from thigmo.config import SIDES
 from thigmo.emulator import _plant
 from thigmo.emulator._plant import FlexSensor, Muscle, Spool, Swing
 from thigmo.emulator.board import CHANNELS, DRIVE_FULL, PRESSURE
@@ -42,7 +41,6 @@ _ENCODER_SIGN = {
 }  # fmt: skip
 _LIMP_PSI = 0.05
 _AIR_SHARE = 0.005  # of the body's pressure; nearer is there
-_EMPTY = np.zeros(2)
 _SMALLEST_CM = 0.5  # a shorter body has no shape worth solving
 
 
@@ -88,7 +86,8 @@ class Plant:
         self._body_air = 0.0 if scene.enables.fitted else 1.0  # share of it that the body holds
 
         # What faults set.
-        self.forced_outlet = np.full(2, np.nan)  # psi at which the transducers' outputs stand
+        muscles = len(robot.muscles)
+        self.forced_outlet = np.full(muscles, np.nan)  # psi at which the transducers' outputs stand
         self.spool_stall = False  # the spool does not turn
         self.slip_cm_s = 0.0  # speed to which a failing brake lets the body pull the line
         self.motor_lost = False  # the motor's circuit is broken: neither drive nor damping
@@ -103,10 +102,10 @@ class Plant:
         self.stuck: dict[int, float] = {}  # counts at which analog inputs stand, by channel
         self.flex_noise: dict[int, float] = {}  # counts, by input
         # What ails the pressure sensors: psi at which they stand, factor, psi added, psi of noise.
-        self.pressure_frozen = np.full(2, np.nan)
-        self.pressure_gain = np.ones(2)
-        self.pressure_offset = np.zeros(2)
-        self.pressure_noisy = np.zeros(2)
+        self.pressure_frozen = np.full(muscles, np.nan)
+        self.pressure_gain = np.ones(muscles)
+        self.pressure_offset = np.zeros(muscles)
+        self.pressure_noisy = np.zeros(muscles)
         # What `hold` holds: (arc, y) of points of the body.
         self.pushes: tuple[tuple[float, float], ...] = ()
         self._dowel_cm = 0.0
@@ -119,11 +118,15 @@ class Plant:
                 lag_s=t.lag_s, delay_s=t.delay_s, play_psi=t.hysteresis_psi,
                 slew_psi_s=t.slew_psi_s, supply_psi=t.supply_psi, inflate_tau_s=m.inflate_tau_s,
                 deflate_tau_s=m.deflate_tau_s, muscle_delay_s=m.delay_s,
-                reversal_psi=robot.muscle(side).reversal_psi if side in robot.sides else 1.0,
+                reversal_psi=muscle.reversal_psi,
             )
-            for side, draw in zip(SIDES, rng.standard_normal(2), strict=True)
+            for muscle, draw in zip(
+                robot.muscles, rng.standard_normal(len(robot.muscles)), strict=True
+            )
         )  # fmt: skip
-        self._pressure_zero = t.sensor_zero_error_psi * rng.standard_normal(2)
+        self._pressure_zero = t.sensor_zero_error_psi * rng.standard_normal(len(robot.muscles))
+        # Share of each muscle's bend that is in the plane, positive to the left.
+        self._in_plane = [sin(radians(muscle.direction_deg)) for muscle in robot.muscles]
         self._swing = Swing(frequency_hz=scene.body.frequency_hz, damping=scene.body.damping)
         s = scene.spool
         sliding = s.stall_n * s.dead_zone / 800.0
@@ -162,8 +165,9 @@ class Plant:
     def _make_sensors(self) -> list[FlexSensor]:
         scene, f = self.scene, self.scene.flex
         wired = wiring.sensors(scene.robot)
-        # The number of the muscle under each sensor.
-        self._under = [SIDES.index(s.side) if s and s.side else 0 for s in wired]
+        # The muscle under each sensor, by number.
+        at = {muscle.direction_deg: n for n, muscle in enumerate(scene.robot.muscles)}
+        self._under = [at.get(s.direction_deg) if s else None for s in wired]
         draws = self._rng.standard_normal((_SENSORS, 2))
         phases = self._rng.uniform(0, 2 * pi, (_SENSORS, 2))
         sensors = []
@@ -201,10 +205,8 @@ class Plant:
         self.body_psi = pressure_psi
         self.body.critical_moment = self._critical()
         self._solved_g = nan
-        for muscle, side in zip(self._muscles, SIDES, strict=True):
-            if side not in self._robot.sides:
-                continue  # a transducer that nothing hangs on
-            maps = sorted(self._robot.muscle(side).maps, key=lambda m: m.body_pressure_psi)
+        for muscle, known in zip(self._muscles, self._robot.muscles, strict=True):
+            maps = sorted(known.maps, key=lambda m: m.body_pressure_psi)
             at = [m.body_pressure_psi for m in maps]
             muscle.set_maps(*(
                 [np.interp(pressure_psi, at, [getattr(getattr(m, branch), key) for m in maps])
@@ -249,9 +251,9 @@ class Plant:
         return self.steps * STEP_S
 
     @property
-    def muscle_psi(self) -> tuple[float, float]:
-        """True pressures of the muscles, by output."""
-        return self._muscles[0].outlet_psi, self._muscles[1].outlet_psi
+    def muscle_psi(self) -> tuple[float, ...]:
+        """True pressure of each muscle."""
+        return tuple(muscle.outlet_psi for muscle in self._muscles)
 
     @property
     def line_cm(self) -> float:
@@ -278,22 +280,22 @@ class Plant:
         return self._swing.curvature
 
     @property
-    def pressure_seen(self) -> tuple[float, float]:
+    def pressure_seen(self) -> tuple[float, ...]:
         """What the pressure sensors make of it, psi."""
         seen = []
-        for side, true in enumerate(self.muscle_psi):
-            psi = self.pressure_frozen[side]
+        for n, true in enumerate(self.muscle_psi):
+            psi = self.pressure_frozen[n]
             if isnan(psi):
-                psi = true * self.pressure_gain[side] + self._pressure_zero[side]
-                if self.pressure_noisy[side]:
-                    psi += self.pressure_noisy[side] * self._rng.standard_normal()
-                psi += self.pressure_offset[side]
+                psi = true * self.pressure_gain[n] + self._pressure_zero[n]
+                if self.pressure_noisy[n]:
+                    psi += self.pressure_noisy[n] * self._rng.standard_normal()
+                psi += self.pressure_offset[n]
             seen.append(float(psi))
-        return seen[0], seen[1]
+        return tuple(seen)
 
     @property
     def sensor_curvature(self) -> Floats:
-        """True mean curvature at each input's sensor; 0 where not everted; shape (10,)."""
+        """True mean curvature at each sensor, by input; 0 where not everted; shape (10,)."""
         return self._curvature.copy()
 
     def truth(self) -> Truth:
@@ -312,8 +314,8 @@ class Plant:
 
     def step(
         self,
-        drive: tuple[int, int],
-        enabled: tuple[bool, bool],
+        drive: tuple[int, ...],
+        enabled: tuple[bool, ...],
         motor: int,
         braked: bool,
         air: tuple[bool, bool] = (False, False),
@@ -327,13 +329,13 @@ class Plant:
         outlets = self.forced_outlet
         if self.scene.enables.fitted:
             if not air[0]:
-                outlets = _EMPTY
+                outlets = np.zeros(len(self._muscles))
             self._move_body_air(open_=air[1])
-        first, second = (
-            muscle.advance(20.0 * drive[side] / DRIVE_FULL if enabled[side] else 0.0, outlets[side])
-            for side, muscle in enumerate(self._muscles)
-        )
-        self._swing.follow(first - second)
+        current = [
+            20.0 * duty / DRIVE_FULL if on else 0.0 for duty, on in zip(drive, enabled, strict=True)
+        ]
+        each = zip(self._in_plane, self._muscles, current, outlets, strict=False)
+        self._swing.follow(sum(share * muscle.advance(ma, psi) for share, muscle, ma, psi in each))
         before = self._encoder()
         if self.scene.spool.wiring in _MOTOR_SWAPPED:
             motor = -motor
@@ -455,12 +457,12 @@ class Plant:
         analog = self.analog
         analog[:, 0] = analog[:, 1]
         length, t_s = self.length_cm, self.t_s
-        under = [self._muscles[number].bend_psi for number in self._under]
+        under = [0.0 if n is None else self._muscles[n].bend_psi for n in self._under]
         each = zip(self._sensors, self._curvature.tolist(), under, strict=True)
         analog[:_SENSORS, 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in each]
         full = self.scene.transducer.sensor_full_psi
-        for side, psi in enumerate(self.pressure_seen):
-            analog[PRESSURE + side, 1] = 1024.0 * min(max(0.1 + 0.8 * psi / full, 0.0), 0.9999)
+        for n, psi in enumerate(self.pressure_seen):
+            analog[PRESSURE + n, 1] = 1024.0 * min(max(0.1 + 0.8 * psi / full, 0.0), 0.9999)
         for i, sigma in self.flex_noise.items():
             analog[i, 1] += sigma * self._rng.standard_normal()
         for channel, count in self.stuck.items():
@@ -472,7 +474,7 @@ class Plant:
         """White noise of a conversion in counts, shape (16,)."""
         sigma = np.zeros(CHANNELS)
         sigma[:_SENSORS] = self.scene.noise.white_counts
-        sigma[PRESSURE : PRESSURE + 2] = self.scene.noise.pressure_counts
+        sigma[PRESSURE : PRESSURE + len(self._muscles)] = self.scene.noise.pressure_counts
         return sigma
 
     def _encoder(self) -> float:

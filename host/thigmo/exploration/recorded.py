@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import RobotConfig, Side
 from thigmo.errors import RunFolderError
 from thigmo.exploration.plan import trial_zone
 from thigmo.exploration.reducer import Reducer
@@ -18,7 +18,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import FrameError, decode
 from thigmo.link.inbox import TelemetryFrame
-from thigmo.record import Entry, Log, Note, Obstacle, RunFolder
+from thigmo.record import WITHOUT_COUNTS, Entry, Log, Note, Obstacle, RunFolder
 from thigmo.robot import (
     SENSORS,
     GrowthWatcher,
@@ -144,9 +144,10 @@ class _Frames:
             young = status.everted_mask & mask_of(self.table.healthy & ~self._enabled)
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
-        watcher = SweepWatcher(self.table, mask, length, young, self._standing)
-        amplitudes = (command.left_cpsi, command.right_cpsi)
-        sides = {side for side, top in zip(SIDES, amplitudes, strict=True) if top > 0}
+        muscles = self._config.muscle_sides
+        watcher = SweepWatcher(self.table, mask, length, young, self._standing, sides=muscles)
+        pressed = zip(self._config.muscle_sides, command.amplitude_cpsi, strict=False)
+        sides = {side for side, top in pressed if top > 0}
         self.sweeps.append(RecordedSweep(self.zone, sides, t_s, watcher))
 
     def _snapshot(self, message: wire.Snapshot, watcher: SweepWatcher) -> None:
@@ -154,7 +155,8 @@ class _Frames:
             self._snapshots = []
         if message.index != len(self._snapshots):
             return  # the reply to a repeated request
-        self._snapshots.append(peak_frame(message, self._device_s(message.t_us)))
+        at_s = self._device_s(message.t_us)
+        self._snapshots.append(peak_frame(message, at_s, self._config.muscle_sides))
         if len(self._snapshots) == message.count:
             watcher.peaks.append(self._snapshots)
 
@@ -258,7 +260,7 @@ def _last_length(sweeps: list[RecordedSweep]) -> list[RecordedSweep]:
 def _check(folder: RunFolder, log: Log) -> None:
     schema = log.metadata.get("schema_hash", "")
     theirs = log.metadata.get("thigmo", "of its time")
-    if schema != f"{wire.SCHEMA_HASH:08x}":
+    if schema not in (f"{wire.SCHEMA_HASH:08x}", WITHOUT_COUNTS):
         raise RunFolderError(
             f"{folder.path} was recorded with protocol schema {schema or 'unknown'}, and this is "
             f"{wire.SCHEMA_HASH:08x}",

@@ -79,6 +79,7 @@ class Client(Inbox, Closing):
         # without the closing zero, host time.
         self.taps: list[Tap] = []
         self._hello: wire.HelloReply | None = None
+        self._capacity: wire.Capacity | None = None
         self._nonce = secrets.randbits(32)  # counts up: the board knows late copies of a hello
         self._heartbeat_s = heartbeat_s
         self._decoder = Decoder()
@@ -117,6 +118,21 @@ class Client(Inbox, Closing):
             raise LinkError("no conversation with a board yet", "connect first")
         return self._hello
 
+    @property
+    def capacity(self) -> wire.Capacity:
+        """What the board holds; asked once."""
+        if self._capacity is None:
+            self._capacity = self.request(wire.GetCapacity())
+        return self._capacity
+
+    @property
+    def parameters(self) -> dict[str, wire.Parameter]:
+        """The board's parameter table, by name."""
+        has = self.capacity
+        return wire.parameters(
+            muscles=has.muscles, sensors=has.sensors, body_pressures=has.body_pressures
+        )
+
     def now(self) -> float:
         """Host seconds, by the transport's clock."""
         return self.transport.now()
@@ -133,7 +149,7 @@ class Client(Inbox, Closing):
         self._broken = None
         self._talking = self._connected = False
         self._outstanding = None
-        self._announce = self._other_hash = None
+        self._announce = self._other_hash = self._capacity = None
         self._strange = 0
         garbage, frames = self._decoder.garbage, self._decoder.frames
         self._listen(SILENCE_S)
@@ -381,7 +397,7 @@ class Client(Inbox, Closing):
 
     def _handle(self, frame: Frame, t_s: float) -> None:
         if frame.id == wire.Telemetry.ID:
-            self._strange += len(frame.payload) != wire.Telemetry.SIZE
+            self._strange += not wire.Telemetry.fits(frame.payload)
             self._watch_session(frame.session)
             self._take_telemetry(frame, t_s)
             return

@@ -132,7 +132,7 @@ class Inbox:
 
     def _take_telemetry(self, frame: Frame, t_s: float) -> None:
         payload = frame.payload
-        if frame.session != self.session or len(payload) != wire.Telemetry.SIZE:
+        if frame.session != self.session or not wire.Telemetry.fits(payload):
             return
         if self._telemetry_seq is not None:
             delta = (frame.seq - self._telemetry_seq) & 0xFFFF

@@ -1,7 +1,9 @@
 """What the generated protocol.py is made of: messages, their enumerations, parameters.
 
 A message is a frozen dataclass. Its base reads the wire's layout off the fields' types, which carry
-their struct codes; enumerations are bytes. The sentences of enumerations, and the parameters, are
+their struct codes; enumerations are bytes. An array of muscles or sensors is as long as the board's
+capacity: its code names what counts it (`muscles?h`), and the first such array of a message comes
+after their number. The sentences of enumerations, and the parameters, are
 data: protocol.json beside this file.
 """
 
@@ -11,10 +13,21 @@ import json
 import re
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cache
 from inspect import get_annotations
 from pathlib import Path
-from struct import Struct
-from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, dataclass_transform, get_args
+from struct import Struct, calcsize
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Generic,
+    NamedTuple,
+    Self,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+)
 
 _DATA = json.loads(Path(__file__).with_name("protocol.json").read_text(encoding="utf-8"))
 
@@ -79,12 +92,11 @@ class Message:
     """Base of all messages."""
 
     ID: ClassVar[int]
-    SIZE: ClassVar[int]
+    SIZE: ClassVar[int]  # of the payload, of a board for the thesis's robot
     NAME: ClassVar[str]
-    _FIELDS: ClassVar[tuple[str, ...]]
-    _STRUCT: ClassVar[Struct]
-    _ENUMS: ClassVar[list[tuple[int, type[Documented]]]]  # places among the integers
-    _ARRAYS: ClassVar[list[slice]]  # last first: each becomes one value, and moves what follows
+    CODES: ClassVar[dict[str, str]]  # struct code of each field
+    _COUNTED: ClassVar[tuple[str, ...]]  # what of the capacity it counts
+    _ENUMS: ClassVar[list[tuple[int, type[Documented]]]]  # places among the fields
 
     def __init_subclass__(cls, *, number: int = 0, deadline_s: float = 2.0) -> None:
         """Make a message of an annotated class; `number` is its id on the wire, 0 of a base."""
@@ -95,43 +107,93 @@ class Message:
         cls.ID = number
         cls.NAME = re.sub(r"\B(?=[A-Z])", "_", cls.__name__).lower()
         types = get_annotations(cls)
-        cls._FIELDS, cls._ENUMS, cls._ARRAYS = tuple(types), [], []
-        layout, at = "<", 0
-        for of in types.values():
-            code = getattr(of, "__metadata__", ("B",))[0]  # an enumeration is a byte
-            count = int(code[:-1] or 1)
-            if count > 1:
-                cls._ARRAYS.insert(0, slice(at, at + count))
-            elif isinstance(of, type):
-                cls._ENUMS.append((at, of))
-            layout += code
-            at += count
-        cls._STRUCT = Struct(layout)
-        cls.SIZE = cls._STRUCT.size
+        # An enumeration is a byte.
+        cls.CODES = {name: getattr(of, "__metadata__", ("B",))[0] for name, of in types.items()}
+        cls._ENUMS = [(at, of) for at, of in enumerate(types.values()) if isinstance(of, type)]
+        cls._COUNTED = tuple(
+            dict.fromkeys(code.partition("?")[0] for code in cls.CODES.values() if "?" in code)
+        )
+        cls.SIZE = cls._layout(tuple(_DATA["usual"][of] for of in cls._COUNTED)).struct.size
         if issubclass(cls, Command):
             cls.DEADLINE_S = deadline_s
             (cls.REPLY,) = get_args(vars(cls)["__orig_bases__"][0])
         MESSAGES[number] = cls
 
+    @classmethod
+    @cache
+    def _layout(cls, counts: tuple[int, ...]) -> _Layout:
+        """The layout of so many of what the message counts."""
+        told = dict(zip(cls._COUNTED, counts, strict=True))
+        code, place, places, at = "<", 0, [], {}
+        for field in cls.CODES.values():
+            of, _, element = field.rpartition("?")
+            if of and of not in at:
+                at[of] = calcsize(code)
+                code += "B"
+                place += 1
+            count = told[of] if of else int(element[:-1] or 1)
+            code += f"{count}{element[-1]}"
+            array = bool(of) or count > 1
+            places.append(slice(place, place + count) if array else place)
+            place += count
+        return _Layout(Struct(code), tuple(places), tuple(at.values()))
+
+    @classmethod
+    def counts(cls, payload: bytes) -> tuple[int, ...]:
+        """How many muscles, sensors and so on a payload tells of; ValueError if it is no such."""
+        counts: tuple[int, ...] = ()
+        for number in range(len(cls._COUNTED)):
+            # Where the next count stands, only those before it decide.
+            layout = cls._layout((*counts, *[0] * (len(cls._COUNTED) - number)))
+            if (at := layout.count_at[number]) >= len(payload):
+                break
+            counts += (payload[at],)
+        if len(counts) == len(cls._COUNTED):
+            size = cls._layout(counts).struct.size
+            if size == len(payload):
+                return counts
+        size = cls.SIZE
+        raise ValueError(f"{cls.NAME}: {len(payload)} bytes of payload, {size} expected")
+
+    @classmethod
+    def fits(cls, payload: bytes) -> bool:
+        """Whether a payload is of the message's size, for the counts in it."""
+        try:
+            cls.counts(payload)
+        except ValueError:
+            return False
+        return True
+
     def pack(self) -> bytes:
         """The payload."""
+        values = [getattr(self, name) for name in self.CODES]
         flat: list[int] = []
-        for name in self._FIELDS:
-            value = getattr(self, name)
+        told: dict[str, int] = {}
+        for code, value in zip(self.CODES.values(), values, strict=True):
+            of = code.rpartition("?")[0]
+            if of and of not in told:
+                told[of] = len(value)
+                flat.append(len(value))
             flat += value if isinstance(value, tuple) else (value,)
-        return self._STRUCT.pack(*flat)
+        return self._layout(tuple(told.values())).struct.pack(*flat)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
         """Read a payload; raises ValueError on a bad size or an unknown enum value."""
-        if len(payload) != cls.SIZE:
-            raise ValueError(f"{cls.NAME}: {len(payload)} bytes of payload, {cls.SIZE} expected")
-        values: list[Any] = [*cls._STRUCT.unpack(payload)]
-        for at, enum in cls._ENUMS:
-            values[at] = enum(values[at])
-        for place in cls._ARRAYS:
-            values[place] = [tuple(values[place])]
+        layout = cls._layout(cls.counts(payload))
+        flat = layout.struct.unpack(payload)
+        values: list[Any] = [flat[place] for place in layout.places]
+        for number, enum in cls._ENUMS:
+            values[number] = enum(values[number])
         return cls(*values)
+
+
+class _Layout(NamedTuple):
+    """Where a message's numbers are, for given counts."""
+
+    struct: Struct
+    places: tuple[int | slice, ...]  # of each field among the integers
+    count_at: tuple[int, ...]  # bytes before each count
 
 
 class Reply(Message):
@@ -164,4 +226,21 @@ class Parameter:
     doc: str
 
 
-PARAMETERS = {row["name"]: Parameter(**row) for row in _DATA["parameters"]}
+@cache
+def parameters(**capacity: int) -> dict[str, Parameter]:
+    """The parameter table, by name, of a board that has so many muscles, sensors and so on."""
+    found: dict[str, Parameter] = {}
+    index = 0
+    for row in _DATA["parameters"]:
+        count = capacity[row["of"]] if row["of"] else 1
+        given = row["defaults"]
+        defaults = given * count if len(given) == 1 else [*given, *[0] * count][:count]
+        told = {key: row[key] for key in ("name", "id", "unit", "low", "high", "doc")}
+        found[row["name"]] = Parameter(index=index, count=count, defaults=defaults, **told)
+        index += count
+    return found
+
+
+# Of boards that are built for the thesis's robot.
+PARAMETERS = parameters(**_DATA["usual"])
+PARAMETER_COUNT = sum(row.count for row in PARAMETERS.values())

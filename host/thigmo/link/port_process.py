@@ -189,7 +189,7 @@ class PortProcess:
     def _watch(self, data: bytes) -> None:
         """Look for the board's state, and for the echo of a stop."""
         for frame in self._decoder.feed(data):
-            if frame.id == Telemetry.ID and len(frame.payload) == Telemetry.SIZE:
+            if frame.id == Telemetry.ID and Telemetry.fits(frame.payload):
                 row = Telemetry.unpack(frame.payload)
                 armed = row.state_activity >> 4 in _ARMED
                 self._disarmed_until_s = -math.inf if armed else time.monotonic() + _STATE_S

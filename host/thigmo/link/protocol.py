@@ -9,11 +9,11 @@ wire; the scale is in each name and unit.
 from typing import Annotated
 
 from thigmo.link.message import I16, I32, MESSAGES, PARAMETERS, U8, U16, U32
-from thigmo.link.message import Command, Documented, Message, OpenDocumented
-from thigmo.link.message import Parameter, Reply
+from thigmo.link.message import PARAMETER_COUNT, Command, Documented, Message
+from thigmo.link.message import OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x063720F1
+SCHEMA_HASH = 0x18614AFE
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -21,7 +21,9 @@ CRC = "crc-ccitt-false"
 MAP_ID = 255
 MAP_POINTS = 11
 MAP_STEP_CPSI = 200
-PARAMETER_COUNT = 99
+MOST_MUSCLES = 4
+MOST_SENSORS = 16
+MOST_BODY_PRESSURES = 8
 
 
 class State(Documented):  # The supervisor's states.
@@ -46,17 +48,10 @@ class Activity(Documented):  # What the board is doing.
 
 
 class Output(Documented):  # What `test_output` drives.
-    LEFT_TRANSDUCER = 0  # Current of the left transducer, 20 mA/1599.
-    RIGHT_TRANSDUCER = 1  # Current of the right transducer, 20 mA/1599.
-    MOTOR = 2  # Duty of the spool motor, 1/800 of full, positive pays out.
-    # Current of the left transducer, while the muscles' enable is off: Y1 must empty it.
-    LEFT_VENT = 3
-    RIGHT_VENT = 4  # The same on the right: Y2.
-
-
-class Side(Documented):  # A muscle and its column of sensors.
-    LEFT = 0  # Bends the body to the left (positive curvature).
-    RIGHT = 1  # Bends the body to the right.
+    TRANSDUCER = 0  # Current of a muscle's transducer, 20 mA/1599.
+    MOTOR = 1  # Duty of the spool motor, 1/800 of full, positive pays out.
+    # Current of a muscle's transducer, while the muscles' enable is off: its valve must empty it.
+    VENT = 2
 
 
 class Branch(Documented):  # Which of a muscle's two maps.
@@ -125,7 +120,8 @@ class Fault(Documented):  # Latched faults, by bit number.
     SPOOL_SLIP = 7  # The spool turned while its motor was off, ran ahead of it, or the other way
     BROWN_OUT = 8  # The supply sagged below its limit; check the power supply, then clear.
     WATCHDOG = 9  # The firmware hung and was restarted; report it with the run folder, then clear.
-    BAD_CONFIG = 10  # No valid configuration is stored
+    # No valid configuration is stored, or one of a firmware that knew no lists of muscles
+    BAD_CONFIG = 10
     ESTOP = 11  # The emergency stop was pressed; release it, then clear.
     INTERLOCK = 12  # The length became unknown or a sensor half everted during a bend; vented.
     PRESSURE_MISMATCH = 14  # Muscle pressure and the transducer's current disagree
@@ -161,7 +157,7 @@ class SlipCause(Documented):  # By what a spool_slip was noticed (value of its e
 class Condition(Documented):
     LENGTH_KNOWN = 0  # Homed or confirmed since the reset.
     ZONE_KNOWN = 1  # The host selected the body-pressure map.
-    VENTED = 2  # Both muscles below the vent threshold.
+    VENTED = 2  # All muscles below the vent threshold.
     SETTLED = 3  # Every everted sensor is past its settling time.
     ZEROED = 4  # Every everted healthy sensor has a zero taken since its last eversion.
     HALF_EVERTED = 5  # A sensor, with the margin, lies in the tip's fold.
@@ -179,9 +175,9 @@ class Condition(Documented):
 
 class EventCode(Documented):  # What happened. Events stay latched at the board until acknowledged.
     FAULT = 1  # A fault latched: arg = bit number, value = channel or detail.
-    # The trigger fired: arg = active Side, value = base curvature minus free curvature, 1e-5/cm.
+    # The trigger fired: arg = active muscle, value = base curvature minus free curvature, 1e-5/cm.
     CONTACT = 2
-    PEAK = 3  # Readings of a sweep's peak are captured: arg = active Side, value = their number.
+    PEAK = 3  # Readings of a sweep's peak are captured: arg = active muscle, value = their number.
     ACTIVITY_DONE = 4  # An activity ended: arg = Activity, value = everted length in um.
     ACTIVITY_ABORTED = 5  # An activity ended early: arg = Activity, value = Reason.
     ZEROED = 6  # Zeros are taken: arg = mask of sensors.
@@ -222,8 +218,7 @@ class StatusReport(Reply, number=0x82):  # The board's whole state.
     conditions: U16  # Condition bits.
     t_us: U32  # Device clock, wraps. [us]
     length_um: I32  # Everted length, if known. [um]
-    left_cpsi: I16  # Left muscle pressure. [0.01 psi]
-    right_cpsi: I16  # Right muscle pressure. [0.01 psi]
+    pressure_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Muscle pressures. [0.01 psi]
     everted_mask: U16  # Sensors fully everted, with margin.
     settled_mask: U16  # Sensors past their settling time.
     zeroed_mask: U16  # Sensors with a valid zero.
@@ -236,7 +231,7 @@ class StatusReport(Reply, number=0x82):  # The board's whole state.
 
 class SensorReport(Reply, number=0x83):  # One flex sensor's state.
     status: Status  # ok.
-    sensor: U8  # 0..9.
+    sensor: U8  # Its input.
     flex_sum: U16  # Latest reading.
     zero_sum_q8: U32  # Zero, in 1/256 of a sum.
     drift_e5: I16  # Drift as last measured. [1e-5/cm/s]
@@ -253,8 +248,8 @@ class ParameterValue(Reply, number=0x84):  # A parameter as the board holds it.
 
 class MapValues(Reply, number=0x85):  # One free-curvature map as the board holds it.
     status: Status  # ok.
-    zone: U8  # 0..2.
-    side: Side  # Muscle.
+    zone: U8  # Body pressure, from 0.
+    muscle: U8  # Its number, from 0.
     branch: Branch  # Inflating or deflating.
     curvature_e5: Annotated[tuple[int, ...], "11h"]  # At 0, 2, .. 20 psi. [1e-5/cm]
 
@@ -263,14 +258,14 @@ class Snapshot(Reply, number=0x86):  # A captured reading, raw and as the trigge
     status: Status  # ok.
     index: U8  # As asked.
     count: U8  # Readings of the peak captured so far.
-    side: Side  # Active muscle.
+    muscle: U8  # Active muscle.
     branch: Branch  # Inflating or deflating.
     t_us: U32  # When it was taken. [us]
-    flex_sum: Annotated[tuple[int, ...], "10H"]  # Flex readings, left base first.
-    left_cpsi: I16  # Left pressure, measured. [0.01 psi]
-    right_cpsi: I16  # Right pressure, measured. [0.01 psi]
+    flex_sum: Annotated[tuple[int, ...], "sensors?H"]  # Flex readings, by input.
+    pressure_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Muscle pressures, measured. [0.01 psi]
     lagged_cpsi: I16  # Active pressure filtered by the calibrated lag. [0.01 psi]
-    base_e5: I16  # Base curvature of the inactive side. [1e-5/cm]
+    # Base curvature by the base sensors that the active muscle leaves at rest. [1e-5/cm]
+    base_e5: I16
     free_e5: I16  # Free curvature by the map. [1e-5/cm]
 
 
@@ -283,6 +278,17 @@ class LinkStats(Reply, number=0x87):  # Counters since boot; they wrap.
     rx_overruns: U16  # Bytes lost for want of room.
     tx_dropped: U16  # Telemetry frames dropped for want of room.
     loop_max_us: U16  # Longest main-loop pass since the last report. [us]
+
+
+class Capacity(Reply, number=0x89):  # What the board holds, fixed when its firmware was compiled.
+    status: Status  # ok.
+    muscles: U8  # Muscles: transducers and their pressure sensors.
+    sensors: U8  # Flex sensors: inputs.
+    body_pressures: U8  # Body pressures that it keeps maps for.
+    adc_bits: U8  # Bits of the counts that readings are sums of.
+    drive_full: U16  # Transducer duty of 20 mA.
+    motor_full: U16  # Motor duty of full voltage.
+    tick_us: U16  # Between two conversions of a base sensor. [us]
 
 
 # How the stored configuration fits the firmware that runs, as of the last start or save.
@@ -326,13 +332,10 @@ class Announce(Message, number=0xA1):
 
 class Telemetry(Message, number=0xC0):  # All channels. seq numbers the frames; gaps are drops.
     t_us: U32  # When its readings were complete. [us]
-    flex_sum: Annotated[tuple[int, ...], "10H"]  # Latest flex readings, left base first.
-    left_cpsi: I16  # Left pressure. [0.01 psi]
-    right_cpsi: I16  # Right pressure. [0.01 psi]
-    left_set_cpsi: I16  # Left set point. [0.01 psi]
-    right_set_cpsi: I16  # Right set point. [0.01 psi]
-    left_drive: U16  # Left transducer current. [20 mA/1599]
-    right_drive: U16  # Right transducer current. [20 mA/1599]
+    flex_sum: Annotated[tuple[int, ...], "sensors?H"]  # Latest flex readings, by input.
+    pressure_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Muscle pressures. [0.01 psi]
+    set_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Set points. [0.01 psi]
+    drive: Annotated[tuple[int, ...], "muscles?H"]  # Transducer currents. [20 mA/1599]
     length_um: I32  # Everted length. [um]
     motor: I16  # Motor duty, positive pays out. [1/800 of full]
     base_e5: I16  # Base curvature as the trigger sees it. [1e-5/cm]
@@ -362,7 +365,7 @@ class GetStatus(Command[StatusReport], number=0x02): ...  # The board's whole st
 class Arm(Command[Ack], number=0x03): ...  # Leave safe for ready.
 
 
-class Vent(Command[Ack], number=0x04): ...  # Both muscles to 0 mA; ends a sweep or a press
+class Vent(Command[Ack], number=0x04): ...  # All muscles to 0 mA; ends a sweep or a press
 
 
 # The way back from `arm`: valves 0 mA, motor braked, activity aborted, state safe.
@@ -374,8 +377,7 @@ class ClearFaults(Command[Ack], number=0x06):  # Clears latched faults whose cau
 
 
 class SetPressure(Command[Ack], number=0x07):  # Hold a muscle pressure (calibration, diagnostics).
-    left_cpsi: I16  # Left set point; at most one side above zero. [0.01 psi]
-    right_cpsi: I16  # Right set point. [0.01 psi]
+    set_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Set points [0.01 psi]
     ramp_cpsi_s: U16  # Slew rate; 0 = as fast as configured. [0.01 psi/s]
 
 
@@ -401,24 +403,24 @@ class ConfirmLength(Command[Ack], number=0x0B):
 
 # Tells which body pressure holds, hence which maps and which critical moment.
 class SelectZone(Command[Ack], number=0x0C):
-    zone: U8  # 0..2; 255 = unknown.
+    zone: U8  # Body pressure, from 0; 255 = unknown.
 
 
-class Sweep(Command[Ack], number=0x0D):  # One or more half sines of pressure, left then right
-    left_cpsi: I16  # Amplitude of the left half. [0.01 psi]
-    right_cpsi: I16  # Amplitude of the right half. [0.01 psi]
-    period_ms: U32  # Period of the whole sine; each half takes half of it. [ms]
-    cycles: U8  # Whole periods, at least 1.
+class Sweep(Command[Ack], number=0x0D):  # Half sines of pressure, one muscle after the other
+    # Of each muscle's half sine. [0.01 psi]
+    amplitude_cpsi: Annotated[tuple[int, ...], "muscles?h"]
+    period_ms: U32  # Period of a whole sine; each muscle takes half of it. [ms]
+    cycles: U8  # Rounds of the muscles, at least 1.
     options: U8  # Bits of SweepOption.
 
 
 # Average the named sensors' readings into their zeros.
 class ZeroSensors(Command[Ack], number=0x0E):
-    mask: U16  # Sensors, bit 0 = left base.
+    mask: U16  # Sensors, bit 0 = the first.
 
 
 class GetSensor(Command[SensorReport], number=0x0F):  # One flex sensor's state.
-    sensor: U8  # 0..9, left base first.
+    sensor: U8  # Its input, from 0.
 
 
 class GetParameter(Command[ParameterValue], number=0x10):  # Read a parameter, as set last
@@ -433,16 +435,16 @@ class SetParameter(Command[ParameterValue], number=0x11):
 
 # Set one free-curvature map at 0, 2, .. 20 psi (linear in between).
 class SetMap(Command[Ack], number=0x12):
-    zone: U8  # 0..2.
-    side: Side  # Muscle.
+    zone: U8  # Body pressure, from 0.
+    muscle: U8  # Its number, from 0.
     branch: Branch  # Inflating or deflating.
-    # Free curvature, signed (right side negative). [1e-5/cm]
+    # Free curvature in the plane of the base sensors, signed. [1e-5/cm]
     curvature_e5: Annotated[tuple[int, ...], "11h"]
 
 
 class GetMap(Command[MapValues], number=0x13):  # Read one free-curvature map.
-    zone: U8  # 0..2.
-    side: Side  # Muscle.
+    zone: U8  # Body pressure, from 0.
+    muscle: U8  # Its number, from 0.
     branch: Branch  # Inflating or deflating.
 
 
@@ -475,6 +477,7 @@ class BodyAir(Command[Ack], number=0x1C):
 # Drive one output as it is for a moment (bring-up, jog).
 class TestOutput(Command[Ack], number=0x1D):
     output: Output  # Which.
+    muscle: U8  # Whose transducer; 0 for the motor.
     level: I16  # Transducer 0..400 (5 mA), motor -200..200 (a quarter).
     duration_ms: U16  # 1..500. [ms]
 
@@ -485,6 +488,9 @@ class GetLinkStats(Command[LinkStats], number=0x18): ...
 
 class ClearStop(Command[Ack], number=0x1A):  # An operator lets a stopped robot go.
     nonce: U32  # Of the latched stop, as status_report tells it.
+
+
+class GetCapacity(Command[Capacity], number=0x1E): ...  # What the board holds
 
 
 # What the running firmware made of the stored configuration.

@@ -34,6 +34,7 @@ from thigmo.record.obstacles import (
     write_obstacles,
 )
 from thigmo.record.occupancy import OccupancyGrid, read_ros_map, write_ros_map
+from thigmo.record.older import WITHOUT_COUNTS
 from thigmo.record.swept_shapes import outline, passed
 from thigmo.record.table import FramesTable, ReadingsTable, read_frames, read_readings
 
@@ -41,6 +42,7 @@ __all__ = [
     "OBSTACLES_FILE",
     "PRIOR_FILE",
     "RUNNING",
+    "WITHOUT_COUNTS",
     "Ellipse",
     "Entry",
     "FalseContact",

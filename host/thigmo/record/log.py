@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 
 from thigmo.closing import Closing
 from thigmo.errors import RunFolderError
+from thigmo.link.protocol import MESSAGES
 from thigmo.record.mcap_file import read_mcap
+from thigmo.record.older import WITHOUT_COUNTS, with_counts
 
 Direction = Literal["tx", "rx"]
 
@@ -32,8 +34,11 @@ _TOPICS: dict[str, Direction] = {"/link/tx": "tx", "/link/rx": "rx"}
 _NOTES = "/run/notes"
 _FRAME_SCHEMA = (
     "One frame as it was on the wire, without its closing zero byte: COBS(id u8, seq u16, "
-    "session u16, payload, crc u16). protocol/schema.yaml of the schema hash in this file's "
-    "metadata decodes it."
+    "session u16, payload, crc u16). The payloads are little-endian; their fields are given as "
+    "Python's struct has them. `sensors?H` is as long as the board's capacity; the first array of "
+    "a message with that count comes after it, as a u8. Fields of the schema hash in this file's "
+    "metadata: "
+    + json.dumps({kind.NAME: {"id": kind.ID} | kind.CODES for kind in MESSAGES.values()})
 )
 _NOTE_SCHEMA = {
     "title": "thigmo.Note",
@@ -232,11 +237,13 @@ def read_log(path: Path) -> Log:
     found = read_mcap(path, {*_TOPICS, _NOTES})
     told = found.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(told) if told.isdecimal() else 0
+    older = found.metadata.get("schema_hash") == WITHOUT_COUNTS
     items: list[Entry | Note] = []
     for topic, log_ns, data in found.messages:
         t_s = (log_ns - epoch_ns) / 1e9
         if topic == _NOTES:
             items.append(Note(t_s, json.loads(data)))
         else:
-            items.append(Entry(t_s, _TOPICS[topic], data))
+            frame = with_counts(data) if older else data
+            items.append(Entry(t_s, _TOPICS[topic], frame))
     return Log(items, found.metadata, found.truncated, found.gaps)

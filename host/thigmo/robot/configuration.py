@@ -6,10 +6,12 @@ does not take.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import cos, radians, sin
 from typing import TYPE_CHECKING
 
 from thigmo import wiring
-from thigmo.config import SIDES, SIGN, RobotConfig
+from thigmo.config import FlexSensor, Muscle, RobotConfig
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
 
@@ -18,18 +20,21 @@ if TYPE_CHECKING:
 
 _BOARD_DIVIDER_OHM = 22_000.0  # the divider that the firmware's arithmetic assumes
 _MAP_PSI = [point * wire.MAP_STEP_CPSI / 100 for point in range(wire.MAP_POINTS)]
+_AT_REST = 1 << 7  # of trigger_when: while no muscle bends the body
 _PRESSURE_MARGIN_PSI = 0.5  # regulation overshoots; the set point itself never exceeds the muscle's
 
 
 def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
-    """The schema's parameters that robot.toml decides, by name, in wire units."""
+    """The schema's parameters that robot.toml decides, by name, in wire units.
+
+    One value for each sensor's input, and the first ones of other arrays.
+    """
     board, spool, body = config.board, config.spool, config.body
     flex = wiring.sensors(config)
     pulls = [round(zone.pull_duty) for zone in body.zones]
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
     ratio = board.divider_ohm / _BOARD_DIVIDER_OHM
-    # An output and input without a muscle has the settings of the other's.
-    muscles = [config.muscle(side if side in config.sides else config.sides[0]) for side in SIDES]
+    muscles = config.muscles
     return {
         "flex_enabled": [int(s is not None and s.healthy) for s in flex],
         "flex_center_um": [round(s.center_cm * 1e4) if s else 0 for s in flex],
@@ -47,25 +52,34 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
         "spool_speed_um_s": [round(spool.max_speed_cm_s * 1e4)],
         "spool_accel_um_s2": [round(spool.acceleration_cm_s2 * 1e4)],
         "line_speed_um_s": [round(spool.line_speed_cm_s * 1e4)],
-        "pull_duty": [*pulls, *[0] * (wire.PARAMETERS["pull_duty"].count - len(pulls))],
+        "pull_duty": pulls,
         "motor_stall_n": [round(spool.stall_n)],
         "line_rating_n": [round(spool.line_rating_n)],
         "brake_fitted": [int(spool.brake)],
+        "muscle_fitted": [1] * len(muscles),
+        "trigger_when": [
+            _counts_while(s, muscles) if s and number in wiring.BASES.values() else 0
+            for number, s in enumerate(flex)
+        ],
     }
 
 
+def _counts_while(sensor: FlexSensor, muscles: Sequence[Muscle]) -> int:
+    """Bits of trigger_when: a sensor wrinkles on the inside of a bend, within 90 degrees of it."""
+    apart = [cos(radians(sensor.direction_deg - muscle.direction_deg)) for muscle in muscles]
+    return _AT_REST | sum(1 << n for n, cosine in enumerate(apart) if cosine < 1e-6)
+
+
 def map_settings(config: RobotConfig) -> list[wire.SetMap]:
-    """The free-curvature maps of robot.toml: zone x side x branch, signed."""
+    """The free-curvature maps of robot.toml: body pressure x muscle x branch, signed."""
     found = []
     for zone in range(len(config.body.zones)):
-        for number, side in enumerate(SIDES):
+        for number, muscle in enumerate(config.muscles):
+            in_plane = sin(radians(muscle.direction_deg))
             for branch in wire.Branch:
-                curvature = [0.0] * len(_MAP_PSI)  # without a muscle nothing bends
-                if side in config.sides:
-                    curve = getattr(config.muscle(side).maps[zone], branch.key)
-                    curvature = [SIGN[side] * curve.curvature(p) for p in _MAP_PSI]
-                wired = tuple(round(each * 1e5) for each in curvature)
-                found.append(wire.SetMap(zone, wire.Side(number), branch, wired))
+                curve = getattr(muscle.maps[zone], branch.key)
+                wired = tuple(round(in_plane * curve.curvature(p) * 1e5) for p in _MAP_PSI)
+                found.append(wire.SetMap(zone, number, branch, wired))
     return found
 
 
@@ -74,7 +88,14 @@ def send_config(client: Client, config: RobotConfig) -> bool:
 
     Raises ConfigError for a value that the board cannot hold or does not give back.
     """
-    wanted = parameter_settings(config)
+    wanted = {
+        name: [*values, *[0] * (client.parameters[name].count - len(values))]
+        for name, values in parameter_settings(config).items()
+    }
+    # What hangs on no output keeps what it has.
+    for name in ("lag_ms", "reversal_cpsi"):
+        count = len(config.muscles)
+        wanted[name][count:] = get_parameter(client, name)[count:]
     differing = {name: v for name, v in wanted.items() if get_parameter(client, name) != v}
     if differing:
         set_parameters(client, differing)
@@ -82,18 +103,18 @@ def send_config(client: Client, config: RobotConfig) -> bool:
             _verify(f"parameter {name}", get_parameter(client, name), values)
     changed = bool(differing)
     for setting in map_settings(config):
-        where = wire.GetMap(setting.zone, setting.side, setting.branch)
+        where = wire.GetMap(setting.zone, setting.muscle, setting.branch)
         if client.request(where).curvature_e5 != setting.curvature_e5:
             changed = True
             client.request(setting)
-            what = f"the map of zone {setting.zone}, {setting.side.key}"
+            what = f"the map of zone {setting.zone}, muscle {config.muscles[setting.muscle].name}"
             _verify(what, client.request(where).curvature_e5, setting.curvature_e5)
     return changed
 
 
 def get_parameter(client: Client, name: str) -> list[int]:
     """A parameter as the board holds it, in its wire unit, one value for each element."""
-    entry = named(name)
+    entry = _row(client, name)
     return [client.request(wire.GetParameter(entry.index + i)).value for i in range(entry.count)]
 
 
@@ -105,7 +126,7 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
     contradict each other or those that the board holds.
     """
     for name, values in wanted.items():
-        entry = named(name)
+        entry = _row(client, name)
         if len(values) not in (1, entry.count):
             raise ConfigError(
                 f"{name} holds {entry.count} values, and {len(values)} were given",
@@ -127,7 +148,7 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
         if error.reason != wire.Reason.CONTRADICTION.key:
             raise
         name = next(
-            n for n, p in wire.PARAMETERS.items() if p.index <= error.detail < p.index + p.count
+            n for n, p in client.parameters.items() if p.index <= error.detail < p.index + p.count
         )
         raise ConfigError(
             f"{name} contradicts other parameters, and nothing was changed",
@@ -142,6 +163,11 @@ def named(name: str) -> wire.Parameter:
             f"no parameter {name!r}", "see `thigmo params --robot URL` for their names"
         )
     return wire.PARAMETERS[name]
+
+
+def _row(client: Client, name: str) -> wire.Parameter:
+    """Its row in the board's table; raises as `named`."""
+    return client.parameters[named(name).name]
 
 
 def _verify(what: str, got: object, wanted: object) -> None:

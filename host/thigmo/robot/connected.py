@@ -243,8 +243,7 @@ class Connected(Closing):
             conditions=conditions,
             t_s=self._client.device_s(report.t_us),
             length_cm=report.length_um / 1e4 if "length_known" in conditions else None,
-            left_psi=report.left_cpsi / 100,
-            right_psi=report.right_cpsi / 100,
+            pressure_psi=self._psi(report.pressure_cpsi),
             everted=report.everted_mask,
             settled=report.settled_mask,
             zeroed=report.zeroed_mask,
@@ -252,6 +251,10 @@ class Connected(Closing):
             supply_v=supply_v,
             encoder_errors=report.encoder_errors,
         )
+
+    def _psi(self, cpsi: Sequence[float]) -> tuple[float, ...]:
+        """Pressures of the robot's muscles, of those that the board has."""
+        return tuple(each / 100 for each in cpsi[: len(self.config.muscles)])
 
     @property
     def identity(self) -> dict[str, str]:

@@ -9,13 +9,12 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from functools import cache
-from inspect import get_annotations
 from math import isfinite, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.config import RobotConfig
+from thigmo.config import SIGN, RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
@@ -38,14 +37,19 @@ _LOOK = 20  # readings between two looks at the clock
 _STEP_CM = 2.0  # a tenth of the tightest bend's radius
 
 
-# The wire's telemetry as numpy reads it.
-_FRAME = np.dtype(
-    [
-        (name, f"<{code[-1]}", (int(code[:-1]),) if code[:-1] else ())
-        for name, of in get_annotations(wire.Telemetry).items()
-        for code in of.__metadata__
-    ]
-)
+@cache
+def _layout(counts: tuple[int, ...]) -> np.dtype[np.void]:
+    """The wire's telemetry as numpy reads it, of so many sensors and muscles."""
+    found: list[tuple[str, str, tuple[int, ...]]] = []
+    left = list(counts)
+    of_each: dict[str, int] = {}
+    for name, code in wire.Telemetry.CODES.items():
+        of, _, element = code.rpartition("?")
+        if of and of not in of_each:
+            of_each[of] = left.pop(0)
+            found.append((of, "u1", ()))
+        found.append((name, f"<{element}", (of_each[of],) if of else ()))
+    return np.dtype(found)
 
 
 @cache
@@ -109,6 +113,7 @@ class Publisher:
         self._config = config
         self._radius_cm = config.body.radius_cm
         self._table = table
+        self._bends = np.array([SIGN[side] for side in config.muscle_sides])
         self._centers = table.center_cm.tolist()
         # Everted where it ends, and never if it is not to be used.
         used = table.healthy & np.isfinite(table.zero_sum)
@@ -165,24 +170,24 @@ class Publisher:
 
     def decoded(self, frames: Sequence[TelemetryFrame]) -> TelemetryBlock:
         """Frames in units."""
-        raw = np.frombuffer(b"".join([frame.payload for frame in frames]), dtype=_FRAME)
+        layout = _layout(wire.Telemetry.counts(frames[0].payload))
+        raw = np.frombuffer(b"".join([frame.payload for frame in frames]), dtype=layout)
         t_s = np.array([frame.t_s for frame in frames])
         length_cm = raw["length_um"] / 1e4
         free = raw["free_e5"] / 1e5
         out = self._out_cm <= length_cm[:, None]
         curvature = np.where(out, self._table.curvature(raw["flex_sum"]), nan)
-        left, right = raw["left_cpsi"], raw["right_cpsi"]
-        inflated = np.maximum(left, right) >= _IDLE_PSI * 100
-        hidden = inflated[:, None] & ((left >= right)[:, None] == (self._table.lies > 0))
+        cpsi = raw["pressure_cpsi"][:, : len(self._bends)]
+        inflated = cpsi.max(axis=1) >= _IDLE_PSI * 100
+        bends = self._bends[cpsi.argmax(axis=1)]
+        hidden = inflated[:, None] & (bends[:, None] == self._table.lies)
         numbers = {
             "t_s": t_s,
             "epoch_s": self.epoch_s + t_s,
             "device_s": np.array([frame.device_us for frame in frames]) * 1e-6,
-            "pressure_psi": np.column_stack([left, right]) / 100,
-            "demand_psi": np.column_stack([raw["left_set_cpsi"], raw["right_set_cpsi"]]) / 100,
-            "drive_ma": np.column_stack([raw["left_drive"], raw["right_drive"]])
-            * _FULL_MA
-            / _FULL_DRIVE,
+            "pressure_psi": raw["pressure_cpsi"] / 100,
+            "demand_psi": raw["set_cpsi"] / 100,
+            "drive_ma": raw["drive"] * _FULL_MA / _FULL_DRIVE,
             "curvature_per_cm": curvature,
             "expected_per_cm": np.where(hidden | np.isnan(curvature), nan, free[:, None]),
             "base_per_cm": raw["base_e5"] / 1e5,

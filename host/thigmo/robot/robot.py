@@ -12,7 +12,7 @@ from contextlib import nullcontext
 
 import numpy as np
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
@@ -112,7 +112,7 @@ class Robot(Supervised):
         """
         self.vent()
         status = self.status()
-        psi = max(status.left_psi, status.right_psi)
+        psi = max(status.pressure_psi)
         if psi >= _VENTED_PSI:
             raise CommandRefusedError(
                 f"a muscle holds {psi:.2f} psi",
@@ -227,14 +227,11 @@ class Robot(Supervised):
     def read(self, seconds: float = 0.5, *, despite_faults: bool = False) -> Reading:
         """Average telemetry over a while; `despite_faults` as for `wait`."""
         frames, flex = self._frames(seconds, despite_faults)
-        pressures = [(f.left_cpsi / 100, f.right_cpsi / 100) for f in frames]
-        left, right = np.mean(pressures, axis=0)
         return Reading(
             t_s=float(np.mean([self._client.device_s(f.t_us) for f in frames])),
             curvature=self._table.curvature(flex.mean(axis=0)),
             spread=self._table.curvature(flex).std(axis=0),
-            left_psi=float(left),
-            right_psi=float(right),
+            pressure_psi=self._psi(np.mean([f.pressure_cpsi for f in frames], axis=0).tolist()),
             length_cm=frames[-1].length_um / 1e4,
             frames=len(frames),
             resistance=self._table.resistance(flex.mean(axis=0)),
@@ -246,8 +243,7 @@ class Robot(Supervised):
         return Recording(
             t_s=np.array([self._client.device_s(frame.t_us) for frame in frames]),
             resistance=self._table.resistance(flex),
-            left_psi=np.array([frame.left_cpsi / 100 for frame in frames]),
-            right_psi=np.array([frame.right_cpsi / 100 for frame in frames]),
+            pressure_psi=np.array([self._psi(frame.pressure_cpsi) for frame in frames]),
         )
 
     def _frames(
@@ -272,8 +268,13 @@ class Robot(Supervised):
         A set point below the transducer's live zero (about 2.2 psi) vents that muscle; a slew rate
         of 0 is as configured. Refused while a sensor is half everted.
         """
-        ramp = round(ramp_psi_s * 100)
-        self._request(wire.SetPressure(round(left_psi * 100), round(right_psi * 100), ramp))
+        self._request(wire.SetPressure(self._cpsi(left_psi, right_psi), round(ramp_psi_s * 100)))
+
+    def _cpsi(self, left_psi: float, right_psi: float) -> tuple[int, ...]:
+        """Pressures as the board takes them; ConfigError for a muscle that the robot lacks."""
+        told: dict[Side, float] = {"left": left_psi, "right": right_psi}
+        by_muscle = self.config.by_muscle(told, self._client.capacity.muscles)
+        return tuple(round(psi * 100) for psi in by_muscle)
 
     # Sweeps.
 
@@ -324,6 +325,7 @@ class Robot(Supervised):
             self.aside,
             self._standing,
             rising,
+            sides=self.config.muscle_sides,
         )
         truths: list[Truth | None] = []
         shown = 0
@@ -339,16 +341,14 @@ class Robot(Supervised):
             watcher.stopped = enough(watcher.result(together(truths), so_far=True))
             return watcher.stopped
 
-        command = wire.Sweep(
-            round(left_psi * 100), round(right_psi * 100), round(period_s * 1e3), 1, 0
-        )
+        command = wire.Sweep(self._cpsi(left_psi, right_psi), round(period_s * 1e3), 1, 0)
         with self._telemetry_to(watcher.telemetry):
             self._start(command)
             for event in self._events(wire.Activity.SWEEPING, period_s + _SWEEP_EXTRA_S, until):
                 if event.code == wire.EventCode.CONTACT:
                     watcher.triggered(event, self._client.device_s(event.t_us))
                 elif event.code == wire.EventCode.PEAK:
-                    truths.append(self.truth(SIDES[event.arg]))
+                    truths.append(self.truth(self.config.muscle_sides[event.arg]))
                     # Before the next half overwrites them.
                     watcher.peaks.append(self.snapshots())
                     if rising:
@@ -363,4 +363,5 @@ class Robot(Supervised):
         """The readings captured around the last peak of a sweep, in time order."""
         first = self._client.request(wire.GetSnapshot(0))
         rest = [self._client.request(wire.GetSnapshot(n)) for n in range(1, first.count)]
-        return [peak_frame(one, self._client.device_s(one.t_us)) for one in (first, *rest)]
+        sides = self.config.muscle_sides
+        return [peak_frame(one, self._client.device_s(one.t_us), sides) for one in (first, *rest)]

@@ -59,7 +59,7 @@ class StandingWatch:
         out = self._ends <= told.length_um / 1e4
         self._everted_s[out & ~self._out] = t_s
         self._out = out
-        if told.motor != 0 or max(told.left_cpsi, told.right_cpsi) > _IDLE_CPSI:
+        if told.motor != 0 or max(told.pressure_cpsi) > _IDLE_CPSI:
             self._moved_s = t_s
         if t_s - self._moved_s > _STILL_S:
             self._times.append(t_s)

@@ -25,9 +25,8 @@ class Status:
     conditions: frozenset[str]  #: names of the condition bits that are set
     t_s: float  #: device time
     length_cm: float | None  #: everted length, None if unknown
-    left_psi: float  #: pressure of the left muscle
-    right_psi: float  #: pressure of the right muscle
-    everted: int  #: bit mask of sensors that are out, bit 0 = left base
+    pressure_psi: tuple[float, ...]  #: of each muscle
+    everted: int  #: bit mask of sensors that are out, by input
     settled: int  #: bit mask of those past their settling time
     zeroed: int  #: bit mask of those with a zero
     config_generation: int  #: of the stored configuration, 0 = none
@@ -37,13 +36,12 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Averaged readings over a while; one value for each of the ten sensors, left base first."""
+    """Averaged readings over a while; one value for each of the board's flex inputs."""
 
     t_s: float  #: device time at its middle
     curvature: Floats  #: shape (10,), 1/cm; NaN without a zero
     spread: Floats  #: standard deviation of a single telemetry reading, shape (10,), 1/cm
-    left_psi: float  #: mean pressure of the left muscle
-    right_psi: float  #: mean pressure of the right muscle
+    pressure_psi: tuple[float, ...]  #: mean, of each muscle
     length_cm: float  #: everted length by the encoder
     frames: int  #: number averaged
     resistance: Floats  #: shape (10,), ohm; NaN where the circuit is open
@@ -54,9 +52,8 @@ class Recording:
     """Every telemetry frame of a while."""
 
     t_s: Floats  # device times, shape (n,)
-    resistance: Floats  # of each sensor, shape (n, 10), ohm, left base first
-    left_psi: Floats  # muscle pressures, shape (n,)
-    right_psi: Floats  # muscle pressures, shape (n,)
+    resistance: Floats  # of each sensor, shape (n, 10), ohm
+    pressure_psi: Floats  # of each muscle, shape (n, muscles)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +109,7 @@ class SweepFrame:
     pressure_psi: float  # its measured pressure; of a captured peak's, filtered by the lag
     free_curvature: float  # by the map, signed, 1/cm
     excess: float  # base curvature of the inactive side minus free curvature, 1/cm
-    flex_sum: tuple[int, ...] = ()  # raw readings, left base first
+    flex_sum: tuple[int, ...] = ()  # raw readings
 
 
 @dataclass(frozen=True, slots=True)

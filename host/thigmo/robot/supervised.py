@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import RobotConfig
 from thigmo.errors import (
     CommandRefusedError,
     CommandTimeoutError,
@@ -132,7 +132,8 @@ class Supervised(Connected):
         others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
         channel = self._fault_channels.get(first)
         if first in _OF_A_MUSCLE and channel is not None:
-            what += f" ({SIDES[channel]} muscle)"
+            muscles = self.config.muscles
+            what += f" ({muscles[channel].name if channel < len(muscles) else channel} muscle)"
         causes = {wire.Fault.SPOOL_STALL: wire.StallCause, wire.Fault.SPOOL_SLIP: wire.SlipCause}
         if first in causes and channel is not None:
             what += f" ({causes[first](channel).doc.rstrip('.')})"
@@ -208,16 +209,17 @@ class Supervised(Connected):
         """Hold the body's air enable, or let it go; only while armed."""
         self._request(wire.BodyAir(int(open_)))
 
-    def test_output(self, output: wire.Output, level: int, seconds: float) -> None:
+    def test_output(self, output: wire.Output, level: int, seconds: float, muscle: int = 0) -> None:
         """Drive one output as it is; the board ends it by itself unless repeated, or at `vent`.
 
-        `level`: of a transducer 0..400 (5 mA), of the motor -200..200 (a quarter of full);
-        `seconds`: at most 0.5. Refused unless armed; the motor's while a muscle holds pressure.
+        `level`: of a `muscle`'s transducer 0..400 (5 mA), of the motor -200..200 (a quarter of
+        full); `seconds`: at most 0.5. Refused unless armed; the motor's while a muscle holds
+        pressure.
         """
-        self._request(wire.TestOutput(output, level, round(seconds * 1e3)))
+        self._request(wire.TestOutput(output, muscle, level, round(seconds * 1e3)))
 
     def vent(self, *, wait: bool = True) -> None:
-        """Empty both muscles, and wait until they are, by their sensors.
+        """Empty the muscles, and wait until they are, by their sensors.
 
         Do not wait for sensors whose zeros are unknown. Raises CommandTimeoutError if they stay
         under pressure.
@@ -264,7 +266,7 @@ class Supervised(Connected):
         if changed or status.config_generation == 0 or "bad_config" in status.faults:
             self.save()
         # What a configuration cures; the board keeps a fault whose cause lasts.
-        cured = {"bad_config", *(("flex_open", "flex_short") if changed else ())}
+        cured = {"bad_config", *(("flex_open", "flex_short", "pressure_wire") if changed else ())}
         if cured & set(status.faults):
             self.clear_faults(*sorted(cured & set(status.faults)))
         return changed

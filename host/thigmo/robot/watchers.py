@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from thigmo.config import SIDES
+from thigmo.config import Side
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import Truth
@@ -39,7 +39,7 @@ class GrowthWatcher:
 
     t_s: list[float] = field(default_factory=list)  # device time
     length_cm: list[float] = field(default_factory=list)  # everted, by the spool's encoder
-    flex_sum: list[tuple[int, ...]] = field(default_factory=list)  # raw readings, left base first
+    flex_sum: list[tuple[int, ...]] = field(default_factory=list)  # raw readings
     _next_s: float = 0.0
 
     def telemetry(self, frame: TelemetryFrame) -> None:
@@ -57,11 +57,15 @@ class GrowthWatcher:
         return Profile(np.asarray(self.t_s), np.asarray(self.length_cm), bend)
 
 
-def peak_frame(reply: wire.Snapshot, t_s: float) -> SweepFrame:
-    """A reading that the board captured at a peak, in host units; `t_s` is its unwrapped time."""
+def peak_frame(reply: wire.Snapshot, t_s: float, sides: Sequence[Side]) -> SweepFrame:
+    """A reading that the board captured at a peak, in host units; `t_s` is its unwrapped time.
+
+    `sides` are those to which the muscles bend the body.
+    """
     free = reply.free_e5 / 1e5
     excess = reply.base_e5 / 1e5 - free
-    return SweepFrame(SIDES[reply.side], t_s, reply.lagged_cpsi / 100, free, excess, reply.flex_sum)
+    side = sides[reply.muscle]
+    return SweepFrame(side, t_s, reply.lagged_cpsi / 100, free, excess, reply.flex_sum)
 
 
 @dataclass
@@ -76,6 +80,7 @@ class SweepWatcher:
     standing: StandingWatch | None = None  # what they rest at
     # the sweep is cut short after its first peak; what comes later does not count
     rising: bool = False
+    sides: Sequence[Side] = ()  # to which the muscles bend the body
     stopped: bool = False  # the sweep was stopped on the way up; its last half second is its peak
     triggers: list[ContactTrigger] = field(default_factory=list)
     peaks: list[list[SweepFrame]] = field(default_factory=list)  # captured readings of each
@@ -85,7 +90,7 @@ class SweepWatcher:
     def triggered(self, event: wire.Event, t_s: float) -> None:
         """Take the event of a contact, of device time `t_s`."""
         if not self.stopped:
-            self.triggers.append(ContactTrigger(SIDES[event.arg], t_s, event.value / 1e5))
+            self.triggers.append(ContactTrigger(self.sides[event.arg], t_s, event.value / 1e5))
 
     def telemetry(self, frame: TelemetryFrame) -> None:
         """Take a frame; one in fifty milliseconds is decoded."""
@@ -94,9 +99,9 @@ class SweepWatcher:
             return
         self._next_s = t_s + _FRAME_SPACING_S
         told = frame.message
-        pressure = max(told.left_cpsi, told.right_cpsi)
+        pressure = max(told.pressure_cpsi)
         if pressure >= _IDLE_CPSI:
-            side = SIDES[told.left_cpsi < told.right_cpsi]
+            side = self.sides[told.pressure_cpsi.index(pressure)]
             free, excess = told.free_e5 / 1e5, (told.base_e5 - told.free_e5) / 1e5
             self.frames.append(SweepFrame(side, t_s, pressure / 100, free, excess, told.flex_sum))
 

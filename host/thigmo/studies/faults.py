@@ -119,8 +119,8 @@ STATES: dict[str, tuple[tuple[wire.Command[Any], ...], float]] = {
     "growing": ((wire.GrowTo(530_000, 0),), 2.0),
     "retracting": ((wire.RetractTo(0, 0),), 2.0),
     "homing": ((wire.Home(),), 2.0),
-    "sweeping": ((wire.Sweep(1800, 1800, 30_000, 1, 0),), 5.0),
-    "pressing": ((wire.SetPressure(1800, 0, 0),), 6.0),
+    "sweeping": ((wire.Sweep((1800, 1800), 30_000, 1, 0),), 5.0),
+    "pressing": ((wire.SetPressure((1800, 0), 0),), 6.0),
 }
 QUICK = ("ready", "growing", "pressing")
 

@@ -190,8 +190,8 @@ def _script_of(robot: RobotConfig, length_cm: float, halves: Sequence[Half]) -> 
     ]
     for half in halves:
         top = round(robot.muscle(SIDES[half.side]).max_pressure_psi * 100)
-        sides = (top, 0) if half.side == 0 else (0, top)
-        says.append((half.start_ms, wire.Sweep(*sides, period_ms, 1, 0)))
+        muscles = (top, 0) if half.side == 0 else (0, top)
+        says.append((half.start_ms, wire.Sweep(muscles, period_ms, 1, 0)))
         says.append((half.vent_ms, wire.Vent()))
     return says
 

@@ -38,13 +38,13 @@ class Board {
     ready = false;
     return &conversions;
   }
-  void drive(uint8_t side, int16_t duty) {
-    require(side < thigmo::kSides && duty >= 0 && duty <= thigmo::kDriveFull);
-    duty_[side] = duty;
+  void drive(uint8_t muscle, int16_t duty) {
+    require(muscle < thigmo::kMuscles && duty >= 0 && duty <= thigmo::kDriveFull);
+    duty_[muscle] = duty;
   }
-  void drive_off(uint8_t side) {
-    require(side < thigmo::kSides);
-    duty_[side] = -1;
+  void drive_off(uint8_t muscle) {
+    require(muscle < thigmo::kMuscles);
+    duty_[muscle] = -1;
   }
   void motor(int16_t duty) {
     require(duty != 0 && duty >= -thigmo::kMotorFull && duty <= thigmo::kMotorFull);
@@ -109,7 +109,7 @@ class Board {
     if (reply.session != 0) session = reply.session;
   }
 
-  int16_t duty_[thigmo::kSides] = {-1, -1};
+  int16_t duty_[thigmo::kMuscles] = {-1, -1};
   int16_t motor_ = 0;
   uint8_t rx_[256] = {};
   uint8_t rx_in_ = 0, rx_out_ = 0;

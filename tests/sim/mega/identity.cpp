@@ -116,11 +116,11 @@ void constants() {
   for (uint8_t i = 0; i < 12; ++i) {
     draw_configuration(i % 2 == 0);
     for (const int32_t gain : derived.flex_gain_q16) sum.add(gain);
-    for (uint8_t side = 0; side < kSides; ++side) {
-      sum.add(derived.pressure_gain[side].mantissa);
-      sum.add(derived.pressure_gain[side].shift);
-      sum.add(static_cast<int32_t>(derived.reversal_inverse_q24[side]));
-      sum.add(derived.lag_alpha_q16[side]);
+    for (uint8_t muscle = 0; muscle < kMuscles; ++muscle) {
+      sum.add(derived.pressure_gain[muscle].mantissa);
+      sum.add(derived.pressure_gain[muscle].shift);
+      sum.add(static_cast<int32_t>(derived.reversal_inverse_q24[muscle]));
+      sum.add(derived.lag_alpha_q16[muscle]);
     }
     sum.add(derived.drive_slope_q16);
     sum.add(static_cast<int32_t>(derived.um_per_count_q16));

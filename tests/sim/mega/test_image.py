@@ -114,7 +114,7 @@ def test_a_vented_valve_is_disconnected_not_at_duty_zero(
 ) -> None:
     rig = open_rig(full_length, stored_config)
     prepare(rig)
-    rig.client.request(wire.SetPressure(800, 0, 0))
+    rig.client.request(wire.SetPressure((800, 0), 0))
     rig.robot.wait(1.0)
     pwm = rig.mega.chip.pwm(5)
     assert pwm.top == 1599
@@ -130,7 +130,7 @@ def test_a_vented_valve_is_disconnected_not_at_duty_zero(
 def test_the_emergency_stop_acts_within_two_ticks(full_length: Scene, stored_config: bytes) -> None:
     rig = open_rig(full_length, stored_config)
     prepare(rig)
-    rig.client.request(wire.SetPressure(800, 0, 0))
+    rig.client.request(wire.SetPressure((800, 0), 0))
     rig.robot.wait(1.0)
     assert rig.mega.drive_enabled[0]
     rig.mega.set_estop(True)

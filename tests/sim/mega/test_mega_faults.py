@@ -123,7 +123,7 @@ def sweeping(scene: Scene, eeprom: bytes) -> Rig:
     """A robot in the middle of a sweep, its left muscle under pressure."""
     rig = open_rig(scene, eeprom)
     prepare(rig)
-    rig.client.request(wire.Sweep(1200, 0, 8000, 1, 0))
+    rig.client.request(wire.Sweep((1200, 0), 8000, 1, 0))
     rig.robot.wait(1.5)
     assert rig.mega.drive_enabled[0]
     assert rig.mega.drive[0] > 300
@@ -174,7 +174,7 @@ def test_the_port_opened_or_the_power_cycled_in_a_sweep_is_safe_and_noticed(
     rig.robot.arm()
     rig.client.request(wire.SelectZone(2))
     with pytest.raises(CommandRefusedError, match="length"):
-        rig.client.request(wire.Sweep(1200, 0, 8000, 1, 0))
+        rig.client.request(wire.Sweep((1200, 0), 8000, 1, 0))
 
 
 def test_a_pulled_cable_vents_within_the_heartbeat_limit(

@@ -119,7 +119,7 @@ def test_ctrl_c_puts_the_outputs_off_before_python_goes_on(
     pico: Pico, transport: EmulatorTransport
 ) -> None:
     client = ready(transport)
-    client.request(wire.TestOutput(wire.Output.LEFT_TRANSDUCER, 300, 500))
+    client.request(wire.TestOutput(wire.Output.TRANSDUCER, 0, 300, 500))
     transport.pass_time(0.05)
     assert pico.drive_enabled == (True, False)
     pico.type("\x03")

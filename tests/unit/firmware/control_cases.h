@@ -232,7 +232,8 @@ TEST(a_pressure_that_does_not_follow_is_stuck_and_a_sweep_is_not) {
   PressureLoop moving;
   Muscle muscle;
   Sweep sweep;
-  sweep.start(1800, 0, 8000, 3, 0);
+  const int16_t amplitudes[kMuscles] = {1800, 0};
+  sweep.start(amplitudes, 8000, 3, 0);
   uint32_t tick = 0;
   while (sweep.advance(tick)) {
     moving.set_target(sweep.set_cpsi(tick), Derived::slew_step_q8(1500));
@@ -244,14 +245,15 @@ TEST(a_pressure_that_does_not_follow_is_stuck_and_a_sweep_is_not) {
 
 TEST(a_sweep_is_a_half_sine_left_then_right) {
   Sweep sweep;
-  sweep.start(1800, 1200, 20000, 2, 1000);
+  const int16_t amplitudes[kMuscles] = {1800, 1200};
+  sweep.start(amplitudes, 20000, 2, 1000);
   int halves = 0;
   uint32_t tick = 1000;
   for (; sweep.advance(tick); tick += 5) {
     if (sweep.half_began()) ++halves;
     const double t = std::fmod((tick - 1000) * 1e-3, 20.0);
     const bool left = t < 10;
-    CHECK_EQUAL(sweep.side(), left ? 0 : 1);
+    CHECK_EQUAL(sweep.muscle(), left ? 0 : 1);
     const double want = (left ? 1800 : 1200) * std::sin(M_PI * std::fmod(t, 10.0) / 10);
     CHECK_NEAR(sweep.set_cpsi(tick), want, 1.2);
   }
@@ -261,9 +263,10 @@ TEST(a_sweep_is_a_half_sine_left_then_right) {
 
 TEST(a_side_without_amplitude_is_left_out) {
   Sweep sweep;
-  sweep.start(0, 1000, 10000, 2, 0);
+  const int16_t amplitudes[kMuscles] = {0, 1000};
+  sweep.start(amplitudes, 10000, 2, 0);
   uint32_t tick = 0;
-  for (; sweep.advance(tick); tick += 5) CHECK_EQUAL(sweep.side(), 1);
+  for (; sweep.advance(tick); tick += 5) CHECK_EQUAL(sweep.muscle(), 1);
   CHECK_EQUAL(tick, 10000);
   CHECK_EQUAL(sweep.peak_tick() % 5000, 2500);
 }
@@ -271,7 +274,8 @@ TEST(a_side_without_amplitude_is_left_out) {
 TEST(a_sweep_survives_the_clocks_wrap) {
   Sweep sweep;
   const uint32_t start = 0xFFFFF000u;
-  sweep.start(1800, 1800, 20000, 1, start);
+  const int16_t amplitudes[kMuscles] = {1800, 1800};
+  sweep.start(amplitudes, 20000, 1, start);
   for (uint32_t i = 0; i < 20000; i += 5) {
     CHECK(sweep.advance(start + i));
     const double t = std::fmod(i * 1e-3, 10.0);

@@ -169,7 +169,7 @@ TEST(a_power_cut_at_any_byte_keeps_a_whole_configuration) {
   int cuts = 0;
   for (int cut = 0;; ++cut) {
     bool cut_happened = false;
-    for (const int garbage : {0x00, 0xFF, 0xA5, 0xA6}) {
+    for (const int garbage : {0x00, 0xFF, 0xA5, 0xA6, 0xA7}) {
       Eeprom eeprom = before;
       ConfigStore store;
       Configuration c;
@@ -188,9 +188,12 @@ TEST(a_power_cut_at_any_byte_keeps_a_whole_configuration) {
       eeprom.cut_at = -1;
       ConfigStore next;
       Configuration loaded;
-      CHECK(boot(eeprom, next, loaded) == LoadResult::kLoaded);
-      // Old or new, but whole; new only when the commit byte itself happened to be right.
+      const LoadResult found = boot(eeprom, next, loaded);
+      // Old or new, but whole; new only when the commit byte itself happened to be right, or that
+      // of an older firmware, which must be confirmed.
       const bool is_new = same(loaded, wanted);
+      CHECK(found == (is_new && !saved && garbage == kTwoSides ? LoadResult::kToConfirm
+                                                               : LoadResult::kLoaded));
       CHECK(is_new || same(loaded, old));
       CHECK_EQUAL(next.generation(), is_new ? 3u : 2u);
       // And the next save works.
@@ -245,6 +248,21 @@ TEST(a_configuration_stored_without_ids_is_told) {
   eeprom.cells[kSlotAt[0]] = kWholeImage;
   ConfigStore next;
   CHECK(boot(eeprom, next, c) == LoadResult::kOldFormat);
+}
+
+TEST(a_store_of_before_lists_is_kept_and_waits_for_the_hosts_word) {
+  Eeprom eeprom;
+  ConfigStore store;
+  Configuration c;
+  boot(eeprom, store, c);
+  CHECK(save(eeprom, store, config(1)));
+  eeprom.cells[kSlotAt[0]] = kTwoSides;
+  ConfigStore next;
+  CHECK(boot(eeprom, next, c) == LoadResult::kToConfirm);
+  CHECK(same(c, config(1)));
+  CHECK(save(eeprom, next, c));
+  ConfigStore last;
+  CHECK(boot(eeprom, last, c) == LoadResult::kLoaded);
 }
 
 using Entry = std::vector<uint8_t>;

@@ -15,15 +15,15 @@ from thigmo.link.framing import encode
 
 F = wire.Fault
 R = wire.Reason
-SWEEP = wire.Sweep(1000, 1000, 10_000, 1, 0)
-PRESS = wire.SetPressure(500, 0, 0)
+SWEEP = wire.Sweep((1000, 1000), 10_000, 1, 0)
+PRESS = wire.SetPressure((500, 0), 0)
 
 
 def bending() -> Bench:
     """A robot in the middle of a sweep, 10 psi in the left muscle."""
     bench = Bench()
     bench.zeroed(trigger_e5=10_000)
-    bench.do(wire.Sweep(1500, 1500, 20_000, 1, 0))
+    bench.do(wire.Sweep((1500, 1500), 20_000, 1, 0))
     bench.until(lambda: bench.air.psi[0] > 10)
     assert bench.board.drive_enabled == (True, False)
     return bench
@@ -233,7 +233,7 @@ def test_a_pressure_sensor_that_lies_is_found_by_the_transducers_current(
     bench = Bench()
     bench.zeroed(trigger_e5=10_000)
     bench.sensor = sensor
-    bench.do(wire.SetPressure(round(100 * asked_psi), 0, 0))
+    bench.do(wire.SetPressure((round(100 * asked_psi), 0), 0))
     most = 0.0
     for _ in range(1600):
         bench.step()
@@ -264,7 +264,7 @@ def test_swapped_pressure_plugs_press_no_muscle_beyond_the_proof(side: int, comm
     bench.zeroed(trigger_e5=10_000)
     bench.air = SwappedAir()
     psi = (1800, 0) if side == 0 else (0, 1800)
-    bench.do(wire.SetPressure(*psi, 0) if command == "press" else wire.Sweep(*psi, 20_000, 1, 0))
+    bench.do(wire.SetPressure(psi, 0) if command == "press" else wire.Sweep(psi, 20_000, 1, 0))
     most = 0.0
     for _ in range(1600):
         bench.step()
@@ -279,7 +279,7 @@ def test_a_transducer_map_that_is_wrong_by_four_is_found_before_the_pressure_is_
 ) -> None:
     bench = Bench()
     bench.zeroed(trigger_e5=10_000, drive_20ma_cpsi=1500)
-    bench.do(wire.SetPressure(pressure, 0, 0))
+    bench.do(wire.SetPressure((pressure, 0), 0))
     most = 0.0
     for _ in range(1600):
         bench.step()
@@ -299,17 +299,17 @@ def test_a_channel_is_proven_once_in_an_armed_session_and_anew_in_the_next() -> 
             bench.step()
         raise AssertionError("it does not rise")
 
-    bench.do(wire.SetPressure(1000, 0, 0))
+    bench.do(wire.SetPressure((1000, 0), 0))
     first = rise_s(9.0)
     bench.do(wire.Vent())
     bench.step(4000)
-    bench.do(wire.SetPressure(1000, 0, 0))
+    bench.do(wire.SetPressure((1000, 0), 0))
     again = rise_s(9.0)
     assert 0.2 < first - again < 1.2
     bench.do(wire.Disarm())
     bench.step(4000)
     bench.do(wire.Arm())
-    bench.do(wire.SetPressure(1000, 0, 0))
+    bench.do(wire.SetPressure((1000, 0), 0))
     assert rise_s(9.0) == pytest.approx(first, abs=0.05)
 
 
@@ -324,9 +324,9 @@ def test_a_bring_up_without_calibration_is_no_fault(
     bench.sensor = lambda true: true + offset_psi
     bench.zeroed(trigger_e5=10_000)
     for _ in range(2):
-        bench.do(wire.SetPressure(round(100 * asked_psi), 0, 0))
+        bench.do(wire.SetPressure((round(100 * asked_psi), 0), 0))
         bench.step(8000)
-        bench.do(wire.SetPressure(0, 0, 0))
+        bench.do(wire.SetPressure((0, 0), 0))
         bench.step(3000)
     assert bench.faults() == ()
 
@@ -334,7 +334,7 @@ def test_a_bring_up_without_calibration_is_no_fault(
 @pytest.mark.parametrize("ended_by", ["fault", "stop"])
 def test_the_integral_does_not_survive_a_fault_or_a_stop(ended_by: str) -> None:
     """Wound up while the air was away, it would overshoot when the air is back."""
-    press = wire.SetPressure(500, 0, 0)
+    press = wire.SetPressure((500, 0), 0)
 
     def highest(bench: Bench) -> float:
         bench.do(press)
@@ -514,14 +514,14 @@ def test_half_everted_in_a_bend() -> None:
     bench = Bench()
     # 1.2 cm short of the next sensor's keep-out; slip counts as such only beyond 3 cm.
     bench.zeroed(108_000, slip_um=30_000, trigger_e5=10_000)
-    bench.do(wire.Sweep(1500, 0, 20_000, 1, 0))
+    bench.do(wire.Sweep((1500, 0), 20_000, 1, 0))
     bench.until(lambda: bench.air.psi[0] > 10)
     bench.spool.pull = 140.0
     expect(bench, F.INTERLOCK, 3000, value=0b0001000010)
     bench.spool.pull = 0.0
     bench.step(2000)
     recover(bench, F.INTERLOCK)
-    assert bench.refused(wire.Sweep(1500, 0, 20_000, 1, 0)) == R.HALF_EVERTED
+    assert bench.refused(wire.Sweep((1500, 0), 20_000, 1, 0)) == R.HALF_EVERTED
 
 
 def test_link_overrun() -> None:
@@ -665,7 +665,7 @@ def test_not_zeroed() -> None:
 def test_not_vented() -> None:
     bench = Bench()
     bench.zeroed()
-    bench.do(wire.SetPressure(800, 0, 0))
+    bench.do(wire.SetPressure((800, 0), 0))
     bench.step(2000)
     assert bench.refused(SWEEP) == R.BUSY
     bench.do(wire.Vent())
@@ -696,14 +696,14 @@ def test_limits_of_values() -> None:
     bench = Bench()
     bench.zeroed()
     for command, reason in (
-        (wire.Sweep(1900, 0, 10_000, 1, 0), R.OVER_LIMIT),
-        (wire.Sweep(-1, 0, 10_000, 1, 0), R.BAD_VALUE),
-        (wire.Sweep(0, 0, 10_000, 1, 0), R.BAD_VALUE),
-        (wire.Sweep(1000, 0, 10_000, 0, 0), R.BAD_VALUE),
-        (wire.Sweep(1000, 0, 500, 1, 0), R.BAD_VALUE),
-        (wire.SetPressure(500, 500, 0), R.BAD_VALUE),
-        (wire.SetPressure(-1, 0, 0), R.BAD_VALUE),
-        (wire.SetPressure(0, 1900, 0), R.OVER_LIMIT),
+        (wire.Sweep((1900, 0), 10_000, 1, 0), R.OVER_LIMIT),
+        (wire.Sweep((-1, 0), 10_000, 1, 0), R.BAD_VALUE),
+        (wire.Sweep((0, 0), 10_000, 1, 0), R.BAD_VALUE),
+        (wire.Sweep((1000, 0), 10_000, 0, 0), R.BAD_VALUE),
+        (wire.Sweep((1000, 0), 500, 1, 0), R.BAD_VALUE),
+        (wire.SetPressure((500, 500), 0), R.BAD_VALUE),
+        (wire.SetPressure((-1, 0), 0), R.BAD_VALUE),
+        (wire.SetPressure((0, 1900), 0), R.OVER_LIMIT),
         (wire.GrowTo(540_000, 0), R.OVER_LIMIT),
         (wire.GrowTo(50_000, 0), R.BAD_VALUE),
         (wire.RetractTo(150_000, 0), R.BAD_VALUE),
@@ -726,7 +726,7 @@ def test_configuration_is_closed_while_something_runs() -> None:
     curve = (0,) * 11
     for command in (
         wire.SetParameter(index, 600),
-        wire.SetMap(0, wire.Side.LEFT, wire.Branch.INFLATE, curve),
+        wire.SetMap(0, 0, wire.Branch.INFLATE, curve),
         wire.LoadDefaults(),
         wire.SaveConfig(),
         wire.SelectZone(1),
@@ -750,9 +750,9 @@ def test_no_set_of_parameters_presses_beyond_the_compiled_limits() -> None:
     bench.do(wire.SelectZone(0))
     bench.do(wire.ZeroSensors(0b00001_00001))
     bench.until(lambda: bool(bench.event(wire.EventCode.ZEROED)))
-    assert bench.refused(wire.SetPressure(2001, 0, 0)) == R.OVER_LIMIT
+    assert bench.refused(wire.SetPressure((2001, 0), 0)) == R.OVER_LIMIT
     bench.sensor = lambda true: 0.0  # whatever the sensor says
-    bench.do(wire.SetPressure(2000, 0, 0))
+    bench.do(wire.SetPressure((2000, 0), 0))
     most = 0.0
     for _ in range(600):
         bench.step()
@@ -821,13 +821,13 @@ def test_vent_ends_a_sweep_and_stays_ready() -> None:
 def test_a_released_press_ramps_down_and_ends() -> None:
     bench = Bench()
     bench.zeroed(trigger_e5=10_000)
-    bench.do(wire.SetPressure(0, 1000, 500))
+    bench.do(wire.SetPressure((0, 1000), 500))
     bench.step(4000)
     assert bench.air.psi[1] == pytest.approx(10, abs=0.15)
-    bench.do(wire.SetPressure(0, 600, 0))
+    bench.do(wire.SetPressure((0, 600), 0))
     bench.step(3000)
     assert bench.air.psi[1] == pytest.approx(6, abs=0.15)
-    bench.do(wire.SetPressure(0, 0, 500))
+    bench.do(wire.SetPressure((0, 0), 500))
     bench.step(500)
     assert bench.air.psi[1] > 2
     bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.PRESSING)))

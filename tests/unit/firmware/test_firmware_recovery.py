@@ -20,7 +20,7 @@ def growing(bench: Bench) -> None:
 
 
 def bending(bench: Bench) -> None:
-    bench.do(wire.Sweep(1500, 1500, 20_000, 1, 0))
+    bench.do(wire.Sweep((1500, 1500), 20_000, 1, 0))
     bench.until(lambda: bench.air.psi[0] > 10)
 
 
@@ -45,7 +45,7 @@ def pressure_stuck(bench: Bench) -> None:
 
 def pressure_mismatch(bench: Bench) -> None:
     bench.sensor = lambda true: 0.75 * true
-    bench.do(wire.SetPressure(1500, 0, 0))
+    bench.do(wire.SetPressure((1500, 0), 0))
 
 
 def flex_open(bench: Bench) -> None:

@@ -46,13 +46,13 @@ def homing(bench: Bench) -> None:
 
 def sweeping(bench: Bench) -> None:
     bench.zeroed(trigger_e5=10_000)
-    bench.do(wire.Sweep(1500, 1500, 20_000, 1, 0))
+    bench.do(wire.Sweep((1500, 1500), 20_000, 1, 0))
     bench.until(lambda: bench.air.psi[0] > 10)
 
 
 def pressing(bench: Bench) -> None:
     bench.zeroed(trigger_e5=10_000)
-    bench.do(wire.SetPressure(0, 1200, 0))
+    bench.do(wire.SetPressure((0, 1200), 0))
     bench.until(lambda: bench.air.psi[1] > 10)
 
 
@@ -64,7 +64,7 @@ def zeroing(bench: Bench) -> None:
 def holding(bench: Bench) -> None:
     bench.zeroed()
     bench.body = lambda left, right: -0.003 * max(0.0, left - 8.0)
-    bench.do(wire.Sweep(1500, 0, 8000, 1, wire.SweepOption.HOLD_ON_CONTACT.mask))
+    bench.do(wire.Sweep((1500, 0), 8000, 1, wire.SweepOption.HOLD_ON_CONTACT.mask))
     bench.until(lambda: bench.status().activity is A.HOLDING)
 
 
@@ -80,7 +80,7 @@ def saving(bench: Bench) -> None:
 def under_test(output: wire.Output, level: int) -> Callable[[Bench], None]:
     def begin(bench: Bench) -> None:
         bench.prepare()
-        bench.do(wire.TestOutput(output, level, 500))
+        bench.do(wire.TestOutput(output, 0, level, 500))
 
     return begin
 
@@ -99,7 +99,7 @@ SITUATIONS = {
     "zeroing": (zeroing, S.MOVING, A.ZEROING, False),
     "holding": (holding, S.MOVING, A.HOLDING, True),
     "saving": (saving, S.SAFE, A.SAVING, False),
-    "testing a valve": (under_test(wire.Output.LEFT_TRANSDUCER, 336), S.MOVING, A.TESTING, True),
+    "testing a valve": (under_test(wire.Output.TRANSDUCER, 336), S.MOVING, A.TESTING, True),
     "testing the motor": (under_test(wire.Output.MOTOR, -150), S.MOVING, A.TESTING, True),
 }
 
@@ -145,7 +145,8 @@ def test_a_stop_is_obeyed_within_two_ticks_of_its_last_byte(situation: str, benc
     aborted = {e.arg: e.value for e in bench.event(wire.EventCode.ACTIVITY_ABORTED)}
     ended = activity not in (A.IDLE, A.SAVING)
     assert aborted == ({activity: wire.Reason.FAULT_LATCHED} if ended else {})
-    for command in (wire.Arm(), wire.Home(), wire.GrowTo(200_000, 0), wire.SetPressure(500, 0, 0)):
+    press = wire.SetPressure((500, 0), 0)
+    for command in (wire.Arm(), wire.Home(), wire.GrowTo(200_000, 0), press):
         assert bench.refused(command) == wire.Reason.FAULT_LATCHED
     assert bench.safe()
     bench.do(wire.ClearStop(0xDEAD))

@@ -20,7 +20,7 @@ def armed() -> Bench:
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_valve_carries_the_current_asked_for_and_then_none(side: int) -> None:
     bench = armed()
-    bench.do(wire.TestOutput(O(side), 336, 300))
+    bench.do(wire.TestOutput(O.TRANSDUCER, side, 336, 300))
     bench.step(20)
     assert bench.board.drive[side] == 336
     assert bench.board.drive_enabled == (side == 0, side == 1)
@@ -35,7 +35,7 @@ def test_a_valve_carries_the_current_asked_for_and_then_none(side: int) -> None:
 @pytest.mark.parametrize("duty", [150, -150])
 def test_the_motor_turns_with_the_length_unknown(duty: int) -> None:
     bench = armed()
-    bench.do(wire.TestOutput(O.MOTOR, duty, 200))
+    bench.do(wire.TestOutput(O.MOTOR, 0, duty, 200))
     bench.step(100)
     assert bench.board.motor == duty
     bench.step(150)
@@ -46,7 +46,7 @@ def test_the_motor_turns_with_the_length_unknown(duty: int) -> None:
 def test_repeated_in_time_it_goes_on() -> None:
     bench = armed()
     for _ in range(5):
-        bench.do(wire.TestOutput(O.LEFT_TRANSDUCER, 336, 500))
+        bench.do(wire.TestOutput(O.TRANSDUCER, 0, 336, 500))
         bench.step(400)
         assert bench.board.drive == (336, 0)
     assert bench.do(wire.Vent()) == 0
@@ -58,7 +58,7 @@ def test_repeated_in_time_it_goes_on() -> None:
 def test_a_minute_of_it_is_no_fault() -> None:
     bench = armed()
     for _ in range(150):
-        bench.do(wire.TestOutput(O.LEFT_TRANSDUCER, 400, 500))
+        bench.do(wire.TestOutput(O.TRANSDUCER, 0, 400, 500))
         bench.step(400)
     assert bench.air.psi[0] == pytest.approx(5.6, abs=0.1)
     assert bench.faults() == ()
@@ -67,13 +67,13 @@ def test_a_minute_of_it_is_no_fault() -> None:
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (wire.TestOutput(O.LEFT_TRANSDUCER, 401, 100), R.OVER_LIMIT),
-        (wire.TestOutput(O.LEFT_TRANSDUCER, -1, 100), R.BAD_VALUE),
-        (wire.TestOutput(O.MOTOR, 201, 100), R.OVER_LIMIT),
-        (wire.TestOutput(O.MOTOR, -201, 100), R.OVER_LIMIT),
-        (wire.TestOutput(O.MOTOR, -32768, 100), R.OVER_LIMIT),
-        (wire.TestOutput(O.MOTOR, 100, 501), R.OVER_LIMIT),
-        (wire.TestOutput(O.MOTOR, 100, 0), R.BAD_VALUE),
+        (wire.TestOutput(O.TRANSDUCER, 0, 401, 100), R.OVER_LIMIT),
+        (wire.TestOutput(O.TRANSDUCER, 0, -1, 100), R.BAD_VALUE),
+        (wire.TestOutput(O.MOTOR, 0, 201, 100), R.OVER_LIMIT),
+        (wire.TestOutput(O.MOTOR, 0, -201, 100), R.OVER_LIMIT),
+        (wire.TestOutput(O.MOTOR, 0, -32768, 100), R.OVER_LIMIT),
+        (wire.TestOutput(O.MOTOR, 0, 100, 501), R.OVER_LIMIT),
+        (wire.TestOutput(O.MOTOR, 0, 100, 0), R.BAD_VALUE),
     ],
 )
 def test_what_is_too_much_is_refused(command: wire.TestOutput, reason: wire.Reason) -> None:
@@ -86,19 +86,19 @@ def test_what_is_too_much_is_refused(command: wire.TestOutput, reason: wire.Reas
 def test_interlocks() -> None:
     bench = Bench()
     bench.prepare()
-    bench.do(wire.TestOutput(O.LEFT_TRANSDUCER, 400, 500))
+    bench.do(wire.TestOutput(O.TRANSDUCER, 0, 400, 500))
     bench.step(300)
-    assert bench.refused(wire.TestOutput(O.MOTOR, 100, 100)) == R.NOT_VENTED
-    assert bench.refused(wire.TestOutput(O.RIGHT_TRANSDUCER, 400, 100)) == R.BUSY
+    assert bench.refused(wire.TestOutput(O.MOTOR, 0, 100, 100)) == R.NOT_VENTED
+    assert bench.refused(wire.TestOutput(O.TRANSDUCER, 1, 400, 100)) == R.BUSY
     assert bench.refused(wire.Home()) == R.BUSY
     bench.do(wire.Disarm())
     assert bench.safe()
-    assert bench.refused(wire.TestOutput(O.LEFT_TRANSDUCER, 400, 100)) == R.WRONG_STATE
+    assert bench.refused(wire.TestOutput(O.TRANSDUCER, 0, 400, 100)) == R.WRONG_STATE
 
 
 def test_a_silent_host_ends_it() -> None:
     bench = armed()
-    bench.do(wire.TestOutput(O.MOTOR, 100, 500))
+    bench.do(wire.TestOutput(O.MOTOR, 0, 100, 500))
     bench.beating = False
     bench.step(505)
     assert bench.safe()

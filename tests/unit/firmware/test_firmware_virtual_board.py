@@ -47,7 +47,7 @@ def test_same_seed_same_bytes_and_another_seed_others() -> None:
     def run(seed: int) -> bytes:
         bench = Bench(seed=seed, body=bend)
         bench.zeroed()
-        bench.do(wire.Sweep(1500, 1200, 4000, 1, 0))
+        bench.do(wire.Sweep((1500, 1200), 4000, 1, 0))
         bench.step(5000)
         return bytes(bench.raw)
 
@@ -283,13 +283,13 @@ def test_a_second_touch_elsewhere_is_no_base() -> None:
 def test_a_sweep_needs_a_base_sensor() -> None:
     bench = Bench()
     bench.grown(0)
-    sweep = wire.Sweep(1800, 0, 20_000, 1, 0)
+    sweep = wire.Sweep((1800, 0), 20_000, 1, 0)
     assert bench.refused(sweep) == wire.Reason.NO_BASE_SENSOR
     bench.do(wire.ConfirmLength(100_000, 1))
     for element in (0, 5):
         bench.set("flex_enabled", 0, element=element)
     assert bench.refused(sweep) == wire.Reason.NO_BASE_SENSOR
-    assert bench.refused(wire.SetPressure(500, 0, 0)) == wire.Reason.NO_BASE_SENSOR
+    assert bench.refused(wire.SetPressure((500, 0), 0)) == wire.Reason.NO_BASE_SENSOR
     bench.set("flex_enabled", 1, element=5)
     bench.do(wire.ZeroSensors(1 << 5))
     bench.until(lambda: bool(bench.event(wire.EventCode.ZEROED)))
@@ -329,28 +329,28 @@ def test_retraction_winds_in_only() -> None:
 def test_a_sweep_is_followed_and_its_peak_captured() -> None:
     bench = Bench(body=bend)
     bench.zeroed()
-    bench.do(wire.Sweep(1500, 1000, 8000, 1, 0))
+    bench.do(wire.Sweep((1500, 1000), 8000, 1, 0))
     before = len(bench.heard)
     bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING)))
     trace = [h.message for h in bench.heard[before:] if isinstance(h.message, wire.Telemetry)]
-    sets = np.array([(t.left_set_cpsi, t.right_set_cpsi) for t in trace])
-    psi = np.array([(t.left_cpsi, t.right_cpsi) for t in trace])
+    sets = np.array([t.set_cpsi for t in trace])
+    psi = np.array([t.pressure_cpsi for t in trace])
     assert sets.max(axis=0) == pytest.approx([1500, 1000], abs=2)
     assert ((sets > 0).sum(axis=1) <= 1).all()
     assert psi.max(axis=0) == pytest.approx([1500, 1000], abs=60)
     # Below the live zero the output is a true zero; above it, it carries at least 4 mA.
-    drives = np.array([(t.left_drive, t.right_drive) for t in trace])
+    drives = np.array([t.drive for t in trace])
     assert (drives[sets < 220] == 0).all()
     assert (drives[sets >= 221] >= 319).all()
     peaks = bench.event(wire.EventCode.PEAK)
-    assert [p.arg for p in peaks] == [wire.Side.LEFT, wire.Side.RIGHT]
+    assert [p.arg for p in peaks] == [0, 1]
     snaps = [bench.get(wire.GetSnapshot(i), wire.Snapshot) for i in range(10)]
-    assert [s.side for s in snaps] == [wire.Side.RIGHT] * 10
+    assert [s.muscle for s in snaps] == [1] * 10
     times = np.array([s.t_us for s in snaps])
     assert (np.diff(times) == 50_000).all()
     started = bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING)[0].t_us - 8_000_000
     assert times.mean() - started == pytest.approx(6_000_000, abs=8000)
-    assert all(s.right_cpsi == pytest.approx(940, abs=80) for s in snaps)
+    assert all(s.pressure_cpsi[1] == pytest.approx(940, abs=80) for s in snaps)
     assert all(s.base_e5 == pytest.approx(1e5 * -free(9.4), abs=250) for s in snaps)
     assert not bench.event(wire.EventCode.CONTACT)
 
@@ -360,9 +360,9 @@ def test_free_curvature_is_the_maps_of_zone_side_and_branch() -> None:
     bench.zeroed()
     points = range(0, 2001, 200)
     for zone in range(3):
-        for side in wire.Side:
+        for side in range(2):
             for branch in wire.Branch:
-                sign = 1 if side == wire.Side.LEFT else -1
+                sign = 1 if side == 0 else -1
                 slope = 2 + zone + (0.2 if branch == wire.Branch.DEFLATE else 0.0)
                 values = tuple(int(sign * slope * p) for p in points)
                 bench.do(wire.SetMap(zone, side, branch, values))
@@ -370,11 +370,11 @@ def test_free_curvature_is_the_maps_of_zone_side_and_branch() -> None:
                 assert reply.curvature_e5 == values
     bench.set("trigger_e5", 10_000)
     bench.do(wire.SelectZone(2))
-    for side in wire.Side:
-        sign = 1 if side == wire.Side.LEFT else -1
+    for side in range(2):
+        sign = 1 if side == 0 else -1
         for target, slope in ((1000, 4.0), (700, 4.2)):
-            left, right = (target, 0) if side == wire.Side.LEFT else (0, target)
-            bench.do(wire.SetPressure(left, right, 0))
+            left, right = (target, 0) if side == 0 else (0, target)
+            bench.do(wire.SetPressure((left, right), 0))
             bench.step(4000)
             last = [h.message for h in bench.heard if isinstance(h.message, wire.Telemetry)][-1]
             assert last.free_e5 == pytest.approx(sign * slope * target, rel=0.02)
@@ -433,17 +433,17 @@ def test_the_trigger_fires_after_filter_and_debounce_ticks(filter_log2: int, deb
     assert got == pytest.approx(0.25 * 2**filter_log2 + debounce, abs=1 + 0.05 * 2**filter_log2)
 
 
-@pytest.mark.parametrize("side", [wire.Side.LEFT, wire.Side.RIGHT])
+@pytest.mark.parametrize("side", [0, 1])
 @pytest.mark.parametrize(("held_back", "fires"), [(0.008, True), (-0.008, False)])
 def test_only_a_base_that_is_held_back_in_its_bend_fires(
-    side: wire.Side, held_back: float, fires: bool
+    side: int, held_back: float, fires: bool
 ) -> None:
     """A peg takes curvature from the bend; a base that bends further is the map's error."""
     bench = Bench(body=bend)
     bench.zeroed()
-    psi = (1500, 0) if side == wire.Side.LEFT else (0, 1500)
-    bench.do(wire.Sweep(*psi, 8000, 1, 0))
-    towards = 1.0 if side == wire.Side.LEFT else -1.0
+    psi = (1500, 0) if side == 0 else (0, 1500)
+    bench.do(wire.Sweep(psi, 8000, 1, 0))
+    towards = 1.0 if side == 0 else -1.0
     bench.body = lambda left, right: (
         bend(left, right) - towards * held_back * (max(left, right) > 8.0)
     )
@@ -454,7 +454,7 @@ def test_only_a_base_that_is_held_back_in_its_bend_fires(
 def test_a_body_that_swings_back_after_a_vent_fires_only_if_it_stays_bent() -> None:
     bench = Bench(body=bend)
     bench.zeroed()
-    bench.do(wire.SetPressure(1500, 0, 0))
+    bench.do(wire.SetPressure((1500, 0), 0))
     bench.step(3000)
     bench.do(wire.Vent())
     bench.until(lambda: bool(bench.status().conditions & wire.Condition.VENTED.mask), 3000)
@@ -469,12 +469,12 @@ def test_a_contact_is_latched_with_its_snapshot_and_can_hold_the_sweep() -> None
     bench = Bench(body=bend)
     bench.zeroed()
     assert bench.refused(wire.GetSnapshot(255)) == wire.Reason.NO_SNAPSHOT
-    bench.do(wire.Sweep(1500, 0, 8000, 1, wire.SweepOption.HOLD_ON_CONTACT.mask))
+    bench.do(wire.Sweep((1500, 0), 8000, 1, wire.SweepOption.HOLD_ON_CONTACT.mask))
     # The free body reaches 8 psi, then an obstacle takes 0.001 1/cm for each further psi.
     bench.body = lambda left, right: bend(min(left, 8.0), right) - 0.003 * max(0.0, left - 8.0)
     bench.until(lambda: bool(bench.event(wire.EventCode.CONTACT)), 6000)
     contact = bench.event(wire.EventCode.CONTACT)[0]
-    assert contact.arg == wire.Side.LEFT
+    assert contact.arg == 0
     assert contact.value < -500
     status = bench.status()
     assert (status.state, status.activity) == (wire.State.MOVING, wire.Activity.HOLDING)
@@ -482,11 +482,11 @@ def test_a_contact_is_latched_with_its_snapshot_and_can_hold_the_sweep() -> None
     snap = bench.get(wire.GetSnapshot(255), wire.Snapshot)
     assert snap.t_us == contact.t_us
     assert snap.base_e5 - snap.free_e5 == contact.value
-    assert (snap.side, snap.branch) == (wire.Side.LEFT, wire.Branch.INFLATE)
+    assert (snap.muscle, snap.branch) == (0, wire.Branch.INFLATE)
     held = bench.air.psi[0]
     bench.step(3000)
     assert bench.air.psi[0] == pytest.approx(held, abs=1.0)
-    assert [p.arg for p in bench.event(wire.EventCode.PEAK)] == [wire.Side.LEFT]
+    assert [p.arg for p in bench.event(wire.EventCode.PEAK)] == [0]
     assert len(bench.event(wire.EventCode.CONTACT)) == 1
     bench.do(wire.Vent())
     assert bench.safe()
@@ -499,15 +499,15 @@ def test_a_contact_is_latched_with_its_snapshot_and_can_hold_the_sweep() -> None
 def test_without_hold_the_sweep_goes_on_after_a_contact() -> None:
     bench = Bench(body=lambda left, right: bend(left, right) - 0.002 * max(0.0, left - 8.0))
     bench.zeroed()
-    bench.do(wire.Sweep(1500, 1500, 8000, 1, 0))
+    bench.do(wire.Sweep((1500, 1500), 8000, 1, 0))
     bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING)))
-    assert [e.arg for e in bench.event(wire.EventCode.CONTACT)] == [wire.Side.LEFT]
+    assert [e.arg for e in bench.event(wire.EventCode.CONTACT)] == [0]
 
 
 def test_the_pressurised_sides_readings_do_not_count() -> None:
     bench = Bench(body=bend)
     bench.zeroed()
-    bench.do(wire.Sweep(1500, 1500, 8000, 1, 0))
+    bench.do(wire.Sweep((1500, 1500), 8000, 1, 0))
     while not bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING):
         # Wrinkles on the active side, of twice the threshold.
         left, right = bench.air.psi
@@ -522,7 +522,7 @@ def test_configuration_is_saved_after_the_commit_and_loaded_at_the_next_start() 
     bench.prepare()
     bench.set("flex_scale", 41_234, element=7)
     curve = (0, 100, 200, 300, 400, 500, 600, 700, 800, 900, -1000)
-    bench.do(wire.SetMap(2, wire.Side.RIGHT, wire.Branch.DEFLATE, curve))
+    bench.do(wire.SetMap(2, 1, wire.Branch.DEFLATE, curve))
     seq = bench.seq + 1
     bench.send(wire.SaveConfig(), seq, bench.session)
     bench.step(100)
@@ -545,7 +545,7 @@ def test_configuration_is_saved_after_the_commit_and_loaded_at_the_next_start() 
     index = wire.PARAMETERS["flex_scale"].index + 7
     value = again.get(wire.GetParameter(index), wire.ParameterValue)
     assert value.value == 41_234
-    reply = again.get(wire.GetMap(2, wire.Side.RIGHT, wire.Branch.DEFLATE), wire.MapValues)
+    reply = again.get(wire.GetMap(2, 1, wire.Branch.DEFLATE), wire.MapValues)
     assert reply.curvature_e5 == curve
 
 

@@ -14,10 +14,8 @@ from thigmo.link.framing import Decoder, FrameError, decode, encode
 FRAMES = [
     encode(wire.Heartbeat(7), 0, 3),
     encode(wire.Ack(wire.Status.OK, wire.Reason.NONE, 0), 9, 3),
-    encode(wire.Telemetry(1, (0,) * 10, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0), 4, 3),
-    encode(
-        wire.MapValues(wire.Status.OK, 0, wire.Side.LEFT, wire.Branch.INFLATE, (-1,) * 11), 1, 1
-    ),
+    encode(wire.Telemetry(1, (0,) * 10, *((0, 0),) * 3, 0, 0, 0, 0, 0, 0), 4, 3),
+    encode(wire.MapValues(wire.Status.OK, 0, 0, wire.Branch.INFLATE, (-1,) * 11), 1, 1),
 ]
 
 

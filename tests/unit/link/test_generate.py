@@ -83,12 +83,12 @@ LAYOUT: dict[str, Callable[[dict[str, Any]], object]] = {
     "a field's type": lambda tree: tree["messages"]["grow_to"]["fields"][0].update(type="u32"),
     "a field's unit": lambda tree: tree["messages"]["grow_to"]["fields"][0].update(unit="mm"),
     "a field's count": lambda tree: tree["messages"]["telemetry"]["fields"][1].update(count=9),
-    "a field's enumeration": lambda tree: tree["messages"]["set_map"]["fields"][1].pop("enum"),
-    "an enumeration's number": lambda tree: tree["enums"]["Side"]["left"].update(value=7),
+    "a field's enumeration": lambda tree: tree["messages"]["set_map"]["fields"][2].pop("enum"),
+    "an enumeration's number": lambda tree: tree["enums"]["Branch"]["inflate"].update(value=7),
     "a bit": lambda tree: tree["enums"]["Fault"].pop("watchdog"),
     "a parameter's id": lambda tree: tree["parameters"]["settle_ms"].update(id=250),
     "a parameter's unit": lambda tree: tree["parameters"]["settle_ms"].update(unit="s"),
-    "a parameter's count": lambda tree: tree["parameters"]["settle_ms"].update(count=2),
+    "a parameter's count": lambda tree: tree["parameters"]["settle_ms"].update(count="muscles"),
     "a parameter's place": lambda tree: tree["parameters"].update(
         flex_enabled=tree["parameters"].pop("flex_enabled")
     ),
@@ -130,8 +130,8 @@ def breakage(name: str, tree: dict[str, Any]) -> None:
             tree["enums"]["State"]["safe"]["value"] = 0
         case "default outside its range":
             parameters["settle_ms"]["default"] = 600001
-        case "defaults for 10":
-            parameters["flex_center_um"]["default"] = [1, 2]
+        case "too many defaults":
+            parameters["flex_center_um"]["default"] = [1] * 17
         case "give it an id":
             del parameters["settle_ms"]["id"]
         case "a stored id is used twice":
@@ -158,7 +158,7 @@ def breakage(name: str, tree: dict[str, Any]) -> None:
         "an id is used twice",
         "a value is used twice",
         "default outside its range",
-        "defaults for 10",
+        "too many defaults",
         "give it an id",
         "a stored id is used twice",
         "bad range",

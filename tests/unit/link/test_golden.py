@@ -117,7 +117,7 @@ def cpp_program() -> str:
             *calls,
             f"  const int64_t table[] = {{{', '.join(table)}}};",
             "  for (uint16_t i = 0; i < kParamCount; ++i) {",
-            "    const ParamRow& row = kParamTable[i];",
+            "    const ParamRow& row = kParamRows.row[i];",
             "    if (row.low != table[3 * i] || row.high != table[3 * i + 1] ||",
             "        row.initial != table[3 * i + 2])",
             "      return 255;",

@@ -18,7 +18,7 @@ import numpy as np
 
 from thigmo import __version__
 from thigmo.calibrate.bench import READ_S, SAME_CM, STEADY_S
-from thigmo.config import SIGN, RobotConfig, Side
+from thigmo.config import SIDES, SIGN, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
@@ -122,7 +122,8 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
     truth = attendant.truth()
     robot.vent()
     return {
-        **{name: getattr(reading, name) for name in ("t_s", "length_cm", "left_psi", "right_psi")},
+        **{name: getattr(reading, name) for name in ("t_s", "length_cm")},
+        **{f"{side}_psi": psi for side, psi in zip(SIDES, reading.pressure_psi, strict=True)},
         "zeroed": robot.status().zeroed,
         "curvature": reading.curvature.tolist(),
         "dowel_x_cm": [x for x, _ in dowels],

@@ -1,0 +1,23 @@
+// What a board holds: fixed when its firmware is compiled, and told to the host by `capacity`.
+//
+// The defaults are those of the thesis's robot. A build for more defines the macros, all three.
+#ifndef THIGMO_CORE_CAPACITY_H_
+#define THIGMO_CORE_CAPACITY_H_
+
+#include <stdint.h>
+
+#ifndef THIGMO_MUSCLES
+#define THIGMO_MUSCLES 2
+#define THIGMO_SENSORS 10
+#define THIGMO_BODY_PRESSURES 3
+#endif
+
+namespace thigmo {
+
+constexpr uint8_t kMuscles = THIGMO_MUSCLES;
+constexpr uint8_t kSensors = THIGMO_SENSORS;
+constexpr uint8_t kBodyPressures = THIGMO_BODY_PRESSURES;
+
+}  // namespace thigmo
+
+#endif  // THIGMO_CORE_CAPACITY_H_
