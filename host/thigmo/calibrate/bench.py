@@ -280,7 +280,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
         reading = bench.robot.read(READ_S)
         seen = bench.seen(shot, {"k": None, "k_se": None})
         return {
-            **asked, "psi": getattr(reading, f"{asked['side']}_psi"), "ohm": bench.ohm(reading),
+            **asked, "psi": reading.pressure_psi[SIDES.index(asked["side"])], "ohm": bench.ohm(reading),
             "rest": bench.rest, "t_s": reading.t_s, **seen,
         }  # fmt: skip
 
