@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
+from command import Thigmo
 
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.transport import EmulatedOperator
@@ -33,6 +35,13 @@ def test_a_tip_that_moves_on_lacked_pressure_and_a_replay_says_so_too(tmp_path: 
     again = replay(run.folder).document
     assert again.stall == stall
     assert again.contacts == []
+
+
+def test_the_terminal_says_a_stall_that_was_overcome(thigmo: Thigmo, tmp_path: Path) -> None:
+    room = _explore(tmp_path).document.url
+    ran = thigmo("explore", "--robot", room, "--seed", "1", "--out", str(tmp_path))
+    said = " ".join(ran.out.split())
+    assert re.search(r"stalled at 3\d\.\d cm: too little body pressure .* \(9\d %\)", said)
 
 
 def test_a_stall_that_nobody_can_try_again_stays_ambiguous(

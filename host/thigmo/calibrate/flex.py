@@ -287,7 +287,7 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
         return Verdict(False, reason, tuple(notes))
     if swapped:
         reason = (
-            "left and right are swapped: the side of the active muscle reads well and the other "
+            "the two columns are swapped: the side of the active muscle reads well and the other "
             "does not; exchange the sensor columns' plugs, or the muscles' tubes, and repeat"
         )
         return Verdict(False, reason, tuple(notes))
@@ -298,7 +298,7 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
         if not fit.healthy
     )
     if not any(rows.readings.active):
-        notes.append("without free bends it cannot be noticed if left and right are swapped")
+        notes.append("without free bends it cannot be noticed if the two columns are swapped")
     if len(healthy) < len(everted) / 2:
         return Verdict(False, "more than half of the sensors fail; check wiring", tuple(notes))
     if not everted:

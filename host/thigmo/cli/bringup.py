@@ -162,7 +162,7 @@ def press(
     from thigmo.config import SIDES
 
     if side not in SIDES:
-        raise ConfigError(f"there is no side {side!r}", "give left or right")
+        raise ConfigError(f"there is no side {side!r}", f"give {' or '.join(SIDES)}")
     console = Console(quiet=as_json)
     with _robot(robot, console) as machine, console.progress() as tell:
         machine.arm(body_air=False)

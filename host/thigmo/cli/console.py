@@ -167,6 +167,8 @@ class Console:
             f"{document.robot_time_s:.0f} s of robot time in {document.wall_time_s:.1f} s "
             f"({ratio:.0f} times real time). Ended: {document.outcome}."
         )
+        if document.stall is not None and document.stall.words not in document.outcome:
+            say(f"On its way {document.stall.words}.")
         if document.skips:
             say(f"Effort {document.effort}: {document.skips}.")
         # Paths and commands are copied: no line of theirs is broken.

@@ -210,7 +210,7 @@ def _calibrated(
     robot = RobotConfig.load(path)
     inflated = next((name for name in SIDES if name == side), None)
     if side is not None and inflated is None:
-        raise DataError(f"--side is {side!r}", "give left or right")
+        raise DataError(f"--side is {side!r}", f"give {' or '.join(SIDES)}")
     # Sensors on the inflated side wrinkle and are not read.
     free = [
         (name, index, sensor)

@@ -415,6 +415,8 @@ class Exploration:
     # The end.
 
     def _finish(self) -> str:
+        if (stalled := self.document.stall) is not None:  # a later bend may have told its cause
+            self.live.tell(Log, "info", stalled.words)
         self.robot.disarm()
         self.restore()
         return "safe"

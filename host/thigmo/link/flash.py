@@ -25,7 +25,7 @@ BOOT_LOADER_BAUD = 115_200
 _DEADLINE_S = 180.0
 _MEGA_2560 = "1e9801"
 HOLD = b"\xff\xcf" * (PAGE // 2)
-"""A page 0 that starts nothing: each word is a jump to itself, the outputs stay as a reset left
+"""A page 0 that starts nothing: each word is a jump to itself, the outputs stay as a reset leaves
 them, off."""
 
 # What avrdude says, what it means, and what to do. First match counts.

@@ -221,9 +221,9 @@ def _copy(content: bytes, drive: Path) -> None:
     whole = False
     try:
         with (drive / "thigmo.uf2").open("wb", buffering=0) as file:
-            left = memoryview(content)
-            while left:
-                left = left[file.write(left) :]
+            rest = memoryview(content)
+            while rest:
+                rest = rest[file.write(rest) :]
             whole = True
             os.fsync(file.fileno())
     except OSError as error:

@@ -23,7 +23,7 @@ class Kind(Enum):
     # process -> host
     OPENED = auto()
     DATA = auto()  # bytes from the port, stamped on arrival
-    BEATEN = auto()  # a heartbeat left: its counter, stamped before
+    BEATEN = auto()  # a heartbeat went: its counter, stamped before
     FAILED = auto()  # the port cannot be opened, or is gone: the error to raise
 
 

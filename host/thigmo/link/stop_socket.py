@@ -132,7 +132,7 @@ def owners(url: str) -> list[str]:
 
 
 def connect(where: str) -> Connection:
-    """Connect to a socket; OSError if nobody listens. What a killed program left is removed."""
+    """Connect to a socket; OSError if nobody listens. What a killed program leaves is removed."""
     try:
         return Client(where)
     except ConnectionRefusedError:

@@ -4,7 +4,7 @@ A peg's place is told by where on the outline of the body it is first touched (a
 the corner, across the face of the end) and at which free curvature. From that touch the
 large-deflection rod is followed to the most that the body bends. `frames` compares the tables
 with readings; they depend on the body and its sensors only, so they are kept for the next sweep.
-Peg on the left, lengths those of a body of 53 cm.
+Peg at +y, lengths those of a body of 53 cm.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _MESH = 2.0  # of the rod: 1e-8 1/cm on its curvature
 
 @dataclass(frozen=True, slots=True)
 class BentBody:
-    """A body that bends to the left, and the peg's size."""
+    """A body that bends towards +y, and the peg's size."""
 
     most: float  # free curvature that it reaches
     # radius, peg: of the tube and the peg
@@ -74,7 +74,7 @@ class Bodies:
 def _outline(radius: float, peg: float) -> Array:
     """(A, 3) arc, and the centre of a touching peg from there: along the tangent, the normal.
 
-    From near the base along the left side, round the left corner, across the face.
+    From near the base along the side at +y, round its corner, across the face.
     """
     side = np.column_stack([_SIDE, np.zeros(len(_SIDE)), np.full(len(_SIDE), radius + peg)])
     angle = np.linspace(0.0, math.pi / 2, _CORNER + 1)[1:]

@@ -81,7 +81,7 @@ class Sensors:
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Standard errors of the readings. One that is left out makes answers wrong, not wide.
+    """Standard errors of the readings. One that is omitted makes answers wrong, not wide.
 
     Attributes:
         noise: white noise of a reading, scalar or (N,), 1/length; None if it is not known.

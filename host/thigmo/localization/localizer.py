@@ -287,8 +287,8 @@ class Localizer:
         problem = thesis.Problem(excess[read], x, spans, self.length, count, critical)
         arcs, forces = thesis.coupled(problem)
         fitted = [(at, force, ()) for at, force in zip(arcs.tolist(), forces.tolist(), strict=True)]
-        left = thesis.objective(thesis.at_centres(problem), arcs, forces)
-        return _point_result(fitted, self.length, "thesis", left)
+        rest = thesis.objective(thesis.at_centres(problem), arcs, forces)
+        return _point_result(fitted, self.length, "thesis", rest)
 
 
 def localize(

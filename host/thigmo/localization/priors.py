@@ -76,13 +76,13 @@ WIDTH_SHARE = 10.0 / 53.0
 FIVE_SIGMA = 25.0
 # Log odds against the likeliest explanation below which one is not weighed further.
 HOPELESS = -7.0
-# Standard normal deviate of the misfit that calls for further explanations: 2 % of right ones.
+# Standard normal deviate of the misfit that calls for further explanations: 2 % of true ones.
 MISFIT_DEVIATE = 2.0
 
 # Readings are never trusted to more than this share of the largest of them or of the free
 # curvature: no beam model and no sensor constant is better.
 TRUST = 5e-4
-# Where one contact leaves a misfit beyond this standard normal deviate, as 31 % of right ones do,
+# Where one contact leaves a misfit beyond this standard normal deviate, as 31 % of true ones do,
 # the noise may be larger than stated: by this factor, and with this probability.
 NOISE_DEVIATE = 0.5
 NOISE_FACTOR = 2.4

@@ -1,7 +1,7 @@
 """The door: the caller's arrays as the compiled code takes them, and what it refuses.
 
 Input that looks like another unit is refused with the likely cure, because a wrong answer must not
-look like a right one.
+look like a true one.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class Contact:
         force_deviation: posterior standard deviation of the force.
         probability: that there is such a contact: nearer to `arc` than to that of another one; NaN
             for a `point estimate`.
-        end_offset: where a contact on the end of the body bears, left of the centreline; None for
+        end_offset: where a contact on the end of the body bears, at +y of the centreline; None for
             one on the side.
         vector: in space, the force over EI across the body by the likeliest explanation: along the
             body at its base, towards direction 0, and a quarter turn on; None in a plane. `force`

@@ -149,8 +149,8 @@ def alternating(
         def misfits(j: int) -> Array:
             """The objective for contact j at every node, the others where they are."""
             others = levers[:, at] @ forces - forces[j] * levers[:, at[j]]
-            left = (problem.curvature - others)[:, None] - forces[j] * levers
-            return np.asarray(np.linalg.norm(left, norm, axis=0))
+            rest = (problem.curvature - others)[:, None] - forces[j] * levers
+            return np.asarray(np.linalg.norm(rest, norm, axis=0))
 
         alone = misfits(0) if at.size == 1 else None
         for wall in walls:

@@ -19,7 +19,7 @@ RUNNING, KILLED = "running", "killed"
 
 # JSON has null where a number is not known.
 Number = Annotated[float, BeforeValidator(lambda value: nan if value is None else value)]
-Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis, left positive
+Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis
 
 
 _WORTH_SAYING = 0.01  # share of a contact's kind
@@ -29,7 +29,7 @@ _WORTH_SAYING = 0.01  # share of a contact's kind
 class Shape:
     """A measured centreline of the robot."""
 
-    side: str  # the muscle that was inflated, "left" or "right"
+    side: str  # of the muscle that was inflated
     pressure_psi: float  # its pressure, filtered by the calibrated lag
     poses: list[Pose]  # base to tip, evenly spaced in arc length
     # standard error of its curvature, common to all of it, 1/cm: at arc s the body may be s^2/2 of
@@ -257,6 +257,6 @@ class RunDocument:
     method: str = "posterior"  #: of the localizer: `thigmo.localize`
     #: "quick", "default", "careful", "thesis", or a budget such as "120 s"; empty in older runs
     effort: str = ""
-    skips: str = ""  #: what that effort left out, and what it costs; empty if it was nothing
+    skips: str = ""  #: what that effort omitted, and what it costs; empty if it was nothing
     resumes: str = ""  #: folder of the run that was cut short, from which this one goes on
     version: int = 1

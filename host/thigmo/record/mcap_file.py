@@ -92,7 +92,7 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
 
 
 def _records(opcode: int, content: bytes) -> list[McapRecord] | None:
-    """What a record tells, with those in it; None if it is damaged, and its length is right.
+    """What a record tells, with those in it; None if it is damaged, and its length fits.
 
     Raises one of `_DAMAGE` if its lengths do not add up.
     """

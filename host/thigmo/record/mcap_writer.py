@@ -156,7 +156,7 @@ class McapWriter:
         self._index.clear()
 
     def finish(self) -> None:
-        """Write what is left, and the summary."""
+        """Write what remains, and the summary."""
         self._finish_chunk()
         self._stream.write(_bytes(DataEnd(0)))
         first_ns, last_ns = self._file_span_ns or (0, 0)

@@ -59,7 +59,7 @@ class Obstacle:
     status: str  # "localized", "ambiguous" or "point estimate", as in contacts.json
     # direction from the body into the obstacle; None for a grid's obstacle
     normal_rad: float | None = None
-    # part of the robot that it touched: "left", "right" or "tip"; empty for a grid's
+    # part of the robot that it touched: a side or "tip"; empty for a grid's
     body_side: str = ""
     # arc_cm, interval_cm: along the body when it was last measured
     arc_cm: float | None = None

@@ -86,7 +86,7 @@ class OccupancyGrid:
 
 
 class _Description(BaseModel):
-    """map.yaml; keys that other tools add (`cost_translation_table`) are left alone."""
+    """map.yaml; keys that other tools add (`cost_translation_table`) are kept."""
 
     image: str
     mode: str = "trinary"

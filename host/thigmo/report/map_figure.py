@@ -212,14 +212,15 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
             *np.asarray(contact.surface).T, color=INK, lw=2.2, zorder=6, marker="s", ms=3.5,
             ls="-" if sure else (0, (3, 2)), label="wall" if sure else "wall, likely",
         )  # fmt: skip
-    around = Spread.of(contact.covariance_cm2)
-    ellipse = Ellipse(
-        (contact.x_cm, contact.y_cm), 2 * around.semi_major_cm, 2 * around.semi_minor_cm,
-        angle=float(np.degrees(around.angle_rad)), facecolor="none", edgecolor=color, lw=1.0,
-        ls=(0, (4, 2)), zorder=5, label="95 % ellipse in the plane",
-    )  # fmt: skip
-    if placed:
-        axes.add_patch(ellipse)
+    if contact.status == "localized":  # a wider set is no ellipse
+        around = Spread.of(contact.covariance_cm2)
+        axes.add_patch(
+            Ellipse(
+                (contact.x_cm, contact.y_cm), 2 * around.semi_major_cm, 2 * around.semi_minor_cm,
+                angle=float(np.degrees(around.angle_rad)), facecolor="none", edgecolor=color,
+                lw=1.0, ls=(0, (4, 2)), zorder=5, label="95 % ellipse in the plane",
+            )
+        )  # fmt: skip
     named = "contact" if number is None else f"{number}"
     axes.plot(
         contact.x_cm, contact.y_cm, "o", color=color, ms=7, zorder=7, linestyle="none",
@@ -269,6 +270,8 @@ def _frame(axes: Axes, document: RunDocument) -> None:
         facts.append(
             f"x error {document.error_x_cm:.2f} cm, in the plane {document.error_cm:.2f} cm"
         )
+    if document.stall is not None and document.stall.pressure > 0.5:
+        facts.append(f"stalled at {document.stall.length_cm:.0f} cm, for want of pressure")
     facts.append(f"{document.robot_time_s:.0f} s of robot time")
     titled(axes, f"{document.name}: {found}", "; ".join(facts))
 

@@ -463,7 +463,7 @@ def _claims(found: list[Explored]) -> list[Claim]:
         Claim(f"{WALLS}: contacts missed by {off}", missed(walls), 20.0, unit="%"),
         Claim(f"{empty}: localized", total(stalls, "contacts_localized"), 0.0),
         Claim(
-            f"{STALLS}: of {len(stalled)} that stalled, the cause is right after a trial",
+            f"{STALLS}: of {len(stalled)} that stalled, the cause is true after a trial",
             share([one.cause == "pressure" for one in stalled]), 0.8, False,
         ),
         Claim(f"{one_peg}: missed by {off}", total(pegs, "touched_missed"), 1.0),

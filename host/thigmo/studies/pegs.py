@@ -2,7 +2,7 @@
 
 A round frictionless peg bears somewhere on the body's outline: on its side, round the corner of its
 end, or on the face. Where on the outline, and how hard, follows from where the peg stands. All
-lengths in cm, forces over EI; bodies bend to the left. Used by the accuracy study and by tests.
+lengths in cm, forces over EI; bodies bend towards +y. Used by the accuracy study and by tests.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ FORCE = 1e-3  # order of the forces over EI (1/cm^2)
 def outline(u: Floats, peg_radius: Floats, length: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Where a peg bears at `u` (S,) along the outline, and where it then stands.
 
-    `u` runs along the left side (as arc), round the left corner, across the face and round the
-    right corner, as the peg's centre does.
+    `u` runs along the side towards +y (as arc), round its corner, across the face and round the
+    other corner, as the peg's centre does.
 
     Returns:
-        Arc (S,), offset to the left on the section there (S,), direction to the peg (2, S), and
+        Arc (S,), offset towards +y on the section there (S,), direction to the peg (2, S), and
         the peg's centre (2, S), both in the section's frame.
     """
     beyond = u - length

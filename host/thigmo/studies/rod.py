@@ -79,7 +79,7 @@ def solve(
 ) -> Bodies:
     """Bodies in equilibrium under loads at `arcs` (S, E), rising, of everted length `length`.
 
-    Loads are over EI: forces `normal` (S, E) to the body where they act, positive to its left,
+    Loads are over EI: forces `normal` (S, E) to the body where they act, positive towards +y,
     `tangential` along it, towards its tip, and moments `couple` beside theirs. `kink` is a turn
     (rad) of the body there, whatever the load. The free curvature is one, (S, 1), or (S, E + 1) for
     each piece between loads; `stiffness` turns arcs (S,) into stiffness over EI, 1 if not given.

@@ -209,7 +209,7 @@ WAYS: dict[str, tuple[str, Way]] = {
     "emergency stop": ("pressed", at_once(_press_emergency_stop)),
     "ROS 2": ("a message on the topic `stop`", _ros),
 }
-_HEARTLESS = ("kill -9, all", "cable")  # nobody is left to tell the board
+_HEARTLESS = ("kill -9, all", "cable")  # nobody remains to tell the board
 
 
 def run(context: Context) -> Outcome:
@@ -222,7 +222,7 @@ def run(context: Context) -> Outcome:
         context.save(Outcome({"rows": rows}))
     worst = max(float(row["worst_ms"]) for row in rows if row["who"] in _HEARTLESS)
     limit = _SILENT_MS + 2e3 * STEP_S  # steps at either end
-    claim = Claim("nobody is left to tell the board: worst", worst, limit, unit="ms")
+    claim = Claim("nobody remains to tell the board: worst", worst, limit, unit="ms")
     return Outcome({"rows": rows}, claims=[claim], summary=rows)
 
 

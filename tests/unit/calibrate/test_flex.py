@@ -202,7 +202,7 @@ def test_swapped_sides_are_detected():
     # No sensor is blamed for it.
     assert not any("omitted sensor" in note for note in result.verdict.notes)
     blind = fit_flex(lab.flex(places=20, bends=0), lab.config)
-    assert any("left and right are swapped" in note for note in blind.verdict.notes)
+    assert any("the two columns are swapped" in note for note in blind.verdict.notes)
 
 
 def test_a_tip_place_tells_the_curvature_and_large_deflection_matters():

@@ -223,7 +223,7 @@ function drawContacts({ contacts, words }) {
     }
     const [[a, b], [, d]] = contact.covariance_cm2;
     const middle = (a + d) / 2, spread = Math.hypot((a - d) / 2, b);
-    if (!pointEstimate(contact)) make("ellipse", {
+    if (sure) make("ellipse", { // a wider set is no ellipse
       cx: x, cy: y, fill: "var(--contact-wash)", stroke: "var(--contact)", "stroke-width": 1.2, "stroke-dasharray": "5 3",
       rx: SIGMA_95 * Math.sqrt(Math.max(middle + spread, 0)) * scale,
       ry: SIGMA_95 * Math.sqrt(Math.max(middle - spread, 0)) * scale,
