@@ -1,4 +1,4 @@
-"""Draws the robot's circuit and plumbing: docs/hardware/*.svg.
+"""Draws the robot's circuit, plumbing, nozzle and spool: docs/hardware/*.svg.
 
     python tools/schematics.py           draw
     python tools/schematics.py --check   fail if a drawing is not what this file says
@@ -571,6 +571,56 @@ def pico() -> schemdraw.Drawing:
     return d
 
 
+def _dimension(d: schemdraw.Drawing, start: Point, end: Point, text: str) -> None:
+    """An arrow with two heads between two edges; its text stands beside its middle."""
+    d.add(elm.Arrow(double=True, headwidth=0.15, headlength=0.25).at(start).to(end).linewidth(0.8))
+    (x0, y0), (x1, y1) = start, end
+    aside = (0.2, 0.0) if x0 == x1 else (0.0, 0.35)
+    _text(d, ((x0 + x1) / 2 + aside[0], (y0 + y1) / 2 + aside[1]), text,
+          "left" if x0 == x1 else "center", 9)  # fmt: skip
+
+
+def nozzle_and_spool() -> schemdraw.Drawing:
+    """Sections; one unit is 10 mm."""
+    d = _sheet(
+        "NOZZLE AND SPOOL, sections, mm. Of the thesis: 35. All else is this design's choice"
+    )
+    # The nozzle lies along x, from the chamber's wall; its axis is at y.
+    y = -5.0
+    _wire(d, (1.0, y + 3.2), (1.0, y + 1.75), (7.0, y + 1.75), (7.0, y + 1.55), (1.4, y + 1.55))
+    _wire(d, (1.0, y - 3.2), (1.0, y - 1.75), (7.0, y - 1.75), (7.0, y - 1.55), (1.4, y - 1.55))
+    for side in (1.0, -1.0):
+        _wire(d, (1.4, y + 1.55 * side), (1.4, y + 0.6 * side), (1.7, y + 0.6 * side),
+              (1.7, y + 1.55 * side))  # fmt: skip
+        _wire(d, (3.2, y + 1.85 * side), (9.5, y + 1.85 * side))
+        d.add(elm.Rect(corner1=(0, 0), corner2=(1.2, 0.25 * side)).theta(0)
+              .at((4.0, y + 1.9 * side)))  # fmt: skip
+    _dimension(d, (6.2, y - 1.75), (6.2, y + 1.75), "outer 35")
+    _dimension(d, (1.0, y - 3.6), (7.0, y - 3.6), "60")
+    _text(d, (9.6, y + 1.85), "body, over the nozzle", size=9)
+    _text(d, (5.3, y + 2.5), "hose clamp", size=9)
+    _text(d, (1.2, y + 3.0), "chamber's wall, pipe of 100", size=9)
+    _text(d, (1.9, y), "stop ring: lets the folded\ntube through, not the knot", size=9)
+    # The spool, its shaft along x.
+    x, top = 16.0, y + 2.5
+    for left in (x, x + 2.3):
+        d.add(elm.Rect(corner1=(0, 0), corner2=(0.3, -3.0)).theta(0).at((left, top)))
+    d.add(elm.Rect(corner1=(0, 0), corner2=(2.0, -2.0)).theta(0).at((x + 0.3, top - 0.5)))
+    _wire(d, (x - 1.2, top - 1.3), (x, top - 1.3))
+    _wire(d, (x - 1.2, top - 1.7), (x, top - 1.7))
+    _dimension(d, (x + 0.3, top + 0.4), (x + 2.3, top + 0.4), "20 between the flanges")
+    _dimension(d, (x + 1.2, top - 2.5), (x + 1.2, top - 0.5), "20")
+    _dimension(d, (x + 3.0, top - 3.0), (x + 3.0, top), "30")
+    _text(d, (x - 1.4, top - 1.5), "M1's\nshaft", "right", 9)
+    _text(
+        d,
+        (x - 2.0, top - 4.0),
+        "17 turns of line of 1 mm or less,\nside by side in one layer",
+        size=9,
+    )
+    return d
+
+
 DRAWINGS: dict[str, Callable[[], schemdraw.Drawing]] = {
     "power": power,
     "current-stage": current_stage,
@@ -579,6 +629,7 @@ DRAWINGS: dict[str, Callable[[], schemdraw.Drawing]] = {
     "sensors": sensors,
     "air": air,
     "pico": pico,
+    "nozzle-and-spool": nozzle_and_spool,
 }
 
 

@@ -475,7 +475,7 @@ class SpaceGrid {
           lower[k][k] -= lower[k][l] * lower[k][l];
           half[k] -= lower[k][l] * half[l];
         }
-        lower[k][k] = std::sqrt(std::max(lower[k][k], 1e-300));
+        lower[k][k] = std::sqrt(std::max(lower[k][k], tight));  // no less, but for rounding
         half[k] /= lower[k][k];
         gain += half[k] * half[k];
         volume *= lower[k][k];
@@ -543,6 +543,12 @@ class InSpace : public Explanations {
         readings.frame.excess[i] -= hanging_[i];
       }
       rest_weighed_ = base(shape);
+      const Row& excess = frame_.excess;
+      const double square = Whitener::dot(excess.data(), excess.data(), frame_.size());
+      const double scale = std::max(std::sqrt(square / frame_.size()), priors.trust);
+      for (std::size_t s = 0; !readings.known && s < frame_.levels.size(); ++s) {
+        readings.frame.levels[s].factor = priors.noise_levels[s] * scale;  // without the weight
+      }
       whiten();
     } else {
       rest_weighed_ = rest_;

@@ -140,6 +140,14 @@ def test_one_contact_is_weighed_as_dense_normal_densities():
     assert found == pytest.approx(weight, abs=0.02)
 
 
+@pytest.mark.parametrize("weight", [None, (0.2, -1.0, 0.5)])
+def test_readings_of_zero_without_a_noise_have_a_finite_answer(weight):
+    told = READ | {"noise": None, "weight": weight}
+    result = thigmo.localize(np.zeros(POSITION.size), **told)
+    assert np.isfinite(result.log_odds)
+    assert sum(result.hypotheses.values()) == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize(
     ("given", "says"),
     [
