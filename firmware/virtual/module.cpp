@@ -1,4 +1,5 @@
-// Python's view of the virtual board: the extension module thigmo.emulator._board.
+// Python's view of the virtual board: the extension modules thigmo.emulator._board, of the thesis's
+// capacity, and _large_board, of the wire's.
 //
 // Types are in host/thigmo/emulator/_board.pyi; the emulator and the tests are its only users.
 #include <nanobind/nanobind.h>
@@ -39,7 +40,7 @@ void check_profile(uint8_t adc_bits, uint16_t frame_us) {
 
 }  // namespace
 
-NB_MODULE(_board, m) {
+NB_MODULE(THIGMO_MODULE, m) {
   m.doc() = "The firmware core on a virtual board.";
   m.attr("SCHEMA_HASH") = thigmo::protocol::kSchemaHash;
   nb::class_<Analog>(m, "Analog")

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo import config, wiring
+from thigmo.config import SIDES
 from thigmo.emulator import _plant
 from thigmo.emulator._plant import FlexSensor, Muscle, Spool, Swing
 from thigmo.emulator.board import CHANNELS, DRIVE_FULL, PRESSURE
@@ -153,6 +154,8 @@ class Plant:
         )
         self._solved_g = nan
         self.analog = np.zeros((CHANNELS, 2))
+        # An input without a muscle has a divider that reads 0 psi (docs/another-robot.md).
+        self.analog[PRESSURE : PRESSURE + len(SIDES)] = 102.4
         self.encoder = (self._encoder(), self._encoder())
         self.set_body_pressure(self.body_psi)
         self._solve(self.length_cm)

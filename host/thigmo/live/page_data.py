@@ -97,7 +97,7 @@ def body(config: RobotConfig) -> dict[str, Any]:
         "length_cm": config.body.length_cm,
         "radius_cm": config.body.radius_cm,
         "muscles": [
-            {"name": name, "side": SIDES[output], "output": output}
+            {"name": name, "side": config.muscles[output].side, "output": output}
             for output, name in muscle_outputs(config).items()
         ],
         "columns": [column._asdict() for column in columns(config)],

@@ -1,0 +1,272 @@
+"""The firmware built for more, and used for less: one, two and four muscles, under every fault.
+
+The interlock: of all that the host may ask for, at most one muscle has a set point above zero, and
+a fault leaves none. A muscle that is not fitted is neither driven nor read.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator._large_board import VirtualBoard as LargeBoard
+from thigmo.link import protocol as wire
+from thigmo.link.framing import Decoder, encode
+
+FLAT_COUNT, EMPTY_COUNT, STEP_MS = 660.0, 102.4, 5
+CONVERTER = (12, 320)  # bits, us a frame: 13 conversions of the Mega's would not fit a tick
+R, F = wire.Reason, wire.Fault
+
+
+@dataclass(frozen=True)
+class Built:
+    """A board's build."""
+
+    muscles: int
+    sensors: int
+    body_pressures: int
+
+    @property
+    def table(self) -> dict[str, wire.Parameter]:
+        """Its parameters."""
+        return wire.parameters(
+            muscles=self.muscles, sensors=self.sensors, body_pressures=self.body_pressures
+        )
+
+
+USUAL, LARGE = Built(2, 10, 3), Built(4, 16, 8)
+
+
+class Lab:
+    """A board whose muscles follow their transducers, and a host that speaks by hand."""
+
+    def __init__(self, built: Built, fitted: int) -> None:
+        self.built, self.fitted = built, fitted
+        self.board = LargeBoard(1, b"", *CONVERTER) if built is LARGE else VirtualBoard(1)
+        self.psi = np.zeros(built.muscles)
+        self.stuck: dict[int, float] = {}  # counts, by channel
+        self.host_beats = True
+        self.decoder, self.frames = Decoder(), [wire.Telemetry(0, (), (), (), (), 0, 0, 0, 0, 0, 0)]
+        self.seq = self.session = self.beats = 0
+        self.events: list[wire.Event] = []
+        self.most_above_zero = 0
+        self.board.step(1000)
+        reply = self.ask(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 1))
+        assert isinstance(reply, wire.HelloReply)
+        self.session = reply.session
+        self.step(200)
+        for name, values in {
+            "muscle_fitted": [int(n < fitted) for n in range(built.muscles)],
+            "settle_ms": [0],
+            "zero_ms": [100],
+            "drift_limit_e5": [10_000],
+        }.items():
+            for element, value in enumerate(values):
+                self.do(wire.SetParameter(built.table[name].index + element, value))
+        self.do(wire.ApplyParameters())
+        self.do(wire.SaveConfig())
+        self.ready()
+
+    def ready(self) -> None:
+        """Armed, of a known length, in a zone, zeroed."""
+        self.do(wire.ClearFaults(0xFFFF))
+        self.do(wire.Arm())
+        self.do(wire.ConfirmLength(100_000, 1))
+        self.do(wire.SelectZone(0))
+        status = self.ask(wire.GetStatus())
+        assert isinstance(status, wire.StatusReport)
+        self.step(4500)
+        self.do(wire.ZeroSensors(status.everted_mask & 0x3FF))
+        for _ in range(200):
+            self.step(50)
+            if self.frames[-1].state_activity & 0xF == wire.Activity.IDLE:
+                return
+        raise AssertionError("the zeroing does not end")
+
+    def step(self, ms: int) -> None:
+        """Let time pass; no two muscles may be driven at once."""
+        count = self.built.muscles
+        for _ in range(ms // STEP_MS):
+            drive = np.array(self.board.drive) * np.array(self.board.drive_enabled)
+            wanted = np.where(drive > 320, 2 + 58 * (20 * drive / 1599 - 4) / 16, 0.0)
+            self.psi += (wanted - self.psi) * STEP_MS / 250
+            levels = np.full(max(16, self.built.sensors + count), FLAT_COUNT)
+            levels[self.built.sensors : self.built.sensors + count] = 1024 * (
+                0.1 + 0.8 * self.psi / 60
+            )
+            # Nothing hangs on the others: an open input.
+            levels[self.built.sensors + self.fitted : self.built.sensors + count] = 0.0
+            for channel, value in self.stuck.items():
+                levels[channel] = value
+            self.board.set_analog(np.column_stack([levels, levels]))
+            if self.session and self.host_beats and self.board.now_us // 1000 % 100 == 0:
+                self.beats += 1
+                self.board.write(encode(wire.Heartbeat(self.beats), 0, self.session))
+            self.board.step(STEP_MS)
+            for frame in self.decoder.feed(self.board.read()):
+                message = frame.message()
+                if isinstance(message, wire.Telemetry):
+                    self.frames.append(message)
+                    above = sum(each > 0 for each in message.set_cpsi)
+                    self.most_above_zero = max(self.most_above_zero, above)
+                elif isinstance(message, wire.Event):
+                    self.events.append(message)
+                elif isinstance(message, wire.Reply) and frame.seq == self.seq:
+                    self.reply = message
+
+    def ask(self, command: wire.Command[wire.Message]) -> wire.Message:
+        """Send a command; its reply."""
+        self.seq += 1
+        self.reply: wire.Message | None = None
+        self.board.write(encode(command, self.seq, self.session))
+        for _ in range(4000):
+            self.step(STEP_MS)
+            if self.reply is not None:
+                return self.reply
+        raise AssertionError(f"no reply to {command}")
+
+    def do(self, command: wire.Command[wire.Message]) -> None:
+        """A command that must be accepted."""
+        reply = self.ask(command)
+        assert getattr(reply, "status", None) is wire.Status.OK, (command, reply)
+
+    def reason(self, command: wire.Command[wire.Message]) -> wire.Reason:
+        """Why a command is refused; none if it is not."""
+        reply = self.ask(command)
+        return reply.reason if isinstance(reply, wire.Ack) else R.NONE
+
+    def alone(self, muscle: int, cpsi: int) -> tuple[int, ...]:
+        """Pressures of the muscles, with one above zero."""
+        return tuple(cpsi if n == muscle else 0 for n in range(self.built.muscles))
+
+
+CASES = [(USUAL, 1), (USUAL, 2), (LARGE, 1), (LARGE, 2), (LARGE, 4)]
+IDS = [f"{fitted} of {built.muscles}" for built, fitted in CASES]
+
+
+@pytest.fixture(params=CASES, ids=IDS)
+def lab(request: pytest.FixtureRequest) -> Lab:
+    return Lab(*request.param)
+
+
+def test_the_board_says_what_it_holds(lab: Lab) -> None:
+    told = lab.ask(wire.GetCapacity())
+    assert isinstance(told, wire.Capacity)
+    assert Built(told.muscles, told.sensors, told.body_pressures) == lab.built
+
+
+def test_every_muscle_reaches_its_pressure_and_the_others_stay_empty(lab: Lab) -> None:
+    for muscle in range(lab.fitted):
+        lab.do(wire.SetPressure(lab.alone(muscle, 800), 0))
+        lab.step(4000)
+        assert lab.psi[muscle] == pytest.approx(8.0, abs=0.3)
+        assert np.delete(lab.psi, muscle).max(initial=0.0) < 0.5
+    lab.do(wire.Vent())
+    assert lab.most_above_zero == 1
+
+
+def test_a_sweep_takes_the_muscles_in_turn(lab: Lab) -> None:
+    top = tuple(1000 if n < lab.fitted else 0 for n in range(lab.built.muscles))
+    lab.do(wire.Sweep(top, 4000, 1, 0))
+    lab.step(2000 * lab.fitted + 1000)
+    peaks = [e.arg for e in lab.events if e.code is wire.EventCode.PEAK]
+    assert list(dict.fromkeys(peaks)) == list(range(lab.fitted))
+    assert lab.most_above_zero == 1
+
+
+def test_two_muscles_at_once_and_one_that_is_not_there_are_refused(lab: Lab) -> None:
+    count = lab.built.muscles
+    for first in range(count):
+        for second in range(first):
+            both = tuple(500 if n in (first, second) else 0 for n in range(count))
+            assert lab.reason(wire.SetPressure(both, 0)) is R.BAD_VALUE
+    for absent in range(lab.fitted, count):
+        assert lab.reason(wire.SetPressure(lab.alone(absent, 500), 0)) is R.BAD_VALUE
+        assert lab.reason(wire.Sweep(lab.alone(absent, 500), 4000, 1, 0)) is R.BAD_VALUE
+        test = wire.TestOutput(wire.Output.TRANSDUCER, absent, 300, 100)
+        assert lab.reason(test) is R.BAD_VALUE
+    assert lab.most_above_zero == 0
+
+
+def test_whatever_a_host_asks_for_one_muscle_at_most_is_above_zero(lab: Lab) -> None:
+    chance = random.Random(lab.fitted)
+    count = lab.built.muscles
+    for _ in range(120):
+        wild = tuple(chance.choice((0, 0, 400, 900, -1)) for _ in range(count))
+        lab.ask(
+            chance.choice(
+                (
+                    wire.SetPressure(wild, chance.choice((0, 300))),
+                    wire.SetPressure(lab.alone(chance.randrange(count), 900), 0),
+                    wire.SetPressure((0,) * count, 300),
+                    wire.Sweep(wild, 2000, 1, chance.randrange(2)),
+                    wire.Vent(),
+                )
+            )
+        )
+        lab.step(5 * chance.randrange(100))
+    assert lab.most_above_zero == 1
+
+
+@pytest.mark.parametrize("failure", ["pressure wire", "over pressure", "host", "stop", "estop"])
+def test_a_fault_of_any_muscle_empties_all(lab: Lab, failure: str) -> None:
+    for muscle in range(lab.fitted):
+        channel = lab.built.sensors + muscle
+        lab.do(wire.SetPressure(lab.alone((muscle + 1) % lab.fitted, 900), 0))
+        lab.step(2500)
+        match failure:
+            case "pressure wire":
+                lab.stuck[channel] = 0.0
+            case "over pressure":
+                lab.stuck[channel] = 1024 * (0.1 + 0.8 * 25 / 60)
+            case "host":
+                lab.host_beats = False
+            case "stop":
+                lab.board.write(encode(wire.Stop(7), 0, 0))
+            case "estop":
+                lab.board.set_estop(True)
+        lab.step(1000)
+        assert not any(lab.board.drive_enabled), (failure, muscle)
+        lab.stuck.clear()
+        lab.host_beats = True
+        lab.board.set_estop(False)
+        lab.step(2500)
+        assert lab.frames[-1].faults or failure == "host"
+        if failure == "stop":
+            lab.do(wire.ClearStop(7))
+        lab.ready()
+
+
+def test_an_input_without_a_muscle_is_no_fault(lab: Lab) -> None:
+    """It is open: of a muscle that is fitted that would be a broken wire."""
+    lab.step(1000)
+    assert lab.frames[-1].faults == 0
+    if lab.fitted < lab.built.muscles:
+        lab.do(wire.Disarm())
+        index = lab.built.table["muscle_fitted"].index + lab.fitted
+        lab.do(wire.SetParameter(index, 1))
+        lab.do(wire.ApplyParameters())
+        lab.step(200)
+        assert lab.frames[-1].faults & F.PRESSURE_WIRE.mask
+
+
+def test_a_large_configuration_survives_a_restart() -> None:
+    lab = Lab(LARGE, 4)
+    lab.do(wire.Disarm())
+    curve = tuple(range(0, 1100, 100))
+    lab.do(wire.SetMap(7, 3, wire.Branch.DEFLATE, curve))
+    lab.do(wire.SaveConfig())
+    again = LargeBoard(1, lab.board.eeprom, *CONVERTER)
+    other = object.__new__(Lab)
+    other.__dict__ |= lab.__dict__ | {"board": again, "session": 0, "seq": 0, "decoder": Decoder()}
+    again.step(1000)
+    reply = other.ask(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 2))
+    assert isinstance(reply, wire.HelloReply)
+    other.session = reply.session
+    got = other.ask(wire.GetMap(7, 3, wire.Branch.DEFLATE))
+    assert isinstance(got, wire.MapValues)
+    assert got.curvature_e5 == curve
