@@ -536,6 +536,7 @@ def _dial_figure(rows: list[Record]) -> Figure:
     figure, axes = charts.panels(2, len(DIALLED), size=(3.4, 2.6))
     most_cm = max((float(row["error_cm"]) for row in rows if row["contacts"]), default=1.0)
     most = max(max(float(row["missed"]), float(row["wrong"])) for row in rows)
+    named = []
     for column, kind in enumerate(DIALLED):
         upper, lower = axes[column], axes[len(DIALLED) + column]
         mine = sorted((row for row in rows if row["kind"] == kind), key=lambda row: row["time_s"])
@@ -547,18 +548,11 @@ def _dial_figure(rows: list[Record]) -> Figure:
             label = "contacts missed" if what == "missed" else "localized ones that are wrong"
             lower.scatter([row["time_s"] for row in mine], y, 24, marker=marker, color=color,
                           label=label)  # fmt: skip
-        for row in mine:
-            if row in budgets:
-                continue
+        for row in (row for row in mine if row not in budgets):
             thesis = row["setting"] == "thesis"
             upper.scatter(row["time_s"], row["error_cm"], 40, marker="s" if thesis else "D",
                           color="0.4" if thesis else GREEN)  # fmt: skip
-            # Names beside their dots, where neither each other's nor the frame is.
-            at, side = {"thesis": ((-5, 5), "right"), "default": ((4, -10), "left")}.get(
-                str(row["setting"]), ((4, 4), "left")
-            )
-            upper.annotate(str(row["setting"]), (row["time_s"], row["error_cm"]), fontsize=7,
-                           xytext=at, ha=side, textcoords="offset points")  # fmt: skip
+        named.append((upper, mine))
         upper.set_title(kind, fontsize=9)
         upper.set(xlim=(0, None), ylim=(0, 1.15 * most_cm))
         lower.set(xlabel="robot time (s)", xlim=(0, None), ylim=(-2, 115 * most + 2))
@@ -566,6 +560,10 @@ def _dial_figure(rows: list[Record]) -> Figure:
     axes[len(DIALLED)].set_ylabel("share (%)")
     axes[0].legend(fontsize=7)
     axes[len(DIALLED)].legend(fontsize=7)
+    figure.draw_without_rendering()
+    for axis, mine in named:
+        points = [(float(row["time_s"]), float(row["error_cm"])) for row in mine]
+        charts.named(axis, points, [str(row["setting"]) for row in mine], [])
     return figure
 
 
