@@ -119,3 +119,5 @@ def test_the_commands_write_check_and_convert(tmp_path: Path, thigmo: Thigmo) ->
     assert "settle_s = 12.0" in old.read_text()
     assert "[[sensor]]" in old.read_text()
     assert RobotConfig.load(tmp_path / "robot.toml.1.bak").board.settle_s == 12.0
+    thigmo("robot", "convert", old)
+    assert not (tmp_path / "robot.toml.2.bak").exists()

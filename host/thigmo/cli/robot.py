@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
@@ -73,5 +74,8 @@ def convert(file: _FileArgument) -> None:
     """Write a robot.toml of any version as today's lists; the old file is kept beside it."""
     from thigmo.config import RobotConfig
 
-    backup = RobotConfig.load(file).save(file)
-    typer.echo(f"{file} is of today's version; the one before is {backup}")
+    config = RobotConfig.load(file)
+    if tomllib.loads(file.read_text()).get("version") == config.version:
+        typer.echo(f"{file} is of today's version already; nothing is changed")
+        return
+    typer.echo(f"{file} is of today's version; the one before is {config.save(file)}")
