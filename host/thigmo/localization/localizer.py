@@ -1,6 +1,6 @@
 """`Localizer`: one frame of readings in, contacts with intervals out; rows and streams as well.
 
-What it is told once (`described`) is checked once. Each frame is checked and normalised
+What describes it (`described`) is checked once. Each frame is checked and normalised
 (`readings.h`), explanations weighed (`hypotheses.h`), and mixed into an answer (`answer.h`): one
 posterior over everything that may have bent the body, every error told, nothing thrown out
 silently. `localize` and `localize_batch` are a `Localizer` that is used once.
@@ -53,8 +53,7 @@ _PART_OF = {each.name: name for name, part in _PARTS.items() for each in fields(
 class Localizer:
     """Finds the contacts that a body feels; immutable, checked when it is made.
 
-    Every error that is told widens answers by what it is worth; one that is not told makes them
-    wrong.
+    An error that is stated widens the answers by its share; one that is omitted makes them wrong.
 
     Args:
         body: the body.
@@ -69,6 +68,20 @@ class Localizer:
 
     Raises:
         DataError: a number that is not possible, or lengths that look like another unit.
+
+    Example:
+        >>> body = thigmo.Body(length=53.0, critical_curvature=0.011)
+        >>> sensors = thigmo.Sensors(position=[5, 15, 25, 35, 45], span=5.5)
+        >>> localizer = thigmo.Localizer(body, sensors, thigmo.Errors(noise=6e-4))
+        >>> round(localizer.localize([0.0059, 0.0042, 0.0021, 0.0006, 0.0]).contacts[0].arc, 1)
+        37.7
+        >>> localizer.localize_batch([[0.0059, 0.0042, 0.0021, 0.0006, 0.0], [0.0] * 5])
+        BatchResult(2 rows: 1 no contact, 1 ambiguous)
+
+    References:
+        The mechanics: S. S. Antman, Nonlinear Problems of Elasticity, 2nd ed., chapters 4 and 8.
+        Evidence and model comparison: D. J. C. MacKay, Information Theory, Inference, and
+        Learning Algorithms, chapter 28. The method, with its equations: docs/methods.md.
     """
 
     body: Body
@@ -313,6 +326,14 @@ def localize(
     Raises:
         DataError: as `Localizer`, or as `Localizer.localize`.
         TypeError: an option that is none.
+
+    Example:
+        >>> position = [5, 15, 25, 35, 45]
+        >>> reading = [0.0059, 0.0042, 0.0021, 0.0006, 0.0]
+        >>> thigmo.localize(reading, position, length=53, span=5.5, noise=6e-4)
+        LocalizeResult(ambiguous, one contact: arc 37.88, 30.03 to 46.82; body of 53)
+        >>> thigmo.localize(reading, position, length=53, span=5.5, noise=1e-4).contacts[0].status
+        'localized'
     """
     localizer = Localizer.of(position=position, length=length, **options)
     return localizer.localize(
