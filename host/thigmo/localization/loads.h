@@ -40,7 +40,7 @@ constexpr double kNearlyNothing = 1.4e-11;  // the same as a weight
 
 // e^x for x up to 700, to 11 digits; what is below e^-200 counts as that. Without branches or
 // calls, so that loops over places become vector code, and the same on every machine.
-inline double exponential(double x) {
+[[gnu::always_inline]] inline double exponential(double x) {
   constexpr double kShift = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to a whole number
   x = x > -200.0 ? x : -200.0;
   const double shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
@@ -75,7 +75,8 @@ inline double probability_within(double mean, double variance, double limit) {
 // Probability that a load which moves the readings by `moved` standard errors, give or take
 // `deviation` of them, moves them by `least` or more: the normal integral to 2e-7 (Abramowitz and
 // Stegun, 7.1.26).
-inline double probability_felt(double moved, double deviation, double least) {
+[[gnu::always_inline]] inline double probability_felt(double moved, double deviation,
+                                                       double least) {
   deviation = deviation > 1e-12 ? deviation : 1e-12;
   const double deviate = (moved - least) / deviation;
   const double t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * std::abs(deviate));
