@@ -226,8 +226,6 @@ struct Wrenches {
 // Sets of places, one of each load's cells, and the columns of all cells.
 class SpaceGrid {
  public:
-  static constexpr int kMost = 8;  // numbers of a set
-
   struct Placed {
     const SpaceLoad* load;
     Window window;
@@ -304,22 +302,29 @@ class SpaceGrid {
   }
 
   // Adds the weights of all sets at that level, over scales of the forces.
-  void weigh(double constant, std::size_t at_level, const Row& scales) {
+  THIGMO_WIDE void weigh(double constant, std::size_t at_level, const Row& scales) {
     const std::size_t sets = mass.size();
     weight_.resize(sets * scales.size());
-    numbers([&]<int K>() {
-      for (std::size_t s = 0; s < sets; ++s) {
-        const Normal<K> normal(*this, static_cast<int>(s));
+    numbers([&]<int K>() __attribute__((always_inline)) {
+      Row wider;
+      for (const double at : scales) wider.push_back(std::pow(at, K));
+      for (std::size_t s = 0; s < sets; s += 4) {
+        Normal<K> normal;
+        gather(static_cast<int>(s), normal);
         for (std::size_t m = 0; m < scales.size(); ++m) {
-          const Solved<K> found(normal, 1.0 / (scales[m] * scales[m]));
-          double odds = std::pow(scales[m], K) * found.volume;
-          for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
-            // A face is pushed, never pulled.
-            if (!placed[j].load->along || placed[j].load->held) continue;
-            const double deviation = std::sqrt(2.0 * found.variance(from + 2));
-            odds /= std::max(std::erfc(found.mean()[from + 2] / deviation), 1e-300);
+          for (Four& tight : normal.prior) tight = 1.0 / (scales[m] * scales[m]) + Four{};
+          const Eliminated<K> found(normal);
+          Four mean[K], variance[K];
+          if (pushed()) found.solve(mean, variance);
+          for (std::size_t lane = 0; lane < std::min<std::size_t>(4, sets - s); ++lane) {
+            double odds = wider[m] * std::sqrt(found.volume[lane]);
+            for (int j = 0, from = 0; pushed() && j < count(); from += placed[j++].size) {
+              if (!placed[j].load->along || placed[j].load->held) continue;
+              const double deviation = std::sqrt(2.0 * variance[from + 2][lane]);
+              odds /= std::max(std::erfc(mean[from + 2][lane] / deviation), 1e-300);
+            }
+            weight_[m * sets + s + lane] = constant + 0.5 * found.gain[lane] - std::log(odds);
           }
-          weight_[m * sets + s] = constant + 0.5 * found.gain - std::log(odds);
         }
       }
     });
@@ -341,30 +346,40 @@ class SpaceGrid {
 
   // Forces of all sets at the level that was taken last, and whether they move the readings by
   // `least` standard errors.
-  void solve(double least) {
+  THIGMO_WIDE void solve(double least) {
     for (Matrix* each : {&mean, &spread, &felt}) *each = Matrix(count(), size());
-    numbers([&]<int K>() {
-      for (int s = 0; s < size(); ++s) {
-        if (mass[s] == 0.0) continue;
-        const Solved<K> found(Normal<K>(*this, s), 1.0 / (scale_of_[s] * scale_of_[s]));
-        const std::array<double, K> force = found.mean();
+    numbers([&]<int K>() __attribute__((always_inline)) {
+      for (int s = 0; s < size(); s += 4) {
+        const int sets = std::min(4, size() - s);
+        Normal<K> normal;
+        gather(s, normal);
+        for (int lane = 0; lane < 4; ++lane) {
+          const double of = scale_of_[s + std::min(lane, sets - 1)];
+          for (Four& tight : normal.prior) tight[lane] = 1.0 / (of * of);
+        }
+        const Eliminated<K> found(normal);
+        Four force[K], variance[K];
+        found.solve(force, variance);
         for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
-          const Placed& p = placed[j];
-          const int cell = cell_[j][s];
-          const double* square = &p.square[static_cast<std::size_t>(cell) * p.size * p.size];
-          std::array<double, K> across{}, moves{};
-          double length = 0.0, moved = 0.0;
-          for (int k = 0; k < p.size; ++k) {
-            if (k < 2)
-              across[from + k] = force[from + k], length += force[from + k] * force[from + k];
-            for (int l = 0; l < p.size; ++l)
-              moves[from + k] += square[k * p.size + l] * force[from + l];
-            moved += moves[from + k] * force[from + k];
+          Four across[K]{}, moves[K]{}, length{}, moved{}, loose, told;
+          const int beyond = from + placed[j].size;
+          for (int k = from; k < beyond; ++k) {
+            if (k < from + 2) across[k] = force[k], length += force[k] * force[k];
+            for (int l = from; l < beyond; ++l) {
+              moves[k] += normal.lower[std::max(k, l)][std::min(k, l)] * force[l];
+            }
+            moved += moves[k] * force[k];
           }
-          length = std::sqrt(std::max(length, 1e-300)), moved = std::sqrt(std::max(moved, 1e-300));
-          mean[j][s] = length * p.wrench[cell].unit;
-          spread[j][s] = std::sqrt(found.variance(across)) / length * p.wrench[cell].unit;
-          felt[j][s] = probability_felt(moved, std::sqrt(found.variance(moves)) / moved, least);
+          found.variance(across, loose), found.variance(moves, told);
+          for (int lane = 0; lane < sets; ++lane) {
+            const double size = std::sqrt(std::max(length[lane], 1e-300));
+            const double standard = std::sqrt(std::max(moved[lane], 1e-300));
+            const double unit = placed[j].wrench[cell_[j][s + lane]].unit;
+            mean[j][s + lane] = size * unit;
+            spread[j][s + lane] = std::sqrt(loose[lane]) / size * unit;
+            felt[j][s + lane] =
+                probability_felt(standard, std::sqrt(told[lane]) / standard, least);
+          }
         }
       }
     });
@@ -374,9 +389,13 @@ class SpaceGrid {
   // was taken last.
   Row likeliest() const {
     Row out;
-    numbers([&]<int K>() {
-      const auto mean = Solved<K>(Normal<K>(*this, best), 1.0 / (scale * scale)).mean();
-      out.assign(mean.begin(), mean.end());
+    numbers([&]<int K>() __attribute__((always_inline)) {
+      Normal<K> normal;
+      gather(best, normal);
+      for (Four& tight : normal.prior) tight = 1.0 / (scale * scale) + Four{};
+      Four mean[K], variance[K];
+      Eliminated<K>(normal).solve(mean, variance);
+      for (const Four& each : mean) out.push_back(each[0]);
     });
     return out;
   }
@@ -413,7 +432,7 @@ class SpaceGrid {
 
   // Calls `run` for as many numbers as a set has.
   template <class Run>
-  void numbers(const Run& run) const {
+  [[gnu::always_inline]] void numbers(const Run& run) const {
     int sum = 0;
     for (const Placed& p : placed) sum += p.size;
     switch (sum) {
@@ -425,87 +444,37 @@ class SpaceGrid {
         return run.template operator()<5>();
       case 6:
         return run.template operator()<6>();
-      case 7:
-        return run.template operator()<7>();
       default:
-        return run.template operator()<8>();
+        return run.template operator()<7>();
     }
   }
 
-  // Normal equations of a set's K numbers, without their prior: the lower half.
-  template <int K>
-  struct Normal {
-    std::array<std::array<double, K>, K> lower;
-    std::array<double, K> told;
+  // A face is pushed, never pulled.
+  bool pushed() const { return placed.back().load->along && !placed.back().load->held; }
 
-    Normal(const SpaceGrid& grid, int s) {
-      for (int b = 0, k = 0; b < grid.count(); ++b) {
-        const Placed& p = grid.placed[b];
-        const int column = grid.cell_[b][s] * p.size;
-        for (int a = 0, l = 0; a < b; l += grid.placed[a++].size) {
-          const Matrix& both = grid.both_[pair(a, b)];
-          for (int c = 0, size = grid.placed[a].size; c < size; ++c) {
-            const double* row = both[grid.cell_[a][s] * size + c] + column;
-            for (int d = 0; d < p.size; ++d) lower[k + d][l + c] = row[d];
+  // Normal equations of four sets from `first` on, without their prior.
+  template <int K>
+  [[gnu::always_inline]] void gather(int first, Normal<K>& out) const {
+    for (int lane = 0; lane < 4; ++lane) {
+      const int s = std::min(first + lane, size() - 1);
+      for (int b = 0, k = 0; b < count(); k += placed[b++].size) {
+        const Placed& p = placed[b];
+        const int column = cell_[b][s] * p.size;
+        for (int a = 0, l = 0; a < b; l += placed[a++].size) {
+          const Matrix& both = both_[pair(a, b)];
+          for (int c = 0, size = placed[a].size; c < size; ++c) {
+            const double* row = both[cell_[a][s] * size + c] + column;
+            for (int d = 0; d < p.size; ++d) out.lower[k + d][l + c][lane] = row[d];
           }
         }
         const double* square = &p.square[static_cast<std::size_t>(column) * p.size];
         for (int d = 0; d < p.size; ++d) {
-          told[k + d] = p.told[column + d];
-          for (int c = 0; c <= d; ++c) lower[k + d][k + c] = square[d * p.size + c];
+          out.told[k + d][lane] = p.told[column + d];
+          for (int c = 0; c <= d; ++c) out.lower[k + d][k + c][lane] = square[d * p.size + c];
         }
-        k += p.size;
       }
     }
-  };
-
-  // The same with their prior, by Cholesky.
-  template <int K>
-  struct Solved {
-    std::array<std::array<double, K>, K> lower;
-    std::array<double, K> half;
-    double gain = 0.0, volume = 1.0;
-
-    Solved(const Normal<K>& of, double tight) : lower(of.lower), half(of.told) {
-      for (int k = 0; k < K; ++k) lower[k][k] += tight;
-      for (int k = 0; k < K; ++k) {
-        for (int l = 0; l < k; ++l) {
-          for (int m = 0; m < l; ++m) lower[k][l] -= lower[k][m] * lower[l][m];
-          lower[k][l] /= lower[l][l];
-          lower[k][k] -= lower[k][l] * lower[k][l];
-          half[k] -= lower[k][l] * half[l];
-        }
-        lower[k][k] = std::sqrt(std::max(lower[k][k], tight));  // no less, but for rounding
-        half[k] /= lower[k][k];
-        gain += half[k] * half[k];
-        volume *= lower[k][k];
-      }
-    }
-
-    std::array<double, K> mean() const {
-      std::array<double, K> out = half;
-      for (int k = K; k-- > 0;) {
-        for (int l = k + 1; l < K; ++l) out[k] -= lower[l][k] * out[l];
-        out[k] /= lower[k][k];
-      }
-      return out;
-    }
-    // Variance of a sum of the numbers.
-    double variance(std::array<double, K> of) const {
-      double sum = 0.0;
-      for (int k = 0; k < K; ++k) {
-        for (int l = 0; l < k; ++l) of[k] -= lower[k][l] * of[l];
-        of[k] /= lower[k][k];
-        sum += of[k] * of[k];
-      }
-      return sum;
-    }
-    double variance(int number) const {
-      std::array<double, K> of{};
-      of[number] = 1.0;
-      return variance(of);
-    }
-  };
+  }
 
   std::array<std::vector<int>, kMostContacts> cell_;  // of each set
   std::array<Matrix, 3> both_;                        // products of the columns of two loads
