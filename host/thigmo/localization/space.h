@@ -234,9 +234,9 @@ class SpaceGrid {
     Row place;
     std::vector<Section> section;
     std::vector<Wrenches> wrench;
-    Matrix column;     // (N, cells * size)
+    Matrix column;     // (N, size * cells)
     Matrix white;      // the same, whitened at one level of the noise
-    Row told, square;  // products with the readings; (cells, size, size) with each other
+    Row told, square;  // products with the readings; (size, size, cells) with each other
   };
   std::vector<Placed> placed;
   Row mass;                   // of each set
@@ -272,15 +272,17 @@ class SpaceGrid {
   THIGMO_WIDE void take(const Whitener& by, const Row& read) {
     for (Placed& p : placed) {
       by(p.column, p.white);
-      const int wide = p.white.columns, k = p.size;
-      p.told.assign(wide, 0.0), p.square.assign(static_cast<std::size_t>(wide) * k, 0.0);
+      const int wide = p.white.columns, cells = wide / p.size;
+      p.told.assign(wide, 0.0), p.square.assign(static_cast<std::size_t>(wide) * p.size, 0.0);
       for (int i = 0; i < p.white.rows; ++i) {
         const double *row = p.white[i], own = read[i];
         for (int c = 0; c < wide; ++c) p.told[c] += row[c] * own;
-        for (int c = 0; c < wide; ++c) {
-          const double value = row[c];
-          const double* beside = row + c / k * k;
-          for (int j = 0; j < k; ++j) p.square[c * k + j] += value * beside[j];
+        for (int d = 0; d < p.size; ++d) {
+          for (int c = 0; c <= d; ++c) {
+            const double *one = row + d * cells, *two = row + c * cells;
+            double* __restrict to = &p.square[(d * p.size + c) * cells];
+            for (int m = 0; m < cells; ++m) to[m] += one[m] * two[m];
+          }
         }
       }
     }
@@ -459,18 +461,19 @@ class SpaceGrid {
       const int s = std::min(first + lane, size() - 1);
       for (int b = 0, k = 0; b < count(); k += placed[b++].size) {
         const Placed& p = placed[b];
-        const int column = cell_[b][s] * p.size;
+        const int column = cell_[b][s], cells = static_cast<int>(p.section.size());
         for (int a = 0, l = 0; a < b; l += placed[a++].size) {
           const Matrix& both = both_[pair(a, b)];
-          for (int c = 0, size = placed[a].size; c < size; ++c) {
-            const double* row = both[cell_[a][s] * size + c] + column;
-            for (int d = 0; d < p.size; ++d) out.lower[k + d][l + c][lane] = row[d];
+          for (int c = 0; c < placed[a].size; ++c) {
+            const double* row = both[c * (both.rows / placed[a].size) + cell_[a][s]] + column;
+            for (int d = 0; d < p.size; ++d) out.lower[k + d][l + c][lane] = row[d * cells];
           }
         }
-        const double* square = &p.square[static_cast<std::size_t>(column) * p.size];
         for (int d = 0; d < p.size; ++d) {
-          out.told[k + d][lane] = p.told[column + d];
-          for (int c = 0; c <= d; ++c) out.lower[k + d][k + c][lane] = square[d * p.size + c];
+          out.told[k + d][lane] = p.told[d * cells + column];
+          for (int c = 0; c <= d; ++c) {
+            out.lower[k + d][k + c][lane] = p.square[(d * p.size + c) * cells + column];
+          }
         }
       }
     }
@@ -692,7 +695,7 @@ class InSpace : public Explanations {
     fill(lines, p.section, p.wrench, p.column);
   }
 
-  // Columns of loads at sections: (N, places * numbers).
+  // Columns of loads at sections: (N, numbers * places).
   void fill(const Lines& lines, const std::vector<Section>& section,
             const std::vector<Wrenches>& wrench, Matrix& out) const {
     const int places = static_cast<int>(section.size()), size = wrench[0].count;
@@ -702,7 +705,7 @@ class InSpace : public Explanations {
       for (int m = 0; m < places; ++m) {
         const auto [force, couple] = lines.response(i, section[m]);
         for (int k = 0; k < size; ++k) {
-          *row++ = dot(force, wrench[m].force[k]) + dot(couple, wrench[m].couple[k]);
+          row[k * places + m] = dot(force, wrench[m].force[k]) + dot(couple, wrench[m].couple[k]);
         }
       }
     }
@@ -762,8 +765,9 @@ class InSpace : public Explanations {
       if (white.levels.size() > 1) take(at);
       // The first shape is that which the readings show, whatever explains them; the next is that
       // of the loads.
-      const double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
-      if (beside && !(unseen && turn < kTwistTurns) && fit.log_evidence + odds < best() + hopeless)
+      const bool early = turn == 0 || (unseen && turn < kTwistTurns);
+      const double hopeless = early ? kFarFromIt : priors_.hopeless;
+      if (beside && !(unseen && turn < 2) && fit.log_evidence + odds < best() + hopeless)
         return found.size();
       if (turn == 0 && least > -INFINITY) {
         grid.solve(prior_.felt);
@@ -837,7 +841,7 @@ class InSpace : public Explanations {
     int number = 0;
     for (int j = 0; j < of.count(); ++j) {
       const SpaceGrid::Placed& p = of.placed[j];
-      const int cell = of.cell(j, of.best);
+      const int cell = of.cell(j, of.best), cells = static_cast<int>(p.section.size());
       const Wrenches& wrench = p.wrench[cell];
       Vector force{}, couple{};
       for (int k = 0; k < p.size; ++k, ++number) {
@@ -845,9 +849,9 @@ class InSpace : public Explanations {
         couple = plus(couple, load[number], wrench.couple[k]);
         if (k == 1) out.forces.push_back(force);
         for (int i = 0; i < n; ++i) {
-          white[i] -= load[number] * p.white[i][cell * p.size + k];
-          left[i] -= load[number] * p.column[i][cell * p.size + k];
-          out.loads[number][i] = of.scale * p.column[i][cell * p.size + k];
+          white[i] -= load[number] * p.white[i][k * cells + cell];
+          left[i] -= load[number] * p.column[i][k * cells + cell];
+          out.loads[number][i] = of.scale * p.column[i][k * cells + cell];
         }
       }
       shape.add(p.section[cell], force, couple, out.bent);
@@ -855,10 +859,11 @@ class InSpace : public Explanations {
     out.noise = at.factor, out.misfit = Whitener::dot(white.data(), white.data(), n);
     Curvature all = out.bent;
     const Matrix& map = space_.curvature_map;
+    if (out.bad >= 0) left[out.bad] = 0.0;
     for (int r = 0; r < map.rows; ++r) {
-      for (int i = 0; i < n; ++i) {
-        if (i != out.bad) all[r / 2][1 + r % 2] += map[r][readings.index[i]] * left[i];
-      }
+      double sum = 0.0;
+      for (int i = 0; i < n; ++i) sum += map[r][readings.index[i]] * left[i];
+      all[r / 2][1 + r % 2] += sum;
     }
     return all;
   }
