@@ -498,7 +498,7 @@ class InSpace : public Explanations {
     if (weighs()) {
       Curvature hanging = rest_;
       for (int pass = 0; pass < kMostTurns; ++pass) {
-        const SpaceShape shape(hanging, space_.compliance);
+        const SpaceShape shape = bent_to(hanging);
         Curvature next = base(shape);
         const double change = apart(next, hanging);
         for (std::size_t c = 0; c < next.size(); ++c) {
@@ -507,7 +507,7 @@ class InSpace : public Explanations {
         hanging = std::move(next);
         if (change < 1e-6) break;
       }
-      const SpaceShape shape(hanging, space_.compliance);
+      const SpaceShape shape = bent_to(hanging);
       const Lines lines(shape, frame_, direction_);
       hanging_.resize(frame_.size());
       for (int i = 0; i < frame_.size(); ++i) {
@@ -526,7 +526,7 @@ class InSpace : public Explanations {
       rest_weighed_ = rest_;
     }
     for (const Vector& h : direction_) twists_ |= space_.compliance[0] > 0.0 && h[0] != 0.0;
-    readings.turn = turn_of(rest_);
+    readings.turn = turn_of(bent_to(rest_));
   }
 
   // Curvature in each cell above that of the free body: about the normal, about the binormal.
@@ -541,12 +541,12 @@ class InSpace : public Explanations {
   void run() {
     free();
     const double doubtful = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
-    std::size_t one = add({Load::contact, {kTouch}, kCells}, contact_, start_, -1);
+    std::size_t one = add({Load::contact, {kTouch}, kCells}, contact_, bent_to(start_), -1);
     const bool misfit = readings.known && found[one].misfit > limit_;
     if (readings.known) explained = found[0].misfit - found[one].misfit;
     if (explained < found[one].misfit) explained = 0.0;
     if (found[one].misfit > doubtful) {
-      const Curvature bent = found[one].bent;
+      const SpaceShape bent = bent_to(found[one].bent);
       readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
                                {priors_.noise_factor, std::log(priors_.noise_odds)}};
       whiten();
@@ -555,7 +555,7 @@ class InSpace : public Explanations {
       one = add({Load::contact, {kTouch}, kCells}, contact_, bent, -1);
     }
     doubt_of(found[one], {Load::contact, {kTouch}, kCells}, contact_);
-    const Curvature bent = found[one].bent;
+    const SpaceShape bent = bent_to(found[one].bent);
     const double turn = turn_of(bent);
     const bool bends = readings.turn > priors_.end_turn;
     const auto odds = [](double given, double usual) { return std::isnan(given) ? usual : given; };
@@ -571,13 +571,13 @@ class InSpace : public Explanations {
       return frame_.size() >= count;
     };
     bool poor = misfit;
-    Curvature bent_by_two = bent;
+    SpaceShape bent_by_two = bent;
     if (several(2)) {
       const std::size_t two =
           add({Load::two, {kTouch, kTouch}, kPairCells}, contact_ + priors_.another, bent, -1);
       if (two < found.size()) {
         poor |= !readings.known && found[two].log_weight > found[one].log_weight;
-        bent_by_two = found[two].bent;
+        bent_by_two = bent_to(found[two].bent);
         doubt_of(found[two], {Load::two, {kTouch, kTouch}, kPairCells}, contact_ + priors_.another);
       }
     }
@@ -631,11 +631,12 @@ class InSpace : public Explanations {
     return std::sqrt(most);
   }
 
+  SpaceShape bent_to(Curvature u) const { return {std::move(u), space_.compliance}; }
+
   // The largest angle of the body with its base.
-  double turn_of(const Curvature& u) const {
-    const SpaceShape shape(u, space_.compliance);
+  double turn_of(const SpaceShape& shape) const {
     double least = 1.0;
-    for (std::size_t c = 0; c <= u.size(); ++c)
+    for (std::size_t c = 0; c <= shape.curvature().size(); ++c)
       least = std::min(least, shape.section(c).frame[0][0]);
     return std::acos(std::clamp(least, -1.0, 1.0));
   }
@@ -705,7 +706,8 @@ class InSpace : public Explanations {
       for (int m = 0; m < places; ++m) {
         const auto [force, couple] = lines.response(i, section[m]);
         for (int k = 0; k < size; ++k) {
-          row[k * places + m] = dot(force, wrench[m].force[k]) + dot(couple, wrench[m].couple[k]);
+          row[k * places + m] = dot(force, wrench[m].force[k]);
+          if (k > 2) row[k * places + m] += dot(couple, wrench[m].couple[k]);
         }
       }
     }
@@ -713,7 +715,7 @@ class InSpace : public Explanations {
 
   // Weighs an explanation; the index of the hypothesis, or that beyond the last if no set of places
   // is possible.
-  std::size_t add(const SpaceExplanation& of, double weight, const Curvature& start, int bad) {
+  std::size_t add(const SpaceExplanation& of, double weight, SpaceShape shape, int bad) {
     const Whitened white = with(bad_, bad);
     const int count = static_cast<int>(of.loads.size());
     const bool all = settings_.contacts == count;
@@ -727,7 +729,6 @@ class InSpace : public Explanations {
     const double odds = bad < 0 ? weight : weight + readings.log_bad[bad];
     const double matters = best() - odds + (count == 1 ? -INFINITY : kSeveralMatter);
     const double least = count < 3 || all ? -INFINITY : best() - odds + kNegligible;
-    SpaceShape shape(start, space_.compliance);
     SeveralContacts fit;
     fit.contacts.resize(count);
     bool whole = true;
@@ -787,7 +788,6 @@ class InSpace : public Explanations {
         twist += (change >= 0.8 * last ? 0.5 : 1.0) * (found_now - twist);
       }
       last = change;
-      shape = SpaceShape(std::move(bent), space_.compliance);
       bool finer = false;
       for (int j = 0; rests && j < count; ++j) {
         SpaceGrid::Placed& p = grid.placed[j];
@@ -801,7 +801,10 @@ class InSpace : public Explanations {
         p.window = part;
         finer = true, whole = false;
       }
-      if (finer || !(rests || turn + 1 == kMostTurns)) continue;
+      if (finer || !(rests || turn + 1 == kMostTurns)) {
+        shape = bent_to(std::move(bent));
+        continue;
+      }
       grid.solve(prior_.felt);
       const double nothing = kNothingOfAll * std::exp(std::min(matters - fit.log_evidence, 3.0));
       SeveralContacts shares;
@@ -921,7 +924,7 @@ class InSpace : public Explanations {
     for (std::size_t c = 0; c < u.size(); ++c) {
       u[c][0] += kStep * dot(shape.section(c).frame[0], shape.end().frame[0]);
     }
-    const SpaceShape twisted(std::move(u), space_.compliance);
+    const SpaceShape twisted = bent_to(std::move(u));
     const Row one = readings_of(grid, before, shape, lines);
     const Row two = readings_of(grid, before, twisted, Lines(twisted, frame_, direction_));
     if (known.empty()) known.resize(n);
@@ -934,7 +937,7 @@ class InSpace : public Explanations {
 
   void doubt_of(const Hypothesis& of, const SpaceExplanation& how, double weight) {
     doubt(of, weight - contact_,
-          [this, how, weight, start = of.bent](int i) { add(how, weight, start, i); });
+          [this, how, weight, start = of.bent](int i) { add(how, weight, bent_to(start), i); });
   }
 
   static constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
