@@ -66,7 +66,7 @@ class SpaceShape {
     sections_.resize(cells + 1);
     middle_.resize(cells);
     for (int c = 0; c < cells; ++c) {
-      sections_[c + 1] = beyond(sections_[c], u_[c], 1.0 / cells, &middle_[c]);
+      beyond(sections_[c], u_[c], 1.0 / cells, sections_[c + 1], &middle_[c]);
       sections_[c + 1].arc = (c + 1.0) / cells;
     }
   }
@@ -77,7 +77,8 @@ class SpaceShape {
   Section at(double arc) const {
     const int cells = static_cast<int>(u_.size());
     const int c = std::min(static_cast<int>(arc * cells), cells - 1);
-    Section out = beyond(sections_[c], u_[c], arc - sections_[c].arc, nullptr);
+    Section out;
+    beyond(sections_[c], u_[c], arc - sections_[c].arc, out, nullptr);
     out.arc = arc;
     return out;
   }
@@ -119,12 +120,12 @@ class SpaceShape {
     Columns3 frame;
     Vector at;
   };
-  Section beyond(const Section& from, const Vector& u, double step, Middle* middle) const {
+  void beyond(const Section& from, const Vector& u, double step, Section& out,
+              Middle* middle) const {
     const double half = 0.5 * step;
     const Columns3 turn = rotation({u[0] * half, u[1] * half, u[2] * half});
     const Columns3 frame = times(from.frame, turn);
     const Vector centre = plus(from.at, half, frame[0]);
-    Section out = from;
     out.frame = times(frame, turn);
     out.at = plus(from.at, step, frame[0]);
     for (int j = 0; j < 3; ++j) {
@@ -134,7 +135,6 @@ class SpaceShape {
     }
     out.places = plus(from.places, step, centre);
     if (middle) *middle = {frame, centre};
-    return out;
   }
 
   Curvature u_;
@@ -338,11 +338,13 @@ class SpaceGrid {
       const auto at = static_cast<std::size_t>(most - weight_.begin());
       best = static_cast<int>(at % sets), level = at_level, scale = scales[at / sets];
     }
-    for (std::size_t k = 0; k < weight_.size(); ++k) {
-      const std::size_t s = k % sets;
-      const double share = weight_[k] < top - kNothing ? 0.0 : std::exp(weight_[k] - top);
-      mass[s] += share, total += share;
-      if (weight_[k] > peak_of_[s]) peak_of_[s] = weight_[k], scale_of_[s] = scales[k / sets];
+    for (std::size_t m = 0; m < scales.size(); ++m) {
+      const double* own = &weight_[m * sets];
+      for (std::size_t s = 0; s < sets; ++s) {
+        const double share = own[s] < top - kNothing ? 0.0 : std::exp(own[s] - top);
+        mass[s] += share, total += share;
+        if (own[s] > peak_of_[s]) peak_of_[s] = own[s], scale_of_[s] = scales[m];
+      }
     }
   }
 
