@@ -76,7 +76,7 @@ inline double probability_within(double mean, double variance, double limit) {
 // `deviation` of them, moves them by `least` or more: the normal integral to 2e-7 (Abramowitz and
 // Stegun, 7.1.26).
 [[gnu::always_inline]] inline double probability_felt(double moved, double deviation,
-                                                       double least) {
+                                                      double least) {
   deviation = deviation > 1e-12 ? deviation : 1e-12;
   const double deviate = (moved - least) / deviation;
   const double t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * std::abs(deviate));

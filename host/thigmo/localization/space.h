@@ -381,8 +381,7 @@ class SpaceGrid {
             const double unit = placed[j].wrench[cell_[j][s + lane]].unit;
             mean[j][s + lane] = size * unit;
             spread[j][s + lane] = std::sqrt(loose[lane]) / size * unit;
-            felt[j][s + lane] =
-                probability_felt(standard, std::sqrt(told[lane]) / standard, least);
+            felt[j][s + lane] = probability_felt(standard, std::sqrt(told[lane]) / standard, least);
           }
         }
       }
@@ -698,7 +697,7 @@ class InSpace : public Explanations {
     fill(lines, p.section, p.wrench, p.column);
   }
 
-  // Columns of loads at sections: (N, numbers * places).
+  // Columns of loads at sections: (N, numbers * places). Couples come after forces.
   void fill(const Lines& lines, const std::vector<Section>& section,
             const std::vector<Wrenches>& wrench, Matrix& out) const {
     const int places = static_cast<int>(section.size()), size = wrench[0].count;
