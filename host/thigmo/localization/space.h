@@ -767,10 +767,9 @@ class InSpace : public Explanations {
       if (white.levels.size() > 1) take(at);
       // The first shape is that which the readings show, whatever explains them; the next is that
       // of the loads.
-      const bool early = turn == 0 || (unseen && turn < kTwistTurns);
-      const double hopeless = early ? kFarFromIt : priors_.hopeless;
-      if (beside && !(unseen && turn < 2) && fit.log_evidence + odds < best() + hopeless)
-        return found.size();
+      double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
+      if (unseen && turn < kTwistTurns) hopeless = turn == 0 ? -INFINITY : kTwistFarFromIt;
+      if (beside && fit.log_evidence + odds < best() + hopeless) return found.size();
       if (turn == 0 && least > -INFINITY) {
         grid.solve(prior_.felt);
         if (fit.log_evidence + std::log(grid.all_felt()) < least) return found.size();
@@ -945,6 +944,8 @@ class InSpace : public Explanations {
   static constexpr double kNothingOfAll = 1e-4;
   static constexpr int kTwistTurns = 5;        // in which an unseen twist is found
   static constexpr double kFarFromIt = -40.0;  // log odds at the first shape, as none that is right
+  // The same while a twist is found, which goes too far at first: to -94 in 800 frames.
+  static constexpr double kTwistFarFromIt = -400.0;
 
   const Space& space_;
   std::vector<Vector> direction_;
