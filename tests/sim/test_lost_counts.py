@@ -132,14 +132,14 @@ def test_a_tenth_of_the_counts_is_missed_between_two_eversions(
     assert 0.1 < plant.length_cm - counted_cm <= most_cm
 
 
-@pytest.mark.parametrize("share", [1.0, 0.98])
+@pytest.mark.parametrize(("share", "places_cm"), [(1.0, 0.3), (0.98, 0.3), (1.0, 0.5)])
 @pytest.mark.parametrize("seed", range(4))
 def test_places_that_are_off_and_a_spool_that_is_accuse_no_encoder(
-    share: float, seed: int, learnt: list[float]
+    share: float, places_cm: float, seed: int, learnt: list[float]
 ) -> None:
     scene = scene_at(0.0)
     scene.seed = seed
-    scene.belief.position_spread_cm = 0.3
+    scene.belief.position_spread_cm = places_cm
     robot, transport = learned_robot(scene, learnt)
     transport.lockstep.faults.inject(
         FaultTable(kind="encoder_share", at_s=robot.now(), value=share)

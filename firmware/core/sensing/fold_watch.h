@@ -7,7 +7,8 @@
 // by the one that accuses less. The encoder loses counts if a pair
 //
 // - lags by less than places and the confirmed length may be off, or
-// - lags by less than the pair before it: between the two the body grew more than was counted.
+// - lags by less than the pair before it, beyond what places are in doubt: between the two the body
+//   grew more than was counted. How far apart the two of a pair pass shows that doubt.
 //
 // While a reading still swings out the tip moves: the body then pulls at the tail.
 #ifndef THIGMO_CORE_SENSING_FOLD_WATCH_H_
@@ -25,8 +26,10 @@ class FoldWatch {
   // A top is noticed some 0.7 cm behind the centre, once an eighth of the swing is gone. Places of
   // sensors and the confirmed length may be off by 1.1 cm.
   static constexpr int32_t kEarlyUm = 4000;
-  // Between two pairs only the sensors' places are in doubt, each by some 0.2 cm.
-  static constexpr int32_t kApartUm = 6000;
+  // Between two pairs only the sensors' places are in doubt: by the largest spread of a pair so
+  // far.
+  static constexpr int32_t kApartUm = 4000;
+  static constexpr int32_t kApartSpreads = 3;
   static constexpr int32_t kAgreeUm = 10000;  // lags of a pair
   // A swing that grows by so much, more than noise, is of a tip that moved within the last looks.
   static constexpr int32_t kRiseE5 = 200;
@@ -46,7 +49,8 @@ class FoldWatch {
   // Forgets what earlier growth felt: when the spool winds in, and when a length is confirmed.
   void restart() {
     waits_ = false;
-    least_um_ = -kEarlyUm;
+    before_um_ = -kEarlyUm;
+    spread_um_ = 0;
   }
 
   // Looks at one sensor, in turn. True when a pair has passed the tip too early.
@@ -88,14 +92,17 @@ class FoldWatch {
     const int32_t least = lesser(first_um_, lag_um);
     const bool agree = most - least < kAgreeUm;
     const int32_t mean = least + (most - least) / 2;
-    if ((agree ? mean : most) < least_um_) return true;
-    least_um_ = greater(-kEarlyUm, (agree ? mean : least) - kApartUm);
+    spread_um_ = greater(spread_um_, most - least);
+    const int32_t doubt = kApartUm + kApartSpreads * spread_um_;
+    if ((agree ? mean : most) < greater(-kEarlyUm, before_um_ - doubt)) return true;
+    before_um_ = agree ? mean : least;
     return false;
   }
 
-  int32_t first_um_ = 0;          // lag of a pair's first sensor
-  int32_t least_um_ = -kEarlyUm;  // that a pair of a sound encoder has
-  int32_t rest_[kSensors] = {};   // total resistance, in the tail
+  int32_t first_um_ = 0;           // lag of a pair's first sensor
+  int32_t before_um_ = -kEarlyUm;  // lag of the pair before
+  int32_t spread_um_ = 0;          // largest difference within a pair
+  int32_t rest_[kSensors] = {};    // total resistance, in the tail
   int16_t top_e5_[kSensors] = {};
   uint16_t watched_ = 0;
   uint16_t unseen_ = 0;  // no resting value yet
