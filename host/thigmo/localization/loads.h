@@ -40,7 +40,7 @@ constexpr double kNearlyNothing = 1.4e-11;  // the same as a weight
 
 // e^x for x up to 700, to 11 digits; what is below e^-200 counts as that. Without branches or
 // calls, so that loops over places become vector code, and the same on every machine.
-inline double exponential(double x) {
+[[gnu::always_inline]] inline double exponential(double x) {
   constexpr double kShift = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to a whole number
   x = x > -200.0 ? x : -200.0;
   const double shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
@@ -75,7 +75,8 @@ inline double probability_within(double mean, double variance, double limit) {
 // Probability that a load which moves the readings by `moved` standard errors, give or take
 // `deviation` of them, moves them by `least` or more: the normal integral to 2e-7 (Abramowitz and
 // Stegun, 7.1.26).
-inline double probability_felt(double moved, double deviation, double least) {
+[[gnu::always_inline]] inline double probability_felt(double moved, double deviation,
+                                                      double least) {
   deviation = deviation > 1e-12 ? deviation : 1e-12;
   const double deviate = (moved - least) / deviation;
   const double t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * std::abs(deviate));
@@ -554,6 +555,62 @@ struct SeveralContacts : Fit {
   std::vector<FeltSet> sets;
 };
 
+// Numbers of four sets of places, as a processor takes them.
+using Four [[gnu::vector_size(32), gnu::aligned(8)]] = double;
+inline const Four& four(const double* from) { return *reinterpret_cast<const Four*>(from); }
+inline Four& four(double* from) { return *reinterpret_cast<Four*>(from); }
+
+// Normal equations of K numbers: products with the readings and, lower half, with each other;
+// precision of the prior.
+template <int K>
+struct Normal {
+  Four told[K], lower[K][K], prior[K];
+};
+
+// The same, one number eliminated after another (Gauss).
+template <int K>
+struct Eliminated {
+  Four lower[K][K], inverse[K], left[K], gain{}, volume = 1.0 + Four{};
+  [[gnu::always_inline]] explicit Eliminated(const Normal<K>& of) {
+    for (int j = 0; j < K; ++j) {
+      Four raw[K];
+      left[j] = of.told[j];
+      Four own = of.prior[j] + of.lower[j][j];
+      for (int l = 0; l < j; ++l) {
+        raw[l] = of.lower[j][l];
+        for (int k = 0; k < l; ++k) raw[l] -= raw[k] * lower[l][k];
+        lower[j][l] = raw[l] * inverse[l];
+        left[j] -= lower[j][l] * left[l];
+        own -= raw[l] * lower[j][l];
+      }
+      own = own > of.prior[j] ? own : of.prior[j];  // no less, but for rounding
+      inverse[j] = 1.0 / own;
+      gain += left[j] * left[j] * inverse[j], volume *= own;
+    }
+  }
+  // Means and variances.
+  [[gnu::always_inline]] void solve(Four* mean, Four* variance) const {
+    Four up[K][K];  // transposed inverse of the lower triangle
+    for (int j = K; j-- > 0;) {
+      mean[j] = left[j] * inverse[j], variance[j] = inverse[j];
+      for (int k = j + 1; k < K; ++k) {
+        mean[j] -= lower[k][j] * mean[k];
+        up[j][k] = -lower[k][j];
+        for (int l = j + 1; l < k; ++l) up[j][k] -= lower[l][j] * up[l][k];
+        variance[j] += up[j][k] * up[j][k] * inverse[k];
+      }
+    }
+  }
+  // Variance of a sum of the numbers, whose shares are overwritten.
+  [[gnu::always_inline]] void variance(Four* of, Four& out) const {
+    out = Four{};
+    for (int k = 0; k < K; ++k) {
+      for (int l = 0; l < k; ++l) of[k] -= lower[k][l] * of[l];
+      out += of[k] * of[k] * inverse[k];
+    }
+  }
+};
+
 // Sets of places, one of each contact's cells, base to tip. What their evidence needs stands side
 // by side, set after set, so that loops over sets become vector code.
 class SetsGrid {
@@ -717,47 +774,16 @@ class SetsGrid {
     for (int s = sets; s < wide; ++s) to[s] = from[at[0]];
   }
 
-  // Numbers of four sets, as a processor takes them.
-  using Four [[gnu::vector_size(32), gnu::aligned(8)]] = double;
-  static const Four& four(const double* from) { return *reinterpret_cast<const Four*>(from); }
-  static Four& four(double* from) { return *reinterpret_cast<Four*>(from); }
-
-  // Normal equations of K forces, eliminated one after another (Gauss).
+  // Of four sets, with the forces' prior.
   template <int K>
-  struct Eliminated {
-    Four lower[K][K], inverse[K], left[K], gain, volume;  // log evidence: (gain - log(volume)) / 2
-    [[gnu::always_inline]] Eliminated(const Matrix& of, double tight, int s) {
-      for (int j = 0; j < K; ++j) {
-        Four raw[K];
-        left[j] = four(of[kTold + j] + s);
-        Four own = tight * four(of[kPrecision + j] + s) + four(of[gram(j, j)] + s);
-        for (int l = 0; l < j; ++l) {
-          raw[l] = four(of[gram(j, l)] + s);
-          for (int k = 0; k < l; ++k) raw[l] -= raw[k] * lower[l][k];
-          lower[j][l] = raw[l] * inverse[l];
-          left[j] -= lower[j][l] * left[l];
-          own -= raw[l] * lower[j][l];
-        }
-        inverse[j] = 1.0 / own;
-        const Four share = left[j] * left[j] * inverse[j],
-                   wider = own * four(of[kVariance + j] + s);
-        gain = j == 0 ? share : gain + share, volume = j == 0 ? wider : volume * wider;
-      }
+  [[gnu::always_inline]] Normal<K> normal(double tight, int s) const {
+    Normal<K> out;
+    for (int j = 0; j < K; ++j) {
+      out.told[j] = four(of_[kTold + j] + s), out.prior[j] = tight * four(of_[kPrecision + j] + s);
+      for (int l = 0; l <= j; ++l) out.lower[j][l] = four(of_[gram(j, l)] + s);
     }
-    // Means and variances of the forces.
-    [[gnu::always_inline]] void solve(Four* mean, Four* variance) const {
-      Four up[K][K];  // transposed inverse of the lower triangle
-      for (int j = K; j-- > 0;) {
-        mean[j] = left[j] * inverse[j], variance[j] = inverse[j];
-        for (int k = j + 1; k < K; ++k) {
-          mean[j] -= lower[k][j] * mean[k];
-          up[j][k] = -lower[k][j];
-          for (int l = j + 1; l < k; ++l) up[j][k] -= lower[l][j] * up[l][k];
-          variance[j] += up[j][k] * up[j][k] * inverse[k];
-        }
-      }
-    }
-  };
+    return out;
+  }
 
   template <int K>
   [[gnu::always_inline]] void exponents(double tight, double critical, double* exponent,
@@ -765,8 +791,9 @@ class SetsGrid {
     const int sets = size();
     const double wider = std::pow(tight, -K);
     for (int s = 0; s < sets; s += 4) {
-      const Eliminated<K> found(of_, tight, s);
+      const Eliminated<K> found(normal<K>(tight, s));
       four(exponent + s) = 0.5 * found.gain, four(volume + s) = found.volume * wider;
+      for (int j = 0; j < K; ++j) four(volume + s) *= four(of_[kVariance + j] + s);
       if (!(critical < INFINITY)) continue;
       Four force[K], variance[K], moment{};
       found.solve(force, variance);
@@ -782,7 +809,7 @@ class SetsGrid {
     const double tight = 1.0 / (scale * scale);
     for (int s = 0; s < size(); s += 4) {
       Four force[K], variance[K];
-      Eliminated<K>(of_, tight, s).solve(force, variance);
+      Eliminated<K>(normal<K>(tight, s)).solve(force, variance);
       for (int j = 0; j < K; ++j) {
         four(mean[j] + s) = force[j], four(spread[j] + s) = variance[j];
         four(felt[j] + s) = four(of_[gram(j, j)] + s);

@@ -66,7 +66,7 @@ class SpaceShape {
     sections_.resize(cells + 1);
     middle_.resize(cells);
     for (int c = 0; c < cells; ++c) {
-      sections_[c + 1] = beyond(sections_[c], u_[c], 1.0 / cells, &middle_[c]);
+      beyond(sections_[c], u_[c], 1.0 / cells, sections_[c + 1], &middle_[c]);
       sections_[c + 1].arc = (c + 1.0) / cells;
     }
   }
@@ -77,7 +77,8 @@ class SpaceShape {
   Section at(double arc) const {
     const int cells = static_cast<int>(u_.size());
     const int c = std::min(static_cast<int>(arc * cells), cells - 1);
-    Section out = beyond(sections_[c], u_[c], arc - sections_[c].arc, nullptr);
+    Section out;
+    beyond(sections_[c], u_[c], arc - sections_[c].arc, out, nullptr);
     out.arc = arc;
     return out;
   }
@@ -119,12 +120,12 @@ class SpaceShape {
     Columns3 frame;
     Vector at;
   };
-  Section beyond(const Section& from, const Vector& u, double step, Middle* middle) const {
+  void beyond(const Section& from, const Vector& u, double step, Section& out,
+              Middle* middle) const {
     const double half = 0.5 * step;
     const Columns3 turn = rotation({u[0] * half, u[1] * half, u[2] * half});
     const Columns3 frame = times(from.frame, turn);
     const Vector centre = plus(from.at, half, frame[0]);
-    Section out = from;
     out.frame = times(frame, turn);
     out.at = plus(from.at, step, frame[0]);
     for (int j = 0; j < 3; ++j) {
@@ -134,7 +135,6 @@ class SpaceShape {
     }
     out.places = plus(from.places, step, centre);
     if (middle) *middle = {frame, centre};
-    return out;
   }
 
   Curvature u_;
@@ -226,8 +226,6 @@ struct Wrenches {
 // Sets of places, one of each load's cells, and the columns of all cells.
 class SpaceGrid {
  public:
-  static constexpr int kMost = 8;  // numbers of a set
-
   struct Placed {
     const SpaceLoad* load;
     Window window;
@@ -236,9 +234,9 @@ class SpaceGrid {
     Row place;
     std::vector<Section> section;
     std::vector<Wrenches> wrench;
-    Matrix column;     // (N, cells * size)
+    Matrix column;     // (N, size * cells)
     Matrix white;      // the same, whitened at one level of the noise
-    Row told, square;  // products with the readings; (cells, size, size) with each other
+    Row told, square;  // products with the readings; (size, size, cells) with each other
   };
   std::vector<Placed> placed;
   Row mass;                   // of each set
@@ -274,15 +272,17 @@ class SpaceGrid {
   THIGMO_WIDE void take(const Whitener& by, const Row& read) {
     for (Placed& p : placed) {
       by(p.column, p.white);
-      const int wide = p.white.columns, k = p.size;
-      p.told.assign(wide, 0.0), p.square.assign(static_cast<std::size_t>(wide) * k, 0.0);
+      const int wide = p.white.columns, cells = wide / p.size;
+      p.told.assign(wide, 0.0), p.square.assign(static_cast<std::size_t>(wide) * p.size, 0.0);
       for (int i = 0; i < p.white.rows; ++i) {
         const double *row = p.white[i], own = read[i];
         for (int c = 0; c < wide; ++c) p.told[c] += row[c] * own;
-        for (int c = 0; c < wide; ++c) {
-          const double value = row[c];
-          const double* beside = row + c / k * k;
-          for (int j = 0; j < k; ++j) p.square[c * k + j] += value * beside[j];
+        for (int d = 0; d < p.size; ++d) {
+          for (int c = 0; c <= d; ++c) {
+            const double *one = row + d * cells, *two = row + c * cells;
+            double* __restrict to = &p.square[(d * p.size + c) * cells];
+            for (int m = 0; m < cells; ++m) to[m] += one[m] * two[m];
+          }
         }
       }
     }
@@ -304,22 +304,29 @@ class SpaceGrid {
   }
 
   // Adds the weights of all sets at that level, over scales of the forces.
-  void weigh(double constant, std::size_t at_level, const Row& scales) {
+  THIGMO_WIDE void weigh(double constant, std::size_t at_level, const Row& scales) {
     const std::size_t sets = mass.size();
     weight_.resize(sets * scales.size());
-    numbers([&]<int K>() {
-      for (std::size_t s = 0; s < sets; ++s) {
-        const Normal<K> normal(*this, static_cast<int>(s));
+    numbers([&]<int K>() __attribute__((always_inline)) {
+      Row wider;
+      for (const double at : scales) wider.push_back(std::pow(at, K));
+      for (std::size_t s = 0; s < sets; s += 4) {
+        Normal<K> normal;
+        gather(static_cast<int>(s), normal);
         for (std::size_t m = 0; m < scales.size(); ++m) {
-          const Solved<K> found(normal, 1.0 / (scales[m] * scales[m]));
-          double odds = std::pow(scales[m], K) * found.volume;
-          for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
-            // A face is pushed, never pulled.
-            if (!placed[j].load->along || placed[j].load->held) continue;
-            const double deviation = std::sqrt(2.0 * found.variance(from + 2));
-            odds /= std::max(std::erfc(found.mean()[from + 2] / deviation), 1e-300);
+          for (Four& tight : normal.prior) tight = 1.0 / (scales[m] * scales[m]) + Four{};
+          const Eliminated<K> found(normal);
+          Four mean[K], variance[K];
+          if (pushed()) found.solve(mean, variance);
+          for (std::size_t lane = 0; lane < std::min<std::size_t>(4, sets - s); ++lane) {
+            double odds = wider[m] * std::sqrt(found.volume[lane]);
+            for (int j = 0, from = 0; pushed() && j < count(); from += placed[j++].size) {
+              if (!placed[j].load->along || placed[j].load->held) continue;
+              const double deviation = std::sqrt(2.0 * variance[from + 2][lane]);
+              odds /= std::max(std::erfc(mean[from + 2][lane] / deviation), 1e-300);
+            }
+            weight_[m * sets + s + lane] = constant + 0.5 * found.gain[lane] - std::log(odds);
           }
-          weight_[m * sets + s] = constant + 0.5 * found.gain - std::log(odds);
         }
       }
     });
@@ -331,40 +338,51 @@ class SpaceGrid {
       const auto at = static_cast<std::size_t>(most - weight_.begin());
       best = static_cast<int>(at % sets), level = at_level, scale = scales[at / sets];
     }
-    for (std::size_t k = 0; k < weight_.size(); ++k) {
-      const std::size_t s = k % sets;
-      const double share = weight_[k] < top - kNothing ? 0.0 : std::exp(weight_[k] - top);
-      mass[s] += share, total += share;
-      if (weight_[k] > peak_of_[s]) peak_of_[s] = weight_[k], scale_of_[s] = scales[k / sets];
+    for (std::size_t m = 0; m < scales.size(); ++m) {
+      const double* own = &weight_[m * sets];
+      for (std::size_t s = 0; s < sets; ++s) {
+        const double share = own[s] < top - kNothing ? 0.0 : std::exp(own[s] - top);
+        mass[s] += share, total += share;
+        if (own[s] > peak_of_[s]) peak_of_[s] = own[s], scale_of_[s] = scales[m];
+      }
     }
   }
 
   // Forces of all sets at the level that was taken last, and whether they move the readings by
   // `least` standard errors.
-  void solve(double least) {
+  THIGMO_WIDE void solve(double least) {
     for (Matrix* each : {&mean, &spread, &felt}) *each = Matrix(count(), size());
-    numbers([&]<int K>() {
-      for (int s = 0; s < size(); ++s) {
-        if (mass[s] == 0.0) continue;
-        const Solved<K> found(Normal<K>(*this, s), 1.0 / (scale_of_[s] * scale_of_[s]));
-        const std::array<double, K> force = found.mean();
+    numbers([&]<int K>() __attribute__((always_inline)) {
+      for (int s = 0; s < size(); s += 4) {
+        const int sets = std::min(4, size() - s);
+        Normal<K> normal;
+        gather(s, normal);
+        for (int lane = 0; lane < 4; ++lane) {
+          const double of = scale_of_[s + std::min(lane, sets - 1)];
+          for (Four& tight : normal.prior) tight[lane] = 1.0 / (of * of);
+        }
+        const Eliminated<K> found(normal);
+        Four force[K], variance[K];
+        found.solve(force, variance);
         for (int j = 0, from = 0; j < count(); from += placed[j++].size) {
-          const Placed& p = placed[j];
-          const int cell = cell_[j][s];
-          const double* square = &p.square[static_cast<std::size_t>(cell) * p.size * p.size];
-          std::array<double, K> across{}, moves{};
-          double length = 0.0, moved = 0.0;
-          for (int k = 0; k < p.size; ++k) {
-            if (k < 2)
-              across[from + k] = force[from + k], length += force[from + k] * force[from + k];
-            for (int l = 0; l < p.size; ++l)
-              moves[from + k] += square[k * p.size + l] * force[from + l];
-            moved += moves[from + k] * force[from + k];
+          Four across[K]{}, moves[K]{}, length{}, moved{}, loose, told;
+          const int beyond = from + placed[j].size;
+          for (int k = from; k < beyond; ++k) {
+            if (k < from + 2) across[k] = force[k], length += force[k] * force[k];
+            for (int l = from; l < beyond; ++l) {
+              moves[k] += normal.lower[std::max(k, l)][std::min(k, l)] * force[l];
+            }
+            moved += moves[k] * force[k];
           }
-          length = std::sqrt(std::max(length, 1e-300)), moved = std::sqrt(std::max(moved, 1e-300));
-          mean[j][s] = length * p.wrench[cell].unit;
-          spread[j][s] = std::sqrt(found.variance(across)) / length * p.wrench[cell].unit;
-          felt[j][s] = probability_felt(moved, std::sqrt(found.variance(moves)) / moved, least);
+          found.variance(across, loose), found.variance(moves, told);
+          for (int lane = 0; lane < sets; ++lane) {
+            const double size = std::sqrt(std::max(length[lane], 1e-300));
+            const double standard = std::sqrt(std::max(moved[lane], 1e-300));
+            const double unit = placed[j].wrench[cell_[j][s + lane]].unit;
+            mean[j][s + lane] = size * unit;
+            spread[j][s + lane] = std::sqrt(loose[lane]) / size * unit;
+            felt[j][s + lane] = probability_felt(standard, std::sqrt(told[lane]) / standard, least);
+          }
         }
       }
     });
@@ -374,9 +392,13 @@ class SpaceGrid {
   // was taken last.
   Row likeliest() const {
     Row out;
-    numbers([&]<int K>() {
-      const auto mean = Solved<K>(Normal<K>(*this, best), 1.0 / (scale * scale)).mean();
-      out.assign(mean.begin(), mean.end());
+    numbers([&]<int K>() __attribute__((always_inline)) {
+      Normal<K> normal;
+      gather(best, normal);
+      for (Four& tight : normal.prior) tight = 1.0 / (scale * scale) + Four{};
+      Four mean[K], variance[K];
+      Eliminated<K>(normal).solve(mean, variance);
+      for (const Four& each : mean) out.push_back(each[0]);
     });
     return out;
   }
@@ -413,7 +435,7 @@ class SpaceGrid {
 
   // Calls `run` for as many numbers as a set has.
   template <class Run>
-  void numbers(const Run& run) const {
+  [[gnu::always_inline]] void numbers(const Run& run) const {
     int sum = 0;
     for (const Placed& p : placed) sum += p.size;
     switch (sum) {
@@ -425,87 +447,38 @@ class SpaceGrid {
         return run.template operator()<5>();
       case 6:
         return run.template operator()<6>();
-      case 7:
-        return run.template operator()<7>();
       default:
-        return run.template operator()<8>();
+        return run.template operator()<7>();
     }
   }
 
-  // Normal equations of a set's K numbers, without their prior: the lower half.
-  template <int K>
-  struct Normal {
-    std::array<std::array<double, K>, K> lower;
-    std::array<double, K> told;
+  // A face is pushed, never pulled.
+  bool pushed() const { return placed.back().load->along && !placed.back().load->held; }
 
-    Normal(const SpaceGrid& grid, int s) {
-      for (int b = 0, k = 0; b < grid.count(); ++b) {
-        const Placed& p = grid.placed[b];
-        const int column = grid.cell_[b][s] * p.size;
-        for (int a = 0, l = 0; a < b; l += grid.placed[a++].size) {
-          const Matrix& both = grid.both_[pair(a, b)];
-          for (int c = 0, size = grid.placed[a].size; c < size; ++c) {
-            const double* row = both[grid.cell_[a][s] * size + c] + column;
-            for (int d = 0; d < p.size; ++d) lower[k + d][l + c] = row[d];
+  // Normal equations of four sets from `first` on, without their prior.
+  template <int K>
+  [[gnu::always_inline]] void gather(int first, Normal<K>& out) const {
+    for (int lane = 0; lane < 4; ++lane) {
+      const int s = std::min(first + lane, size() - 1);
+      for (int b = 0, k = 0; b < count(); k += placed[b++].size) {
+        const Placed& p = placed[b];
+        const int column = cell_[b][s], cells = static_cast<int>(p.section.size());
+        for (int a = 0, l = 0; a < b; l += placed[a++].size) {
+          const Matrix& both = both_[pair(a, b)];
+          for (int c = 0; c < placed[a].size; ++c) {
+            const double* row = both[c * (both.rows / placed[a].size) + cell_[a][s]] + column;
+            for (int d = 0; d < p.size; ++d) out.lower[k + d][l + c][lane] = row[d * cells];
           }
         }
-        const double* square = &p.square[static_cast<std::size_t>(column) * p.size];
         for (int d = 0; d < p.size; ++d) {
-          told[k + d] = p.told[column + d];
-          for (int c = 0; c <= d; ++c) lower[k + d][k + c] = square[d * p.size + c];
+          out.told[k + d][lane] = p.told[d * cells + column];
+          for (int c = 0; c <= d; ++c) {
+            out.lower[k + d][k + c][lane] = p.square[(d * p.size + c) * cells + column];
+          }
         }
-        k += p.size;
       }
     }
-  };
-
-  // The same with their prior, by Cholesky.
-  template <int K>
-  struct Solved {
-    std::array<std::array<double, K>, K> lower;
-    std::array<double, K> half;
-    double gain = 0.0, volume = 1.0;
-
-    Solved(const Normal<K>& of, double tight) : lower(of.lower), half(of.told) {
-      for (int k = 0; k < K; ++k) lower[k][k] += tight;
-      for (int k = 0; k < K; ++k) {
-        for (int l = 0; l < k; ++l) {
-          for (int m = 0; m < l; ++m) lower[k][l] -= lower[k][m] * lower[l][m];
-          lower[k][l] /= lower[l][l];
-          lower[k][k] -= lower[k][l] * lower[k][l];
-          half[k] -= lower[k][l] * half[l];
-        }
-        lower[k][k] = std::sqrt(std::max(lower[k][k], tight));  // no less, but for rounding
-        half[k] /= lower[k][k];
-        gain += half[k] * half[k];
-        volume *= lower[k][k];
-      }
-    }
-
-    std::array<double, K> mean() const {
-      std::array<double, K> out = half;
-      for (int k = K; k-- > 0;) {
-        for (int l = k + 1; l < K; ++l) out[k] -= lower[l][k] * out[l];
-        out[k] /= lower[k][k];
-      }
-      return out;
-    }
-    // Variance of a sum of the numbers.
-    double variance(std::array<double, K> of) const {
-      double sum = 0.0;
-      for (int k = 0; k < K; ++k) {
-        for (int l = 0; l < k; ++l) of[k] -= lower[k][l] * of[l];
-        of[k] /= lower[k][k];
-        sum += of[k] * of[k];
-      }
-      return sum;
-    }
-    double variance(int number) const {
-      std::array<double, K> of{};
-      of[number] = 1.0;
-      return variance(of);
-    }
-  };
+  }
 
   std::array<std::vector<int>, kMostContacts> cell_;  // of each set
   std::array<Matrix, 3> both_;                        // products of the columns of two loads
@@ -526,7 +499,7 @@ class InSpace : public Explanations {
     if (weighs()) {
       Curvature hanging = rest_;
       for (int pass = 0; pass < kMostTurns; ++pass) {
-        const SpaceShape shape(hanging, space_.compliance);
+        const SpaceShape shape = bent_to(hanging);
         Curvature next = base(shape);
         const double change = apart(next, hanging);
         for (std::size_t c = 0; c < next.size(); ++c) {
@@ -535,7 +508,7 @@ class InSpace : public Explanations {
         hanging = std::move(next);
         if (change < 1e-6) break;
       }
-      const SpaceShape shape(hanging, space_.compliance);
+      const SpaceShape shape = bent_to(hanging);
       const Lines lines(shape, frame_, direction_);
       hanging_.resize(frame_.size());
       for (int i = 0; i < frame_.size(); ++i) {
@@ -554,7 +527,7 @@ class InSpace : public Explanations {
       rest_weighed_ = rest_;
     }
     for (const Vector& h : direction_) twists_ |= space_.compliance[0] > 0.0 && h[0] != 0.0;
-    readings.turn = turn_of(rest_);
+    readings.turn = turn_of(bent_to(rest_));
   }
 
   // Curvature in each cell above that of the free body: about the normal, about the binormal.
@@ -569,12 +542,12 @@ class InSpace : public Explanations {
   void run() {
     free();
     const double doubtful = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
-    std::size_t one = add({Load::contact, {kTouch}, kCells}, contact_, start_, -1);
+    std::size_t one = add({Load::contact, {kTouch}, kCells}, contact_, bent_to(start_), -1);
     const bool misfit = readings.known && found[one].misfit > limit_;
     if (readings.known) explained = found[0].misfit - found[one].misfit;
     if (explained < found[one].misfit) explained = 0.0;
     if (found[one].misfit > doubtful) {
-      const Curvature bent = found[one].bent;
+      const SpaceShape bent = bent_to(found[one].bent);
       readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
                                {priors_.noise_factor, std::log(priors_.noise_odds)}};
       whiten();
@@ -583,7 +556,7 @@ class InSpace : public Explanations {
       one = add({Load::contact, {kTouch}, kCells}, contact_, bent, -1);
     }
     doubt_of(found[one], {Load::contact, {kTouch}, kCells}, contact_);
-    const Curvature bent = found[one].bent;
+    const SpaceShape bent = bent_to(found[one].bent);
     const double turn = turn_of(bent);
     const bool bends = readings.turn > priors_.end_turn;
     const auto odds = [](double given, double usual) { return std::isnan(given) ? usual : given; };
@@ -599,13 +572,13 @@ class InSpace : public Explanations {
       return frame_.size() >= count;
     };
     bool poor = misfit;
-    Curvature bent_by_two = bent;
+    SpaceShape bent_by_two = bent;
     if (several(2)) {
       const std::size_t two =
           add({Load::two, {kTouch, kTouch}, kPairCells}, contact_ + priors_.another, bent, -1);
       if (two < found.size()) {
         poor |= !readings.known && found[two].log_weight > found[one].log_weight;
-        bent_by_two = found[two].bent;
+        bent_by_two = bent_to(found[two].bent);
         doubt_of(found[two], {Load::two, {kTouch, kTouch}, kPairCells}, contact_ + priors_.another);
       }
     }
@@ -659,11 +632,12 @@ class InSpace : public Explanations {
     return std::sqrt(most);
   }
 
+  SpaceShape bent_to(Curvature u) const { return {std::move(u), space_.compliance}; }
+
   // The largest angle of the body with its base.
-  double turn_of(const Curvature& u) const {
-    const SpaceShape shape(u, space_.compliance);
+  double turn_of(const SpaceShape& shape) const {
     double least = 1.0;
-    for (std::size_t c = 0; c <= u.size(); ++c)
+    for (std::size_t c = 0; c <= shape.curvature().size(); ++c)
       least = std::min(least, shape.section(c).frame[0][0]);
     return std::acos(std::clamp(least, -1.0, 1.0));
   }
@@ -723,7 +697,7 @@ class InSpace : public Explanations {
     fill(lines, p.section, p.wrench, p.column);
   }
 
-  // Columns of loads at sections: (N, places * numbers).
+  // Columns of loads at sections: (N, numbers * places). Couples come after forces.
   void fill(const Lines& lines, const std::vector<Section>& section,
             const std::vector<Wrenches>& wrench, Matrix& out) const {
     const int places = static_cast<int>(section.size()), size = wrench[0].count;
@@ -733,7 +707,8 @@ class InSpace : public Explanations {
       for (int m = 0; m < places; ++m) {
         const auto [force, couple] = lines.response(i, section[m]);
         for (int k = 0; k < size; ++k) {
-          *row++ = dot(force, wrench[m].force[k]) + dot(couple, wrench[m].couple[k]);
+          row[k * places + m] = dot(force, wrench[m].force[k]);
+          if (k > 2) row[k * places + m] += dot(couple, wrench[m].couple[k]);
         }
       }
     }
@@ -741,7 +716,7 @@ class InSpace : public Explanations {
 
   // Weighs an explanation; the index of the hypothesis, or that beyond the last if no set of places
   // is possible.
-  std::size_t add(const SpaceExplanation& of, double weight, const Curvature& start, int bad) {
+  std::size_t add(const SpaceExplanation& of, double weight, SpaceShape shape, int bad) {
     const Whitened white = with(bad_, bad);
     const int count = static_cast<int>(of.loads.size());
     const bool all = settings_.contacts == count;
@@ -755,7 +730,6 @@ class InSpace : public Explanations {
     const double odds = bad < 0 ? weight : weight + readings.log_bad[bad];
     const double matters = best() - odds + (count == 1 ? -INFINITY : kSeveralMatter);
     const double least = count < 3 || all ? -INFINITY : best() - odds + kNegligible;
-    SpaceShape shape(start, space_.compliance);
     SeveralContacts fit;
     fit.contacts.resize(count);
     bool whole = true;
@@ -793,9 +767,9 @@ class InSpace : public Explanations {
       if (white.levels.size() > 1) take(at);
       // The first shape is that which the readings show, whatever explains them; the next is that
       // of the loads.
-      const double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
-      if (beside && !(unseen && turn < kTwistTurns) && fit.log_evidence + odds < best() + hopeless)
-        return found.size();
+      double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
+      if (unseen && turn < kTwistTurns) hopeless = turn == 0 ? -INFINITY : kTwistFarFromIt;
+      if (beside && fit.log_evidence + odds < best() + hopeless) return found.size();
       if (turn == 0 && least > -INFINITY) {
         grid.solve(prior_.felt);
         if (fit.log_evidence + std::log(grid.all_felt()) < least) return found.size();
@@ -814,7 +788,6 @@ class InSpace : public Explanations {
         twist += (change >= 0.8 * last ? 0.5 : 1.0) * (found_now - twist);
       }
       last = change;
-      shape = SpaceShape(std::move(bent), space_.compliance);
       bool finer = false;
       for (int j = 0; rests && j < count; ++j) {
         SpaceGrid::Placed& p = grid.placed[j];
@@ -828,7 +801,10 @@ class InSpace : public Explanations {
         p.window = part;
         finer = true, whole = false;
       }
-      if (finer || !(rests || turn + 1 == kMostTurns)) continue;
+      if (finer || !(rests || turn + 1 == kMostTurns)) {
+        shape = bent_to(std::move(bent));
+        continue;
+      }
       grid.solve(prior_.felt);
       const double nothing = kNothingOfAll * std::exp(std::min(matters - fit.log_evidence, 3.0));
       SeveralContacts shares;
@@ -868,7 +844,7 @@ class InSpace : public Explanations {
     int number = 0;
     for (int j = 0; j < of.count(); ++j) {
       const SpaceGrid::Placed& p = of.placed[j];
-      const int cell = of.cell(j, of.best);
+      const int cell = of.cell(j, of.best), cells = static_cast<int>(p.section.size());
       const Wrenches& wrench = p.wrench[cell];
       Vector force{}, couple{};
       for (int k = 0; k < p.size; ++k, ++number) {
@@ -876,9 +852,9 @@ class InSpace : public Explanations {
         couple = plus(couple, load[number], wrench.couple[k]);
         if (k == 1) out.forces.push_back(force);
         for (int i = 0; i < n; ++i) {
-          white[i] -= load[number] * p.white[i][cell * p.size + k];
-          left[i] -= load[number] * p.column[i][cell * p.size + k];
-          out.loads[number][i] = of.scale * p.column[i][cell * p.size + k];
+          white[i] -= load[number] * p.white[i][k * cells + cell];
+          left[i] -= load[number] * p.column[i][k * cells + cell];
+          out.loads[number][i] = of.scale * p.column[i][k * cells + cell];
         }
       }
       shape.add(p.section[cell], force, couple, out.bent);
@@ -886,10 +862,11 @@ class InSpace : public Explanations {
     out.noise = at.factor, out.misfit = Whitener::dot(white.data(), white.data(), n);
     Curvature all = out.bent;
     const Matrix& map = space_.curvature_map;
+    if (out.bad >= 0) left[out.bad] = 0.0;
     for (int r = 0; r < map.rows; ++r) {
-      for (int i = 0; i < n; ++i) {
-        if (i != out.bad) all[r / 2][1 + r % 2] += map[r][readings.index[i]] * left[i];
-      }
+      double sum = 0.0;
+      for (int i = 0; i < n; ++i) sum += map[r][readings.index[i]] * left[i];
+      all[r / 2][1 + r % 2] += sum;
     }
     return all;
   }
@@ -947,7 +924,7 @@ class InSpace : public Explanations {
     for (std::size_t c = 0; c < u.size(); ++c) {
       u[c][0] += kStep * dot(shape.section(c).frame[0], shape.end().frame[0]);
     }
-    const SpaceShape twisted(std::move(u), space_.compliance);
+    const SpaceShape twisted = bent_to(std::move(u));
     const Row one = readings_of(grid, before, shape, lines);
     const Row two = readings_of(grid, before, twisted, Lines(twisted, frame_, direction_));
     if (known.empty()) known.resize(n);
@@ -960,13 +937,15 @@ class InSpace : public Explanations {
 
   void doubt_of(const Hypothesis& of, const SpaceExplanation& how, double weight) {
     doubt(of, weight - contact_,
-          [this, how, weight, start = of.bent](int i) { add(how, weight, start, i); });
+          [this, how, weight, start = of.bent](int i) { add(how, weight, bent_to(start), i); });
   }
 
   static constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
   static constexpr double kNothingOfAll = 1e-4;
   static constexpr int kTwistTurns = 5;        // in which an unseen twist is found
   static constexpr double kFarFromIt = -40.0;  // log odds at the first shape, as none that is right
+  // The same while a twist is found, which goes too far at first: to -94 in 800 frames.
+  static constexpr double kTwistFarFromIt = -400.0;
 
   const Space& space_;
   std::vector<Vector> direction_;
