@@ -24,6 +24,7 @@ _GROWS_MORE_S = 0.6  # speeding up and slowing down
 _ZERO_S = 5.2  # two windows of drift, and the average
 _ZERO_SETTLED_S = 3.2  # the same of a robot that has stood still: one window
 _VENTS_S = 1.5  # after a side
+_SPARE_S = 1.5  # by which a run may last longer than expected
 _MEASURE_S = 6.6
 _REST_S = 6.0  # of young sensors, on average
 
@@ -110,7 +111,7 @@ class Effort:
         well, the run ends at the longest that it allows.
         """
         reached_cm = length_cm + (SAME_CM if swept else -SAME_CM)
-        left_s = self.time_s - spent_s
+        left_s = self.time_s - spent_s - _SPARE_S
 
         stops = [stop for stop in self.lengths(config) if stop > reached_cm]
         while len(stops) > 1 and self.expected_s(config, stops, length_cm) > left_s:
@@ -184,6 +185,6 @@ def within(time_s: float, config: RobotConfig) -> Effort:
         least = _BEGINS_S + effort.expected_s(config, stage_lengths(config)[:1])
         raise DataError(
             f"{time_s:g} s of robot time are too few for a sweep",
-            f"give --time {least + 1:.0f} or more",
+            f"give --time {least + _SPARE_S + 1:.0f} or more",
         )
     return effort

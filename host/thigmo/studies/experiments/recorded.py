@@ -129,7 +129,7 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
         "dowel_x_cm": [x for x, _ in dowels],
         "dowel_y_cm": [y for _, y in dowels],
         **truth,
-        "passed_psi": [getattr(r, f"{trial.side}_psi") for r in passed],
+        "passed_psi": [r.pressure_psi[SIDES.index(trial.side)] for r in passed],
         "passed_curvature": [r.curvature.tolist() for r in passed],
     }
 
