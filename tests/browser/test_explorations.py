@@ -183,7 +183,7 @@ def test_question_of_a_run_reaches_a_page_that_comes_later_and_again(
         else:
             page.locator("#answer").press("Enter")
         expect(page.locator("#question")).to_be_hidden()
-        page.wait_for_function("() => thigmo.store.last.state?.stage_cm === 20")
+        page.wait_for_function("() => thigmo.store.last.state?.stage_cm >= 20")
         page.keyboard.press("Escape")
         expect(page.locator("#stop")).to_contain_text("the board has confirmed")
     finally:
@@ -209,7 +209,7 @@ def test_run_on_a_port_asks_its_operator_on_the_page(
     expect(question).to_contain_text("Set the body pressure to")
     page.keyboard.press("Enter")
     expect(page.locator("#question")).to_be_hidden()
-    page.wait_for_function("() => thigmo.store.last.state?.stage_cm === 20")
+    page.wait_for_function("() => thigmo.store.last.state?.stage_cm >= 20")
     robot.slow_motion()
     page.keyboard.press("Escape")
     expect(page.locator("#stop")).to_contain_text("the board has confirmed")
