@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from thigmo.config import RobotConfig
 from thigmo.design import draft
 from thigmo.emulator.reach import room_for
-from thigmo.errors import RobotFaultError
+from thigmo.errors import ConfigError, RobotFaultError
+from thigmo.robot import connect
 from thigmo.studies.robots import ROBOTS, THESIS, visit
 from thigmo.studies.rooms import explored
 
@@ -34,3 +36,22 @@ def test_a_thick_body_that_the_spool_cannot_hold_is_told_what_to_change(tmp_path
     scene.save(tmp_path / "thick.toml")
     with pytest.raises(RobotFaultError, match=r"1.47 psi pull 14.3 N .* fit a brake or lower"):
         explored(f"emulator://{tmp_path / 'thick.toml'}", tmp_path, 1)
+
+
+def test_a_robot_of_many_sensors_is_refused_by_the_usual_board(tmp_path: Path) -> None:
+    large = draft(200, 16, 1)
+    with (
+        connect("emulator://empty") as robot,
+        pytest.raises(
+            ConfigError,
+            match=r"built for 2 muscles, 10 sensors .* needs one for 4, 16 and 8 \(large",
+        ),
+    ):
+        robot.configure(large)
+    room_for(large, 0, peg=False).save(tmp_path / "large.toml")
+    with pytest.raises(ConfigError, match="needs the board large"):
+        connect(f"mega-sim://{tmp_path / 'large.toml'}")
+    with connect(f"emulator://{tmp_path / 'large.toml'}") as robot:
+        assert robot.read(0.2, despite_faults=True).curvature.shape == (16,)
+        with pytest.raises(ConfigError, match=r"needs one for 2, 10 and 3 .mega"):
+            robot.configure(RobotConfig())
