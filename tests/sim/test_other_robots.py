@@ -8,9 +8,14 @@ import pytest
 
 from thigmo.config import RobotConfig
 from thigmo.design import draft
+from thigmo.emulator.board import virtual_board
 from thigmo.emulator.reach import room_for
+from thigmo.emulator.serve import brought_up
+from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import ConfigError, RobotFaultError
-from thigmo.robot import connect
+from thigmo.link.client import Client
+from thigmo.robot import Robot, connect
+from thigmo.stream import Telemetry
 from thigmo.studies.robots import ROBOTS, THESIS, visit
 from thigmo.studies.rooms import explored
 
@@ -55,3 +60,20 @@ def test_a_robot_of_many_sensors_is_refused_by_the_usual_board(tmp_path: Path) -
         assert robot.read(0.2, despite_faults=True).curvature.shape == (16,)
         with pytest.raises(ConfigError, match=r"needs one for 2, 10 and 3 .mega"):
             robot.configure(RobotConfig())
+
+
+def test_a_large_board_on_a_port_is_read_once_its_robot_is_described() -> None:
+    """Nothing but robot.toml says what hangs on a port."""
+    scene = room_for(draft(200, 16, 1), 0, peg=False)
+    board = virtual_board(scene.robot, 1, brought_up(scene.robot))
+    port = EmulatorTransport(scene, board, seed=1)
+    del port.config
+    told: list[Telemetry] = []
+    with Robot(Client(port)) as robot:
+        robot.on_telemetry(told.append)
+        with pytest.raises(ConfigError, match="16 sensors' inputs, and nobody has described"):
+            robot.read(0.2)
+        assert told == []
+        robot.configure(scene.robot)
+        assert robot.read(0.2).resistance.shape == (16,)
+    assert {len(each.pressure_psi) for each in told} == {4}

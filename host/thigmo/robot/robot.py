@@ -13,7 +13,7 @@ from contextlib import nullcontext
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
-from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
+from thigmo.errors import CommandRefusedError, CommandTimeoutError, ConfigError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.link.transport import open_transport
@@ -258,6 +258,11 @@ class Robot(Supervised):
         if not heard:
             raise LinkError("no telemetry came", "check the parameter telemetry_ms")
         frames = [frame.message for frame in heard]
+        if (count := len(frames[0].flex_sum)) != len(self._table.healthy):
+            raise ConfigError(
+                f"the board has {count} sensors' inputs, and nobody has described its robot",
+                "send its robot.toml: `configure`",
+            )
         return frames, np.array([frame.flex_sum for frame in frames], dtype=np.float64)
 
     def press(
