@@ -41,6 +41,7 @@ void check_profile(uint8_t adc_bits, uint16_t frame_us) {
 }  // namespace
 
 NB_MODULE(THIGMO_MODULE, m) {
+  nb::set_leak_warnings(false);  // as in host/thigmo/emulator/plant.cpp
   m.doc() = "The firmware core on a virtual board.";
   m.attr("SCHEMA_HASH") = thigmo::protocol::kSchemaHash;
   nb::class_<Analog>(m, "Analog")
