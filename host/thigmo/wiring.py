@@ -1,8 +1,8 @@
-"""On which of the board's inputs a robot's sensors hang, and what of a robot the board cannot hold.
+"""The board that a robot needs, and on which of its inputs the sensors hang.
 
-The firmware has ten inputs for flex sensors. The contact trigger works on inputs 0 and 5, the
-bases of the two columns; the other eight read any sensor. A column takes
-its own five inputs first, and then those that the other column leaves free.
+A board's first half of inputs is for one column, the second for the other; the contact trigger can
+work on the first input of each. A column takes its own half first, base first, and then what the
+other column leaves free: the first input of that last.
 """
 
 from __future__ import annotations
@@ -12,10 +12,30 @@ from typing import NamedTuple
 from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
 from thigmo.errors import ConfigError
 
-INPUTS = 10  # for flex sensors
-BASES: dict[Side, int] = dict(zip(SIDES, (0, 5), strict=True))  # inputs of the trigger's sensors
-_OTHERS: dict[Side, tuple[int, ...]] = dict(zip(SIDES, ((1, 2, 3, 4), (6, 7, 8, 9)), strict=True))
-PRESSURES = 3  # body pressures that the board holds maps for
+
+class Board(NamedTuple):
+    """What a board holds, as its `capacity` tells."""
+
+    name: str
+    muscles: int
+    sensors: int
+    body_pressures: int
+
+    @property
+    def capacity(self) -> dict[str, int]:
+        """How many of each, as `protocol.parameters` takes them."""
+        return {key: n for key, n in self._asdict().items() if key != "name"}
+
+    def holds(self, config: RobotConfig) -> bool:
+        """Whether its inputs, outputs and maps are enough."""
+        needed = len(config.muscles), len(config.sensors), len(config.body.zones)
+        return all(n <= most for n, most in zip(needed, self[1:], strict=True))
+
+
+BOARDS = (
+    Board("mega", 2, 10, 3),
+    Board("large, the virtual board with an external converter", 4, 16, 8),
+)  # the smallest first
 
 
 class Beyond(NamedTuple):
@@ -25,8 +45,14 @@ class Beyond(NamedTuple):
     cure: str
 
 
+def board_of(config: RobotConfig) -> Board:
+    """The smallest board that holds the robot; the largest if none does."""
+    return next((board for board in BOARDS if board.holds(config)), BOARDS[-1])
+
+
 def beyond_board(config: RobotConfig) -> list[Beyond]:
-    """What of the robot the board cannot hold; empty if it holds all of it."""
+    """What of the robot no board can hold; empty if its board holds all of it."""
+    board = board_of(config)
     found = [
         Beyond(
             f"{what} lies at {each.direction_deg:g} degrees, out of the plane",
@@ -38,19 +64,23 @@ def beyond_board(config: RobotConfig) -> list[Beyond]:
         )
         if each.side is None
     ]
-    most = INPUTS - sum(not config.column(side) for side in SIDES)
-    if len(config.sensors) > most:
+    for what, count, most in (
+        ("muscles", len(config.muscles), board.muscles),
+        ("sensors", len(config.sensors), board.sensors),
+        ("body pressures", len(config.body.zones), board.body_pressures),
+    ):
+        if count > most:
+            cure = f"keep at most {most} in robot.toml"
+            found.append(Beyond(f"{count} {what}, and the largest board holds {most}", cure))
+    # The board would take the column's last sensor, on its other trigger input, for a base sensor.
+    if any(
+        len(column) == board.sensors and not column[0].healthy
+        for column in map(config.column, SIDES)
+    ):
         found.append(
             Beyond(
-                f"{len(config.sensors)} sensors, and the board reads {most} in these columns",
-                f"keep at most {most} in robot.toml: nine in one column, ten in two",
-            )
-        )
-    if len(config.body.zones) > PRESSURES:
-        found.append(
-            Beyond(
-                f"{len(config.body.zones)} body pressures, and the board holds {PRESSURES}",
-                f"keep at most {PRESSURES} of [[body.pressure]] in robot.toml",
+                f"a column of {board.sensors} sensors without a healthy one at its base",
+                "mend that sensor: the contact trigger works on it",
             )
         )
     return found
@@ -63,19 +93,22 @@ def places(config: RobotConfig) -> list[tuple[Side, int] | None]:
     """
     for what, cure in beyond_board(config):
         raise ConfigError(what, cure)
-    found: list[tuple[Side, int] | None] = [None] * INPUTS
-    free: dict[Side, list[int]] = {}
-    for side in SIDES:
-        count = len(config.column(side))
-        inputs = [BASES[side], *_OTHERS[side]]
-        for index, number in enumerate(inputs[:count]):
-            found[number] = side, index
-        free[side] = list(_OTHERS[side][max(count - 1, 0) :])
+    board = board_of(config)
+    found: list[tuple[Side, int] | None] = [None] * board.sensors
+    half = board.sensors // 2
+    firsts = dict(zip(SIDES, (0, half), strict=True))
     for side, other in (SIDES, SIDES[::-1]):
-        rest = range(1 + len(_OTHERS[side]), len(config.column(side)))
-        for index, number in zip(rest, free[other], strict=False):
+        own, free = firsts[side], firsts[other]
+        taken = len(config.column(other))
+        inputs = [*range(own, own + half), *range(free + max(taken, 1), free + half), free]
+        for index, number in zip(range(len(config.column(side))), inputs, strict=False):
             found[number] = side, index
     return found
+
+
+def base_inputs(config: RobotConfig) -> list[int]:
+    """The inputs of the columns' base sensors, on which the contact trigger works."""
+    return [number for number, place in enumerate(places(config)) if place and place[1] == 0]
 
 
 def sensors(config: RobotConfig) -> list[FlexSensor | None]:

@@ -6,9 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from thigmo.config import RobotConfig
 from thigmo.design import draft
+from thigmo.emulator.board import virtual_board
 from thigmo.emulator.reach import room_for
-from thigmo.errors import RobotFaultError
+from thigmo.emulator.serve import brought_up
+from thigmo.emulator.transport import EmulatorTransport
+from thigmo.errors import ConfigError, RobotFaultError
+from thigmo.link.client import Client
+from thigmo.robot import Robot, connect
+from thigmo.stream import Telemetry
 from thigmo.studies.robots import ROBOTS, THESIS, visit
 from thigmo.studies.rooms import explored
 
@@ -34,3 +41,39 @@ def test_a_thick_body_that_the_spool_cannot_hold_is_told_what_to_change(tmp_path
     scene.save(tmp_path / "thick.toml")
     with pytest.raises(RobotFaultError, match=r"1.47 psi pull 14.3 N .* fit a brake or lower"):
         explored(f"emulator://{tmp_path / 'thick.toml'}", tmp_path, 1)
+
+
+def test_a_robot_of_many_sensors_is_refused_by_the_usual_board(tmp_path: Path) -> None:
+    large = draft(200, 16, 1)
+    with (
+        connect("emulator://empty") as robot,
+        pytest.raises(
+            ConfigError,
+            match=r"built for 2 muscles, 10 sensors .* needs one for 4, 16 and 8 \(large",
+        ),
+    ):
+        robot.configure(large)
+    room_for(large, 0, peg=False).save(tmp_path / "large.toml")
+    with pytest.raises(ConfigError, match="needs the board large"):
+        connect(f"mega-sim://{tmp_path / 'large.toml'}")
+    with connect(f"emulator://{tmp_path / 'large.toml'}") as robot:
+        assert robot.read(0.2, despite_faults=True).curvature.shape == (16,)
+        with pytest.raises(ConfigError, match=r"needs one for 2, 10 and 3 .mega"):
+            robot.configure(RobotConfig())
+
+
+def test_a_large_board_on_a_port_is_read_once_its_robot_is_described() -> None:
+    """Nothing but robot.toml says what hangs on a port."""
+    scene = room_for(draft(200, 16, 1), 0, peg=False)
+    board = virtual_board(scene.robot, 1, brought_up(scene.robot))
+    port = EmulatorTransport(scene, board, seed=1)
+    del port.config
+    told: list[Telemetry] = []
+    with Robot(Client(port)) as robot:
+        robot.on_telemetry(told.append)
+        with pytest.raises(ConfigError, match="16 sensors' inputs, and nobody has described"):
+            robot.read(0.2)
+        assert told == []
+        robot.configure(scene.robot)
+        assert robot.read(0.2).resistance.shape == (16,)
+    assert {len(each.pressure_psi) for each in told} == {4}

@@ -77,32 +77,53 @@ def test_where_a_sweep_feels_is_where_the_mechanics_hold_the_base_back() -> None
 
 
 def test_what_the_board_cannot_hold_is_refused_with_its_number() -> None:
-    config = draft(120, 8, 2)
+    config = draft(200, 9, 2)
     (beyond,) = wiring.beyond_board(config)
-    assert "16 sensors, and the board reads 10" in beyond.what
-    with pytest.raises(ConfigError, match="16 sensors"):
+    assert "18 sensors, and the largest board holds 16" in beyond.what
+    with pytest.raises(ConfigError, match="18 sensors"):
         wiring.sensors(config)
     out = RobotConfig()
     out.muscles[0].direction_deg = 0.0
     assert "out of the plane" in wiring.beyond_board(out)[0].what
     more = RobotConfig()
-    more.body.zones = [*more.body.zones, more.body.zones[-1].model_copy(update={"until_cm": 60.0})]
-    assert "4 body pressures, and the board holds 3" in wiring.beyond_board(more)[0].what
+    last = more.body.zones[-1]
+    more.body.zones += [last.model_copy(update={"until_cm": 60.0 + n}) for n in range(6)]
+    assert "9 body pressures, and the largest board holds 8" in wiring.beyond_board(more)[0].what
+    full = draft(200, 16, 1)
+    full.column("right")[0].healthy = False
+    assert "without a healthy one at its base" in wiring.beyond_board(full)[0].what
 
 
-@pytest.mark.parametrize(("left", "right"), [(5, 5), (9, 0), (0, 9), (7, 3), (1, 9), (3, 0)])
+@pytest.mark.parametrize(
+    ("length", "sensors", "muscles", "board"),
+    [(53, 5, 2, "mega"), (120, 10, 1, "mega"), (120, 11, 1, "large"), (200, 16, 1, "large")],
+)
+def test_the_check_names_the_smallest_board_that_holds_the_robot(
+    length: float, sensors: int, muscles: int, board: str
+) -> None:
+    said = next(one for one in judge(draft(length, sensors, muscles)) if one.what == "board")
+    assert (said.mark, said.text.startswith(board)) == ("ok", True)
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [(5, 5), (9, 0), (0, 10), (7, 3), (1, 9), (3, 0), (8, 8), (16, 0), (0, 11), (2, 14)],
+)
 def test_every_sensor_has_an_input_and_base_sensors_those_of_the_trigger(
     left: int, right: int
 ) -> None:
-    config = draft(200, 9, 2)
+    config = draft(200, 16, 2)
     for side, count in zip(SIDES, (left, right), strict=True):
         config.set_column(side, config.column(side)[:count])
     inputs = wiring.input_of(config)
     assert len(inputs) == len(set(inputs.values())) == left + right
-    for side in SIDES:
+    half = 5 if left + right <= 10 else 8
+    assert wiring.base_inputs(config) == [
+        first for first, count in ((0, left), (half, right)) if count
+    ]
+    for side, first in zip(SIDES, (0, half), strict=True):
         if config.column(side):
-            assert inputs[side, 0] == wiring.BASES[side]
-        assert all(number != wiring.BASES[side] for (of, k), number in inputs.items() if k)
+            assert inputs[side, 0] == first
     assert len(config.sensors) == left + right
 
 
@@ -112,7 +133,7 @@ def test_the_commands_write_check_and_convert(tmp_path: Path, thigmo: Thigmo) ->
     scene = json.loads(thigmo("scene", "check", folder / "scene.toml", "--json").out)
     assert scene["robot"]["body"]["length_cm"] == 120
     found = json.loads(thigmo("robot", "check", folder / "robot.toml", "--json").out)
-    assert {"board", "rates"} & {one["what"] for one in found["findings"]} == {"rates"}
+    assert {one["mark"] for one in found["findings"] if one["what"] in ("board", "rates")} == {"ok"}
     old = tmp_path / "robot.toml"
     old.write_text("version = 1\n[sensors]\nsettle_s = 12.0\n")
     thigmo("robot", "convert", old)

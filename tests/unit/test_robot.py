@@ -305,8 +305,8 @@ def test_parameters_are_checked_before_they_are_sent() -> None:
 
 
 def test_too_many_sensors_for_the_board_are_named() -> None:
-    left = [FlexSensor(center_cm=float(c)) for c in range(4, 48, 4)]
-    with pytest.raises(ConfigError, match="11 sensors"):
+    left = [FlexSensor(center_cm=5.0 + 2.5 * n) for n in range(17)]
+    with pytest.raises(ConfigError, match="17 sensors"):
         parameter_settings(RobotConfig(sensors=left))
 
 

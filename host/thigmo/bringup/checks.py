@@ -15,7 +15,7 @@ from thigmo.bringup.push import duty_of, push
 from thigmo.config import SIDES
 from thigmo.errors import RobotFaultError, ThigmoError
 from thigmo.link.protocol import Output
-from thigmo.robot import SENSORS, WITHOUT_BRAKE, Robot
+from thigmo.robot import WITHOUT_BRAKE, Robot
 
 _ESTOP_S = 1.0
 _EMPTY_PSI = 1.5  # a sensor's error before its zero is calibrated
@@ -156,8 +156,8 @@ def _flex(robot: Robot, _: Attendant) -> Found:
     enabled = robot.parameter("flex_enabled")
     robot.clear_faults()
     ohms = robot.read(0.3, despite_faults=True).resistance
-    for sensor in range(SENSORS):
-        side, index = divmod(sensor, SENSORS // 2)
+    for sensor in range(len(ohms)):
+        side, index = divmod(sensor, len(ohms) // 2)
         pin = f"J{6 + side}.{index + 2}"
         is_open, is_short = robot.flex_circuit(sensor)
         what, cure = f"{ohms[sensor] / 1e3:.1f} kOhm", ""

@@ -133,11 +133,11 @@ def _run_info(path: Path) -> dict[str, Any]:
 
 
 def _robot_info(url: str) -> dict[str, Any]:
-    from thigmo.robot import connect
+    from thigmo.robot import connect, in_mask
 
     with connect(url) as robot:
         status = asdict(robot.status())
         status["conditions"] = sorted(status["conditions"])
         for mask in ("everted", "settled", "zeroed"):
-            status[mask] = [n for n in range(10) if status[mask] >> n & 1]
+            status[mask] = in_mask(status[mask])
         return {"url": url, **robot.identity, **status, "link": robot.link_stats()}

@@ -26,7 +26,7 @@ from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
-from thigmo.wiring import beyond_board, columns
+from thigmo.wiring import beyond_board, board_of, columns
 
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
@@ -51,6 +51,8 @@ class Finding:
 def judge(config: RobotConfig) -> list[Finding]:
     """All findings, the board's first."""
     found = [Finding("board", "bad", f"{what}; {cure}") for what, cure in beyond_board(config)]
+    if not found:
+        found.append(Finding("board", "ok", _board(config)))
     try:
         stages = stage_lengths(config)
         found.append(Finding("stages", "ok", ", ".join(f"{each:g}" for each in stages) + " cm"))
@@ -60,6 +62,12 @@ def judge(config: RobotConfig) -> list[Finding]:
     for side in config.sides:
         found += _feels(config, side)
     return [*found, *_inputs(config), *_rates(config)]
+
+
+def _board(config: RobotConfig) -> str:
+    """The board that the robot needs, and what that holds."""
+    name, muscles, sensors, pressures = board_of(config)
+    return f"{name}: {muscles} muscles, {sensors} sensors and {pressures} body pressures"
 
 
 def _inputs(config: RobotConfig) -> Iterator[Finding]:

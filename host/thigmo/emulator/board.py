@@ -6,19 +6,26 @@ supply, advances it, and takes its outputs. One tick is 1 ms.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from thigmo import wiring
+from thigmo.errors import ConfigError
+
+if TYPE_CHECKING:
+    from thigmo.config import RobotConfig
+
 Floats = npt.NDArray[np.float64]
 
-CHANNELS = 16
-# ADC channels: flex sensors 0..9 (`thigmo.wiring`), pressures 10 and 11.
+CHANNELS = 16  # at least
+# ADC channels of the usual board: flex sensors 0..9 (`thigmo.wiring`), pressures 10 and 11.
 FLEX_RIGHT = 5
 PRESSURE = 10
 DRIVE_FULL = 1599  # transducer duty of 20 mA
 MOTOR_FULL = 800
+_CONVERTER = (12, 320)  # of the large board: bits, and us for a frame of 13 conversions
 
 
 class Board(Protocol):
@@ -38,10 +45,10 @@ class Board(Protocol):
         """Bytes that the board has sent so far."""
 
     def set_analog(self, counts: Floats, /) -> None:
-        """Ideal ADC counts in [0, 1024), shape (16, 2): at the next step's start and end."""
+        """Ideal ADC counts in [0, 1024), shape (channels, 2): at the next step's start and end."""
 
     def set_adc_noise(self, sigma: Floats, /) -> None:
-        """White noise of a conversion in counts, one sigma, shape (16,)."""
+        """White noise of a conversion in counts, one sigma, by channel."""
 
     def set_encoder(self, start: float, end: float, /) -> None:
         """Encoder position (x4 counts) at the next step's start and end."""
@@ -91,3 +98,19 @@ class Board(Protocol):
 
     def hang(self) -> None:
         """Stop the main loop; the watchdog will bite."""
+
+
+def virtual_board(robot: RobotConfig, seed: int, eeprom: bytes = b"") -> Board:
+    """The virtual board that a robot needs, with an EEPROM of that content."""
+    from thigmo.emulator import _board, _large_board
+
+    if wiring.board_of(robot) is wiring.BOARDS[0]:
+        return _board.VirtualBoard(seed, eeprom)
+    return _large_board.VirtualBoard(seed, eeprom, *_CONVERTER)
+
+
+def require_usual(robot: RobotConfig) -> None:
+    """Raise ConfigError for a robot that needs another board than the usual one."""
+    needed = wiring.board_of(robot)
+    if needed is not wiring.BOARDS[0]:
+        raise ConfigError(f"this robot needs the board {needed.name}", "open emulator://SCENE")

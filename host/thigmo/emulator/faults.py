@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from thigmo.emulator.board import PRESSURE, Board
+from thigmo.emulator.board import Board
 from thigmo.emulator.plant import OPEN_COUNT, SHORT_COUNT, Plant
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.link.protocol import ResetCause
@@ -86,7 +86,9 @@ class FaultInjector:
         sides = robot.muscle_sides
         muscle = sides.index(fault.side) if fault.side in sides else 0
         flex = fault.kind.startswith("flex")
-        channel = input_of(robot)[fault.side, fault.sensor] if flex else PRESSURE + muscle
+        channel = (
+            input_of(robot)[fault.side, fault.sensor] if flex else plant.pressure_channel + muscle
+        )
         value = _DEFAULTS.get(fault.kind, 0.0) if fault.value is None else fault.value
         match fault.kind:
             case "flex_wire_cut" | "pressure_wire_cut":

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.emulator import mega_build
-from thigmo.emulator.board import DRIVE_FULL, MOTOR_FULL
+from thigmo.emulator.board import DRIVE_FULL, MOTOR_FULL, require_usual
 from thigmo.emulator.chip import (
     CHANNELS,
     CYCLES_PER_MS,
@@ -336,6 +336,7 @@ class SimulatedMega:
 def open_mega_sim(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
     """Open `mega-sim://SCENE?seed=N&baud=250000&usb=on|off`."""
     scene, used, options = parse_url(url, seed, baud=("250000", "500000"), usb=("on", "off"))
+    require_usual(scene.robot)
     usb = UsbBridge(used) if options["usb"] == "on" else None
     board = SimulatedMega(used, baud=int(options["baud"]), usb=usb)
     opened = EmulatorTransport(scene, board, seed=used, realtime=realtime, exchange_ms=1, name=url)

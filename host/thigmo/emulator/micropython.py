@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.emulator._board import Analog
+from thigmo.emulator.board import require_usual
 from thigmo.emulator.micropython_build import image
 from thigmo.emulator.transport import EmulatorTransport, parse_url
 from thigmo.errors import PortError
@@ -409,6 +410,7 @@ class MicroPythonBoard:
 def open_micropython(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
     """Open `micropython://SCENE?seed=N&on=unix|cortex-m3`."""
     scene, used, options = parse_url(url, seed, on=("unix", "cortex-m3"))
+    require_usual(scene.robot)
     on: Processor = "cortex-m3" if options["on"] == "cortex-m3" else "unix"
     board = MicroPythonBoard(used, on=on)
     return EmulatorTransport(scene, board, seed=used, realtime=realtime, name=url)

@@ -16,10 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo import config, wiring
-from thigmo.config import SIDES
 from thigmo.emulator import _plant
 from thigmo.emulator._plant import FlexSensor, Muscle, Spool, Swing
-from thigmo.emulator.board import CHANNELS, DRIVE_FULL, PRESSURE
+from thigmo.emulator.board import CHANNELS, DRIVE_FULL
 from thigmo.emulator.hand import hold
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
@@ -31,7 +30,6 @@ STEP_S = _plant.STEP_S
 STEP_MS = 10
 OPEN_COUNT = 0.0  # of an input whose wire is broken, or
 SHORT_COUNT = 1023.9  # shorted to the supply
-_SENSORS = wiring.INPUTS
 # An input without a sensor hangs on its divider alone, and never everts.
 _NO_SENSOR = config.FlexSensor(center_cm=1e9, span_cm=0.0)
 _TAUT_CM = 1e-3
@@ -80,6 +78,8 @@ class Plant:
         robot = scene.robot
         self._robot = robot
         self._rng = rng
+        board = wiring.board_of(robot)
+        self.pressure_channel = first = board.sensors  # of the first muscle
         self.pegs = scene.peg_list()
         self.steps = 0
         self.body_psi = robot.body.zones[robot.body.zone_at(scene.start_length_cm)].pressure_psi
@@ -145,7 +145,7 @@ class Plant:
         self._centers = np.array([sensor.center_cm for sensor in self._sensors])
         self._spans = np.array([sensor.span_cm for sensor in self._sensors])
         self._ends = self._centers + self._spans / 2
-        self._curvature = np.zeros(_SENSORS)
+        self._curvature = np.zeros(board.sensors)
         self.body = Rod(
             Tube(robot.body.diameter_cm, self._critical()),
             self.pegs,
@@ -153,9 +153,9 @@ class Plant:
             **scene.plant.model_dump(),
         )
         self._solved_g = nan
-        self.analog = np.zeros((CHANNELS, 2))
+        self.analog = np.zeros((max(CHANNELS, first + board.muscles), 2))
         # An input without a muscle has a divider that reads 0 psi (docs/another-robot.md).
-        self.analog[PRESSURE : PRESSURE + len(SIDES)] = 102.4
+        self.analog[first : first + board.muscles] = 102.4
         self.encoder = (self._encoder(), self._encoder())
         self.set_body_pressure(self.body_psi)
         self._solve(self.length_cm)
@@ -171,11 +171,11 @@ class Plant:
         # The muscle under each sensor, by number.
         at = {muscle.direction_deg: n for n, muscle in enumerate(scene.robot.muscles)}
         self._under = [at.get(s.direction_deg) if s else None for s in wired]
-        draws = self._rng.standard_normal((_SENSORS, 2))
-        phases = self._rng.uniform(0, 2 * pi, (_SENSORS, 2))
+        draws = self._rng.standard_normal((len(wired), 2))
+        phases = self._rng.uniform(0, 2 * pi, (len(wired), 2))
         sensors = []
-        for i in range(_SENSORS):
-            sensor = wired[i] or _NO_SENSOR
+        for i, found in enumerate(wired):
+            sensor = found or _NO_SENSOR
             made = FlexSensor(
                 loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
                 wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
@@ -298,7 +298,7 @@ class Plant:
 
     @property
     def sensor_curvature(self) -> Floats:
-        """True mean curvature at each sensor, by input; 0 where not everted; shape (10,)."""
+        """True mean curvature at each sensor, by input; 0 where not everted."""
         return self._curvature.copy()
 
     def truth(self) -> Truth:
@@ -462,10 +462,12 @@ class Plant:
         length, t_s = self.length_cm, self.t_s
         under = [0.0 if n is None else self._muscles[n].bend_psi for n in self._under]
         each = zip(self._sensors, self._curvature.tolist(), under, strict=True)
-        analog[:_SENSORS, 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in each]
+        analog[: len(self._sensors), 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in each]
         full = self.scene.transducer.sensor_full_psi
         for n, psi in enumerate(self.pressure_seen):
-            analog[PRESSURE + n, 1] = 1024.0 * min(max(0.1 + 0.8 * psi / full, 0.0), 0.9999)
+            analog[self.pressure_channel + n, 1] = 1024.0 * min(
+                max(0.1 + 0.8 * psi / full, 0.0), 0.9999
+            )
         for i, sigma in self.flex_noise.items():
             analog[i, 1] += sigma * self._rng.standard_normal()
         for channel, count in self.stuck.items():
@@ -474,10 +476,11 @@ class Plant:
             np.minimum(analog[:, 1] / self.reference, SHORT_COUNT, out=analog[:, 1])
 
     def adc_noise(self) -> Floats:
-        """White noise of a conversion in counts, shape (16,)."""
-        sigma = np.zeros(CHANNELS)
-        sigma[:_SENSORS] = self.scene.noise.white_counts
-        sigma[PRESSURE : PRESSURE + len(self._muscles)] = self.scene.noise.pressure_counts
+        """White noise of a conversion in counts, by channel."""
+        sigma = np.zeros(len(self.analog))
+        sigma[: len(self._sensors)] = self.scene.noise.white_counts
+        first = self.pressure_channel
+        sigma[first : first + len(self._muscles)] = self.scene.noise.pressure_counts
         return sigma
 
     def _encoder(self) -> float:

@@ -17,6 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from thigmo.config import RobotConfig
+from thigmo.emulator.board import virtual_board
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
 from thigmo.emulator.scene import Scene
@@ -141,14 +142,17 @@ class PtyServer:
             del self._out[: len(self._out) - _QUEUE]
 
 
-def brought_up() -> bytes:
-    """Store of a board that `thigmo bringup` has passed: defaults, and a spool that was watched."""
-    from thigmo.emulator._board import VirtualBoard
+def brought_up(robot: RobotConfig | None = None) -> bytes:
+    """Store of a board that `thigmo bringup` has passed: defaults, and a spool that was watched.
 
-    board = VirtualBoard(0)
-    with Client(EmulatorTransport(Scene.load("empty"), board)) as client:
+    The board is the one that the robot needs; None is the thesis's.
+    """
+    room = Scene.load("empty")
+    room.robot = robot or room.robot
+    board = virtual_board(room.robot, 0)
+    with Client(EmulatorTransport(room, board)) as client:
         client.request(wire.LoadDefaults())
-        index = wire.PARAMETERS["direction_seen"].index
+        index = client.parameters["direction_seen"].index
         client.request(wire.SetParameter(index, 1))
         client.request(wire.ApplyParameters())
         client.request(wire.SaveConfig())
@@ -173,10 +177,9 @@ def serve(
         config: where to write this robot's constants, as its lab knows them.
         announce: told where the port is, once it can be opened.
     """
-    from thigmo.emulator._board import VirtualBoard
-
     room = Scene.load(scene)
-    board = VirtualBoard(room.seed if seed is None else seed, brought_up())
+    used = room.seed if seed is None else seed
+    board = virtual_board(room.robot, used, brought_up(room.robot))
     lockstep = Lockstep(room, board, seed=seed)
     server = PtyServer(lockstep, link=link)
     port = server.path if link is None else link

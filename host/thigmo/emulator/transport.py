@@ -16,7 +16,7 @@ from urllib.parse import parse_qs
 import numpy as np
 
 from thigmo.config import RobotConfig
-from thigmo.emulator.board import Board
+from thigmo.emulator.board import Board, virtual_board
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_MS, Truth
 from thigmo.emulator.scene import FaultTable, Scene
@@ -262,10 +262,9 @@ def parse_url(
 
 
 def open_emulator(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
-    """Open `emulator://SCENE` with the firmware core on the virtual board."""
-    from thigmo.emulator._board import VirtualBoard
-
+    """Open `emulator://SCENE` with the firmware core on the virtual board that its robot needs."""
     scene, used, _ = parse_url(url, seed)
-    opened = EmulatorTransport(scene, VirtualBoard(used), seed=used, realtime=realtime, name=url)
+    board = virtual_board(scene.robot, used)
+    opened = EmulatorTransport(scene, board, seed=used, realtime=realtime, name=url)
     opened.take_stops()
     return opened

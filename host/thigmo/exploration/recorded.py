@@ -20,7 +20,6 @@ from thigmo.link.framing import FrameError, decode
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import WITHOUT_COUNTS, Entry, Log, Note, Obstacle, RunFolder
 from thigmo.robot import (
-    SENSORS,
     GrowthWatcher,
     Profile,
     SensorTable,
@@ -32,9 +31,8 @@ from thigmo.robot import (
     peak_frame,
 )
 from thigmo.robot.readings import Floats
+from thigmo.wiring import board_of
 
-_OVERSAMPLE = wire.PARAMETERS["oversample_log2"].index
-_ENABLED = wire.PARAMETERS["flex_enabled"].index
 _ZEROED = 1 << 2  # of sensor_report.flags
 _SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
 
@@ -56,6 +54,8 @@ class _Frames:
         self._config = config
         self.table = SensorTable.of(config)
         self._enabled = self.table.healthy.copy()
+        rows = wire.parameters(**board_of(config).capacity)
+        self._first, self._oversample = (rows[n].index for n in ("flex_enabled", "oversample_log2"))
         self._standing: StandingWatch | None = None
         self._clock = DeviceClock()
         self._before = self.table  # the last zeroing
@@ -99,9 +99,9 @@ class _Frames:
                 self._status = message
             case wire.Arm():
                 self._standing = StandingWatch(self._config, self.table.oversample)
-            case wire.ParameterValue() if 0 <= message.index - _ENABLED < SENSORS:
-                self._enabled[message.index - _ENABLED] = message.value
-            case wire.ParameterValue() if message.index == _OVERSAMPLE:
+            case wire.ParameterValue() if 0 <= message.index - self._first < len(self._enabled):
+                self._enabled[message.index - self._first] = message.value
+            case wire.ParameterValue() if message.index == self._oversample:
                 self.table = replace(self.table, oversample=1 << message.value)
             case wire.ZeroSensors():
                 self._before = self.table

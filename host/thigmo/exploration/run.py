@@ -26,7 +26,6 @@ from thigmo.exploration.stall import Lean
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
-    SENSORS,
     TRIGGER_PER_CM,
     GrowthWatcher,
     Profile,
@@ -39,9 +38,9 @@ from thigmo.robot import (
 )
 from thigmo.robot.state import together
 from thigmo.stream import Contacts, Grid, Log, Posterior, RunState
+from thigmo.wiring import base_inputs
 
 _MOST_ZERO_TRIES = 5
-_BASE = 1 | 1 << SENSORS // 2  # the first sensor of each side: what the trigger works on
 
 _STAND_S = 0.5  # between two looks at that
 _PAUSE_S = 0.1
@@ -246,7 +245,7 @@ class Exploration:
     def _settle(self) -> str:
         thesis = self.protocol == "thesis"
         # Sensors that have just everted are not needed to feel a contact, only to measure it.
-        needed = (1 << SENSORS) - 1 if thesis else _BASE
+        needed = -1 if thesis else sum(1 << number for number in base_inputs(self.config))
         self.robot.wait_settled(lambda rest_s: self.tell(f"{rest_s:.0f} s to go"), needed)
         if not thesis:
             status = self.robot.status()

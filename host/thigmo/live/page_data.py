@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from math import isfinite
+from itertools import chain
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import RobotConfig
+from thigmo.link.protocol import MOST_MUSCLES, MOST_SENSORS
 from thigmo.record import RunFolder
 from thigmo.stream import Contacts, Message, Telemetry, read_messages, to_json
 from thigmo.stream.recorded import config_in
@@ -22,12 +24,14 @@ from thigmo.wiring import columns, muscle_outputs
 
 _MOST_ROWS = 60_000  # five minutes at full rate, twenty at 50 Hz
 
-# Of a row; `page/store.js` has the same.
+# Of a row, for the largest board; `page/store.js` has the same.
+_COUNTS = {
+    "pressure": MOST_MUSCLES, "demand": MOST_MUSCLES, "drive": MOST_MUSCLES,
+    "curvature": MOST_SENSORS, "expected": MOST_SENSORS,
+}  # fmt: skip
 COLUMNS = (
     "t_s",
-    *(f"{name}_{side}" for name in ("pressure", "demand", "drive") for side in SIDES),
-    *(f"curvature_{n}" for n in range(10)),
-    *(f"expected_{n}" for n in range(10)),
+    *(f"{name}_{n}" for name, count in _COUNTS.items() for n in range(count)),
     "length_cm",
     "motor",
 )
@@ -36,16 +40,15 @@ _DIGITS = 5  # 1/cm: a hundredth of a sensor's noise
 
 def row(telemetry: Telemetry) -> tuple[float, ...]:
     """A reading's numbers in the order of `COLUMNS`; NaN where one is not known."""
-    return (
-        telemetry.t_s,
-        *telemetry.pressure_psi,
-        *telemetry.demand_psi,
-        *telemetry.drive_ma,
-        *telemetry.curvature_per_cm,
-        *telemetry.expected_per_cm,
-        telemetry.length_cm,
-        telemetry.motor,
-    )
+    each = (
+        telemetry.pressure_psi, telemetry.demand_psi, telemetry.drive_ma,
+        telemetry.curvature_per_cm, telemetry.expected_per_cm,
+    )  # fmt: skip
+    padded = [
+        (*values, *[nan] * (count - len(values)))
+        for values, count in zip(each, _COUNTS.values(), strict=True)
+    ]
+    return telemetry.t_s, *chain(*padded), telemetry.length_cm, telemetry.motor
 
 
 def row_text(telemetry: Telemetry) -> str:

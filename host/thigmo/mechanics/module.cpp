@@ -56,6 +56,7 @@ std::vector<Peg> pegs_of(const PegRows& rows) {
 }  // namespace
 
 NB_MODULE(_rod, m) {
+  nb::set_leak_warnings(false);  // as in host/thigmo/emulator/plant.cpp
   m.doc() = "The loaded body: arc, beam and large-deflection rod among pegs.";
   nb::register_exception_translator([](const std::exception_ptr& error, void*) {
     try {

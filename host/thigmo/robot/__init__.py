@@ -3,7 +3,7 @@
 What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's integers stay inside.
 """
 
-from thigmo.robot.readings import SENSORS, SensorTable, in_mask, mask_of
+from thigmo.robot.readings import SensorTable, in_mask, mask_of
 from thigmo.robot.robot import JOG_CM, Robot, connect
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import (
@@ -22,7 +22,6 @@ from thigmo.room import Operator
 
 __all__ = [
     "JOG_CM",
-    "SENSORS",
     "TRIGGER_PER_CM",
     "WITHOUT_BRAKE",
     "ContactTrigger",

@@ -30,7 +30,7 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     One value for each sensor's input, and the first ones of other arrays.
     """
     board, spool, body = config.board, config.spool, config.body
-    flex = wiring.sensors(config)
+    flex, bases = wiring.sensors(config), wiring.base_inputs(config)
     pulls = [round(zone.pull_duty) for zone in body.zones]
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
     ratio = board.divider_ohm / _BOARD_DIVIDER_OHM
@@ -58,7 +58,7 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
         "brake_fitted": [int(spool.brake)],
         "muscle_fitted": [1] * len(muscles),
         "trigger_when": [
-            _counts_while(s, muscles) if s and number in wiring.BASES.values() else 0
+            _counts_while(s, muscles) if s and number in bases else 0
             for number, s in enumerate(flex)
         ],
     }
@@ -86,8 +86,17 @@ def map_settings(config: RobotConfig) -> list[wire.SetMap]:
 def send_config(client: Client, config: RobotConfig) -> bool:
     """Make the board's parameters and maps those of robot.toml; whether any of them changed.
 
-    Raises ConfigError for a value that the board cannot hold or does not give back.
+    Raises ConfigError for another board than the robot needs, and for a value that the board cannot
+    hold or does not give back.
     """
+    has, board = client.capacity, wiring.board_of(config)
+    if (has.muscles, has.sensors, has.body_pressures) != board[1:]:
+        raise ConfigError(
+            f"the board is built for {has.muscles} muscles, {has.sensors} sensors and "
+            f"{has.body_pressures} body pressures, and this robot needs one for {board.muscles}, "
+            f"{board.sensors} and {board.body_pressures} ({board.name})",
+            "use that board, or another robot.toml: see `thigmo robot check robot.toml`",
+        )
     wanted = {
         name: [*values, *[0] * (client.parameters[name].count - len(values))]
         for name, values in parameter_settings(config).items()

@@ -66,7 +66,7 @@ class Connected(Closing):
         url: how it was opened.
         virtual: whether waiting advances an emulator's time instead of the clock's.
         operator: who answers what the board cannot know.
-        config: robot.toml as last sent with `configure`.
+        config: robot.toml as last sent with `configure`; before, `known_config` or the defaults.
         known_config: the robot.toml that an emulated robot's lab would have; None on hardware.
         hub: where it publishes telemetry, events and shape; an exploration does as well.
         aside: mask of the sensors that `set_aside` told the board to leave out.
@@ -81,7 +81,7 @@ class Connected(Closing):
         self._room: Simulated | None = room if isinstance(room, Simulated) else None
         self.operator: Operator = self._room.operator if self._room else operator or _Nobody()
         self.known_config: RobotConfig | None = self._room.config if self._room else None
-        self.config = RobotConfig()
+        self.config = self.known_config or RobotConfig()
         self._table = SensorTable.of(self.config)
         self._publisher = Publisher(client, self.config, self._table)
         self.hub, self.epoch_s = self._publisher.hub, self._publisher.epoch_s

@@ -131,7 +131,12 @@ class Publisher:
             self._supply_v = value
 
     def take(self, frame: TelemetryFrame) -> None:
-        """Publish a frame to its listeners, and gather it for the record."""
+        """Publish a frame to its listeners, and gather it for the record.
+
+        Not before `configure` has described the robot of a board that is none of the usual size.
+        """
+        if wire.Telemetry.counts(frame.payload)[0] != len(self._table.healthy):
+            return
         hub = self.hub
         if hub.wanted(Telemetry) or (hub.keep is None and hub.wanted(BodyShape)):
             block = self.decoded([frame])

@@ -18,8 +18,6 @@ from thigmo.config import SIGN, RobotConfig, Side
 
 Floats = NDArray[np.float64]
 
-SENSORS = wiring.INPUTS
-
 
 def mask_of(chosen: NDArray[np.bool_]) -> int:
     """A mask of sensors by input, from one truth value each."""
@@ -28,7 +26,7 @@ def mask_of(chosen: NDArray[np.bool_]) -> int:
 
 def in_mask(mask: int) -> list[int]:
     """The sensors whose bits are set in a mask."""
-    return [sensor for sensor in range(SENSORS) if mask >> sensor & 1]
+    return [sensor for sensor in range(mask.bit_length()) if mask >> sensor & 1]
 
 
 def resistance_ohm(mean_count: Floats, divider_ohm: float) -> Floats:
@@ -40,7 +38,7 @@ def resistance_ohm(mean_count: Floats, divider_ohm: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class SensorTable:
-    """robot.toml's flex sensors as arrays of ten, by input; absent ones are unhealthy."""
+    """robot.toml's flex sensors as arrays, by the board's input; absent ones are unhealthy."""
 
     center_cm: Floats
     span_cm: Floats
@@ -51,7 +49,7 @@ class SensorTable:
     healthy: NDArray[np.bool_]  # mask of sensors to use at all
     divider_ohm: float  # the divider's fixed resistor
     oversample: int  # conversions that a raw reading sums
-    zero_sum: Floats  # (10,) raw readings at the last zeroing; NaN where there is none
+    zero_sum: Floats  # raw readings at the last zeroing; NaN where there is none
 
     @classmethod
     def of(cls, config: RobotConfig, oversample: int = 16) -> SensorTable:
@@ -78,21 +76,21 @@ class SensorTable:
 
     @property
     def zeros(self) -> Floats:
-        """The zeros (10,) as `unzeroed` has them."""
+        """The zeros as `unzeroed` has them."""
         return self.unzeroed(self.zero_sum)
 
     def resistance(self, flex_sum: Floats) -> Floats:
-        """Resistance (ohm) of each sensor from raw readings (..., 10)."""
+        """Resistance (ohm) of each sensor from raw readings (..., n)."""
         # A conversion floors, so a count stands for the half above it.
         return resistance_ohm(flex_sum / self.oversample + 0.5, self.divider_ohm)
 
     def curvature(self, flex_sum: Floats) -> Floats:
-        """Curvature (1/cm) since the zeroing from raw readings (..., 10), positive to the left."""
+        """Curvature (1/cm) since the zeroing from raw readings (..., n), positive to the left."""
         change = self.resistance(flex_sum) - self.resistance(self.zero_sum)
         return np.asarray(self.scale_per_ohm * change)
 
     def unzeroed(self, flex_sum: Floats) -> Floats:
-        """Raw readings (..., 10) in 1/cm from no resistance on: only differences mean something."""
+        """Raw readings (..., n) in 1/cm from no resistance on: only differences mean something."""
         return np.asarray(self.scale_per_ohm * self.resistance(flex_sum))
 
     def usable(self, active: Side, masks: int) -> NDArray[np.bool_]:
@@ -101,7 +99,7 @@ class SensorTable:
         The inactive side only (the active side wrinkles), healthy, answering to this bending
         direction, and set in `masks` (the board's everted & settled & zeroed bits).
         """
-        sensor = np.arange(SENSORS)
+        sensor = np.arange(len(self.healthy))
         inactive = self.lies != SIGN[active]
         answers = np.isin(self.direction, (0, SIGN[active]))
         named = (masks >> sensor & 1).astype(np.bool_)

@@ -13,12 +13,12 @@ from contextlib import nullcontext
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
-from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
+from thigmo.errors import CommandRefusedError, CommandTimeoutError, ConfigError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
-from thigmo.robot.readings import SENSORS, Floats, in_mask, mask_of
+from thigmo.robot.readings import Floats, in_mask, mask_of
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Reading, Recording, SweepFrame, SweepResult, together
 from thigmo.robot.supervised import OPEN, SHORT, Supervised
@@ -152,9 +152,9 @@ class Robot(Supervised):
             self._client.on_telemetry.append(self._standing.telemetry)
 
     def young_noise(self) -> Floats:
-        """Standard error of what sensors set aside rest at, (10,), 1/cm; infinite if unknown."""
+        """Standard error of what sensors set aside rest at, by input, 1/cm; infinite if unknown."""
         if self._standing is None:
-            return np.full(SENSORS, np.inf)
+            return np.full(len(self._table.healthy), np.inf)
         _, sigma = self._standing.rest(self.status().t_s, self.aside)
         return np.where(np.isnan(sigma), np.inf, sigma)
 
@@ -168,16 +168,16 @@ class Robot(Supervised):
         if mask == self.aside:
             return
         healthy = self._table.healthy
-        enabled = [int(healthy[n] and not mask >> n & 1) for n in range(SENSORS)]
+        enabled = [int(healthy[n] and not mask >> n & 1) for n in range(len(healthy))]
         self.set_parameter("flex_enabled", enabled)
         self.aside = mask
 
     def wait_settled(
         self,
         progress: Callable[[float], None] = lambda left_s: None,
-        sensors: int = (1 << SENSORS) - 1,
+        sensors: int = -1,
     ) -> None:
-        """Wait until everted sensors of a mask are past their settling time.
+        """Wait until everted sensors of a mask (all of them) are past their settling time.
 
         `progress` is told the seconds that are left, about once a second. Raises
         CommandTimeoutError if they do not settle.
@@ -213,7 +213,7 @@ class Robot(Supervised):
         return mask
 
     def zeros(self) -> tuple[Floats, Floats]:
-        """The zeros before the last zeroing and after it, (10,) each; NaN where there is none.
+        """The zeros before the last zeroing and after it, by input; NaN where there is none.
 
         In 1/cm, from where `GrowthWatcher.profile` counts.
         """
@@ -249,7 +249,7 @@ class Robot(Supervised):
     def _frames(
         self, seconds: float, despite_faults: bool = False
     ) -> tuple[list[wire.Telemetry], Floats]:
-        """Telemetry of a while, and its raw flex readings (n, 10)."""
+        """Telemetry of a while, and its raw flex readings (n, inputs)."""
         heard: list[TelemetryFrame] = []
         with self._telemetry_to(heard.append):
             self.wait(seconds, despite_faults=despite_faults)
@@ -258,6 +258,11 @@ class Robot(Supervised):
         if not heard:
             raise LinkError("no telemetry came", "check the parameter telemetry_ms")
         frames = [frame.message for frame in heard]
+        if (count := len(frames[0].flex_sum)) != len(self._table.healthy):
+            raise ConfigError(
+                f"the board has {count} sensors' inputs, and nobody has described its robot",
+                "send its robot.toml: `configure`",
+            )
         return frames, np.array([frame.flex_sum for frame in frames], dtype=np.float64)
 
     def press(

@@ -17,7 +17,7 @@ from thigmo.link.heart import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
 from thigmo.robot.connected import Connected
-from thigmo.robot.readings import SENSORS, SensorTable
+from thigmo.robot.readings import SensorTable
 from thigmo.wiring import sensor_name
 
 if TYPE_CHECKING:
@@ -139,7 +139,8 @@ class Supervised(Connected):
             what += f" ({causes[first](channel).doc.rstrip('.')})"
         if first in _BAD_SENSOR:
             flags = _BAD_SENSOR[first] | _ENABLED
-            reports = (self._client.request(wire.GetSensor(n)) for n in range(SENSORS))
+            sensors = range(self._client.capacity.sensors)
+            reports = (self._client.request(wire.GetSensor(n)) for n in sensors)
             bad = {report.sensor for report in reports if report.flags & flags == flags}
             if channel is not None:
                 bad.add(channel)

@@ -15,7 +15,7 @@ from thigmo.config import Side
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import Truth
-from thigmo.robot.readings import SENSORS, Floats, SensorTable, mask_of
+from thigmo.robot.readings import Floats, SensorTable, mask_of
 from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import ContactTrigger, Peak, SweepFrame, SweepResult
 
@@ -29,7 +29,7 @@ class Profile(NamedTuple):
 
     t_s: Floats  # (n,) device time
     length_cm: Floats  # (n,) everted, by the encoder
-    bend: Floats  # (n, 10) readings without a zero, 1/cm
+    bend: Floats  # (n, inputs) readings without a zero, 1/cm
 
 
 @dataclass
@@ -53,7 +53,7 @@ class GrowthWatcher:
     def profile(self, table: SensorTable) -> Profile:
         """Times, lengths and readings so far."""
         sums: Floats = np.asarray(self.flex_sum, dtype=np.float64)
-        bend = table.unzeroed(sums.reshape(-1, SENSORS))
+        bend = table.unzeroed(sums.reshape(-1, len(table.healthy)))
         return Profile(np.asarray(self.t_s), np.asarray(self.length_cm), bend)
 
 
@@ -114,7 +114,7 @@ class SweepWatcher:
         last = [self.frames[-_PEAK_READINGS:]] if so_far or self.stopped else []
         peaks = [self.average(readings) for readings in self.peaks or last if readings]
         sums: Floats = np.array([f.flex_sum for f in frames], dtype=np.float64)
-        curvature = self.table.curvature(sums.reshape(-1, SENSORS))
+        curvature = self.table.curvature(sums.reshape(-1, len(self.table.healthy)))
         return SweepResult(triggers, peaks, frames, curvature, self.sensors, truth)
 
     def average(self, readings: Sequence[SweepFrame]) -> Peak:

@@ -22,7 +22,6 @@ from thigmo.record import MapContact, OccupancyGrid, Pose
 from thigmo.record.document import Number
 
 # JSON has no NaN.
-Pair = tuple[Number, Number]  # by output
 Severity = Literal["info", "warning", "fault"]
 
 
@@ -69,10 +68,10 @@ class Telemetry(Message):
     #: the board's own clock when the readings were complete; evenly spaced where `t_s`, the arrival
     #: at the host, is not
     device_s: float
-    pressure_psi: Pair  #: of the muscles
-    demand_psi: Pair  #: set points of the same
-    drive_ma: Pair  #: current to the pressure transducers
-    #: of the ten sensors; NaN where one is not healthy, everted and zeroed
+    pressure_psi: tuple[Number, ...]  #: of the muscles
+    demand_psi: tuple[Number, ...]  #: set points of the same
+    drive_ma: tuple[Number, ...]  #: current to the pressure transducers
+    #: of the sensors; NaN where one is not healthy, everted and zeroed
     curvature_per_cm: tuple[Number, ...]
     #: what the free body would read by the calibrated map, at the measured pressure; NaN for the
     #: same sensors and for those of the inflated side, which wrinkles

@@ -21,7 +21,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, RunFolderError
 from thigmo.extras import require
 from thigmo.files import whole_file
@@ -39,7 +39,7 @@ from thigmo.stream.messages import (
     Posterior,
     Telemetry,
 )
-from thigmo.wiring import INPUTS, columns, muscle_outputs
+from thigmo.wiring import board_of, columns, muscle_outputs
 
 Row = dict[str, Any]
 Named = dict[int, list[tuple[int, str]]]  # place in a message's tuple and name
@@ -174,7 +174,8 @@ def _named(config: RobotConfig) -> Named:
         for column in columns(config)
         for place, number in enumerate(column.inputs)
     ]
-    return {len(SIDES): [*muscle_outputs(config).items()], INPUTS: sensors}
+    board = board_of(config)
+    return {board.muscles: [*muscle_outputs(config).items()], board.sensors: sensors}
 
 
 def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Callable[[], list[str]], list[Any]]]:

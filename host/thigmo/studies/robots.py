@@ -41,9 +41,9 @@ class _Draft:
 
 ROBOTS: dict[str, _Draft | None] = {
     THESIS: None,
-    "120 cm, 5 a side": _Draft(120.0, 5, 2),
+    "120 cm, 8 a side": _Draft(120.0, 8, 2),
     "30 cm, 1 muscle, 3 sensors": _Draft(30.0, 3, 1),
-    "200 cm, 1 muscle, 9 sensors": _Draft(200.0, 9, 1),
+    "200 cm, 1 muscle, 16 sensors": _Draft(200.0, 16, 1),
 }
 
 

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from thigmo.link.protocol import MOST_SENSORS
 from thigmo.live.page_data import COLUMNS, block, row_text, thinned
 from thigmo.stream import Telemetry
 
@@ -37,10 +38,11 @@ def _reading(t_s: float) -> Telemetry:
 def test_row_has_every_column_in_its_place() -> None:
     told = dict(zip(COLUMNS, json.loads(row_text(_reading(1.5))), strict=True))
     assert told["t_s"] == 1.5
-    assert (told["pressure_left"], told["demand_right"], told["drive_right"]) == (1.0, 4.0, 6.0)
+    assert (told["pressure_0"], told["demand_1"], told["drive_1"]) == (1.0, 4.0, 6.0)
     assert told["curvature_3"] == 0.03
     assert told["curvature_9"] is None
     assert told["expected_9"] == 0.18
+    assert told["expected_10"] is None  # of a larger board
     assert (told["length_cm"], told["motor"]) == (40.0, -0.5)
 
 
@@ -49,12 +51,13 @@ def test_the_pages_script_has_the_same_columns() -> None:
 
     script = (PAGE / "store.js").read_text()
     for name, column in (
-        ("pressure", "pressure_left"), ("demand", "demand_left"), ("drive", "drive_left"),
+        ("pressure", "pressure_0"), ("demand", "demand_0"), ("drive", "drive_0"),
         ("curvature", "curvature_0"), ("expected", "expected_0"), ("length", "length_cm"),
         ("motor", "motor"),
     ):  # fmt: skip
         assert f"{name}: {COLUMNS.index(column)}," in script
     assert f"COLUMNS = {len(COLUMNS)};" in script
+    assert f"SENSORS = {MOST_SENSORS};" in script
 
 
 @pytest.mark.parametrize(("count", "most"), [(1, 5), (5, 5), (6, 5), (1000, 7)])

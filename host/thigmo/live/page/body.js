@@ -1,7 +1,7 @@
 // Along the body: what the localizer believes of a contact's place, over what every sensor reads
 // against what the free body would read there. Both share the axis, from the base to the tip.
 
-import { $, COLUMN, columns, element, index, muscles, pointEstimate, posterior as shown, store } from "./store.js";
+import { $, COLUMN, SENSORS, columns, element, index, muscles, pointEstimate, posterior as shown, store } from "./store.js";
 import { line, make, rounded, sized, text, ticks } from "./svg.js";
 import { percent } from "./words.js";
 
@@ -17,7 +17,7 @@ export function forget() { drawn = ""; least = .02; }
 export function drawBodyChart() {
   const width = svg.clientWidth, height = svg.clientHeight;
   const row = index(), { last, page } = store;
-  const values = row < 0 ? [] : Array.from({ length: 20 }, (_, n) => store.columns[COLUMN.curvature + n][row]);
+  const values = row < 0 ? [] : Array.from({ length: 2 * SENSORS }, (_, n) => store.columns[COLUMN.curvature + n][row]);
   const key = JSON.stringify([width, height, row, shown()?.t_s, shown()?.side, last.contacts?.t_s, page?.body]);
   if (key === drawn || width < 10) return;
   drawn = key;
@@ -79,7 +79,7 @@ function drawDensity({ y0, y1 }, X) {
 const has = Number.isFinite;
 
 function drawCurvature(values, { y0, y1 }, X) {
-  const known = values.filter((value, n) => has(value) && (n >= 10 || values[n + 10] !== null));
+  const known = values.filter((value, n) => has(value) && (n >= SENSORS || values[n + SENSORS] !== null));
   least = Math.max(least, ...known.map(Math.abs));
   const most = Math.ceil(least * 100) / 100, Y = (value) => (y0 + y1) / 2 - value / most * (y1 - y0) / 2;
   for (const value of [-most, 0, most]) {
@@ -90,7 +90,7 @@ function drawCurvature(values, { y0, y1 }, X) {
   if (!values.length) return;
   for (const { side, inputs, centers_cm: centers } of columns()) {
     centers.forEach((arc, n) => {
-      const read = values[inputs[n]], free = values[10 + inputs[n]], colour = `var(--${side})`;
+      const read = values[inputs[n]], free = values[SENSORS + inputs[n]], colour = `var(--${side})`;
       const x = X(arc) + (side === "left" ? -5 : 5);
       if (has(read) && has(free)) make("line", { x1: x, x2: x, y1: Y(read), y2: Y(free), stroke: colour, "stroke-width": 1.5, "stroke-opacity": .45 }, layer);
       if (has(free)) make("line", { x1: x - 7, x2: x + 7, y1: Y(free), y2: Y(free), stroke: colour, "stroke-width": 2, "stroke-opacity": .75 }, layer);

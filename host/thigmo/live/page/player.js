@@ -1,7 +1,7 @@
 // A finished run: all of it is loaded, and the player moves the moment that is shown. The space bar
 // stays the stop's, also here; P plays, the arrow keys go a second back and forth.
 
-import { $, BOARD, COLUMN, COLUMNS, add, hold, reset, store, time, until } from "./store.js";
+import { $, BOARD, COLUMN, COLUMNS, SENSORS, add, hold, reset, store, time, until } from "./store.js";
 import { make, rounded } from "./svg.js";
 
 const ONCE = ["event", "log"]; // listed; what else is told holds until the next of its kind
@@ -22,7 +22,7 @@ export async function loadRecord() {
   for (let n = 0; n < COLUMNS; n++) {
     store.columns[n] = Array.from(values.subarray(n * count, (n + 1) * count), (value) => Number.isNaN(value) ? null : value);
   }
-  for (let n = 0; n < 10; n++) {
+  for (let n = 0; n < SENSORS; n++) {
     const expected = store.columns[COLUMN.expected + n];
     store.columns[COLUMN.telling + n] = store.columns[COLUMN.curvature + n].map((value, row) => expected[row] === null ? null : value);
   }

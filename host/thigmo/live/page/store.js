@@ -4,9 +4,10 @@
 
 // Columns of a telemetry row, as live/page_data.py makes them.
 export const COLUMN = {
-  t: 0, pressure: 1, demand: 3, drive: 5, curvature: 7, expected: 17, length: 27, motor: 28,
+  t: 0, pressure: 1, demand: 5, drive: 9, curvature: 13, expected: 29, length: 45, motor: 46,
 };
-export const COLUMNS = 29;
+export const COLUMNS = 47;
+export const SENSORS = 16;
 // Beside them: curvature where it tells something, which is where the free body's is known. The
 // sensors of an inflated side wrinkle.
 COLUMN.telling = COLUMNS;
@@ -36,7 +37,7 @@ const nothing = () => ({
 });
 export const store = {
   page: null, // what the server says of itself and of the run
-  columns: Array.from({ length: COLUMNS + 10 }, () => []),
+  columns: Array.from({ length: COLUMNS + SENSORS }, () => []),
   drawnEpoch: 0,
   ...nothing(),
 };
@@ -59,7 +60,7 @@ export function addRows(message) {
     }
     columns[0].push(t - store.origin);
     for (let n = 1; n < COLUMNS; n++) columns[n].push(row[n]);
-    for (let n = 0; n < 10; n++) {
+    for (let n = 0; n < SENSORS; n++) {
       columns[COLUMN.telling + n].push(row[COLUMN.expected + n] === null ? null : row[COLUMN.curvature + n]);
     }
   }
