@@ -30,7 +30,7 @@ empty muscles and body as soon as the board stops ([air](hardware/air.md)). In t
 holds the spool besides, and contacts cut the motor's supply
 ([electronics](hardware/electronics.md)).
 
-- *noticed as*: the faults by which the board stopped; `reset`: it started anew, outputs off.
+- *noticed as*: the faults by which the board stopped; `reset`: the board restarted, outputs off.
 - *safe*: seconds from the failure until both valves carry 0 mA and the motor is braked.
 - *peak*, *steady*: highest true muscle pressure, and that of the last two seconds.
 - *grown*: how far the tip grew from where the failure found it. Growth that nothing stops goes on.
