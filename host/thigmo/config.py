@@ -305,6 +305,10 @@ class RobotConfig(Model):
         sides = self.muscle_sides
         return tuple(told.get(side, 0.0) for side in sides) + (0.0,) * (count - len(sides))
 
+    def muscle_number(self, side: Side) -> int:
+        """The board's number of a side's muscle: its place in robot.toml; ConfigError if none."""
+        return self.muscles.index(self.muscle(side))
+
     def muscle(self, side: Side) -> Muscle:
         """The muscle that bends the body towards a side; ConfigError if there is none."""
         for muscle in self.muscles:

@@ -99,5 +99,14 @@ def test_a_robot_of_one_muscle_has_one_side() -> None:
         config.muscle("left")
 
 
+def test_a_muscle_has_the_number_of_its_place_in_the_file() -> None:
+    config = RobotConfig()
+    config.muscles.reverse()
+    assert [config.muscle_number(side) for side in ("left", "right")] == [1, 0]
+    config.muscles.pop()
+    with pytest.raises(ConfigError, match="left"):
+        config.muscle_number("left")
+
+
 def test_actuator_map_is_zero_at_zero_pressure() -> None:
     assert TanhMap(offset_psi=3.0).curvature(0.0) == pytest.approx(0.0, abs=1e-15)

@@ -279,7 +279,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
         bench.robot.wait(STEADY_S + bench.plan.step_psi / _RAMP_PSI_S)
         reading = bench.robot.read(READ_S)
         seen = bench.seen(shot, {"k": None, "k_se": None})
-        psi = reading.pressure_psi[SIDES.index(asked["side"])]
+        psi = reading.pressure_psi[bench.config.muscle_number(asked["side"])]
         return {
             **asked, "psi": psi, "ohm": bench.ohm(reading),
             "rest": bench.rest, "t_s": reading.t_s, **seen,

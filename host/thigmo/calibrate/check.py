@@ -58,7 +58,7 @@ def guided(bench: Bench) -> CheckResult:
         bench.press(side, top)
         robot.wait(STEADY_S)
         record = robot.record(4.0)
-        psi = record.pressure_psi[:, SIDES.index(side)]
+        psi = record.pressure_psi[:, config.muscle_number(side)]
         readings.held_psi[side] = np.column_stack([record.t_s - record.t_s[0], psi])
         readings.bend_ohm[side] = bench.mean_ohm(record)
         shot = bench.seen(lambda: {"k": _bend(bench)}, {"k": None})

@@ -146,7 +146,7 @@ class _Frames:
             length = status.length_um / 1e4
         muscles = self._config.muscle_sides
         watcher = SweepWatcher(self.table, mask, length, young, self._standing, sides=muscles)
-        pressed = zip(self._config.muscle_sides, command.amplitude_cpsi, strict=False)
+        pressed = zip(muscles, command.amplitude_cpsi, strict=False)
         sides = {side for side, top in pressed if top > 0}
         self.sweeps.append(RecordedSweep(self.zone, sides, t_s, watcher))
 

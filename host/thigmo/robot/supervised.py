@@ -18,7 +18,7 @@ from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
 from thigmo.robot.connected import Connected
 from thigmo.robot.readings import SensorTable
-from thigmo.wiring import sensor_name
+from thigmo.wiring import muscle_outputs, sensor_name
 
 if TYPE_CHECKING:
     from thigmo.link.protocol import Ack, Command
@@ -132,8 +132,7 @@ class Supervised(Connected):
         others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
         channel = self._fault_channels.get(first)
         if first in _OF_A_MUSCLE and channel is not None:
-            muscles = self.config.muscles
-            what += f" ({muscles[channel].name if channel < len(muscles) else channel} muscle)"
+            what += f" ({muscle_outputs(self.config).get(channel, channel)} muscle)"
         causes = {wire.Fault.SPOOL_STALL: wire.StallCause, wire.Fault.SPOOL_SLIP: wire.SlipCause}
         if first in causes and channel is not None:
             what += f" ({causes[first](channel).doc.rstrip('.')})"

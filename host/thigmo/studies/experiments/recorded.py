@@ -123,13 +123,13 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
     robot.vent()
     return {
         **{name: getattr(reading, name) for name in ("t_s", "length_cm")},
-        **{f"{side}_psi": psi for side, psi in zip(SIDES, reading.pressure_psi, strict=True)},
+        **{f"{side}_psi": reading.pressure_psi[config.muscle_number(side)] for side in SIDES},
         "zeroed": robot.status().zeroed,
         "curvature": reading.curvature.tolist(),
         "dowel_x_cm": [x for x, _ in dowels],
         "dowel_y_cm": [y for _, y in dowels],
         **truth,
-        "passed_psi": [r.pressure_psi[SIDES.index(trial.side)] for r in passed],
+        "passed_psi": [r.pressure_psi[config.muscle_number(trial.side)] for r in passed],
         "passed_curvature": [r.curvature.tolist() for r in passed],
     }
 
