@@ -147,7 +147,7 @@ class PastRun:
         )  # fmt: skip
 
     def readings(self) -> bytes:
-        """All readings: 32-bit little-endian floats, column by column (`rows.COLUMNS`)."""
+        """All readings: 32-bit little-endian floats, column by column (`COLUMNS`)."""
         return block(self._readings, self._origin_s, _MOST_ROWS).astype("<f4").tobytes()
 
     def _boards(self) -> list[dict[str, Any]]:
