@@ -11,6 +11,7 @@
 
 #include <memory>
 #include <optional>
+#include <utility>
 
 #include "plane.h"
 #include "space.h"
@@ -295,6 +296,14 @@ class Explanations {
     return most;
   }
 
+  // Half a step where steps do not shrink.
+  static double stride(double change, double& last) {
+    return change < 0.8 * std::exchange(last, change) ? 1.0 : 0.5;
+  }
+  static void towards(const Row& next, double step, Row& shape) {
+    for (std::size_t k = 0; k < next.size(); ++k) shape[k] += step * (next[k] - shape[k]);
+  }
+
   // Lays the grid on the body's shape; returns the readings as that leaves them.
   const Whitened& lay(Grid& grid, const Whitened& white, const Matrix& shared, Left& room, int level) const {
     for (Placed& p : grid.placed) {
@@ -321,9 +330,8 @@ class Explanations {
       Row next = body_->shown(body_->bent(now.loads), now.left, bad);
       const double change = apart(next, shape);
       if (change < priors_.shape_rests || body_->keeps(next)) return next;
-      step = change < 0.8 * last ? 1.0 : 0.5;
-      for (std::size_t k = 0; k < next.size(); ++k) shape[k] += step * (next[k] - shape[k]);
-      last = change;
+      step = stride(change, last);
+      towards(next, step, shape);
     }
     return shape;
   }
@@ -333,7 +341,7 @@ class Explanations {
   // is of no account.
   std::size_t weigh(const Explanation& of, double weight, Row shape, double side = 0.0,
                     int mark = -1) {
-    const Matrix shared = mark < 0 ? Matrix() : shared_with(mark);
+    const Matrix shared = shared_with(mark);
     std::optional<Whitened> own;
     if (mark >= 0) own.emplace(frame_, shared);
     const Whitened& white = mark < 0 ? white_ : *own;
@@ -350,9 +358,10 @@ class Explanations {
     }));
     bool whole = true;
     Left room;
+    double last = INFINITY, step = 1.0;
     for (int turn = 0, passes = 0; turn < kMostTurns; ++turn) {
-      body_->take(shape, 1.0);
-      const Whitened& read = lay(grid, white, mark < 0 ? frame_.shared : shared, room, -1);
+      body_->take(shape, std::exchange(step, 1.0));
+      const Whitened& read = lay(grid, white, shared, room, -1);
       if (!grid.weigh(prior_)) return kNone;
       const double log_evidence = evidence(grid, whole);
       // The first shape may be far from that of the loads.
@@ -374,8 +383,15 @@ class Explanations {
       }
       Row bent = body_->bent(now.loads);
       Row next = body_->shown(bent, now.left, bad);
-      if (apart(next, shape) >= priors_.shape_rests && !body_->keeps(next) && ++passes < kMostPasses) {
-        shape = settled(grid, white, mark < 0 ? frame_.shared : shared, std::move(next), bad, passes);
+      const double change = apart(next, shape);
+      const bool rests = change < priors_.shape_rests || body_->keeps(next);
+      if (!rests && ++passes < kMostPasses) {
+        if (turn > 0 && grid.size() > 1) {
+          shape = settled(grid, white, shared, std::move(next), bad, passes);
+        } else {
+          step = stride(change, last);
+          towards(next, step, shape);
+        }
         continue;
       }
       const double coarse = all || log_evidence > matters ? kResolved : kCoarse;

@@ -215,13 +215,12 @@ class SpaceBody : public Body {
       : readings_(readings), priors_(priors), space_(space), radius_(radius) {
     const Frame& frame = readings.frame;
     for (const int i : readings.index) direction_.push_back(space.direction[i]);
-    const auto body = [&](int i) { return pick(in.body, i) * in.length; };
-    unweighed_ = rest = curvature_of(body);
-    // The body that the readings show: with what is missing as if it were free.
+    // The free body, and that which the readings show: with what is missing as if it were free.
     Row shown(in.curvature.size());
-    for (std::size_t i = 0; i < shown.size(); ++i) shown[i] = body(static_cast<int>(i));
+    for (std::size_t i = 0; i < shown.size(); ++i) shown[i] = pick(in.body, i) * in.length;
+    unweighed_ = rest = curvature_of(shown);
     for (int i = 0; i < frame.size(); ++i) shown[readings.index[i]] += frame.excess[i];
-    start = curvature_of([&](int i) { return shown[i]; });
+    start = curvature_of(shown);
     if (weighs()) hang(readings);
     for (const Vector& h : direction_) measured_ |= twists() && h[0] != 0.0;
     turn = turn_of(unweighed_);
@@ -288,13 +287,12 @@ class SpaceBody : public Body {
   // whatever explains it.
   Row shown(const Row& bent, const Row& left, int bad) const override {
     Row out = bent;
-    const Matrix& map = space_.curvature_map;
-    for (int r = 0; r < map.rows; ++r) {
-      double& to = out[r / 2 * 3 + 1 + r % 2];
-      for (std::size_t i = 0; i < left.size(); ++i) {
-        if (static_cast<int>(i) != bad) to += map[r][readings_.index[i]] * left[i];
-      }
+    Row all(space_.curvature_map.columns);
+    for (std::size_t i = 0; i < left.size(); ++i) {
+      if (static_cast<int>(i) != bad) all[readings_.index[i]] = left[i];
     }
+    const Row more = curvature_of(all);
+    for (std::size_t k = 0; k < out.size(); ++k) out[k] += more[k];
     return out;
   }
 
@@ -328,14 +326,12 @@ class SpaceBody : public Body {
   bool weighs() const { return dot(space_.weight, space_.weight) > 0.0; }
   SpaceShape bent_to(const Row& curvature) const { return {curvature, space_.compliance}; }
 
-  // Curvature of a body that the readings `of` show.
-  template <class Of>
-  Row curvature_of(const Of& of) const {
+  // Curvature of a body that these readings show.
+  Row curvature_of(const Row& of) const {
     const Matrix& map = space_.curvature_map;
     Row out(map.rows / 2 * 3);
     for (int r = 0; r < map.rows; ++r) {
-      double& to = out[r / 2 * 3 + 1 + r % 2];
-      for (int i = 0; i < map.columns; ++i) to += map[r][i] * of(i);
+      out[r / 2 * 3 + 1 + r % 2] = Whitener::dot(map[r], of.data(), map.columns);
     }
     return out;
   }
