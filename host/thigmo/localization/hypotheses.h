@@ -284,9 +284,8 @@ class Explanations {
     for (const Doubt& doubt : doubts_) {
       if (found[doubt.index].log_weight < best() + kMatters) break;
       const Row bent = found[doubt.index].bent;
-      if (weigh(*doubt.of, doubt.weight, bent, doubt.side, doubt.mark) == kNone) continue;
-      found[doubt.index] = std::move(found.back());
-      found.pop_back();
+      found[doubt.index].log_weight = -INFINITY;  // what its own grid says counts instead
+      weigh(*doubt.of, doubt.weight, bent, doubt.side, doubt.mark);
     }
   }
 

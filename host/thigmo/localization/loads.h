@@ -418,7 +418,7 @@ class Grid {
             told /= standard > 1e-300 ? standard : 1e-300 + Four{};
             for (int lane = 0; lane < 4; ++lane) {
               size[lane] = across == 1 ? force[from][lane] : std::sqrt(length[lane]);
-              standard[lane] = std::sqrt(standard[lane]);
+              standard[lane] = std::sqrt(std::max(standard[lane], 0.0));
             }
             four(mean[j] + s) += own * size;
             four(spread[j] + s) += own * (size * size + loose);
@@ -443,7 +443,7 @@ class Grid {
         likely[s] = std::sqrt(told > 0.0 ? told : 0.0);
       }
       for (int s = 0; single && s < sets_; ++s) {
-        const double moves = std::sqrt(square[s]);
+        const double moves = std::sqrt(square[s] > 0.0 ? square[s] : 0.0);
         times[s] = std::abs(first[s]) * moves, likely[s] = second[s] * moves;
       }
       for (int s = 0; s < sets_; ++s) {
