@@ -152,10 +152,10 @@ enum class Fault : uint8_t {
   kPressureStuck = 3,  // Muscle pressure does not follow its set point; check air supply,
                        // transducer and tube, and that the plugs of the two pressure sensors, or
                        // transducers, are not swapped, then clear.
-  kFlexOpen = 4,   // A sensor's circuit is open, or an IMU does not answer; check its wire, or mark
-                   // it dead in robot.toml, then clear.
-  kFlexShort = 5,  // A sensor's circuit is shorted; check its wire, or mark it dead in robot.toml,
-                   // then clear.
+  kFlexOpen = 4,  // A flex sensor's circuit is open; check its wire, or mark it dead in robot.toml,
+                  // then clear.
+  kFlexShort = 5,   // A flex sensor's circuit is shorted; check its wire, or mark it dead in
+                    // robot.toml, then clear.
   kSpoolStall = 6,  // The motor is driven, and the encoder stands still or shows less than it must;
                     // free the spool and the tail, check the encoder (J5) and its coupling, then
                     // clear and confirm the length.

@@ -114,8 +114,8 @@ class Fault(Documented):  # Latched faults, by bit number.
     OVER_PRESSURE = 1  # A muscle exceeded the pressure limit
     PRESSURE_WIRE = 2  # A pressure sensor reads outside 5..95 % of its supply
     PRESSURE_STUCK = 3  # Muscle pressure does not follow its set point
-    FLEX_OPEN = 4  # A sensor's circuit is open, or an IMU does not answer
-    FLEX_SHORT = 5  # A sensor's circuit is shorted
+    FLEX_OPEN = 4  # A flex sensor's circuit is open
+    FLEX_SHORT = 5  # A flex sensor's circuit is shorted
     SPOOL_STALL = 6  # The motor is driven, and the encoder stands still or shows less than it must
     SPOOL_SLIP = 7  # The spool turned while its motor was off, ran ahead of it, or the other way
     BROWN_OUT = 8  # The supply sagged below its limit; check the power supply, then clear.
