@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thigmo.studies import sweeps
-from thigmo.studies.sweeps import ERRORS, FRAMES, judge, score
+from thigmo.studies.sweeps import judge, score
 
 
 def test_readings_are_those_of_the_free_body_until_the_touch() -> None:
@@ -17,18 +17,6 @@ def test_readings_are_those_of_the_free_body_until_the_touch() -> None:
     off = np.abs(clean - there.free.T[..., None]).max(axis=2)
     assert off[before].max() < 1e-9
     assert (off[:, -1] > 0.0).all()
-
-
-@pytest.mark.parametrize("error", ERRORS)
-def test_errors_stay_the_same_through_an_inflation(error: str) -> None:
-    free = np.linspace(0.01, 0.04, FRAMES)
-    clean = np.repeat(free[:, None], 5, axis=1)
-    spoil, stated = ERRORS[error]
-    curvature, _ = spoil(np.random.default_rng(1), clean, free)
-    if error != sweeps.OTHER_NOISE:
-        steps = np.diff(curvature, axis=0)
-        assert np.allclose(steps, steps[0])
-    assert (stated != {}) == (error in sweeps.STATED and error != "none")
 
 
 def test_all_frames_are_judged_as_the_last_one_is() -> None:

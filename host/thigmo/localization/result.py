@@ -48,7 +48,7 @@ class Contact:
             that knows no error: "l1", "l2" and "thesis").
         intervals: that set; more than one piece if there are several modes. Of "l1" and "l2": where
             the minimum is attained, which is no measure of error.
-        force_deviation: posterior standard deviation of the force.
+        force_deviation: posterior standard deviation of the force, wherever in `intervals` it acts.
         probability: that there is such a contact: nearer to `arc` than to that of another one; NaN
             for a `point estimate`.
         end_offset: where a contact on the end of the body bears, at +y of the centreline; None for
