@@ -85,7 +85,7 @@ class Body(Model):
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49
-    # Bending stiffness EI and its standard error; without them forces are told over EI only.
+    # Bending stiffness EI and its standard error; without them forces are given over EI only.
     stiffness_n_cm2: Positive | None = None
     stiffness_se_n_cm2: NonNegative = 0.0
     growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
@@ -294,16 +294,16 @@ class RobotConfig(Model):
             found.append(muscle.side)
         return tuple(found)
 
-    def by_muscle(self, told: Mapping[Side, float], count: int) -> tuple[float, ...]:
+    def by_muscle(self, by_side: Mapping[Side, float], count: int) -> tuple[float, ...]:
         """Numbers of sides as the board has them: one for each of its muscles, 0 where none is.
 
         Raises ConfigError for a number other than 0 of a side without a muscle.
         """
-        for side, number in told.items():
+        for side, number in by_side.items():
             if number:
                 self.muscle(side)
         sides = self.muscle_sides
-        return tuple(told.get(side, 0.0) for side in sides) + (0.0,) * (count - len(sides))
+        return tuple(by_side.get(side, 0.0) for side in sides) + (0.0,) * (count - len(sides))
 
     def muscle_number(self, side: Side) -> int:
         """The board's number of a side's muscle: its place in robot.toml; ConfigError if none."""

@@ -76,7 +76,7 @@ class Bench:
     eyes: Eyes
     session: Session  # the folder
     plan: Plan = field(default_factory=Plan)
-    say: Callable[[str], None] = lambda text: None  # told what happens
+    say: Callable[[str], None] = lambda text: None  # called with what happens
     # resistances of the straight robot, taken last (an eversion shifts them, so rows keep the one
     # of their own session)
     rest: list[float] = field(default_factory=list)
@@ -121,7 +121,7 @@ class Bench:
         return np.asarray(mean.filled(np.nan))
 
     def set_zone(self, zone: int) -> None:
-        """Body pressure of a zone, and the board told."""
+        """Set the body pressure of a zone, and say so to the board."""
         self.hand.set_body_pressure(self.config.body.zones[zone].pressure_psi)
         self.robot.select_zone(zone)
 

@@ -18,8 +18,8 @@ from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
+from thigmo.robot.creep import CreepWatch
 from thigmo.robot.readings import Floats, in_mask, mask_of
-from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Reading, Recording, SweepFrame, SweepResult, together
 from thigmo.robot.supervised import OPEN, SHORT, Supervised
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
@@ -69,7 +69,7 @@ def connect(
 
 
 class Robot(Supervised):
-    """A connected robot, with all that it can be told to do; what `connect` returns.
+    """A connected robot, with all that it can be made to do; what `connect` returns.
 
     Every command raises CommandRefusedError where the board says no (`reason` holds the schema's
     name for why), RobotFaultError where a fault is latched, and LinkError where the link fails.
@@ -147,15 +147,15 @@ class Robot(Supervised):
 
     def follow_settling(self) -> None:
         """Watch young sensors from now on, so that sweeps can use those that are set aside."""
-        if self._standing is None:
-            self._standing = StandingWatch(self.config, self.oversample)
-            self._client.on_telemetry.append(self._standing.telemetry)
+        if self._creep is None:
+            self._creep = CreepWatch(self.config, self.oversample)
+            self._client.on_telemetry.append(self._creep.telemetry)
 
     def young_noise(self) -> Floats:
         """Standard error of what sensors set aside rest at, by input, 1/cm; infinite if unknown."""
-        if self._standing is None:
+        if self._creep is None:
             return np.full(len(self._table.healthy), np.inf)
-        _, sigma = self._standing.rest(self.status().t_s, self.aside)
+        _, sigma = self._creep.rest(self.status().t_s, self.aside)
         return np.where(np.isnan(sigma), np.inf, sigma)
 
     def set_aside(self, mask: int) -> None:
@@ -179,7 +179,7 @@ class Robot(Supervised):
     ) -> None:
         """Wait until everted sensors of a mask (all of them) are past their settling time.
 
-        `progress` is told the seconds that are left, about once a second. Raises
+        `progress` is called with the seconds that are left, about once a second. Raises
         CommandTimeoutError if they do not settle.
         """
         end = self.now() + self.config.board.settle_s + _SETTLE_EXTRA_S
@@ -277,8 +277,8 @@ class Robot(Supervised):
 
     def _cpsi(self, left_psi: float, right_psi: float) -> tuple[int, ...]:
         """Pressures as the board takes them; ConfigError for a muscle that the robot lacks."""
-        told: dict[Side, float] = {"left": left_psi, "right": right_psi}
-        by_muscle = self.config.by_muscle(told, self._client.capacity.muscles)
+        pressures: dict[Side, float] = {"left": left_psi, "right": right_psi}
+        by_muscle = self.config.by_muscle(pressures, self._client.capacity.muscles)
         return tuple(round(psi * 100) for psi in by_muscle)
 
     # Sweeps.
@@ -328,7 +328,7 @@ class Robot(Supervised):
             before.everted & before.settled & before.zeroed,
             before.length_cm or 0.0,
             self.aside,
-            self._standing,
+            self._creep,
             rising,
             sides=self.config.muscle_sides,
         )
