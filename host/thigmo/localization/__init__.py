@@ -5,7 +5,6 @@ from __future__ import annotations
 from thigmo.localization.batch import BatchResult
 from thigmo.localization.bounds import Identifiability, arc_bounds, identifiability
 from thigmo.localization.described import Body, Errors, Priors, Sensors
-from thigmo.localization.frames import ContactFilter
 from thigmo.localization.headings import CurvatureRows, from_headings
 from thigmo.localization.localizer import METHODS, Localizer, localize, localize_batch
 from thigmo.localization.newtons import Newtons, Quantity
@@ -16,7 +15,6 @@ __all__ = [
     "BatchResult",
     "Body",
     "Contact",
-    "ContactFilter",
     "CurvatureRows",
     "Errors",
     "Identifiability",

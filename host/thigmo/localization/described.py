@@ -85,8 +85,8 @@ class Errors:
 
     Attributes:
         noise: white noise of a reading, scalar or (N,), 1/length; None if it is not known.
-        zero_error: of each sensor's zero, scalar or (N,), 1/length: noise of a single frame, the
-            same through all frames of a filter. An unknown noise includes it.
+        zero_error: of each sensor's zero, scalar or (N,), 1/length: as noise of a single frame.
+            An unknown noise includes it.
         gain_error: relative, of each sensor's gain, scalar or (N,).
         offset_error: of an offset that all readings share, 1/length.
         map_error: relative, of the free curvature, shared by all readings.

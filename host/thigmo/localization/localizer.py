@@ -1,4 +1,4 @@
-"""`Localizer`: one frame of readings in, contacts with intervals out; rows and streams as well.
+"""`Localizer`: one frame of readings in, contacts with intervals out; tables of frames as well.
 
 What describes it (`described`) is checked once. Each frame is checked and normalised
 (`readings.h`), explanations weighed (`hypotheses.h`), and mixed into an answer (`answer.h`): one
@@ -22,7 +22,6 @@ from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
 from thigmo.localization.batch import BatchResult
 from thigmo.localization.described import Body, Errors, Priors, Sensors
-from thigmo.localization.frames import ContactFilter
 from thigmo.localization.newtons import newtons
 from thigmo.localization.readings import (
     Array,
@@ -196,15 +195,6 @@ class Localizer:
             found = list((pool.map if len(parts) > 1 else map)(run, parts))
         of_row, of_contact = (np.concatenate(each) for each in zip(*found, strict=True))
         return BatchResult.of(of_row, of_contact, self.length, self.method)
-
-    def filter(self, most_curvature: float, **options: Any) -> ContactFilter:
-        """A stream of frames of a body that bends into one obstacle at rest.
-
-        Args:
-            most_curvature: free curvature that the inflation reaches; its sign tells the side.
-            options: further ones of `ContactFilter`.
-        """
-        return ContactFilter(self.body, self.sensors, self.errors, most_curvature, **options)
 
     def _checked(self) -> _posterior.Localizer:
         body, errors, known = self.body, self.errors, self.priors
