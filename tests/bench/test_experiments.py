@@ -10,7 +10,7 @@ import pytest
 
 from thigmo.mechanics import push
 from thigmo.studies.engine import Context, Outcome, write
-from thigmo.studies.experiments import EXPERIMENTS, figures, sensitivity, thesis
+from thigmo.studies.experiments import EXPERIMENTS, sensitivity, thesis
 from thigmo.studies.experiments.compare import (
     Answer,
     Solved,
@@ -198,14 +198,6 @@ def test_the_bound_counts_gains_and_places() -> None:
     crooked = pressed(specimen(Constants(3e-4, 0.05, 1.0, 0.0)), (40.0,), (2.5e-4,))
     assert crooked.sigma.min() >= plain.sigma.max()
     assert crooked.bound_cm[0] > 1.1 * plain.bound_cm[0]
-
-
-def test_the_flow_chart_shows_every_state_and_outcome() -> None:
-    from thigmo.exploration.states import TRANSITIONS, State
-
-    texts = [text.get_text() for text in figures.flow().axes[0].texts]
-    assert all(state.value in texts for state in State)
-    assert all(any(step.outcome in text for text in texts) for step in TRANSITIONS)
 
 
 def test_predictions_say_what_holds_and_what_fails() -> None:
