@@ -9,7 +9,6 @@ silently. `localize` and `localize_batch` are a `Localizer` that is used once.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -25,7 +24,6 @@ from thigmo.localization.described import Body, Errors, Priors, Sensors
 from thigmo.localization.newtons import newtons
 from thigmo.localization.readings import (
     Array,
-    Range,
     bending_stiffness,
     check_layout,
     columns,
@@ -41,8 +39,7 @@ from thigmo.localization.result import STATUSES, Contact, LocalizeResult, OfBody
 from thigmo.localization.space import in_space
 
 MOST_CONTACTS = 3
-COMPILED = ("posterior", "l1", "l2")  # the norm of a point fit is its place here
-METHODS = (*COMPILED, "thesis")
+METHODS = ("posterior", "l1", "thesis")
 _BEND_POINTS = 107  # along a body bent by a point fit; every 0.5 cm of 53
 _PARTS = {"body": Body, "sensors": Sensors, "errors": Errors, "priors": Priors}
 _PART_OF = {each.name: name for name, part in _PARTS.items() for each in fields(part)}
@@ -60,10 +57,10 @@ class Localizer:
         errors: standard errors of their readings.
         priors: what is known beforehand, and what counts as localized.
         method: "posterior"; or a method without intervals, whose answers say so by their status
-            `point estimate`: "l1", "l2" (exact point fits of one or two contacts), "thesis" (the
-            alternating fit of `thigmo.localization.thesis`, for the number of contacts given, one
-            for "auto"; with `critical_curvature`, also its remedies for a folded base). "thesis"
-            takes no error, and lengths in cm only.
+            `point estimate`, for the number of contacts given, one for "auto": "thesis" (the
+            thesis's alternating fit; with `critical_curvature`, also its remedies for a folded
+            base; lengths in cm only), "l1" (what that fit seeks: the least 1-norm of the residual,
+            of one or two contacts). Both are in `thigmo.localization.thesis`, and use no error.
 
     Raises:
         DataError: a number that is not possible, or lengths that look like another unit.
@@ -150,10 +147,8 @@ class Localizer:
         found = self._compiled.localize(k, free, body)
         if found.problem:
             raise refusal(found.problem, found.shows, self.length)
-        if self.method == "thesis":
-            return self._thesis_fit(k - free)
         if self.method != "posterior":
-            return _point_fit(found, self.length, self.method)
+            return self._point_estimate(k - free)
         return _result(found, self.length, self.body.stiffness)
 
     def localize_batch(
@@ -169,7 +164,7 @@ class Localizer:
         Raises:
             DataError: as `localize`, naming the row; no row is skipped silently.
         """
-        if self.method not in COMPILED:
+        if self.method != "posterior":
             raise DataError(f"{self.method} takes no rows", "give its frames one by one")
         width = self._compiled.count
         table = np.ascontiguousarray(curvature, dtype=np.float64)
@@ -194,7 +189,7 @@ class Localizer:
         with ThreadPoolExecutor(len(parts)) as pool:
             found = list((pool.map if len(parts) > 1 else map)(run, parts))
         of_row, of_contact = (np.concatenate(each) for each in zip(*found, strict=True))
-        return BatchResult.of(of_row, of_contact, self.length, self.method)
+        return BatchResult.of(of_row, of_contact, self.length)
 
     def _checked(self) -> _posterior.Localizer:
         body, errors, known = self.body, self.errors, self.priors
@@ -225,14 +220,12 @@ class Localizer:
             or not 0 <= contacts <= MOST_CONTACTS
         ):
             raise DataError(f"contacts={contacts!r} is not possible", 'give "auto" or 0 to 3')
-        if self.method not in METHODS:
-            raise DataError(f"unknown method {self.method!r}", f"use one of {', '.join(METHODS)}")
-        if self.method in ("l1", "l2") and contacts not in ("auto", 1, 2):
+        check_method(self.method)
+        most = 2 if self.method == "l1" else MOST_CONTACTS
+        if self.method != "posterior" and contacts != "auto" and not 1 <= contacts <= most:
             raise DataError(
-                f"{self.method} fits no {contacts} contacts", "give 1 or 2, or no method"
+                f"{self.method} fits no {contacts} contacts", f"give 1 to {most}, or no method"
             )
-        if self.method == "thesis" and contacts == 0:
-            raise DataError("thesis fits no 0 contacts", "give 1 to 3, or no method")
         radius, limit = priors.TUBE_RADIUS * total, priors.WIDTH_SHARE
         if body.tube_radius is not None:
             radius = max(positive(body.tube_radius, "tube_radius"), 1e-6 * total)
@@ -273,25 +266,55 @@ class Localizer:
             within=share_of_length(known.within, total),
             width_limit=limit,
             number_level=share(known.number_level, "number_level"),
-            norm=COMPILED.index("posterior" if self.method == "thesis" else self.method),
             **space._asdict(),
             priors=priors.compiled(),
         )
 
-    def _thesis_fit(self, excess: Array) -> LocalizeResult:
-        """The thesis's fit to checked readings above the free curvature."""
+    def _point_estimate(self, excess: Array) -> LocalizeResult:
+        """The thesis's fit to checked readings above the free curvature, or what it seeks.
+
+        The interval of such a contact is the whole body: nothing narrower would hold.
+        """
         from thigmo.localization import thesis  # its optimiser takes a tenth of a second to import
 
-        read = np.isfinite(excess)
+        read, total, method = np.isfinite(excess), self.length, self.method
         x = vector(self.sensors.position, "position")[read]
         spans = np.broadcast_to(vector(self.sensors.span, "span", excess.size), excess.size)[read]
         count = 1 if self.priors.contacts == "auto" else int(self.priors.contacts)
         critical = self.body.critical_curvature or math.inf
-        problem = thesis.Problem(excess[read], x, spans, self.length, count, critical)
-        arcs, forces = thesis.coupled(problem)
-        fitted = [(at, force, ()) for at, force in zip(arcs.tolist(), forces.tolist(), strict=True)]
-        rest = thesis.objective(thesis.at_centres(problem), arcs, forces)
-        return _point_result(fitted, self.length, "thesis", rest)
+        problem = thesis.Problem(excess[read], x, spans, total, count, critical)
+        if method == "thesis":
+            arcs, forces = thesis.coupled(problem)
+            problem = thesis.at_centres(problem)
+        else:
+            arcs, forces = thesis.exact(problem)
+        bend = np.maximum(arcs - np.linspace(0.0, total, _BEND_POINTS)[:, None], 0.0) @ forces
+        return LocalizeResult(
+            POINT_ESTIMATE,
+            tuple(
+                Contact(arc, force, (0.0, total), POINT_ESTIMATE, (), math.nan, math.nan)
+                for arc, force in zip(arcs.tolist(), forces.tolist(), strict=True)
+            ),
+            f"{count} contact{'s' * (count > 1)}, {method}",
+            f"{method} gives a place without an interval: how far off it is, and whether there is "
+            "a contact at all, it does not say",
+            math.nan,
+            math.nan,
+            {},
+            objective=thesis.objective(problem, arcs, forces),
+            length=total,
+            _body=OfBody(bend=bend * total),
+        )
+
+
+def check_method(method: str) -> None:
+    """Raises DataError if there is no such method."""
+    if method == "l2":
+        raise DataError(
+            "method l2 is no longer there", 'use "posterior", which errs less, or "l1" or "thesis"'
+        )
+    if method not in METHODS:
+        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
 
 
 def localize(
@@ -355,43 +378,6 @@ def localize_batch(
     """
     localizer = Localizer.of(position=position, length=length, **options)
     return localizer.localize_batch(curvature, free_curvature=free_curvature, jobs=jobs)
-
-
-def _point_fit(found: _posterior.Answer, total: float, method: str) -> LocalizeResult:
-    """The global minimum of a norm of the residual, and where it is attained."""
-    fitted = [(arc, force, pieces) for arc, force, _, _, pieces, *_ in found.contacts(total)]
-    return _point_result(fitted, total, method, found.objective)
-
-
-def _point_result(
-    fitted: Sequence[tuple[float, float, tuple[Range, ...]]],
-    total: float,
-    method: str,
-    objective: float,
-) -> LocalizeResult:
-    """Places and forces without errors, as a result that nobody takes for one with errors.
-
-    The interval of such a contact is the whole body: nothing narrower would hold.
-    """
-    contacts = tuple(
-        Contact(arc, force, (0.0, total), POINT_ESTIMATE, pieces, math.nan, math.nan)
-        for arc, force, pieces in fitted
-    )
-    arcs = np.linspace(0.0, total, _BEND_POINTS)
-    bend = sum((force * np.maximum(arc - arcs, 0.0) for arc, force, _ in fitted), np.zeros(1))
-    return LocalizeResult(
-        POINT_ESTIMATE,
-        contacts,
-        f"{len(contacts)} contact{'s' * (len(contacts) > 1)}, {method}",
-        f"{method} gives a place without an interval: how far off it is, and whether there is a "
-        "contact at all, it does not say",
-        math.nan,
-        math.nan,
-        {},
-        objective=objective,
-        length=total,
-        _body=OfBody(bend=bend * total),
-    )
 
 
 def _result(

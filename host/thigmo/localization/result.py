@@ -45,9 +45,9 @@ class Contact:
             whatever the number of contacts; the whole body if the status is `point estimate`.
         status: `localized` (the interval is no wider than the limit, and there is a contact with
             95 %, whatever the number of contacts), `ambiguous`, or `point estimate` (of a method
-            that knows no error: "l1", "l2" and "thesis").
-        intervals: that set; more than one piece if there are several modes. Of "l1" and "l2": where
-            the minimum is attained, which is no measure of error.
+            that knows no error: "l1" and "thesis").
+        intervals: that set; more than one piece if there are several modes; none of a `point
+            estimate`.
         force_deviation: posterior standard deviation of the force.
         probability: that there is such a contact: nearer to `arc` than to that of another one; NaN
             for a `point estimate`.
@@ -153,7 +153,7 @@ class LocalizeResult:
         discarded: indices of readings that the likeliest explanation takes for bad.
         parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `push_back`
             (force on the end, towards the base), `tip_moment`, `end_offset`.
-        objective: norm of the residual at the estimate, of `l1`, `l2` and `thesis` only.
+        objective: norm of the residual at the estimate, of `l1` and `thesis` only.
         number: (4,) probability that none, one, two or three contacts move the readings by three
             standard errors or more. A weaker one is never excluded.
         length: of the body.
