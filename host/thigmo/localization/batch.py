@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from thigmo.errors import DataError
 from thigmo.extras import data_frame
-from thigmo.localization.readings import refusal
 from thigmo.localization.result import STATUSES, Array, Status
+from thigmo.localization.validation import refusal
 
 if TYPE_CHECKING:
     from pandas import DataFrame

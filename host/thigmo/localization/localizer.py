@@ -1,9 +1,9 @@
 """`Localizer`: one frame of readings in, contacts with intervals out; tables of frames as well.
 
-What describes it (`described`) is checked once. Each frame is checked and normalised
-(`readings.h`), explanations weighed (`hypotheses.h`), and mixed into an answer (`answer.h`): one
-posterior over everything that may have bent the body, every error told, nothing thrown out
-silently. `localize` and `localize_batch` are a `Localizer` that is used once.
+Its `options` are checked once (`validation`). Each frame is checked and normalised (`readings.h`),
+explanations are weighed (`hypotheses.h`) and mixed into an answer (`answer.h`): one posterior over
+everything that may have bent the body, with every stated error; nothing is thrown out silently.
+`localize` and `localize_batch` are a `Localizer` that is used once.
 """
 
 from __future__ import annotations
@@ -20,9 +20,11 @@ from thigmo.display import POINT_ESTIMATE
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
 from thigmo.localization.batch import BatchResult
-from thigmo.localization.described import Body, Errors, Priors, Sensors
 from thigmo.localization.newtons import newtons
-from thigmo.localization.readings import (
+from thigmo.localization.options import Body, Errors, Priors, Sensors
+from thigmo.localization.result import STATUSES, Contact, LocalizeResult, OfBody, Status
+from thigmo.localization.space import in_space
+from thigmo.localization.validation import (
     Array,
     bending_stiffness,
     check_layout,
@@ -35,8 +37,6 @@ from thigmo.localization.readings import (
     share_of_length,
     vector,
 )
-from thigmo.localization.result import STATUSES, Contact, LocalizeResult, OfBody, Status
-from thigmo.localization.space import in_space
 
 MOST_CONTACTS = 3
 METHODS = ("posterior", "l1", "thesis")

@@ -22,7 +22,7 @@ from thigmo.display import (
 from thigmo.extras import data_frame
 from thigmo.localization import _posterior
 from thigmo.localization.newtons import Newtons
-from thigmo.localization.readings import Range
+from thigmo.localization.validation import Range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +48,7 @@ class Contact:
             that knows no error: "l1" and "thesis").
         intervals: that set; more than one piece if there are several modes; none of a `point
             estimate`.
-        force_deviation: posterior standard deviation of the force.
+        force_deviation: posterior standard deviation of the force, wherever in `intervals` it acts.
         probability: that there is such a contact: nearer to `arc` than to that of another one; NaN
             for a `point estimate`.
         end_offset: where a contact on the end of the body bears, at +y of the centreline; None for
@@ -192,16 +192,10 @@ class LocalizeResult:
         table = html_table(_COLUMNS, [contact._cells for contact in self.contacts])
         return html_card(title, self.message, strip, table)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __reduce__(self) -> tuple[Any, ...]:
         """For pickle: the compiled answer becomes plain arrays."""
-        state = {each.name: getattr(self, each.name) for each in fields(self)}
-        masses, joint = self._body.masses, self._body.joint
-        state["_body"] = OfBody(list(masses), self._body.bend, joint)
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            setattr(self, name, value)
+        *own, body = (getattr(self, each.name) for each in fields(self))
+        return LocalizeResult, (*own, OfBody(body.masses, body.bend, body.joint))
 
     def to_dict(self) -> dict[str, Any]:
         """All but the posterior along the body as plain data, for JSON or a data frame's row."""

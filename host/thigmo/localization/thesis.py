@@ -10,8 +10,8 @@ while this objective is of order 0.01: the first barrier problems pull a towards
 minima; exact coordinate descent (no barriers: each step the best a of all) stalls in the ravine
 along which f and a trade, where neither alone can improve. The step in f is exact here, which is
 the most that the interior point could reach. `clamped` and `coupled` are the thesis's two remedies
-for a folded base (section 3.2). `exact` finds the minimum of the objective
-itself, on the model averaged over spans.
+for a folded base (section 3.2). `exact` finds the minimum of the objective itself, on the model
+averaged over spans.
 
 Lengths are cm and curvatures 1/cm, for the solver's tolerance and barriers are lengths.
 """
@@ -28,6 +28,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from thigmo.errors import DataError
+from thigmo.mechanics.closed_forms import phi
 
 Array = npt.NDArray[np.float64]
 CRITICAL_PER_CM = 0.01108  # mean of five trials, section 3.2
@@ -61,11 +62,7 @@ class Problem:
 
 def influence(problem: Problem, arcs: Array) -> Array:
     """(N, K) readings for unit forces at K arcs: lever arms, averaged over each sensor's span."""
-    reach = arcs - (problem.position - problem.span / 2)[:, None]
-    span = problem.span[:, None]
-    inside = 0.5 * reach**2 / np.maximum(span, 1e-12)
-    beyond = arcs - problem.position[:, None]
-    return np.asarray(np.where(reach <= 0, 0.0, np.where(reach >= span, beyond, inside)))
+    return phi(arcs, problem.position[:, None], problem.span[:, None])
 
 
 def objective(problem: Problem, arcs: Array, forces: Array) -> float:

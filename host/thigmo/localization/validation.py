@@ -1,4 +1,4 @@
-"""The door: the caller's arrays as the compiled code takes them, and what it refuses.
+"""Checks of what callers give, and its form for the compiled code.
 
 Input that looks like another unit is refused with the likely cure, because a wrong answer must not
 look like a true one.

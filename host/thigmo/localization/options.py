@@ -1,4 +1,4 @@
-"""What a `Localizer` is told once: the body, its sensors, their errors, what is known beforehand.
+"""What a `Localizer` is given once: the body, its sensors, their errors, what is known beforehand.
 
 Every option of `localize` and `localize_batch` is a field here, declared and described once.
 Lengths in any one unit (cm, mm, m), curvature in its inverse: answers scale with it.
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.localization import priors
-from thigmo.localization.readings import Range
+from thigmo.localization.validation import Range
 
 
 def _keep(part: object, *names: str) -> None:
