@@ -378,7 +378,10 @@ SOURCES: dict[str, Source] = {
         )
         for study, pictures in {
             "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
-            "stability": {"stability-force-place.png": "stability.png"},
+            "stability": {
+                "stability-force-place.png": "stability.png",
+                "stability-untold.png": "stability-untold.png",
+            },
             "scaling": {},
             "space": {},
             "cold": {},
