@@ -10,25 +10,24 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.display import POINT_ESTIMATE
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
 from thigmo.localization.batch import BatchResult
-from thigmo.localization.newtons import newtons
 from thigmo.localization.options import Body, Errors, Priors, Sensors
-from thigmo.localization.result import STATUSES, Contact, LocalizeResult, OfBody, Status
+from thigmo.localization.result import LocalizeResult
 from thigmo.localization.space import in_space
 from thigmo.localization.validation import (
     Array,
     bending_stiffness,
     check_layout,
     columns,
+    contact_count,
     everted_length,
     grip,
     positive,
@@ -36,11 +35,11 @@ from thigmo.localization.validation import (
     share,
     share_of_length,
     vector,
+    white_noise,
 )
 
-MOST_CONTACTS = 3
-METHODS = ("posterior", "l1", "thesis")
-_BEND_POINTS = 107  # along a body bent by a point fit; every 0.5 cm of 53
+_MOST_CONTACTS = {"posterior": 3, "l1": 2, "thesis": 3}
+METHODS = tuple(_MOST_CONTACTS)
 _PARTS = {"body": Body, "sensors": Sensors, "errors": Errors, "priors": Priors}
 _PART_OF = {each.name: name for name, part in _PARTS.items() for each in fields(part)}
 
@@ -149,7 +148,7 @@ class Localizer:
             raise refusal(found.problem, found.shows, self.length)
         if self.method != "posterior":
             return self._point_estimate(k - free)
-        return _result(found, self.length, self.body.stiffness)
+        return LocalizeResult.of(found, self.length, self.body.stiffness)
 
     def localize_batch(
         self, curvature: npt.ArrayLike, *, free_curvature: npt.ArrayLike = 0.0, jobs: int = 1
@@ -195,15 +194,7 @@ class Localizer:
         body, errors, known = self.body, self.errors, self.priors
         x, total = vector(self.sensors.position, "position"), everted_length(body.length)
         count = x.size
-        white = np.zeros(0) if errors.noise is None else vector(errors.noise, "noise", count)
-        if errors.noise is not None and not white.size:
-            raise DataError(
-                "noise is empty", "give one standard deviation, or None if it is unknown"
-            )
-        if (white == 0.0).any():
-            raise DataError(
-                "noise is 0", "give the standard deviation of a reading, or None if it is unknown"
-            )
+        white = white_noise(errors.noise, count)
         widths = vector(self.sensors.span, "span", count)
         own = {
             name: vector(getattr(errors, name), name, count)
@@ -213,19 +204,9 @@ class Localizer:
         check_layout(x, widths, total, noise=white, bad_reading_odds=odds, **own)
         if white.size:
             white = np.hypot(white, own["zero_error"])
-        contacts = known.contacts
-        if contacts != "auto" and (
-            isinstance(contacts, bool)
-            or not isinstance(contacts, (int, np.integer))
-            or not 0 <= contacts <= MOST_CONTACTS
-        ):
-            raise DataError(f"contacts={contacts!r} is not possible", 'give "auto" or 0 to 3')
         check_method(self.method)
-        most = 2 if self.method == "l1" else MOST_CONTACTS
-        if self.method != "posterior" and contacts != "auto" and not 1 <= contacts <= most:
-            raise DataError(
-                f"{self.method} fits no {contacts} contacts", f"give 1 to {most}, or no method"
-            )
+        least = 0 if self.method == "posterior" else 1
+        contacts = contact_count(known.contacts, self.method, least, _MOST_CONTACTS[self.method])
         radius, limit = priors.TUBE_RADIUS * total, priors.WIDTH_SHARE
         if body.tube_radius is not None:
             radius = max(positive(body.tube_radius, "tube_radius"), 1e-6 * total)
@@ -262,7 +243,7 @@ class Localizer:
             held_end=held,
             end_odds=math.nan if face is None else positive(face, "end_face_odds"),
             held_odds=held_odds,
-            contacts=-1 if contacts == "auto" else int(contacts),
+            contacts=contacts,
             within=share_of_length(known.within, total),
             width_limit=limit,
             number_level=share(known.number_level, "number_level"),
@@ -271,40 +252,22 @@ class Localizer:
         )
 
     def _point_estimate(self, excess: Array) -> LocalizeResult:
-        """The thesis's fit to checked readings above the free curvature, or what it seeks.
-
-        The interval of such a contact is the whole body: nothing narrower would hold.
-        """
+        """The thesis's fit to checked readings above the free curvature, or what it seeks."""
         from thigmo.localization import thesis  # its optimiser takes a tenth of a second to import
 
-        read, total, method = np.isfinite(excess), self.length, self.method
+        read = np.isfinite(excess)
         x = vector(self.sensors.position, "position")[read]
         spans = np.broadcast_to(vector(self.sensors.span, "span", excess.size), excess.size)[read]
         count = 1 if self.priors.contacts == "auto" else int(self.priors.contacts)
         critical = self.body.critical_curvature or math.inf
-        problem = thesis.Problem(excess[read], x, spans, total, count, critical)
-        if method == "thesis":
+        problem = thesis.Problem(excess[read], x, spans, self.length, count, critical)
+        if self.method == "thesis":
             arcs, forces = thesis.coupled(problem)
             problem = thesis.at_centres(problem)
         else:
             arcs, forces = thesis.exact(problem)
-        bend = np.maximum(arcs - np.linspace(0.0, total, _BEND_POINTS)[:, None], 0.0) @ forces
-        return LocalizeResult(
-            POINT_ESTIMATE,
-            tuple(
-                Contact(arc, force, (0.0, total), POINT_ESTIMATE, (), math.nan, math.nan)
-                for arc, force in zip(arcs.tolist(), forces.tolist(), strict=True)
-            ),
-            f"{count} contact{'s' * (count > 1)}, {method}",
-            f"{method} gives a place without an interval: how far off it is, and whether there is "
-            "a contact at all, it does not say",
-            math.nan,
-            math.nan,
-            {},
-            objective=thesis.objective(problem, arcs, forces),
-            length=total,
-            _body=OfBody(bend=bend * total),
-        )
+        rest = thesis.objective(problem, arcs, forces)
+        return LocalizeResult.of_point_estimate(arcs, forces, self.method, rest, self.length)
 
 
 def check_method(method: str) -> None:
@@ -378,56 +341,3 @@ def localize_batch(
     """
     localizer = Localizer.of(position=position, length=length, **options)
     return localizer.localize_batch(curvature, free_curvature=free_curvature, jobs=jobs)
-
-
-def _result(
-    found: _posterior.Answer, total: float, stiffness: tuple[float, float] | None
-) -> LocalizeResult:
-    """The answer in the caller's units."""
-    status = STATUSES[found.status]
-    contacts = tuple(Contact(*fields) for fields in found.contacts(total))
-    if stiffness is not None:
-        # What loads the end is the most distal contact.
-        loads = [(math.nan,) * 4] * (len(contacts) - 1) + [tuple(found.end_load)]
-        contacts = tuple(
-            replace(contact, newtons=newtons(stiffness, *cells[1:], load, total))
-            for contact, cells, load in zip(contacts, found.masses, loads, strict=False)
-        )
-    return LocalizeResult(
-        status,
-        contacts,
-        found.hypothesis,
-        _message(status, found, len(contacts)),
-        found.noise,
-        found.log_odds,
-        found.hypotheses,
-        () if found.discarded < 0 else (found.discarded,),
-        found.parameters(total),
-        number=tuple(found.number),
-        length=total,
-        _body=found,
-    )
-
-
-def _message(status: Status, found: _posterior.Answer, count: int) -> str:
-    bad = ""
-    if found.discarded >= 0:  # a kink under a sensor looks much the same
-        bad = "; one reading looks bad (see `discarded`)"
-        kink = sum(p for name, p in found.hypotheses.items() if "hinge" in name or "folded" in name)
-        if kink > priors.EXCLUDED:
-            bad += f", or the body is kinked there (probability {kink:.2f})"
-    if status == "no contact":
-        return "the readings are those of the free body" + bad
-    if status == "below detection":
-        return "a contact is not certain; average more readings, bend further or give `noise`" + bad
-    felt = f"{count} felt with probability {found.number[count]:.2f}"
-    if count < MOST_CONTACTS:
-        felt += f", more are not excluded ({sum(found.number[count + 1 :]):.2f})"
-    if status == "localized":
-        places = "a contact lies" if count == 1 else "contacts lie"
-        return f"{places} where `intervals` say, whatever their number; {felt}{bad}"
-    if found.touched < 1.0 - priors.EXCLUDED:
-        return f"a contact has probability {found.touched:.2f}; {felt}{bad}"
-    if found.end_open:
-        return f"something may hold the end: give held_end; {felt}{bad}"
-    return f"the readings do not fix the place, see `intervals`; {felt}{bad}"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
-from math import isnan
+from dataclasses import asdict, dataclass, field, fields, replace
+from math import isnan, nan
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,8 +20,8 @@ from thigmo.display import (
     interval_text,
 )
 from thigmo.extras import data_frame
-from thigmo.localization import _posterior
-from thigmo.localization.newtons import Newtons
+from thigmo.localization import _posterior, priors
+from thigmo.localization.newtons import Newtons, newtons
 from thigmo.localization.validation import Range
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Status = Literal["localized", "ambiguous", "below detection", "no contact", "point estimate"]
 STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
+_BEND_POINTS = 107  # along a body bent by a point fit; every 0.5 cm of 53
 _COLUMNS = ("arc", "interval", "force / EI, or N", "probability", "status")
 
 
@@ -173,6 +174,61 @@ class LocalizeResult:
     length: float = 1.0
     _body: _posterior.Answer | OfBody = _NOTHING
 
+    @classmethod
+    def of(
+        cls, found: _posterior.Answer, length: float, stiffness: tuple[float, float] | None
+    ) -> LocalizeResult:
+        """The compiled answer in the caller's units."""
+        status = STATUSES[found.status]
+        contacts = tuple(Contact(*each) for each in found.contacts(length))
+        if stiffness is not None:
+            # What loads the end is the most distal contact.
+            loads = [(nan,) * 4] * (len(contacts) - 1) + [tuple(found.end_load)]
+            contacts = tuple(
+                replace(contact, newtons=newtons(stiffness, *cells[1:], load, length))
+                for contact, cells, load in zip(contacts, found.masses, loads, strict=False)
+            )
+        return cls(
+            status,
+            contacts,
+            found.hypothesis,
+            _message(status, found, len(contacts)),
+            found.noise,
+            found.log_odds,
+            found.hypotheses,
+            () if found.discarded < 0 else (found.discarded,),
+            found.parameters(length),
+            number=tuple(found.number),
+            length=length,
+            _body=found,
+        )
+
+    @classmethod
+    def of_point_estimate(
+        cls, arcs: Array, forces: Array, method: str, objective: float, length: float
+    ) -> LocalizeResult:
+        """Places and forces (k,) without errors, as a result that nobody takes for one with errors.
+
+        The interval of such a contact is the whole body: nothing narrower would hold.
+        """
+        bend = np.maximum(arcs - np.linspace(0.0, length, _BEND_POINTS)[:, None], 0.0) @ forces
+        return cls(
+            POINT_ESTIMATE,
+            tuple(
+                Contact(arc, force, (0.0, length), POINT_ESTIMATE, (), nan, nan)
+                for arc, force in zip(arcs.tolist(), forces.tolist(), strict=True)
+            ),
+            f"{arcs.size} contact{'s' * (arcs.size > 1)}, {method}",
+            f"{method} gives a place without an interval: how far off it is, and whether there is "
+            "a contact at all, it does not say",
+            nan,
+            nan,
+            {},
+            objective=objective,
+            length=length,
+            _body=OfBody(bend=bend * length),
+        )
+
     def __repr__(self) -> str:
         places = "; ".join(contact._place for contact in self.contacts)
         return (
@@ -283,3 +339,27 @@ class LocalizeResult:
         about = above.reshape(-1, 2)  # normal and binormal, in the middle of each cell
         arc = (np.arange(len(about)) + 0.5) / max(len(about), 1) * self.length
         return np.column_stack([arc, about[:, 1], -about[:, 0]])
+
+
+def _message(status: Status, found: _posterior.Answer, count: int) -> str:
+    bad = ""
+    if found.discarded >= 0:  # a kink under a sensor looks much the same
+        bad = "; one reading looks bad (see `discarded`)"
+        kink = sum(p for name, p in found.hypotheses.items() if "hinge" in name or "folded" in name)
+        if kink > priors.EXCLUDED:
+            bad += f", or the body is kinked there (probability {kink:.2f})"
+    if status == "no contact":
+        return "the readings are those of the free body" + bad
+    if status == "below detection":
+        return "a contact is not certain; average more readings, bend further or give `noise`" + bad
+    felt = f"{count} felt with probability {found.number[count]:.2f}"
+    if count < len(found.number) - 1:
+        felt += f", more are not excluded ({sum(found.number[count + 1 :]):.2f})"
+    if status == "localized":
+        places = "a contact lies" if count == 1 else "contacts lie"
+        return f"{places} where `intervals` say, whatever their number; {felt}{bad}"
+    if found.touched < 1.0 - priors.EXCLUDED:
+        return f"a contact has probability {found.touched:.2f}; {felt}{bad}"
+    if found.end_open:
+        return f"something may hold the end: give held_end; {felt}{bad}"
+    return f"the readings do not fix the place, see `intervals`; {felt}{bad}"
