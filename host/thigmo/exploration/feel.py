@@ -67,8 +67,8 @@ def feel(
         span=table.span_cm[use],
         free_curvature=free.mean,
         body_curvature=free.body_curvature,
-        noise=np.hypot(table.noise, peak.added_noise)[use],
-        shared_errors=free.shared_errors,
+        noise=np.hypot(table.white, peak.added_noise)[use],
+        shared_errors=np.hstack([free.shared_errors, table.shared[use]]),
         critical_curvature=fold_moment(config, zone),
         critical_curvature_error=max(
             body.critical_curvature_se / body.critical_curvature, _LEAST_FOLD_ERROR
