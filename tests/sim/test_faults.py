@@ -73,7 +73,7 @@ class Bench:
 
 
 def sweep(robot: Robot) -> None:
-    robot.sweep(left_psi=12.0, right_psi=0.0, period_s=24.0)
+    robot.sweep({"left": 12.0}, period_s=24.0)
 
 
 def grow(robot: Robot) -> None:
@@ -310,14 +310,14 @@ def test_a_sweep_is_refused_until_everything_that_it_needs_is_known() -> None:
     refused(lambda: sweep(robot), "not_zeroed")
     robot.confirm_length(15.0, settled=True)
     refused(lambda: sweep(robot), "half_everted")
-    refused(lambda: robot.press(left_psi=5.0), "half_everted")
+    refused(lambda: robot.press("left", 5.0), "half_everted")
     robot.confirm_length(20.0, settled=True)
     robot.zero()
-    refused(lambda: robot.press(left_psi=60.0), "over_limit")
+    refused(lambda: robot.press("left", 60.0), "over_limit")
     refused(lambda: robot.grow_to(500.0), "over_limit")
     assert all(safe or motor == 0 for _, safe, motor in bench.watched)
     assert bench.plant.muscle_psi == pytest.approx((0.0, 0.0), abs=1e-3)
-    robot.press(left_psi=8.0)
+    robot.press(90.0, 8.0)
     robot.wait(3.0)
     refused(lambda: grow(robot), "busy")
 
