@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
+from thigmo.config import SIDES, RobotConfig, Sensor, Side
 from thigmo.errors import ConfigError
 
 
@@ -20,21 +20,24 @@ class Board(NamedTuple):
     muscles: int
     sensors: int
     body_pressures: int
+    kinds: tuple[str, ...]  # of sensors
 
     @property
     def capacity(self) -> dict[str, int]:
         """How many of each, as `protocol.parameters` takes them."""
-        return {key: n for key, n in self._asdict().items() if key != "name"}
+        return {key: n for key, n in self._asdict().items() if isinstance(n, int)}
 
     def holds(self, config: RobotConfig) -> bool:
         """Whether its inputs, outputs and maps are enough."""
         needed = len(config.muscles), len(config.sensors), len(config.body.zones)
-        return all(n <= most for n, most in zip(needed, self[1:], strict=True))
+        most = self.capacity.values()
+        enough = all(n <= each for n, each in zip(needed, most, strict=True))
+        return enough and {sensor.kind for sensor in config.sensors} <= {*self.kinds}
 
 
 BOARDS = (
-    Board("mega", 2, 10, 3),
-    Board("large, the virtual board with an external converter", 4, 16, 8),
+    Board("mega", 2, 10, 3, ("flex",)),
+    Board("large, the virtual board with an external converter", 4, 16, 8, ("flex", "heading")),
 )  # the smallest first
 
 
@@ -120,7 +123,7 @@ def base_inputs(config: RobotConfig) -> list[int]:
     ]
 
 
-def sensors(config: RobotConfig) -> list[FlexSensor | None]:
+def sensors(config: RobotConfig) -> list[Sensor | None]:
     """The sensor on each input; None where there is none. Raises as `places`.
 
     Those that lie out of the plane take what the two columns leave, a base sensor first where the
@@ -138,7 +141,7 @@ def sensors(config: RobotConfig) -> list[FlexSensor | None]:
     return found
 
 
-def _first(config: RobotConfig, sensor: FlexSensor) -> bool:
+def _first(config: RobotConfig, sensor: Sensor) -> bool:
     """Whether a sensor is the base one at its direction."""
     return sensor is next(s for s in config.sensors if s.direction_deg == sensor.direction_deg)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command import Thigmo
 
@@ -12,6 +13,7 @@ from thigmo.config import RobotConfig
 from thigmo.design import draft
 from thigmo.emulator.board import virtual_board
 from thigmo.emulator.reach import room_for
+from thigmo.emulator.scene import FaultTable
 from thigmo.emulator.serve import brought_up
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import ConfigError, RobotFaultError
@@ -20,6 +22,7 @@ from thigmo.robot import Robot, connect
 from thigmo.stream import Telemetry
 from thigmo.studies.robots import ROBOTS, THESIS, visit
 from thigmo.studies.rooms import explored
+from thigmo.wiring import input_of
 
 OTHERS = [name for name in ROBOTS if name != THESIS]
 
@@ -110,6 +113,21 @@ def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
             assert sum(psi) == pytest.approx(9.0, abs=1.0)
         with pytest.raises(ConfigError, match=r"no muscle four; use one \(90\)"):
             driven.press("four", 9.0)
+
+
+def test_an_imu_that_hangs_is_a_fault_that_leaves_the_robot_safe(tmp_path: Path) -> None:
+    scene = room_for(draft(100, 12, 1, kind="heading"), 0, peg=False)
+    scene.faults = [FaultTable(kind="imu_hung", at_s=4.0, side="right", sensor=3)]
+    scene.save(tmp_path / "hung.toml")
+    with connect(f"emulator://{tmp_path / 'hung.toml'}") as robot:
+        robot.configure(scene.robot)
+        with pytest.raises(RobotFaultError, match="flex_open"):
+            robot.wait(5.0)
+        assert robot.status().state == "fault"
+        read = robot.read(0.2, despite_faults=True).resistance
+        inputs = input_of(scene.robot)
+        open_ = {n for (_, n), number in inputs.items() if not np.isfinite(read[number])}
+        assert open_ == {3, 4}
 
 
 def test_a_large_board_on_a_port_is_read_once_its_robot_is_described() -> None:

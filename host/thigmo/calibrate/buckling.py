@@ -95,12 +95,11 @@ def fit_buckling(
     curvature: Array, body_pressure_psi: float, length_cm: float, config: RobotConfig
 ) -> BucklingResult:
     """Critical curvature over hard pushes at the tip, a row each (t, m); nan = unusable."""
-    names = ("center_cm", "span_cm", "noise", "zero_se", "scale_se", "valid_direction", "healthy")
-    center, span, white, zero_se, gain, way, healthy = constants_of(config, *names)
+    names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction", "healthy")
+    center, span, noise, gain, way, healthy = constants_of(config, *names)
     if curvature.shape[1] != len(center):
         what = f"{curvature.shape[1]} columns for {len(center)} sensors"
         raise DataError(what, "use this robot's file")
-    noise = np.hypot(white, zero_se)
     # The fold spreads over a diameter from the base.
     near = center - span / 2 < config.body.diameter_cm
     beyond = (healthy > 0) & ~near & (center + span / 2 <= length_cm)

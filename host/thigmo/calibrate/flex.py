@@ -34,7 +34,7 @@ from thigmo.calibrate.flex_lines import (
 )
 from thigmo.calibrate.flex_rows import Rows, columns_swapped, judge_rows, mirrored, model_rows
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import RobotConfig, Side
+from thigmo.config import FlexSensor, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -105,6 +105,8 @@ class FlexResult(StepResult):
         """
         for fit in self.sensors:
             sensor = config.column(fit.side)[fit.index]
+            if not isinstance(sensor, FlexSensor):
+                continue
             sensor.healthy = fit.healthy
             if not fit.healthy:
                 continue

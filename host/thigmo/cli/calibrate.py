@@ -79,6 +79,8 @@ def calibrate(
 
     flex: the tip is pushed aside by hand to ten places; every sensor's scale, zero and noise.
 
+    heading: of IMUs instead: the turn from each to the next at the free bends; scale, zero, drift.
+
     hysteresis: how each sensor creeps after it was everted (from the encoder's stops).
 
     buckling: hard pushes at the tip, until the base folds.
@@ -101,7 +103,7 @@ def calibrate(
     require("camera", "calibration")
     from thigmo.calibrate.bending import from_fold as state_stiffness
     from thigmo.calibrate.session import Session, blank
-    from thigmo.calibrate.steps import STEPS, fit_csv, run
+    from thigmo.calibrate.steps import STEPS, fit_csv, run, steps_of
     from thigmo.config import RobotConfig
 
     if step not in (*STEPS, "all", "status"):
@@ -137,11 +139,11 @@ def calibrate(
         if not as_json:
             typer.echo(text)
 
-    steps = list(STEPS) if step == "all" else [step]
     console = Console(quiet=as_json)
     with console.interruptible(), connect(robot, seed=seed, operator=console) as machine:
         known = machine.known_config
         session = Session(folder, start or (blank(known) if known else None))
+        steps = steps_of(session.config) if step == "all" else [step]
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
         eyes = _eyes(machine, session, camera, sheet_file, camera_file, seed)

@@ -211,12 +211,12 @@ def _calibrated(
     inflated = next((name for name in SIDES if name == side), None)
     if side is not None and inflated is None:
         raise DataError(f"--side is {side!r}", f"give {' or '.join(SIDES)}")
-    # Sensors on the inflated side wrinkle and are not read.
+    # Flex sensors on the inflated side wrinkle and are not read.
     free = [
         (name, index, sensor)
         for name in SIDES
-        if name != inflated
         for index, sensor in enumerate(robot.column(name))
+        if not (sensor.wrinkles and name == inflated)
     ]
     found: list[tuple[Side, int]] = []
     for position in table.position.tolist():
