@@ -187,12 +187,12 @@ def _eyes(
     from thigmo.camera import CameraModel, locate, open_source
     from thigmo.cli.camera import load_sheet
 
-    diameter = session.config.body.diameter_cm
-    sheet = load_sheet(sheet_file)
+    body = session.config.body
+    sheet = load_sheet(sheet_file, body.length_cm)
     if machine.scenery() is not None:
-        source, height = emulated_source(machine, sheet, seed=seed, diameter_cm=diameter)
+        source, height = emulated_source(machine, sheet, seed=seed)
         measured = sheet.model_copy(update={"camera_height_cm": height})
         model = locate(source.read(), measured)
         model.save(session.folder / "camera.json")
-        return Eyes(source, model, measured, diameter)
-    return Eyes(open_source(camera), CameraModel.load(camera_file), sheet, diameter)
+        return Eyes(source, model, measured, body)
+    return Eyes(open_source(camera), CameraModel.load(camera_file), sheet, body)

@@ -84,8 +84,7 @@ class FaultInjector:
     def _set(self, fault: FaultTable, plant: Plant, board: Board, *, on: bool) -> None:
         (self.active.add if on else self.active.discard)(fault.kind)
         robot = plant.scene.robot
-        sides = robot.muscle_sides
-        muscle = sides.index(fault.side) if fault.side in sides else 0
+        muscle = next((n for n, m in enumerate(robot.muscles) if m.side == fault.side), 0)
         flex = fault.kind.startswith("flex")
         channel = (
             input_of(robot)[fault.side, fault.sensor] if flex else plant.pressure_channel + muscle

@@ -103,7 +103,7 @@ def body(config: RobotConfig) -> dict[str, Any]:
             {"name": name, "side": config.muscles[output].side, "output": output}
             for output, name in muscle_outputs(config).items()
         ],
-        "columns": [column._asdict() for column in columns(config)],
+        "columns": [column._asdict() for column in columns(config) if column.side],
     }
 
 

@@ -113,7 +113,8 @@ class Publisher:
         self._config = config
         self._radius_cm = config.body.radius_cm
         self._table = table
-        self._bends = np.array([SIGN[side] for side in config.muscle_sides])
+        # 0 for a muscle that bends the body out of the plane.
+        self._bends = np.array([SIGN[m.side] if m.side else 0.0 for m in config.muscles])
         self._centers = table.center_cm.tolist()
         # Everted where it ends, and never if it is not to be used.
         used = table.healthy & np.isfinite(table.zero_sum)
