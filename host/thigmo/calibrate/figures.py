@@ -100,7 +100,7 @@ def _flex(result: FlexResult, path: Path) -> None:
         axes.tick_params(labelsize=6)
         if fit.index == 0:
             axes.set_ylabel("resistance (kOhm)", fontsize=7)
-    grid.flat[0].legend(fontsize=6)
+    next(axes for axes in grid.flat if axes.get_visible()).legend(fontsize=6)
     _finish(figure, path, result.verdict)
 
 
