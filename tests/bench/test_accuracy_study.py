@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from thigmo.studies import accuracy
-from thigmo.studies.accuracy import BAD, ERRORS, OFFSET, STEP, Case, Frame, judge, score
+from thigmo.studies.accuracy import BAD, ERRORS, Case, Frame, judge, score
+from thigmo.studies.contact_scenes import GROUPS, TOUCHED, one_contact
 from thigmo.studies.engine import Context
 from thigmo.studies.scenes import COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
-from thigmo.studies.touches import GROUPS, TOUCHED, one_contact
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -38,39 +38,6 @@ def test_the_bound_is_that_of_a_beam_where_the_body_is_straight() -> None:
     by_arc = force * np.ones(4)
     left = by_arc - levers * (by_arc @ levers) / (levers @ levers)
     assert scenes.bound[0] == pytest.approx(SIGMA / np.sqrt(left @ left), rel=0.03)
-
-
-@pytest.mark.parametrize("name", ERRORS)
-def test_errors_are_as_large_as_they_say(name: str) -> None:
-    clean = np.array([0.02, 0.03, 0.025, 0.03, 0.03])
-    error = ERRORS[name]
-    frames = [
-        error.spoil(np.random.default_rng([3, i]), Frame(clean, COLUMN, 0.03, {}))
-        for i in range(400)
-    ]
-    off = np.array([frame.curvature - clean for frame in frames])
-    free = np.array([frame.free for frame in frames]) / 0.03
-    size = {
-        "gains 3 %": np.hypot(0.03 * clean, SIGMA),
-        "gains 5 %": np.hypot(0.05 * clean, SIGMA),
-        "gains 10 %": np.hypot(0.1 * clean, SIGMA),
-        "offset": np.hypot(OFFSET, SIGMA),
-        "noise twice stated": 2.0 * SIGMA,
-        "noise half stated": 0.5 * SIGMA,
-        "counts": np.hypot(SIGMA, STEP / np.sqrt(12.0)),
-    }.get(name, SIGMA)
-    if name in BAD:
-        # All but one reading of five have the noise only.
-        assert np.sort(np.abs(off), axis=1)[:, :3].max() < 4.0 * SIGMA
-        assert np.abs(off).max() > 2e-3
-    else:
-        # The standard deviation of a sample of Student's t varies more.
-        near = 0.3 if name.startswith("Student") else 0.15
-        assert off.std(axis=0) == pytest.approx(np.broadcast_to(size, 5), rel=near)
-    if name.startswith("map"):
-        assert (1.0 / free).std() == pytest.approx(0.05 if "5 %" in name else 0.1, rel=0.15)
-    else:
-        assert np.all(free == 1.0)
 
 
 def test_other_readings_tell_of_a_bad_one_in_their_midst() -> None:

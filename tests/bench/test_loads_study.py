@@ -9,9 +9,9 @@ import pytest
 from scipy.stats import chi2
 
 from thigmo.studies import loads
-from thigmo.studies.loads import FEW, GROUPS, ROD_CM, SEEN_KINK, STANDS_OUT, Seen
-from thigmo.studies.scenes import BOTH, LENGTH, SIGMA
-from thigmo.studies.touches import misfit_of_one_contact
+from thigmo.studies.contact_scenes import misfit_of_one_contact
+from thigmo.studies.loads import FEW, GROUPS, SEEN_KINK, STANDS_OUT, Seen
+from thigmo.studies.scenes import BOTH, SIGMA
 
 PLAIN = Seen(
     found=1, likely=1, localized=True, ambiguous=False, none=0.0, held=1, wrong=False, off_cm=0.5,
@@ -31,26 +31,6 @@ def test_one_contact_explains_its_own_readings_and_noise_only() -> None:
     assert np.median(misfit_of_one_contact(opposed.curvature, BOTH, opposed.free)) > chi2.isf(
         0.01, 8
     )
-
-
-@pytest.mark.parametrize("name", GROUPS)
-def test_scenes_have_what_their_bodies_read(name: str) -> None:
-    scenes = GROUPS[name].draw(np.random.default_rng(2), 4)
-    assert scenes.curvature.shape == (4, scenes.position.size)
-    assert np.isfinite(scenes.curvature).all()
-    assert scenes.free.shape == (4,)
-    length = ROD_CM if name.startswith("rod") else LENGTH
-    assert np.all((scenes.arcs > 0.0) & (scenes.arcs <= length))
-    contacts = 0 if name.startswith(("free", "kink,")) else 3 if "three" in name else 1
-    assert scenes.arcs.shape[1] == (2 if "two" in name or "cm apart" in name else contacts)
-
-
-def test_a_rod_that_is_held_turns_by_no_more_than_100_degrees() -> None:
-    for seed in range(5):
-        rods = GROUPS["rod held at its end"].draw(np.random.default_rng(seed), 10)
-        turns = rods.curvature.mean(axis=1) * ROD_CM
-        assert np.rad2deg(np.abs(turns)).max() < 103.0  # the mean of few points is no integral
-        assert 4 <= rods.position.size <= 23
 
 
 def test_each_promise_fails_by_the_frames_that_it_speaks_of() -> None:

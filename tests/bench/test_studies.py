@@ -19,7 +19,7 @@ from thigmo.studies.engine import Claim, write
 from thigmo.studies.exploration import visit
 from thigmo.studies.rod import readings
 from thigmo.studies.speed_accuracy import SCENES, Row, pareto
-from thigmo.studies.stability import DEFAULT, STRESSES
+from thigmo.studies.stability import DEFAULT
 
 
 def test_truth_agrees_with_the_plants_mechanics_without_sharing_code() -> None:
@@ -55,14 +55,6 @@ def test_every_scene_is_found_by_the_default_method() -> None:
         assert np.median(errors) < 6.0, name
 
 
-def test_every_stress_draws_cases_at_its_corners() -> None:
-    for stress in STRESSES:
-        for row in (stress.rows[0], stress.rows[-1]):
-            case, noise = stress.draw(np.random.default_rng(1), row, stress.columns[-1])
-            assert case.curvature.shape == case.position.shape
-            assert noise >= 0
-
-
 def test_the_pareto_front_holds_what_nothing_beats() -> None:
     def score(method: str, time: float, error: float) -> Row:
         return {"method": method, "time_us": time, "mean_cm": error}
@@ -80,12 +72,6 @@ def test_an_outcome_is_written_whole(tmp_path: Path) -> None:
     blocked.write_text("")
     with pytest.raises(RunFolderError, match="--out"):
         write(outcome, "study", blocked / "below")
-
-
-def test_claims_know_their_direction() -> None:
-    assert Claim("fast", 4.0, 5.0).holds
-    assert not Claim("fast", 6.0, 5.0).holds
-    assert Claim("factor", 6.0, 5.0, at_most=False).holds
 
 
 def test_claims_of_any_kind_of_number_are_json() -> None:

@@ -10,7 +10,6 @@ import pytest
 from thigmo.emulator.board import FLEX_RIGHT
 from thigmo.studies.trigger import (
     DEFAULT,
-    SETTINGS,
     THRESHOLD,
     allowed,
     chosen,
@@ -64,13 +63,6 @@ def test_hum_alarms_a_long_average_and_what_is_borne_grows_as_the_rule_says() ->
     assert borne[1] / borne[0] == pytest.approx(hum_borne(short) / hum_borne(long), rel=0.15)
 
 
-def test_a_replay_repeats_itself(noisy: Session) -> None:
-    setting = Setting(2, 3, 500)
-    first = replay(noisy, setting)
-    assert len(first)
-    assert first.tolist() == replay(noisy, setting).tolist()
-
-
 @pytest.mark.parametrize("setting", [Setting(0, 3, 500), Setting(4, 6, 500), Setting(6, 1, 500)])
 def test_a_step_of_two_thresholds_takes_half_the_window_and_the_debounce(setting: Setting) -> None:
     quiet = room("white", 0.0)
@@ -107,8 +99,3 @@ def test_a_missed_contact_is_infinitely_late_and_an_alarm_before_a_step_is_none(
     assert quantile(values, 0.5, early=True) == 4.0
     assert quantile(values, 0.9, early=True) == np.inf
     assert np.isnan(quantile(np.array([-3.0]), 0.9, early=False))
-
-
-def test_the_default_is_among_the_settings_tried() -> None:
-    assert DEFAULT in SETTINGS
-    assert len(set(SETTINGS)) == len(SETTINGS)

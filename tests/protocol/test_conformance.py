@@ -238,10 +238,12 @@ def test_a_repeat_gets_the_stored_reply_and_is_not_executed(host: RawHost) -> No
         assert frame.message() == wire.ParameterValue(wire.Status.OK, SETTLE, 2)
     host.send(wire.SetParameter(SETTLE, 1), seq=first)  # a stale copy
     assert host.answer(first, host.session, 0.2) is None
+    host.send(wire.Disarm())  # another command under the last number
+    assert host.answer(host.seq, host.session, 0.2) is None
     assert host.get(wire.GetParameter(SETTLE)).value == 2
     after = stats(host)
     assert after.rx_repeats - before.rx_repeats == 3
-    assert after.rx_stale - before.rx_stale == 1
+    assert after.rx_stale - before.rx_stale == 2
 
 
 @pytest.mark.parametrize("step", [-1, -2, -3, 2, 3, 0x4000, 0x8000, -0x4000])
@@ -318,8 +320,9 @@ def test_during_a_save_nothing_else_is_executed(host: RawHost) -> None:
     [0x00, 0x1F, 0x7F, wire.Ack.ID, wire.Telemetry.ID, wire.Event.ID, wire.Pulse.ID, 0xFF],
 )
 def test_an_unknown_id_is_refused(host: RawHost, message_id: int) -> None:
+    before = stats(host)
     assert host.refusal(RawMessage(message_id, b"")) == (R.UNKNOWN_ID, message_id)
-    host.get(wire.GetStatus())
+    assert stats(host).rx_repeats == before.rx_repeats, "answered at once"
 
 
 def test_messages_are_as_long_as_the_capacity_says(host: RawHost) -> None:

@@ -2,7 +2,7 @@
 
 The thesis's flow (section 3.5, figure 3.8) with what a real run adds: the body pressure that an
 operator sets, the settling of sensors after eversion, zeroing, and an end that is always safe.
-The run walks this table and nothing else, so a flow chart drawn from it is the code's own.
+The run walks this table and nothing else.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class State(StrEnum):
 
 
 class Transition(NamedTuple):
-    """From a state, on an outcome (the words on the flow chart's arrow), to a state."""
+    """From a state, on an outcome (in the operator's words), to a state."""
 
     source: State
     outcome: str

@@ -43,7 +43,6 @@ struct Answer {
   bool end_open = false;  // only the end, which something may hold, leaves a place open
   double noise = 0.0, log_odds = 0.0;
   double radius = 0.0;  // of the tube, over the length
-  double objective = NAN, gap = NAN;  // of a point fit, in the caller's units
 };
 
 class Mixture {
@@ -146,6 +145,18 @@ class Mixture {
       }
     }
     return pieces;
+  }
+
+  // Root mean square of what parts the force from `value`, wherever in these pieces it acts.
+  double departure(double value, const std::vector<std::pair<double, double>>& pieces) const {
+    double total = 0.0, square = 0.0;
+    for (const auto& [near, far] : pieces) {
+      for (std::size_t c = cell(near); c < mass.size() && edges[c] < far; ++c) {
+        const double off = force[c] - value;
+        total += mass[c], square += mass[c] * (off * off + variance[c]);
+      }
+    }
+    return std::sqrt(square / total);
   }
 
  private:
@@ -347,9 +358,7 @@ inline void conclude(Explanations& weighing, const Priors& priors, const Setting
     felt.pieces = mixture.densest(priors.level);
     felt.low = felt.pieces.front().first;
     felt.high = felt.pieces.back().second;
-    const std::size_t at = mixture.cell(felt.arc);
-    felt.force = mixture.force[at];
-    felt.deviation = std::sqrt(mixture.variance[at]);
+    felt.force = mixture.force[mixture.cell(felt.arc)];
     const bool placed = sure && (asked || felt.probability > 1.0 - priors.excluded) &&
                         felt.high - felt.low <= settings.width_limit;
     felt.localized = placed && (!perhaps || felt.arc >= kNearEnd);
@@ -366,6 +375,7 @@ inline void conclude(Explanations& weighing, const Priors& priors, const Setting
         }
       }
     }
+    felt.deviation = mixture.departure(felt.force, felt.pieces);
     if (j < best.forces.size()) {
       const double size = std::sqrt(std::max(dot(best.forces[j], best.forces[j]), 1e-300));
       felt.vector = plus({}, felt.force / size, best.forces[j]);

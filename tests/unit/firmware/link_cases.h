@@ -209,52 +209,6 @@ inline Bytes command(uint16_t value, uint16_t seq, uint16_t session) {
   return wire_of(protocol::ClearFaults{value}, seq, session);
 }
 
-inline protocol::Ack ack_of(const Frame& frame) {
-  protocol::Ack ack = {};
-  CHECK_EQUAL(frame.id(), protocol::kAck);
-  CHECK(protocol::Ack::decode(frame.payload(), frame.payload_size(), &ack));
-  return ack;
-}
-
-TEST(a_board_announces_itself_twice_a_second_until_the_hello) {
-  Device device;
-  int announced = 0;
-  for (device.tick = 0; device.tick < 5000; ++device.tick) {
-    for (const Frame& frame : device.give()) {
-      CHECK_EQUAL(frame.id(), protocol::kAnnounce);
-      ++announced;
-    }
-  }
-  CHECK_EQUAL(announced, 10);
-  device.greet(1);
-  for (const uint32_t end = device.tick + 2000; device.tick < end; ++device.tick) {
-    CHECK(device.give().empty());
-  }
-}
-
-TEST(a_hello_opens_a_session_and_its_repeat_changes_nothing) {
-  Device device;
-  device.take(wire_of(protocol::Hello{protocol::kProtocol, protocol::kSchemaHash, 99}, 7, 0));
-  std::vector<Frame> sent = device.give();
-  CHECK_EQUAL(sent.size(), 1u);
-  protocol::HelloReply reply = {};
-  CHECK(protocol::HelloReply::decode(sent[0].payload(), sent[0].payload_size(), &reply));
-  CHECK_EQUAL(sent[0].seq(), 7);
-  CHECK_EQUAL(sent[0].session(), 0);
-  CHECK(reply.session != 0 && reply.status == protocol::Status::kOk && reply.host_nonce == 99);
-  device.take(command(1, 8, reply.session));
-  device.give();
-  device.take(wire_of(protocol::Hello{protocol::kProtocol, protocol::kSchemaHash, 99}, 7, 0));
-  sent = device.give();
-  protocol::HelloReply again = {};
-  CHECK_EQUAL(sent.size(), 1u);
-  CHECK(protocol::HelloReply::decode(sent[0].payload(), sent[0].payload_size(), &again));
-  CHECK_EQUAL(again.session, reply.session);
-  device.take(command(2, 9, reply.session));
-  CHECK_EQUAL(device.executed.size(), 2u);
-  CHECK_EQUAL(device.hellos, 1);
-}
-
 TEST(a_stop_is_obeyed_and_echoed_before_the_session_may_speak) {
   Device device;
   device.session = Session();  // its boot counter is not stored yet
@@ -286,121 +240,6 @@ TEST(a_stop_is_echoed_before_all_else_though_the_line_is_full) {
   CHECK_EQUAL(device.executed.size(), 1u);  // the conversation goes on
 }
 
-TEST(a_replayed_hello_of_an_old_conversation_ends_no_new_one) {
-  Device device;
-  const uint16_t first = device.greet(1);
-  const uint16_t second = device.greet(2);
-  CHECK(first != second);
-  CHECK_EQUAL(device.greet(1), second);
-  CHECK_EQUAL(device.session.counters().rx_stale, 1);
-  device.take(command(5, 1, second));
-  CHECK_EQUAL(device.executed.size(), 1u);
-  device.take(command(6, 1, first));
-  CHECK_EQUAL(device.executed.size(), 1u);
-}
-
-TEST(another_schema_is_refused_with_the_boards_own_hash) {
-  Device device;
-  device.take(wire_of(protocol::Hello{protocol::kProtocol, protocol::kSchemaHash ^ 1, 5}, 3, 0));
-  std::vector<Frame> sent;
-  for (const Frame& frame : device.give()) {
-    if (frame.id() == protocol::kHelloReply) sent.push_back(frame);
-  }
-  CHECK_EQUAL(sent.size(), 1u);
-  protocol::HelloReply reply = {};
-  CHECK(protocol::HelloReply::decode(sent[0].payload(), sent[0].payload_size(), &reply));
-  CHECK(reply.status == protocol::Status::kRefused);
-  CHECK(reply.reason == protocol::Reason::kWrongSchema);
-  CHECK_EQUAL(reply.schema_hash, protocol::kSchemaHash);
-  CHECK_EQUAL(reply.session, 0);
-  CHECK_EQUAL(device.session.session(), 0);
-}
-
-TEST(a_repeat_gets_the_stored_reply_and_a_stale_command_none) {
-  Device device;
-  const uint16_t session = device.greet(1);
-  device.take(command(11, 1, session));
-  const std::vector<Frame> first = device.give();
-  CHECK_EQUAL(first.size(), 1u);
-  device.take(command(11, 1, session));
-  const std::vector<Frame> second = device.give();
-  CHECK_EQUAL(second.size(), 1u);
-  CHECK(std::memcmp(first[0].bytes, second[0].bytes, first[0].size) == 0);
-  CHECK_EQUAL(device.executed.size(), 1u);
-  for (const uint16_t stale : {0, 3, 4, 65535}) {
-    device.take(command(12, stale, session));
-    CHECK(device.give().empty());
-  }
-  CHECK_EQUAL(device.executed.size(), 1u);
-  CHECK_EQUAL(device.session.counters().rx_repeats, 1);
-  CHECK_EQUAL(device.session.counters().rx_stale, 4);
-}
-
-TEST(the_same_sequence_with_another_id_is_stale) {
-  Device device;
-  const uint16_t session = device.greet(1);
-  device.take(command(11, 1, session));
-  device.give();
-  device.take(wire_of(protocol::Arm{}, 1, session));
-  CHECK(device.give().empty());
-  CHECK_EQUAL(device.session.counters().rx_stale, 1);
-}
-
-TEST(another_session_is_answered_by_its_own_numbers) {
-  Device device;
-  const uint16_t session = device.greet(1);
-  device.take(command(11, 40, static_cast<uint16_t>(session + 1)));
-  const std::vector<Frame> sent = device.give();
-  CHECK_EQUAL(sent.size(), 1u);
-  const protocol::Ack ack = ack_of(sent[0]);
-  CHECK(ack.reason == protocol::Reason::kBadSession);
-  CHECK_EQUAL(sent[0].seq(), 40);
-  CHECK_EQUAL(sent[0].session(), static_cast<uint16_t>(session + 1));
-  CHECK(device.executed.empty());
-}
-
-TEST(unknown_ids_and_wrong_sizes_are_refused_once_each) {
-  Device device;
-  const uint16_t session = device.greet(1);
-  Frame odd;
-  odd.set(protocol::ClearFaults{3}, 1, session);
-  odd.bytes[0] = 0x7E;
-  device.take(wire_of(odd));
-  std::vector<Frame> sent = device.give();
-  CHECK_EQUAL(sent.size(), 1u);
-  CHECK(ack_of(sent[0]).reason == protocol::Reason::kUnknownId);
-  odd.set(protocol::ClearFaults{3}, 2, session);
-  odd.bytes[0] = protocol::kArm;
-  device.take(wire_of(odd));
-  sent = device.give();
-  CHECK_EQUAL(sent.size(), 1u);
-  CHECK(ack_of(sent[0]).reason == protocol::Reason::kBadLength);
-  CHECK(device.executed.empty());
-}
-
-TEST(a_deferred_command_is_in_progress_until_it_ends) {
-  Device device;
-  const uint16_t session = device.greet(1);
-  device.defer = true;
-  device.take(command(1, 1, session));
-  CHECK(device.give().empty());
-  device.take(command(1, 1, session));
-  std::vector<Frame> sent = device.give();
-  CHECK_EQUAL(sent.size(), 1u);
-  CHECK(ack_of(sent[0]).status == protocol::Status::kInProgress);
-  device.take(command(2, 2, session));  // one is outstanding at a time
-  CHECK(device.give().empty());
-  device.session.finish({protocol::Status::kOk, protocol::Reason::kNone, 42});
-  sent = device.give();
-  CHECK_EQUAL(sent.size(), 1u);
-  CHECK_EQUAL(ack_of(sent[0]).detail, 42);
-  device.take(command(1, 1, session));
-  sent = device.give();
-  CHECK_EQUAL(sent.size(), 1u);
-  CHECK_EQUAL(ack_of(sent[0]).detail, 42);
-  CHECK_EQUAL(device.executed.size(), 1u);
-}
-
 TEST(a_new_hello_forgets_the_deferred_command) {
   Device device;
   const uint16_t session = device.greet(1);
@@ -412,29 +251,6 @@ TEST(a_new_hello_forgets_the_deferred_command) {
   device.defer = false;
   device.take(command(2, 1, next));
   CHECK_EQUAL(device.give().size(), 1u);
-}
-
-TEST(only_a_rising_heartbeat_counts) {
-  Device device;
-  const uint16_t session = device.greet(1);
-  const auto beat = [&](uint32_t counter, uint16_t of) {
-    device.take(wire_of(protocol::Heartbeat{counter}, 0, of));
-    return device.heartbeats;
-  };
-  CHECK_EQUAL(beat(0, session), 0);
-  CHECK_EQUAL(beat(1, session), 1);
-  CHECK_EQUAL(beat(1, session), 1);
-  CHECK_EQUAL(beat(5, session), 2);
-  CHECK_EQUAL(beat(4, session), 2);
-  CHECK_EQUAL(beat(6, static_cast<uint16_t>(session + 1)), 2);
-  const std::vector<Frame> sent = device.give();
-  CHECK_EQUAL(sent.size(), 1u);
-  protocol::Pulse pulse = {};
-  CHECK(protocol::Pulse::decode(sent[0].payload(), sent[0].payload_size(), &pulse));
-  CHECK_EQUAL(pulse.counter, 5u);
-  CHECK_EQUAL(pulse.t_us, 4711u);
-  const uint16_t next = device.greet(2);
-  CHECK_EQUAL(beat(1, next), 3);
 }
 
 TEST(events_go_first_and_are_repeated_until_acknowledged) {
@@ -500,54 +316,6 @@ TEST(telemetry_that_finds_no_room_is_dropped_and_leaves_a_gap) {
   CHECK(frame != nullptr && frame->seq() == 3);
   CHECK_EQUAL(device.session.counters().tx_dropped, 2);
   CHECK(device.session.dropped());
-}
-
-// A host that repeats each command until it is answered, over a line that loses, flips, cuts,
-// inserts and replays: every command is executed once, in order.
-TEST(commands_execute_once_and_in_order_on_a_bad_line) {
-  for (uint32_t seed = 0; seed < 60; ++seed) {
-    std::mt19937 random(seed);
-    const uint32_t percent = 1 + seed % 20;
-    const auto strikes = [&] { return random() % 100 < percent; };
-    Device device;
-    std::vector<Bytes> past;
-    const auto line = [&](Bytes bytes) {
-      if (!past.empty() && strikes()) {
-        const Bytes& old = past[random() % past.size()];
-        device.take(old);
-      }
-      past.push_back(bytes);
-      if (strikes()) return;  // lost
-      if (strikes()) bytes[random() % bytes.size()] ^= static_cast<uint8_t>(1u << random() % 8);
-      if (strikes()) bytes.resize(random() % bytes.size());
-      if (strikes()) {
-        bytes.insert(bytes.begin() + static_cast<long>(random() % (bytes.size() + 1)),
-                     static_cast<uint8_t>(random()));
-      }
-      device.take(bytes);
-      if (strikes()) device.take(bytes);
-    };
-    uint16_t session = 0;
-    for (int tries = 0; session == 0 && tries < 500; ++tries) {
-      line(wire_of(protocol::Hello{protocol::kProtocol, protocol::kSchemaHash, 1000 + seed}, 0, 0));
-      session = device.session.session();
-    }
-    CHECK(session != 0);
-    for (uint16_t value = 1; value <= 100; ++value) {
-      bool answered = false;
-      for (int tries = 0; !answered && tries < 500; ++tries) {
-        line(command(value, value, session));
-        for (const Frame& frame : device.give()) {
-          if (frame.id() != protocol::kAck || frame.seq() != value || strikes()) continue;
-          CHECK_EQUAL(ack_of(frame).detail, value);
-          answered = true;
-        }
-      }
-      CHECK(answered);
-    }
-    CHECK_EQUAL(device.executed.size(), 100u);
-    for (size_t i = 0; i < device.executed.size(); ++i) CHECK_EQUAL(device.executed[i], i + 1);
-  }
 }
 
 }  // namespace link_cases

@@ -609,59 +609,6 @@ def test_power_cut_at_every_byte_of_a_save_keeps_a_whole_configuration() -> None
 # --- interlocks ----------------------------------------------------------------------------------
 
 
-def test_nothing_is_accepted_before_arming() -> None:
-    bench = Bench()
-    bench.hello()
-    bench.do(wire.LoadDefaults())
-    bench.do(wire.ClearFaults(0xFFFF))
-    for command in (SWEEP, PRESS, wire.GrowTo(1000, 0), wire.RetractTo(0, 0), wire.Home()):
-        assert bench.refused(command) == R.WRONG_STATE
-    assert bench.safe()
-
-
-def test_length_unknown() -> None:
-    bench = Bench()
-    bench.prepare()
-    bench.do(wire.SelectZone(0))
-    for command in (SWEEP, PRESS, wire.GrowTo(1000, 0), wire.RetractTo(0, 0), wire.ZeroSensors(1)):
-        assert bench.refused(command) == R.LENGTH_UNKNOWN
-
-
-def test_zone_unknown() -> None:
-    bench = Bench()
-    bench.zeroed()
-    bench.do(wire.SelectZone(255))
-    assert bench.refused(SWEEP) == R.ZONE_UNKNOWN
-    assert bench.refused(PRESS) == R.ZONE_UNKNOWN
-    assert bench.refused(wire.SelectZone(3)) == R.BAD_VALUE
-
-
-@pytest.mark.parametrize(
-    ("length_um", "half"),
-    [(17_500, False), (18_000, True), (50_000, True), (82_000, True), (82_800, False)],
-)
-def test_half_everted(length_um: int, half: bool) -> None:
-    """Centre 5 cm, span 5.5 cm, margin 0.5 cm: from 1.75 to 8.25 cm the fold lies in the sensor."""
-    bench = Bench()
-    bench.grown(length_um)
-    if half:
-        assert bench.refused(SWEEP) == R.HALF_EVERTED
-        assert bench.refused(PRESS) == R.HALF_EVERTED
-    else:
-        assert bench.status().conditions & wire.Condition.HALF_EVERTED.mask == 0
-
-
-def test_not_zeroed() -> None:
-    bench = Bench()
-    bench.grown()
-    assert bench.refused(SWEEP) == R.NOT_ZEROED
-    bench.do(wire.ZeroSensors(0b1))
-    bench.until(lambda: bool(bench.event(wire.EventCode.ZEROED)))
-    assert bench.refused(SWEEP) == R.NOT_ZEROED  # the right base sensor is still without
-    bench.set("flex_enabled", 0, element=5)
-    bench.do(SWEEP)
-
-
 def test_not_vented() -> None:
     bench = Bench()
     bench.zeroed()
@@ -690,34 +637,6 @@ def test_not_settled_after_growth() -> None:
     bench.do(wire.ZeroSensors(0b0001100011))
     bench.until(lambda: len(bench.event(wire.EventCode.ZEROED)) == 2)
     bench.do(SWEEP)
-
-
-def test_limits_of_values() -> None:
-    bench = Bench()
-    bench.zeroed()
-    for command, reason in (
-        (wire.Sweep((1900, 0), 10_000, 1, 0), R.OVER_LIMIT),
-        (wire.Sweep((-1, 0), 10_000, 1, 0), R.BAD_VALUE),
-        (wire.Sweep((0, 0), 10_000, 1, 0), R.BAD_VALUE),
-        (wire.Sweep((1000, 0), 10_000, 0, 0), R.BAD_VALUE),
-        (wire.Sweep((1000, 0), 500, 1, 0), R.BAD_VALUE),
-        (wire.SetPressure((500, 500), 0), R.BAD_VALUE),
-        (wire.SetPressure((-1, 0), 0), R.BAD_VALUE),
-        (wire.SetPressure((0, 1900), 0), R.OVER_LIMIT),
-        (wire.GrowTo(540_000, 0), R.OVER_LIMIT),
-        (wire.GrowTo(50_000, 0), R.BAD_VALUE),
-        (wire.RetractTo(150_000, 0), R.BAD_VALUE),
-        (wire.RetractTo(-1, 0), R.BAD_VALUE),
-        (wire.ConfirmLength(-1, 0), R.BAD_VALUE),
-        (wire.ConfirmLength(540_000, 0), R.OVER_LIMIT),
-        (wire.ZeroSensors(0), R.BAD_VALUE),
-        (wire.ZeroSensors(0x400), R.BAD_VALUE),
-        (wire.GetSensor(10), R.BAD_VALUE),
-        (wire.GetSnapshot(10), R.NO_SNAPSHOT),
-    ):
-        assert bench.refused(command) == reason, command
-    assert bench.safe()
-    assert bench.status().state == wire.State.READY
 
 
 def test_configuration_is_closed_while_something_runs() -> None:
@@ -790,20 +709,6 @@ def test_disarm_is_safe_within_two_ticks_of_its_last_byte(busy: Callable[[], Ben
     bench.step(20)
     assert bench.status().state == wire.State.SAFE
     assert [e.value for e in bench.event(wire.EventCode.ACTIVITY_ABORTED)] == [R.NONE]
-
-
-def test_disarm_is_accepted_in_every_state_but_boot() -> None:
-    bench = Bench()
-    bench.hello()
-    bench.do(wire.Disarm())
-    assert bench.status().state == wire.State.FAULT  # bad configuration stays latched
-    bench.do(wire.LoadDefaults())
-    bench.do(wire.ClearFaults(0xFFFF))
-    bench.do(wire.Disarm())
-    assert bench.status().state == wire.State.SAFE
-    bench.do(wire.Arm())
-    bench.do(wire.Disarm())
-    assert bench.status().state == wire.State.SAFE
 
 
 def test_vent_ends_a_sweep_and_stays_ready() -> None:

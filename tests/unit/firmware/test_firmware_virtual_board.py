@@ -517,38 +517,6 @@ def test_the_pressurised_sides_readings_do_not_count() -> None:
     assert not bench.event(wire.EventCode.CONTACT)
 
 
-def test_configuration_is_saved_after_the_commit_and_loaded_at_the_next_start() -> None:
-    bench = Bench()
-    bench.prepare()
-    bench.set("flex_scale", 41_234, element=7)
-    curve = (0, 100, 200, 300, 400, 500, 600, 700, 800, 900, -1000)
-    bench.do(wire.SetMap(2, 1, wire.Branch.DEFLATE, curve))
-    seq = bench.seq + 1
-    bench.send(wire.SaveConfig(), seq, bench.session)
-    bench.step(100)
-    bench.send(wire.SaveConfig(), seq, bench.session)  # a repeat, while it works
-    bench.step(50)
-    answers = [h.message for h in bench.heard if h.seq == seq and isinstance(h.message, wire.Ack)]
-    assert answers == [wire.Ack(wire.Status.IN_PROGRESS, wire.Reason.NONE, 0)]
-    image = bench.board.eeprom
-    bench.until(lambda: bool(bench.event(wire.EventCode.SAVED)))
-    assert bench.board.eeprom != image  # it was still writing
-    bench.seq = seq
-    status = bench.status()
-    assert (status.config_generation, status.activity) == (1, wire.Activity.IDLE)
-
-    again = Bench(eeprom=bench.board.eeprom)
-    again.hello()
-    status = again.status()
-    assert (status.state, status.faults) == (wire.State.SAFE, 0)
-    assert status.config_generation == 1
-    index = wire.PARAMETERS["flex_scale"].index + 7
-    value = again.get(wire.GetParameter(index), wire.ParameterValue)
-    assert value.value == 41_234
-    reply = again.get(wire.GetMap(2, 1, wire.Branch.DEFLATE), wire.MapValues)
-    assert reply.curvature_e5 == curve
-
-
 def renamed(eeprom: bytes, old_id: int, new_id: int) -> bytes:
     """The newest configuration as a firmware stored it that had another parameter there."""
     image = bytearray(eeprom)
@@ -589,35 +557,6 @@ def test_stored_parameters_survive_another_firmware_and_the_board_tells_which_di
     updated.do(wire.SaveConfig())
     report = updated.get(wire.GetConfigReport(), wire.ConfigReport)
     assert StoredConfiguration.of(report) == StoredConfiguration(2, everything, (), 0, (), 0)
-
-
-def test_every_parameter_is_range_checked_and_reads_back() -> None:
-    bench = Bench()
-    bench.prepare()
-    for parameter in wire.PARAMETERS.values():
-        index = parameter.index + parameter.count - 1
-        got = bench.get(wire.GetParameter(index), wire.ParameterValue)
-        if parameter.name not in ("settle_ms", "zero_ms", "lag_ms"):
-            assert got.value == parameter.defaults[-1]
-        assert bench.refused(wire.SetParameter(index, parameter.high + 1)) == wire.Reason.BAD_VALUE
-        assert bench.refused(wire.SetParameter(index, parameter.low - 1)) == wire.Reason.BAD_VALUE
-    bad = wire.PARAMETER_COUNT
-    assert bench.refused(wire.SetParameter(bad, 0)) == wire.Reason.BAD_VALUE
-    assert bench.refused(wire.GetParameter(bad)) == wire.Reason.BAD_VALUE
-
-
-def test_boot_nonces_and_sessions_differ() -> None:
-    eeprom = b""
-    nonces, sessions = set(), set()
-    for _ in range(5):
-        bench = Bench(eeprom=eeprom)
-        for _ in range(2):
-            reply = bench.hello()
-            nonces.add(reply.boot_nonce)
-            sessions.add(reply.session)
-        eeprom = bench.board.eeprom
-    assert len(nonces) == 5
-    assert len(sessions) == 10
 
 
 def test_a_vent_counts_both_muscles_pressures() -> None:

@@ -362,13 +362,14 @@ def test_one_reading_of_unknown_noise_is_not_called_free():
     assert find([0.004], [25.0], noise=None).status == "below detection"
 
 
-def test_forces_are_no_surer_than_they_may_be(many):
+@pytest.mark.parametrize("contacts", ["auto", 1])
+def test_forces_are_no_surer_than_they_may_be(contacts, many):
     rng = np.random.default_rng(11)
     off, off_where_it_is = [], []
     for _ in range(many(100)):
         arc = rng.uniform(25.0, 50.0)
         force = 0.008 / arc
-        found = find(felt(arc, force) + SIGMA * rng.standard_normal(10))
+        found = find(felt(arc, force) + SIGMA * rng.standard_normal(10), contacts=contacts)
         contact, marginal = found.contacts[0], found.marginals[0]
         cell = np.searchsorted(marginal.edges, arc) - 1
         off.append((contact.force - force) / contact.force_deviation)

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from thigmo.studies.engine import Context, Outcome
-from thigmo.studies.experiments import explorations, figures, fit, sensitivity
+from thigmo.studies.experiments import explorations, fit, sensitivity
 from thigmo.studies.experiments.evaluate import evaluate
 from thigmo.studies.experiments.specimen import Specimen, frozen
 from thigmo.studies.experiments.trial import STATIC, Trial
@@ -36,10 +36,7 @@ def _static(name: str, robots: int, trials: int, context: Context) -> Outcome:
     """Sections 3.2 to 3.4: trials over freshly drawn robots."""
     items = [(name, trials, context.seed, robot) for robot in range(robots)]
     found = [trial for some in context.map(_of_robot, items, "robots") for trial in some]
-    outcome = evaluate(name, found, context)
-    if name == "actuated":
-        outcome.figures["muscle-map"] = figures.muscle_map(context.seed)
-    return outcome
+    return evaluate(name, found, context)
 
 
 EXPERIMENTS: dict[str, Experiment] = {

@@ -21,7 +21,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
@@ -36,7 +35,7 @@ from thigmo.robot import Operator, SensorTable, connect
 from thigmo.studies import charts
 from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.engine import Claim, Context, Outcome, Record
-from thigmo.studies.experiments import figures, thesis
+from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.session import Attendant, Folder, Place, Row, Say
 from thigmo.studies.rooms import explored
 
@@ -56,9 +55,7 @@ def run(robots: int, context: Context) -> Outcome:
     """One run of each protocol a seed, in the emulator's default room."""
     seeds = [context.seed + robot for robot in range(robots)]
     trials = dict(zip(seeds, context.map(_both, seeds, "explorations"), strict=True))
-    outcome = _compared(trials)
-    outcome.figures |= {"stages": _stages(context.seed), "flow": figures.flow()}
-    return outcome
+    return _compared(trials)
 
 
 def _both(seed: int) -> dict[Way, Made]:
@@ -167,40 +164,6 @@ def _figure(runs: list[Record]) -> Figure:
         ylim=(0, None),
     )  # fmt: skip
     axis.legend(fontsize=8)
-    return figure
-
-
-def _stages(seed: int) -> Figure:
-    """The robot growing and bending until it meets the peg, stage by stage (figure 3.9)."""
-    with tempfile.TemporaryDirectory() as folder:
-        found = explored(_URL, folder, seed, protocol="thesis").document
-    shown = [stage for stage in found.stages if stage.shapes]
-    error = "none" if found.error_x_cm is None else f"{found.error_x_cm:.2f} cm"
-    figure, axes = charts.panels(
-        -(-len(shown) // 3), 3, size=(3.6, 4.2), share="all",
-        title=f"Exploring with an obstacle at an unknown place (thesis, figure 3.9); |x error| "
-        f"{error}",
-    )  # fmt: skip
-    for axis in axes[len(shown) :]:
-        axis.axis("off")
-    for letter, axis, stage in zip("abcdefghij", axes, shown, strict=False):
-        for shape in stage.shapes:
-            x, y, _ = np.array(shape.poses).T
-            axis.plot(x, y, color=BLUE if shape.side == "left" else ORANGE, linewidth=1)
-        for peg in found.truth.pegs if found.truth else ():
-            axis.add_patch(Circle((peg.x_cm, peg.y_cm), peg.radius_cm, color="k"))
-        felt = [c for c in found.contacts if c.everted_length_cm == stage.everted_length_cm]
-        axis.plot([c.x_cm for c in felt], [c.y_cm for c in felt], "rx", markersize=9)
-        title = f"({letter}) {stage.everted_length_cm:.0f} cm out"
-        axis.set(title=title + (", contact" if felt else ""), aspect="equal", xlabel="x (cm)")
-    for color, label in (
-        (BLUE, "left muscle, 0 to 18 psi"),
-        (ORANGE, "right muscle, 0 to 18 psi"),
-        ("k", "dowel"),
-        (RED, "contact, localized"),
-    ):
-        axes[0].plot([], [], color=color, label=label)
-    charts.legend_below(figure)
     return figure
 
 
