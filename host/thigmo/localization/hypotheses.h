@@ -35,18 +35,20 @@ struct Settings {
 
 struct Hypothesis {
   const Explanation* of;
-  double log_weight;           // log evidence plus log prior odds
-  Row bent{};                  // curvature of the body that its likeliest loads bend
-  double misfit = INFINITY;    // of the likeliest loads: squared whitened residual
-  double noise = 1.0;          // likeliest factor of the noise
-  int numbers = 0;             // how many numbers of its own it fits
-  int bad = -1;                // index of the bad reading
-  double at = NAN;             // place of a kink
-  std::vector<Loaded> loads{}; // the likeliest
-  Shares shares{};             // places of its contacts, base to tip
+  double log_weight;             // log evidence plus log prior odds
+  Row bent{};                    // curvature of the body that its likeliest loads bend
+  double misfit = INFINITY;      // of the likeliest loads: squared whitened residual
+  double noise = 1.0;            // likeliest factor of the noise
+  int numbers = 0;               // how many numbers of its own it fits
+  int bad = -1;                  // index of the bad reading
+  double at = NAN;               // place of a kink
+  std::vector<Loaded> loads{};   // the likeliest
+  Shares shares{};               // places of its contacts, base to tip
   std::vector<Vector> forces{};  // in space: of its contacts, across the body, in the base's frame
 
-  bool held() const { return std::any_of(loads.begin(), loads.end(), [](const Loaded& l) { return l.load->holds(); }); }
+  bool held() const {
+    return std::any_of(loads.begin(), loads.end(), [](const Loaded& l) { return l.load->holds(); });
+  }
   const Loaded* on_end() const {
     for (const Loaded& each : loads) {
       if (each.load->where == Load::Where::end) return &each;
@@ -72,11 +74,12 @@ class Explanations {
   static constexpr double kMatters = -3.0;        // log share from which a rival has its own grid
   static constexpr double kNegligible = -4.6;     // the same of three that are felt, or left out
   static constexpr double kSeveralMatter = -1.5;  // the same of several contacts
-  static constexpr double kFarFromIt = -40.0;     // the same at a first shape, as of none that is right
+  static constexpr double kFarFromIt =
+      -40.0;  // the same at a first shape, as of none that is right
   // The same while a twist is found, which goes too far at first: to -94 in 800 frames.
   static constexpr double kTwistFarFromIt = -400.0;
   static constexpr int kTwistTurns = 5;
-  static constexpr double kCoarse = 0.9;          // mass of a cell above which the grid tells nothing
+  static constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
   static constexpr double kNothingOfAll = 1e-4;
   static constexpr int kMostPasses = 18, kMostTurns = 24;
 
@@ -89,7 +92,8 @@ class Explanations {
         frame_(readings.frame),
         priors_(priors),
         settings_(settings),
-        prior_{priors.moments, priors.least_lever, settings.critical, settings.critical_error, priors.felt},
+        prior_{priors.moments, priors.least_lever, settings.critical, settings.critical_error,
+               priors.felt},
         body_(body(in)),
         white_(frame_, frame_.shared),
         contact_(readings.known ? priors.contact : priors.contact_unsure),
@@ -128,7 +132,8 @@ class Explanations {
     const double face = odds(settings_.log_end, bends ? priors_.end : priors_.end_straight);
     const bool held = settings_.held_end == Settings::Held::yes;
     std::size_t end = kNone;
-    if (two_or_more && !held && face > -INFINITY && std::max(body_->turn, turn) > priors_.end_turn) {
+    if (two_or_more && !held && face > -INFINITY &&
+        std::max(body_->turn, turn) > priors_.end_turn) {
       end = weigh(kEnd, contact_ + face, bent);
     }
     const double moment = std::abs(bent[0] - body_->rest[0]);
@@ -160,7 +165,8 @@ class Explanations {
       if (body_->twists()) weight -= std::log(2.0);
       if (body_->twists()) weigh(kHeldTwisted, weight, bent);
       weigh(kHeld, weight, bent);
-      if (several(2) && body_->in_space()) weigh(kOneAndHeld, weight + priors_.another, bent_by_two);
+      if (several(2) && body_->in_space())
+        weigh(kOneAndHeld, weight + priors_.another, bent_by_two);
     }
     if (several(3)) weigh(kThree, contact_ + 2.0 * priors_.another, bent_by_two);
     weigh_doubts();
@@ -220,7 +226,8 @@ class Explanations {
       // Where the caller does not say at which moment the base folds, it is likelier there.
       const double near = 4.0 * settings_.radius;
       const bool fold = settings_.folds_perhaps && middle < near;
-      mark_odds_.push_back(std::log(width) + (fold ? priors_.base_fold - std::log(near) : priors_.hinge));
+      mark_odds_.push_back(std::log(width) +
+                           (fold ? priors_.base_fold - std::log(near) : priors_.hinge));
       kink_odds_.push_back(std::log(width) + priors_.hinge);
     }
   }
@@ -268,23 +275,24 @@ class Explanations {
     return stacked(frame_.shared, more);
   }
 
-  // Explanations beside a mark, of which so far only the grid was weighed that suits them without it.
+  // An explanation beside a mark, on the grid and the shape that suit it without.
   struct Doubt {
-    std::size_t index;
+    Hypothesis rough;
     const Explanation* of;
     double weight, side;
     int mark;
   };
+  // Gives the likeliest a grid and a shape of their own.
   void weigh_doubts() {
-    const auto likelier = [&](const Doubt& a, const Doubt& b) {
-      return found[a.index].log_weight > found[b.index].log_weight;
-    };
-    std::sort(doubts_.begin(), doubts_.end(), likelier);
-    for (const Doubt& doubt : doubts_) {
-      if (found[doubt.index].log_weight < best() + kMatters) break;
-      const Row bent = found[doubt.index].bent;
-      found[doubt.index].log_weight = -INFINITY;  // what its own grid says counts instead
-      weigh(*doubt.of, doubt.weight, bent, doubt.side, doubt.mark);
+    std::sort(doubts_.begin(), doubts_.end(), [](const Doubt& a, const Doubt& b) {
+      return a.rough.log_weight > b.rough.log_weight;
+    });
+    for (Doubt& doubt : doubts_) {
+      if (doubt.rough.log_weight > best() + kMatters) {
+        weigh(*doubt.of, doubt.weight, doubt.rough.bent, doubt.side, doubt.mark);
+      } else {
+        found.push_back(std::move(doubt.rough));
+      }
     }
   }
 
@@ -303,7 +311,8 @@ class Explanations {
   }
 
   // Lays the grid on the body's shape; returns the readings as that leaves them.
-  const Whitened& lay(Grid& grid, const Whitened& white, const Matrix& shared, Left& room, int level) const {
+  const Whitened& lay(Grid& grid, const Whitened& white, const Matrix& shared, Left& room,
+                      int level) const {
     for (Placed& p : grid.placed) {
       const bool anywhere = p.load->where == Load::Where::anywhere;
       p.width = anywhere ? (p.window.far - p.window.near) / p.cells : priors_.end_cell;
@@ -335,8 +344,8 @@ class Explanations {
   }
 
   // Weighs an explanation from a shape on, beside a mark or none, and beside marks that may matter.
-  // `side`: of the moment that folds the base. Returns the index of the hypothesis, or `kNone` if it
-  // is of no account.
+  // `side`: of the moment that folds the base. Returns the index of the hypothesis, or `kNone` if
+  // it is of no account.
   std::size_t weigh(const Explanation& of, double weight, Row shape, double side = 0.0,
                     int mark = -1) {
     const Matrix shared = shared_with(mark);
@@ -352,8 +361,8 @@ class Explanations {
     const double matters = count == 1 ? -INFINITY : best() - odds + kSeveralMatter;
     const bool twists = of.loads.back().twists;
     body_->begin(of, std::any_of(of.loads.begin(), of.loads.end(), [](const Load& load) {
-      return load.where != Load::Where::anywhere || load.critical;
-    }));
+                   return load.where != Load::Where::anywhere || load.critical;
+                 }));
     bool whole = true;
     Left room;
     double last = INFINITY, step = 1.0;
@@ -402,15 +411,17 @@ class Explanations {
       const auto add = [&](Grid& from, double log_weight, int by) {
         from.solve();
         const Grid::Likeliest likeliest = from.likeliest(*read.frame);
-        Hypothesis& out = found.emplace_back(Hypothesis{&of, log_weight, bent, likeliest.misfit,
-                                                        read.levels[from.level].factor});
+        Hypothesis& out = found.emplace_back(
+            Hypothesis{&of, log_weight, bent, likeliest.misfit, read.levels[from.level].factor});
         out.loads = likeliest.loads, out.forces = body_->forces(out.loads);
         out.shares = share_out(from, all, nothing);
         for (const Placed& p : from.placed) {
           out.numbers += p.size() + (p.load->where == Load::Where::anywhere);
         }
-        if (by >= frame_.size()) out.of = &kOneAndHinge, out.at = kinks_[by], ++out.numbers;
-        else out.bad = by;
+        if (by >= frame_.size())
+          out.of = &kOneAndHinge, out.at = kinks_[by], ++out.numbers;
+        else
+          out.bad = by;
       };
       add(grid, log_evidence + odds, mark);
       const std::size_t index = found.size() - 1;
@@ -431,7 +442,9 @@ class Explanations {
         Grid beside = grid.beside(read, marks_[e]);
         if (!beside.weigh(prior_)) continue;
         add(beside, weight + mark_odds_[e] + evidence(beside, true), e);
-        if (found.back().log_weight > matter) doubts_.push_back({found.size() - 1, &of, weight, side, e});
+        if (found.back().log_weight < matter) continue;
+        doubts_.push_back({std::move(found.back()), &of, weight, side, e});
+        found.pop_back();
       }
       return index;
     }
@@ -442,7 +455,8 @@ class Explanations {
     Grid out;
     const int across = body_->in_space() ? 2 : 1;
     for (const Load& load : of.loads) {
-      Placed& p = out.placed.emplace_back(Placed{&load, load.where == Load::Where::anywhere ? of.cells : 1});
+      Placed& p = out.placed.emplace_back(
+          Placed{&load, load.where == Load::Where::anywhere ? of.cells : 1});
       p.across = load.across ? across : 0;
       const double mean = load.critical ? side / prior_.tolerance : 0.0;
       p.number.assign(p.across, {!load.critical, mean, 0.0});
@@ -454,8 +468,8 @@ class Explanations {
     return out;
   }
 
-  // Log evidence of the sets of a grid that is weighed. On the whole body those listed are all there
-  // are: their prior sums to one.
+  // Log evidence of the sets of a grid that is weighed. On the whole body those listed are all
+  // there are: their prior sums to one.
   double evidence(const Grid& grid, bool whole) const {
     double volume = 0.0;
     int free = 0;
@@ -473,7 +487,8 @@ class Explanations {
       Placed& p = grid.placed[j];
       if (p.load->where != Load::Where::anywhere || p.width < 1e-6) continue;
       Row each(p.cells);
-      for (int s = 0; s < grid.size(); ++s) each[grid.cell(static_cast<int>(j), s)] += grid.mass[s] / grid.total;
+      for (int s = 0; s < grid.size(); ++s)
+        each[grid.cell(static_cast<int>(j), s)] += grid.mass[s] / grid.total;
       if (*std::max_element(each.begin(), each.end()) < coarse) continue;
       const Window part = support(each.data(), p.cells, p.window, kOutside, 2);
       if (part.far - part.near >= 0.75 * (p.window.far - p.window.near)) continue;

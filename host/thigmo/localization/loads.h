@@ -40,10 +40,8 @@ constexpr Load kFace{.where = Load::Where::end,
                      .along = true,
                      .couples = Load::Couples::of_face,
                      .pushes = true};
-constexpr Load kGrip{.where = Load::Where::end,
-                     .across = true,
-                     .along = true,
-                     .couples = Load::Couples::any};
+constexpr Load kGrip{
+    .where = Load::Where::end, .across = true, .along = true, .couples = Load::Couples::any};
 constexpr Load kTwist{.where = Load::Where::end,
                       .across = true,
                       .along = true,
@@ -70,20 +68,20 @@ inline const Explanation kOneFolded{"one contact, folded base", {kFolding, kFold
 inline const Explanation kEndFolded{"end wrench, folded base", {kFace, kFold}, 1};
 
 struct ForcePrior {
-  Row scales;       // standard deviations of the largest moment, equally likely
-  double least;     // the prior widens no more than at this share of the largest lever
-  double critical;  // base moment at which the base folds; infinite if it does not
-  double tolerance; // its relative standard error
-  double felt;      // standard errors by which a contact that counts moves the readings
+  Row scales;        // standard deviations of the largest moment, equally likely
+  double least;      // the prior widens no more than at this share of the largest lever
+  double critical;   // base moment at which the base folds; infinite if it does not
+  double tolerance;  // its relative standard error
+  double felt;       // standard errors by which a contact that counts moves the readings
 };
 
 struct Window {
   double near, far;
 };
 
-constexpr double kResolved = 0.35;  // mass of a cell above which the grid is too coarse
-constexpr double kOutside = 1e-5;   // mass of a cell below which the grid may leave it out
-constexpr double kNothing = 25.0;   // nats below the likeliest set that weigh nothing
+constexpr double kResolved = 0.35;          // mass of a cell above which the grid is too coarse
+constexpr double kOutside = 1e-5;           // mass of a cell below which the grid may leave it out
+constexpr double kNothing = 25.0;           // nats below the likeliest set that weigh nothing
 constexpr double kNearlyNothing = 1.4e-11;  // the same as a weight
 constexpr std::size_t kMostContacts = 3;
 
@@ -329,7 +327,8 @@ class Grid {
         std::copy_n(from[i], from.columns, column_[i] + first_[j]);
       }
     }
-    const std::size_t from = only < 0 ? 0 : only, beyond = only < 0 ? readings.levels.size() : from + 1;
+    const std::size_t from = only < 0 ? 0 : only,
+                      beyond = only < 0 ? readings.levels.size() : from + 1;
     levels_.resize(beyond - from);
     for (std::size_t s = from; s < beyond; ++s) take(readings.levels[s], levels_[s - from]);
     if (only >= 0) level = 0;
@@ -758,10 +757,10 @@ class Grid {
     });
   }
 
-  std::vector<std::vector<int>> cell_;      // of each load, in each set
-  std::vector<std::array<int, 2>> at_;      // of each number its load, and which of its own it is
+  std::vector<std::vector<int>> cell_;  // of each load, in each set
+  std::vector<std::array<int, 2>> at_;  // of each number its load, and which of its own it is
   std::vector<Number> number_;
-  std::vector<int> first_;                  // column of each load
+  std::vector<int> first_;  // column of each load
   Matrix column_, weight_, along_;
   std::vector<Products> levels_;
   Row top_of_, both_;
@@ -770,8 +769,8 @@ class Grid {
   int best_ = 0, sets_ = 0;
 };
 
-// Shares the mass of a grid that is solved out among the contacts that are felt. All are taken for felt if `all`
-// says so. Leaves out sets that hold a share of less than `nothing`.
+// Shares the mass of a grid that is solved out among the contacts that are felt. All are taken for
+// felt if `all` says so. Leaves out sets that hold a share of less than `nothing`.
 inline Shares share_out(const Grid& sets, bool all, double nothing) {
   constexpr double kUnlikely = 1e-3;
   const int count = sets.count();
@@ -816,6 +815,5 @@ inline Shares share_out(const Grid& sets, bool all, double nothing) {
   for (Marginal& contact : out.contacts) contact.average();
   return out;
 }
-
 
 }  // namespace thigmo

@@ -152,8 +152,7 @@ NB_MODULE(_posterior, m) {
                      }
                      return out;
                    })
-      .def_prop_ro("hypothesis",
-                   [](const Answer& a) { return name_of(a.hypotheses[a.best]); })
+      .def_prop_ro("hypothesis", [](const Answer& a) { return name_of(a.hypotheses[a.best]); })
       .def_prop_ro("hypotheses",
                    [](const Answer& a) {
                      nb::dict out;  // in the order of weighing
@@ -183,10 +182,7 @@ NB_MODULE(_posterior, m) {
            })
       // Force that pushes the end back and couple on it, by the likeliest explanation, each with
       // its standard deviation; NaN where nothing loads the end.
-      .def_prop_ro("end_load",
-                   [](const Answer& a) {
-                     return a.hypotheses[a.best].end_load();
-                   })
+      .def_prop_ro("end_load", [](const Answer& a) { return a.hypotheses[a.best].end_load(); })
       // Of each contact: edges of cells of the body; the mass in each, the force there and its
       // standard deviation.
       .def_prop_ro("masses",

@@ -37,8 +37,10 @@ class PlaneBody : public Body {
     const int n = frame_.size(), cells = p.cells;
     p.column.resize(n, p.size() * cells);
     p.unit.resize(p.column.columns), p.base.assign(p.column.columns, 0.0);
-    if (load.where != Load::Where::anywhere) p.place = {load.where == Load::Where::end ? 1.0 : 0.0};
-    else p.place = middles(p.window, cells);
+    if (load.where != Load::Where::anywhere)
+      p.place = {load.where == Load::Where::end ? 1.0 : 0.0};
+    else
+      p.place = middles(p.window, cells);
     if (load.kinks) {
       p.unit[0] = priors_.angle;
       for (int i = 0; i < n; ++i) p.column[i][0] = p.unit[0] * fold_of(i);
@@ -57,8 +59,10 @@ class PlaneBody : public Body {
     };
     Levers levers(n, cells);
     const auto lay = [&](bool along) {
-      if (straight_) straight_levers(p.place, frame_.low, frame_.high, levers);
-      else bent_levers(shape_, p.place, frame_.low, frame_.high, levers, along);
+      if (straight_)
+        straight_levers(p.place, frame_.low, frame_.high, levers);
+      else
+        bent_levers(shape_, p.place, frame_.low, frame_.high, levers, along);
     };
     lay(false);
     Row force(cells);

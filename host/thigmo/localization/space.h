@@ -283,8 +283,8 @@ class SpaceBody : public Body {
     return out;
   }
 
-  // What the loads leave of a reading bends the body all the same, so the shape is near the true one
-  // whatever explains it.
+  // What the loads leave of a reading bends the body all the same, so the shape is near the true
+  // one whatever explains it.
   Row shown(const Row& bent, const Row& left, int bad) const override {
     Row out = bent;
     Row all(space_.curvature_map.columns);
