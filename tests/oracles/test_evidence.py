@@ -59,8 +59,8 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
             each.append(density + np.log(odds * (priors.BAD_READING if bad else 1.0)))
         return logsumexp(each)
 
-    assert found[0, -1] == pytest.approx(log_density(0.0), abs=1e-6)
-    assert found[0, 3] == pytest.approx(log_density(0.0, bad=True), abs=1e-6)
+    assert found["free body", -1] == pytest.approx(log_density(0.0), abs=1e-6)
+    assert found["free body", 3] == pytest.approx(log_density(0.0, bad=True), abs=1e-6)
     if free:
         return  # the levers of a contact are then those of a bent body
     for which in (-1, 3):
@@ -71,7 +71,7 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
                 deviation = scale / max(arc, priors.LEAST_LEVER)
                 each.append(log_density(deviation**2 * np.outer(column, column), which >= 0))
         weight = logsumexp(each) - np.log(len(each)) + priors.CONTACT
-        assert found[2, which] == pytest.approx(weight, abs=0.02)
+        assert found["one contact", which] == pytest.approx(weight, abs=0.02)
 
 
 def dense(curvature, columns, *, doubted, mean=0.0):
@@ -103,12 +103,12 @@ def mean_of(logs):
     return logsumexp(logs) - np.log(np.size(logs))
 
 
-@pytest.mark.parametrize(("count", "cells", "load"), [(2, 24, 6), (3, 12, 7)])
+@pytest.mark.parametrize(("count", "cells", "load"), [(2, 24, "two contacts"), (3, 12, "three contacts")])
 def test_several_contacts_are_weighed_as_dense_normal_densities(count, cells, load):
     curvature = 3e-5 * (phi(46.0, POSITION, SPAN) - 1.5 * phi(24.0, POSITION, SPAN))
     curvature += 0.3 * NOISE * np.random.default_rng(2).standard_normal(10)
     found = weighed(curvature, 0.0, contacts=count, critical_curvature=np.inf, held_end=False)
-    doubted = (found[0, -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
+    doubted = (found["free body", -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
     middles = (np.arange(cells) + 0.5) / cells
     arcs = np.stack(np.meshgrid(*[middles] * count, indexing="ij"), -1).reshape(-1, count)
     arcs = arcs[(np.diff(arcs, axis=1) > 0.0).all(axis=1)]  # base to tip, each in its own cell
@@ -142,7 +142,7 @@ def test_kinks_are_weighed_as_dense_normal_densities():
     columns, widths = kinks()
     log_odds = priors.HINGE + np.log(widths)
     alone = dense(curvature, columns[:, None], doubted=True) + log_odds
-    assert found[1, -1] == pytest.approx(logsumexp(alone), abs=1e-6)
+    assert found["hinge", -1] == pytest.approx(logsumexp(alone), abs=1e-6)
     arcs = ((np.arange(200) + 0.5) / 200)[:, None]
     each = []
     for column, odds in zip(columns, log_odds, strict=True):
@@ -156,17 +156,17 @@ def test_kinks_are_weighed_as_dense_normal_densities():
             for scale in priors.MOMENTS
         ]
         each.append(mean_of(logs) + odds + priors.CONTACT)
-    assert found[5, -1] == pytest.approx(logsumexp(each), abs=0.05)
+    assert found["one contact, hinge", -1] == pytest.approx(logsumexp(each), abs=0.05)
 
 
 def test_a_held_end_is_weighed_as_dense_normal_densities():
     curvature = 2e-5 * phi(LENGTH, POSITION, SPAN) + 5e-4
     curvature += NOISE * np.random.default_rng(6).standard_normal(10)
     found = weighed(curvature, 0.0, critical_curvature=np.inf, held_end=True, contacts=1)
-    doubted = (found[0, -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
+    doubted = (found["free body", -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
     loads = np.stack([levers_at(np.ones(1))[0], np.ones(10)])  # the tangential force bends nothing
     logs = [dense(curvature, scale * loads[None], doubted=doubted) for scale in priors.MOMENTS]
-    assert found[3, -1] == pytest.approx(mean_of(logs) + priors.CONTACT, abs=0.02)
+    assert found["end wrench", -1] == pytest.approx(mean_of(logs) + priors.CONTACT, abs=0.02)
 
 
 def test_a_folded_base_is_weighed_as_dense_normal_densities():
@@ -180,7 +180,7 @@ def test_a_folded_base_is_weighed_as_dense_normal_densities():
         curvature, 0.0, critical_curvature=critical, critical_curvature_error=error,
         tube_radius=radius, contacts=1, held_end=False, end_face_odds=0.0,
     )  # fmt: skip
-    doubted = (found[0, -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
+    doubted = (found["free body", -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
     arcs, angles = (np.arange(60) + 0.5) / 60, np.linspace(0.0, 4.0, 401)[:, None]
     half = np.full((401, 1), angles[1, 0] * 2.0 / np.sqrt(2.0 * np.pi)) * np.exp(-0.5 * angles**2)
     half[0] *= 0.5
@@ -195,7 +195,7 @@ def test_a_folded_base_is_weighed_as_dense_normal_densities():
             each.append(logsumexp(logs + np.log(half[:, 0])) - np.log(2.0))
     within = [math.erf(critical * LENGTH / (np.sqrt(2.0) * m)) for m in priors.MOMENTS]
     weight = logsumexp(each) - np.log(60) + priors.CONTACT + np.log(1.0 - np.mean(within))
-    assert found[4, -1] == pytest.approx(weight, abs=0.05)
+    assert found["one contact, folded base", -1] == pytest.approx(weight, abs=0.05)
 
 
 def test_an_edited_prior_changes_the_answers_of_the_next_localizer(monkeypatch):
