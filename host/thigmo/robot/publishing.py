@@ -1,6 +1,6 @@
 """What the robot publishes of itself: telemetry, events, and how its body lies, in units.
 
-It listens to the link beside whoever drives the robot, and commands nothing. What nobody listens
+It listens to the link beside the program that drives the robot, and commands nothing. What nobody listens
 to is not even decoded. Live listeners get each reading as it comes; a record gets them in blocks.
 """
 

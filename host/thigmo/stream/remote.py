@@ -234,7 +234,7 @@ def attach(address: str, patience_s: float = _PATIENCE_S) -> RemoteRun:
 def running(hung: set[str] | None = None) -> list[Watchable]:
     """All runs of this user that can be watched, the youngest last.
 
-    `hung`: kept by who looks again and again, the addresses that did not answer; they are waited
+    `hung`: kept by a caller that looks repeatedly, the addresses that did not answer; they are waited
     for only briefly.
     """
     found = []
