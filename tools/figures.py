@@ -380,7 +380,7 @@ SOURCES: dict[str, Source] = {
             "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
             "stability": {
                 "stability-force-place.png": "stability.png",
-                "stability-untold.png": "stability-untold.png",
+                "stability-unstated.png": "stability-unstated.png",
             },
             "scaling": {},
             "space": {},

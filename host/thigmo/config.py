@@ -23,7 +23,7 @@ from __future__ import annotations
 import os
 import shutil
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import hypot, pi, tanh
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
@@ -96,7 +96,7 @@ class Body(Model):
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49
-    # Bending stiffness EI and its standard error; without them forces are told over EI only.
+    # Bending stiffness EI and its standard error; without them forces are given over EI only.
     stiffness_n_cm2: Positive | None = None
     stiffness_se_n_cm2: NonNegative = 0.0
     growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
@@ -378,6 +378,8 @@ class RobotConfig(Model):
         directions = [muscle.direction_deg for muscle in self.muscles]
         if len(set(directions)) < len(directions):
             raise ValueError("muscle: two of them have the same direction_deg")
+        if len({muscle.name for muscle in self.muscles}) < len(directions):
+            raise ValueError("muscle: two of them have the same name")
         for number, muscle in enumerate(self.muscles):
             if len(muscle.maps) != len(self.body.zones):
                 raise ValueError(f"muscle[{number}].map: one for each of body.pressure is needed")
@@ -400,25 +402,24 @@ class RobotConfig(Model):
             if muscle.side is None:
                 raise ConfigError(
                     f"muscle {muscle.name} bends the body out of the plane",
-                    "give its direction_deg as 90 or 270",
+                    "press it by name; sweeps and explorations are in the plane (90, 270 degrees)",
                 )
             found.append(muscle.side)
         return tuple(found)
 
-    def by_muscle(self, told: Mapping[Side, float], count: int) -> tuple[float, ...]:
-        """Numbers of sides as the board has them: one for each of its muscles, 0 where none is.
+    def muscle_number(self, towards: str | float) -> int:
+        """The board's number of a muscle: its place in robot.toml.
 
-        Raises ConfigError for a number other than 0 of a side without a muscle.
+        It is found by its name, or by the direction (degrees) towards which it bends the body.
+        Raises ConfigError if there is none.
         """
-        for side, number in told.items():
-            if number:
-                self.muscle(side)
-        sides = self.muscle_sides
-        return tuple(told.get(side, 0.0) for side in sides) + (0.0,) * (count - len(sides))
-
-    def muscle_number(self, side: Side) -> int:
-        """The board's number of a side's muscle: its place in robot.toml; ConfigError if none."""
-        return self.muscles.index(self.muscle(side))
+        for number, muscle in enumerate(self.muscles):
+            if towards in (muscle.name, muscle.direction_deg):
+                return number
+        raise ConfigError(
+            f"the robot has no muscle {towards}",
+            f"use {' or '.join(f'{m.name} ({m.direction_deg:g})' for m in self.muscles)}",
+        )
 
     def muscle(self, side: Side) -> Muscle:
         """The muscle that bends the body towards a side; ConfigError if there is none."""

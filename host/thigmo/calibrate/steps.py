@@ -56,7 +56,7 @@ class Step:
 _CURVATURES = "curvature_left_0 .. curvature_right_4"
 STEPS = {
     "pressure": Step(
-        pressure.guided, pressure.of_csv, "left_count, right_count", needed=True
+        pressure.guided, pressure.of_csv, "NAME_count of each muscle", needed=True
     ),
     "encoder": Step(
         encoder.guided, encoder.of_csv, "counts, length_cm", ("growth", "drive"), needed=True

@@ -26,7 +26,7 @@ from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
-from thigmo.wiring import beyond_board, board_of, columns
+from thigmo.wiring import beyond_board, board_of, columns, out_of_plane
 
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
@@ -64,6 +64,9 @@ def judge(config: RobotConfig) -> list[Finding]:
     except ConfigError as error:
         found.append(Finding("stages", "bad", str(error)))
     found += [*_growth(config), *_bends(config)]
+    if beyond := out_of_plane(config):
+        text = f"{beyond.what}: `thigmo explore` refuses; {beyond.cure}"
+        found.append(Finding("plane", "warning", text))
     for side in config.sides:
         found += _feels(config, side)
     return [*found, *_inputs(config), *_rates(config), *_imus(config)]

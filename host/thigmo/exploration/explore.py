@@ -28,6 +28,7 @@ from thigmo.report import draw_map
 from thigmo.robot import Operator, connect
 from thigmo.room import Reachable
 from thigmo.stream import Event, recording
+from thigmo.wiring import out_of_plane
 
 _ENDINGS: dict[type[BaseException], str] = {
     KeyboardInterrupt: "interrupted by the operator",
@@ -133,6 +134,8 @@ def explore(
         connect(url, seed=seed, operator=operator, realtime=realtime) as robot,
     ):
         used = config or robot.known_config
+        if used and (beyond := out_of_plane(used)):
+            raise ConfigError(f"an exploration is in the plane: {beyond.what}", beyond.cure)
         if used is None:
             made = Path("calibration") / "robot.toml"
             raise ConfigError(

@@ -17,7 +17,7 @@ import numpy as np
 
 from thigmo import __version__
 from thigmo.calibrate.bench import READ_S, SAME_CM, STEADY_S
-from thigmo.config import SIDES, SIGN, RobotConfig, Side
+from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
@@ -103,8 +103,7 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
         for since, psi in pairwise((0.0, thesis.TOUCH_PSI, trial.pressure_psi)):
             if since > 0.0:
                 passed.append(robot.read(READ_S))
-            left, right = (psi, 0.0) if trial.side == "left" else (0.0, psi)
-            robot.press(left_psi=left, right_psi=right, ramp_psi_s=_RAMP_PSI_S)
+            robot.press(DEGREES[trial.side], psi, ramp_psi_s=_RAMP_PSI_S)
             robot.wait((psi - since) / _RAMP_PSI_S + STEADY_S)
             if psi == thesis.TOUCH_PSI:
                 attendant.touch(trial)
@@ -121,13 +120,16 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
     robot.vent()
     return {
         **{name: getattr(reading, name) for name in ("t_s", "length_cm")},
-        **{f"{side}_psi": reading.pressure_psi[config.muscle_number(side)] for side in SIDES},
+        **{
+            f"{side}_psi": reading.pressure_psi[config.muscle_number(DEGREES[side])]
+            for side in SIDES
+        },
         "zeroed": robot.status().zeroed,
         "curvature": reading.curvature.tolist(),
         "dowel_x_cm": [x for x, _ in dowels],
         "dowel_y_cm": [y for _, y in dowels],
         **truth,
-        "passed_psi": [r.pressure_psi[config.muscle_number(trial.side)] for r in passed],
+        "passed_psi": [r.pressure_psi[config.muscle_number(DEGREES[trial.side])] for r in passed],
         "passed_curvature": [r.curvature.tolist() for r in passed],
     }
 
