@@ -218,7 +218,7 @@ class HeadingSensor(_Sensor):
     scale: Positive = 1.0  # turn over what the IMUs say: how they lie, and their gain
     scale_se: NonNegative = 0.05
     zero_rad: Finite = 0.0  # turn that they say of the straight body
-    heading_se_rad: NonNegative = 2e-3  # of either IMU: what it drifts by from zeroing to reading
+    heading_se_rad: NonNegative = 3e-3  # of either IMU: what it drifts by from zeroing to reading
     noise: NonNegative = 1e-4
 
     valid_direction: ClassVar[int] = 0
