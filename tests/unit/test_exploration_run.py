@@ -83,6 +83,9 @@ class Script:
     def wait_settled(self, progress: Any, sensors: int = 0x3FF) -> None:
         self._call("settle")
 
+    def settles_s(self, sensors: int) -> float:
+        return 0.0
+
     def wait(self, seconds: float) -> None:
         self.clock += seconds
 
