@@ -91,6 +91,11 @@ NOISE_ODDS = 0.18
 NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
 
 
+def narrow(interval: tuple[float, float], length: float) -> bool:
+    """Whether an interval on a body of a length is short enough to count as localized."""
+    return interval[1] - interval[0] <= WIDTH_SHARE * length + 1e-9
+
+
 def compiled() -> _posterior.Priors:
     """All of them, as the compiled code takes them."""
     return _posterior.Priors({name: globals()[name] for name in _NAMES})
