@@ -23,7 +23,7 @@ from thigmo.record.table import Table
 
 _FEWEST = 8  # bends
 _CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
-_FROM_ZERO_S = 15.0  # a sweep's peak comes so long after the zeros
+_FROM_ZERO_S = 20.0  # a sweep's last peak comes so long after the zeros
 _LEAST_RAD = 2e-4
 
 

@@ -1,6 +1,6 @@
 """The robot as an object: every command of the board in the lab's units, and waiting for its end.
 
-Used by the exploration, the calibration and whoever writes a program for the robot. Each concern
+Used by the exploration, the calibration and programs for the robot. Each concern
 builds on the one before: `connected` (link, stream, state), `supervised` (waiting, faults, arming,
 configuration), and here length, sensors and sweeps.
 """
