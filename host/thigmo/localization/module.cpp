@@ -123,7 +123,8 @@ NB_MODULE(_posterior, m) {
                       number("MISFIT_DEVIATE"),
                       number("NOISE_DEVIATE"),
                       number("CONTACT_UNSURE"),
-                      number("FELT")};
+                      number("FELT"),
+                      number("SWEPT")};
   });
 
   nb::class_<Answer>(m, "Answer")
