@@ -105,7 +105,7 @@ def busy_robot(rig: Rig) -> list[Figure]:
     robot.grow_to(53.0)
     robot.confirm_length(53.0, settled=True)
     robot.zero()
-    robot.sweep(left_psi=14.0, right_psi=14.0, period_s=2.0)
+    robot.sweep({"left": 14.0, "right": 14.0}, period_s=2.0)
     for number in range(100):
         client.request(wire.GetParameter(number % wire.PARAMETER_COUNT))
     robot.vent()

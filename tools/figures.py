@@ -76,19 +76,8 @@ def _experiments(found: list[dict[str, Any]]) -> list[Row]:
             f"in that measure {_number(row['bound_measured_mean'])}",
         )
         for experiment in found
-        for full in experiment["rows"]
-        for row in (full, *_one_frame(full))
+        for row in experiment["rows"]
     ]
-
-
-def _one_frame(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """One frame against one frame, where ours has used more."""
-    if row["alone_mean"] is None:
-        return []
-    ours = {f"ours_{what}": row[f"alone_{what}"] for what in ("mean", "workspace_mean")}
-    plain = {"bound_mean": "not computed", "bound_measured_mean": "not computed"}
-    plain |= {"beaten": True, "mean_beaten": True}  # nothing was promised
-    return [row | ours | plain | {"condition": f"{row['condition']}, last frame alone"}]
 
 
 def _predictions(found: list[dict[str, Any]]) -> list[Row]:
@@ -257,20 +246,6 @@ def _number_claims(found: list[dict[str, Any]]) -> list[Row]:
     return _claims(found) + [(what, "", said) for what, said in notes]
 
 
-def _sweeps(found: list[dict[str, Any]]) -> list[Row]:
-    (study,) = found
-    return _claims(found) + [
-        (
-            f"{row['error']}, {row['method']}: mean error",
-            f"{row['mean_error_cm']:.2f} cm",
-            f"coverage {row['covered']:.3f}, localized {100 * row['localized']:.1f} %, "
-            f"wrong {100 * row['wrong']:.1f} %, listed {100 * row['listed']:.0f} % "
-            f"of {row['rooms']} rooms",
-        )
-        for row in study["rows"]
-    ]
-
-
 def _stability(found: list[dict[str, Any]]) -> list[Row]:
     """A row a map: the default's mean error and failures, then those of the other methods."""
     (study,) = found
@@ -363,7 +338,6 @@ LONG = (
     "accuracy",
     "loads",
     "number",
-    "sweeps",
     "exploration",
     "camera",
 )
@@ -374,7 +348,6 @@ OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "loads": _loads,
     "number": _number_claims,
     "space": _in_space,
-    "sweeps": _sweeps,
     "stability": _stability,
     "stopping": _stopping,
 }
@@ -405,14 +378,16 @@ SOURCES: dict[str, Source] = {
         )
         for study, pictures in {
             "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
-            "stability": {"stability-force-place.png": "stability.png"},
+            "stability": {
+                "stability-force-place.png": "stability.png",
+                "stability-unstated.png": "stability-unstated.png",
+            },
             "scaling": {},
             "space": {},
             "cold": {},
             "accuracy": {"accuracy-stated.png": "stated.png", "accuracy-odds.png": "odds.png"},
             "loads": {},
             "number": {"number-number.png": "number.png", "number-trade.png": "trade.png"},
-            "sweeps": {},
             "exploration": {
                 "exploration-explorations.png": "explorations.png",
                 "exploration-dial.png": "dial.png",

@@ -23,13 +23,21 @@ from __future__ import annotations
 import os
 import shutil
 import tomllib
-from collections.abc import Mapping, Sequence
-from math import pi, tanh
+from collections.abc import Sequence
+from math import hypot, pi, tanh
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import tomlkit
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
 
 from thigmo.errors import ConfigError
 from thigmo.files import write_whole
@@ -40,6 +48,9 @@ SIGN: dict[Side, float] = {"left": 1.0, "right": -1.0}  # of curvature towards a
 _PASCAL = 6894.757  # of one psi
 _TOWARDS: dict[float, Side] = {90.0: "left", 270.0: "right"}
 DEGREES: dict[Side, float] = {side: degrees for degrees, side in _TOWARDS.items()}
+IMU_CM = 1.2  # length of an IMU's board along the body
+SAME_IMU_CM = 0.05  # places that are nearer are one IMU's
+RAD_PER_OHM = 1e-4  # by which the board's reader of IMUs says a turn
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -85,7 +96,7 @@ class Body(Model):
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49
-    # Bending stiffness EI and its standard error; without them forces are told over EI only.
+    # Bending stiffness EI and its standard error; without them forces are given over EI only.
     stiffness_n_cm2: Positive | None = None
     stiffness_se_n_cm2: NonNegative = 0.0
     growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
@@ -143,24 +154,124 @@ class _Placed(Model):
         return _TOWARDS.get(self.direction_deg)
 
 
-class FlexSensor(_Placed):
-    """One flex sensor: reading = scale_per_ohm * (R - R at the last zeroing)."""
+class _Sensor(_Placed):
+    """What every kind of sensor has: the mean curvature over a span, and its errors."""
 
-    kind: Literal["flex"] = "flex"
+    wrinkles: ClassVar[bool]  # whether a muscle at its side spoils it
+    kind: str
     center_cm: Positive
-    span_cm: NonNegative = 5.5
-    scale_per_ohm: Finite = 3.5e-5  # 1/cm per ohm; sign included, so that left bends read positive
-    scale_se: NonNegative = 0.15  # relative; resistances differ by 30 % from part to part
-    zero_ohm: Positive = 12_000.0  # flat resistance, a start value: zeroing re-measures it
-    zero_se: NonNegative = 3.6e-4  # 1/cm, what zeroing and averaging leave: its loop, slow drift
-    valid_direction: Literal[-1, 0, 1] = 0  # the bending direction it answers to; 0 = both
-    noise: NonNegative = 4.8e-4  # 1/cm, white, of an averaged reading; 6e-4 with `zero_se`
+    span_cm: NonNegative
+    scale_se: NonNegative  # relative
+    noise: NonNegative  # 1/cm, white, of an averaged reading
     settle_tau_s: Positive = 8.0  # decay after eversion
     settle_amplitude: Finite = 0.0  # 1/cm at eversion
     healthy: bool = True  # false: dead, never used
 
+    @property
+    def zero_error(self) -> float:
+        """One sigma of its zero, 1/cm, of its own."""
+        return 0.0
 
-def _default_sensors() -> list[FlexSensor]:
+    @property
+    def reading_se(self) -> float:
+        """One sigma of an averaged reading, 1/cm: noise, its zero, and what it shares."""
+        return hypot(self.noise, self.zero_error)
+
+    @property
+    def fold_cm(self) -> tuple[float, float]:
+        """Centre and span of what must not lie in the tip's fold."""
+        return self.center_cm, self.span_cm
+
+
+class FlexSensor(_Sensor):
+    """One flex sensor: reading = scale_per_ohm * (R - R at the last zeroing)."""
+
+    wrinkles = True
+    kind: Literal["flex"] = "flex"
+    span_cm: NonNegative = 5.5
+    scale_per_ohm: Finite = 3.5e-5  # 1/cm per ohm; sign included, so that left bends read positive
+    scale_se: NonNegative = 0.15  # resistances differ by 30 % from part to part
+    zero_ohm: Positive = 12_000.0  # flat resistance, a start value: zeroing re-measures it
+    zero_se: NonNegative = 3.6e-4  # 1/cm, what zeroing and averaging leave: its loop, slow drift
+    valid_direction: Literal[-1, 0, 1] = 0  # the bending direction it answers to; 0 = both
+    noise: NonNegative = 4.8e-4  # 6e-4 with `zero_se`
+
+    @property
+    def zero_error(self) -> float:
+        """One sigma of its zero, 1/cm, of its own."""
+        return self.zero_se
+
+    def rescale(self, factor: float) -> None:
+        """Let it stand for so much more curvature."""
+        self.scale_per_ohm *= factor
+
+
+class HeadingSensor(_Sensor):
+    """What the body turns by from one IMU to the next; or from its base, where the span begins.
+
+    The board's reader of IMUs says the turn as a divider would: by a resistance.
+    """
+
+    wrinkles = False
+    kind: Literal["heading"]
+    span_cm: Positive  # from one IMU to the other
+    scale: Positive = 1.0  # turn over what the IMUs say: how they lie, and their gain
+    scale_se: NonNegative = 0.05
+    zero_rad: Finite = 0.0  # turn that they say of the straight body
+    heading_se_rad: NonNegative = 2e-3  # of either IMU: what it drifts by from zeroing to reading
+    noise: NonNegative = 1e-4
+
+    valid_direction: ClassVar[int] = 0
+    straight_ohm: ClassVar[float] = 12_000.0  # that the reader says for no turn
+
+    def rescale(self, factor: float) -> None:
+        """Let it stand for so much more curvature."""
+        self.scale *= factor
+
+    @property
+    def zero_ohm(self) -> float:
+        """What the reader says of the straight body."""
+        return self.straight_ohm + self.zero_rad / RAD_PER_OHM
+
+    @property
+    def scale_per_ohm(self) -> float:
+        """Curvature (1/cm) for each ohm that the reader says."""
+        return self.scale * RAD_PER_OHM / self.span_cm
+
+    @property
+    def ends_cm(self) -> tuple[float, float]:
+        """Places of its IMUs; 0 is the base, which does not turn."""
+        return self.center_cm - self.span_cm / 2, self.center_cm + self.span_cm / 2
+
+    @property
+    def reading_se(self) -> float:
+        """One sigma of an averaged reading, 1/cm: noise, and what its IMUs drift by."""
+        imus = 1 if self.ends_cm[0] < SAME_IMU_CM else 2
+        return hypot(self.noise, self.heading_se_rad * imus**0.5 / self.span_cm)
+
+    @property
+    def fold_cm(self) -> tuple[float, float]:
+        """Centre and span of what must not lie in the tip's fold: its farther IMU."""
+        return self.ends_cm[1], IMU_CM
+
+
+def _kind(data: Any) -> str:
+    """Kind of a sensor's entry; files from before there were kinds have flex sensors."""
+    kind = data.get("kind", "flex") if isinstance(data, dict) else data.kind
+    return str(kind)
+
+
+Sensor = Annotated[
+    Annotated[FlexSensor, Tag("flex")] | Annotated[HeadingSensor, Tag("heading")],
+    Discriminator(
+        _kind,
+        custom_error_type="kind",
+        custom_error_message="kind is none of flex and heading",
+    ),
+]
+
+
+def _default_sensors() -> list[Sensor]:
     return [
         FlexSensor(direction_deg=DEGREES[side], center_cm=center)
         for side in SIDES
@@ -245,7 +356,7 @@ class RobotConfig(Model):
         validation_alias="muscle",
         serialization_alias="muscle",
     )
-    sensors: list[FlexSensor] = Field(
+    sensors: list[Sensor] = Field(
         default_factory=_default_sensors,
         min_length=1,
         validation_alias="sensor",
@@ -267,6 +378,8 @@ class RobotConfig(Model):
         directions = [muscle.direction_deg for muscle in self.muscles]
         if len(set(directions)) < len(directions):
             raise ValueError("muscle: two of them have the same direction_deg")
+        if len({muscle.name for muscle in self.muscles}) < len(directions):
+            raise ValueError("muscle: two of them have the same name")
         for number, muscle in enumerate(self.muscles):
             if len(muscle.maps) != len(self.body.zones):
                 raise ValueError(f"muscle[{number}].map: one for each of body.pressure is needed")
@@ -289,25 +402,24 @@ class RobotConfig(Model):
             if muscle.side is None:
                 raise ConfigError(
                     f"muscle {muscle.name} bends the body out of the plane",
-                    "give its direction_deg as 90 or 270",
+                    "press it by name; sweeps and explorations are in the plane (90, 270 degrees)",
                 )
             found.append(muscle.side)
         return tuple(found)
 
-    def by_muscle(self, told: Mapping[Side, float], count: int) -> tuple[float, ...]:
-        """Numbers of sides as the board has them: one for each of its muscles, 0 where none is.
+    def muscle_number(self, towards: str | float) -> int:
+        """The board's number of a muscle: its place in robot.toml.
 
-        Raises ConfigError for a number other than 0 of a side without a muscle.
+        It is found by its name, or by the direction (degrees) towards which it bends the body.
+        Raises ConfigError if there is none.
         """
-        for side, number in told.items():
-            if number:
-                self.muscle(side)
-        sides = self.muscle_sides
-        return tuple(told.get(side, 0.0) for side in sides) + (0.0,) * (count - len(sides))
-
-    def muscle_number(self, side: Side) -> int:
-        """The board's number of a side's muscle: its place in robot.toml; ConfigError if none."""
-        return self.muscles.index(self.muscle(side))
+        for number, muscle in enumerate(self.muscles):
+            if towards in (muscle.name, muscle.direction_deg):
+                return number
+        raise ConfigError(
+            f"the robot has no muscle {towards}",
+            f"use {' or '.join(f'{m.name} ({m.direction_deg:g})' for m in self.muscles)}",
+        )
 
     def muscle(self, side: Side) -> Muscle:
         """The muscle that bends the body towards a side; ConfigError if there is none."""
@@ -319,11 +431,16 @@ class RobotConfig(Model):
             f"use {' or '.join(muscle.name for muscle in self.muscles)}",
         )
 
-    def column(self, side: Side) -> list[FlexSensor]:
+    def column(self, side: Side) -> list[Sensor]:
         """The sensors that lie on a side, in the file's order: base to tip."""
         return [sensor for sensor in self.sensors if sensor.side == side]
 
-    def set_column(self, side: Side, sensors: Sequence[FlexSensor]) -> None:
+    def feeling(self, side: Side) -> list[Sensor]:
+        """The sensors that read right while the muscle of a side bends the body, base first."""
+        found = [s for s in self.sensors if s.side and not (s.wrinkles and s.side == side)]
+        return sorted(found, key=lambda sensor: sensor.center_cm)
+
+    def set_column(self, side: Side, sensors: Sequence[Sensor]) -> None:
         """Replace the sensors of a side."""
         by_side = {one: self.column(one) for one in SIDES} | {side: list(sensors)}
         for sensor in sensors:

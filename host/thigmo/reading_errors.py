@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import SAME_IMU_CM, HeadingSensor, RobotConfig, Sensor, Side
 from thigmo.errors import DataError
 
 Floats = npt.NDArray[np.float64]
@@ -36,10 +36,35 @@ class ReadingErrors:
     critical_curvature_error: float  # relative
     tube_radius: float  # cm
     stiffness: tuple[float, float] | None  # EI in N cm^2, and its relative standard error
+    shared_errors: Floats | None  # (N, K) what sensors share with each other, if they do
 
     def arguments(self) -> dict[str, Any]:
         """Keywords of `thigmo.localize`; nothing holds the end of a robot that everts."""
         return {"held_end": False} | {each.name: getattr(self, each.name) for each in fields(self)}
+
+
+def imus_of(sensors: Sequence[HeadingSensor]) -> tuple[Floats, npt.NDArray[np.intp]]:
+    """Places (k,) of IMUs, cm, and the numbers (n, 2) of those where each span begins and ends.
+
+    Spans that meet share one. A place of 0 is the base, which does not turn, and no IMU.
+    """
+    ends = np.array([sensor.ends_cm for sensor in sensors]).reshape(-1, 2)
+    ascending = np.sort(ends, axis=None)
+    places = ascending[np.diff(ascending, prepend=-np.inf) > SAME_IMU_CM]
+    return places, np.searchsorted(places, ends + SAME_IMU_CM) - 1
+
+
+def shared_errors(sensors: Sequence[Sensor | None]) -> Floats:
+    """What sensors share, at one standard error: (N, K) columns, 1/cm.
+
+    An IMU stands between two turns: what it drifts by is in both, with opposite signs.
+    """
+    turning = {n: s for n, s in enumerate(sensors) if isinstance(s, HeadingSensor)}
+    places, imus = imus_of([*turning.values()])
+    columns = np.zeros((len(sensors), len(places)))
+    for (row, sensor), ends in zip(turning.items(), imus, strict=True):
+        columns[row, ends] = np.array([-1.0, 1.0]) * sensor.heading_se_rad / sensor.span_cm
+    return columns[:, places > SAME_IMU_CM]
 
 
 def reading_errors(
@@ -65,9 +90,10 @@ def reading_errors(
     found = [config.column(column)[index] for column, index in sensors]
     ratio = body.zones[zone].pressure_psi / body.critical_pressure_psi
     muscle = None if side is None else config.muscle(side)
+    shared = shared_errors(found)
     return ReadingErrors(
         noise=np.array([sensor.noise for sensor in found]),
-        zero_error=np.array([sensor.zero_se for sensor in found]),
+        zero_error=np.array([sensor.zero_error for sensor in found]),
         gain_error=np.array([sensor.scale_se for sensor in found]),
         offset_error=0.0 if muscle is None else muscle.offset_se,
         map_error=0.0 if muscle is None else muscle.maps[zone].scale_se,
@@ -80,4 +106,5 @@ def reading_errors(
         ),
         tube_radius=body.radius_cm,
         stiffness=body.stiffness,
+        shared_errors=shared if shared.size else None,
     )

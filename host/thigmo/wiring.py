@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
+from thigmo.config import SIDES, RobotConfig, Sensor, Side
 from thigmo.errors import ConfigError
 
 
@@ -20,26 +20,29 @@ class Board(NamedTuple):
     muscles: int
     sensors: int
     body_pressures: int
+    kinds: tuple[str, ...]  # of sensors
 
     @property
     def capacity(self) -> dict[str, int]:
         """How many of each, as `protocol.parameters` takes them."""
-        return {key: n for key, n in self._asdict().items() if key != "name"}
+        return {key: n for key, n in self._asdict().items() if isinstance(n, int)}
 
     def holds(self, config: RobotConfig) -> bool:
         """Whether its inputs, outputs and maps are enough."""
         needed = len(config.muscles), len(config.sensors), len(config.body.zones)
-        return all(n <= most for n, most in zip(needed, self[1:], strict=True))
+        most = self.capacity.values()
+        enough = all(n <= each for n, each in zip(needed, most, strict=True))
+        return enough and {sensor.kind for sensor in config.sensors} <= {*self.kinds}
 
 
 BOARDS = (
-    Board("mega", 2, 10, 3),
-    Board("large, the virtual board with an external converter", 4, 16, 8),
+    Board("mega", 2, 10, 3, ("flex",)),
+    Board("large, the virtual board with an external converter", 4, 16, 8, ("flex", "heading")),
 )  # the smallest first
 
 
 class Beyond(NamedTuple):
-    """What the board cannot hold, and what to do about it."""
+    """What is not possible with a robot, and what to do about it."""
 
     what: str
     cure: str
@@ -52,18 +55,7 @@ def board_of(config: RobotConfig) -> Board:
 
 def beyond_board(config: RobotConfig) -> list[Beyond]:
     """What of the robot no board can hold; empty if its board holds all of it."""
-    board = board_of(config)
-    found = [
-        Beyond(
-            f"{what} lies at {each.direction_deg:g} degrees, out of the plane",
-            "the firmware bends towards 90 and 270 degrees: use these",
-        )
-        for what, each in (
-            *((f"muscle {muscle.name}", muscle) for muscle in config.muscles),
-            *((f"sensor {number}", sensor) for number, sensor in enumerate(config.sensors)),
-        )
-        if each.side is None
-    ]
+    board, found = board_of(config), []
     for what, count, most in (
         ("muscles", len(config.muscles), board.muscles),
         ("sensors", len(config.sensors), board.sensors),
@@ -84,6 +76,21 @@ def beyond_board(config: RobotConfig) -> list[Beyond]:
             )
         )
     return found
+
+
+def out_of_plane(config: RobotConfig) -> Beyond | None:
+    """The muscles and sensors that lie out of the plane, for what works in the plane alone."""
+    names = [f"muscle {muscle.name}" for muscle in config.muscles if muscle.side is None]
+    count = sum(sensor.side is None for sensor in config.sensors)
+    if count:
+        names.append(f"{count} sensors")
+    if not names:
+        return None
+    return Beyond(
+        f"{' and '.join(names)} out of the plane",
+        "press its muscles by name (`Robot.press`), and localize its readings with a column "
+        "`direction` (`thigmo localize`)",
+    )
 
 
 def places(config: RobotConfig) -> list[tuple[Side, int] | None]:
@@ -108,12 +115,35 @@ def places(config: RobotConfig) -> list[tuple[Side, int] | None]:
 
 def base_inputs(config: RobotConfig) -> list[int]:
     """The inputs of the columns' base sensors, on which the contact trigger works."""
-    return [number for number, place in enumerate(places(config)) if place and place[1] == 0]
+    wired = sensors(config)
+    return [
+        number
+        for number in (0, len(wired) // 2)
+        if (sensor := wired[number]) is not None and _first(config, sensor)
+    ]
 
 
-def sensors(config: RobotConfig) -> list[FlexSensor | None]:
-    """The sensor on each input; None where there is none. Raises as `places`."""
-    return [place and config.column(place[0])[place[1]] for place in places(config)]
+def sensors(config: RobotConfig) -> list[Sensor | None]:
+    """The sensor on each input; None where there is none. Raises as `places`.
+
+    Those that lie out of the plane take what the two columns leave, a base sensor first where the
+    trigger can work.
+    """
+    found = [place and config.column(place[0])[place[1]] for place in places(config)]
+    half = len(found) // 2
+    free = sorted(
+        (n for n, sensor in enumerate(found) if sensor is None), key=lambda n: n % half > 0
+    )
+    others = [sensor for sensor in config.sensors if sensor.side is None]
+    others.sort(key=lambda sensor: not _first(config, sensor))
+    for number, sensor in zip(free, others, strict=False):
+        found[number] = sensor
+    return found
+
+
+def _first(config: RobotConfig, sensor: Sensor) -> bool:
+    """Whether a sensor is the base one at its direction."""
+    return sensor is next(s for s in config.sensors if s.direction_deg == sensor.direction_deg)
 
 
 def input_of(config: RobotConfig) -> dict[tuple[Side, int], int]:
@@ -125,23 +155,26 @@ class Column(NamedTuple):
     """The sensors at one direction, base first."""
 
     name: str  # of the muscle there, or the direction
-    side: Side
+    side: Side | None  # of the plane
     inputs: list[int]
     centers_cm: list[float]
 
 
 def columns(config: RobotConfig) -> list[Column]:
     """The robot's columns, and the inputs that they hang on; none if the board cannot hold them."""
-    wired = {} if beyond_board(config) else input_of(config)
-    found = []
-    for side in SIDES:
-        own = sorted((index, number) for (of, index), number in wired.items() if of == side)
-        if own:
-            name = next((m.name for m in config.muscles if m.side == side), "")
-            centers = [sensor.center_cm for sensor in config.column(side)]
-            lies = f"{config.column(side)[0].direction_deg:g} deg"
-            found.append(Column(name or lies, side, [number for _, number in own], centers))
-    return found
+    if beyond_board(config):
+        return []
+    inputs = {id(sensor): number for number, sensor in enumerate(sensors(config)) if sensor}
+    names = {muscle.direction_deg: muscle.name for muscle in config.muscles}
+    found: dict[float, Column] = {}
+    for sensor in sorted(config.sensors, key=lambda sensor: sensor.direction_deg):
+        lies = sensor.direction_deg
+        column = found.setdefault(
+            lies, Column(names.get(lies, f"{lies:g} deg"), sensor.side, [], [])
+        )
+        column.inputs.append(inputs[id(sensor)])
+        column.centers_cm.append(sensor.center_cm)
+    return list(found.values())
 
 
 def muscle_outputs(config: RobotConfig) -> dict[int, str]:

@@ -7,9 +7,9 @@ import pytest
 
 from thigmo.studies import accuracy
 from thigmo.studies.accuracy import BAD, ERRORS, Case, Frame, judge, score
+from thigmo.studies.contact_scenes import GROUPS, TOUCHED, one_contact
 from thigmo.studies.engine import Context
 from thigmo.studies.scenes import COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
-from thigmo.studies.touches import GROUPS, TOUCHED, one_contact
 
 
 @pytest.mark.parametrize("group", GROUPS)

@@ -320,8 +320,9 @@ def test_during_a_save_nothing_else_is_executed(host: RawHost) -> None:
     [0x00, 0x1F, 0x7F, wire.Ack.ID, wire.Telemetry.ID, wire.Event.ID, wire.Pulse.ID, 0xFF],
 )
 def test_an_unknown_id_is_refused(host: RawHost, message_id: int) -> None:
+    before = stats(host)
     assert host.refusal(RawMessage(message_id, b"")) == (R.UNKNOWN_ID, message_id)
-    host.get(wire.GetStatus())
+    assert stats(host).rx_repeats == before.rx_repeats, "answered at once"
 
 
 def test_messages_are_as_long_as_the_capacity_says(host: RawHost) -> None:

@@ -32,7 +32,7 @@ def test_body_and_muscle_empty_at_the_emergency_stop() -> None:
     plant = transport.lockstep.plant
     assert plant.body_psi == pytest.approx(1.47, abs=0.05)
     robot.zero()
-    robot.press(left_psi=10.0)
+    robot.press("left", 10.0)
     robot.wait(3.0)
     assert plant.muscle_psi[0] == pytest.approx(10.0, abs=0.5)
     transport.lockstep.board.set_estop(True)

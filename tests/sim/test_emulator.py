@@ -101,7 +101,7 @@ def test_sweep_reaches_its_amplitude_and_touches_the_peg(room: Scene) -> None:
         touched.update(contact.peg for contact in plant.truth().contacts)
 
     robot.while_waiting(look)
-    result = robot.sweep(left_psi=18.0, right_psi=18.0, period_s=30.0)
+    result = robot.sweep({"left": 18.0, "right": 18.0}, period_s=30.0)
     assert max(left for left, _, _ in seen) == pytest.approx(18.0, abs=0.6)
     assert [trigger.side for trigger in result.triggers] == ["left"]
     assert touched == {0}

@@ -73,7 +73,7 @@ class Bench:
 
 
 def sweep(robot: Robot) -> None:
-    robot.sweep(left_psi=12.0, right_psi=0.0, period_s=24.0)
+    robot.sweep({"left": 12.0}, period_s=24.0)
 
 
 def grow(robot: Robot) -> None:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from command import Thigmo
 
+from thigmo import wiring
 from thigmo.config import RobotConfig
 from thigmo.design import draft
 from thigmo.emulator.board import virtual_board
 from thigmo.emulator.reach import room_for
+from thigmo.emulator.scene import FaultTable
 from thigmo.emulator.serve import brought_up
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import ConfigError, RobotFaultError
@@ -18,6 +22,7 @@ from thigmo.robot import Robot, connect
 from thigmo.stream import Telemetry
 from thigmo.studies.robots import ROBOTS, THESIS, visit
 from thigmo.studies.rooms import explored
+from thigmo.wiring import input_of
 
 OTHERS = [name for name in ROBOTS if name != THESIS]
 
@@ -60,6 +65,69 @@ def test_a_robot_of_many_sensors_is_refused_by_the_usual_board(tmp_path: Path) -
         assert robot.read(0.2, despite_faults=True).curvature.shape == (16,)
         with pytest.raises(ConfigError, match=r"needs one for 2, 10 and 3 .mega"):
             robot.configure(RobotConfig())
+
+
+def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
+    tmp_path: Path, thigmo: Thigmo
+) -> None:
+    robot = draft(53, 3, 1)
+    (muscle,), column = robot.muscles, robot.sensors
+    turned = {name: 90.0 + 120.0 * n for n, name in enumerate(("one", "two", "three"))}
+    robot.muscles = [
+        muscle.model_copy(deep=True, update={"name": name, "direction_deg": lies})
+        for name, lies in turned.items()
+    ]
+    robot.sensors = [
+        sensor.model_copy(update={"direction_deg": (lies + 180.0) % 360.0})
+        for lies in turned.values()
+        for sensor in column
+    ]
+    assert [sensor.center_cm for sensor in wiring.sensors(robot) if sensor].count(
+        column[0].center_cm
+    ) == 3
+    assert wiring.base_inputs(robot) == [0, 8]
+    scene = room_for(robot, 0, peg=False)
+    scene.start_length_cm, scene.start_settled = robot.body.length_cm, True
+    scene.save(tmp_path / "space.toml")
+    robot.save(tmp_path / "robot.toml")
+    ran = thigmo("robot", "check", tmp_path / "robot.toml")
+    assert "muscle two and muscle three and 6 sensors out of the plane" in " ".join(ran.out.split())
+    url = f"emulator://{tmp_path / 'space.toml'}"
+    ran = thigmo("explore", "--robot", url, "--out", tmp_path / "runs")
+    assert ran.code == 1
+    (line,) = ran.err.splitlines()
+    assert line.startswith("thigmo: an exploration is in the plane: muscle two and muscle three")
+    assert not list((tmp_path / "runs").glob("*"))
+    with connect(url) as driven:
+        driven.configure(robot)
+        driven.confirm_length(robot.body.length_cm, settled=True)
+        driven.select_zone(2)
+        driven.arm()
+        driven.wait(2.0)
+        driven.zero()
+        for name, number in (("two", 1), (330.0, 2)):
+            driven.press(name, 9.0)
+            driven.wait(4.0)
+            psi = driven.read(0.5).pressure_psi
+            assert psi[number] == pytest.approx(9.0, abs=0.3)
+            assert sum(psi) == pytest.approx(9.0, abs=1.0)
+        with pytest.raises(ConfigError, match=r"no muscle four; use one \(90\)"):
+            driven.press("four", 9.0)
+
+
+def test_an_imu_that_hangs_is_a_fault_that_leaves_the_robot_safe(tmp_path: Path) -> None:
+    scene = room_for(draft(100, 12, 1, kind="heading"), 0, peg=False)
+    scene.faults = [FaultTable(kind="imu_hung", at_s=4.0, side="right", sensor=3)]
+    scene.save(tmp_path / "hung.toml")
+    with connect(f"emulator://{tmp_path / 'hung.toml'}") as robot:
+        robot.configure(scene.robot)
+        with pytest.raises(RobotFaultError, match="flex_open"):
+            robot.wait(5.0)
+        assert robot.status().state == "fault"
+        read = robot.read(0.2, despite_faults=True).resistance
+        inputs = input_of(scene.robot)
+        open_ = {n for (_, n), number in inputs.items() if not np.isfinite(read[number])}
+        assert open_ == {3, 4}
 
 
 def test_a_large_board_on_a_port_is_read_once_its_robot_is_described() -> None:

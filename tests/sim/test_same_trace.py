@@ -92,7 +92,7 @@ def session(scene: Scene, store: bytes, profile: tuple[int, int]) -> tuple[list[
     robot.grow_to(53.0)
     robot.confirm_length(53.0, settled=True)
     robot.zero()
-    robot.sweep(left_psi=15.0, right_psi=9.0, period_s=3.0)
+    robot.sweep({"left": 15.0, "right": 9.0}, period_s=3.0)
     robot.disarm()
     return board.steps, board.recorded_trace()
 

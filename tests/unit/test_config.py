@@ -103,8 +103,9 @@ def test_a_muscle_has_the_number_of_its_place_in_the_file() -> None:
     config = RobotConfig()
     config.muscles.reverse()
     assert [config.muscle_number(side) for side in ("left", "right")] == [1, 0]
+    assert [config.muscle_number(degrees) for degrees in (90.0, 270)] == [1, 0]
     config.muscles.pop()
-    with pytest.raises(ConfigError, match="left"):
+    with pytest.raises(ConfigError, match=r"no muscle left; use right \(270\)"):
         config.muscle_number("left")
 
 

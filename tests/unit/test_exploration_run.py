@@ -107,14 +107,13 @@ class Script:
 
     def sweep(
         self,
+        tops_psi: dict[str, float],
         *,
-        left_psi: float,
-        right_psi: float,
         period_s: float,
         rising_only: bool = False,
         enough: Any = None,
     ) -> SweepResult:
-        self._call(f"sweep {left_psi:g} {right_psi:g}")
+        self._call(f"sweep {tops_psi.get('left', 0.0):g} {tops_psi.get('right', 0.0):g}")
         if self.touches_at is None or abs(self.length - self.touches_at) > 0.1:
             return SweepResult()
         arc, force, centers = self.length - 2.0, -3e-4, np.array([5.0, 15, 25, 35, 45])
@@ -123,7 +122,7 @@ class Script:
         peak = Peak("left", 0.0, self.length, curvature, 0.03, 18.0, 0x3FF, 10)
         frames = [
             SweepFrame("left", n / 20, psi, psi / 600, -0.008 if psi > 9 else 0.0)
-            for n, psi in enumerate(np.linspace(0.0, left_psi, 100))
+            for n, psi in enumerate(np.linspace(0.0, tops_psi.get("left", 0.0), 100))
         ]
         unread = np.full((len(frames), 10), np.nan)
         result = SweepResult([ContactTrigger("left", 0.0, -0.006)], [peak], frames, unread)

@@ -72,8 +72,8 @@ class Finding:
 
 
 def _board(robot: Robot, _: Attendant) -> Found:
-    told = "{firmware} on {board}, reset cause {reset_cause}".format_map(robot.identity)
-    yield "firmware", told, ""
+    firmware = "{firmware} on {board}, reset cause {reset_cause}".format_map(robot.identity)
+    yield "firmware", firmware, ""
     what = "valid"
     if "bad_config" in robot.status().faults:
         robot.load_defaults()

@@ -21,9 +21,10 @@ from thigmo.calibrate.overhead import Eyes
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.errors import CameraError, CameraMovedError
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import DEGREES, SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.link import protocol as wire
+from thigmo.mechanics import push_tip
 from thigmo.robot import Reading, Robot
 from thigmo.robot.state import Recording
 from thigmo.room import Operator
@@ -76,7 +77,7 @@ class Bench:
     eyes: Eyes
     session: Session  # the folder
     plan: Plan = field(default_factory=Plan)
-    say: Callable[[str], None] = lambda text: None  # told what happens
+    say: Callable[[str], None] = lambda text: None  # called with what happens
     # resistances of the straight robot, taken last (an eversion shifts them, so rows keep the one
     # of their own session)
     rest: list[float] = field(default_factory=list)
@@ -107,7 +108,7 @@ class Bench:
 
     def press(self, side: Side, psi: float, ramp_psi_s: float = 0.0) -> None:
         """Bring one muscle to a pressure."""
-        self.robot.press(**{f"{side}_psi": psi, "ramp_psi_s": ramp_psi_s})
+        self.robot.press(DEGREES[side], psi, ramp_psi_s=ramp_psi_s)
 
     def ohm(self, read: Reading | Recording) -> Array:
         """Resistances (..., m) of the robot's sensors: the board has inputs that it may not use."""
@@ -121,7 +122,7 @@ class Bench:
         return np.asarray(mean.filled(np.nan))
 
     def set_zone(self, zone: int) -> None:
-        """Body pressure of a zone, and the board told."""
+        """Set the body pressure of a zone, and say so to the board."""
         self.hand.set_body_pressure(self.config.body.zones[zone].pressure_psi)
         self.robot.select_zone(zone)
 
@@ -279,7 +280,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
         bench.robot.wait(STEADY_S + bench.plan.step_psi / _RAMP_PSI_S)
         reading = bench.robot.read(READ_S)
         seen = bench.seen(shot, {"k": None, "k_se": None})
-        psi = reading.pressure_psi[bench.config.muscle_number(asked["side"])]
+        psi = reading.pressure_psi[bench.config.muscle_number(DEGREES[asked["side"]])]
         return {
             **asked, "psi": psi, "ohm": bench.ohm(reading),
             "rest": bench.rest, "t_s": reading.t_s, **seen,
@@ -352,7 +353,7 @@ def bow_rows(bench: Bench) -> list[Row]:
 
 def _tip_reach_cm(bench: Bench) -> float:
     body = bench.config.body  # just short of the fold
-    return 0.85 * body.critical_curvature * body.length_cm**2 / 3
+    return push_tip(0.85 * body.critical_curvature, body.length_cm).tip[1]
 
 
 def _tip_seen(bench: Bench) -> Row:

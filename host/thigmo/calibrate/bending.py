@@ -59,9 +59,8 @@ def fit_bending(
         raise DataError("a force_n is 0 or missing", "give newtons: kg times 9.81")
     if not ((arc_cm > 0) & (arc_cm <= config.body.length_cm)).all():
         raise DataError("a force_arc_cm is off the body", "give where it acts, from the base")
-    names = ("center_cm", "span_cm", "noise", "zero_se", "scale_se", "valid_direction", "healthy")
-    center, span, white, zero_se, gain, way, healthy = constants_of(config, *names)
-    noise = np.hypot(white, zero_se)
+    names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction", "healthy")
+    center, span, noise, gain, way, healthy = constants_of(config, *names)
     # A base that folds takes its turn from the first sensors.
     far = (healthy > 0) & (center - span / 2 >= config.body.diameter_cm)
     each, own = np.full((2, len(force_n)), np.nan)

@@ -19,8 +19,10 @@ from thigmo.calibrate.regression import outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
-from thigmo.mechanics import push
+from thigmo.mechanics import push_tip
 from thigmo.record.table import Table
+
+_HARD = 1.7  # times the moment that folds the base, by what is known before
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
     Run it after flex.
     """
     body = bench.config.body
-    reach = 1.7 * body.critical_curvature * body.length_cm**2 / 3
+    reach = push_tip(_HARD * body.critical_curvature, body.length_cm).tip[1]
 
     def take(key: str, y_cm: float) -> Row:
         bench.hand.push_tip(None)
@@ -93,12 +95,11 @@ def fit_buckling(
     curvature: Array, body_pressure_psi: float, length_cm: float, config: RobotConfig
 ) -> BucklingResult:
     """Critical curvature over hard pushes at the tip, a row each (t, m); nan = unusable."""
-    names = ("center_cm", "span_cm", "noise", "zero_se", "scale_se", "valid_direction", "healthy")
-    center, span, white, zero_se, gain, way, healthy = constants_of(config, *names)
+    names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction", "healthy")
+    center, span, noise, gain, way, healthy = constants_of(config, *names)
     if curvature.shape[1] != len(center):
         what = f"{curvature.shape[1]} columns for {len(center)} sensors"
         raise DataError(what, "use this robot's file")
-    noise = np.hypot(white, zero_se)
     # The fold spreads over a diameter from the base.
     near = center - span / 2 < config.body.diameter_cm
     beyond = (healthy > 0) & ~near & (center + span / 2 <= length_cm)
@@ -184,8 +185,5 @@ def _moment(
 
 def _levers(moment: float, center: Array, span: Array, length: float) -> Array:
     """Curvature of each sensor over the moment at the base, large deflection (no fold)."""
-    force = moment / length
-    bent = push(force, length, free_curvature=0.0, length=length)
-    force *= moment / max(abs(bent.base_moment), 1e-12)
-    bent = push(force, length, free_curvature=0.0, length=length)
+    bent = push_tip(moment, length)
     return np.asarray(bent.averages(center, span) / abs(bent.base_moment), float)

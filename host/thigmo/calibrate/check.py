@@ -11,7 +11,7 @@ import numpy as np
 from thigmo.calibrate.bench import STEADY_S, Bench
 from thigmo.calibrate.columns import Array, medians, places_of
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import SIDES, SIGN, FlexSensor, RobotConfig, Side, opposite
+from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Sensor, Side, opposite
 from thigmo.errors import DataError
 
 Mark = Literal["ok", "warning", "bad"]
@@ -58,7 +58,7 @@ def guided(bench: Bench) -> CheckResult:
         bench.press(side, top)
         robot.wait(STEADY_S)
         record = robot.record(4.0)
-        psi = record.pressure_psi[:, config.muscle_number(side)]
+        psi = record.pressure_psi[:, config.muscle_number(DEGREES[side])]
         readings.held_psi[side] = np.column_stack([record.t_s - record.t_s[0], psi])
         readings.bend_ohm[side] = bench.mean_ohm(record)
         shot = bench.seen(lambda: {"k": _bend(bench)}, {"k": None})
@@ -97,7 +97,7 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     return CheckResult(tuple(findings), Verdict(not bad, first, tuple(notes)))
 
 
-def _at_rest(sensor: FlexSensor, zero: float, scatter: float) -> tuple[Mark, str]:
+def _at_rest(sensor: Sensor, zero: float, scatter: float) -> tuple[Mark, str]:
     if not sensor.healthy:
         return "ok", "marked unhealthy, not used"
     if not np.isfinite(zero) or zero > 300_000:

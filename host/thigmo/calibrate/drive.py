@@ -21,6 +21,7 @@ Row = dict[str, Any]
 
 _FULL = wire.PARAMETERS["speed_margin_duty"].high  # duty of the whole supply
 _SHORTEST_S = 3.0  # of growth, whose middle half is taken: by then the duty has settled
+_PAUSE_S = 0.5  # between two growths
 
 
 class Drive(AbstractContextManager["Drive"]):
@@ -46,7 +47,10 @@ class Drive(AbstractContextManager["Drive"]):
         zones = np.array([body.zone_at(length) for length in seen[:, 1]])
         found = []
         for zone in range(len(body.zones)):
-            t, length, duty = seen[zones == zone].T
+            own = seen[zones == zone]
+            # The last of a growth may lie beyond a boundary, and the next one begins later.
+            pauses = np.flatnonzero(np.diff(own[:, 0]) > _PAUSE_S) + 1
+            t, length, duty = max(np.split(own, pauses), key=len).T
             if not len(t) or np.ptp(t) < _SHORTEST_S:
                 continue
             middle = np.abs(t - (t[0] + t[-1]) / 2) < np.ptp(t) / 4

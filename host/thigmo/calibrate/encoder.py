@@ -17,7 +17,7 @@ from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
-TIP_SE_CM = 0.08  # one sigma of a camera place along or across the robot
+TIP_SE = 0.0015  # of the robot's length: one sigma of a camera place along or across it
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,10 @@ def fit_encoder(
         raise DataError("four or more lengths over 5 cm or more are needed", "grow in steps")
     # Counts are exact, the camera is not: length over counts, then inverted.
     one = np.ones(len(counts))
-    fit = fit_linear(np.column_stack([one, counts]), length_cm, TIP_SE_CM)
+    tip_se = TIP_SE * config.body.length_cm
+    fit = fit_linear(np.column_stack([one, counts]), length_cm, tip_se)
     per_count = float(fit.coefficients[1])
-    slip = _slip(counts, length_cm)
+    slip = _slip(counts, length_cm, tip_se)
     value, error = config.spool.counts_per_cm, float("inf")
     if per_count > 0:
         value = 1 / (per_count * config.spool.payout_ratio)
@@ -98,7 +99,7 @@ def fit_encoder(
             unit = counts / max(np.nanmax(np.abs(counts)), 1)
             kept = np.where(fit.used, length_cm, np.nan)
             design = np.column_stack([one, unit, unit**2])
-            curved = fit_linear(design, kept, TIP_SE_CM, reject=False)
+            curved = fit_linear(design, kept, tip_se, reject=False)
             bow = abs(float(curved.coefficients[2]))
             if bow > max(4 * curved.se(2), 1.2):
                 notes.append(f"the wound radius changes: lengths are off by up to {bow / 4:.1f} cm")
@@ -114,7 +115,7 @@ def fit_encoder(
     return EncoderResult(value, error, length_cm, counts, fit.used, pulls, verdict)
 
 
-def _slip(counts: Array, length: Array) -> tuple[int, float] | None:
+def _slip(counts: Array, length: Array, tip_se: float) -> tuple[int, float] | None:
     """Row and size of a lasting offset in length at equal slope; None = none."""
     good = np.flatnonzero(np.isfinite(counts) & np.isfinite(length))
     found: list[tuple[float, int, float]] = []
@@ -122,7 +123,7 @@ def _slip(counts: Array, length: Array) -> tuple[int, float] | None:
         step = np.arange(len(good)) >= at
         design = np.column_stack([np.ones(len(good)), counts[good], step])
         try:
-            fit = fit_linear(design, length[good], TIP_SE_CM, reject=False)
+            fit = fit_linear(design, length[good], tip_se, reject=False)
         except DataError:
             continue
         size = -float(fit.coefficients[2])

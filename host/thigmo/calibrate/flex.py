@@ -34,7 +34,7 @@ from thigmo.calibrate.flex_lines import (
 )
 from thigmo.calibrate.flex_rows import Rows, columns_swapped, judge_rows, mirrored, model_rows
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import RobotConfig, Side
+from thigmo.config import FlexSensor, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -105,6 +105,8 @@ class FlexResult(StepResult):
         """
         for fit in self.sensors:
             sensor = config.column(fit.side)[fit.index]
+            if not isinstance(sensor, FlexSensor):
+                continue
             sensor.healthy = fit.healthy
             if not fit.healthy:
                 continue
@@ -240,8 +242,8 @@ def _sensor(
 def _one_way(column: Column, line: OrderedFit) -> float:
     """Share of the scale that the loop may have taken from it; 0 where bends went both ways.
 
-    Where bends only grow, the loop stands at one end, and a slope is told from it by the first few
-    thousandths of curvature alone: what the fit gave to the loop may be the slope's.
+    Where bends only grow, the loop stands at one end. Only the first few thousandths of curvature
+    then separate the slope from it: what the fit gave to the loop may be the slope's.
     """
     rows = np.flatnonzero(column.seen)
     k, block = column.model[rows], column.block[rows]
@@ -268,7 +270,7 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
     if grew:
         worst_loop = max(grew, key=lambda fit: fit.one_way)
         notes.append(
-            f"bends of {len(grew)} sensors only ever grew, so their scale cannot be told from "
+            f"bends of {len(grew)} sensors only ever grew, so their scale cannot be separated from "
             f"their loop: up to {100 * worst_loop.one_way:.0f} % ({worst_loop.name}) is added to "
             "its error; read the sensors on the way back, too"
         )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from thigmo.calibrate.columns import constants_of, places_of
-from thigmo.calibrate.encoder import TIP_SE_CM
+from thigmo.calibrate.encoder import TIP_SE
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import (
     LOOP_WIDTHS,
@@ -24,7 +24,7 @@ from thigmo.calibrate.regression import Array, LinearFit, Mask, fit_linear
 from thigmo.calibrate.verdict import listed
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
-from thigmo.mechanics import phi, push
+from thigmo.mechanics import phi, push, push_tip
 
 _OHM_RANGE = (1_000.0, 300_000.0)  # beyond: open or shorted
 _WRONG_SIDE = -0.3
@@ -116,8 +116,8 @@ def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
     aside = readings.tip_cm[kinds == "straight", 1]
     aside = aside[np.isfinite(aside)]
     ahead = float(np.median(aside)) if len(aside) else 0.0
-    # The fold at the base: F L = critical moment, y = F L^3 / 3.
-    reach = config.body.critical_curvature * length**2 / 3
+    reach = push_tip(config.body.critical_curvature, length).tip[1]
+    tip_se = TIP_SE * length
     per_cm = phi(length, centers, spans) * 3 / length**3
     model[kinds == "straight"] = 0.0
     model[kinds == "bend"] = readings.curvature[kinds == "bend", None]
@@ -127,13 +127,13 @@ def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
         asked = readings.intended_y_cm[row]
         if not (np.isfinite(y) and np.isfinite(x)):
             lost.append(row)
-        elif np.isfinite(asked) and asked * y < 0 and min(abs(asked), abs(y)) > 3 * TIP_SE_CM:
+        elif np.isfinite(asked) and asked * y < 0 and min(abs(asked), abs(y)) > 3 * tip_se:
             wrong.append(row)
         elif abs(y) > 1.02 * reach:
             folded.append(row)
         else:
             model[row] = tip_curvature(y, length, centers, spans)
-            error[row] = per_cm * TIP_SE_CM
+            error[row] = per_cm * tip_se
     lost += np.flatnonzero((kinds == "bend") & ~np.isfinite(readings.curvature)).tolist()
     in_range = (readings.ohm > _OHM_RANGE[0]) & (readings.ohm < _OHM_RANGE[1])
     sides = [side for side, _ in places_of(config)]
@@ -199,7 +199,10 @@ def judge_rows(rows: Rows) -> None:
     places = np.flatnonzero(rows.good & np.isfinite(share) & rows.tips)
     if len(places) >= 4:
         y = rows.readings.tip_cm[places, 1]
-        miss_cm, miss_se = (share[places] - 1) * y, np.hypot(scatter[places] * y, TIP_SE_CM)
+        miss_cm, miss_se = (
+            (share[places] - 1) * y,
+            np.hypot(scatter[places] * y, TIP_SE * rows.readings.length_cm),
+        )
         off = np.abs(miss_cm - np.median(miss_cm)) > np.maximum(4.5 * miss_se, 0.5)
         odd = places[off].tolist()
         if len(odd) <= 0.35 * len(places):

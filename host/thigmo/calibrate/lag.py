@@ -17,10 +17,10 @@ from scipy.optimize import least_squares
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from thigmo.calibrate.bench import Bench, Row
-from thigmo.calibrate.columns import Array, places_of
+from thigmo.calibrate.columns import Array, sensors_of
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.regression import lasting
-from thigmo.config import SIGN, Side, TanhMap, ZoneMap, opposite
+from thigmo.config import DEGREES, SIGN, Side, TanhMap, ZoneMap
 from thigmo.errors import DataError
 
 # Ramps up and down, for the lag of 0.2..0.4 s: an error of pressure or map looks like a lag that is
@@ -56,9 +56,9 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
     of that side is healthy.
     """
     robot, top = bench.robot, 0.9 * bench.config.muscle(side).max_pressure_psi
-    sensors = bench.config.column(opposite(side))
-    places = places_of(bench.config)
-    far = [number for number, (of, _) in enumerate(places) if of == opposite(side)]
+    sensors = bench.config.feeling(side)
+    every = sensors_of(bench.config)
+    far = [every.index(sensor) for sensor in sensors]
 
     def take(key: str, _: None) -> Row:
         parts = []
@@ -68,7 +68,7 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
                 parts.append(robot.record(seconds + _RAMP_STOP_S))
         robot.vent()
         t = np.concatenate([p.t_s for p in parts])
-        muscle = bench.config.muscle_number(side)
+        muscle = bench.config.muscle_number(DEGREES[side])
         psi = np.concatenate([p.pressure_psi[:, muscle] for p in parts])
         ohm = np.concatenate([bench.ohm(p)[:, far] for p in parts])
         step = max(1, round(_RAMP_FRAME_S / float(np.median(np.diff(t)))))

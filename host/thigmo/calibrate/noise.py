@@ -10,7 +10,7 @@ from thigmo.calibrate.bench import Bench, Row
 from thigmo.calibrate.columns import Array, column, constants_of, medians, of_sensors, places_of
 from thigmo.calibrate.regression import outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import RobotConfig, Side
+from thigmo.config import FlexSensor, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -42,6 +42,9 @@ class NoiseResult(StepResult):
         """White noise, and what no average takes away."""
         for s in self.sensors:
             sensor = config.column(s.side)[s.index]
+            # Neighbours share what IMUs scatter: theirs is the step `heading`'s.
+            if not isinstance(sensor, FlexSensor):
+                continue
             if np.isfinite(s.white) and s.white > 0 and sensor.healthy:
                 sensor.noise = s.white
                 # Rest shows drift, bends show the loop: flex may have seen more of both.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import count
 
 import numpy as np
@@ -21,6 +21,7 @@ from thigmo.camera import (
 from thigmo.camera import render as painter
 from thigmo.camera.centerline import Centerline
 from thigmo.camera.sheet import card_decals, tip_decal
+from thigmo.config import Body
 from thigmo.robot import Robot
 
 
@@ -31,12 +32,18 @@ class Eyes:
     source: PictureSource  # of pictures; live ones show the robot as it is now
     camera: CameraModel  # located
     sheet: Sheet  # in use
-    diameter_cm: float = 3.5  # of the tube
+    body: Body = field(default_factory=Body)  # of the robot
     dowel_radius_cm: float | None = None  # of the obstacles, if known: fewer mistakes
+
+    @property
+    def _wanted(self) -> Seen:
+        return Seen(self.body.diameter_cm, full_cm=self.body.length_cm)
 
     def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
         """The body's axis, if beyond doubt; a pushed tip needs its marker, a free bend does not."""
-        wanted = Seen(self.diameter_cm, constant=free_bend, obstacles=False, length_cm=length_cm)
+        wanted = replace(
+            self._wanted, constant=free_bend, obstacles=False, length_cm=length_cm,
+        )  # fmt: skip
         sighting = look(self.source.read(), self.camera, self.sheet, wanted)
         doubtful = any(isinstance(problem, AxisDoubtfulError) for problem in sighting.problems)
         if doubtful or sighting.axis is None or (sighting.tip is None and not free_bend):
@@ -45,7 +52,7 @@ class Eyes:
 
     def everything(self) -> Sighting:
         """Tip, axis and obstacles; raises CameraError."""
-        wanted = Seen(self.diameter_cm)
+        wanted = self._wanted
         if (radius := self.dowel_radius_cm) is not None:
             wanted = replace(wanted, obstacle_radius_cm=(0.8 * radius, 1.2 * radius))
         return look(self.source.read(), self.camera, self.sheet, wanted)
@@ -56,7 +63,6 @@ def emulated_source(
     sheet: Sheet,
     *,
     seed: int = 0,
-    diameter_cm: float = 3.5,
     spoil: Callable[[CameraModel], CameraModel] | None = None,
 ) -> tuple[PictureSource, float]:
     """A camera above an emulated robot, and its height as a tape would tell.
@@ -64,8 +70,9 @@ def emulated_source(
     `seed` draws its place, lens and room; `spoil` changes it before every picture (tests move it).
     """
     rng = np.random.default_rng([seed, 0xCA3E4A])
-    camera = painter.overhead_camera(rng)
-    room = painter.random_look(rng)
+    of = (robot.known_config or robot.config).body
+    camera = painter.overhead_camera(rng, of.length_cm)
+    room = painter.random_look(rng, of.length_cm)
     measured = float(camera.eye_cm[2] + rng.normal(0, 0.5))
     table_seed = int(rng.integers(1 << 31))
     numbers = count(1)
@@ -75,8 +82,8 @@ def emulated_source(
         x, y = truth.centreline[:, 3:].T
         patches, body = card_decals(sheet), None
         if truth.length_cm > 2.0:
-            body = painter.BodyShape(x, y, diameter_cm / 2)
-            patches.append(tip_decal(sheet, x, y, diameter_cm))
+            body = painter.BodyShape(x, y, of.radius_cm)
+            patches.append(tip_decal(sheet, x, y, of.diameter_cm))
         pegs = [painter.PegShape(float(p.x), float(p.y), float(p.radius)) for p in truth.pegs]
         # The room stays, the sensor's noise does not.
         return painter.render(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ from thigmo.calibrate.bench import Bench
 from thigmo.calibrate.columns import Array
 from thigmo.calibrate.regression import outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -23,7 +24,7 @@ NOMINAL_COUNT = 102.4  # at 0 psi by the data sheet: 10 % of the supply
 class PressureZero:
     """One muscle's pressure sensor at vent."""
 
-    side: Side
+    muscle: str  # by name
     zero_count: float  # ADC count at 0 psi
     zero_se: float  # its standard error
     good: bool  # it may be used
@@ -32,7 +33,7 @@ class PressureZero:
 
 @dataclass(frozen=True)
 class PressureResult(StepResult):
-    """Both pressure sensors' zeros, in ADC counts."""
+    """The pressure sensors' zeros, in ADC counts, in the muscles' order."""
 
     zeros: tuple[PressureZero, ...]
     verdict: Verdict
@@ -47,7 +48,7 @@ class PressureResult(StepResult):
 
 
 def guided(bench: Bench) -> PressureResult:
-    """Zeros of both pressure sensors at vent, into the board.
+    """Zeros of all pressure sensors at vent, into the board.
 
     They are what tells the board that a muscle is vented, so nothing here asks it whether one is:
     the fit sees what still moves, and what is too far from its data sheet.
@@ -60,25 +61,33 @@ def guided(bench: Bench) -> PressureResult:
         np.array(robot.parameter(f"pressure_{name}"), float) / 64 for name in ("zero", "span")
     )
     full = robot.parameter("pressure_full_cpsi")[0] / 100
-    psi = record.pressure_psi
-    result = fit_pressure_zero(zero + psi * span / full, float(span.mean()), full)
+    names = [muscle.name for muscle in bench.config.muscles]
+    used, spare = np.split(zero, [len(names)])
+    counts = used + record.pressure_psi * span[: len(names)] / full
+    result = fit_pressure_zero(counts, names, float(span.mean()), full)
     if result.verdict.good:
-        robot.set_parameter("pressure_zero", result.board_values())
+        kept = (spare * 64).round().astype(int).tolist()  # of outputs without a muscle
+        robot.set_parameter("pressure_zero", [*result.board_values(), *kept])
         robot.save()
     return result
 
 
-def of_csv(table: Table, _: RobotConfig) -> PressureResult:
-    """ADC counts at vent."""
-    return fit_pressure_zero(np.column_stack([table.numbers(f"{side}_count") for side in SIDES]))
+def of_csv(table: Table, config: RobotConfig) -> PressureResult:
+    """ADC counts at vent, a column for each muscle, by name."""
+    names = [muscle.name for muscle in config.muscles]
+    return fit_pressure_zero(
+        np.column_stack([table.numbers(f"{name}_count") for name in names]), names
+    )
 
 
-def fit_pressure_zero(counts: Array, span: float = 819.2, full_psi: float = 60.0) -> PressureResult:
-    """Zeros from counts (n, 2) with both muscles vented; `span` counts are `full_psi`."""
+def fit_pressure_zero(
+    counts: Array, names: Sequence[str], span: float = 819.2, full_psi: float = 60.0
+) -> PressureResult:
+    """Zeros from counts (n, muscles) with all muscles vented; `span` counts are `full_psi`."""
     if len(counts) < 10:
-        raise DataError("ten or more readings of both pressure sensors are needed", "read longer")
+        raise DataError("ten or more readings of each pressure sensor are needed", "read longer")
     zeros = []
-    for side, own in zip(SIDES, counts.T, strict=True):
+    for muscle, own in zip(names, counts.T, strict=True):
         values, zero, se, fall_psi = own[np.isfinite(own)], np.nan, np.inf, 0.0
         if len(values) > 1:
             calm = values[~outlying(values, 5, 0.5)]
@@ -95,7 +104,7 @@ def fit_pressure_zero(counts: Array, span: float = 819.2, full_psi: float = 60.0
             reason = f"still moves by {fall_psi:.2f} psi: wait until vented"
         else:
             good, reason = True, f"zero at {zero:.2f} counts ({off:+.2f} psi of the data sheet)"
-        zeros.append(PressureZero(side, zero, se, good, reason))
-    notes = tuple(f"the {z.side} pressure sensor {z.reason}" for z in zeros if not z.good)
-    reason = "vent, shut the air, check the wires, and repeat" if notes else "both zeros taken"
+        zeros.append(PressureZero(muscle, zero, se, good, reason))
+    notes = tuple(f"the pressure sensor of {z.muscle} {z.reason}" for z in zeros if not z.good)
+    reason = "vent, shut the air, check the wires, and repeat" if notes else "zeros taken"
     return PressureResult(tuple(zeros), Verdict(not notes, reason, notes))

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from thigmo.calibrate.verdict import StepResult, plain
-from thigmo.config import FlexSensor, RobotConfig, ZoneMap
+from thigmo.config import RobotConfig, ZoneMap
 from thigmo.errors import DataError
 from thigmo.files import write_whole
 
@@ -110,7 +110,7 @@ def blank(config: RobotConfig) -> RobotConfig:
     """A robot of that geometry whose constants nobody has measured: where calibration begins."""
     made, fresh = config.model_copy(deep=True), RobotConfig()
     made.sensors = [
-        FlexSensor(**sensor.model_dump(include={"direction_deg", "center_cm", "span_cm"}))
+        type(sensor)(**sensor.model_dump(include={"direction_deg", "kind", "center_cm", "span_cm"}))
         for sensor in made.sensors
     ]
     for muscle in made.muscles:

@@ -21,6 +21,7 @@ from thigmo.calibrate import (
     check,
     encoder,
     flex,
+    heading,
     hysteresis,
     noise,
     pressure,
@@ -45,6 +46,7 @@ class Step:
     # without it later steps would measure nonsense; a bad other one spoils nothing else
     needed: bool = False
     thesis: Callable[..., StepResult] | None = None  # the thesis's fit of the same readings
+    kind: str = ""  # of the sensors that it is for; empty: any
 
     def other_fit(self, method: str | None) -> tuple[Callable[..., StepResult], ...]:
         """The argument that makes its functions fit by a method; none for its own."""
@@ -54,7 +56,7 @@ class Step:
 _CURVATURES = "curvature_left_0 .. curvature_right_4"
 STEPS = {
     "pressure": Step(
-        pressure.guided, pressure.of_csv, "left_count, right_count", needed=True
+        pressure.guided, pressure.of_csv, "NAME_count of each muscle", needed=True
     ),
     "encoder": Step(
         encoder.guided, encoder.of_csv, "counts, length_cm", ("growth", "drive"), needed=True
@@ -68,7 +70,11 @@ STEPS = {
         flex.guided, flex.of_csv,
         "kind (straight, tip, bend), tip_x_cm, tip_y_cm, curvature, ohm_left_0 .. ohm_right_4 "
         "[t_s, curvature_se, active, length_cm, intended_y_cm, block, name]",
-        ("tips",), needed=True, thesis=thesis.fit_flex,
+        ("tips",), needed=True, thesis=thesis.fit_flex, kind="flex",
+    ),
+    "heading": Step(
+        heading.guided, heading.of_csv, "t_s, curvature, ohm_left_0 .. ohm_right_4",
+        needed=True, kind="heading",
     ),
     "hysteresis": Step(
         hysteresis.guided, hysteresis.of_csv, "side, index, t_s, curvature [eversion]", ("growth",)
@@ -86,8 +92,21 @@ STEPS = {
 }  # fmt: skip
 
 
+def steps_of(config: RobotConfig) -> list[str]:
+    """The steps that a robot needs: of a kind of sensors only if it has some."""
+    kinds = {"", *(sensor.kind for sensor in config.sensors)}
+    return [name for name, step in STEPS.items() if step.kind in kinds]
+
+
+def _require(step: str, config: RobotConfig) -> None:
+    """Raise DataError for a step of a kind of sensors that the robot does not have."""
+    if step not in (there := steps_of(config)):
+        raise DataError(f"the robot has no {STEPS[step].kind} sensors", f"use {', '.join(there)}")
+
+
 def run(bench: Bench, step: str, *, again: bool = False, method: str | None = None) -> StepResult:
     """One guided step of `STEPS`; `again` takes its readings anew. `method`: of `fit_csv`."""
+    _require(step, bench.config)
     if again:
         for procedure in STEPS[step].rows:
             bench.session.forget(procedure)
@@ -112,6 +131,7 @@ def fit_csv(
         raise DataError(
             f"there is no fit '{step}' for a CSV", f"use one of {', '.join(sorted(made))}"
         )
+    _require(step, config)
     fit, columns = made[step]
     try:
         return fit(Table.read(path), config, *STEPS[step].other_fit(method))

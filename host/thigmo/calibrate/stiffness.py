@@ -26,6 +26,8 @@ from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
+_LEAST_BEND, _ASIDE = 0.055, (0.1, 0.19)  # of the length, that the tip stands aside
+
 
 @dataclass(frozen=True)
 class AxisPoints:
@@ -75,13 +77,16 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
     found, notes = [], []
     for number, picture in enumerate(pictures, start=1):
         bend = float(np.abs(picture.points_cm[:, 1]).max())
-        if len(picture.points_cm) < 20 or bend < 3:
+        if len(picture.points_cm) < 20 or bend < _LEAST_BEND * config.body.length_cm:
             notes.append(f"picture {number} omitted: bent by {bend:.1f} cm only, or too few points")
         else:
             found.append((*_one(picture, fine, gap), bend))
     if len(found) < 3:
         raise DataError(
-            f"{len(found)} usable pictures", "take three or more with the tip 5..10 cm aside"
+            f"{len(found)} usable pictures",
+            "take three or more with the tip {:.0f}..{:.0f} cm aside".format(
+                *(share * config.body.length_cm for share in _ASIDE)
+            ),
         )
     each, errors, bends = np.array(found).T
     # A picture's own error grows with its own estimate, which would favour low ones: the error at

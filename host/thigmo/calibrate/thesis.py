@@ -37,6 +37,8 @@ class ThesisFlexResult(FlexResult):
         """Scales and zeros; errors are those of sensors that nobody has calibrated, at least."""
         for fit in self.sensors:
             sensor = config.column(fit.side)[fit.index]
+            if not isinstance(sensor, FlexSensor):
+                continue
             sensor.healthy = fit.healthy
             if fit.healthy:
                 sensor.scale_per_ohm, sensor.zero_ohm = fit.scale_per_ohm, fit.zero_ohm

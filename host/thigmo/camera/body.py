@@ -1,7 +1,7 @@
 """The robot in a picture: which pixels are body, where its axis runs, how it is curved.
 
 The picture is laid flat at the height of the tube's axis (the silhouette's middle there is the
-axis), body and table are told apart by the colour found at the base, the tube is followed from the
+axis), body and table are separated by the colour found at the base, the tube is followed from the
 base by its two flanks, and a smooth curve is fitted to the flanks' middles. Curvature comes from
 that fit with its covariance: constant for free bends, a spline for any other shape.
 """
@@ -21,10 +21,11 @@ from thigmo.camera.model import CameraModel, Picture
 Array = NDArray[np.float64]
 
 BODY_PX_CM = 12  # enough for a tube that is 40 px wide
-_LOW_CM, _HIGH_CM = np.array([-4.0, -58.0]), np.array([60.0, 58.0])  # corners of what is looked at
-_UPPER_LEFT_CM = np.array([_LOW_CM[0], _HIGH_CM[1]])
-_STEP_CM, _LONGEST_CM = 0.5, 200.0
+# Corners of what is looked at, of the robot's full length.
+_AROUND = np.array([-4.0, -58.0]) / 53.0, np.array([60.0, 58.0]) / 53.0
+_STEP_CM, _LONGEST_CM = 0.5, 400.0
 _WIDTH_CM = 0.05  # a change of width that wrinkles make
+_RIM_PX = 5  # where blur mixes the tip marker's margin with the body's colour
 _CLASH = 0.5  # bodyness at a flank
 _EDGE_CM = 0.4  # to either side of a flank, looked at for its edge
 _EDGE_GRAY = 15.0  # an edge of less contrast tells nothing
@@ -34,37 +35,44 @@ _EDGE_GRAY = 15.0  # an edge of less contrast tells nothing
 class Flat:
     """A picture laid flat on a plane above the table, x to the right, y up (rows run down)."""
 
-    image: Picture  # (h, w, 3) BGR, of `_LOW_CM` to `_HIGH_CM`
-    px_per_cm: int  # resolution
+    image: Picture  # (h, w, 3) BGR
+    px_per_cm: float  # resolution
+    corner_cm: Array  # (2,) its upper left corner: least x, most y
 
     def pixels(self, points_cm: Array) -> NDArray[np.float32]:
         """Workspace x, y (..., 2) to column, row (..., 2)."""
-        at = (points_cm - _UPPER_LEFT_CM) * [self.px_per_cm, -self.px_per_cm] - 0.5
+        at = (points_cm - self.corner_cm) * [self.px_per_cm, -self.px_per_cm] - 0.5
         return np.asarray(at, np.float32)
 
     def places(self, pixels: Array) -> Array:
         """Column, row (..., 2) to workspace x, y (..., 2)."""
-        return np.asarray((pixels + 0.5) / [self.px_per_cm, -self.px_per_cm] + _UPPER_LEFT_CM)
+        return np.asarray((pixels + 0.5) / [self.px_per_cm, -self.px_per_cm] + self.corner_cm)
 
 
 def flatten(
-    picture: Picture, camera: CameraModel, height_cm: float, px_per_cm: int = BODY_PX_CM
+    picture: Picture,
+    camera: CameraModel,
+    height_cm: float,
+    full_cm: float,
+    most_px_cm: float = BODY_PX_CM,
 ) -> Flat:
-    """Lay a picture flat at a height."""
-    columns, rows = np.round((_HIGH_CM - _LOW_CM) * px_per_cm).astype(int).tolist()
+    """Lay what a robot of full length can reach flat at a height, as fine as the picture is."""
+    px_per_cm = min(most_px_cm, most_px_cm / BODY_PX_CM / camera.cm_per_px)
+    low, high = (share * full_cm for share in _AROUND)
+    columns, rows = np.round((high - low) * px_per_cm).astype(int).tolist()
     turn = camera.turn
     # The plane to the pinhole's rays, and the flat picture's pixels to the plane.
     to_ray = np.column_stack([turn[:, :2], turn[:, 2] * height_cm + np.ravel(camera.translation)])
     cell = 1 / px_per_cm
     to_plane = np.array([
-        [cell, 0, _LOW_CM[0] + cell / 2], [0, -cell, _HIGH_CM[1] - cell / 2], [0, 0, 1],
+        [cell, 0, low[0] + cell / 2], [0, -cell, high[1] - cell / 2], [0, 0, 1],
     ])  # fmt: skip
     lookup = cv2.initUndistortRectifyMap(
         camera.lens.matrix, camera.lens.distortion, np.eye(3), np.linalg.inv(to_ray @ to_plane),
         (columns, rows), cv2.CV_32FC1,
     )  # fmt: skip
     image = cv2.remap(picture, *lookup, cv2.INTER_LINEAR)
-    return Flat(np.asarray(image, np.uint8), px_per_cm)
+    return Flat(np.asarray(image, np.uint8), px_per_cm, np.array([low[0], high[1]]))
 
 
 def bodyness(
@@ -111,6 +119,7 @@ def bodyness(
     if cover is not None:
         polygon = np.round(flat.pixels(cover)).astype(np.int32).reshape(-1, 1, 2)
         cv2.fillPoly(score, [polygon], 1.0)
+        cv2.polylines(score, [polygon], True, 1.0, _RIM_PX)
     return np.asarray(cv2.GaussianBlur(score, (0, 0), 1.2), np.float32)
 
 

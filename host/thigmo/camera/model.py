@@ -33,6 +33,7 @@ Points = Annotated[
     PlainSerializer(np.ndarray.tolist),
 ]
 
+_PERIMETER_PX = 38.0  # of the smallest marker: finer cells are not told apart
 _MOVED_PX = 2.0  # median shift of the cards' corners that counts as a moved camera
 _LARGEST = (
     *(f"DICT_{n}X{n}_1000" for n in range(4, 8)), "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_36h11",
@@ -61,8 +62,8 @@ class Kept:
             data = json.loads(text)
             return TypeAdapter(cls).validate_python({"lens": data, **data})
         except ValidationError as error:
-            told = invalid_entry(cls.what, error)
-            raise CameraError(f"{path} is no {told}", f"{cls.cure} again") from error
+            entry = invalid_entry(cls.what, error)
+            raise CameraError(f"{path} is no {entry}", f"{cls.cure} again") from error
         except (ValueError, TypeError) as error:
             raise CameraError(f"{path} is no {cls.what}: {error}", f"{cls.cure} again") from error
 
@@ -167,7 +168,7 @@ def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
     settings.cornerRefinementMaxIterations = 50
     settings.cornerRefinementMinAccuracy = 0.01
     settings.errorCorrectionRate = 0.34
-    settings.minMarkerPerimeterRate = 0.02
+    settings.minMarkerPerimeterRate = _PERIMETER_PX / max(picture.shape)
     finder = cv2.aruco.ArucoDetector(dictionary(name), settings)
     corners, ids, _ = finder.detectMarkers(picture)
     if ids is None:

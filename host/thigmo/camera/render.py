@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import tan
+from math import inf, tan
 from typing import Any
 
 import cv2
@@ -28,7 +28,11 @@ Color = tuple[float, float, float]  # blue, green, red, 0..255
 _SHIFT = 6  # fractional bits of OpenCV's polygon vertices
 _TABLE_PX_CM = 12
 _SIZE = (1920, 1080)
-_LIVE_CM = 90.0  # the table is painted within this distance of the picture's middle
+# Pixels of a camera over those of `_SIZE`, by how many times 53 cm its robot is long: 1440 and 2160
+# lines, for the tip's marker.
+_FINER = ((1.3, 1.0), (2.3, 4 / 3), (inf, 2.0))
+# The table of a robot of 53 cm is painted within this distance of the picture's middle.
+_LIVE_CM, _LENGTH_CM, _HEIGHT_CM = 90.0, 53.0, 105.0
 
 
 @dataclass(frozen=True)
@@ -77,37 +81,42 @@ class View:
     housing: bool = True  # whether the base's box stands behind x = 0
 
 
-def overhead_camera(rng: np.random.Generator | None = None) -> CameraModel:
-    """A camera above the default workspace, long side across the robot; varied by `rng`.
+def overhead_camera(
+    rng: np.random.Generator | None = None, length_cm: float = _LENGTH_CM
+) -> CameraModel:
+    """A camera above a robot's workspace, long side across the robot; varied by `rng`.
 
-    Height 95..120 cm, tilt to 6 degrees, roll to 4, barrel distortion to -0.12, focal length such
-    that the cards stay in the picture.
+    Height 95..120 cm for 53 cm of robot, and in proportion, tilt to 6 degrees, roll to 4, barrel
+    distortion to -0.12, focal length such that the cards stay in the picture. A longer robot
+    has a camera of more pixels.
     """
     pick = rng or np.random.default_rng(0)
     vary = 0.0 if rng is None else 1.0
-    height = 105.0 + vary * pick.uniform(-10, 12)
+    share = length_cm / _LENGTH_CM
+    size = np.array(_SIZE) * next(finer for most, finer in _FINER if share <= most)
+    height = share * (_HEIGHT_CM + vary * pick.uniform(-10, 12))
     # The picture's columns run along -y and its rows along -x: the robot grows upwards.
     down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     tilt = vary * pick.uniform(-1, 1, 2) * np.radians(6)
     roll = vary * pick.uniform(-1, 1) * np.radians(4)
     spin = cv2.Rodrigues(np.array([tilt[0], tilt[1], roll]))[0]
     turn = spin @ down
-    target = np.array([27.0, 0.0, 0.0]) + vary * np.append(pick.uniform(-2, 2, 2), 0.0)
+    target = share * (np.array([27.0, 0.0, 0.0]) + vary * np.append(pick.uniform(-2, 2, 2), 0.0))
     eye = target - height * turn[2]
     k1 = -0.06 + vary * pick.uniform(-0.06, 0.05)
     k2 = 0.01 + vary * pick.uniform(-0.01, 0.02)
-    half_view = np.arctan(64.0 / height)
-    middle = np.array(_SIZE) / 2
+    half_view = np.arctan(64.0 * share / height)
+    middle = size / 2
     focal = middle[0] / tan(half_view) * (1 - 0.3 * k1)
     middle = middle + vary * pick.uniform(-12, 12, 2)
     matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
     distortion = np.array([k1, k2, vary * pick.normal(0, 4e-4), vary * pick.normal(0, 4e-4), 0.0])
-    lens = Lens(matrix, distortion, _SIZE)
+    lens = Lens(matrix, distortion, (int(size[0]), int(size[1])))
     return CameraModel(lens, np.ravel(cv2.Rodrigues(turn)[0]), -turn @ eye)
 
 
-def random_look(rng: np.random.Generator) -> Look:
-    """A room as labs have them: from good light to poor."""
+def random_look(rng: np.random.Generator, length_cm: float = _LENGTH_CM) -> Look:
+    """A room as labs have them, for a robot of a length: from good light to poor."""
     tint = rng.uniform(-18, 18, 3)
     blue, green, red = (rng.uniform(140, 225) + tint).tolist()
     return Look(
@@ -116,7 +125,7 @@ def random_look(rng: np.random.Generator) -> Look:
         shadow=float(rng.uniform(0.1, 0.5)),
         light=(float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-0.5, 0.5))),
         falloff=float(rng.uniform(0.05, 0.4)),
-        clutter=int(rng.integers(5, 40)),
+        clutter=round(rng.integers(5, 40) * (length_cm / _LENGTH_CM) ** 2),
         jpeg=int(rng.integers(75, 96)),
         table=(blue, green, red),
         wrinkle=float(rng.uniform(0.05, 0.2)),
@@ -163,9 +172,10 @@ def _table(camera: CameraModel, view: View, look: Look, rng: np.random.Generator
     """Table with grain, clutter and shadows, warped into the picture."""
     rays, eye = camera.rays, camera.eye_cm.astype(np.float32)
     x, y = (eye[axis] - eye[2] / rays[..., 2] * rays[..., axis] for axis in (0, 1))
-    low = np.maximum(np.array([x.min(), y.min()]) - 2, -_LIVE_CM)
-    high = np.minimum(np.array([x.max(), y.max()]) + 2, _LIVE_CM + 40)
-    px = _TABLE_PX_CM
+    share = max(1.0, float(eye[2]) / _HEIGHT_CM)
+    low = np.maximum(np.array([x.min(), y.min()]) - 2, -share * _LIVE_CM)
+    high = np.minimum(np.array([x.max(), y.max()]) + 2, share * (_LIVE_CM + 40))
+    px = _TABLE_PX_CM / share
     shape = (int((high[1] - low[1]) * px), int((high[0] - low[0]) * px))
     flat = np.empty((*shape, 3), np.float32)
     flat[:] = look.table
@@ -174,7 +184,7 @@ def _table(camera: CameraModel, view: View, look: Look, rng: np.random.Generator
     grain: Any = 5 * cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
     grain += 3 * cv2.resize(fine, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
     flat = np.asarray(flat + grain[..., None], np.float32)
-    _clutter(flat, look, rng)
+    _clutter(flat, look, rng, px)
     shade = np.zeros(shape, np.uint8)
 
     def shadow(points: Array, radius_cm: float) -> None:
@@ -198,9 +208,8 @@ def _table(camera: CameraModel, view: View, look: Look, rng: np.random.Generator
     return np.asarray(warped, np.float32)
 
 
-def _clutter(flat: Canvas, look: Look, rng: np.random.Generator) -> None:
+def _clutter(flat: Canvas, look: Look, rng: np.random.Generator, px: float) -> None:
     """Pens, scraps of paper, coins and cables, anywhere on the table."""
-    px = _TABLE_PX_CM
     rows, columns = flat.shape[:2]
     for _ in range(look.clutter):
         at = rng.uniform((0, 0), (columns, rows))
@@ -210,7 +219,7 @@ def _clutter(flat: Canvas, look: Look, rng: np.random.Generator) -> None:
         along = np.array([np.cos(turn), np.sin(turn)])
         if kind == 0:
             end = at + along * rng.uniform(6, 14) * px
-            cv2.line(flat, _pair(at), _pair(end), color, int(0.8 * px), cv2.LINE_AA)
+            cv2.line(flat, _pair(at), _pair(end), color, max(1, int(0.8 * px)), cv2.LINE_AA)
         elif kind == 1:
             size = rng.uniform(2, 9, 2) * px
             box = cv2.boxPoints((_pair(at), (float(size[0]), float(size[1])), float(turn * 57)))

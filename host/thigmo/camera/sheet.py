@@ -46,6 +46,7 @@ class Card(Model):
     z_cm: Annotated[Finite, Field(ge=0, le=40)] = 0.0
 
 
+_LENGTH_CM = 53.0  # of the robot that these cards are for
 _CARDS = [
     Card(name="base left", first_id=0, x_cm=0.0, y_cm=44.0),
     Card(name="base right", first_id=4, x_cm=0.0, y_cm=-44.0),
@@ -89,6 +90,22 @@ class Sheet(Model):
         if max(ids) >= count:
             raise ValueError(f"{self.dictionary} has {count} markers, and no id {max(ids)}")
         return self
+
+    @classmethod
+    def of_length(cls, length_cm: float) -> Sheet:
+        """The sheet of a robot of that length: its cards lie around what it can reach."""
+        share = length_cm / _LENGTH_CM
+        laid = [
+            card.model_copy(update={"x_cm": round(card.x_cm * share, 1),
+                                    "y_cm": round(card.y_cm * share, 1)})
+            for card in _CARDS
+        ]  # fmt: skip
+        return cls(cards=laid)
+
+    @property
+    def length_cm(self) -> float:
+        """Length of the robot that the cards are laid for."""
+        return max(card.x_cm for card in self.cards) * _LENGTH_CM / _CARDS[-1].x_cm
 
     @property
     def modules(self) -> int:

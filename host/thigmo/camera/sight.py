@@ -78,6 +78,7 @@ class Seen:
     obstacles: bool = True  # look for dowels
     constant: bool = False  # the body is a free bend (one curvature)
     length_cm: float | None = None  # of the body, if it is known
+    full_cm: float | None = None  # length that the robot can have; None = what the cards are for
 
     def __post_init__(self) -> None:
         low, high = self.obstacle_radius_cm
@@ -165,6 +166,10 @@ class _Glance:
                 f"take one {needed / px_per_cm:.1f} times as large, or bring the camera nearer",
             )
 
+    @property
+    def _full_cm(self) -> float:
+        return self.wanted.full_cm or self.sheet.length_cm
+
     def tip(self) -> TipSighting:
         """The tip as it was clicked, or by its marker."""
         diameter, marker = self.wanted.diameter_cm, self.sheet.tip_marker_id
@@ -196,8 +201,8 @@ class _Glance:
                 points, end, constant=wanted.constant, point_se_cm=0.15, knot_cm=15.0
             )
             return by_hand, []
-        flat = flatten(self.picture, camera, radius)
-        empty = None if background is None else flatten(background, camera, radius)
+        flat = flatten(self.picture, camera, radius, self._full_cm)
+        empty = None if background is None else flatten(background, camera, radius, self._full_cm)
         cover = None
         if (four := self.markers.get(self.sheet.tip_marker_id)) is not None:
             # The white margin belongs to the marker: one more cell on each side.
@@ -236,7 +241,7 @@ class _Glance:
         camera, height = self.camera, self.wanted.obstacle_height_cm
         rims = [np.array(rim) for rim in self.clicks.obstacles]
         given = [circle_through(camera.to_plane(rim, height)) for rim in rims]
-        flat = flatten(self.picture, camera, height, OBSTACLE_PX_CM)
+        flat = flatten(self.picture, camera, height, self._full_cm, OBSTACLE_PX_CM)
         ignore = [camera.to_plane(four, height) for four in self.markers.values()]
         found = find_obstacles(flat, self.wanted.obstacle_radius_cm, ignore)
         return given + [one for one in found if all(one.apart_cm(g) > g.radius_cm for g in given)]
@@ -276,8 +281,11 @@ def draw(
         known = marker in card_of or marker == sheet.tip_marker_id
         color = (0, 200, 0) if known else (0, 0, 255)
         _lines(canvas, four, color, closed=True)
-    across, along = np.linspace(-40, 40, 60), np.linspace(0, 50, 40)
-    for x, y in [(x, across) for x in range(0, 51, 10)] + [(along, y) for y in range(-40, 41, 10)]:
+    full_cm = wanted.full_cm or sheet.length_cm
+    aside, ahead = np.arange(0.0, 0.8 * full_cm, 10.0), np.arange(0.0, full_cm, 10.0)
+    aside = np.append(-aside[:0:-1], aside)
+    across, along = (np.linspace(at[0], at[-1], 60) for at in (aside, ahead))
+    for x, y in [*((x, across) for x in ahead), *((along, y) for y in aside)]:
         _lines(canvas, camera.project(_raised(x, y, 0.0)), (200, 160, 60))
     origin, *ends = camera.project(np.array([[0.0, 0, 0], [5, 0, 0], [0, 5, 0]]))
     for end, name in zip(ends, "xy", strict=True):
@@ -292,8 +300,8 @@ def draw(
             _lines(canvas, camera.project(_raised(x, y, radius)), color)
         middle = len(axis.arc_cm) // 2
         (at,) = camera.project(_raised(axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius))
-        told = f"length {axis.length_cm:.1f} cm, mean curvature {axis.curvature:+.4f} /cm"
-        _text(canvas, told, at)
+        caption = f"length {axis.length_cm:.1f} cm, mean curvature {axis.curvature:+.4f} /cm"
+        _text(canvas, caption, at)
     if sighting.tip is not None:
         tip = sighting.tip
         (at,) = camera.project(_raised(tip.x_cm, tip.y_cm, wanted.diameter_cm / 2))

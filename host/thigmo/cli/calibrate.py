@@ -79,12 +79,14 @@ def calibrate(
 
     flex: the tip is pushed aside by hand to ten places; every sensor's scale, zero and noise.
 
+    heading: of IMUs instead: the turn from each to the next at the free bends; scale, zero, drift.
+
     hysteresis: how each sensor creeps after it was everted (from the encoder's stops).
 
     buckling: hard pushes at the tip, until the base folds.
 
     stiffness: whether sensors stiffen the body, to 0.1 with twelve more pictures of the pushed tip
-    (told only; nothing needs it). With `--csv` of readings under known forces, such as a hung
+    (reported only; nothing needs it). With `--csv` of readings under known forces, such as a hung
     weight, or with `--from-fold`: the bending stiffness, which makes newtons of forces.
 
     noise, check: the robot at rest; later, whether it is still what robot.toml says.
@@ -93,15 +95,15 @@ def calibrate(
     results are kept, the file before them as robot.toml.1.bak and so on. A
     stopped step goes on after its last reading; `status` tells what is done.
 
-    `--csv FILE` fits readings that a lab already has; a file that lacks a column
-    is told all of them. Try it without a robot: `--robot emulator://empty`.
+    `--csv FILE` fits readings that a lab already has; for a file that lacks a column
+    all of them are listed. Try it without a robot: `--robot emulator://empty`.
     """
     from thigmo.extras import require
 
     require("camera", "calibration")
     from thigmo.calibrate.bending import from_fold as state_stiffness
     from thigmo.calibrate.session import Session, blank
-    from thigmo.calibrate.steps import STEPS, fit_csv, run
+    from thigmo.calibrate.steps import STEPS, fit_csv, run, steps_of
     from thigmo.config import RobotConfig
 
     if step not in (*STEPS, "all", "status"):
@@ -137,11 +139,11 @@ def calibrate(
         if not as_json:
             typer.echo(text)
 
-    steps = list(STEPS) if step == "all" else [step]
     console = Console(quiet=as_json)
     with console.interruptible(), connect(robot, seed=seed, operator=console) as machine:
         known = machine.known_config
         session = Session(folder, start or (blank(known) if known else None))
+        steps = steps_of(session.config) if step == "all" else [step]
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
         eyes = _eyes(machine, session, camera, sheet_file, camera_file, seed)
@@ -167,14 +169,14 @@ def calibrate(
 def _status(session: Session, as_json: bool) -> None:
     from thigmo.calibrate.steps import STEPS
 
-    told, lines = {}, []
+    facts, lines = {}, []
     for name, step in STEPS.items():
         rows = sum(len(session.rows(procedure)) for procedure in step.rows)
         done = session.done(name)
         reason = done["verdict"]["reason"] if done else ""
-        told[name] = {"done": done is not None, "readings": rows, "reason": reason}
+        facts[name] = {"done": done is not None, "readings": rows, "reason": reason}
         lines.append(f"{name:12s} {'done' if done else f'{rows} readings':14s} {reason}".rstrip())
-    show(as_json, told, *lines)
+    show(as_json, facts, *lines)
 
 
 def _eyes(
@@ -185,12 +187,12 @@ def _eyes(
     from thigmo.camera import CameraModel, locate, open_source
     from thigmo.cli.camera import load_sheet
 
-    diameter = session.config.body.diameter_cm
-    sheet = load_sheet(sheet_file)
+    body = session.config.body
+    sheet = load_sheet(sheet_file, body.length_cm)
     if machine.scenery() is not None:
-        source, height = emulated_source(machine, sheet, seed=seed, diameter_cm=diameter)
+        source, height = emulated_source(machine, sheet, seed=seed)
         measured = sheet.model_copy(update={"camera_height_cm": height})
         model = locate(source.read(), measured)
         model.save(session.folder / "camera.json")
-        return Eyes(source, model, measured, diameter)
-    return Eyes(open_source(camera), CameraModel.load(camera_file), sheet, diameter)
+        return Eyes(source, model, measured, body)
+    return Eyes(open_source(camera), CameraModel.load(camera_file), sheet, body)

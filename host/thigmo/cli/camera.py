@@ -55,22 +55,26 @@ def _needs_camera() -> None:
     require("camera", "the camera")
 
 
-def load_sheet(path: Path) -> Sheet:
-    """The sheet file; the default sheet where none was made or named."""
+def load_sheet(path: Path, length_cm: float = 53.0) -> Sheet:
+    """The sheet file; where none was made or named, that of a robot of a length."""
     from thigmo.camera import Sheet
 
-    return Sheet() if path == SHEET_FILE and not path.exists() else Sheet.load(path)
+    missing = path == SHEET_FILE and not path.exists()
+    return Sheet.of_length(length_cm) if missing else Sheet.load(path)
 
 
 @group.command()
 def sheet(
     out: Annotated[Path, typer.Option(help="PDF, or PNG (one a page).")] = Path("sheet.pdf"),
     sheet_file: SheetOption = SHEET_FILE,
+    length: Annotated[
+        float, typer.Option(help="Length of the robot, cm: the cards lie around its reach.", min=1)
+    ] = 53.0,
 ) -> None:
     """Print the workspace cards, tip markers and lens board at true scale."""
     from thigmo.camera import Sheet, print_sheet
 
-    made = Sheet.load(sheet_file) if sheet_file.exists() else Sheet()
+    made = Sheet.load(sheet_file) if sheet_file.exists() else Sheet.of_length(length)
     written = print_sheet(made, out)
     if not sheet_file.exists():
         made.save(sheet_file)
@@ -181,7 +185,8 @@ def check(
         float | None, typer.Option(help="Radius of the dowels, cm, if known: fewer mistakes.")
     ] = None,
     length: Annotated[
-        float | None, typer.Option(help="Everted length, cm, if known: an axis unlike it is told.")
+        float | None,
+        typer.Option(help="Everted length, cm, if known: an axis unlike it is doubted."),
     ] = None,
     free_bend: Annotated[bool, typer.Option(help="The body is a free bend.")] = False,
     background: Annotated[

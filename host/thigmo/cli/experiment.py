@@ -124,12 +124,15 @@ def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float],
     from thigmo.calibrate.overhead import Eyes
     from thigmo.camera import CameraModel, open_source
     from thigmo.cli.camera import load_sheet
+    from thigmo.config import Body
     from thigmo.studies.experiments import thesis
 
     located = open_source(camera), CameraModel.load(camera_file), load_sheet(sheet_file)
 
     def look(diameter_cm: float) -> list[Place]:
-        found = Eyes(*located, diameter_cm, thesis.DOWEL_CM).everything().obstacles
+        found = (
+            Eyes(*located, Body(diameter_cm=diameter_cm), thesis.DOWEL_CM).everything().obstacles
+        )
         return sorted((float(o.x_cm), float(o.y_cm)) for o in found)
 
     return look

@@ -134,7 +134,7 @@ def localize(
             frames.position, frames.curvature[0], None, frames.lines[:1],
             np.deg2rad(directions) if directions else None,
         )  # fmt: skip
-    told = {} if config is None else _calibrated(config, side, table, length)
+    stated = {} if config is None else _calibrated(config, side, table, length)
     flags = {
         "noise": noise,
         "gain_error": gain_error,
@@ -152,23 +152,23 @@ def localize(
         "width_limit": width_limit,
         "number_level": number_level,
     }
-    told |= {name: value for name, value in flags.items() if value is not None}
+    stated |= {name: value for name, value in flags.items() if value is not None}
     if noise is not None:
-        told["zero_error"] = 0.0  # --noise is all of a reading's error
-    told |= {
+        stated["zero_error"] = 0.0  # --noise is all of a reading's error
+    stated |= {
         "span": span if table.span is None else table.span,
         "free_curvature": free_curvature,
         "contacts": "auto" if contacts == "auto" else int(contacts),
         "method": method or "posterior",
     }
     if frames is not None:
-        _answer_rows(frames, plot, length, as_json, told)
+        _answer_rows(frames, plot, length, as_json, stated)
         return
     from thigmo.localization.hints import hints
 
-    told["length"] = length
-    result = thigmo.localize(table.curvature, table.position, **told)
-    looks = hints(result, table.curvature, table.position, **told)
+    stated["length"] = length
+    result = thigmo.localize(table.curvature, table.position, **stated)
+    looks = hints(result, table.curvature, table.position, **stated)
     if as_json:
         print_json(_facts(result, table) | {"hints": looks})
     else:
@@ -211,12 +211,12 @@ def _calibrated(
     inflated = next((name for name in SIDES if name == side), None)
     if side is not None and inflated is None:
         raise DataError(f"--side is {side!r}", f"give {' or '.join(SIDES)}")
-    # Sensors on the inflated side wrinkle and are not read.
+    # Flex sensors on the inflated side wrinkle and are not read.
     free = [
         (name, index, sensor)
         for name in SIDES
-        if name != inflated
         for index, sensor in enumerate(robot.column(name))
+        if not (sensor.wrinkles and name == inflated)
     ]
     found: list[tuple[Side, int]] = []
     for position in table.position.tolist():

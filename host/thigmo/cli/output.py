@@ -38,7 +38,7 @@ MethodOption = Annotated[
     str | None,
     typer.Option(
         help="How contacts are localized: posterior (the default; a replay's is its run's), or "
-        "without intervals: exact point fits (l1, l2), or the thesis's alternating fit (thesis).",
+        "without intervals: the thesis's alternating fit (thesis), or what it seeks (l1).",
         show_default=False,
     ),
 ]

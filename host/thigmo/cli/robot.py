@@ -6,7 +6,7 @@ import tomllib
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -23,8 +23,12 @@ _FileArgument = Annotated[Path, typer.Argument(help="robot.toml.")]
 @robot.command()
 def new(
     length: Annotated[float, typer.Option(help="Length of the body, cm (30 to 300).")] = 53.0,
-    sensors: Annotated[int, typer.Option(help="Flex sensors in each column.")] = 5,
+    sensors: Annotated[int, typer.Option(help="Sensors in each column.")] = 5,
     muscles: Annotated[int, typer.Option(help="1 (one column, opposite) or 2.")] = 2,
+    kind: Annotated[
+        Literal["flex", "heading"],
+        typer.Option(help="Of the sensors: flex, or heading for one string of IMUs."),
+    ] = "flex",
     diameter: Annotated[float, typer.Option(help="Diameter of the tube, cm.")] = 3.5,
     out: Annotated[Path, typer.Option(help="Folder for robot.toml and scene.toml.")] = Path(
         "robot"
@@ -37,7 +41,7 @@ def new(
     from thigmo.errors import ConfigError
     from thigmo.wiring import beyond_board
 
-    config = draft(length, sensors, muscles, diameter)
+    config = draft(length, sensors, muscles, diameter, kind=kind)
     with ConfigError.from_os(f"cannot make {out}", "choose another folder"):
         out.mkdir(parents=True, exist_ok=True)
     config.save(out / "robot.toml")

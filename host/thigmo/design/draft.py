@@ -10,18 +10,23 @@ full bend does not close on itself.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
 from thigmo.config import (
     DEGREES,
+    IMU_CM,
     SIDES,
     SIGN,
+    Board,
     Body,
     BodyPressure,
     FlexSensor,
+    HeadingSensor,
     Muscle,
     RobotConfig,
+    Sensor,
     Side,
     TanhMap,
     ZoneMap,
@@ -36,20 +41,29 @@ _FULL_BEND_RAD = 2.5
 _GROWTH_MARGIN = 1.35  # of the pressure over what growth needs
 _SPAN_CM, _GAP_CM = 5.5, 1.1  # of a sensor, and to the next one: the tip's fold between them
 _END_CM = 3.0  # of the tip, without a sensor
+_CLEAR_CM = 1.5  # of an IMU behind the tip, where growth stops
+_REST_S = 2.0  # IMUs do not creep after eversion
+Kind = Literal["flex", "heading"]
 
 
 def draft(
-    length_cm: float, sensors: int, muscles: int, diameter_cm: float = 3.5, name: str = ""
+    length_cm: float,
+    sensors: int,
+    muscles: int,
+    diameter_cm: float = 3.5,
+    name: str = "",
+    kind: Kind = "flex",
 ) -> RobotConfig:
     """Draft a planar robot.
 
     Args:
         length_cm: 30 to 300.
-        sensors: flex sensors in each column. Two muscles have two columns. A single muscle has one
-            column opposite, which it leaves at rest.
+        sensors: in each column. Of flex sensors two muscles have two columns, and a single muscle
+            has one opposite, which it leaves at rest. One string of IMUs serves all muscles.
         muscles: 1 or 2.
         diameter_cm: of the tube.
         name: of the robot; by its length if empty.
+        kind: of the sensors; each heading sensor ends with an IMU.
 
     Raises:
         ConfigError: a number that is out of range, or more sensors than fit the length.
@@ -64,29 +78,44 @@ def draft(
         raise ConfigError(
             f"a diameter of {diameter_cm:g} cm", f"give 0.5 to {length_cm / 4:g}, a slender body"
         )
-    most = int((length_cm - _END_CM) / (1.0 + _GAP_CM))
+    least = 1.0 + _GAP_CM if kind == "flex" else _CLEAR_CM + 2 * IMU_CM
+    most = int((length_cm - _END_CM) / least)
     if not 1 <= sensors <= most:
         raise ConfigError(f"{sensors} sensors in a column", f"give 1 to {most} at this length")
     pitch = np.floor(2 * (length_cm - _END_CM) / sensors) / 2
     body = _body(length_cm, diameter_cm, float(pitch))
     sides = SIDES[:muscles]
-    columns = SIDES if muscles == 2 else [opposite(side) for side in sides]
+    columns = SIDES if muscles == 2 and kind == "flex" else [opposite(sides[0])]
+    made = _imu if kind == "heading" else _flex
     return RobotConfig(
         name=name or f"vine-{length_cm:g}",
         body=body,
         muscles=[_muscle(side, body) for side in sides],
-        sensors=[
-            FlexSensor(
-                direction_deg=DEGREES[side],
-                center_cm=float(pitch * (number + 0.5)),
-                span_cm=min(_SPAN_CM, float(pitch) - _GAP_CM),
-                # Resistance rises on the outside of a bend.
-                scale_per_ohm=-SIGN[side] * FlexSensor(center_cm=1.0).scale_per_ohm,
-                valid_direction=1 if SIGN[side] < 0 else -1,
-            )
-            for side in columns
-            for number in range(sensors)
-        ],
+        sensors=[made(side, float(pitch), number) for side in columns for number in range(sensors)],
+        board=Board() if kind == "flex" else Board(settle_s=_REST_S),
+    )
+
+
+def _flex(side: Side, pitch_cm: float, number: int) -> Sensor:
+    return FlexSensor(
+        direction_deg=DEGREES[side],
+        center_cm=pitch_cm * (number + 0.5),
+        span_cm=min(_SPAN_CM, pitch_cm - _GAP_CM),
+        # Resistance rises on the outside of a bend.
+        scale_per_ohm=-SIGN[side] * FlexSensor(center_cm=1.0).scale_per_ohm,
+        valid_direction=1 if SIGN[side] < 0 else -1,
+    )
+
+
+def _imu(side: Side, pitch_cm: float, number: int) -> Sensor:
+    """From the IMU before, or the base, to one that is clear of the fold where growth stops."""
+    end = pitch_cm * (number + 1) - _CLEAR_CM
+    start = end - pitch_cm if number else 0.0
+    return HeadingSensor(
+        kind="heading",
+        direction_deg=DEGREES[side],
+        center_cm=(start + end) / 2,
+        span_cm=end - start,
     )
 
 

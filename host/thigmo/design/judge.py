@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import SIGN, FlexSensor, RobotConfig, Side, opposite
+from thigmo.config import SIGN, HeadingSensor, RobotConfig, Sensor, Side
 from thigmo.errors import ConfigError
 from thigmo.exploration.plan import stage_lengths
 from thigmo.link.protocol import PARAMETERS
@@ -26,12 +26,17 @@ from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
-from thigmo.wiring import beyond_board, board_of, columns
+from thigmo.wiring import beyond_board, board_of, columns, out_of_plane
 
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
 _PROPPED = 1.5  # base moment over EI of a propped cantilever, over its free curvature
 _TICKS_HZ = 1000  # of the board
+# I2C in fast mode, nine bits a byte. Of an IMU behind a multiplexer: the multiplexer's address and
+# channel, its own address, and 21 bytes of a BNO085's packet with a game rotation vector.
+_BUS_HZ, _IMU_BITS = 400_000, 9 * (2 + 1 + 21)
+_REPORTS_HZ = 100  # of each IMU
+_TRIGGER_SIGMAS = 5.0  # a trigger on less fires without a contact
 _STEPS = 200
 # Errors that a calibration leaves (scenes/default.toml): relative, of a sensor's scale, and 1/cm.
 _CALIBRATED_GAIN, _CALIBRATED_OFFSET = 0.02, 5e-4
@@ -59,15 +64,21 @@ def judge(config: RobotConfig) -> list[Finding]:
     except ConfigError as error:
         found.append(Finding("stages", "bad", str(error)))
     found += [*_growth(config), *_bends(config)]
+    if beyond := out_of_plane(config):
+        text = f"{beyond.what}: `thigmo explore` refuses; {beyond.cure}"
+        found.append(Finding("plane", "warning", text))
     for side in config.sides:
         found += _feels(config, side)
-    return [*found, *_inputs(config), *_rates(config)]
+    return [*found, *_inputs(config), *_rates(config), *_imus(config)]
 
 
 def _board(config: RobotConfig) -> str:
     """The board that the robot needs, and what that holds."""
-    name, muscles, sensors, pressures = board_of(config)
-    return f"{name}: {muscles} muscles, {sensors} sensors and {pressures} body pressures"
+    board = board_of(config)
+    return (
+        f"{board.name}: {board.muscles} muscles, {board.sensors} sensors and "
+        f"{board.body_pressures} body pressures"
+    )
 
 
 def _inputs(config: RobotConfig) -> Iterator[Finding]:
@@ -147,17 +158,14 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
     muscle, body = config.muscle(side), config.body
     what = f"sweep of {muscle.name}"
     sign = SIGN[side]
-    column = [
-        sensor
-        for sensor in config.column(opposite(side))
-        if sensor.healthy and sensor.valid_direction in (0, sign)
-    ]
-    if not column or column[0] is not config.column(opposite(side))[0]:
+    feeling = config.feeling(side)
+    column = [s for s in feeling if s.healthy and s.valid_direction in (0, sign)]
+    if not column or column[0] is not feeling[0]:
         yield Finding(
             what,
             "bad",
-            f"feels nothing: the trigger works on the {opposite(side)} column's base sensor, and "
-            "there is none that is healthy and answers to this bend",
+            "feels nothing: the trigger works on a base sensor that this muscle does not wrinkle, "
+            "and there is none that is healthy and answers to this bend",
         )
         return
     free = muscle.maps[-1].inflate.curvature(muscle.max_pressure_psi)
@@ -185,7 +193,7 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
 
 def _localized(
     config: RobotConfig,
-    column: list[FlexSensor],
+    column: list[Sensor],
     arcs: Floats,
     moment: float,
     offset: float,
@@ -193,7 +201,7 @@ def _localized(
 ) -> npt.NDArray[np.bool_]:
     """Which arcs' 95 % interval is narrow enough, by the bound of small deflections."""
     gains = [min(s.scale_se, most_gain) * moment * (1 - s.center_cm / arcs[-1]) for s in column]
-    noise = [hypot(s.noise, s.zero_se, gain) for s, gain in zip(column, gains, strict=True)]
+    noise = [hypot(s.reading_se, gain) for s, gain in zip(column, gains, strict=True)]
     centers, spans = ([getattr(s, key) for s in column] for key in ("center_cm", "span_cm"))
     bounds = [
         arc_bounds([a], [moment / a], centers, spans, noise, config.body.length_cm, offset)[0]
@@ -214,3 +222,27 @@ def _rates(config: RobotConfig) -> Iterator[Finding]:
         f"base sensors ({len(read)}) {bases:.1f} Hz, the others ({rest}) {others:.1f} Hz, "
         f"pressures {_TICKS_HZ} Hz",
     )
+
+
+def _imus(config: RobotConfig) -> Iterator[Finding]:
+    """What a bus of IMUs takes, and whether the contact trigger can work on the first of them."""
+    imus = [sensor for sensor in config.sensors if isinstance(sensor, HeadingSensor)]
+    if not imus:
+        return
+    each_ms = 1e3 * _IMU_BITS / _BUS_HZ
+    busy = len(imus) * each_ms * _REPORTS_HZ / 1e3
+    text = (
+        f"{len(imus)} IMUs behind a multiplexer, {each_ms:.2f} ms each at {_BUS_HZ // 1000} kHz: "
+        f"all in {len(imus) * each_ms:.1f} ms, so {_REPORTS_HZ} reports a second of each keep the "
+        f"bus busy for {100 * busy:.0f} % of the time"
+    )
+    yield Finding("bus", "ok" if busy < 1.0 else "bad", text)
+    base = min(imus, key=lambda sensor: sensor.center_cm)
+    if any(config.feeling(side)[:1] == [base] for side in config.sides):
+        held, known = TRIGGER_PER_CM * base.span_cm, base.reading_se * base.span_cm
+        sure = held / known >= _TRIGGER_SIGMAS
+        text = (
+            f"works on the turn of the first {base.span_cm:g} cm: a contact takes "
+            f"{degrees(held):.1f} degrees of it, and its IMU is known to {degrees(known):.2f}"
+        )
+        yield Finding("trigger", "ok" if sure else "bad", text)

@@ -1,7 +1,8 @@
 """Faults that a scene injects, from a moment or a condition on, for a while or for good.
 
-What `value` means is told beside its defaults below. pressure_stuck and over_pressure are faults of
-the air, the other ones of pressure are the sensor's. host_silent mutes the host: its bytes and
+What `value` means stands beside its defaults below. pressure_stuck and over_pressure are faults of
+the air, the other ones of pressure are the sensor's. imu_hung is of the IMU at a span's far end:
+no span that begins or ends there is read. host_silent mutes the host: its bytes and
 heartbeats are lost. power_cut takes the board's power for `duration_s` (default 1 s).
 """
 
@@ -83,8 +84,7 @@ class FaultInjector:
     def _set(self, fault: FaultTable, plant: Plant, board: Board, *, on: bool) -> None:
         (self.active.add if on else self.active.discard)(fault.kind)
         robot = plant.scene.robot
-        sides = robot.muscle_sides
-        muscle = sides.index(fault.side) if fault.side in sides else 0
+        muscle = next((n for n, m in enumerate(robot.muscles) if m.side == fault.side), 0)
         flex = fault.kind.startswith("flex")
         channel = (
             input_of(robot)[fault.side, fault.sensor] if flex else plant.pressure_channel + muscle
@@ -99,6 +99,9 @@ class FaultInjector:
                 self._hold(plant.stuck, channel, float(plant.analog[channel, 1]), on)
             case "flex_noisy":
                 self._hold(plant.flex_noise, channel, value, on)
+            case "imu_hung":
+                end_cm = robot.column(fault.side)[fault.sensor].fold_cm[0]
+                (plant.imus.hung.add if on else plant.imus.hung.discard)(plant.imus.at(end_cm))
             case "pressure_frozen":
                 here = plant.pressure_seen[muscle] if fault.value is None else value
                 plant.pressure_frozen[muscle] = here if on else math.nan

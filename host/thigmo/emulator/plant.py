@@ -20,6 +20,7 @@ from thigmo.emulator import _plant
 from thigmo.emulator._plant import FlexSensor, Muscle, Spool, Swing
 from thigmo.emulator.board import CHANNELS, DRIVE_FULL
 from thigmo.emulator.hand import hold
+from thigmo.emulator.imus import ImuString
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
 from thigmo.mechanics import Peg, PegContact, Rod, Solution, Tube, critical_moment, peg_for
@@ -141,10 +142,18 @@ class Plant:
         self._contacts = _Switch(b.contact_s, b.contact_s)
         self._brake = _Switch(b.opens_s, b.closes_s)
         self.length_cm = scene.start_length_cm
-        self._sensors = self._make_sensors()
-        self._centers = np.array([sensor.center_cm for sensor in self._sensors])
-        self._spans = np.array([sensor.span_cm for sensor in self._sensors])
-        self._ends = self._centers + self._spans / 2
+        wired = wiring.sensors(robot)
+        turns = {n: s for n, s in enumerate(wired) if isinstance(s, config.HeadingSensor)}
+        self._turning = np.array([*turns], dtype=np.intp)  # the inputs that IMUs are read into
+        self.imus = ImuString(
+            scene.imu, [*turns.values()], robot.board.divider_ohm, STEP_S, rng.spawn(1)[0]
+        )
+        self._sensors = self._make_sensors(wired)
+        everts = np.array([[s.center_cm, s.span_cm] for s in self._sensors])
+        self._ends = everts @ [1.0, 0.5]
+        self._centers, self._spans = np.array(
+            [(s.center_cm, s.span_cm) if s else none for s, none in zip(wired, everts, strict=True)]
+        ).T
         self._curvature = np.zeros(board.sensors)
         self.body = Rod(
             Tube(robot.body.diameter_cm, self._critical()),
@@ -165,9 +174,8 @@ class Plant:
 
     # Construction.
 
-    def _make_sensors(self) -> list[FlexSensor]:
+    def _make_sensors(self, wired: Sequence[config.Sensor | None]) -> list[FlexSensor]:
         scene, f = self.scene, self.scene.flex
-        wired = wiring.sensors(scene.robot)
         # The muscle under each sensor, by number.
         at = {muscle.direction_deg: n for n, muscle in enumerate(scene.robot.muscles)}
         self._under = [at.get(s.direction_deg) if s else None for s in wired]
@@ -175,7 +183,7 @@ class Plant:
         phases = self._rng.uniform(0, 2 * pi, (len(wired), 2))
         sensors = []
         for i, found in enumerate(wired):
-            sensor = found or _NO_SENSOR
+            sensor = found if isinstance(found, config.FlexSensor) else _NO_SENSOR
             made = FlexSensor(
                 loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
                 wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
@@ -463,6 +471,8 @@ class Plant:
         under = [0.0 if n is None else self._muscles[n].bend_psi for n in self._under]
         each = zip(self._sensors, self._curvature.tolist(), under, strict=True)
         analog[: len(self._sensors), 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in each]
+        if self._turning.size:
+            analog[self._turning, 1] = self.imus.counts(self._curvature[self._turning], length)
         full = self.scene.transducer.sensor_full_psi
         for n, psi in enumerate(self.pressure_seen):
             analog[self.pressure_channel + n, 1] = 1024.0 * min(
@@ -479,6 +489,7 @@ class Plant:
         """White noise of a conversion in counts, by channel."""
         sigma = np.zeros(len(self.analog))
         sigma[: len(self._sensors)] = self.scene.noise.white_counts
+        sigma[self._turning] = 0.0  # reports of a bus
         first = self.pressure_channel
         sigma[first : first + len(self._muscles)] = self.scene.noise.pressure_counts
         return sigma

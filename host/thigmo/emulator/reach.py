@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thigmo.config import SIGN, RobotConfig, Side, opposite
+from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.mechanics import Peg, PegContact, Rod, Tube, critical_moment
 
@@ -60,7 +60,7 @@ def sweep_once(
     )
     model = Rod(Tube(body.diameter_cm, crit), pegs, model="auto")
     model.step(0.0, length_cm)
-    base = robot.column(opposite(side))[0]
+    base = robot.feeling(side)[0]
     center, span, mean = np.array([base.center_cm]), np.array([base.span_cm]), np.zeros(1)
     sign = SIGN[side]
     felt: list[tuple[float, float]] = []  # pressure and base contact curvature while it touches

@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from thigmo.config import (
     SIDES,
     Finite,
+    HeadingSensor,
     Model,
     NonNegative,
     Positive,
@@ -99,6 +100,15 @@ class Flex(Model):
     stowed: NonNegative = 0.01  # 1/cm, one sigma of what a sensor inside the tail reads
 
 
+class Imu(Model):
+    """What ails every IMU: those of BNO080/085 without its magnetometer (data sheet, 2.2.2)."""
+
+    drift_deg_min: NonNegative = 0.5  # one sigma over units
+    walk_deg_root_s: NonNegative = 0.01  # angle random walk
+    noise_deg: NonNegative = 0.05  # of one report
+    seat_deg: NonNegative = 1.0  # how it comes to lie at each eversion
+
+
 class SpoolMotor(Model):
     """The true motor behind the spool."""
 
@@ -166,6 +176,7 @@ FaultKind = Literal[
     "flex_short",
     "flex_frozen",
     "flex_noisy",
+    "imu_hung",
     "pressure_wire_cut",
     "pressure_short",
     "pressure_frozen",
@@ -238,6 +249,7 @@ class Scene(Model):
     muscle: Muscle = Field(default_factory=Muscle)
     body: BodyDynamics = Field(default_factory=BodyDynamics)
     flex: Flex = Field(default_factory=Flex)
+    imu: Imu = Field(default_factory=Imu)
     spool: SpoolMotor = Field(default_factory=SpoolMotor)
     brake: Brake = Field(default_factory=Brake)
     supply: Supply = Field(default_factory=Supply)
@@ -284,13 +296,25 @@ class Scene(Model):
         rng = np.random.default_rng([self.seed if seed is None else seed, 0xBE11EF])
         config = self.robot.model_copy(deep=True)
         spread = self.belief
+        begins: dict[float, float] = {}  # believed places of IMUs, by their true ones
         for side in SIDES:
             for sensor in config.column(side):
-                sensor.scale_per_ohm *= 1 + spread.gain_spread * rng.standard_normal()
+                gain = 1 + spread.gain_spread * rng.standard_normal()
                 sensor.scale_se = spread.gain_spread
+                moved = spread.position_spread_cm * rng.standard_normal()
+                sensor.rescale(gain)
+                if isinstance(sensor, HeadingSensor):
+                    first, last = sensor.ends_cm
+                    start = begins.get(round(first, 3), first)
+                    begins[round(last, 3)] = end = min(last + moved, config.body.length_cm)
+                    # What an IMU lies off by makes one span longer, and the next one shorter.
+                    off = 2**0.5 * spread.position_spread_cm / sensor.span_cm
+                    sensor.scale_se = hypot(sensor.scale_se, off)
+                    sensor.center_cm, sensor.span_cm = (start + end) / 2, end - start
+                    continue
                 sensor.zero_se = max(sensor.zero_se, self.noise.hysteresis)
-                moved = sensor.center_cm + spread.position_spread_cm * rng.standard_normal()
                 top = config.body.length_cm - sensor.span_cm / 2
+                moved += sensor.center_cm
                 sensor.center_cm = float(min(max(moved, sensor.span_cm / 2 + 1e-3), top))
             if side not in config.sides:
                 continue

@@ -175,7 +175,7 @@ def serve(
         seed: of all noise; None takes the scene's.
         link: a symbolic link to make to the port.
         config: where to write this robot's constants, as its lab knows them.
-        announce: told where the port is, once it can be opened.
+        announce: called with where the port is, once it can be opened.
     """
     room = Scene.load(scene)
     used = room.seed if seed is None else seed
@@ -184,13 +184,13 @@ def serve(
     server = PtyServer(lockstep, link=link)
     port = server.path if link is None else link
     try:
-        told = f"{room.name}: open {port}; Ctrl-C ends it"
+        said = f"{room.name}: open {port}; Ctrl-C ends it"
         if config is not None:
             known = room.believed(seed)
             if not (config.exists() and RobotConfig.load(config) == known):
                 known.save(config)
-            told += f"\nIts constants: thigmo explore --robot {port} --config {config}"
-        announce(told)
+            said += f"\nIts constants: thigmo explore --robot {port} --config {config}"
+        announce(said)
         server.run(keep_on)
     finally:
         server.close()

@@ -17,17 +17,18 @@ from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.effort import EFFORTS, chosen_effort, within
-from thigmo.exploration.feel import check_method
 from thigmo.exploration.prior import read_prior
 from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.resume import interrupted
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.exploration.run_control import Questions, RunControl
+from thigmo.localization import check_method
 from thigmo.record import PRIOR_FILE, ObstacleMap, RunDocument, RunFolder, write_obstacles
 from thigmo.report import draw_map
 from thigmo.robot import Operator, connect
 from thigmo.room import Reachable
 from thigmo.stream import Event, recording
+from thigmo.wiring import out_of_plane
 
 _ENDINGS: dict[type[BaseException], str] = {
     KeyboardInterrupt: "interrupted by the operator",
@@ -73,7 +74,7 @@ def explore(
         time_s: instead of an effort, a budget of robot time in seconds, within which the run does
             as much as it can; it includes the times at
             which the robot waits for a person.
-        method: of `thigmo.localize`. Without intervals ("l1", "l2", "thesis") every stage's place
+        method: of `thigmo.localize`. Without intervals ("l1", "thesis") every stage's place
             is a contact of its own, for nothing tells whether two are one.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. It is believed as far as the readings allow.
@@ -133,6 +134,8 @@ def explore(
         connect(url, seed=seed, operator=operator, realtime=realtime) as robot,
     ):
         used = config or robot.known_config
+        if used and (beyond := out_of_plane(used)):
+            raise ConfigError(f"an exploration is in the plane: {beyond.what}", beyond.cure)
         if used is None:
             made = Path("calibration") / "robot.toml"
             raise ConfigError(

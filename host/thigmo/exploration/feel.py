@@ -15,13 +15,12 @@ import numpy as np
 
 from thigmo.config import RobotConfig
 from thigmo.display import POINT_ESTIMATE
-from thigmo.errors import DataError
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.sighting import Sighting, arc_grid, contact_mass
 from thigmo.exploration.workspace import Bend, centreline, common_error, excess_knots, skin_point
-from thigmo.localization import METHODS, LocalizeResult, localize
+from thigmo.localization import LocalizeResult, localize
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics.closed_forms import fold_share
 from thigmo.record import Obstacle, Shape
@@ -68,8 +67,8 @@ def feel(
         span=table.span_cm[use],
         free_curvature=free.mean,
         body_curvature=free.body_curvature,
-        noise=np.hypot(table.noise, peak.added_noise)[use],
-        shared_errors=free.shared_errors,
+        noise=np.hypot(table.white, peak.added_noise)[use],
+        shared_errors=np.hstack([free.shared_errors, table.shared[use]]),
         critical_curvature=fold_moment(config, zone),
         critical_curvature_error=max(
             body.critical_curvature_se / body.critical_curvature, _LEAST_FOLD_ERROR
@@ -117,9 +116,3 @@ def feel(
         for contact, marginal in found
     ]  # fmt: skip
     return Feeling(result, felt, Shape(peak.side, peak.pressure_psi, curve.poses(1.0)))
-
-
-def check_method(method: str) -> None:
-    """Raises DataError if the localizer has no such method."""
-    if method not in METHODS:
-        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")

@@ -23,7 +23,7 @@ from thigmo.exploration.sighting import LEVEL, Passed, Sighting, arc_grid, short
 from thigmo.exploration.stall import Lean, Met, causes
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
 from thigmo.localization import Contact
-from thigmo.localization.priors import WIDTH_SHARE
+from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle, Stall, TrueContact
 
 # No place is known better than this: the peg's own size and the slide along it.
@@ -119,7 +119,6 @@ class ContactMap:
         low, high = met.interval_cm
         radius = self._config.body.radius_cm
         full_cm = self._config.body.length_cm
-        narrow = high - low <= WIDTH_SHARE * full_cm
         probability, kind = 1.0, "peg"
         if isinstance(met, Lean):
             model = "growth bent the body: its zeros moved"
@@ -149,12 +148,13 @@ class ContactMap:
             along, across = (high - low) ** 2 / 12, (2 * radius) ** 2 / 12
             track = [(low, 0.0), (high, 0.0)]
             placed = PlacedContact(met.arc_cm, 0.0, 0.0, ((along, 0.0), (0.0, across)), track)
+        sure = narrow(met.interval_cm, full_cm) and probability >= LEVEL
         contact = self._contact(
             placed,
             arc_cm=met.arc_cm,
             force_per_cm2=met.force_per_cm2,
             interval_cm=met.interval_cm,
-            status="localized" if narrow and probability >= LEVEL else "ambiguous",
+            status="localized" if sure else "ambiguous",
             everted_length_cm=met.length_cm,
             side="",
             model=model,

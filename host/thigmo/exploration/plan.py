@@ -15,9 +15,9 @@ def half_everted(config: RobotConfig, length_cm: float) -> str:
     """Name of a sensor that lies in the tip's fold at a length, or an empty string."""
     for side in SIDES:
         for index, sensor in enumerate(config.column(side)):
-            start = sensor.center_cm - sensor.span_cm / 2 - FOLD_MARGIN_CM
-            end = sensor.center_cm + sensor.span_cm / 2 + FOLD_MARGIN_CM
-            if sensor.healthy and start < length_cm < end - 1e-6:
+            center, span = sensor.fold_cm
+            away = span / 2 + FOLD_MARGIN_CM
+            if sensor.healthy and center - away < length_cm < center + away - 1e-6:
                 return f"{side}[{index}]"
     return ""
 

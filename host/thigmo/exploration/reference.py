@@ -69,7 +69,8 @@ class FreeResponse:
 
     def __init__(self, config: RobotConfig) -> None:
         self._table = SensorTable.of(config)
-        self._count = len(self._table.center_cm)
+        self._errors = self._table.covariance
+        self._count = len(self._errors)
         zones = len(config.body.zones)
         gain = gain_errors(config)
         # Normal equations of (c, e, s, o) for each side.
@@ -85,6 +86,7 @@ class FreeResponse:
             offset = max(config.muscle(name).offset_se, _LEAST_OFFSET)
             deviation = np.concatenate([self._table.noise, gain, scale, np.full(zones, offset)])
             covariance = np.diag(deviation**2)
+            covariance[: self._count, : self._count] = self._errors
             covariance[self._scale : self._offset, self._scale : self._offset] += _MAP_DRIFT**2
             self._matrix[row] = np.linalg.inv(covariance)
 
@@ -110,9 +112,11 @@ class FreeResponse:
             departure = readings[part].mean(axis=0) - g
             use = np.flatnonzero(self._table.usable(side, sweep.sensors) & np.isfinite(departure))
             effect = self._effect(use, zone, g, np.full(use.size, g))
-            weight = _INDEPENDENT / _BINS / self._table.noise[use] ** 2
-            self._matrix[row] += effect.T @ (weight[:, None] * effect)
-            self._vector[row] += effect.T @ (weight * departure[use])
+            # What this sweep differs by from others is in all of its readings.
+            own = _SWEEP_OFFSET**2 + (_SWEEP_SCALE * g) ** 2
+            weight = _INDEPENDENT / _BINS * np.linalg.inv(self._errors[np.ix_(use, use)] + own)
+            self._matrix[row] += effect.T @ weight @ effect
+            self._vector[row] += effect.T @ weight @ departure[use]
 
     def _effect(self, sensors: Indices, zone: int, free: float, reading: Floats) -> Floats:
         """(n, size) what each unknown adds to the readings of some sensors."""

@@ -14,10 +14,10 @@ from typing import Any
 
 from thigmo import __version__
 from thigmo.errors import RunFolderError
-from thigmo.exploration.feel import check_method
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
 from thigmo.exploration.recorded import RecordedRun
+from thigmo.localization import check_method
 from thigmo.record import RunDocument, RunFolder
 from thigmo.report import draw_map
 

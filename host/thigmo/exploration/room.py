@@ -31,7 +31,7 @@ from thigmo.exploration.sighting import (
     median,
     shortest,
 )
-from thigmo.localization.priors import WIDTH_SHARE
+from thigmo.localization.priors import narrow
 from thigmo.robot.readings import Floats
 
 Group = tuple[int, ...]  # sightings of one obstacle
@@ -170,8 +170,7 @@ class Room:
         real = 1.0 - min(share.get(((i,), "nothing"), 0.0) for i in group)
         # Of several contacts in one frame the localizer may know that its numbers are too many.
         vouched = len(group) > 1 or newest.alone or newest.contact.status == "localized"
-        narrow = high - low <= WIDTH_SHARE * self._full_cm + 1e-9
-        sure = vouched and narrow and real - lost >= LEVEL
+        sure = vouched and narrow((low, high), self._full_cm) and real - lost >= LEVEL
         kinds = {each: share.get((group, each), 0.0) for each in ("peg", "wall")}
         touch = np.prod([self._touch[i] for i in group], axis=0)
         same = float(touch @ BENDS / touch.sum()) if kind == "peg" else None

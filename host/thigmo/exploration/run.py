@@ -7,12 +7,12 @@ folder is closed and readable.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort
 from thigmo.exploration.map import peg_ahead
@@ -291,7 +291,7 @@ class Exploration:
         period_s = sweep_period_s if thesis else rising_period_s
         self._known, self._measured = set(), 0
         looked = self.robot.sweep(
-            **_set_points({m.side: m.max_pressure_psi for m in self.config.muscles if m.side}),
+            {muscle.name: muscle.max_pressure_psi for muscle in self.config.muscles},
             period_s=period_s(self.config, self._zone),
             rising_only=not thesis,
             enough=None if thesis else self._enough,
@@ -350,14 +350,14 @@ class Exploration:
     def _measure(self) -> str:
         fired = held_sides(self._knows.looked) - self._known
         frames = self._knows.looked.frames
-        tops = {
-            side: measuring_pressure(frames, side, self.config, self._zone)
-            for side in self.config.sides
-            if side in fired
+        tops: dict[str | float, float] = {
+            muscle.name: measuring_pressure(frames, muscle.side, self.config, self._zone)
+            for muscle in self.config.muscles
+            if muscle.side in fired
         }
         self.robot.vent()
         measured = self.robot.sweep(
-            **_set_points(tops),
+            tops,
             period_s=sweep_period_s(self.config, self._zone, top_psi=max(tops.values())),
             rising_only=True,
             enough=self._tell_feeling,
@@ -423,8 +423,3 @@ class Exploration:
     def restore(self) -> None:
         """Leave the board with every healthy sensor in use, as robot.toml says."""
         self.robot.set_aside(0)
-
-
-def _set_points(tops: Mapping[Side, float]) -> dict[str, float]:
-    """A sweep's amplitudes (psi) as `Robot.sweep` takes them; 0 for a side that is not named."""
-    return {f"{side}_psi": tops.get(side, 0.0) for side in SIDES}

@@ -120,8 +120,9 @@ def _same(contact: MapContact, true: TrueContact) -> bool:
 def _why_missed(
     document: RunDocument, missed: TrueContact, truth: Sequence[TrueContact], config: RobotConfig
 ) -> str:
-    # The sensors of the side that is not inflated feel.
-    feeling = [s for s in config.sensors if s.healthy and s.side != missed.side]
+    feeling = [
+        s for s in config.sensors if s.healthy and not (s.wrinkles and s.side == missed.side)
+    ]
     first = min((s.center_cm - s.span_cm / 2 for s in feeling), default=np.inf)
     if missed.arc_cm <= first:
         return "below detection: nearer to the base than the first sensor, which it does not bend"

@@ -26,7 +26,7 @@ STATUS = "/thigmo/status"
 
 
 class FoxgloveServer(ServerListener, Closing):
-    """Serves what it is told to all who connect. A context manager.
+    """Serves what is published to all who connect. A context manager.
 
     `stop` stops the robot and says what came of it, which may take seconds; port 0 is any that is
     free. Raises PortError if the port is taken.

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from thigmo.localization.batch import BatchResult
 from thigmo.localization.bounds import Identifiability, arc_bounds, identifiability
-from thigmo.localization.described import Body, Errors, Priors, Sensors
-from thigmo.localization.frames import ContactFilter
 from thigmo.localization.headings import CurvatureRows, from_headings
-from thigmo.localization.localizer import METHODS, Localizer, localize, localize_batch
+from thigmo.localization.localizer import METHODS, Localizer, check_method, localize, localize_batch
 from thigmo.localization.newtons import Newtons, Quantity
+from thigmo.localization.options import Body, Errors, Priors, Sensors
 from thigmo.localization.result import Contact, LocalizeResult
 
 __all__ = [
@@ -16,7 +15,6 @@ __all__ = [
     "BatchResult",
     "Body",
     "Contact",
-    "ContactFilter",
     "CurvatureRows",
     "Errors",
     "Identifiability",
@@ -27,6 +25,7 @@ __all__ = [
     "Quantity",
     "Sensors",
     "arc_bounds",
+    "check_method",
     "from_headings",
     "identifiability",
     "localize",

@@ -17,8 +17,6 @@ class Answer:
     end_open: bool
     noise: float
     log_odds: float
-    objective: float
-    gap: float
     weighed: list[tuple[int, int, float]]
     hypothesis: str
     hypotheses: dict[str, float]
@@ -33,35 +31,6 @@ class Answer:
 class Localizer:
     length: float
     count: int
-    def __init__(
-        self,
-        *,
-        position: _Array,
-        span: _Array,
-        noise: _Array,
-        gain: _Array,
-        bad_odds: _Array,
-        shared: _Array,
-        offset: float,
-        map_scale: float,
-        length: float,
-        radius: float,
-        critical: float,
-        critical_error: float,
-        folds_perhaps: bool,
-        held_end: int,
-        end_odds: float,
-        held_odds: float,
-        contacts: int,
-        within: tuple[float, float],
-        width_limit: float,
-        number_level: float,
-        norm: int,
-        direction: _Array,
-        curvature_map: _Array,
-        compliance: _Array,
-        weight: _Array,
-        priors: Priors,
-    ) -> None: ...
+    def __init__(self, **options: Any) -> None: ...
     def localize(self, curvature: _Array, free: _Array, body: _Array) -> Answer: ...
     def localize_rows(self, curvature: _Array, free: _Array) -> tuple[_Array, _Array]: ...

@@ -42,7 +42,6 @@ struct Answer {
   int discarded = -1;
   bool end_open = false;  // only the end, which something may hold, leaves a place open
   double noise = 0.0, log_odds = 0.0;
-  double objective = NAN, gap = NAN;  // of a point fit, in the caller's units
 };
 
 class Mixture {

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.display import POINT_ESTIMATE
 from thigmo.errors import DataError
 from thigmo.extras import data_frame
-from thigmo.localization.readings import refusal
 from thigmo.localization.result import STATUSES, Array, Status
+from thigmo.localization.validation import refusal
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -27,12 +26,11 @@ class BatchResult:
         status: (M,) as in `localize`.
         contacts: (M,) how many are listed.
         arc, force: (M, 3) of each.
-        low, high: (M, 3) ends of its 95 % interval; of the whole body for "l1" and "l2".
+        low, high: (M, 3) ends of its 95 % interval.
         localized: (M, 3) whether it is.
-        probability: (M,) that there is any contact; NaN for "l1" and "l2".
-        log_odds: (M,) of that; NaN for "l1" and "l2".
+        probability: (M,) that there is any contact.
+        log_odds: (M,) of that.
         discarded: (M,) index of the reading taken for bad, or -1.
-        objective: (M,) least norm of the residual of "l1" and "l2"; NaN for "posterior".
     """
 
     status: list[Status]
@@ -45,7 +43,6 @@ class BatchResult:
     probability: Array
     log_odds: Array
     discarded: npt.NDArray[np.int64]
-    objective: Array
 
     def __len__(self) -> int:
         return len(self.arc)
@@ -72,32 +69,26 @@ class BatchResult:
 
     def __repr__(self) -> str:
         count = Counter(self.status)
-        every = *STATUSES, POINT_ESTIMATE
-        told = ", ".join(f"{count[status]} {status}" for status in every if count[status])
-        return f"BatchResult({len(self)} rows{': ' if told else ''}{told})"
+        parts = ", ".join(f"{count[status]} {status}" for status in STATUSES if count[status])
+        return f"BatchResult({len(self)} rows{': ' if parts else ''}{parts})"
 
     @classmethod
-    def of(cls, of_row: Array, of_contact: Array, length: float, method: str) -> BatchResult:
+    def of(cls, of_row: Array, of_contact: Array, length: float) -> BatchResult:
         """From what the compiled code says of rows and of their contacts.
 
         Raises:
             DataError: a row that cannot be used, by its number.
         """
-        status, contacts, problem, shows, probability, log_odds, discarded, objective = of_row.T
+        status, contacts, problem, shows, probability, log_odds, discarded = of_row.T
         wrong = np.flatnonzero(problem)
         if wrong.size:
             row = int(wrong[0])
             error = refusal(int(problem[row]), float(shows[row]), length)
             raise DataError(f"row {row}: {error.what}", error.next_step)
         arc, force, low, high, localized = np.moveaxis(of_contact, 2, 0)
-        if method != "posterior":  # no narrower interval would hold
-            low, high = np.where(np.isfinite(arc), [[[0.0]], [[length]]], np.nan)
         return cls(
-            [
-                STATUSES[int(each)] if method == "posterior" else POINT_ESTIMATE
-                for each in status.tolist()
-            ],
+            [STATUSES[int(each)] for each in status.tolist()],
             contacts.astype(np.int64),
             arc, force, low, high, localized == 1.0,
-            probability, log_odds, discarded.astype(np.int64), objective,
+            probability, log_odds, discarded.astype(np.int64),
         )  # fmt: skip

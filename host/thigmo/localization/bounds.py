@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.errors import DataError
-from thigmo.localization.readings import Array, check_layout, everted_length, positive, vector
+from thigmo.localization.validation import Array, check_layout, everted_length, positive, vector
 from thigmo.mechanics.closed_forms import phi
 
 # Signal over noise from which one contact is reported nine times in ten (studies/accuracy.py).
@@ -139,9 +139,9 @@ def identifiability(
     lever, near = np.maximum(places, 1e-9 * total), np.maximum(total - gaps, 1e-9 * total)
     felt = np.sqrt(((phi(places[:, None], x, width) / sigma) ** 2).sum(axis=1)) / lever
 
-    told = x, width, sigma, total, shared
-    one = [arc_bounds(arc, 1.0 / arm, *told)[0] for arc, arm in zip(places, lever, strict=True)]
-    two = [arc_bounds([arc, total], [-0.8 / arc, 1.0 / total], *told) for arc in near]
+    layout = x, width, sigma, total, shared
+    one = [arc_bounds(arc, 1.0 / arm, *layout)[0] for arc, arm in zip(places, lever, strict=True)]
+    two = [arc_bounds([arc, total], [-0.8 / arc, 1.0 / total], *layout) for arc in near]
     return Identifiability(
         arc=places,
         moment=moment,

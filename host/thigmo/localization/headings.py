@@ -32,7 +32,7 @@ def from_headings(
 
     Args:
         heading: (M,) or (F, M), rad, in the plane; full turns are taken out.
-        arc: (M,) where they are told, ascending; of a base that cannot turn, an arc of 0 with a
+        arc: (M,) where they are measured, ascending; of a base that cannot turn, an arc of 0 with a
             heading and an error of 0.
         error: their standard errors, rad, scalar or (M,), independent of each other.
 

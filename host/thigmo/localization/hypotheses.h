@@ -38,7 +38,6 @@ struct Settings {
   Window within;
   double width_limit;
   double number_level;  // probability of the number, below which nothing is localized
-  int norm;             // 1 or 2 for a point fit, 0 for the posterior
   std::optional<Space> space;
 };
 

@@ -1,35 +1,33 @@
-"""`Localizer`: one frame of readings in, contacts with intervals out; rows and streams as well.
+"""`Localizer`: one frame of readings in, contacts with intervals out; tables of frames as well.
 
-What describes it (`described`) is checked once. Each frame is checked and normalised
-(`readings.h`), explanations weighed (`hypotheses.h`), and mixed into an answer (`answer.h`): one
-posterior over everything that may have bent the body, every error told, nothing thrown out
-silently. `localize` and `localize_batch` are a `Localizer` that is used once.
+Its `options` are checked once (`validation`). Each frame is checked and normalised (`readings.h`),
+explanations are weighed (`hypotheses.h`) and mixed into an answer (`answer.h`): one posterior over
+everything that may have bent the body, with every stated error; nothing is thrown out silently.
+`localize` and `localize_batch` are a `Localizer` that is used once.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.display import POINT_ESTIMATE
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
 from thigmo.localization.batch import BatchResult
-from thigmo.localization.described import Body, Errors, Priors, Sensors
-from thigmo.localization.frames import ContactFilter
-from thigmo.localization.newtons import newtons
-from thigmo.localization.readings import (
+from thigmo.localization.options import Body, Errors, Priors, Sensors
+from thigmo.localization.result import LocalizeResult
+from thigmo.localization.space import in_space
+from thigmo.localization.validation import (
     Array,
-    Range,
     bending_stiffness,
     check_layout,
     columns,
+    contact_count,
     everted_length,
     grip,
     positive,
@@ -37,14 +35,11 @@ from thigmo.localization.readings import (
     share,
     share_of_length,
     vector,
+    white_noise,
 )
-from thigmo.localization.result import STATUSES, Contact, LocalizeResult, OfBody, Status
-from thigmo.localization.space import in_space
 
-MOST_CONTACTS = 3
-COMPILED = ("posterior", "l1", "l2")  # the norm of a point fit is its place here
-METHODS = (*COMPILED, "thesis")
-_BEND_POINTS = 107  # along a body bent by a point fit; every 0.5 cm of 53
+_MOST_CONTACTS = {"posterior": 3, "l1": 2, "thesis": 3}
+METHODS = tuple(_MOST_CONTACTS)
 _PARTS = {"body": Body, "sensors": Sensors, "errors": Errors, "priors": Priors}
 _PART_OF = {each.name: name for name, part in _PARTS.items() for each in fields(part)}
 
@@ -61,10 +56,10 @@ class Localizer:
         errors: standard errors of their readings.
         priors: what is known beforehand, and what counts as localized.
         method: "posterior"; or a method without intervals, whose answers say so by their status
-            `point estimate`: "l1", "l2" (exact point fits of one or two contacts), "thesis" (the
-            alternating fit of `thigmo.localization.thesis`, for the number of contacts given, one
-            for "auto"; with `critical_curvature`, also its remedies for a folded base). "thesis"
-            takes no error, and lengths in cm only.
+            `point estimate`, for the number of contacts given, one for "auto": "thesis" (the
+            thesis's alternating fit; with `critical_curvature`, also its remedies for a folded
+            base; lengths in cm only), "l1" (what that fit seeks: the least 1-norm of the residual,
+            of one or two contacts). Both are in `thigmo.localization.thesis`, and use no error.
 
     Raises:
         DataError: a number that is not possible, or lengths that look like another unit.
@@ -151,11 +146,9 @@ class Localizer:
         found = self._compiled.localize(k, free, body)
         if found.problem:
             raise refusal(found.problem, found.shows, self.length)
-        if self.method == "thesis":
-            return self._thesis_fit(k - free)
         if self.method != "posterior":
-            return _point_fit(found, self.length, self.method)
-        return _result(found, self.length, self.body.stiffness)
+            return self._point_estimate(k - free)
+        return LocalizeResult.of(found, self.length, self.body.stiffness)
 
     def localize_batch(
         self, curvature: npt.ArrayLike, *, free_curvature: npt.ArrayLike = 0.0, jobs: int = 1
@@ -170,7 +163,7 @@ class Localizer:
         Raises:
             DataError: as `localize`, naming the row; no row is skipped silently.
         """
-        if self.method not in COMPILED:
+        if self.method != "posterior":
             raise DataError(f"{self.method} takes no rows", "give its frames one by one")
         width = self._compiled.count
         table = np.ascontiguousarray(curvature, dtype=np.float64)
@@ -195,30 +188,13 @@ class Localizer:
         with ThreadPoolExecutor(len(parts)) as pool:
             found = list((pool.map if len(parts) > 1 else map)(run, parts))
         of_row, of_contact = (np.concatenate(each) for each in zip(*found, strict=True))
-        return BatchResult.of(of_row, of_contact, self.length, self.method)
-
-    def filter(self, most_curvature: float, **options: Any) -> ContactFilter:
-        """A stream of frames of a body that bends into one obstacle at rest.
-
-        Args:
-            most_curvature: free curvature that the inflation reaches; its sign tells the side.
-            options: further ones of `ContactFilter`.
-        """
-        return ContactFilter(self.body, self.sensors, self.errors, most_curvature, **options)
+        return BatchResult.of(of_row, of_contact, self.length)
 
     def _checked(self) -> _posterior.Localizer:
         body, errors, known = self.body, self.errors, self.priors
         x, total = vector(self.sensors.position, "position"), everted_length(body.length)
         count = x.size
-        white = np.zeros(0) if errors.noise is None else vector(errors.noise, "noise", count)
-        if errors.noise is not None and not white.size:
-            raise DataError(
-                "noise is empty", "give one standard deviation, or None if it is unknown"
-            )
-        if (white == 0.0).any():
-            raise DataError(
-                "noise is 0", "give the standard deviation of a reading, or None if it is unknown"
-            )
+        white = white_noise(errors.noise, count)
         widths = vector(self.sensors.span, "span", count)
         own = {
             name: vector(getattr(errors, name), name, count)
@@ -228,21 +204,9 @@ class Localizer:
         check_layout(x, widths, total, noise=white, bad_reading_odds=odds, **own)
         if white.size:
             white = np.hypot(white, own["zero_error"])
-        contacts = known.contacts
-        if contacts != "auto" and (
-            isinstance(contacts, bool)
-            or not isinstance(contacts, (int, np.integer))
-            or not 0 <= contacts <= MOST_CONTACTS
-        ):
-            raise DataError(f"contacts={contacts!r} is not possible", 'give "auto" or 0 to 3')
-        if self.method not in METHODS:
-            raise DataError(f"unknown method {self.method!r}", f"use one of {', '.join(METHODS)}")
-        if self.method in ("l1", "l2") and contacts not in ("auto", 1, 2):
-            raise DataError(
-                f"{self.method} fits no {contacts} contacts", "give 1 or 2, or no method"
-            )
-        if self.method == "thesis" and contacts == 0:
-            raise DataError("thesis fits no 0 contacts", "give 1 to 3, or no method")
+        check_method(self.method)
+        least = 0 if self.method == "posterior" else 1
+        contacts = contact_count(known.contacts, self.method, least, _MOST_CONTACTS[self.method])
         radius, limit = priors.TUBE_RADIUS * total, priors.WIDTH_SHARE
         if body.tube_radius is not None:
             radius = max(positive(body.tube_radius, "tube_radius"), 1e-6 * total)
@@ -279,17 +243,16 @@ class Localizer:
             held_end=held,
             end_odds=math.nan if face is None else positive(face, "end_face_odds"),
             held_odds=held_odds,
-            contacts=-1 if contacts == "auto" else int(contacts),
+            contacts=contacts,
             within=share_of_length(known.within, total),
             width_limit=limit,
             number_level=share(known.number_level, "number_level"),
-            norm=COMPILED.index("posterior" if self.method == "thesis" else self.method),
             **space._asdict(),
             priors=priors.compiled(),
         )
 
-    def _thesis_fit(self, excess: Array) -> LocalizeResult:
-        """The thesis's fit to checked readings above the free curvature."""
+    def _point_estimate(self, excess: Array) -> LocalizeResult:
+        """The thesis's fit to checked readings above the free curvature, or what it seeks."""
         from thigmo.localization import thesis  # its optimiser takes a tenth of a second to import
 
         read = np.isfinite(excess)
@@ -298,10 +261,23 @@ class Localizer:
         count = 1 if self.priors.contacts == "auto" else int(self.priors.contacts)
         critical = self.body.critical_curvature or math.inf
         problem = thesis.Problem(excess[read], x, spans, self.length, count, critical)
-        arcs, forces = thesis.coupled(problem)
-        fitted = [(at, force, ()) for at, force in zip(arcs.tolist(), forces.tolist(), strict=True)]
-        rest = thesis.objective(thesis.at_centres(problem), arcs, forces)
-        return _point_result(fitted, self.length, "thesis", rest)
+        if self.method == "thesis":
+            arcs, forces = thesis.coupled(problem)
+            problem = thesis.at_centres(problem)
+        else:
+            arcs, forces = thesis.exact(problem)
+        rest = thesis.objective(problem, arcs, forces)
+        return LocalizeResult.of_point_estimate(arcs, forces, self.method, rest, self.length)
+
+
+def check_method(method: str) -> None:
+    """Raises DataError if there is no such method."""
+    if method == "l2":
+        raise DataError(
+            "method l2 is no longer there", 'use "posterior", which errs less, or "l1" or "thesis"'
+        )
+    if method not in METHODS:
+        raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
 
 
 def localize(
@@ -365,93 +341,3 @@ def localize_batch(
     """
     localizer = Localizer.of(position=position, length=length, **options)
     return localizer.localize_batch(curvature, free_curvature=free_curvature, jobs=jobs)
-
-
-def _point_fit(found: _posterior.Answer, total: float, method: str) -> LocalizeResult:
-    """The global minimum of a norm of the residual, and where it is attained."""
-    fitted = [(arc, force, pieces) for arc, force, _, _, pieces, *_ in found.contacts(total)]
-    return _point_result(fitted, total, method, found.objective)
-
-
-def _point_result(
-    fitted: Sequence[tuple[float, float, tuple[Range, ...]]],
-    total: float,
-    method: str,
-    objective: float,
-) -> LocalizeResult:
-    """Places and forces without errors, as a result that nobody takes for one with errors.
-
-    The interval of such a contact is the whole body: nothing narrower would hold.
-    """
-    contacts = tuple(
-        Contact(arc, force, (0.0, total), POINT_ESTIMATE, pieces, math.nan, math.nan)
-        for arc, force, pieces in fitted
-    )
-    arcs = np.linspace(0.0, total, _BEND_POINTS)
-    bend = sum((force * np.maximum(arc - arcs, 0.0) for arc, force, _ in fitted), np.zeros(1))
-    return LocalizeResult(
-        POINT_ESTIMATE,
-        contacts,
-        f"{len(contacts)} contact{'s' * (len(contacts) > 1)}, {method}",
-        f"{method} gives a place without an interval: how far off it is, and whether there is a "
-        "contact at all, it does not say",
-        math.nan,
-        math.nan,
-        {},
-        objective=objective,
-        length=total,
-        _body=OfBody(bend=bend * total),
-    )
-
-
-def _result(
-    found: _posterior.Answer, total: float, stiffness: tuple[float, float] | None
-) -> LocalizeResult:
-    """The answer in the caller's units."""
-    status = STATUSES[found.status]
-    contacts = tuple(Contact(*fields) for fields in found.contacts(total))
-    if stiffness is not None:
-        # What loads the end is the most distal contact.
-        loads = [(math.nan,) * 4] * (len(contacts) - 1) + [tuple(found.end_load)]
-        contacts = tuple(
-            replace(contact, newtons=newtons(stiffness, *cells[1:], load, total))
-            for contact, cells, load in zip(contacts, found.masses, loads, strict=False)
-        )
-    return LocalizeResult(
-        status,
-        contacts,
-        found.hypothesis,
-        _message(status, found, len(contacts)),
-        found.noise,
-        found.log_odds,
-        found.hypotheses,
-        () if found.discarded < 0 else (found.discarded,),
-        found.parameters(total),
-        number=tuple(found.number),
-        length=total,
-        _body=found,
-    )
-
-
-def _message(status: Status, found: _posterior.Answer, count: int) -> str:
-    bad = ""
-    if found.discarded >= 0:  # a kink under a sensor looks much the same
-        bad = "; one reading looks bad (see `discarded`)"
-        kink = sum(p for name, p in found.hypotheses.items() if "hinge" in name or "folded" in name)
-        if kink > priors.EXCLUDED:
-            bad += f", or the body is kinked there (probability {kink:.2f})"
-    if status == "no contact":
-        return "the readings are those of the free body" + bad
-    if status == "below detection":
-        return "a contact is not certain; average more readings, bend further or give `noise`" + bad
-    felt = f"{count} felt with probability {found.number[count]:.2f}"
-    if count < MOST_CONTACTS:
-        felt += f", more are not excluded ({sum(found.number[count + 1 :]):.2f})"
-    if status == "localized":
-        places = "a contact lies" if count == 1 else "contacts lie"
-        return f"{places} where `intervals` say, whatever their number; {felt}{bad}"
-    if found.touched < 1.0 - priors.EXCLUDED:
-        return f"a contact has probability {found.touched:.2f}; {felt}{bad}"
-    if found.end_open:
-        return f"something may hold the end: give held_end; {felt}{bad}"
-    return f"the readings do not fix the place, see `intervals`; {felt}{bad}"

@@ -6,7 +6,7 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
 
-#include "point_fits/point_fit.h"
+#include "answer.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -57,7 +57,7 @@ nb::str name_of(int key) {
 }
 
 // Numbers of many answers: of each row, and of each of its contacts.
-constexpr std::size_t kOfRow = 8, kContacts = 3, kOfContact = 5;
+constexpr std::size_t kOfRow = 7, kContacts = 3, kOfContact = 5;
 
 // Write them in the order in which batch.py names them.
 void write(const Answer& from, double length, double* row, double* contact) {
@@ -67,8 +67,7 @@ void write(const Answer& from, double length, double* row, double* contact) {
                           from.shows,
                           from.touched,
                           from.log_odds,
-                          static_cast<double>(from.discarded),
-                          from.objective};
+                          static_cast<double>(from.discarded)};
   static_assert(of_row.size() == kOfRow);
   std::copy(of_row.begin(), of_row.end(), row);
   for (const FeltContact& felt : from.contacts) {
@@ -83,9 +82,7 @@ struct Localizer {
   Input sensors;
   Settings settings;
   Priors priors;
-  Answer answer_to(const Input& input) const {
-    return settings.norm == 0 ? answer(input, priors, settings) : point_fit(input, settings);
-  }
+  Answer answer_to(const Input& input) const { return answer(input, priors, settings); }
 };
 
 }  // namespace
@@ -136,8 +133,6 @@ NB_MODULE(_posterior, m) {
       .def_ro("end_open", &Answer::end_open)
       .def_ro("noise", &Answer::noise)
       .def_ro("log_odds", &Answer::log_odds)
-      .def_ro("objective", &Answer::objective)
-      .def_ro("gap", &Answer::gap)
       // The fields of `Contact`, in the caller's unit.
       .def("contacts",
            [](const Answer& a, double length) {
@@ -242,51 +237,47 @@ NB_MODULE(_posterior, m) {
       .def_prop_ro("bend", [](const Answer& a) { return array(a.bend); }, nb::rv_policy::reference);
 
   nb::class_<Localizer>(m, "Localizer")
-      .def(
-          "__init__",
-          [](Localizer* self, Numbers position, Numbers span, Numbers noise, Numbers gain,
-             Numbers bad_odds, Table shared, double offset, double map, double length,
-             double radius, double critical, double critical_error, bool folds_perhaps,
-             int held_end, double end_odds, double held_odds, int contacts,
-             std::pair<double, double> within, double width_limit, double number_level, int norm,
-             Table direction, Table curvature_map, Numbers compliance, Numbers weight,
-             const Priors& priors) {
-            Input in{};
-            in.position = row(position), in.span = row(span), in.noise = row(noise);
-            in.gain = row(gain), in.bad_odds = row(bad_odds), in.shared = matrix(shared);
-            in.offset = offset, in.map = map, in.length = length, in.radius = radius;
-            std::optional<Space> space;
-            if (direction.shape(0) > 0) {
-              space.emplace();
-              const auto vector = [](const double* from) {
-                return Vector{from[0], from[1], from[2]};
-              };
-              for (std::size_t i = 0; i < direction.shape(0); ++i) {
-                space->direction.push_back(vector(direction.data() + 3 * i));
-              }
-              space->curvature_map = matrix(curvature_map);
-              space->compliance = vector(compliance.data()), space->weight = vector(weight.data());
-            }
-            const Settings settings{critical,
-                                    critical_error,
-                                    folds_perhaps,
-                                    radius / length,
-                                    Settings::Held(held_end),
-                                    std::log(end_odds),
-                                    std::log(held_odds),
-                                    contacts,
-                                    {within.first, within.second},
-                                    width_limit,
-                                    number_level,
-                                    norm,
-                                    space};
-            new (self) Localizer{in, settings, priors};
-          },
-          nb::kw_only(), "position"_a, "span"_a, "noise"_a, "gain"_a, "bad_odds"_a, "shared"_a,
-          "offset"_a, "map_scale"_a, "length"_a, "radius"_a, "critical"_a, "critical_error"_a,
-          "folds_perhaps"_a, "held_end"_a, "end_odds"_a, "held_odds"_a, "contacts"_a, "within"_a,
-          "width_limit"_a, "number_level"_a, "norm"_a, "direction"_a, "curvature_map"_a,
-          "compliance"_a, "weight"_a, "priors"_a)
+      .def("__init__",
+           [](Localizer* self, nb::kwargs of) {
+             const auto number = [&](const char* name) { return nb::cast<double>(of[name]); };
+             const auto numbers = [&](const char* name) {
+               return row(nb::cast<Numbers>(of[name]));
+             };
+             const auto table = [&](const char* name) { return nb::cast<Table>(of[name]); };
+             Input in{};
+             in.position = numbers("position"), in.span = numbers("span");
+             in.noise = numbers("noise"), in.gain = numbers("gain");
+             in.bad_odds = numbers("bad_odds"), in.shared = matrix(table("shared"));
+             in.offset = number("offset"), in.map = number("map_scale");
+             in.length = number("length"), in.radius = number("radius");
+             std::optional<Space> space;
+             if (const Table direction = table("direction"); direction.shape(0) > 0) {
+               const auto vector = [](const double* from) {
+                 return Vector{from[0], from[1], from[2]};
+               };
+               space.emplace();
+               for (std::size_t i = 0; i < direction.shape(0); ++i) {
+                 space->direction.push_back(vector(direction.data() + 3 * i));
+               }
+               space->curvature_map = matrix(table("curvature_map"));
+               space->compliance = vector(numbers("compliance").data());
+               space->weight = vector(numbers("weight").data());
+             }
+             const auto within = nb::cast<std::pair<double, double>>(of["within"]);
+             const Settings settings{number("critical"),
+                                     number("critical_error"),
+                                     nb::cast<bool>(of["folds_perhaps"]),
+                                     in.radius / in.length,
+                                     Settings::Held(nb::cast<int>(of["held_end"])),
+                                     std::log(number("end_odds")),
+                                     std::log(number("held_odds")),
+                                     nb::cast<int>(of["contacts"]),
+                                     {within.first, within.second},
+                                     number("width_limit"),
+                                     number("number_level"),
+                                     space};
+             new (self) Localizer{in, settings, nb::cast<Priors>(of["priors"])};
+           })
       .def_prop_ro("length", [](const Localizer& self) { return self.sensors.length; })
       .def_prop_ro("count", [](const Localizer& self) { return self.sensors.position.size(); })
       .def("localize",

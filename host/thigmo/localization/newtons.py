@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from thigmo.localization import priors
-from thigmo.localization.readings import Array, Range
+from thigmo.localization.validation import Array, Range
 
 _TAIL = 0.5 * (1.0 - priors.LEVEL)
 _NEGLIGIBLE = 1e-5  # mass of a cell that moves no end of an interval
@@ -39,7 +39,7 @@ class Newtons:
     Attributes:
         across: force across the body in newtons, positive towards positive curvature.
         along: force along the body in newtons, positive towards the base, of a load on the end by
-            the likeliest explanation; None of a contact on the side, whose friction is not told.
+            the likeliest explanation; None of a contact on the side, whose friction is unknown.
         couple: on the end, in newtons times the unit of length; None as `along`.
     """
 

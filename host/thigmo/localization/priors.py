@@ -105,6 +105,11 @@ def place_density(place: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return 1.0 - SWEPT + 3.0 * SWEPT * place**2
 
 
+def narrow(interval: tuple[float, float], length: float) -> bool:
+    """Whether an interval on a body of a length is short enough to count as localized."""
+    return interval[1] - interval[0] <= WIDTH_SHARE * length + 1e-9
+
+
 def compiled() -> _posterior.Priors:
     """All of them, as the compiled code takes them."""
     return _posterior.Priors({name: globals()[name] for name in _NAMES})

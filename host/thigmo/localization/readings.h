@@ -33,7 +33,7 @@ struct Readings {
   bool known;              // whether the noise is known
 };
 
-// Why a frame is refused; readings.py has the sentences, and checks what holds for every frame.
+// Why a frame is refused; validation.py has the sentences, and checks what holds for every frame.
 enum class Problem { none, infinite, no_reading, free, too_tight, constant };
 
 inline double pick(const Row& values, std::size_t i) { return values[values.size() == 1 ? 0 : i]; }

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
-from math import isnan
+from dataclasses import asdict, dataclass, field, fields, replace
+from math import isnan, nan
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,9 +20,9 @@ from thigmo.display import (
     interval_text,
 )
 from thigmo.extras import data_frame
-from thigmo.localization import _posterior
-from thigmo.localization.newtons import Newtons
-from thigmo.localization.readings import Range
+from thigmo.localization import _posterior, priors
+from thigmo.localization.newtons import Newtons, newtons
+from thigmo.localization.validation import Range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Status = Literal["localized", "ambiguous", "below detection", "no contact", "point estimate"]
 STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
+_BEND_POINTS = 107  # along a body bent by a point fit; every 0.5 cm of 53
 _COLUMNS = ("arc", "interval", "force / EI, or N", "probability", "status")
 
 
@@ -45,9 +46,9 @@ class Contact:
             whatever the number of contacts; the whole body if the status is `point estimate`.
         status: `localized` (the interval is no wider than the limit, and there is a contact with
             95 %, whatever the number of contacts), `ambiguous`, or `point estimate` (of a method
-            that knows no error: "l1", "l2" and "thesis").
-        intervals: that set; more than one piece if there are several modes. Of "l1" and "l2": where
-            the minimum is attained, which is no measure of error.
+            that knows no error: "l1" and "thesis").
+        intervals: that set; more than one piece if there are several modes; none of a `point
+            estimate`.
         force_deviation: posterior standard deviation of the force, wherever in `intervals` it acts.
         probability: that there is such a contact: nearer to `arc` than to that of another one; NaN
             for a `point estimate`.
@@ -153,7 +154,7 @@ class LocalizeResult:
         discarded: indices of readings that the likeliest explanation takes for bad.
         parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `push_back`
             (force on the end, towards the base), `tip_moment`, `end_offset`.
-        objective: norm of the residual at the estimate, of `l1`, `l2` and `thesis` only.
+        objective: norm of the residual at the estimate, of `l1` and `thesis` only.
         number: (4,) probability that none, one, two or three contacts move the readings by three
             standard errors or more. A weaker one is never excluded.
         length: of the body.
@@ -172,6 +173,61 @@ class LocalizeResult:
     number: tuple[float, ...] = ()
     length: float = 1.0
     _body: _posterior.Answer | OfBody = _NOTHING
+
+    @classmethod
+    def of(
+        cls, found: _posterior.Answer, length: float, stiffness: tuple[float, float] | None
+    ) -> LocalizeResult:
+        """The compiled answer in the caller's units."""
+        status = STATUSES[found.status]
+        contacts = tuple(Contact(*each) for each in found.contacts(length))
+        if stiffness is not None:
+            # What loads the end is the most distal contact.
+            loads = [(nan,) * 4] * (len(contacts) - 1) + [tuple(found.end_load)]
+            contacts = tuple(
+                replace(contact, newtons=newtons(stiffness, *cells[1:], load, length))
+                for contact, cells, load in zip(contacts, found.masses, loads, strict=False)
+            )
+        return cls(
+            status,
+            contacts,
+            found.hypothesis,
+            _message(status, found, len(contacts)),
+            found.noise,
+            found.log_odds,
+            found.hypotheses,
+            () if found.discarded < 0 else (found.discarded,),
+            found.parameters(length),
+            number=tuple(found.number),
+            length=length,
+            _body=found,
+        )
+
+    @classmethod
+    def of_point_estimate(
+        cls, arcs: Array, forces: Array, method: str, objective: float, length: float
+    ) -> LocalizeResult:
+        """Places and forces (k,) without errors, as a result that nobody takes for one with errors.
+
+        The interval of such a contact is the whole body: nothing narrower would hold.
+        """
+        bend = np.maximum(arcs - np.linspace(0.0, length, _BEND_POINTS)[:, None], 0.0) @ forces
+        return cls(
+            POINT_ESTIMATE,
+            tuple(
+                Contact(arc, force, (0.0, length), POINT_ESTIMATE, (), nan, nan)
+                for arc, force in zip(arcs.tolist(), forces.tolist(), strict=True)
+            ),
+            f"{arcs.size} contact{'s' * (arcs.size > 1)}, {method}",
+            f"{method} gives a place without an interval: how far off it is, and whether there is "
+            "a contact at all, it does not say",
+            nan,
+            nan,
+            {},
+            objective=objective,
+            length=length,
+            _body=OfBody(bend=bend * length),
+        )
 
     def __repr__(self) -> str:
         places = "; ".join(contact._place for contact in self.contacts)
@@ -192,16 +248,10 @@ class LocalizeResult:
         table = html_table(_COLUMNS, [contact._cells for contact in self.contacts])
         return html_card(title, self.message, strip, table)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __reduce__(self) -> tuple[Any, ...]:
         """For pickle: the compiled answer becomes plain arrays."""
-        state = {each.name: getattr(self, each.name) for each in fields(self)}
-        masses, joint = self._body.masses, self._body.joint
-        state["_body"] = OfBody(list(masses), self._body.bend, joint)
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            setattr(self, name, value)
+        *own, body = (getattr(self, each.name) for each in fields(self))
+        return LocalizeResult, (*own, OfBody(body.masses, body.bend, body.joint))
 
     def to_dict(self) -> dict[str, Any]:
         """All but the posterior along the body as plain data, for JSON or a data frame's row."""
@@ -289,3 +339,27 @@ class LocalizeResult:
         about = above.reshape(-1, 2)  # normal and binormal, in the middle of each cell
         arc = (np.arange(len(about)) + 0.5) / max(len(about), 1) * self.length
         return np.column_stack([arc, about[:, 1], -about[:, 0]])
+
+
+def _message(status: Status, found: _posterior.Answer, count: int) -> str:
+    bad = ""
+    if found.discarded >= 0:  # a kink under a sensor looks much the same
+        bad = "; one reading looks bad (see `discarded`)"
+        kink = sum(p for name, p in found.hypotheses.items() if "hinge" in name or "folded" in name)
+        if kink > priors.EXCLUDED:
+            bad += f", or the body is kinked there (probability {kink:.2f})"
+    if status == "no contact":
+        return "the readings are those of the free body" + bad
+    if status == "below detection":
+        return "a contact is not certain; average more readings, bend further or give `noise`" + bad
+    felt = f"{count} felt with probability {found.number[count]:.2f}"
+    if count < len(found.number) - 1:
+        felt += f", more are not excluded ({sum(found.number[count + 1 :]):.2f})"
+    if status == "localized":
+        places = "a contact lies" if count == 1 else "contacts lie"
+        return f"{places} where `intervals` say, whatever their number; {felt}{bad}"
+    if found.touched < 1.0 - priors.EXCLUDED:
+        return f"a contact has probability {found.touched:.2f}; {felt}{bad}"
+    if found.end_open:
+        return f"something may hold the end: give held_end; {felt}{bad}"
+    return f"the readings do not fix the place, see `intervals`; {felt}{bad}"

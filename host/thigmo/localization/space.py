@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from thigmo.errors import DataError
-from thigmo.localization.described import Body, Sensors
-from thigmo.localization.readings import Array, positive, vector
+from thigmo.localization.options import Body, Sensors
+from thigmo.localization.validation import Array, positive, vector
 
 _CELLS = 96  # of the body
 _SMOOTH = 1e-4  # of a body's bends between sensors, over what a reading counts

@@ -1,4 +1,4 @@
-"""The thesis's own solver (`localize(..., method="thesis")`), as faithful as its text allows.
+"""The thesis's own solver (`method="thesis"`), as its text has it, and what it seeks (`"l1"`).
 
 Source: M. Bryant, Tactile Perception for Growing Robots via Discrete Curvature Measurements, 2022,
 section 2.5. Its model (equation 2.9) is taken at the centre of each sensor, whatever the span, its
@@ -10,7 +10,8 @@ while this objective is of order 0.01: the first barrier problems pull a towards
 minima; exact coordinate descent (no barriers: each step the best a of all) stalls in the ravine
 along which f and a trade, where neither alone can improve. The step in f is exact here, which is
 the most that the interior point could reach. `clamped` and `coupled` are the thesis's two remedies
-for a folded base (section 3.2).
+for a folded base (section 3.2). `exact` finds the minimum of the objective itself, on the model
+averaged over spans.
 
 Lengths are cm and curvatures 1/cm, for the solver's tolerance and barriers are lengths.
 """
@@ -19,12 +20,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
+
+from thigmo.errors import DataError
+from thigmo.mechanics.closed_forms import phi
 
 Array = npt.NDArray[np.float64]
 CRITICAL_PER_CM = 0.01108  # mean of five trials, section 3.2
@@ -35,6 +39,9 @@ _BARRIERS = tuple(0.2**level for level in range(12))
 _NODES = 1600  # of the arcs that are tried; 0.03 cm apart on the 53 cm body
 _STEPS = (32, 16, 8, 4, 2, 1)  # nodes; the first is 2 % of the length
 _SWEEPS = 8
+_ARCS, _PAIR_ARCS = 5300, 106  # of the grids of `exact`: every 0.01 and 0.5 cm of 53
+_MOST_LINES = 30  # of forces that fit a reading, on the way to the best two forces
+_KEPT = 12  # pairs around which these are refined
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +62,7 @@ class Problem:
 
 def influence(problem: Problem, arcs: Array) -> Array:
     """(N, K) readings for unit forces at K arcs: lever arms, averaged over each sensor's span."""
-    reach = arcs - (problem.position - problem.span / 2)[:, None]
-    span = problem.span[:, None]
-    inside = 0.5 * reach**2 / np.maximum(span, 1e-12)
-    beyond = arcs - problem.position[:, None]
-    return np.asarray(np.where(reach <= 0, 0.0, np.where(reach >= span, beyond, inside)))
+    return phi(arcs, problem.position[:, None], problem.span[:, None])
 
 
 def objective(problem: Problem, arcs: Array, forces: Array) -> float:
@@ -67,15 +70,88 @@ def objective(problem: Problem, arcs: Array, forces: Array) -> float:
     return float(np.abs(problem.curvature - influence(problem, arcs) @ forces).sum())
 
 
-def single_forces(problem: Problem, arcs: Array) -> Array:
-    """For each of K arcs the force that a single contact there has: a weighted median, (K,)."""
-    weight = influence(problem, arcs)
-    ratio = problem.curvature[:, None] / np.where(weight > 0.0, weight, np.inf)
-    order = np.argsort(ratio, axis=0)
+def _median(ratio: Array, weight: Array) -> npt.NDArray[np.int64]:
+    """(K,) rows of the weighted medians of the columns of two (N, K) tables."""
+    order = np.argsort(np.where(weight > 0.0, ratio, np.inf), axis=0)
     summed = np.take_along_axis(weight, order, 0).cumsum(axis=0)
     middle = (summed < 0.5 * summed[-1]).sum(axis=0)
-    rank = np.take_along_axis(order, middle[None, :], 0)
-    return np.asarray(np.take_along_axis(ratio, rank, 0)[0])
+    return np.asarray(np.take_along_axis(order, middle[None, :], 0)[0])
+
+
+def _least_1(y: Array, levers: Array) -> Array:
+    """(C, K) forces of least 1-norm of y (N,) less levers (N, C, K) times forces, for C of 1 or 2.
+
+    One force is a weighted median. The best of two passes through two readings: along the line of
+    forces that fit one reading the best is a weighted median again, at the next reading (Karst,
+    J. Am. Stat. Assoc. 53, 1958).
+    """
+    one, two, each = levers[:, 0], levers[:, -1], np.arange(levers.shape[2])
+    if levers.shape[1] == 1:
+        ratio = np.divide(y[:, None], one, out=np.zeros_like(one), where=one > 0.0)
+        return np.asarray(ratio[_median(ratio, one), each][None])
+    at = (np.abs(y)[:, None] * (two > 0.0)).argmax(axis=0)
+    before, forces = np.full(each.size, -1), np.zeros((2, each.size))
+    for _ in range(_MOST_LINES):
+        row = np.stack([one[at, each], two[at, each]])
+        through = row * y[at] / np.maximum((row**2).sum(axis=0), 1e-300)
+        slope = one * -row[1] + two * row[0]
+        slope[at, each] = 0.0
+        weight = np.where(np.abs(slope) > 1e-12 * np.abs(slope).max(axis=0), np.abs(slope), 0.0)
+        rest = y[:, None] - one * through[0] - two * through[1]
+        ratio = np.divide(rest, slope, out=np.zeros_like(rest), where=weight > 0.0)
+        best = _median(ratio, weight)
+        forces = through + ratio[best, each] * np.stack([-row[1], row[0]])
+        best = np.where(weight[best, each] > 0.0, best, before)
+        if (best == before).all():
+            break
+        before, at = at, np.where(best < 0, at, best)
+    return forces
+
+
+def single_forces(problem: Problem, arcs: Array) -> Array:
+    """For each of K arcs the force that a single contact there has, (K,)."""
+    return np.asarray(_least_1(problem.curvature, influence(problem, arcs)[:, None])[0])
+
+
+def _least_2(y: Array, levers: Array) -> Array:
+    """As `_least_1`, of the 2-norm."""
+    design = levers.transpose(2, 0, 1)
+    return np.asarray((np.linalg.pinv(design) @ y).T)
+
+
+def exact(problem: Problem, norm: Literal[1, 2] = 1) -> tuple[Array, Array]:
+    """The least norm over all places and forces of one or two contacts: the thesis's estimate.
+
+    The model is averaged over the sensors' spans. One contact is tried at every place of a grid,
+    two at every pair of a coarser one that is refined around the best; forces are exact. Where
+    places tie, the middle one is answered. Forces of two are at most 20 times that which bends the
+    base by the largest reading: opposed ones that merge would fit better than any true pair.
+
+    Raises:
+        DataError: another number of contacts.
+    """
+    y, count, length = problem.curvature, problem.contacts, problem.length
+    if count not in (1, 2):
+        raise DataError(f"no exact fit of {count} contacts", "give 1 or 2")
+    fit, step = (_least_1, _least_2)[norm - 1], length / (_ARCS if count == 1 else _PAIR_ARCS)
+    nodes: Array = step * np.arange(1.0, round(length / step) + 1.0)
+    arcs = nodes[None] if count == 1 else nodes[np.array(np.triu_indices(nodes.size, 1))]
+    offsets = np.array(list(product(np.linspace(-1.0, 1.0, 7), repeat=count))).T
+    while True:
+        levers = influence(problem, arcs.ravel()).reshape(y.size, count, -1)
+        forces = fit(y, levers)
+        misfit = (np.abs(y[:, None] - (levers * forces).sum(axis=1)) ** norm).sum(axis=0)
+        if count == 2:
+            misfit[np.abs(forces).max(axis=0) > 20.0 * np.abs(y).max() / length] = np.inf
+        if step <= length / _ARCS:
+            break
+        best = arcs[:, np.argsort(misfit)[:_KEPT]]
+        arcs = np.sort((best[:, :, None] + step * offsets[:, None, :]).reshape(count, -1), axis=0)
+        step /= 3.0
+        arcs = np.clip(arcs, step, length)
+    tied = np.flatnonzero(misfit <= misfit.min() + 1e-9 * (np.abs(y) ** norm).sum())
+    middle = tied[np.argsort(arcs[-1, tied])][tied.size // 2]
+    return arcs[:, middle], forces[:, middle]
 
 
 def best_forces(problem: Problem, arcs: Array) -> Array:

@@ -15,6 +15,7 @@ from thigmo.mechanics.elastica import (
     Tube,
     peg_for,
     push,
+    push_tip,
     solve,
 )
 
@@ -31,6 +32,7 @@ __all__ = [
     "peg_for",
     "phi",
     "push",
+    "push_tip",
     "solve",
     "traced",
 ]

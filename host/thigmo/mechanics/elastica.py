@@ -25,6 +25,7 @@ from thigmo.errors import DataError
 from thigmo.mechanics import _rod
 
 Floats = npt.NDArray[np.float64]
+_TIP_PASSES = 8
 Model = Literal["arc", "beam", "elastica"]
 ModelChoice = Literal["auto", "arc", "beam", "elastica"]
 # Relaxed: found by going downhill after a snap, then converged. Approximate: of penalty accuracy.
@@ -229,6 +230,18 @@ def push(
     rod = Rod(body, [Peg(0.0, 0.0, 1.0)] * f.size, cell_cm=cell_cm)
     rod.press(np.abs(f), np.where(f < 0.0, end - a, a), fold_angle, free_curvature, length)
     return rod.solution()
+
+
+def push_tip(moment: float, length: float) -> Solution:
+    """The straight body whose tip a force normal to it pushes until the base bends by a moment.
+
+    The moment is over EI (1/cm), the length in cm; no fold.
+    """
+    force = moment / length
+    for _ in range(_TIP_PASSES):
+        bent = push(force, length, free_curvature=0.0, length=length)
+        force *= moment / abs(bent.base_moment)
+    return push(force, length, free_curvature=0.0, length=length)
 
 
 def peg_for(contact: PegContact, radius: float) -> Peg:

@@ -1,6 +1,6 @@
 """robot.toml in the board's own units, sent to the board, read back and stored.
 
-The board ends up holding exactly what robot.toml says, or the operator is told which value it
+The board ends up holding exactly what robot.toml says, or the operator hears which value it
 does not take.
 """
 
@@ -11,7 +11,7 @@ from math import cos, radians, sin
 from typing import TYPE_CHECKING
 
 from thigmo import wiring
-from thigmo.config import FlexSensor, Muscle, RobotConfig
+from thigmo.config import Muscle, RobotConfig, Sensor
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
 
@@ -37,8 +37,8 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     muscles = config.muscles
     return {
         "flex_enabled": [int(s is not None and s.healthy) for s in flex],
-        "flex_center_um": [round(s.center_cm * 1e4) if s else 0 for s in flex],
-        "flex_span_um": [round(s.span_cm * 1e4) if s else 0 for s in flex],
+        "flex_center_um": [round(s.fold_cm[0] * 1e4) if s else 0 for s in flex],
+        "flex_span_um": [round(s.fold_cm[1] * 1e4) if s else 0 for s in flex],
         "flex_scale": [round(s.scale_per_ohm * ratio * 1e9) if s else 0 for s in flex],
         "settle_ms": [round(board.settle_s * 1e3)],
         "max_pressure_cpsi": [
@@ -64,8 +64,10 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     }
 
 
-def _counts_while(sensor: FlexSensor, muscles: Sequence[Muscle]) -> int:
-    """Bits of trigger_when: a sensor wrinkles on the inside of a bend, within 90 degrees of it."""
+def _counts_while(sensor: Sensor, muscles: Sequence[Muscle]) -> int:
+    """Bits of trigger_when: what wrinkles does so inside of a bend, within 90 degrees of it."""
+    if not sensor.wrinkles:
+        return _AT_REST | ((1 << len(muscles)) - 1)
     apart = [cos(radians(sensor.direction_deg - muscle.direction_deg)) for muscle in muscles]
     return _AT_REST | sum(1 << n for n, cosine in enumerate(apart) if cosine < 1e-6)
 
@@ -90,7 +92,7 @@ def send_config(client: Client, config: RobotConfig) -> bool:
     hold or does not give back.
     """
     has, board = client.capacity, wiring.board_of(config)
-    if (has.muscles, has.sensors, has.body_pressures) != board[1:]:
+    if (has.muscles, has.sensors, has.body_pressures) != (*board.capacity.values(),):
         raise ConfigError(
             f"the board is built for {has.muscles} muscles, {has.sensors} sensors and "
             f"{has.body_pressures} body pressures, and this robot needs one for {board.muscles}, "

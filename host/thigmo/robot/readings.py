@@ -8,13 +8,13 @@ its last zeroing (thesis, equation 2.4).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo import wiring
 from thigmo.config import SIGN, RobotConfig, Side
+from thigmo.reading_errors import shared_errors
 
 Floats = NDArray[np.float64]
 
@@ -38,13 +38,16 @@ def resistance_ohm(mean_count: Floats, divider_ohm: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class SensorTable:
-    """robot.toml's flex sensors as arrays, by the board's input; absent ones are unhealthy."""
+    """robot.toml's sensors as arrays, by the board's input; absent ones are unhealthy."""
 
     center_cm: Floats
     span_cm: Floats
     scale_per_ohm: Floats
-    noise: Floats  # one sigma of an averaged reading, its zero's error included, 1/cm
-    lies: NDArray[np.int64]  # side of the body: 1 left, -1 right, 0 where there is no sensor
+    noise: Floats  # one sigma of an averaged reading, all included, 1/cm
+    white: Floats  # the part of it that is the sensor's own: noise and its zero
+    shared: Floats  # (n, k) the rest: columns of one standard error, as `shared_errors` has them
+    # side of the body whose muscle wrinkles it: 1 left, -1 right, 0 neither (or no sensor)
+    lies: NDArray[np.int64]
     direction: NDArray[np.int64]  # of bends that it answers to; 0: both
     healthy: NDArray[np.bool_]  # mask of sensors to use at all
     divider_ohm: float  # the divider's fixed resistor
@@ -59,14 +62,23 @@ class SensorTable:
             center_cm=np.array([s.center_cm if s else 0.0 for s in sensors]),
             span_cm=np.array([s.span_cm if s else 0.0 for s in sensors]),
             scale_per_ohm=np.array([s.scale_per_ohm if s else 0.0 for s in sensors]),
-            noise=np.array([hypot(s.noise, s.zero_se) if s else 1.0 for s in sensors]),
-            lies=np.array([int(SIGN[s.side]) if s and s.side else 0 for s in sensors]),
+            noise=np.array([s.reading_se if s else 1.0 for s in sensors]),
+            white=np.array([np.hypot(s.noise, s.zero_error) if s else 1.0 for s in sensors]),
+            shared=shared_errors(sensors),
+            lies=np.array(
+                [int(SIGN[s.side]) if s and s.side and s.wrinkles else 0 for s in sensors]
+            ),
             direction=np.array([s.valid_direction if s else 0 for s in sensors]),
             healthy=np.array([s is not None and s.healthy for s in sensors]),
             divider_ohm=config.board.divider_ohm,
             oversample=oversample,
             zero_sum=np.full(len(sensors), np.nan),
         )
+
+    @property
+    def covariance(self) -> Floats:
+        """Of averaged readings, (n, n), 1/cm^2."""
+        return np.diag(self.white**2) + self.shared @ self.shared.T
 
     def zeroed(self, sums: dict[int, float]) -> SensorTable:
         """The same with new zeros of some sensors."""

@@ -7,19 +7,19 @@ configuration), and here length, sensors and sweeps.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 
 import numpy as np
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import RobotConfig
 from thigmo.errors import CommandRefusedError, CommandTimeoutError, ConfigError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
+from thigmo.robot.creep import CreepWatch
 from thigmo.robot.readings import Floats, in_mask, mask_of
-from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Reading, Recording, SweepFrame, SweepResult, together
 from thigmo.robot.supervised import OPEN, SHORT, Supervised
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
@@ -69,7 +69,7 @@ def connect(
 
 
 class Robot(Supervised):
-    """A connected robot, with all that it can be told to do; what `connect` returns.
+    """A connected robot, with all that it can be made to do; what `connect` returns.
 
     Every command raises CommandRefusedError where the board says no (`reason` holds the schema's
     name for why), RobotFaultError where a fault is latched, and LinkError where the link fails.
@@ -147,15 +147,15 @@ class Robot(Supervised):
 
     def follow_settling(self) -> None:
         """Watch young sensors from now on, so that sweeps can use those that are set aside."""
-        if self._standing is None:
-            self._standing = StandingWatch(self.config, self.oversample)
-            self._client.on_telemetry.append(self._standing.telemetry)
+        if self._creep is None:
+            self._creep = CreepWatch(self.config, self.oversample)
+            self._client.on_telemetry.append(self._creep.telemetry)
 
     def young_noise(self) -> Floats:
         """Standard error of what sensors set aside rest at, by input, 1/cm; infinite if unknown."""
-        if self._standing is None:
+        if self._creep is None:
             return np.full(len(self._table.healthy), np.inf)
-        _, sigma = self._standing.rest(self.status().t_s, self.aside)
+        _, sigma = self._creep.rest(self.status().t_s, self.aside)
         return np.where(np.isnan(sigma), np.inf, sigma)
 
     def set_aside(self, mask: int) -> None:
@@ -179,7 +179,7 @@ class Robot(Supervised):
     ) -> None:
         """Wait until everted sensors of a mask (all of them) are past their settling time.
 
-        `progress` is told the seconds that are left, about once a second. Raises
+        `progress` is called with the seconds that are left, about once a second. Raises
         CommandTimeoutError if they do not settle.
         """
         end = self.now() + self.config.board.settle_s + _SETTLE_EXTRA_S
@@ -265,58 +265,55 @@ class Robot(Supervised):
             )
         return frames, np.array([frame.flex_sum for frame in frames], dtype=np.float64)
 
-    def press(
-        self, *, left_psi: float = 0.0, right_psi: float = 0.0, ramp_psi_s: float = 0.0
-    ) -> None:
-        """Hold a muscle pressure (at most one side above zero); returns at once.
+    def press(self, towards: str | float, psi: float, *, ramp_psi_s: float = 0.0) -> None:
+        """Hold one muscle under pressure, and the others at none; returns at once.
 
-        A set point below the transducer's live zero (about 2.2 psi) vents that muscle; a slew rate
-        of 0 is as configured. Refused while a sensor is half everted.
+        The muscle is given by its name, or by the direction (degrees) towards which it bends the
+        body. A set point below the transducer's live zero (about 2.2 psi) vents it; a slew rate of
+        0 is as configured. Refused while a sensor is half everted.
         """
-        self._request(wire.SetPressure(self._cpsi(left_psi, right_psi), round(ramp_psi_s * 100)))
+        self._request(wire.SetPressure(self._cpsi({towards: psi}), round(ramp_psi_s * 100)))
 
-    def _cpsi(self, left_psi: float, right_psi: float) -> tuple[int, ...]:
+    def _cpsi(self, tops_psi: Mapping[str | float, float]) -> tuple[int, ...]:
         """Pressures as the board takes them; ConfigError for a muscle that the robot lacks."""
-        told: dict[Side, float] = {"left": left_psi, "right": right_psi}
-        by_muscle = self.config.by_muscle(told, self._client.capacity.muscles)
-        return tuple(round(psi * 100) for psi in by_muscle)
+        found = [0] * self._client.capacity.muscles
+        for towards, psi in tops_psi.items():
+            found[self.config.muscle_number(towards)] = round(psi * 100)
+        return tuple(found)
 
     # Sweeps.
 
     def sweep(
         self,
+        tops_psi: Mapping[str | float, float],
         *,
-        left_psi: float,
-        right_psi: float,
         period_s: float,
         rising_only: bool = False,
         enough: Callable[[SweepResult], bool] | None = None,
     ) -> SweepResult:
-        """Bend to the left, then to the right, along a sine of pressure, and feel.
+        """Bend towards one muscle after the other along a sine of pressure, and feel.
 
         Args:
-            left_psi, right_psi: amplitudes; a side with 0 is left out.
+            tops_psi: amplitudes by muscle: its name, or the direction (degrees) it bends towards.
             period_s: of the whole sine (`sweep_period_s` says how slow it must be).
-            rising_only: vent each side after its peak: what the way back would feel, the way up
+            rising_only: vent each muscle after its peak: what the way back would feel, the way up
                 has felt.
-            enough: with `rising_only`, shown what a side gave so far, twenty times a second once
+            enough: with `rising_only`, shown what a bend gave so far, twenty times a second once
                 its trigger has fired, with its last half second as its peak; true vents it at once.
 
         Refused while a sensor is half everted, or the length or the zone is unknown.
         """
         if not rising_only:
-            return self._sweep(left_psi, right_psi, period_s)
+            return self._sweep(tops_psi, period_s)
         found = []
-        for half in ((left_psi, 0.0), (0.0, right_psi)):
-            if max(half) > 0:
-                found.append(self._sweep(*half, period_s, rising=True, enough=enough))
-                self.vent()
+        for towards, psi in tops_psi.items():
+            found.append(self._sweep({towards: psi}, period_s, rising=True, enough=enough))
+            self.vent()
         return SweepResult.joined(found)
 
     def _sweep(
         self,
-        left_psi: float,
-        right_psi: float,
+        tops_psi: Mapping[str | float, float],
         period_s: float,
         *,
         rising: bool = False,
@@ -328,7 +325,7 @@ class Robot(Supervised):
             before.everted & before.settled & before.zeroed,
             before.length_cm or 0.0,
             self.aside,
-            self._standing,
+            self._creep,
             rising,
             sides=self.config.muscle_sides,
         )
@@ -346,7 +343,7 @@ class Robot(Supervised):
             watcher.stopped = enough(watcher.result(together(truths), so_far=True))
             return watcher.stopped
 
-        command = wire.Sweep(self._cpsi(left_psi, right_psi), round(period_s * 1e3), 1, 0)
+        command = wire.Sweep(self._cpsi(tops_psi), round(period_s * 1e3), 1, 0)
         with self._telemetry_to(watcher.telemetry):
             self._start(command)
             for event in self._events(wire.Activity.SWEEPING, period_s + _SWEEP_EXTRA_S, until):

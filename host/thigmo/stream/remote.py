@@ -130,13 +130,13 @@ class Server(Closing):
 
     def _write(self, connection: Connection, messages: Subscription) -> None:
         """Thread of a client: messages."""
-        told = 0
+        reported = 0
         with messages, contextlib.suppress(OSError):
             connection.send_bytes(to_json(self._hello))
             while taken := messages.take():
-                lost = messages.dropped - told
+                lost = messages.dropped - reported
                 if lost:
-                    told += lost
+                    reported += lost
                     # Among the lost may have been the last of a channel that seldom speaks.
                     lead = Dropped(taken[0].t_s, taken[0].epoch_s, lost)
                     taken = [lead, *taken, *self._hub.retained()]

@@ -1,22 +1,29 @@
 """One method on one case: its error and its time, as every study counts them.
 
 Error is the mean |arc - true arc| over the contacts, ordered along the body (cm). No answer, or
-another number of contacts than asked for, is an infinite error; more than 10 cm is a failure. Time
-is the processor's: a busy machine stretches the clock's time of a long call, not of a short one.
+another number of contacts than there are, is an infinite error; more than 10 cm is a failure. Time
+is the processor's: a busy machine stretches the clock's time of a long call, not of a short one. It
+is the least of up to five calls: the first one after other methods finds nothing in the caches.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from time import process_time
+from typing import Any
 
 import numpy as np
 
 from thigmo.errors import ThigmoError
 from thigmo.localization import METHODS, Localizer
 from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.scenes import LENGTH, ROBOT, SIGMA, SPAN, Case
+from thigmo.studies.scenes import CRITICAL, LENGTH, ROBOT, SIGMA, SPAN, Case
 
 FAILURE_CM = 10.0
+# The default method as robots run it: nobody says how many contacts there are, and the fold is
+# stated as calibrated.
+ON_A_ROBOT = "posterior on a robot"
+_CALLS, _CALLS_US = 5, 5_000.0  # of which the quickest counts, and for how long they are repeated
 
 
 def attempt(
@@ -27,31 +34,44 @@ def attempt(
     The localizer is made before, as by any caller with more than one frame.
     Baselines that need a starting point take `start`; the others none.
     """
+    answer = _asked(case, method, noise, start)
+    times: list[float] = []
+    while len(times) < _CALLS and sum(times) < _CALLS_US:
+        begun = process_time()
+        try:
+            found = answer()
+        except ThigmoError:
+            found = []
+        times.append((process_time() - begun) * 1e6)
+    if len(found) != len(case.arcs):
+        return float("inf"), min(times)
+    return float(np.mean(np.abs(np.subtract(sorted(found), sorted(case.arcs))))), min(times)
+
+
+def _asked(case: Case, method: str, noise: float, start: float | None) -> Callable[[], list[float]]:
+    """The call that is timed: the arcs (cm) that a method answers."""
     count = len(case.arcs)
-    localizer = None
-    if method in METHODS:
-        localizer = Localizer.of(
-            position=case.position, length=LENGTH, span=SPAN, noise=noise, contacts=count,
-            method=method, **ROBOT,
-        )  # fmt: skip
-    begun = process_time()
-    try:
-        if localizer is not None:
-            result = localizer.localize(case.curvature, free_curvature=case.free)
-            found = [contact.arc for contact in result.contacts]
-        else:
+    if method not in (*METHODS, ON_A_ROBOT):
+
+        def baseline() -> list[float]:
             read = np.isfinite(case.curvature)
             excess, position = case.curvature[read] - case.free, case.position[read]
             span = np.full(position.size, SPAN)
             begin = None if start is None else np.full(count, start)
             problem = Problem(excess, position, span, LENGTH, count, noise=noise, start=begin)
-            found = BASELINES[method](problem)[0].tolist()
-    except ThigmoError:
-        found = []
-    elapsed = (process_time() - begun) * 1e6
-    if len(found) != count:
-        return float("inf"), elapsed
-    return float(np.mean(np.abs(np.subtract(sorted(found), sorted(case.arcs))))), elapsed
+            found: list[float] = BASELINES[method](problem)[0].tolist()
+            return found
+
+        return baseline
+    fold: dict[str, Any] = {"critical_curvature": CRITICAL, "critical_curvature_error": 0.1}
+    how = ROBOT | (fold if method == ON_A_ROBOT else {"contacts": count, "method": method})
+    localizer = Localizer.of(
+        position=case.position, length=LENGTH, span=SPAN, noise=noise, **how
+    )  # fmt: skip
+    return lambda: [
+        contact.arc
+        for contact in localizer.localize(case.curvature, free_curvature=case.free).contacts
+    ]
 
 
 def mean_and_failures(errors: np.ndarray) -> tuple[float, float]:

@@ -300,7 +300,7 @@ def visit(room: tuple[str, int, str]) -> Run:
             zone.inflate.amplitude *= kind.bend
             zone.deflate.amplitude *= kind.bend
         for sensor in scene.robot.column(side):
-            sensor.scale_per_ohm /= 1.0 + kind.gains * rng.standard_normal()
+            sensor.rescale(1.0 / (1.0 + kind.gains * rng.standard_normal()))
     scene.pegs = random_pegs(seed) if kind.more else random_wall(seed) if kind.wall else []
     if kind.friction is not None:
         scene.robot.body.growth_psi_per_cm = float(rng.uniform(*kind.friction))

@@ -53,7 +53,6 @@ _WAYS: dict[str, tuple[ModelChoice, float]] = {
 
 # Rungs of the localizer: number of contacts, and method.
 _RUNGS: dict[str, dict[str, Any]] = {
-    "point fit, 1": {"contacts": 1, "method": "l2"},
     "1 contact": {"contacts": 1},
     "2 contacts": {"contacts": 2},
     "3 contacts": {"contacts": 3},

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from thigmo.config import RobotConfig
-from thigmo.design import draft
+from thigmo.design.draft import Kind, draft
 from thigmo.emulator.reach import room_for
 from thigmo.emulator.scene import Scene
 from thigmo.errors import ThigmoError
@@ -37,6 +37,7 @@ class _Draft:
     length_cm: float
     sensors: int
     muscles: int
+    kind: Kind = "flex"
 
 
 ROBOTS: dict[str, _Draft | None] = {
@@ -44,6 +45,7 @@ ROBOTS: dict[str, _Draft | None] = {
     "120 cm, 8 a side": _Draft(120.0, 8, 2),
     "30 cm, 1 muscle, 3 sensors": _Draft(30.0, 3, 1),
     "200 cm, 1 muscle, 16 sensors": _Draft(200.0, 16, 1),
+    "100 cm, string of 12 IMUs": _Draft(100.0, 12, 2, "heading"),
 }
 
 

@@ -4,7 +4,11 @@ Maps over two conditions (force x place, noise x number of sensors, separation x
 point x place) and over one (sensor layout, lost sensors). Every method sees the same
 readings; the map over starting points has the same readings in every row, and the methods that need
 a starting point. The thesis's sensitivity study (`experiments/sensitivity.py`) is one more such
-map; errors of sensors and maps are the accuracy study's.
+map.
+
+One chart has what a room and a calibration do that no method is given: walls, friction, a wrong
+map of the muscle, wrong gains, and weak touches at the tip. It holds ours against the thesis's
+solver and exact least squares, each given the number of contacts.
 """
 
 from __future__ import annotations
@@ -19,18 +23,33 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from thigmo.localization import METHODS
+from thigmo.mechanics import Peg, Rod, Solution, Tube
 from thigmo.studies import charts
 from thigmo.studies.attempt import FAILURE_CM, attempt, mean_and_failures, mean_over
+from thigmo.studies.contact_scenes import one_contact as rubbed
 from thigmo.studies.engine import Claim, Context, Outcome, Record
 from thigmo.studies.rod import Floats
-from thigmo.studies.scenes import CRITICAL, LENGTH, SIGMA, SPAN, Case, one_contact, read, side_of
+from thigmo.studies.scenes import (
+    COLUMN,
+    CRITICAL,
+    FULL_CURVATURE,
+    LENGTH,
+    RADIUS,
+    SIGMA,
+    SPAN,
+    Case,
+    actuated,
+    one_contact,
+    read,
+    side_of,
+)
 
 Draw = Callable[[np.random.Generator, float, float], tuple[Case, float]]
 """Case and the noise that the method is given, for a row and a column condition."""
 
 DEFAULT = METHODS[0]
 # Methods quick enough to map; the rest stand in the speed-accuracy chart.
-MAPPED = (*METHODS, "alternating", "coordinate", "grid", "slsqp", "pwlf")
+MAPPED = (*METHODS, "l2", "alternating", "coordinate", "grid", "slsqp", "pwlf")
 # Methods that start somewhere, beside two that do not.
 STARTLESS = (DEFAULT, "l1")
 STARTED = (*STARTLESS, "alternating", "clamped", "coupled", "slsqp", "nelder-mead")
@@ -80,6 +99,55 @@ def _start_place(rng: np.random.Generator, _start: float, arc: float) -> tuple[C
     return case, SIGMA
 
 
+def _against_wall(rng: np.random.Generator, share: float, _: float) -> tuple[Case, float]:
+    """A body bent into a smooth wall, by so many times the free curvature at which it touched.
+
+    The wall is a row of thin dowels at any angle; its place is that of the contact that bears most.
+    """
+    while True:
+        turn, size = rng.uniform(-0.6, 0.6), rng.uniform(10.0, 40.0)
+        along = np.arange(0.0, size, 0.5)
+        x, y = rng.uniform(10.0, 40.0), rng.uniform(4.0, 15.0)
+        places = zip(x + along * np.cos(turn), y + along * np.sin(turn), strict=True)
+        pegs = [Peg(px, py, 0.4) for px, py in places if py > RADIUS + 0.5]
+        body, end = Rod(Tube(2.0 * RADIUS), pegs), np.inf
+        for free in np.arange(0.0, FULL_CURVATURE, 5e-4).tolist():
+            body.step(free, LENGTH)
+            if not np.isfinite(end) and body.contacts():
+                end = share * free
+            if free >= end:
+                break
+        most = max(body.contacts(), key=lambda contact: abs(contact.normal), default=None)
+        if free < end or most is None or abs(body.base_moment) > CRITICAL:
+            continue
+        clean = Solution(body).averages(COLUMN, SPAN)
+        noisy = clean + SIGMA * rng.standard_normal(COLUMN.size)
+        return Case(noisy, COLUMN, free, (most.arc,)), SIGMA
+
+
+def _rubbed(rng: np.random.Generator, friction: float, _: float) -> tuple[Case, float]:
+    arc, free = rng.uniform(30.0, LENGTH), rng.uniform(0.02, FULL_CURVATURE)
+    force, rubs = -rng.uniform(0.3, 1.0) * CRITICAL / arc, friction * side_of(rng)
+    scene = rubbed(np.array([arc]), np.array([force]), np.array([free]), COLUMN, rubs)
+    noisy = scene.curvature[0] + SIGMA * rng.standard_normal(COLUMN.size)
+    return Case(noisy, COLUMN, free, (arc,)), SIGMA
+
+
+def _wrong_map(rng: np.random.Generator, off: float, _: float) -> tuple[Case, float]:
+    case = actuated(rng)
+    return replace(case, free=case.free * (1.0 + off)), SIGMA
+
+
+def _wrong_gains(rng: np.random.Generator, size: float, _: float) -> tuple[Case, float]:
+    case = actuated(rng)
+    gains = 1.0 + size * rng.standard_normal(case.curvature.size)
+    return replace(case, curvature=case.curvature * gains), SIGMA
+
+
+def _weak_at_tip(rng: np.random.Generator, moment: float, _: float) -> tuple[Case, float]:
+    return _force_place(rng, moment, LENGTH)
+
+
 @dataclass(frozen=True)
 class Stress:
     """One way of making it hard: a draw over one or two conditions with their labels.
@@ -118,6 +186,21 @@ STRESSES: tuple[Stress, ...] = (
     ),
     Stress("layout", _layout, "centre of the first sensor (cm)", (1.0, 2.75, 5.0, 7.25)),
     Stress("sensor-loss", _lost, "lost sensors of 10", (0.0, 1.0, 3.0, 5.0, 7.0)),
+)  # fmt: skip
+# What one chart has together, and the methods in it.
+RIVALS = {DEFAULT: "ours", "alternating": "the thesis's solver", "l2": "least squares"}
+UNSTATED: tuple[Stress, ...] = tuple(
+    Stress(name, draw, label, rows, methods=tuple(RIVALS))
+    for name, draw, label, rows in (
+        ("wall", _against_wall, "bend over that at the touch", (1.1, 1.25, 1.5, 2.0, 3.0)),
+        ("friction", _rubbed, "coefficient of friction", (0.0, 0.2, 0.4, 0.6, 0.9)),
+        ("wrong map", _wrong_map, "free curvature believed, off by",
+         (-0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2)),
+        ("wrong gains", _wrong_gains, "standard deviation of the gains",
+         (0.0, 0.03, 0.05, 0.1, 0.2)),
+        ("weak touch at the tip", _weak_at_tip, "base moment / critical",
+         (0.05, 0.1, 0.15, 0.2, 0.3, 0.5)),
+    )
 )  # fmt: skip
 
 
@@ -209,6 +292,39 @@ def _figure(stress: Stress, errors: Floats) -> Figure:
     return figure
 
 
+def _unstated_figure(errors: dict[str, Floats]) -> Figure:
+    """A column a stress: mean error above, failures below, a line a method."""
+    figure, axes = charts.panels(2, len(UNSTATED), size=(1.5, 2.3))
+    tops = [0.0, 100.0]
+    for column, stress in enumerate(UNSTATED):
+        for measure, (label, _) in enumerate(_MEASURES):
+            axis = axes[measure * len(UNSTATED) + column]
+            values = np.array([
+                [mean_and_failures(row[:, m])[measure] for m in range(len(RIVALS))]
+                for row in errors[stress.name][:, 0]
+            ])  # fmt: skip
+            values *= 100.0 if measure else 1.0
+            tops[measure] = max(tops[measure], 1.1 * float(np.nanmax(values)))
+            lines = {
+                name: zip(stress.rows, mine, strict=True)
+                for name, mine in zip(RIVALS.values(), values.T, strict=True)
+            }
+            charts.curves(axis, lines)
+            if measure:
+                axis.set_xlabel(fill(stress.row_label, 16), fontsize=7)
+            else:
+                axis.set_title(fill(stress.name, 12), fontsize=8)
+            if column == 0:
+                axis.set_ylabel(fill(label, 28), fontsize=7)
+            else:
+                axis.tick_params(labelleft=False)
+    for number, axis in enumerate(axes):
+        axis.set_ylim(-0.03 * tops[number >= len(UNSTATED)], tops[number >= len(UNSTATED)])
+        axis.tick_params(labelsize=6)
+    charts.legend_below(figure)
+    return figure
+
+
 def _short(value: float, measure: int) -> str:
     """At most three signs, that a cell has room for."""
     if np.isnan(value):
@@ -221,16 +337,22 @@ def run(context: Context) -> Outcome:
     cases = context.count(2, 20)
     outcome = Outcome()
     lines: list[Record] = []
-    for stress in STRESSES:
-        # A general optimiser takes long from a bad start.
-        errors = errors_of(context, stress, max(cases // 4, 1) if stress.starts else cases)
+    unstated: dict[str, Floats] = {}
+    for stress in (*UNSTATED, *STRESSES):
+        # A general optimiser takes long from a bad start, and three quick methods do not.
+        some = max(cases // 4, 1) if stress.starts else 5 * cases if stress in UNSTATED else cases
+        errors = errors_of(context, stress, some)
         outcome.tables[stress.name] = tabulate(stress, errors)
         _, *others = over_all = pooled(stress, errors)
         lines += over_all
-        most, best = max((float(line["default_over_it"]), line["method"]) for line in others)
-        text = f"{stress.name}: default method's mean error over that of the best other ({best})"
-        outcome.claims.append(Claim(text, most, 1.0))
-        outcome.figures[stress.name] = _figure(stress, errors)
+        if stress in UNSTATED:
+            unstated[stress.name] = errors
+        else:
+            most, best = max((float(line["default_over_it"]), line["method"]) for line in others)
+            text = "default method's mean error over that of the best other"
+            outcome.claims.append(Claim(f"{stress.name}: {text} ({best})", most, 1.0))
+            outcome.figures[stress.name] = _figure(stress, errors)
         context.save(Outcome({stress.name: outcome.tables[stress.name]}, claims=outcome.claims))
     outcome.tables["rows"] = lines
+    outcome.figures["unstated"] = _unstated_figure(unstated)
     return outcome

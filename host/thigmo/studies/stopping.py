@@ -42,7 +42,7 @@ from thigmo.robot import connect
 
 with connect(sys.argv[1]) as robot:
     robot.arm()
-    robot.press(left_psi=4.0)
+    robot.press("left", 4.0)
     robot.wait(1.0)
     print("pressing", flush=True)
     robot.wait(60.0)

@@ -35,7 +35,7 @@ class Bench:
         self.robot.select_zone(2)
         self.robot.arm()
         self.robot.zero()
-        self.robot.press(left_psi=8.0, right_psi=0.0)
+        self.robot.press("left", 8.0)
         self.robot.wait(1.0)
         assert self.board.drive_enabled == (True, False)
 

@@ -74,7 +74,7 @@ def test_hello_telemetry_a_sweep_and_a_stop_on_the_cortex_m3(bench: Make) -> Non
     robot.press()
     robot.robot.vent()
     robot.robot.wait(1.0)
-    robot.robot.sweep(left_psi=12.0, right_psi=8.0, period_s=2.0)
+    robot.robot.sweep({"left": 12.0, "right": 8.0}, period_s=2.0)
     robot.client.stop()
     robot.transport.pass_time(0.1)  # the air enables' longest hold is 60 ms
     assert robot.off

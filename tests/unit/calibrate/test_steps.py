@@ -16,8 +16,9 @@ from thigmo.calibrate.figures import draw
 from thigmo.calibrate.hysteresis import CreepRecord, fit_decay, fit_hysteresis
 from thigmo.calibrate.noise import fit_noise
 from thigmo.calibrate.pressure import PressureResult, fit_pressure_zero
+from thigmo.calibrate.steps import fit_csv
 from thigmo.calibrate.stiffness import AxisPoints, fit_stiffness
-from thigmo.config import RobotConfig
+from thigmo.config import Muscle, RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
 from thigmo.mechanics.settling import Settling
@@ -244,22 +245,40 @@ def test_encoder_slip_reversal_and_lost_marker_are_detected():
     assert "lost the tip" in lost.verdict.notes[0]
 
 
+NAMES = ["left", "right"]
+
+
 def test_pressure_zero_and_its_faults():
     rng = np.random.default_rng(4)
     counts = np.column_stack([rng.normal(104.1, 0.5, 300), rng.normal(99.8, 0.5, 300)])
-    good = fit_pressure_zero(counts)
+    good = fit_pressure_zero(counts, NAMES)
     assert good.verdict.good
     for zero, true in zip(good.zeros, (104.1, 99.8), strict=True):
         assert abs(zero.zero_count - true) < 4 * zero.zero_se
     assert good.board_values() == pytest.approx([104.1 * 64, 99.8 * 64], abs=8)
     cut = counts.copy()
     cut[:, 1] = 0.5
-    assert "broken wire" in " ".join(fit_pressure_zero(cut).verdict.notes)
+    assert "broken wire" in " ".join(fit_pressure_zero(cut, NAMES).verdict.notes)
     emptying = counts + np.linspace(20, 0, 300)[:, None]
-    assert "wait until vented" in " ".join(fit_pressure_zero(emptying).verdict.notes)
-    silent = fit_pressure_zero(counts * [1, np.nan])
+    assert "wait until vented" in " ".join(fit_pressure_zero(emptying, NAMES).verdict.notes)
+    silent = fit_pressure_zero(counts * [1, np.nan], NAMES)
     assert "broken wire" in silent.verdict.notes[0]
     assert silent.as_data()["pressure_zero"][1] == 0
+    assert silent.verdict.notes[0].startswith("the pressure sensor of right ")
+
+
+@pytest.mark.parametrize("names", [["bender"], ["right", "left"], ["up", "left", "down", "right"]])
+def test_pressure_zeros_are_those_of_the_muscles_in_the_files_order(tmp_path, names):
+    true = {name: 98.0 + 2.0 * n for n, name in enumerate(sorted(names))}
+    config = RobotConfig(
+        muscles=[Muscle(name=name, direction_deg=80.0 * n) for n, name in enumerate(names)]
+    )
+    file = tmp_path / "vented.csv"
+    rows = [",".join(f"{name}_count" for name in true), *[",".join(map(str, true.values()))] * 12]
+    file.write_text("\n".join(rows))
+    found = fit_csv("pressure", file, config)
+    assert [zero.muscle for zero in found.zeros] == names
+    assert found.board_values() == [round(64 * true[name]) for name in names]
 
 
 def whole(config: RobotConfig) -> CheckReadings:
@@ -333,7 +352,7 @@ def test_every_fit_draws_its_figure_and_every_result_makes_plain_data(tmp_path):
         fit_stiffness([axis(1.0, y, rng) for y in (7.0, -8.0, 9.0)], config),
         fit_noise(np.arange(40.0), rng.normal(0, 6e-4, (40, 10)), config),
         fit_encoder(np.arange(8) * 700.0 + 700, np.arange(8) * 4.6 + 4.6, config),
-        fit_pressure_zero(rng.normal(102, 0.5, (30, 2))),
+        fit_pressure_zero(rng.normal(102, 0.5, (30, 2)), NAMES),
         run_check(whole(config), config),
     ]
     for number, result in enumerate(results):

@@ -23,6 +23,7 @@ BASELINES: dict[str, Baseline] = {
     "coordinate": partial(thesis.alternating, barriers=()),
     "clamped": thesis.clamped,
     "coupled": thesis.coupled,
+    "l2": partial(thesis.exact, norm=2),
     "grid": general.grid,
     **{name: partial(general.optimised, name) for name in general.OPTIMISERS},
     "pwlf": general.pwlf,

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.optimize import Bounds, differential_evolution, dual_annealing, minimize
 
 from thigmo.errors import DataError
-from thigmo.localization import localize
 from thigmo.localization.thesis import (
     Array,
     alternate,
@@ -163,7 +162,7 @@ def ruptures(problem: Problem) -> tuple[Array, Array]:
 
 
 def trees(problem: Problem, mechanics: bool = False) -> tuple[Array, Array]:
-    """Extremely randomised trees on the readings, alone or with the exact 1-norm fit beside them.
+    """Extremely randomised trees on the readings, alone or with the fit of `grid` beside them.
 
     Source: Geurts, Ernst and Wehenkel, Extremely randomized trees, Machine Learning 63, 2006.
     """
@@ -208,14 +207,10 @@ def _example(layout: Problem, rng: np.random.Generator) -> tuple[Problem, Array]
 
 
 def _features(problem: Problem, mechanics: bool) -> Array:
-    """The readings; with mechanics also the exact fit, and what that leaves over."""
+    """The readings; with mechanics also the fit of `grid`, and what that leaves over."""
     plain = problem.curvature * problem.length
     if not mechanics:
         return plain
-    fit = localize(
-        problem.curvature, problem.position, length=problem.length, span=problem.span,
-        contacts=problem.contacts, method="l1",
-    ).contacts  # fmt: skip
-    arcs, forces = (np.array([getattr(c, what) for c in fit]) for what in ("arc", "force"))
+    arcs, forces = grid(problem)
     rest = problem.curvature - influence(problem, arcs) @ forces
     return np.concatenate([plain, arcs, forces * problem.length**2, rest * problem.length])

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
-from thigmo.localization import Localizer, LocalizeResult, localize
+from thigmo.localization import localize
 from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.experiments import thesis
 from thigmo.studies.experiments.trial import Trial
@@ -24,7 +24,6 @@ from thigmo.studies.rod import Floats
 
 THEIRS = "alternating"
 OURS = "ours"
-ALONE = "ours, last reading alone"
 
 
 @dataclass(frozen=True)
@@ -56,39 +55,13 @@ def ours(trial: Trial) -> Answer:
     """The project's localizer, given the number of contacts as the thesis was.
 
     As in an exploration, what the untouched robot has shown of its sensors is taken off first.
-    Where the robot bent into a dowel, all frames are taken together, for the dowel stood still.
     """
-    if len(trial.frames) == 1:
-        return alone(trial)
-    localizer = Localizer.of(
-        position=trial.position, noise=max(trial.noise, 1e-9), gain_error=trial.gain_error,
-        **_told(trial),
-    )  # fmt: skip
-    felt = localizer.filter(
-        trial.free, place_error=trial.place_error_cm, peg_radius=thesis.DOWEL_CM
-    )
-    felt.update(trial.frames / trial.gain, trial.frames_free)
-    return _answer(felt.result())
-
-
-def alone(trial: Trial) -> Answer:
-    """As `ours`, of the last readings, without those on the way."""
     result = localize(
         trial.curvature / trial.gain, trial.position, free_curvature=trial.free,
-        noise=trial.sigma, contacts=len(trial.arcs_cm), held_end=False, **_told(trial),
+        noise=trial.sigma, contacts=len(trial.arcs_cm), held_end=False, length=trial.length_cm,
+        span=trial.span, offset_error=trial.offset_error, critical_curvature=trial.critical,
+        tube_radius=trial.radius_cm,
     )  # fmt: skip
-    return _answer(result)
-
-
-def _told(trial: Trial) -> dict[str, Any]:
-    return {
-        "length": trial.length_cm, "span": trial.span, "offset_error": trial.offset_error,
-        "critical_curvature": np.inf if trial.critical is None else trial.critical,
-        "tube_radius": trial.radius_cm,
-    }  # fmt: skip
-
-
-def _answer(result: LocalizeResult) -> Answer:
     return Answer(
         tuple(contact.arc for contact in result.contacts),
         tuple(contact.force for contact in result.contacts),
@@ -101,7 +74,7 @@ def _answer(result: LocalizeResult) -> Answer:
 
 
 class Solved(NamedTuple):
-    """A trial with every method's answer, by name (`OURS`, `ALONE` and the baselines')."""
+    """A trial with every method's answer, by name (`OURS` and the baselines')."""
 
     trial: Trial
     answers: dict[str, Answer]
@@ -110,10 +83,8 @@ class Solved(NamedTuple):
 def solve(item: tuple[Trial, Sequence[str]]) -> Solved:
     """Answer a trial with ours and with the named baselines."""
     trial, methods = item
-    answers = {OURS: ours(trial)}
-    if len(trial.frames) > 1:
-        answers[ALONE] = alone(trial)
-    return Solved(trial, answers | {name: thesis_method(trial, name) for name in methods})
+    theirs = {name: thesis_method(trial, name) for name in methods}
+    return Solved(trial, {OURS: ours(trial), **theirs})
 
 
 def answered(solved: Sequence[Solved], method: str) -> list[tuple[Trial, Answer]]:

@@ -14,8 +14,8 @@ from scipy import special
 
 from thigmo.errors import DataError
 from thigmo.studies.engine import Claim, Context, Outcome
-from thigmo.studies.experiments import compare, figures, thesis
-from thigmo.studies.experiments.compare import ALONE, OURS, THEIRS, Solved
+from thigmo.studies.experiments import compare, plots, thesis
+from thigmo.studies.experiments.compare import OURS, THEIRS, Solved
 from thigmo.studies.experiments.trial import Trial
 from thigmo.studies.rod import Floats
 
@@ -25,8 +25,7 @@ _REMEDIES = {"base clamped": "clamped", "coupled": "coupled"}
 Row = dict[str, Any]
 """One line of the three-column table (cm), for CSV, JSON and the table of docs/figures.md.
 
-    here_*, ours_*, alone_*: errors (`errors`) of the thesis's method here, of ours, and of ours
-        without the readings on the way (NaN where there are none).
+    here_*, ours_*: errors (`errors`) of the thesis's method here, and of ours.
     ours_se: standard error over the robots of our error of x in the workspace.
     less_mean, less_se: by how much its x in the workspace errs more than ours, and the standard
         error of that over the robots (NaN of one robot), whose trials share their errors.
@@ -64,7 +63,7 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
         every += solved
     return Outcome(
         {"answers": _answers(every), "rows": rows},
-        figures.FIGURES[name](every),
+        plots.FIGURES[name](every),
         [
             Claim(
                 f"{name}, {r['condition']}: {measure}",
@@ -80,7 +79,7 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
             )
         ],
         [f"{name}, {r['condition']}{note}" for r in rows for note in _remarks(r)],
-        [_shown(each) for r in rows for each in (r, *_one_frame(r))],
+        [_shown(each) for each in rows],
     )
 
 
@@ -122,7 +121,7 @@ def _row(experiment: str, condition: str, solved: Sequence[Solved], here: str) -
     )
     every = {
         f"{who}_{what}": value
-        for who, method in (("here", here), ("ours", OURS), ("alone", ALONE))
+        for who, method in (("here", here), ("ours", OURS))
         for what, value in errors(solved, method).items()
     }
     allowed_mean, allowed = (
@@ -183,15 +182,6 @@ def _standard_error(of_robots: Floats) -> float:
     return float(of_robots.std(ddof=1) / np.sqrt(n)) if n > 1 else nan
 
 
-def _one_frame(r: Row) -> list[Row]:
-    """One frame against one frame, where ours has used more."""
-    if not np.isfinite(r["alone_mean"]):
-        return []
-    ours = {f"ours_{what}": r[f"alone_{what}"] for what in ("mean", "std", "workspace_mean")}
-    alone = {"condition": f"{r['condition']}, last frame alone", "bound_mean": nan}
-    return [r | ours | alone | {"bound_measured_mean": nan}]
-
-
 def _shown(r: Row) -> Row:
     """The columns that people look at first: means in the thesis's measure, then x in the room."""
     return {
@@ -233,7 +223,7 @@ def _remarks(r: Row) -> list[str]:
 
 
 def _answers(solved: Sequence[Solved]) -> list[dict[str, str]]:
-    """One line a trial and method: what `figures.py` draws, for other tools."""
+    """One line a trial and method: what `plots.py` draws, for other tools."""
     return [
         {"condition": trial.condition, "place": trial.place, "method": method}
         | {

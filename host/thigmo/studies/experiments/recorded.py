@@ -5,8 +5,7 @@ OUT/EXPERIMENT/
   run-1.mcap                every frame of the first session's link, run-2.mcap of the next
 
 Each trial starts with the robot straight, vented and zeroed, as in the thesis; one second of
-readings is averaged while the dowels press, and at every pressure that an actuated robot passes on
-its way (`thesis.PASSED_PSI`).
+readings is averaged while the dowels press, and before an actuated robot touches its dowel.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 
 from thigmo import __version__
 from thigmo.calibrate.bench import READ_S, SAME_CM, STEADY_S
-from thigmo.config import SIDES, SIGN, RobotConfig, Side
+from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
@@ -32,7 +31,6 @@ from thigmo.studies.rod import Floats
 _QUIET_S = 5.0  # after venting, before zeros are taken
 _RAMP_PSI_S = 1.0  # slow: an overshoot would turn the muscle over to its other branch
 _ZERO_TRIES = 3
-_PLACE_SE_CM = 0.1  # of a sensor's centre, by a ruler; robot.toml does not state it
 _LEAST_GAIN_SE = 1e-3
 
 
@@ -102,11 +100,10 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
     _zero(robot)
     passed: list[Reading] = []
     if trial.pressure_psi > 0:
-        for since, psi in pairwise((0.0, *thesis.way_psi(trial.pressure_psi))):
+        for since, psi in pairwise((0.0, thesis.TOUCH_PSI, trial.pressure_psi)):
             if since > 0.0:
                 passed.append(robot.read(READ_S))
-            left, right = (psi, 0.0) if trial.side == "left" else (0.0, psi)
-            robot.press(left_psi=left, right_psi=right, ramp_psi_s=_RAMP_PSI_S)
+            robot.press(DEGREES[trial.side], psi, ramp_psi_s=_RAMP_PSI_S)
             robot.wait((psi - since) / _RAMP_PSI_S + STEADY_S)
             if psi == thesis.TOUCH_PSI:
                 attendant.touch(trial)
@@ -123,13 +120,16 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
     robot.vent()
     return {
         **{name: getattr(reading, name) for name in ("t_s", "length_cm")},
-        **{f"{side}_psi": reading.pressure_psi[config.muscle_number(side)] for side in SIDES},
+        **{
+            f"{side}_psi": reading.pressure_psi[config.muscle_number(DEGREES[side])]
+            for side in SIDES
+        },
         "zeroed": robot.status().zeroed,
         "curvature": reading.curvature.tolist(),
         "dowel_x_cm": [x for x, _ in dowels],
         "dowel_y_cm": [y for _, y in dowels],
         **truth,
-        "passed_psi": [r.pressure_psi[config.muscle_number(trial.side)] for r in passed],
+        "passed_psi": [r.pressure_psi[config.muscle_number(DEGREES[trial.side])] for r in passed],
         "passed_curvature": [r.curvature.tolist() for r in passed],
     }
 
@@ -169,34 +169,33 @@ def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
     side: Side = row["side"]
     muscle, sign = config.muscle(side), SIGN[side]
     zone = muscle.maps[-1]
-    frames, psi = np.array([*row["passed_curvature"], row["curvature"]]), row["passed_psi"]
-    gain, gain_se = np.ones(frames.shape[1]), np.zeros(frames.shape[1])
-    free = np.zeros(1)
-    if psi:
-        free = np.array([sign * zone.inflate.curvature(p) for p in (*psi, row[f"{side}_psi"])])
-        gain, gain_se = _shown_gains(rows, config, side)
-        use = table.usable(side, row["zeroed"]) & np.isfinite(frames[-1])
+    read = np.array(row["curvature"])
+    gain: Floats = np.ones(read.size)
+    free, bends = 0.0, bool(row["passed_psi"])
+    if bends:
+        free = sign * zone.inflate.curvature(row[f"{side}_psi"])
+        gain = _shown_gains(rows, config, side)
+        use = table.usable(side, row["zeroed"]) & np.isfinite(read)
         # The zero, and what scale and map may be off by.
-        more = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free[-1]) ** 2
+        more = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free) ** 2
     else:
-        use, more = table.healthy & (table.direction * frames[-1] >= 0), 0.0
-    sigma = np.sqrt(table.noise**2 + (scale_se * (frames[-1] - free[-1])) ** 2 + more)[use]
+        use, more = table.healthy & (table.direction * read >= 0), np.zeros(read.size)
+    sigma = np.sqrt(table.noise**2 + (scale_se * (read - free)) ** 2 + more)[use]
     position, span = table.center_cm[use], table.span_cm[use]
     arcs, forces = tuple(row["true_arcs_cm"] or row["arcs_cm"]), tuple(row["true_forces"])
     unknown = (float("nan"),) * len(arcs)
     length = row["length_cm"]
     bound = arc_bound_cm(arcs, forces, position, span, sigma, length) if forces else unknown
     return Trial(
-        row["condition"], row["place"], position, span, frames[:, use], free,
-        float(np.median(table.noise[use])), gain[use], sigma, arcs, forces or unknown,
-        tuple(row["dowel_x_cm"]), tuple(row["true_contact_x_cm"]) or unknown,
-        unknown if psi else bound, float(np.median(gain_se[use])), _PLACE_SE_CM, muscle.offset_se,
-        length, config.body.critical_curvature, config.body.radius_cm,
+        row["condition"], row["place"], position, span, read[use], free, gain[use], sigma, arcs,
+        forces or unknown, tuple(row["dowel_x_cm"]), tuple(row["true_contact_x_cm"]) or unknown,
+        unknown if bends else bound, muscle.offset_se, length, config.body.critical_curvature,
+        config.body.radius_cm,
     )  # fmt: skip
 
 
-def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> tuple[Floats, Floats]:
-    """What the untouched robot showed of its sensors' gains at 6 psi, and their errors, (N,) each.
+def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> Floats:
+    """What the untouched robot showed of its sensors' gains at 6 psi, (N,).
 
     As `Specimen.learn_gains`; but what a reading errs by on a real robot (its zero, its hysteresis)
     is much the same in all trials, so that many of them tell no more than one.
@@ -209,4 +208,4 @@ def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> tuple[
     departure = np.mean([row["passed_curvature"][0] for row in mine], axis=0) - believed
     variance = table.noise**2 + muscle.offset_se**2
     precision = 1 / spread**2 + believed**2 / variance
-    return 1 + np.nan_to_num(believed * departure / variance / precision), precision**-0.5
+    return np.asarray(1 + np.nan_to_num(believed * departure / variance / precision))

@@ -117,7 +117,7 @@ class Specimen:
         hand = 1.0 + 0.05 * float(self._rng.standard_normal()) if low else 1.0
         forces = [hand * force for force in planned.forces]
         body = pushed(planned.arcs_cm, forces, fold_rad=planned.fold(self.constants.fold_rad))
-        return self.observe(planned, body, self.read(body)[None, :], np.zeros(1))
+        return self.observe(planned, body, self.read(body), 0.0)
 
     def _bent(self, plans: Sequence[Planned]) -> list[Trial]:
         """Section 3.4: the left muscle bends the robot into a dowel that it just touches at 6 psi.
@@ -127,19 +127,19 @@ class Specimen:
         bears later, and whether on the side or on the tip's end, is for the mechanics to say.
         """
         touch, scale = self._muscle.curvature(thesis.TOUCH_PSI), 1 + self._map_error
-        read = []
+        untouched, read = [], []
         for planned in plans:
-            free = tuple(map(self._muscle.curvature, thesis.way_psi(planned.pressure_psi)))
-            bodies = [bent(planned.arcs_cm[0], touch, g) for g in free]
-            frames = np.array([self.read(body, one_side=True) for body, _ in bodies])
-            read.append((planned, free, *bodies[-1], frames))
-        self.learn_gains(np.array([frames[0] for *_, frames in read]), scale * touch)
+            untouched.append(self.read(bent(planned.arcs_cm[0], touch, touch)[0], one_side=True))
+            free = self._muscle.curvature(planned.pressure_psi)
+            body, peg = bent(planned.arcs_cm[0], touch, free)
+            read.append((planned, body, self.read(body, one_side=True), free, peg))
+        self.learn_gains(np.array(untouched), scale * touch)
         return [
             self.observe(
-                planned, body, frames, scale * np.array(free),
+                planned, body, readings, scale * free,
                 (obstacle_bound(peg, free, self.constants, self.gain_error),),
             )
-            for planned, free, body, peg, frames in read
+            for planned, body, readings, free, peg in read
         ]  # fmt: skip
 
     def learn_gains(self, readings: Floats, believed: float) -> None:
@@ -164,14 +164,14 @@ class Specimen:
         self,
         planned: Planned,
         body: Solution,
-        frames: Floats,
-        free: Floats,
+        readings: Floats,
+        free: float,
         bound_cm: tuple[float, ...] | None = None,
     ) -> Trial:
-        """A trial of the body of the last frame; the bound is that of its forces unless given."""
+        """A trial of a body (N,) readings; the bound is that of its forces unless given."""
         contacts = sorted(body.contacts, key=lambda contact: contact.arc)
         arcs, forces = (tuple(getattr(c, what) for c in contacts) for what in ("arc", "normal"))
-        count = frames.shape[1]
+        count = readings.size
         believed, true = self._believed[:count], self._true[:count]
         span = np.full(count, thesis.SPAN_CM)
         if bound_cm is None:
@@ -180,13 +180,12 @@ class Specimen:
             spread = self._deviation(clean, slope)
             bound_cm = arc_bound_cm(arcs, forces, believed, span, spread, thesis.LENGTH_CM)
         # A lab knows how well it calibrated, not the errors themselves.
-        sigma = self._deviation(frames[-1], _slope(believed, frames[-1]))
+        sigma = self._deviation(readings, _slope(believed, readings))
         return Trial(
-            planned.condition, planned.place, believed, span, frames, free, self.constants.noise,
+            planned.condition, planned.place, believed, span, readings, free,
             self._shown[:count], sigma, arcs, forces,
             tuple(peg_for(contact, thesis.DOWEL_CM).x for contact in contacts),
-            tuple(contact.x for contact in contacts), bound_cm, self.gain_error,
-            self.constants.position_cm,
+            tuple(contact.x for contact in contacts), bound_cm,
         )  # fmt: skip
 
     def _deviation(self, curvature: Floats, slope: Floats) -> Floats:
@@ -205,38 +204,31 @@ def _slope(position: Floats, curvature: Floats) -> Floats:
 
 
 @cache
-def obstacle_bound(
-    peg: Peg, free: tuple[float, ...], constants: Constants, gain_error: float
-) -> float:
-    """Cramer-Rao bound of a dowel that stands still while the robot bends into it, from all frames.
+def obstacle_bound(peg: Peg, free: float, constants: Constants, gain_error: float) -> float:
+    """Cramer-Rao bound of a dowel that a robot of a free curvature has bent into.
 
-    Unknown are the two coordinates of the dowel; every reading has its noise, and every sensor an
-    error of its gain and of its place, the same in all frames. Bounded is the x of the contact in
-    the last frame, as mean absolute error (cm) of a Gaussian estimator; infinite if singular.
+    Unknown are the two coordinates of the dowel; every reading has its noise, and the errors of its
+    sensor's gain and place. Bounded is the x of the contact, as mean absolute error (cm) of a
+    Gaussian estimator; infinite if singular.
     """
     tube = Tube(thesis.DIAMETER_CM, thesis.CRITICAL)
     at, step = np.array(thesis.CENTERS_CM), _BOUND_STEP_CM
 
     def seen(dx: float, dy: float, ahead: float = 0.0) -> tuple[Floats, float]:
-        """Clean frames with the dowel moved, and x of the contact."""
+        """Clean readings with the dowel moved, and x of the contact."""
         moved = Peg(peg.x + dx, peg.y + dy, peg.radius)
-        found = [solve(g, thesis.LENGTH_CM, tube=tube, pegs=[moved]) for g in free]
-        x = found[-1].contacts[-1].x if found[-1].contacts else float("nan")
-        return np.array([body.averages(at + ahead, thesis.SPAN_CM) for body in found]), x
+        body = solve(free, thesis.LENGTH_CM, tube=tube, pegs=[moved])
+        x = body.contacts[-1].x if body.contacts else float("nan")
+        return body.averages(at + ahead, thesis.SPAN_CM), x
 
     here = seen(0.0, 0.0)[0]
     slope = (seen(0.0, 0.0, step)[0] - here) / step
     pairs = [(seen(dx, dy), seen(-dx, -dy)) for dx, dy in ((step, 0.0), (0.0, step))]
-    jacobian = [(far - near) / (2 * step) for (far, _), (near, _) in pairs]
+    jacobian = np.array([(far - near) / (2 * step) for (far, _), (near, _) in pairs])
     gradient = np.array([(far_x - near_x) / (2 * step) for (_, far_x), (_, near_x) in pairs])
-    information = np.zeros((2, 2))
-    for sensor in range(len(at)):
-        covariance = max(constants.noise, 1e-9) ** 2 * np.eye(len(free))
-        covariance += np.outer(here[:, sensor], here[:, sensor]) * gain_error**2
-        covariance += np.outer(slope[:, sensor], slope[:, sensor]) * constants.position_cm**2
-        sensed = np.array([part[:, sensor] for part in jacobian])
-        information += sensed @ np.linalg.solve(covariance, sensed.T)
+    errors = (gain_error * here) ** 2 + (constants.position_cm * slope) ** 2
+    variance = max(constants.noise, 1e-9) ** 2 + errors
+    information = jacobian / variance @ jacobian.T
     if np.linalg.cond(information) > 1e12:
         return float("inf")
-    variance = gradient @ np.linalg.solve(information, gradient)
-    return float(np.sqrt(2 / np.pi * variance))
+    return float(np.sqrt(2 / np.pi * gradient @ np.linalg.solve(information, gradient)))

@@ -29,15 +29,8 @@ GAPS_CM = (39.0, 34.0, 29.0, 23.5, 18.5, 13.0)
 DISCRIMINATION_CM = 23.5
 LEAST_READINGS = 5  # that its solver needs
 TOUCH_PSI = 6.0
-# On its way there the robot is read at every second psi, the steps of the thesis's map (2.2).
-PASSED_PSI = (6.0, 8.0, 10.0, 12.0)
 ACTUATED_PSI = {"high force (14 psi)": 14.0, "low force (10 psi)": 10.0}
 SEPARATIONS = ("23.5 cm or more apart", "closer than 23.5 cm")
-
-
-def way_psi(pressure_psi: float) -> tuple[float, ...]:
-    """Pressures that the robot is read at on its way to one, and that one."""
-    return (*(psi for psi in PASSED_PSI if psi < pressure_psi), pressure_psi)
 
 
 def separation(gap_cm: float) -> str:

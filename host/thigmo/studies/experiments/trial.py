@@ -125,22 +125,17 @@ def _opposed_forces(gap_cm: float, length_cm: float, critical: float) -> tuple[f
 
 @dataclass(frozen=True)
 class Trial:
-    """One set of readings and its truth.
-
-    A robot that bends into a dowel is read on its way there too: it has T > 1 frames. The thesis's
-    method looks at the last one alone.
-    """
+    """One set of readings and its truth."""
 
     condition: str  # level of force or separation, in words
     place: str  # where the dowels were meant to be, in words
     position: Floats  # (N,) believed centres, cm
     span: Floats  # (N,) active lengths, cm
-    frames: Floats  # (T, N) readings, 1/cm
-    frames_free: Floats  # (T,) believed free curvature of each, 1/cm
-    noise: float  # white noise of a reading, 1/cm
+    curvature: Floats  # (N,) readings, 1/cm
+    free: float  # believed free curvature, 1/cm
     gain: Floats  # (N,) of each sensor, as far as the untouched robot has shown it; 1 elsewhere
-    # (N,) what a lab states as standard deviation of the last frame's readings: white noise, the
-    # uncertainty of their gains, and that of their places times the slope of the readings
+    # (N,) what a lab states as standard deviation of the readings: white noise, the uncertainty of
+    # their gains, and that of their places times the slope of the readings
     sigma: Floats
     # contacts, base first: the true ones of a simulated robot, the intended ones of a real one
     arcs_cm: tuple[float, ...]
@@ -148,26 +143,14 @@ class Trial:
     obstacle_x_cm: tuple[float, ...]  # x of each dowel as a camera sees it, base first
     contact_x_cm: tuple[float, ...]  # x of each contact point on the skin; NaN on a real robot
     # mean absolute error at the Cramer-Rao bound, of each contact's arc; of a robot that bends into
-    # a dowel of the contact's x, from all frames. Infinite where nothing fixes it, NaN where the
-    # forces are not known.
+    # a dowel, of the contact's x. Infinite where nothing fixes it, NaN where the forces are not
+    # known.
     bound_cm: tuple[float, ...]
-    gain_error: float = 0.0  # relative standard deviation, as stated, of what `gain` leaves
-    place_error_cm: float = 0.0  # standard deviation of the sensors' places, as stated
     offset_error: float = 0.0  # standard deviation of an error that all readings share, 1/cm
     length_cm: float = thesis.LENGTH_CM  # everted length
     critical: float = thesis.CRITICAL  # contact curvature at which the base folds, 1/cm
     radius_cm: float = thesis.DIAMETER_CM / 2  # of the tube
     robot: int = 0  # number of the simulated robot, whose errors its trials share
-
-    @property
-    def curvature(self) -> Floats:
-        """(N,) the last readings, 1/cm."""
-        return np.asarray(self.frames[-1])
-
-    @property
-    def free(self) -> float:
-        """Believed free curvature at the last readings, 1/cm."""
-        return float(self.frames_free[-1])
 
 
 def arc_bound_cm(

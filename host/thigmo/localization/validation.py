@@ -1,4 +1,4 @@
-"""The door: the caller's arrays as the compiled code takes them, and what it refuses.
+"""Checks of what callers give, and its form for the compiled code.
 
 Input that looks like another unit is refused with the likely cure, because a wrong answer must not
 look like a true one.
@@ -7,6 +7,7 @@ look like a true one.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +54,31 @@ def share(value: float, name: str) -> float:
     if number > 1.0:
         raise DataError(f"{name} is {value!r}", f"give {name} from 0 to 1")
     return number
+
+
+def white_noise(noise: npt.ArrayLike | None, count: int) -> Array:
+    """Standard deviations; none if they are unknown."""
+    if noise is None:
+        return np.zeros(0)
+    white = vector(noise, "noise", count)
+    if not white.size or (white == 0.0).any():
+        raise DataError(
+            f"noise is {'0' if white.size else 'empty'}",
+            "give the standard deviation of a reading, or None if it is unknown",
+        )
+    return white
+
+
+def contact_count(contacts: Any, method: str, least: int, most: int) -> int:
+    """How many contacts; -1 for "auto"."""
+    if isinstance(contacts, str) and contacts == "auto":
+        return -1
+    number = isinstance(contacts, (int, np.integer)) and not isinstance(contacts, bool)
+    if not number or not least <= contacts <= most:
+        raise DataError(
+            f"{method} fits no {contacts!r} contacts", f'give "auto" or {least} to {most}'
+        )
+    return int(contacts)
 
 
 def bending_stiffness(stiffness: tuple[float, float] | None) -> tuple[float, float] | None:

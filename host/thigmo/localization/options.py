@@ -1,4 +1,4 @@
-"""What a `Localizer` is told once: the body, its sensors, their errors, what is known beforehand.
+"""What a `Localizer` is given once: the body, its sensors, their errors, what is known beforehand.
 
 Every option of `localize` and `localize_batch` is a field here, declared and described once.
 Lengths in any one unit (cm, mm, m), curvature in its inverse: answers scale with it.
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.localization import priors
-from thigmo.localization.readings import Range
+from thigmo.localization.validation import Range
 
 
 def _keep(part: object, *names: str) -> None:
@@ -85,8 +85,8 @@ class Errors:
 
     Attributes:
         noise: white noise of a reading, scalar or (N,), 1/length; None if it is not known.
-        zero_error: of each sensor's zero, scalar or (N,), 1/length: noise of a single frame, the
-            same through all frames of a filter. An unknown noise includes it.
+        zero_error: of each sensor's zero, scalar or (N,), 1/length: as noise of a single frame.
+            An unknown noise includes it.
         gain_error: relative, of each sensor's gain, scalar or (N,).
         offset_error: of an offset that all readings share, 1/length.
         map_error: relative, of the free curvature, shared by all readings.

@@ -1,0 +1,144 @@
+"""IMUs: zero, alignment and drift of the turn from each to the next, by free bends.
+
+At a free bend every span turns by curvature times span. What the IMUs say of it differs by how they
+lie and by their gain, and drifts while the bends are taken: a line in curvature and time for each
+span. Its slopes are `scale` and the drift, which neighbours share, so that a span's drift is that
+of two IMUs; its constant is what they say of the straight body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from thigmo.calibrate.bench import Bench, bend_rows, bend_set_points
+from thigmo.calibrate.columns import Array, column, of_sensors, places_of, sensors_of
+from thigmo.calibrate.regression import outlying
+from thigmo.calibrate.verdict import StepResult, Verdict
+from thigmo.config import RAD_PER_OHM, HeadingSensor, RobotConfig, Side
+from thigmo.errors import DataError
+from thigmo.record.table import Table
+
+_FEWEST = 8  # bends
+_CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
+_FROM_ZERO_S = 15.0  # a sweep's peak comes so long after the zeros
+_LEAST_RAD = 2e-4
+
+
+@dataclass(frozen=True)
+class HeadingFit:
+    """One span's calibration."""
+
+    side: Side
+    index: int
+    healthy: bool
+    reason: str
+    scale: float = 1.0  # turn over what the IMUs say
+    scale_se: float = np.inf  # relative
+    zero_rad: float = 0.0  # what they say of the straight body
+    drift_rad_s: float = np.nan
+    noise_rad: float = np.nan  # one sigma of a reading about the line
+    turns: Array = field(default_factory=lambda: np.zeros((2, 0)))  # by camera, and by its IMUs
+
+
+@dataclass(frozen=True)
+class HeadingResult(StepResult):
+    """All spans, and what one IMU's heading is off by when a sweep is measured."""
+
+    sensors: tuple[HeadingFit, ...]
+    heading_se_rad: float
+    verdict: Verdict
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data, without what only the figure needs."""
+        data = super().as_data()
+        for each in data["sensors"]:
+            del each["turns"]
+        return data
+
+    def write(self, config: RobotConfig) -> None:
+        """Scales, zeros, drift and health; a span found dead keeps its old constants."""
+        for fit in self.sensors:
+            sensor = config.column(fit.side)[fit.index]
+            if not isinstance(sensor, HeadingSensor):
+                continue
+            sensor.healthy = fit.healthy
+            if fit.healthy:
+                sensor.scale, sensor.scale_se = fit.scale, fit.scale_se
+                sensor.zero_rad, sensor.heading_se_rad = fit.zero_rad, self.heading_se_rad
+
+
+def guided(bench: Bench) -> HeadingResult:
+    """From the free bends of the last body pressure (which it takes if there are none yet)."""
+    last = len(bench.config.body.zones) - 1
+    bends = [r for r in bench.session.rows("bends").values() if r["zone"] == last]
+    if len(bends) < sum(len(bend_set_points(bench, side)) for side in bench.config.sides):
+        bends = bend_rows(bench, [last])
+    return fit_heading(column(bends, "t_s"), column(bends, "k"), column(bends, "ohm"), bench.config)
+
+
+def of_csv(table: Table, config: RobotConfig) -> HeadingResult:
+    """Free bends: time, curvature by camera, and what the reader says of each span."""
+    told = of_sensors(table, "ohm", config)
+    return fit_heading(table.numbers("t_s"), table.numbers("curvature"), told, config)
+
+
+def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -> HeadingResult:
+    """Fit every span of IMUs to free bends (n,), in 1/cm, and readings (n, m)."""
+    seen = np.isfinite(t_s) & np.isfinite(curvature)
+    if seen.sum() < _FEWEST or np.ptp(curvature[seen]) < 1e-3:
+        raise DataError(
+            f"{int(seen.sum())} free bends that the camera saw", f"take {_FEWEST} and more, apart"
+        )
+    fits = []
+    for number, (place, sensor) in enumerate(
+        zip(places_of(config), sensors_of(config), strict=True)
+    ):
+        if isinstance(sensor, HeadingSensor):
+            own = seen & np.isfinite(ohm[:, number])
+            turn = (ohm[own, number] - HeadingSensor.straight_ohm) * RAD_PER_OHM
+            fits.append(_fit(*place, t_s[own], curvature[own] * sensor.span_cm, turn))
+    good = [fit for fit in fits if fit.healthy]
+    notes = [f"{fit.side} {fit.index} {fit.reason}" for fit in fits if not fit.healthy]
+    if not good:
+        return HeadingResult(
+            tuple(fits), np.nan, Verdict(False, "no span of IMUs can be used", tuple(notes))
+        )
+    # A span's drift and scatter are those of two IMUs.
+    drift = np.sqrt(np.mean([fit.drift_rad_s**2 for fit in good]) / 2)
+    scatter = np.sqrt(np.median([fit.noise_rad**2 for fit in good]) / 2)
+    off = max(float(np.hypot(drift * _FROM_ZERO_S, scatter)), _LEAST_RAD)
+    worst = max(good, key=lambda fit: fit.scale_se)
+    reason = (
+        f"{len(good)} of {len(fits)} spans; scales known to {100 * worst.scale_se:.1f} % at worst; "
+        f"IMUs drift by {np.degrees(drift) * 60:.2f} degrees a minute"
+    )
+    return HeadingResult(tuple(fits), off, Verdict(True, reason, tuple(notes)))
+
+
+def _fit(side: Side, index: int, t_s: Array, bent: Array, turn: Array) -> HeadingFit:
+    """One span: turns (n,) that the IMUs say, at those (n,) that the bends are."""
+    if len(turn) < _FEWEST:
+        return HeadingFit(side, index, False, "is not read: an IMU of it does not answer")
+    since = t_s - t_s.mean()
+    design = np.column_stack([np.ones_like(bent), since, bent])
+    keep = np.ones(len(turn), dtype=np.bool_)
+    for _ in range(2):
+        fit = np.linalg.lstsq(design[keep], turn[keep])[0]
+        rest = turn - design @ fit
+        keep = ~outlying(rest, 6, 1e-4)
+    spread = float(np.sqrt(rest[keep] @ rest[keep] / max(1, keep.sum() - 3)))
+    zero, drift, slope = fit.tolist()
+    slope_se = spread * float(np.linalg.inv(design[keep].T @ design[keep])[2, 2]) ** 0.5
+    if slope < 0.5:
+        said = "turns the other way: turn it round" if slope < -0.5 else "does not turn with bends"
+        return HeadingFit(side, index, False, f"{said}; check how its IMUs lie")
+    se = float(np.hypot(slope_se / slope, _CAMERA_SCALE_SE))
+    if se > 0.1:
+        return HeadingFit(side, index, False, f"has a scale known to {100 * se:.0f} % only")
+    return HeadingFit(
+        side, index, True, f"scale known to {100 * se:.1f} %",
+        1.0 / slope, se, zero, drift, spread, np.array([bent, turn - zero - drift * since]),
+    )  # fmt: skip

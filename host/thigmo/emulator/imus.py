@@ -1,0 +1,74 @@
+"""A string of IMUs behind a bus, as the board's reader says it: a turn for each span.
+
+Each IMU's heading is integrated from a gyro: it drifts, each its own way, and scatters. Passing the
+tip turns an IMU round, by half a turn. The reader says the turn between two IMUs as a divider would
+say a resistance, and an open circuit where an IMU does not answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi, radians
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.config import IMU_CM, RAD_PER_OHM, SAME_IMU_CM, HeadingSensor
+from thigmo.emulator.scene import Imu
+from thigmo.reading_errors import imus_of
+
+Floats = npt.NDArray[np.float64]
+
+_LEAST_OHM, _MOST_OHM = 1_000.0, 100_000.0  # that the reader says; beyond would be a broken wire
+
+
+class ImuString:
+    """The IMUs of a robot, each read once a step; random by `rng`."""
+
+    def __init__(
+        self,
+        known: Imu,
+        sensors: Sequence[HeadingSensor],
+        divider_ohm: float,
+        step_s: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self._known, self._rng, self._step_s, self._divider_ohm = known, rng, step_s, divider_ohm
+        self._arcs, self._imus = imus_of(sensors)
+        self._base = self._arcs < SAME_IMU_CM  # no IMU
+        count = len(self._arcs)
+        self._start_cm = np.array([sensor.ends_cm[0] for sensor in sensors])
+        self._span_cm = np.array([sensor.span_cm for sensor in sensors])
+        self._scale = np.array([sensor.scale for sensor in sensors])
+        self._zero_ohm = np.array([sensor.zero_ohm for sensor in sensors])
+        self._drift_rad_s = radians(known.drift_deg_min) / 60 * rng.standard_normal(count)
+        self._wandered = np.zeros(count)  # rad
+        self._seat = np.zeros(count)  # rad, of this eversion
+        self._out = np.zeros(count, dtype=np.bool_)
+        self.hung: set[int] = set()  # IMUs that do not answer, by number
+
+    def counts(self, curvature: Floats, length_cm: float) -> Floats:
+        """Go one step; (n,) ideal counts at mean curvatures over the everted parts of the spans."""
+        known, rng = self._known, self._rng
+        out = np.clip((length_cm - self._arcs) / IMU_CM + 0.5, 0.0, 1.0)  # 0.5: in the tip
+        came = (out > 0.5) & ~self._out
+        self._out = out > 0.5
+        if came.any():
+            self._seat[came] = radians(known.seat_deg) * rng.standard_normal(int(came.sum()))
+        walk = radians(known.walk_deg_root_s) * self._step_s**0.5
+        self._wandered += self._drift_rad_s * self._step_s + walk * rng.standard_normal(len(out))
+        white = radians(known.noise_deg) * rng.standard_normal(len(out))
+        # In the tail an IMU looks back along the body.
+        said = self._wandered + self._seat + white + pi * (1.0 - out)
+        said[self._base] = 0.0
+        first, last = said[self._imus.T]
+        bent = curvature * np.clip(length_cm - self._start_cm, 0.0, self._span_cm)
+        turn = bent / self._scale + last - first
+        ohm = np.clip(self._zero_ohm + turn / RAD_PER_OHM, _LEAST_OHM, _MOST_OHM)
+        counts: Floats = 1024.0 * self._divider_ohm / (self._divider_ohm + ohm)
+        counts[np.isin(self._imus, [*self.hung]).any(axis=1)] = 0.0
+        return counts
+
+    def at(self, place_cm: float) -> int:
+        """Number of the IMU at a place."""
+        return int(np.argmin(np.abs(self._arcs - place_cm)))
