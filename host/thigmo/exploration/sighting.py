@@ -72,7 +72,7 @@ def arc_grid(full_cm: float) -> Floats:
 
 
 def contact_mass(marginal: Marginal | None, arcs: Floats) -> Floats:
-    """A contact's likelihood on the grid, of sum one; flat where a point estimate has no posterior."""
+    """A contact's likelihood on the grid, of sum one; flat for a point estimate."""
     if marginal is None:
         return np.full(len(arcs), 1 / len(arcs))
     # The prior is taken out, for several sightings share it; the end has one of its own.
