@@ -57,7 +57,7 @@ class Frame:
     direction: Floats  # (N,) around the body, rad
     curvature: Floats  # (N,)
     free: float
-    contacts: int | None  # None: not told
+    contacts: int | None  # None: not stated
     errors: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of gain, offset and map
 
 
@@ -67,7 +67,7 @@ Drawn = tuple[Frame, list[float]]  # with the true arcs
 def planar(
     draw: contact_scenes.Draw,
     group: str,
-    told: bool,
+    stated: bool,
     wrong: bool,
     rng: np.random.Generator,
     count: int,
@@ -79,7 +79,7 @@ def planar(
         read = clean * (1.0 + errors[0] * rng.standard_normal(clean.size))
         read = read + errors[1] * rng.standard_normal() + SIGMA * rng.standard_normal(clean.size)
         believed = float(free) / (1.0 + errors[2] * rng.standard_normal())
-        number = len(arcs) if told else None
+        number = len(arcs) if stated else None
         across = np.zeros(clean.size)
         yield (
             Frame(group, scenes.position, across, read, believed, number, errors),
@@ -88,7 +88,7 @@ def planar(
 
 
 def mixed(rng: np.random.Generator, count: int) -> Iterator[Drawn]:
-    """None, one, two or three contacts on straight bodies, the number not told."""
+    """None, one, two or three contacts on straight bodies, the number not stated."""
     three = partial(touches_three, DENSE)
     draws: list[contact_scenes.Draw] = [
         partial(contact_scenes.straight, DENSE), partial(touches_one, DENSE),
@@ -282,7 +282,7 @@ def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list
             contacts: Any = int(count) if count else "auto"
             if not count and method != METHODS[0]:
                 return []
-            told: dict[str, Any] = {
+            options: dict[str, Any] = {
                 "position": position, "length": length, "span": span[0], "noise": noise,
                 "contacts": contacts, "method": method, "held_end": False,
                 "critical_curvature": float("inf"),
@@ -291,7 +291,7 @@ def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list
                 "offset_error": float(row["offset_error_per_cm"]),
                 "map_error": float(row["map_error"]),
             }  # fmt: skip
-            localizer = Localizer.of(**(told | around))
+            localizer = Localizer.of(**(options | around))
             found = localizer.localize(curvature, free_curvature=free).contacts
             claims = [
                 [f"{c.arc:.4f}", f"{c.interval[0]:.4f}", f"{c.interval[1]:.4f}",

@@ -139,8 +139,8 @@ def test_free_bends_tell_scale_zero_and_drift(tmp_path: Path) -> None:
     assert [one.scale for one in made.sensors if isinstance(one, HeadingSensor)] == [
         fit.scale for fit in found.sensors
     ]
-    # 15 s after the zeros at half a degree a minute, and the scatter.
-    assert found.heading_se_rad == pytest.approx(2.2e-3, rel=0.5)
+    # 20 s after the zeros at half a degree a minute, and the scatter.
+    assert found.heading_se_rad == pytest.approx(2.9e-3, rel=0.4)
     assert "turns" not in found.as_data()["sensors"][0]
     draw(found, tmp_path / "heading.png")
     assert (tmp_path / "heading.png").stat().st_size > 10_000

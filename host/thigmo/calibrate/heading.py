@@ -23,7 +23,7 @@ from thigmo.record.table import Table
 
 _FEWEST = 8  # bends
 _CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
-_FROM_ZERO_S = 15.0  # a sweep's peak comes so long after the zeros
+_FROM_ZERO_S = 20.0  # a sweep's last peak comes so long after the zeros
 _LEAST_RAD = 2e-4
 
 
@@ -81,8 +81,8 @@ def guided(bench: Bench) -> HeadingResult:
 
 def of_csv(table: Table, config: RobotConfig) -> HeadingResult:
     """Free bends: time, curvature by camera, and what the reader says of each span."""
-    told = of_sensors(table, "ohm", config)
-    return fit_heading(table.numbers("t_s"), table.numbers("curvature"), told, config)
+    resistance = of_sensors(table, "ohm", config)
+    return fit_heading(table.numbers("t_s"), table.numbers("curvature"), resistance, config)
 
 
 def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -> HeadingResult:

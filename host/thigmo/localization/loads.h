@@ -73,6 +73,11 @@ struct ForcePrior {
   double critical;   // base moment at which the base folds; infinite if it does not
   double tolerance;  // its relative standard error
   double felt;       // standard errors by which a contact that counts moves the readings
+  double swept;      // share of contacts that a sweep brought about
+
+  // Of a contact's place on a body of length one, in a plane. A bend of the whole body carries each
+  // point across an area that grows as the square of its arc.
+  double density(double arc) const { return 1.0 - swept + 3.0 * swept * arc * arc; }
 };
 
 struct Window {
@@ -261,6 +266,7 @@ struct Placed {
   Window window{0.0, 1.0};
   double width = 0.0;
   Row place{};
+  Row density{};    // prior density of the places; empty: all alike
   Matrix column{};  // (N, numbers * cells), of one prior deviation at a scale of one
   Row unit{};       // (numbers * cells) such a deviation
   Row base{};       // (numbers * cells) the moment at the base that it causes; empty in space
@@ -313,6 +319,11 @@ class Grid {
     list(0, at);
     sets_ = static_cast<int>(cell_[0].size());
     for (std::vector<int>& each : cell_) each.resize(padded(), each.empty() ? 0 : each.back());
+    density_.assign(sets_, 1.0);
+    for (std::size_t j = 0; j < placed.size(); ++j) {
+      const Row& of = placed[j].density;
+      for (int s = 0; !of.empty() && s < sets_; ++s) density_[s] *= of[cell_[j][s]];
+    }
   }
 
   // Takes columns and readings at one level of the noise, or at all of them.
@@ -349,6 +360,7 @@ class Grid {
       const Products& of = levels_[r / scales];
       const Scaled by = scaled(prior.scales[r % scales]);
       double* __restrict weight = weight_[r], * __restrict volume = volumes.data();
+      const double* density = density_.data();
       numbers([&]<int K>() __attribute__((always_inline)) {
         for (int s = 0; s < sets_; s += 4) {
           const Eliminated<K> found(normal<K>(of, by, s));
@@ -360,7 +372,7 @@ class Grid {
       top_of_[r] = most, top = std::max(top, most);
       const double shift = of.constant + by.constant - most;
       for (int s = 0; s < sets_; ++s) {
-        weight[s] = exponential(weight[s] + shift) / std::sqrt(volume[s]);
+        weight[s] = density[s] * exponential(weight[s] + shift) / std::sqrt(volume[s]);
       }
       if (bounded) bound(prior.critical, folds, of, by, weight);
     }
@@ -763,7 +775,7 @@ class Grid {
   std::vector<int> first_;  // column of each load
   Matrix column_, weight_, along_;
   std::vector<Products> levels_;
-  Row top_of_, both_;
+  Row top_of_, both_, density_;
   const ForcePrior* prior_ = nullptr;
   double scale_ = 0.0;  // of the forces, and index, of the likeliest set
   int best_ = 0, sets_ = 0;

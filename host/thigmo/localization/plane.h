@@ -41,6 +41,10 @@ class PlaneBody : public Body {
       p.place = {load.where == Load::Where::end ? 1.0 : 0.0};
     else
       p.place = middles(p.window, cells);
+    if (load.where == Load::Where::anywhere) {
+      p.density = p.place;
+      for (double& each : p.density) each = prior_.density(each);
+    }
     if (load.kinks) {
       p.unit[0] = priors_.angle;
       for (int i = 0; i < n; ++i) p.column[i][0] = p.unit[0] * fold_of(i);
