@@ -92,14 +92,9 @@ class Explanations {
         frame_(readings.frame),
         priors_(priors),
         settings_(settings),
-<<<<<<< HEAD
-        prior_{priors.moments, priors.least_lever, settings.critical, settings.critical_error,
-               priors.felt},
+        prior_{priors.moments,          priors.least_lever, settings.critical,
+               settings.critical_error, priors.felt,        priors.swept},
         body_(body(in)),
-=======
-        prior_{priors.moments,     priors.least_lever, settings.critical, priors.straight,
-               priors.shape_rests, priors.felt,        priors.swept},
->>>>>>> main
         white_(frame_, frame_.shared),
         contact_(readings.known ? priors.contact : priors.contact_unsure),
         marks_(readings.bad),
