@@ -392,7 +392,8 @@ class Explanations {
       Row next = body_->shown(bent, now.left, bad);
       const double change = apart(next, shape);
       const bool rests = change < priors_.shape_rests || body_->keeps(next);
-      if (!rests && ++passes < kMostPasses) {
+      const bool last_turn = turn + 1 == kMostTurns;
+      if (!rests && !last_turn && ++passes < kMostPasses) {
         if (turn > 0 && grid.size() > 1) {
           shape = settled(grid, white, shared, std::move(next), bad, passes);
         } else {
@@ -402,7 +403,7 @@ class Explanations {
         continue;
       }
       const double coarse = all || log_evidence > matters ? kResolved : kCoarse;
-      if (split(grid, coarse)) {
+      if (!last_turn && split(grid, coarse)) {
         whole = false, shape = std::move(next);
         continue;
       }

@@ -745,7 +745,10 @@ class Grid {
     numbers([&]<int K>() __attribute__((always_inline)) {
       for (int s = 0; s < sets_; s += 4) {
         const int lanes = std::min(4, sets_ - s);
-        if (*std::max_element(weight + s, weight + s + lanes) < kNearlyNothing) continue;
+        if (*std::max_element(weight + s, weight + s + lanes) < kNearlyNothing) {
+          std::fill_n(weight + s, lanes, 0.0);
+          continue;
+        }
         const Eliminated<K> found(normal<K>(of, by, s));
         Four number[K], variance[K], lever[K]{}, moment{}, loose{};
         found.solve(number, variance);
@@ -763,7 +766,8 @@ class Grid {
             weight[s + lane] *= std::erfc(-number_[k].side * number[k][lane] / deviation);
           }
           if (!folds || std::abs(moment[lane]) + 5.0 * std::sqrt(loose[lane]) < critical) continue;
-          weight[s + lane] *= probability_within(moment[lane], loose[lane], critical);
+          const double below = probability_within(moment[lane], loose[lane], critical);
+          weight[s + lane] *= std::max(below, 1e-30);
         }
       }
     });
