@@ -1,5 +1,6 @@
 // A load that the table does not have: a couple anywhere on a straight body in a plane. Prints its
-// log evidence and the likeliest place, and the log evidence of a contact, for readings of a couple.
+// log evidence and the likeliest place, and the log evidence of a contact, for readings of a
+// couple.
 #include <cstdio>
 
 #include "plane.h"

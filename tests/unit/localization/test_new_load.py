@@ -21,9 +21,9 @@ def test_a_couple_anywhere_is_a_row_of_the_table(tmp_path: Path) -> None:
         [COMPILER, "-std=c++20", "-O1", "-I", HEADERS, HERE / "new_load.cpp", "-o", program],
         check=True,
     )
-    lines = subprocess.run([program], check=True, capture_output=True, text=True).stdout.split("\n")
-    couple, contact = ([float(word) for word in line.split()] for line in lines[:2])
-    # Whitened readings of 20 standard errors each at six sensors: 1/2 * 6 * 20^2, less Occam's share.
+    said = subprocess.run([program], check=True, capture_output=True, text=True).stdout
+    couple, contact = ([float(word) for word in line.split()] for line in said.splitlines())
+    # Six sensors read 20 standard errors each: 1/2 * 6 * 20^2, less Occam's share.
     assert couple[0] == pytest.approx(1200.0, abs=15.0)
     assert 0.55 <= couple[1] <= 0.6
     assert couple[2] == pytest.approx(0.2, abs=0.01)
