@@ -41,7 +41,7 @@ from thigmo.studies.rooms import explored
 from thigmo.studies.scenes import RADIUS
 
 ROUNDS = 10  # parts of all rooms, after each of which all that is known is written
-_LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
+LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
 _RADII_CM = (0.25, 2.5)
 _MOST_PEGS = 3
 _MOST_DOWELS = 64  # of a scene
@@ -169,7 +169,7 @@ class Explored:
                 self.contacts_localized += 1
                 self.contacts_wrong += not any(
                     of_stage(true, contact.everted_length_cm, contact.side)
-                    and low - _LENGTH_CM <= true.arc_cm <= high + _LENGTH_CM
+                    and low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM
                     for true in truth.contacts
                 )
         self.near, self.error_cm = len(errors), float(np.mean(errors)) if errors else nan
