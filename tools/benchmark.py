@@ -30,7 +30,7 @@ from thigmo import benchmark
 from thigmo.benchmark.score import score
 from thigmo.errors import ThigmoError
 from thigmo.localization import METHODS, Localizer
-from thigmo.studies import pegs, touches
+from thigmo.studies import contact_scenes, pegs
 from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.loads import DENSE, two
 from thigmo.studies.rod import Floats
@@ -57,7 +57,7 @@ class Frame:
     direction: Floats  # (N,) around the body, rad
     curvature: Floats  # (N,)
     free: float
-    contacts: int | None  # None: not told
+    contacts: int | None  # None: not stated
     errors: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of gain, offset and map
 
 
@@ -65,7 +65,12 @@ Drawn = tuple[Frame, list[float]]  # with the true arcs
 
 
 def planar(
-    draw: touches.Draw, group: str, told: bool, wrong: bool, rng: np.random.Generator, count: int
+    draw: contact_scenes.Draw,
+    group: str,
+    stated: bool,
+    wrong: bool,
+    rng: np.random.Generator,
+    count: int,
 ) -> Iterator[Drawn]:
     """Frames in the plane, with noise and, if `wrong`, the errors of a calibration."""
     scenes = draw(rng, count)
@@ -74,7 +79,7 @@ def planar(
         read = clean * (1.0 + errors[0] * rng.standard_normal(clean.size))
         read = read + errors[1] * rng.standard_normal() + SIGMA * rng.standard_normal(clean.size)
         believed = float(free) / (1.0 + errors[2] * rng.standard_normal())
-        number = len(arcs) if told else None
+        number = len(arcs) if stated else None
         across = np.zeros(clean.size)
         yield (
             Frame(group, scenes.position, across, read, believed, number, errors),
@@ -83,41 +88,46 @@ def planar(
 
 
 def mixed(rng: np.random.Generator, count: int) -> Iterator[Drawn]:
-    """None, one, two or three contacts on straight bodies, the number not told."""
+    """None, one, two or three contacts on straight bodies, the number not stated."""
     three = partial(touches_three, DENSE)
-    draws: list[touches.Draw] = [
-        partial(touches.straight, DENSE), partial(touches_one, DENSE),
+    draws: list[contact_scenes.Draw] = [
+        partial(contact_scenes.straight, DENSE), partial(touches_one, DENSE),
         partial(two, True, False, DENSE), three,
     ]  # fmt: skip
     for draw in draws:
         yield from planar(draw, "number unknown", False, False, rng, count // len(draws))
 
 
-def touches_one(position: Floats, rng: np.random.Generator, count: int) -> touches.Scenes:
+def touches_one(position: Floats, rng: np.random.Generator, count: int) -> contact_scenes.Scenes:
     """A clear contact on a straight body."""
     arc = rng.uniform(10.0, LENGTH, count)
-    force = touches.signs(rng, count) * rng.uniform(0.3, 1.0, count) * CRITICAL / arc
-    return touches.one_contact(arc, force, np.zeros(count), position)
+    force = contact_scenes.signs(rng, count) * rng.uniform(0.3, 1.0, count) * CRITICAL / arc
+    return contact_scenes.one_contact(arc, force, np.zeros(count), position)
 
 
-def touches_three(position: Floats, rng: np.random.Generator, count: int) -> touches.Scenes:
+def touches_three(position: Floats, rng: np.random.Generator, count: int) -> contact_scenes.Scenes:
     """Three contacts of alternating forces."""
     from thigmo.studies.rod import solve
 
     arcs = np.array([20.0, 35.0, 50.0]) + rng.uniform(-1.5, 1.5, (count, 3))
-    forces = touches.signs(rng, count)[:, None] * np.array([2.4, -1.6, 1.0]) * 0.6 * CRITICAL
+    forces = contact_scenes.signs(rng, count)[:, None] * np.array([2.4, -1.6, 1.0]) * 0.6 * CRITICAL
     bodies = solve(arcs, forces / LENGTH, length=LENGTH)
-    return touches.Scenes(bodies.readings(position, SPAN), position, np.zeros(count), arcs)
+    return contact_scenes.Scenes(bodies.readings(position, SPAN), position, np.zeros(count), arcs)
 
 
-def walls(rng: np.random.Generator, count: int) -> touches.Scenes:
+def walls(rng: np.random.Generator, count: int) -> contact_scenes.Scenes:
     """A bent body against a surface that is flat at its own scale: of a radius of 1 to 2 m."""
     room = pegs.rooms(
-        rng, count, length=LENGTH, most=touches.MOST_FREE, radius=(100.0, 200.0), moment=(0.2, 1.0)
+        rng,
+        count,
+        length=LENGTH,
+        most=contact_scenes.MOST_FREE,
+        radius=(100.0, 200.0),
+        moment=(0.2, 1.0),
     )
-    side = touches.signs(rng, count)
+    side = contact_scenes.signs(rng, count)
     clean = side[:, None] * room.bodies(-1).readings(COLUMN, SPAN)
-    return touches.Scenes(clean, COLUMN, side * room.free[-1], room.arc[-1][:, None])
+    return contact_scenes.Scenes(clean, COLUMN, side * room.free[-1], room.arc[-1][:, None])
 
 
 def in_space(rng: np.random.Generator, count: int) -> Iterator[Drawn]:
@@ -189,11 +199,11 @@ GROUPS: dict[str, Callable[[np.random.Generator, int], Iterator[Drawn]]] = {
         ("few sensors", partial(touches_one, COLUMN[[0, 2, 3]]), False),
         ("two", partial(two, True, False, BOTH), False),
         ("three", partial(touches_three, DENSE), False),
-        ("bent", touches.bent, False),
+        ("bent", contact_scenes.bent, False),
         ("bent, two", partial(two, True, True, DENSE), False),
         ("wall", walls, False),
-        ("friction", touches.rubbed, False),
-        ("wrong calibration", touches.bent, True),
+        ("friction", contact_scenes.rubbed, False),
+        ("wrong calibration", contact_scenes.bent, True),
     )
 } | {"number unknown": mixed, "space": in_space}
 
@@ -272,7 +282,7 @@ def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list
             contacts: Any = int(count) if count else "auto"
             if not count and method != METHODS[0]:
                 return []
-            told: dict[str, Any] = {
+            options: dict[str, Any] = {
                 "position": position, "length": length, "span": span[0], "noise": noise,
                 "contacts": contacts, "method": method, "held_end": False,
                 "critical_curvature": float("inf"),
@@ -281,7 +291,7 @@ def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list
                 "offset_error": float(row["offset_error_per_cm"]),
                 "map_error": float(row["map_error"]),
             }  # fmt: skip
-            localizer = Localizer.of(**(told | around))
+            localizer = Localizer.of(**(options | around))
             found = localizer.localize(curvature, free_curvature=free).contacts
             claims = [
                 [f"{c.arc:.4f}", f"{c.interval[0]:.4f}", f"{c.interval[1]:.4f}",

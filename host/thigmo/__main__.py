@@ -22,7 +22,7 @@ def run() -> None:
         status = ended.code
     finally:
         ending.be_done()
-    sys.exit(1 if unread.told() and not status else status)
+    sys.exit(1 if unread.lost() and not status else status)
 
 
 if __name__ == "__main__":

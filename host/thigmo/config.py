@@ -96,7 +96,7 @@ class Body(Model):
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49
-    # Bending stiffness EI and its standard error; without them forces are told over EI only.
+    # Bending stiffness EI and its standard error; without them forces are given over EI only.
     stiffness_n_cm2: Positive | None = None
     stiffness_se_n_cm2: NonNegative = 0.0
     growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
@@ -218,7 +218,7 @@ class HeadingSensor(_Sensor):
     scale: Positive = 1.0  # turn over what the IMUs say: how they lie, and their gain
     scale_se: NonNegative = 0.05
     zero_rad: Finite = 0.0  # turn that they say of the straight body
-    heading_se_rad: NonNegative = 2e-3  # of either IMU: what it drifts by from zeroing to reading
+    heading_se_rad: NonNegative = 3e-3  # of either IMU: what it drifts by from zeroing to reading
     noise: NonNegative = 1e-4
 
     valid_direction: ClassVar[int] = 0
@@ -528,7 +528,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}", "check the path") from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}", "mend that line") from error
+        raise ConfigError(f"{path} is not valid TOML: {error}", "correct that line") from error
 
 
 def validated(model: type[M], data: dict[str, Any], path: str | os.PathLike[str]) -> M:

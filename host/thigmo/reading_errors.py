@@ -43,28 +43,28 @@ class ReadingErrors:
         return {"held_end": False} | {each.name: getattr(self, each.name) for each in fields(self)}
 
 
+def imus_of(sensors: Sequence[HeadingSensor]) -> tuple[Floats, npt.NDArray[np.intp]]:
+    """Places (k,) of IMUs, cm, and the numbers (n, 2) of those where each span begins and ends.
+
+    Spans that meet share one. A place of 0 is the base, which does not turn, and no IMU.
+    """
+    ends = np.array([sensor.ends_cm for sensor in sensors]).reshape(-1, 2)
+    ascending = np.sort(ends, axis=None)
+    places = ascending[np.diff(ascending, prepend=-np.inf) > SAME_IMU_CM]
+    return places, np.searchsorted(places, ends + SAME_IMU_CM) - 1
+
+
 def shared_errors(sensors: Sequence[Sensor | None]) -> Floats:
     """What sensors share, at one standard error: (N, K) columns, 1/cm.
 
     An IMU stands between two turns: what it drifts by is in both, with opposite signs.
     """
-    imus: list[float] = []
-    found: dict[tuple[int, int], float] = {}
-    for row, sensor in enumerate(sensors):
-        if not isinstance(sensor, HeadingSensor):
-            continue
-        for place, sign in zip(sensor.ends_cm, (-1.0, 1.0), strict=True):
-            if place < SAME_IMU_CM:
-                continue  # the base does not turn
-            known = [n for n, other in enumerate(imus) if abs(other - place) < SAME_IMU_CM]
-            if not known:
-                imus.append(place)
-            column = known[0] if known else len(imus) - 1
-            found[row, column] = sign * sensor.heading_se_rad / sensor.span_cm
-    columns = np.zeros((len(sensors), len(imus)))
-    for where, value in found.items():
-        columns[where] = value
-    return columns
+    turning = {n: s for n, s in enumerate(sensors) if isinstance(s, HeadingSensor)}
+    places, imus = imus_of([*turning.values()])
+    columns = np.zeros((len(sensors), len(places)))
+    for (row, sensor), ends in zip(turning.items(), imus, strict=True):
+        columns[row, ends] = np.array([-1.0, 1.0]) * sensor.heading_se_rad / sensor.span_cm
+    return columns[:, places > SAME_IMU_CM]
 
 
 def reading_errors(

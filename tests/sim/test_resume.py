@@ -121,6 +121,6 @@ def test_what_ended_or_is_under_way_is_not_resumed(
 
 def test_a_record_without_the_runs_steps_is_no_run_without_contacts(killed: RunFolder) -> None:
     (log,), config = killed.read_logs(), killed.read_config()
-    mute = replace(log, told=log.entries)
+    mute = replace(log, items=log.entries)
     with pytest.raises(RunFolderError, match="has sweeps, but none of the run's steps"):
         RecordedRun(killed, [mute], config)

@@ -42,7 +42,7 @@ from thigmo.stream import (
 
 pytestmark = pytest.mark.ci
 
-STOPPED = f"stopped: {wire.Fault.STOPPED.told[0]}"  # the board's fault says it alike
+STOPPED = f"stopped: {wire.Fault.STOPPED.words[0]}"  # the board's fault says it alike
 MODULE = import_module("thigmo.exploration.explore")
 
 

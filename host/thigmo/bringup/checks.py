@@ -72,8 +72,8 @@ class Finding:
 
 
 def _board(robot: Robot, _: Attendant) -> Found:
-    told = "{firmware} on {board}, reset cause {reset_cause}".format_map(robot.identity)
-    yield "firmware", told, ""
+    firmware = "{firmware} on {board}, reset cause {reset_cause}".format_map(robot.identity)
+    yield "firmware", firmware, ""
     what = "valid"
     if "bad_config" in robot.status().faults:
         robot.load_defaults()
@@ -337,7 +337,7 @@ class BringUp:
     """The checks, on a robot that may be wired wrong."""
 
     robot: Robot  # connected, disarmed
-    attendant: Attendant  # whoever stands beside it
+    attendant: Attendant  # the person beside it
     tell: Callable[[Finding], None] = lambda finding: None  # shown each finding as it comes
 
     def run(self, first: str = STAGES[0], last: str = STAGES[-1]) -> list[Finding]:

@@ -84,8 +84,8 @@ def press(
 ) -> float:
     """Give one transducer the current of a low pressure for a while, then vent.
 
-    The pressure loop is not closed: what the sensor says is told to `progress`, not used. Returns
-    the pressure at the end, psi.
+    The pressure loop is not closed: what the sensor says goes to `progress` and is not
+    used. Returns the pressure at the end, psi.
 
     Raises:
         ConfigError: more than `PRESS_PSI`, or for longer than `PRESS_S`.

@@ -5,7 +5,7 @@ trial. Each branch gets its own tanh map; trials may sit a little apart (the rob
 straight), which is fitted as an offset for each trial, and its spread becomes `offset_se`, the
 common error that the localizer marginalises and re-estimates from frames without contact. A muscle
 also bends the body a little more or less in every trial: that spread, with the fit's own error, is
-the map's `scale_se`. Errors that rows of a trial share are told from trial to trial.
+the map's `scale_se`. Errors that rows of a trial share show from trial to trial.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Branch = Literal["inflate", "deflate"]
 BRANCHES: tuple[Branch, ...] = get_args(Branch)
 
 _REJECT = 4.0
-_PICTURE_SE = 2e-4  # 1/cm, where it is not told
+_PICTURE_SE = 2e-4  # 1/cm, where it is not stated
 _LAG_SE_S = 0.1  # a lag known worse than that is not used
 _ONE_TRIAL_SE = 5e-4  # 1/cm, a common offset where one trial cannot tell it
 _DAYS_SE = 2e-4  # 1/cm, what differs from day to day and no session can show [a guess]

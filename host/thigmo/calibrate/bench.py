@@ -63,7 +63,7 @@ class Plan:
 
 
 class Hand(Operator, Protocol):
-    """Whoever stands beside the robot, and can push its tip."""
+    """The person beside the robot, who can push its tip."""
 
     def push_tip(self, y_cm: float | None) -> None:
         """Push the tip aside to about y and hold it there; None = let go."""
@@ -77,7 +77,7 @@ class Bench:
     eyes: Eyes
     session: Session  # the folder
     plan: Plan = field(default_factory=Plan)
-    say: Callable[[str], None] = lambda text: None  # told what happens
+    say: Callable[[str], None] = lambda text: None  # called with what happens
     # resistances of the straight robot, taken last (an eversion shifts them, so rows keep the one
     # of their own session)
     rest: list[float] = field(default_factory=list)
@@ -122,7 +122,7 @@ class Bench:
         return np.asarray(mean.filled(np.nan))
 
     def set_zone(self, zone: int) -> None:
-        """Body pressure of a zone, and the board told."""
+        """Set the body pressure of a zone, and say so to the board."""
         self.hand.set_body_pressure(self.config.body.zones[zone].pressure_psi)
         self.robot.select_zone(zone)
 
@@ -324,8 +324,8 @@ def tip_rows(bench: Bench) -> list[Row]:
                 break
             stood, side = SIDES if y > 0 else SIDES[::-1]
             bench.say(f"{key}: the tip stands {abs(y):.1f} cm to the {stood}: push it to the "
-                      f"{side} (if it is there, the camera's +y is not the robot's left: mend the "
-                      "cards' places in the sheet file)")  # fmt: skip
+                      f"{side} (if it is there, the camera's +y is not the robot's left: correct "
+                      "the cards' places in the sheet file)")  # fmt: skip
         return {
             "kind": key.split()[0], "asked": wanted, "ohm": bench.ohm(reading),
             "rest": bench.rest, "t_s": reading.t_s, **seen,

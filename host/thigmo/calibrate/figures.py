@@ -17,6 +17,7 @@ from thigmo.calibrate.buckling import BucklingResult
 from thigmo.calibrate.columns import Array
 from thigmo.calibrate.encoder import EncoderResult
 from thigmo.calibrate.flex import FlexResult
+from thigmo.calibrate.heading import HeadingResult
 from thigmo.calibrate.hysteresis import HysteresisResult
 from thigmo.calibrate.noise import NoiseResult
 from thigmo.calibrate.stiffness import StiffnessResult
@@ -133,6 +134,17 @@ def _buckling(result: BucklingResult, path: Path) -> None:
     with _panel(path, result.verdict, "trial", "critical curvature (1/cm)") as axes:
         _estimates(axes, result.each, result.critical_curvature, result.critical_se)
         axes.axhline(0.01108, color=RED, ls=":", label="thesis")
+
+
+@draw.register
+def _heading(result: HeadingResult, path: Path) -> None:
+    labels = "turn of the span by camera (rad)", "turn that its IMUs say (rad), without drift"
+    with _panel(path, result.verdict, *labels, size=(6, 5)) as axes:
+        for number, fit in enumerate(result.sensors):
+            color, name = CYCLE[number % len(CYCLE)], f"{fit.side} {fit.index}"
+            axes.plot(*fit.turns, ".", ms=4, color=color, label=name)
+            line = np.array([fit.turns[0].min(initial=0.0), fit.turns[0].max(initial=0.0)])
+            axes.plot(line, line / fit.scale, "-", lw=0.5, color=color)
 
 
 @draw.register

@@ -4,7 +4,7 @@ Rows are of three kinds: `straight` (the robot at rest), `tip` (the tip pushed a
 that the camera saw; the rod solver gives the curvature under each sensor), and `bend` (a free bend
 by one muscle: the camera gives the one curvature that all sensors of the other side share). Ten tip
 places alone leave the distal sensors uncertain, because there is little curvature near a pushed
-tip; free bends mend that.
+tip; free bends resolve that.
 
 Before any line is fitted the rows are judged together: a tip on the wrong side, a moved camera or
 a lost marker disagree with all sensors at once, a dead sensor with all rows, an outlier with
@@ -117,8 +117,8 @@ class FlexResult(StepResult):
             sensor.scale_se = float(np.hypot(np.hypot(fit.scale_se, fit.sweep_se), fit.misfit))
             sensor.zero_ohm = fit.zero_ohm
             sensor.valid_direction = fit.valid_direction
-            # Whoever uses a reading knows nothing of the loop; a few rows tell one poorly, so that
-            # it is taken to be as large as its neighbours'.
+            # What uses a reading later knows nothing of the loop. A few rows measure one poorly, so
+            # it counts as large as its neighbours'.
             loop = max(abs(fit.hysteresis), usual_loop)
             sensor.zero_se = float(np.hypot(fit.noise * fit.lasting**0.5, loop))
             sensor.noise = fit.noise * (1 - fit.lasting) ** 0.5
@@ -246,8 +246,8 @@ def _sensor(
 def _one_way(column: Column, line: OrderedFit) -> float:
     """Share of the scale that the loop may have taken from it; 0 where bends went both ways.
 
-    Where bends only grow, the loop stands at one end, and a slope is told from it by the first few
-    thousandths of curvature alone: what the fit gave to the loop may be the slope's.
+    Where bends only grow, the loop stands at one end. Only the first few thousandths of curvature
+    then separate the slope from it: what the fit gave to the loop may be the slope's.
     """
     rows = np.flatnonzero(column.seen)
     k, block = column.model[rows], column.block[rows]
@@ -274,7 +274,7 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
     if grew:
         worst_loop = max(grew, key=lambda fit: fit.one_way)
         notes.append(
-            f"bends of {len(grew)} sensors only ever grew, so their scale cannot be told from "
+            f"bends of {len(grew)} sensors only ever grew, so their scale cannot be separated from "
             f"their loop: up to {100 * worst_loop.one_way:.0f} % ({worst_loop.name}) is added to "
             "its error; read the sensors on the way back, too"
         )
@@ -288,7 +288,7 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
     if mirrored(rows.readings):
         reason = (
             "most tips stood on the other side than asked for: the camera's +y is not the robot's "
-            "left; mend the cards' places in the sheet file, run `thigmo camera locate` and repeat"
+            "left; correct the cards' places in the sheet file, run `thigmo camera locate`, repeat"
         )
         return Verdict(False, reason, tuple(notes))
     if swapped:

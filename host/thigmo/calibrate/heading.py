@@ -8,8 +8,8 @@ of two IMUs; its constant is what they say of the straight body.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from thigmo.record.table import Table
 
 _FEWEST = 8  # bends
 _CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
-_FROM_ZERO_S = 15.0  # a sweep's peak comes so long after the zeros
+_FROM_ZERO_S = 20.0  # a sweep's last peak comes so long after the zeros
 _LEAST_RAD = 2e-4
 
 
@@ -40,6 +40,7 @@ class HeadingFit:
     zero_rad: float = 0.0  # what they say of the straight body
     drift_rad_s: float = np.nan
     noise_rad: float = np.nan  # one sigma of a reading about the line
+    turns: Array = field(default_factory=lambda: np.zeros((2, 0)))  # by camera, and by its IMUs
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,13 @@ class HeadingResult(StepResult):
     sensors: tuple[HeadingFit, ...]
     heading_se_rad: float
     verdict: Verdict
-    EVIDENCE: ClassVar = ()
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data, without what only the figure needs."""
+        data = super().as_data()
+        for each in data["sensors"]:
+            del each["turns"]
+        return data
 
     def write(self, config: RobotConfig) -> None:
         """Scales, zeros, drift and health; a span found dead keeps its old constants."""
@@ -74,8 +81,8 @@ def guided(bench: Bench) -> HeadingResult:
 
 def of_csv(table: Table, config: RobotConfig) -> HeadingResult:
     """Free bends: time, curvature by camera, and what the reader says of each span."""
-    told = of_sensors(table, "ohm", config)
-    return fit_heading(table.numbers("t_s"), table.numbers("curvature"), told, config)
+    resistance = of_sensors(table, "ohm", config)
+    return fit_heading(table.numbers("t_s"), table.numbers("curvature"), resistance, config)
 
 
 def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -> HeadingResult:
@@ -133,5 +140,5 @@ def _fit(side: Side, index: int, t_s: Array, bent: Array, turn: Array) -> Headin
         return HeadingFit(side, index, False, f"has a scale known to {100 * se:.0f} % only")
     return HeadingFit(
         side, index, True, f"scale known to {100 * se:.1f} %",
-        1.0 / slope, se, zero, drift, spread,
+        1.0 / slope, se, zero, drift, spread, np.array([bent, turn - zero - drift * since]),
     )  # fmt: skip

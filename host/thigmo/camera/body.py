@@ -1,7 +1,7 @@
 """The robot in a picture: which pixels are body, where its axis runs, how it is curved.
 
 The picture is laid flat at the height of the tube's axis (the silhouette's middle there is the
-axis), body and table are told apart by the colour found at the base, the tube is followed from the
+axis), body and table are separated by the colour found at the base, the tube is followed from the
 base by its two flanks, and a smooth curve is fitted to the flanks' middles. Curvature comes from
 that fit with its covariance: constant for free bends, a spline for any other shape.
 """

@@ -41,7 +41,7 @@ class MarkerAstrayError(CameraError):
 
 
 class BodyNotSeenError(CameraError):
-    """The robot's body cannot be told from what lies around it."""
+    """The robot's body cannot be distinguished from what lies around it."""
 
 
 class AxisDoubtfulError(CameraError):

@@ -62,8 +62,8 @@ class Kept:
             data = json.loads(text)
             return TypeAdapter(cls).validate_python({"lens": data, **data})
         except ValidationError as error:
-            told = invalid_entry(cls.what, error)
-            raise CameraError(f"{path} is no {told}", f"{cls.cure} again") from error
+            entry = invalid_entry(cls.what, error)
+            raise CameraError(f"{path} is no {entry}", f"{cls.cure} again") from error
         except (ValueError, TypeError) as error:
             raise CameraError(f"{path} is no {cls.what}: {error}", f"{cls.cure} again") from error
 

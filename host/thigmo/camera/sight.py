@@ -312,8 +312,8 @@ def draw(
             _lines(canvas, camera.project(_raised(x, y, radius)), color)
         middle = len(axis.arc_cm) // 2
         (at,) = camera.project(_raised(axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius))
-        told = f"length {axis.length_cm:.1f} cm, mean curvature {axis.curvature:+.4f} /cm"
-        _text(canvas, told, at)
+        caption = f"length {axis.length_cm:.1f} cm, mean curvature {axis.curvature:+.4f} /cm"
+        _text(canvas, caption, at)
     if sighting.tip is not None:
         tip = sighting.tip
         (at,) = camera.project(_raised(tip.x_cm, tip.y_cm, wanted.diameter_cm / 2))

@@ -37,8 +37,8 @@ def _stills(paths: Sequence[Path]) -> PictureSource:
     def read() -> Picture:
         path = next(others, None)
         if path is None:
-            told = f"all {len(paths)} stills have been used"
-            raise PictureError(told, "add the missing pictures")
+            used_up = f"all {len(paths)} stills have been used"
+            raise PictureError(used_up, "add the missing pictures")
         picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if picture is None:
             raise PictureError(f"{path} is not a readable picture", "check the file")

@@ -22,7 +22,7 @@ _EMERGENCY = "use the emergency stop"
 
 def stop(
     robot: Annotated[
-        str | None, robot_option("Where it is, as /dev/ttyACM0; omitted: every robot in use.")
+        str | None, robot_option("Where it is, as /dev/ttyACM0; if omitted, every robot in use.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -44,12 +44,12 @@ def stop(
         cure = error.next_step
         if not cure.startswith(_EMERGENCY):
             cure = f"{_EMERGENCY}, or {cure}" if cure else _EMERGENCY
-        told = LinkError(f"NOT stopped: {error.what}", cure)
+        refused = LinkError(f"NOT stopped: {error.what}", cure)
         for note in getattr(error, "__notes__", []):
-            told.add_note(note)
-        raise told from error
+            refused.add_note(note)
+        raise refused from error
     except KeyboardInterrupt:
-        said = f"thigmo: NOT confirmed: interrupted before the board told; {_EMERGENCY}"
+        said = f"thigmo: NOT confirmed: interrupted before the board confirmed; {_EMERGENCY}"
         typer.echo(said, err=True)
         raise typer.Exit(ending.status()) from None
     show(
@@ -77,7 +77,7 @@ def params(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the board's parameters, or one of them, or set it."""
+    """Show the board's parameters, or show or set one of them."""
     from thigmo.link import protocol as wire
     from thigmo.robot import connect
     from thigmo.robot.configuration import named
@@ -101,17 +101,17 @@ def params(
         note = f"thigmo: {name} is not stored and ends with this connection; keep it with --save"
         typer.echo(note, err=True)
     if as_json:
-        told = {}
+        facts = {}
         for each, held in values.items():
             entry = wire.PARAMETERS[each]
-            told[each] = {
+            facts[each] = {
                 "value": held if entry.count > 1 else held[0],
                 "unit": entry.unit,
                 "range": [entry.low, entry.high],
                 "default": entry.defaults if entry.count > 1 else entry.defaults[0],
                 "doc": entry.doc,
             }
-        print_json(told)
+        print_json(facts)
         return
     from rich.console import Console
     from rich.table import Table
@@ -139,11 +139,11 @@ def clear(robot: RobotOption, as_json: JsonOption = False) -> None:
         machine.clear_stop()  # the operator's word: who types this command has looked
         remaining = machine.clear_faults()
         cleared = [fault for fault in latched if fault not in remaining]
-        told = f"Cleared: {', '.join(cleared)}." if cleared else "No fault was cleared."
+        outcome = f"Cleared: {', '.join(cleared)}." if cleared else "No fault was cleared."
         show(
             as_json,
             {"cleared": cleared, "remaining": list(remaining)},
-            told if latched else "No fault is latched.",
+            outcome if latched else "No fault is latched.",
         )
         machine.raise_faults()
 
@@ -159,7 +159,7 @@ def retract(
     by_page: HeldOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Vent, then wind the robot in: muscles below 0.5 psi, for a bent body buckles."""
+    """Vent, then wind the robot in once the muscles are below 0.5 psi: a bent body buckles."""
     from thigmo.cli.console import Console
     from thigmo.config import RobotConfig
     from thigmo.robot import connect

@@ -185,7 +185,8 @@ def check(
         float | None, typer.Option(help="Radius of the dowels, cm, if known: fewer mistakes.")
     ] = None,
     length: Annotated[
-        float | None, typer.Option(help="Everted length, cm, if known: an axis unlike it is told.")
+        float | None,
+        typer.Option(help="Everted length, cm, if known: an axis unlike it is doubted."),
     ] = None,
     free_bend: Annotated[bool, typer.Option(help="The body is a free bend.")] = False,
     background: Annotated[

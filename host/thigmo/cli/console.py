@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Show = Callable[[str, float], None]
 _ANSWER_S = 0.1  # between two looks at the terminal
-# What a log on a pipe is told; a terminal sees every state.
+# What is written to a pipe; a terminal sees every state.
 _LOGGED = ("growing", "sweeping", "mapping", "drawing")
 
 
@@ -30,7 +30,7 @@ class Console:
     """What a command shows, and the person beside the robot whom it asks (an `Operator`).
 
     Everything but results goes to stderr; with `quiet`, prompts only. The viewers of a run are
-    asked as well, and whoever answers first has answered. Where nobody sits at a terminal, the
+    asked as well, and the first answer counts. Where nobody sits at a terminal, the
     first question ends the command, unless it is one that `asks_viewers`.
     """
 
@@ -73,11 +73,11 @@ class Console:
         try:
             yield
         except (KeyboardInterrupt, SystemExit) as stopped:
-            told = "".join(f" ({note})" for note in getattr(stopped, "__notes__", []))
+            notes = "".join(f" ({note})" for note in getattr(stopped, "__notes__", []))
             status = stopped.code if isinstance(stopped, SystemExit) else ending.status()
             self.err.print(
                 "thigmo: interrupted; the robot is vented and braked and keeps its length; "
-                f"`thigmo clear` lets it move again, then `thigmo retract` winds it in{told}",
+                f"`thigmo clear` lets it move again, then `thigmo retract` winds it in{notes}",
                 highlight=False,
                 soft_wrap=True,
                 markup=False,

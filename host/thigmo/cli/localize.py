@@ -26,7 +26,9 @@ def localize(
         ),
     ],
     length: Annotated[float, typer.Option(help="Length of the body, in the CSV's length unit.")],
-    span: Annotated[float, typer.Option(help="Active length of the sensors, if no column.")] = 0.0,
+    span: Annotated[
+        float, typer.Option(help="Active length of the sensors, if there is no column span.")
+    ] = 0.0,
     free_curvature: Annotated[
         float, typer.Option("--free-curvature", help="Curvature from actuation alone.")
     ] = 0.0,
@@ -134,7 +136,7 @@ def localize(
             frames.position, frames.curvature[0], None, frames.lines[:1],
             np.deg2rad(directions) if directions else None,
         )  # fmt: skip
-    told = {} if config is None else _calibrated(config, side, table, length)
+    stated = {} if config is None else _calibrated(config, side, table, length)
     flags = {
         "noise": noise,
         "gain_error": gain_error,
@@ -152,23 +154,23 @@ def localize(
         "width_limit": width_limit,
         "number_level": number_level,
     }
-    told |= {name: value for name, value in flags.items() if value is not None}
+    stated |= {name: value for name, value in flags.items() if value is not None}
     if noise is not None:
-        told["zero_error"] = 0.0  # --noise is all of a reading's error
-    told |= {
+        stated["zero_error"] = 0.0  # --noise is all of a reading's error
+    stated |= {
         "span": span if table.span is None else table.span,
         "free_curvature": free_curvature,
         "contacts": "auto" if contacts == "auto" else int(contacts),
         "method": method or "posterior",
     }
     if frames is not None:
-        _answer_rows(frames, plot, length, as_json, told)
+        _answer_rows(frames, plot, length, as_json, stated)
         return
     from thigmo.localization.hints import hints
 
-    told["length"] = length
-    result = thigmo.localize(table.curvature, table.position, **told)
-    looks = hints(result, table.curvature, table.position, **told)
+    stated["length"] = length
+    result = thigmo.localize(table.curvature, table.position, **stated)
+    looks = hints(result, table.curvature, table.position, **stated)
     if as_json:
         print_json(_facts(result, table) | {"hints": looks})
     else:

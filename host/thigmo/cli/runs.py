@@ -127,8 +127,8 @@ def _run_info(path: Path) -> dict[str, Any]:
         "recorded_s": round(max(times) - min(times), 3) if times else 0.0,
         "truncated": log.truncated,
         "gaps": log.gaps,
-        "record": {key: told for key, told in log.metadata.items() if key in _OF_THE_HOST},
-        "board": {key: told for key, told in log.metadata.items() if key not in _OF_THE_HOST},
+        "record": {key: value for key, value in log.metadata.items() if key in _OF_THE_HOST},
+        "board": {key: value for key, value in log.metadata.items() if key not in _OF_THE_HOST},
     }
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from time import monotonic
@@ -29,7 +30,6 @@ LINE_EVERY_S = 10.0
 def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: bool) -> None:
     """Run studies by name, one after the other; write to `out` and print what each found."""
     from dataclasses import replace
-    from functools import partial
 
     from thigmo.studies.engine import write
 
@@ -104,8 +104,8 @@ def study_progress(name: str) -> Iterator[Tell]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        told = lines(lambda text: console.print(text, highlight=False, soft_wrap=True), monotonic)
-        yield lambda part, done, total: told(f"{name}, {part}", done, total)
+        write_line = lines(partial(console.print, highlight=False, soft_wrap=True), monotonic)
+        yield lambda part, done, total: write_line(f"{name}, {part}", done, total)
         return
     tasks: dict[str, Any] = {}
     with progress.Progress(
@@ -127,18 +127,18 @@ def study_progress(name: str) -> Iterator[Tell]:
 def lines(write: Callable[[str], object], clock: Callable[[], float]) -> Tell:
     """A line a part at its start and end, and one every ten seconds between them."""
     began: dict[str, float] = {}
-    told = clock()
+    written_s = clock()
 
     def tell(part: str, done: int, total: int) -> None:
-        nonlocal told
+        nonlocal written_s
         now = clock()
         first = done == 0 or part not in began
         if first:
             began[part] = now
         gone = now - began[part]
-        if not first and done < total and now - told < LINE_EVERY_S:
+        if not first and done < total and now - written_s < LINE_EVERY_S:
             return
-        told = now
+        written_s = now
         rest = f", about {gone / done * (total - done):.0f} s to go" if 0 < done < total else ""
         write(f"{part}: {done}/{total}, {gone:.0f} s{rest}")
 

@@ -1,9 +1,9 @@
 """Output that nobody takes is lost, and stops nothing.
 
 A reader may leave (`thigmo explore | head -1`), a terminal may be closed, a disk may be full. A
-program that drives a robot goes on: what it prints to stdout and stderr is then dropped. What was
-lost of a command's result for another reason than that its reader went is told at the end. Only the
-standard library is imported here, for this stands before all else that `thigmo` does.
+program that drives a robot goes on: what it prints to stdout and stderr is then dropped. If a
+command's result was lost for another reason than that its reader left, the command says so at its
+end. Only the standard library is imported here, because this runs before all else of `thigmo`.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _lossy(stream: TextIO | None, *, patient: bool) -> TextIO:
     )
 
 
-def told() -> bool:
+def lost() -> bool:
     """Say in one line if a part of the result was lost that somebody may want; whether so."""
     sys.stdout.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)

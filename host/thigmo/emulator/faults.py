@@ -1,6 +1,6 @@
 """Faults that a scene injects, from a moment or a condition on, for a while or for good.
 
-What `value` means is told beside its defaults below. pressure_stuck and over_pressure are faults of
+What `value` means stands beside its defaults below. pressure_stuck and over_pressure are faults of
 the air, the other ones of pressure are the sensor's. imu_hung is of the IMU at a span's far end:
 no span that begins or ends there is read. host_silent mutes the host: its bytes and
 heartbeats are lost. power_cut takes the board's power for `duration_s` (default 1 s).

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from thigmo.config import IMU_CM, RAD_PER_OHM, SAME_IMU_CM, HeadingSensor
 from thigmo.emulator.scene import Imu
+from thigmo.reading_errors import imus_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,14 +34,11 @@ class ImuString:
         rng: np.random.Generator,
     ) -> None:
         self._known, self._rng, self._step_s, self._divider_ohm = known, rng, step_s, divider_ohm
-        ends = np.array([sensor.ends_cm for sensor in sensors]).reshape(-1, 2)
-        self.places = np.unique(np.round(ends / SAME_IMU_CM).astype(int))
-        #: (n, 2) the IMUs where each span begins and ends
-        self.imus = np.searchsorted(self.places, np.round(ends / SAME_IMU_CM).astype(int))
-        self._arcs = self.places * SAME_IMU_CM
-        self._base = self._arcs < SAME_IMU_CM  # no IMU: the base does not turn
+        self._arcs, self._imus = imus_of(sensors)
+        self._base = self._arcs < SAME_IMU_CM  # no IMU
         count = len(self._arcs)
-        self._start_cm, self._span_cm = ends[:, 0], ends[:, 1] - ends[:, 0]
+        self._start_cm = np.array([sensor.ends_cm[0] for sensor in sensors])
+        self._span_cm = np.array([sensor.span_cm for sensor in sensors])
         self._scale = np.array([sensor.scale for sensor in sensors])
         self._zero_ohm = np.array([sensor.zero_ohm for sensor in sensors])
         self._drift_rad_s = radians(known.drift_deg_min) / 60 * rng.standard_normal(count)
@@ -63,12 +61,12 @@ class ImuString:
         # In the tail an IMU looks back along the body.
         said = self._wandered + self._seat + white + pi * (1.0 - out)
         said[self._base] = 0.0
-        first, last = said[self.imus.T]
+        first, last = said[self._imus.T]
         bent = curvature * np.clip(length_cm - self._start_cm, 0.0, self._span_cm)
         turn = bent / self._scale + last - first
         ohm = np.clip(self._zero_ohm + turn / RAD_PER_OHM, _LEAST_OHM, _MOST_OHM)
         counts: Floats = 1024.0 * self._divider_ohm / (self._divider_ohm + ohm)
-        counts[np.isin(self.imus, [*self.hung]).any(axis=1)] = 0.0
+        counts[np.isin(self._imus, [*self.hung]).any(axis=1)] = 0.0
         return counts
 
     def at(self, place_cm: float) -> int:

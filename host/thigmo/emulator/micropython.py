@@ -182,7 +182,7 @@ class MicroPythonBoard:
                 if process.poll() is not None or time.monotonic() > end:
                     return process
                 time.sleep(0.01)
-            # The port has no file system to start main.py from: its prompt is told.
+            # The port has no file system to start main.py from: its prompt starts it.
             self.type(self._program.replace("\n", "\r").encode() + b"\r")
             while b"import" not in os.pread(self._console.fileno(), 4096, 0):
                 monitor.sendall(b"\n")
@@ -288,22 +288,22 @@ class MicroPythonBoard:
             self._tell(b"S" + message + line + rows.tobytes())
             while self._hear(1) == b"R":  # the program has begun again, in this step or before
                 self.boots += 1
-            told, *drive, motor, length = _STEP.unpack(self._hear(_STEP.size))
+            state, *drive, motor, length = _STEP.unpack(self._hear(_STEP.size))
             self._received += self._hear(length)
         except OSError:  # Python itself has ended, and the pins float
             self._off()
             return
-        self._running = bool(told & _RUNS)
-        # A controller that begins anew in the next step begins with tick 0.
+        self._running = bool(state & _RUNS)
+        # A controller that restarts in the next step begins with tick 0.
         self._ticks = self._ticks + count if self._running else 0
-        self._powered = bool(told & _POWERED)
+        self._powered = bool(state & _POWERED)
         self._drive = (drive[0], drive[1])
         self.motor = motor
         if motor:
-            self._direction = 1 if told & _OUT else -1
-        self.air = (bool(told & _MUSCLE_AIR), bool(told & _BODY_AIR))
-        self.motor_enables = (bool(told & _MOTOR_SUPPLY), bool(told & _BRAKE_OPEN))
-        if told & _BITES:
+            self._direction = 1 if state & _OUT else -1
+        self.air = (bool(state & _MUSCLE_AIR), bool(state & _BODY_AIR))
+        self.motor_enables = (bool(state & _MOTOR_SUPPLY), bool(state & _BRAKE_OPEN))
+        if state & _BITES:
             self.power_on(ResetCause.WATCHDOG)
 
     @property

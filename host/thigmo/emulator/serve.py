@@ -3,7 +3,7 @@
 Any program that opens serial ports can talk to it. As on the Mega, opening the port resets the
 board, which then sits in its boot loader for 0.84 s. The emulated body keeps its state through
 that, and goes on when the program at the other end dies: the board's own heartbeat limit is what
-makes it safe then. Whoever stands at the regulator sets it as prompted: whenever the host tells the
+makes it safe then. The person at the regulator sets it as prompted: whenever the host tells the
 board which body pressure holds, that one does.
 """
 
@@ -175,7 +175,7 @@ def serve(
         seed: of all noise; None takes the scene's.
         link: a symbolic link to make to the port.
         config: where to write this robot's constants, as its lab knows them.
-        announce: told where the port is, once it can be opened.
+        announce: called with where the port is, once it can be opened.
     """
     room = Scene.load(scene)
     used = room.seed if seed is None else seed
@@ -184,13 +184,13 @@ def serve(
     server = PtyServer(lockstep, link=link)
     port = server.path if link is None else link
     try:
-        told = f"{room.name}: open {port}; Ctrl-C ends it"
+        said = f"{room.name}: open {port}; Ctrl-C ends it"
         if config is not None:
             known = room.believed(seed)
             if not (config.exists() and RobotConfig.load(config) == known):
                 known.save(config)
-            told += f"\nIts constants: thigmo explore --robot {port} --config {config}"
-        announce(told)
+            said += f"\nIts constants: thigmo explore --robot {port} --config {config}"
+        announce(said)
         server.run(keep_on)
     finally:
         server.close()

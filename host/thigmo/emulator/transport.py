@@ -197,8 +197,8 @@ class EmulatorTransport:
             self._received += data
             self._stopper.heard()
             if self._stopper.calling:
-                for told in self._echoes.feed(data):
-                    self._stopper.take(told)
+                for echo in self._echoes.feed(data):
+                    self._stopper.take(echo)
             if self._heart is not None:
                 self._heart.heard()
             self.read_s = self.now()
@@ -246,9 +246,9 @@ def parse_url(
     then the scene's. An option that is omitted takes its first choice.
     """
     place, _, query = url.partition("://")[2].partition("?")
-    told = {key: values[-1] for key, values in parse_qs(query, keep_blank_values=True).items()}
-    text = told.pop("seed", None)
-    for key, value in told.items():
+    given = {key: values[-1] for key, values in parse_qs(query, keep_blank_values=True).items()}
+    text = given.pop("seed", None)
+    for key, value in given.items():
         if value not in choices.get(key, ()):
             known = ["seed=NUMBER", *(f"{k}={' or '.join(c)}" for k, c in choices.items())]
             raise ConfigError(f"{url}: no option {key}={value}", f"give any of {', '.join(known)}")
@@ -257,7 +257,7 @@ def parse_url(
             raise ConfigError(f"{url}: seed {text!r} is not a whole number", "give ?seed=NUMBER")
         seed = int(text)
     scene = Scene.load(place or "default")
-    options = {key: known[0] for key, known in choices.items()} | told
+    options = {key: known[0] for key, known in choices.items()} | given
     return scene, scene.seed if seed is None else seed, options
 
 

@@ -20,10 +20,10 @@ from thigmo.link.framing import FrameError, decode
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import WITHOUT_COUNTS, Entry, Log, Note, Obstacle, RunFolder
 from thigmo.robot import (
+    CreepWatch,
     GrowthWatcher,
     Profile,
     SensorTable,
-    StandingWatch,
     SweepFrame,
     SweepResult,
     SweepWatcher,
@@ -56,7 +56,7 @@ class _Frames:
         self._enabled = self.table.healthy.copy()
         rows = wire.parameters(**board_of(config).capacity)
         self._first, self._oversample = (rows[n].index for n in ("flex_enabled", "oversample_log2"))
-        self._standing: StandingWatch | None = None
+        self._creep: CreepWatch | None = None
         self._clock = DeviceClock()
         self._before = self.table  # the last zeroing
         self.zone = 0  # of the body pressure
@@ -82,13 +82,13 @@ class _Frames:
         match message:
             case wire.Telemetry():
                 device_us = self._clock.unwrap(message.t_us)
-                told = TelemetryFrame(frame.seq, entry.t_s, device_us, frame.payload)
-                if self._standing is not None:
-                    self._standing.telemetry(told)
+                telemetry = TelemetryFrame(frame.seq, entry.t_s, device_us, frame.payload)
+                if self._creep is not None:
+                    self._creep.telemetry(telemetry)
                 if self._growing:
-                    self.growth.telemetry(told)
+                    self.growth.telemetry(telemetry)
                 elif watcher:
-                    watcher.telemetry(told)
+                    watcher.telemetry(telemetry)
             case wire.GrowTo():
                 self._growing = True
             case wire.Hello():
@@ -98,7 +98,7 @@ class _Frames:
             case wire.StatusReport():
                 self._status = message
             case wire.Arm():
-                self._standing = StandingWatch(self._config, self.table.oversample)
+                self._creep = CreepWatch(self._config, self.table.oversample)
             case wire.ParameterValue() if 0 <= message.index - self._first < len(self._enabled):
                 self._enabled[message.index - self._first] = message.value
             case wire.ParameterValue() if message.index == self._oversample:
@@ -145,7 +145,7 @@ class _Frames:
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
         muscles = self._config.muscle_sides
-        watcher = SweepWatcher(self.table, mask, length, young, self._standing, sides=muscles)
+        watcher = SweepWatcher(self.table, mask, length, young, self._creep, sides=muscles)
         pressed = zip(muscles, command.amplitude_cpsi, strict=False)
         sides = {side for side, top in pressed if top > 0}
         self.sweeps.append(RecordedSweep(self.zone, sides, t_s, watcher))
@@ -198,7 +198,7 @@ class RecordedRun:
 
     def _read(self, log: Log, frames: _Frames) -> None:
         taken = 0
-        for item in log.told:
+        for item in log.items:
             if isinstance(item, Entry):
                 frames.take(item)
             elif item.facts["topic"] == "state":

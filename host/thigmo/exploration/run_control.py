@@ -40,7 +40,7 @@ class Live:
         return self._robot.now() - self._felt_s >= _SWEEPING_S
 
     def feels(self, length_cm: float, feeling: Feeling, *, sweeping: bool = False) -> None:
-        """What the sweep of one side told; `sweeping` while it goes on."""
+        """What the sweep of one side showed; `sweeping` while it goes on."""
         result = feeling.result
         self._felt_s = self._robot.now()
         self.tell(
@@ -93,7 +93,7 @@ class RunControl:
     def obey_stop(self) -> None:
         """Called while the robot is waited for; StoppedByViewerError if a viewer wants so."""
         if self._stopped.is_set():
-            what, cure = wire.Fault.STOPPED.told  # as the board's fault says it
+            what, cure = wire.Fault.STOPPED.words  # as the board's fault says it
             raise StoppedByViewerError(f"{wire.Fault.STOPPED.key}: {what}", cure)
 
 

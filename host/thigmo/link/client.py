@@ -3,7 +3,7 @@
 The client keeps one command outstanding, repeats it after a time-out measured from past round
 trips until its deadline, and ends it in its typed reply or a typed error: never in two executions.
 A command that found no answer ends the session, for a late copy of it must find the board deaf.
-Events are acknowledged on their own, telemetry is counted, and a board that restarted is told
+Events are acknowledged on their own, telemetry is counted, and a board that restarted is reported
 from one that is slow by its boot nonce. Rules of the protocol: protocol/PROTOCOL.md.
 
 Nothing here sleeps or asks a clock but the transport's: reading is waiting.
@@ -201,7 +201,7 @@ class Client(Inbox, Closing):
                     self._resume(command, limit, until_s)
                 raise failures.timed_out(command, limit)
         if isinstance(reply, wire.Ack) and reply.status is wire.Status.REFUSED:
-            what, step = reply.reason.told
+            what, step = reply.reason.words
             raise CommandRefusedError(
                 f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}",
                 step,

@@ -46,7 +46,7 @@ class Documented(IntEnum):
         return self.name.lower()
 
     @property
-    def told(self) -> tuple[str, str]:
+    def words(self) -> tuple[str, str]:
         """The sentence in two: what it is, and what to do next (empty if it does not say)."""
         what, _, step = self.doc.rstrip(".").partition("; ")
         return what, step
@@ -123,7 +123,7 @@ class Message:
     @cache
     def _layout(cls, counts: tuple[int, ...]) -> _Layout:
         """The layout of so many of what the message counts."""
-        told = dict(zip(cls._COUNTED, counts, strict=True))
+        number = dict(zip(cls._COUNTED, counts, strict=True))
         code, place, places, at = "<", 0, [], {}
         for field in cls.CODES.values():
             of, _, element = field.rpartition("?")
@@ -131,7 +131,7 @@ class Message:
                 at[of] = calcsize(code)
                 code += "B"
                 place += 1
-            count = told[of] if of else int(element[:-1] or 1)
+            count = number[of] if of else int(element[:-1] or 1)
             code += f"{count}{element[-1]}"
             array = bool(of) or count > 1
             places.append(slice(place, place + count) if array else place)
@@ -168,14 +168,14 @@ class Message:
         """The payload."""
         values = [getattr(self, name) for name in self.CODES]
         flat: list[int] = []
-        told: dict[str, int] = {}
+        number: dict[str, int] = {}
         for code, value in zip(self.CODES.values(), values, strict=True):
             of = code.rpartition("?")[0]
-            if of and of not in told:
-                told[of] = len(value)
+            if of and of not in number:
+                number[of] = len(value)
                 flat.append(len(value))
             flat += value if isinstance(value, tuple) else (value,)
-        return self._layout(tuple(told.values())).struct.pack(*flat)
+        return self._layout(tuple(number.values())).struct.pack(*flat)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
@@ -235,8 +235,8 @@ def parameters(**capacity: int) -> dict[str, Parameter]:
         count = capacity[row["of"]] if row["of"] else 1
         given = row["defaults"]
         defaults = given * count if len(given) == 1 else [*given, *[0] * count][:count]
-        told = {key: row[key] for key in ("name", "id", "unit", "low", "high", "doc")}
-        found[row["name"]] = Parameter(index=index, count=count, defaults=defaults, **told)
+        stated = {key: row[key] for key in ("name", "id", "unit", "low", "high", "doc")}
+        found[row["name"]] = Parameter(index=index, count=count, defaults=defaults, **stated)
         index += count
     return found
 

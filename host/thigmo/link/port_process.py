@@ -121,7 +121,7 @@ class PortProcess:
         self._lease_ended = False
         self._touched_um: int | None = None  # length at the last touch, while the body grows
         self._decoder = Decoder()
-        self._disarmed_until_s = -math.inf  # as far as its telemetry told
+        self._disarmed_until_s = -math.inf  # as far as its telemetry says
         self._leaving = threading.Lock()
         self._end = threading.Event()
         self._parent = os.getppid()

@@ -31,7 +31,7 @@ _open: WeakSet[SerialTransport] = WeakSet()
 
 
 def waits_for_operator() -> None:
-    """The main thread is about to wait for its operator: told to every port of this process."""
+    """The main thread is about to wait for its operator: every port of this process hears of it."""
     for connection in list(_open):
         connection.attend()
 

@@ -78,7 +78,7 @@ def _cookie(request: web.Request) -> str:
 
 
 async def add_headers(request: web.Request, response: web.StreamResponse) -> None:
-    """What browsers are told to refuse: other sites' scripts, frames and requests."""
+    """What browsers are asked to refuse: other sites' scripts, frames and requests."""
     response.headers.update(HEADERS)
     if request.host.partition(":")[0] in ("localhost", "127.0.0.1"):
         # Of the rest of the network, where nothing is encrypted, browsers ignore it with a warning.

@@ -1,6 +1,6 @@
 """What the page shows of a run beside its stream: telemetry as rows of numbers, live as JSON text
 and of a finished run as one block of 32-bit floats; the robot's build and, where the robot is
-emulated, the pegs of its room; of a finished run what else was told.
+emulated, the pegs of its room; of a finished run what else was published.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ class PastRun:
         self._origin_s = min((each.t_s for each in messages), default=0.0)
 
     def page(self) -> dict[str, Any]:
-        """What the page is told of it."""
+        """What the page gets of it."""
         return {
             "run": {
                 "id": self._folder, "name": self._document.name, "url": self._document.url,

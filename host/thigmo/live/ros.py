@@ -90,7 +90,7 @@ class RosNode(Closing):
             self._writers["tf_static"].write(made.base_transform(time.time(), frame))
 
     def publish(self, message: Message) -> None:
-        """Publish what a message of the stream says, if ROS is told of its kind."""
+        """Publish what a message of the stream says, if ROS has its kind."""
         match message:
             case Grid():
                 self._writers["map"].write(made.occupancy_grid(message, self._frame))

@@ -109,7 +109,7 @@ class PageServer:
         self._started: Started | None = None  # the last command
         self._way: Way = "none"
         self._stopping = threading.Lock()
-        self._last_stop: dict[str, Any] | None = None  # it stays told, whatever runs next
+        self._last_stop: dict[str, Any] | None = None  # it stays shown, whatever runs next
         self._latched = False  # the robot was stopped from here, and not let go since
         self._choices: list[Hello] = []  # runs that could be looked at
         self._left_s = time.monotonic()  # when somebody last looked
@@ -263,7 +263,7 @@ class PageServer:
             viewer.add("page", json.dumps(self._page(viewer)))
 
     def _page(self, viewer: Viewer) -> dict[str, Any]:
-        """What a page is told of the server, the run and its own part."""
+        """What a page gets of the server, the run and its own part."""
         if self.options.past is not None:
             assert self._run.past is not None
             return {"channel": "page", "mode": "record", "stop": "none", **self._run.past.page()}
@@ -366,17 +366,17 @@ class PageServer:
 
     async def _obey(self, viewer: Viewer, text: str) -> None:
         try:
-            told = json.loads(text)
-            command = told.get("command")
+            request = json.loads(text)
+            command = request.get("command")
         except (ValueError, AttributeError):
             return
         operates = viewer is self._operator
-        if "ack" in told:
+        if "ack" in request:
             viewer.acknowledged()
         elif command == "take" and self._operator is None:
             self._operator = viewer
         elif command == "choose" and operates and self._watched is not None:
-            pid = told.get("pid")
+            pid = request.get("pid")
             if any(each.pid == pid for each in self._choices):
                 self._watched.choose(pid)
         elif command == "hold" and operates and self._started is not None:
@@ -384,24 +384,24 @@ class PageServer:
             return
         elif command in ("start", "clear", "retract", "jog") and operates:
             if self._run.moving is None and not self._starting:
-                await self._start(command, told)
+                await self._start(command, request)
         elif command in ("pause", "resume", "answer") and operates and self._watched is not None:
             with contextlib.suppress(ThigmoError):  # the run has just ended, which the page sees
-                self._watched.send(command, str(told.get("text", "")))
+                self._watched.send(command, str(request.get("text", "")))
                 self._run.pausing = command == "pause"
         if command:
             self._tell()
 
-    async def _start(self, command: str, told: dict[str, Any]) -> None:
+    async def _start(self, command: str, request: dict[str, Any]) -> None:
         """Start an exploration, or what finishes the job of one that has ended."""
         url, port = self.options.url, self._port
         if command == "start" and url is not None:
-            realtime = told.get("realtime") is not False
-            options = (*self.options.explore, *self._chosen(told.get("parameters")))
+            realtime = request.get("realtime") is not False
+            options = (*self.options.explore, *self._chosen(request.get("parameters")))
             started = await asyncio.to_thread(exploration, url, options, realtime=realtime)
         elif command != "start" and port is not None:
             try:
-                arguments = _motion(command, told)
+                arguments = _motion(command, request)
             except (KeyError, TypeError, ValueError):
                 return  # this page sends numbers
             started = await asyncio.to_thread(Started, command, "--robot", port, *arguments)
@@ -420,7 +420,7 @@ class PageServer:
     def stop(self, peer: str) -> dict[str, Any]:
         """Stop the robot for a computer at an address, from any thread, and wait for the board.
 
-        What the page is told of it.
+        What the page gets of it.
         """
         stopped: list[str] = []
         failed = ""
@@ -468,15 +468,15 @@ def _number(given: object) -> str:
     return f"{number:g}"
 
 
-def _motion(command: str, told: dict[str, Any]) -> list[str]:
+def _motion(command: str, request: dict[str, Any]) -> list[str]:
     """Arguments of a command that finishes the job. Raises KeyError, TypeError or ValueError for
     numbers that are none."""
     if command == "clear":
         return []
     if command == "jog":
-        way = {"out": "--out", "in": "--in"}[told["way"]]
-        return [way, _number(told["cm"])]
-    return ["--to", _number(told["to"]), "--length", _number(told["length"])]
+        way = {"out": "--out", "in": "--in"}[request["way"]]
+        return [way, _number(request["cm"])]
+    return ["--to", _number(request["to"]), "--length", _number(request["length"])]
 
 
 def _run_facts(run: Hello) -> dict[str, Any]:
@@ -485,7 +485,7 @@ def _run_facts(run: Hello) -> dict[str, Any]:
 
 
 async def serve(options: WatchOptions, announce: Callable[[str], None]) -> None:
-    """Serve the page until cancelled; `announce` is told its address, once it can be opened.
+    """Serve the page until cancelled; `announce` is called with its address, once it can be opened.
 
     Raises RunFolderError if there is no such finished run, and ThigmoError if the address cannot be
     listened at.

@@ -1,7 +1,7 @@
 """One page that looks: what waits to be sent to it, bounded, and how far behind it is.
 
 Every batch is acknowledged by the page. While too many are not, readings are dropped, the oldest
-first, and the page is told their number: a viewer that stalls costs the server nothing and slows
+first, and the page gets their number: a viewer that stalls costs the server nothing and slows
 nobody.
 """
 

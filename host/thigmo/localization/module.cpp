@@ -77,6 +77,39 @@ void write(const Answer& from, double length, double* row, double* contact) {
   }
 }
 
+// The numbers among the constants of priors.py, by their names there.
+constexpr std::pair<const char*, double Priors::*> kPriors[] = {
+    {"LEAST_LEVER", &Priors::least_lever},
+    {"CONTACT", &Priors::contact},
+    {"END", &Priors::end},
+    {"END_STRAIGHT", &Priors::end_straight},
+    {"HELD", &Priors::held},
+    {"HELD_STRAIGHT", &Priors::held_straight},
+    {"ANOTHER", &Priors::another},
+    {"HINGE", &Priors::hinge},
+    {"BASE_FOLD", &Priors::base_fold},
+    {"BAD_DEVIATION", &Priors::bad_deviation},
+    {"ANGLE", &Priors::angle},
+    {"NEAR_FOLD", &Priors::near_fold},
+    {"STRAIGHT", &Priors::straight},
+    {"END_TURN", &Priors::end_turn},
+    {"SHAPE_RESTS", &Priors::shape_rests},
+    {"LEVEL", &Priors::level},
+    {"EXCLUDED", &Priors::excluded},
+    {"HELD_EXCLUDED", &Priors::held_excluded},
+    {"FIVE_SIGMA", &Priors::five_sigma},
+    {"NOISE_FACTOR", &Priors::noise_factor},
+    {"NOISE_ODDS", &Priors::noise_odds},
+    {"HOPELESS", &Priors::hopeless},
+    {"TRUST", &Priors::trust},
+    {"END_CELL", &Priors::end_cell},
+    {"MISFIT_DEVIATE", &Priors::misfit_deviate},
+    {"NOISE_DEVIATE", &Priors::noise_deviate},
+    {"CONTACT_UNSURE", &Priors::contact_unsure},
+    {"FELT", &Priors::felt},
+    {"SWEPT", &Priors::swept},
+};
+
 // What holds for all frames of the same sensors.
 struct Localizer {
   Input sensors;
@@ -89,38 +122,10 @@ struct Localizer {
 
 NB_MODULE(_posterior, m) {
   nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
-    const auto number = [&](const char* name) { return nb::cast<double>(values[name]); };
-    const auto numbers = [&](const char* name) { return nb::cast<Row>(values[name]); };
-    new (self) Priors{numbers("MOMENTS"),
-                      numbers("NOISE_LEVELS"),
-                      number("LEAST_LEVER"),
-                      number("CONTACT"),
-                      number("END"),
-                      number("END_STRAIGHT"),
-                      number("HELD"),
-                      number("HELD_STRAIGHT"),
-                      number("ANOTHER"),
-                      number("HINGE"),
-                      number("BASE_FOLD"),
-                      number("BAD_DEVIATION"),
-                      number("ANGLE"),
-                      number("NEAR_FOLD"),
-                      number("STRAIGHT"),
-                      number("END_TURN"),
-                      number("SHAPE_RESTS"),
-                      number("LEVEL"),
-                      number("EXCLUDED"),
-                      number("HELD_EXCLUDED"),
-                      number("FIVE_SIGMA"),
-                      number("NOISE_FACTOR"),
-                      number("NOISE_ODDS"),
-                      number("HOPELESS"),
-                      number("TRUST"),
-                      number("END_CELL"),
-                      number("MISFIT_DEVIATE"),
-                      number("NOISE_DEVIATE"),
-                      number("CONTACT_UNSURE"),
-                      number("FELT")};
+    auto* priors = new (self) Priors{};
+    priors->moments = nb::cast<Row>(values["MOMENTS"]);
+    priors->noise_levels = nb::cast<Row>(values["NOISE_LEVELS"]);
+    for (const auto& [name, member] : kPriors) priors->*member = nb::cast<double>(values[name]);
   });
 
   nb::class_<Answer>(m, "Answer")
@@ -262,19 +267,20 @@ NB_MODULE(_posterior, m) {
                space->compliance = vector(numbers("compliance").data());
                space->weight = vector(numbers("weight").data());
              }
-             const auto within = nb::cast<std::pair<double, double>>(of["within"]);
-             const Settings settings{number("critical"),
-                                     number("critical_error"),
-                                     nb::cast<bool>(of["folds_perhaps"]),
-                                     in.radius / in.length,
-                                     Settings::Held(nb::cast<int>(of["held_end"])),
-                                     std::log(number("end_odds")),
-                                     std::log(number("held_odds")),
-                                     nb::cast<int>(of["contacts"]),
-                                     {within.first, within.second},
-                                     number("width_limit"),
-                                     number("number_level"),
-                                     space};
+             const auto [near, far] = nb::cast<std::pair<double, double>>(of["within"]);
+             Settings settings{};
+             settings.critical = number("critical");
+             settings.critical_error = number("critical_error");
+             settings.folds_perhaps = nb::cast<bool>(of["folds_perhaps"]);
+             settings.radius = in.radius / in.length;
+             settings.held_end = Settings::Held(nb::cast<int>(of["held_end"]));
+             settings.log_end = std::log(number("end_odds"));
+             settings.log_held = std::log(number("held_odds"));
+             settings.contacts = nb::cast<int>(of["contacts"]);
+             settings.within = {near, far};
+             settings.width_limit = number("width_limit");
+             settings.number_level = number("number_level");
+             settings.space = space;
              new (self) Localizer{in, settings, nb::cast<Priors>(of["priors"])};
            })
       .def_prop_ro("length", [](const Localizer& self) { return self.sensors.length; })

@@ -62,14 +62,14 @@ class Note:
     """A fact of the run."""
 
     t_s: float  # as an entry's
-    facts: dict[str, Any]  # its `topic`, and what was told
+    facts: dict[str, Any]  # its `topic`, and what is said of it
 
 
 @dataclass(frozen=True, slots=True)
 class Log:
     """A record that was read."""
 
-    told: list[Entry | Note]  # in the order in which they were kept
+    items: list[Entry | Note]  # in the order in which they were kept
     metadata: dict[str, str]  # facts of the run, as they were given to the writer
     truncated: bool = False  # the end is missing: the writer was killed
     gaps: int = 0  # places before the end at which something is missing: the file is damaged
@@ -77,19 +77,19 @@ class Log:
     @property
     def entries(self) -> list[Entry]:
         """The frames, in their order."""
-        return [each for each in self.told if isinstance(each, Entry)]
+        return [each for each in self.items if isinstance(each, Entry)]
 
     @property
     def notes(self) -> list[Note]:
         """The notes, in their order."""
-        return [each for each in self.told if isinstance(each, Note)]
+        return [each for each in self.items if isinstance(each, Note)]
 
     @property
     def missing(self) -> str:
-        """What the operator is told of what is missing; empty if nothing is."""
-        told = [f"damaged in {self.gaps} place{'s' if self.gaps > 1 else ''}"] if self.gaps else []
-        told += ["cut short"] if self.truncated else []
-        return f"the record is {' and '.join(told)}; what is whole was used" if told else ""
+        """What to say to the operator of what is missing; empty if nothing is."""
+        gaps = [f"damaged in {self.gaps} place{'s' if self.gaps > 1 else ''}"] if self.gaps else []
+        gaps += ["cut short"] if self.truncated else []
+        return f"the record is {' and '.join(gaps)}; what is whole was used" if gaps else ""
 
 
 class LogWriter(Closing):
@@ -235,8 +235,8 @@ def read_log(path: Path) -> Log:
     Raises RunFolderError if there is no such file, or it is no MCAP file.
     """
     found = read_mcap(path, {*_TOPICS, _NOTES})
-    told = found.metadata.pop(EPOCH, "0")  # damaged records hold none
-    epoch_ns = int(told) if told.isdecimal() else 0
+    epoch = found.metadata.pop(EPOCH, "0")  # damaged records hold none
+    epoch_ns = int(epoch) if epoch.isdecimal() else 0
     older = found.metadata.get("schema_hash") == WITHOUT_COUNTS
     items: list[Entry | Note] = []
     for topic, log_ns, data in found.messages:

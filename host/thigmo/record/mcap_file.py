@@ -87,8 +87,8 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
         for each in found
         if isinstance(each, Message) and channels.get(each.channel_id) in wanted
     ]
-    told = {name: value for each in metadata for name, value in each.items()}
-    return McapContents(frozenset(channels.values()), told, messages, gaps, truncated)
+    facts = {name: value for each in metadata for name, value in each.items()}
+    return McapContents(frozenset(channels.values()), facts, messages, gaps, truncated)
 
 
 def _records(opcode: int, content: bytes) -> list[McapRecord] | None:

@@ -47,7 +47,7 @@ def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.Array
     )  # fmt: skip
     two.set(
         xlabel="separation of two opposed contacts (cm)",
-        title="Two opposed contacts (no line: not told apart)",
+        title="Two opposed contacts (no line: cannot be separated)",
         xlim=(found.separation[0], found.separation[-1]),
     )
     for axis in (one, two):

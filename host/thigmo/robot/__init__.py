@@ -3,9 +3,9 @@
 What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's integers stay inside.
 """
 
+from thigmo.robot.creep import CreepWatch
 from thigmo.robot.readings import SensorTable, in_mask, mask_of
 from thigmo.robot.robot import JOG_CM, Robot, connect
-from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import (
     ContactTrigger,
     Peak,
@@ -25,6 +25,7 @@ __all__ = [
     "TRIGGER_PER_CM",
     "WITHOUT_BRAKE",
     "ContactTrigger",
+    "CreepWatch",
     "GrowthWatcher",
     "Operator",
     "Peak",
@@ -32,7 +33,6 @@ __all__ = [
     "Reading",
     "Robot",
     "SensorTable",
-    "StandingWatch",
     "Status",
     "SweepFrame",
     "SweepResult",

@@ -1,6 +1,6 @@
 """robot.toml in the board's own units, sent to the board, read back and stored.
 
-The board ends up holding exactly what robot.toml says, or the operator is told which value it
+The board ends up holding exactly what robot.toml says, or the operator hears which value it
 does not take.
 """
 

@@ -1,4 +1,4 @@
-"""A robot's link, and what is known and told of it without commanding: the ground of `Robot`.
+"""A robot's link, and what is known and said of it without commanding: the ground of `Robot`.
 
 All waiting is done by reading the link: with the emulator that is what advances time, on hardware
 the heartbeat runs beside it.
@@ -21,9 +21,9 @@ from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.record import TrueContact, TruePeg, Truth
+from thigmo.robot.creep import CreepWatch
 from thigmo.robot.publishing import Publisher
 from thigmo.robot.readings import SensorTable
-from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Status
 from thigmo.room import Dowel, Operator, Simulated
 from thigmo.stream import Command, Hello, Message, Server, Telemetry
@@ -69,7 +69,7 @@ class Connected(Closing):
         config: robot.toml as last sent with `configure`; before, `known_config` or the defaults.
         known_config: the robot.toml that an emulated robot's lab would have; None on hardware.
         hub: where it publishes telemetry, events and shape; an exploration does as well.
-        aside: mask of the sensors that `set_aside` told the board to leave out.
+        aside: mask of the sensors that `set_aside` made the board leave out.
         epoch_s: UTC seconds since 1970 at which the link's clock (`now`) was 0.
     """
 
@@ -87,7 +87,7 @@ class Connected(Closing):
         self.hub, self.epoch_s = self._publisher.hub, self._publisher.epoch_s
         self._before = self._table  # the last zeroing
         self.aside = 0
-        self._standing: StandingWatch | None = None
+        self._creep: CreepWatch | None = None
         self._fault_channels: dict[wire.Fault, int] = {}  # which only their events tell
         self._interruptions: list[Callable[[], None]] = []
         self._started = client.now()

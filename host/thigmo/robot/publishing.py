@@ -1,7 +1,7 @@
 """What the robot publishes of itself: telemetry, events, and how its body lies, in units.
 
-It listens to the link beside whoever drives the robot, and commands nothing. What nobody listens
-to is not even decoded. Live listeners get each reading as it comes; a record gets them in blocks.
+It listens to the link beside the program that drives the robot, and commands nothing. What has no
+listener is not decoded. Live listeners get each reading as it comes; a record gets them in blocks.
 """
 
 from __future__ import annotations
@@ -66,11 +66,11 @@ def _told(event: wire.Event, config: RobotConfig) -> tuple[str, Severity, str, s
     """Name, severity, what happened, and what to do next."""
     code, arg, value = event.code, event.arg, event.value
     if code is wire.EventCode.FAULT:
-        return wire.Fault(arg).key, "fault", *wire.Fault(arg).told
+        return wire.Fault(arg).key, "fault", *wire.Fault(arg).words
     if code is wire.EventCode.ACTIVITY_ABORTED and value == wire.Reason.NONE:
         return code.key, "info", f"{wire.Activity(arg).key} ended when the host asked", ""
     if code is wire.EventCode.ACTIVITY_ABORTED:
-        what, cure = wire.Reason(value).told
+        what, cure = wire.Reason(value).words
         return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure
     text = {
         wire.EventCode.CONTACT: lambda: (
@@ -208,22 +208,22 @@ class Publisher:
 
     def event(self, received: ReceivedEvent) -> Event:
         """An event in words, with the operator's next step if there is one."""
-        told = _told(received.message, self._config)
-        return Event(received.t_s, self.epoch_s + received.t_s, *told)
+        words = _told(received.message, self._config)
+        return Event(received.t_s, self.epoch_s + received.t_s, *words)
 
     def _shape(self, block: TelemetryBlock, n: int) -> BodyShape:
         """The body by what its sensors read now: those of the inflated side wrinkle, and do not
         count; without any it bends as the free body would."""
-        told = {name: block.numbers[name][n].tolist() for name in _SHAPED_BY}
+        row = {name: block.numbers[name][n].tolist() for name in _SHAPED_BY}
         read: dict[float, list[float]] = {}
         for center, value, expected in zip(
-            self._centers, told["curvature_per_cm"], told["expected_per_cm"], strict=True
+            self._centers, row["curvature_per_cm"], row["expected_per_cm"], strict=True
         ):
             if isfinite(expected):  # only where the sensor's own is known
                 read.setdefault(center, []).append(value)
         knots = sorted((center, sum(values) / len(values)) for center, values in read.items())
-        poses = bent(told["length_cm"], knots or [(0.0, told["free_per_cm"])])
-        return BodyShape(told["t_s"], told["epoch_s"], poses, self._radius_cm)
+        poses = bent(row["length_cm"], knots or [(0.0, row["free_per_cm"])])
+        return BodyShape(row["t_s"], row["epoch_s"], poses, self._radius_cm)
 
 
 _SHAPED_BY = (

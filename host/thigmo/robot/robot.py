@@ -1,6 +1,6 @@
 """The robot as an object: every command of the board in the lab's units, and waiting for its end.
 
-Used by the exploration, the calibration and whoever writes a program for the robot. Each concern
+Used by the exploration, the calibration and programs for the robot. Each concern
 builds on the one before: `connected` (link, stream, state), `supervised` (waiting, faults, arming,
 configuration), and here length, sensors and sweeps.
 """
@@ -18,8 +18,8 @@ from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
+from thigmo.robot.creep import CreepWatch
 from thigmo.robot.readings import Floats, in_mask, mask_of
-from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import Reading, Recording, SweepFrame, SweepResult, together
 from thigmo.robot.supervised import OPEN, SHORT, Supervised
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
@@ -69,7 +69,7 @@ def connect(
 
 
 class Robot(Supervised):
-    """A connected robot, with all that it can be told to do; what `connect` returns.
+    """A connected robot, with all that it can be made to do; what `connect` returns.
 
     Every command raises CommandRefusedError where the board says no (`reason` holds the schema's
     name for why), RobotFaultError where a fault is latched, and LinkError where the link fails.
@@ -147,15 +147,15 @@ class Robot(Supervised):
 
     def follow_settling(self) -> None:
         """Watch young sensors from now on, so that sweeps can use those that are set aside."""
-        if self._standing is None:
-            self._standing = StandingWatch(self.config, self.oversample)
-            self._client.on_telemetry.append(self._standing.telemetry)
+        if self._creep is None:
+            self._creep = CreepWatch(self.config, self.oversample)
+            self._client.on_telemetry.append(self._creep.telemetry)
 
     def young_noise(self) -> Floats:
         """Standard error of what sensors set aside rest at, by input, 1/cm; infinite if unknown."""
-        if self._standing is None:
+        if self._creep is None:
             return np.full(len(self._table.healthy), np.inf)
-        _, sigma = self._standing.rest(self.status().t_s, self.aside)
+        _, sigma = self._creep.rest(self.status().t_s, self.aside)
         return np.where(np.isnan(sigma), np.inf, sigma)
 
     def set_aside(self, mask: int) -> None:
@@ -179,23 +179,32 @@ class Robot(Supervised):
     ) -> None:
         """Wait until everted sensors of a mask (all of them) are past their settling time.
 
-        `progress` is told the seconds that are left, about once a second. Raises
+        `progress` is called with the seconds that are left, about once a second. Raises
         CommandTimeoutError if they do not settle.
         """
         end = self.now() + self.config.board.settle_s + _SETTLE_EXTRA_S
-        while waiting := (status := self.status()).everted & ~status.settled & sensors:
+        while waiting := self._settling(sensors):
             if self.now() > end:
                 raise CommandTimeoutError(
                     f"sensors {in_mask(waiting)} do not settle",
                     "check the board's parameter settle_ms",
                 )
-            reports = [self._client.request(wire.GetSensor(n)) for n in in_mask(waiting)]
-            left_s = max(report.settle_left_ms for report in reports) / 1e3
+            left_s = self.settles_s(waiting)
             while left_s > 0:
                 progress(left_s)
                 self.wait(min(left_s, 1.0))
                 left_s -= 1.0
             self.wait(0.02)
+
+    def settles_s(self, sensors: int = -1) -> float:
+        """How long (s) everted sensors of a mask settle yet; 0 where they have."""
+        waiting = in_mask(self._settling(sensors))
+        left = [self._client.request(wire.GetSensor(n)).settle_left_ms for n in waiting]
+        return max(left, default=0) / 1e3
+
+    def _settling(self, sensors: int) -> int:
+        status = self.status()
+        return status.everted & ~status.settled & sensors
 
     def zero(self) -> int:
         """Average the everted sensors' readings into their zeros; returns the mask of these.
@@ -268,7 +277,7 @@ class Robot(Supervised):
     def press(self, towards: str | float, psi: float, *, ramp_psi_s: float = 0.0) -> None:
         """Hold one muscle under pressure, and the others at none; returns at once.
 
-        The muscle is told by its name, or by the direction (degrees) towards which it bends the
+        The muscle is given by its name, or by the direction (degrees) towards which it bends the
         body. A set point below the transducer's live zero (about 2.2 psi) vents it; a slew rate of
         0 is as configured. Refused while a sensor is half everted.
         """
@@ -325,7 +334,7 @@ class Robot(Supervised):
             before.everted & before.settled & before.zeroed,
             before.length_cm or 0.0,
             self.aside,
-            self._standing,
+            self._creep,
             rising,
             sides=self.config.muscle_sides,
         )

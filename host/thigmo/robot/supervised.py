@@ -98,7 +98,7 @@ class Supervised(Connected):
             for event in look:
                 if event.code == wire.EventCode.ACTIVITY_ABORTED and event.arg == activity:
                     reason = wire.Reason(event.value)
-                    what, cure = reason.told
+                    what, cure = reason.words
                     raise CommandRefusedError(
                         f"{activity.key} ended early: {what}", cure, reason=reason.key
                     )
@@ -124,11 +124,11 @@ class Supervised(Connected):
         """The typed error of latched faults, the first of them in the schema's words.
 
         A fault of a channel names it, as far as it is known: a flex sensor by its report, a muscle
-        by the channel that the fault's event told.
+        by the channel that the fault's event names.
         """
         self._note_channels()
         first = wire.Fault[faults[0].upper()]
-        what, cure = first.told
+        what, cure = first.words
         others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
         channel = self._fault_channels.get(first)
         if first in _OF_A_MUSCLE and channel is not None:
@@ -151,7 +151,7 @@ class Supervised(Connected):
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
         if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self.config)):
             cure = f"{hint}; {cure}"
-        # A board that lives in this process starts anew with the next connection.
+        # A board that lives in this process starts again with the next connection.
         if self.url and not self.virtual:
             cure = f"{cure} (`thigmo clear --robot {self.url}`)"
         return RobotFaultError(f"{first.key}{others}: {what}", cure, faults=tuple(faults))

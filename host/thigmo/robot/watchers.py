@@ -15,8 +15,8 @@ from thigmo.config import Side
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import Truth
+from thigmo.robot.creep import CreepWatch
 from thigmo.robot.readings import Floats, SensorTable, mask_of
-from thigmo.robot.standing import StandingWatch
 from thigmo.robot.state import ContactTrigger, Peak, SweepFrame, SweepResult
 
 _FRAME_SPACING_S = 0.05
@@ -75,9 +75,9 @@ class SweepWatcher:
     table: SensorTable
     sensors: int  # mask of those everted, settled and zeroed when it began
     length_cm: float  # everted length
-    # mask of those everted and not settled, to be used as far as `standing` knows them
+    # mask of those everted and not settled, to be used as far as `creep` knows them
     young: int = 0
-    standing: StandingWatch | None = None  # what they rest at
+    creep: CreepWatch | None = None  # what they rest at
     # the sweep is cut short after its first peak; what comes later does not count
     rising: bool = False
     sides: Sequence[Side] = ()  # to which the muscles bend the body
@@ -98,12 +98,12 @@ class SweepWatcher:
         if self.stopped or t_s < self._next_s:
             return
         self._next_s = t_s + _FRAME_SPACING_S
-        told = frame.message
-        pressure = max(told.pressure_cpsi)
+        row = frame.message
+        pressure = max(row.pressure_cpsi)
         if pressure >= _IDLE_CPSI:
-            side = self.sides[told.pressure_cpsi.index(pressure)]
-            free, excess = told.free_e5 / 1e5, (told.base_e5 - told.free_e5) / 1e5
-            self.frames.append(SweepFrame(side, t_s, pressure / 100, free, excess, told.flex_sum))
+            side = self.sides[row.pressure_cpsi.index(pressure)]
+            free, excess = row.free_e5 / 1e5, (row.base_e5 - row.free_e5) / 1e5
+            self.frames.append(SweepFrame(side, t_s, pressure / 100, free, excess, row.flex_sum))
 
     def result(self, truth: Truth | None = None, *, so_far: bool = False) -> SweepResult:
         """What was collected; `so_far`: the sweep goes on, and its peak is taken to be now."""
@@ -124,8 +124,8 @@ class SweepWatcher:
         curvature = self.table.curvature(sums)
         added = np.zeros(len(curvature))
         sensors = self.sensors
-        if self.standing is not None and self.young:
-            late, sigma = self.standing.curvature(sums, at_s, self.young)
+        if self.creep is not None and self.young:
+            late, sigma = self.creep.curvature(sums, at_s, self.young)
             settled = np.isfinite(late)
             curvature = np.where(settled, late, curvature)
             added = np.where(settled, sigma, added)

@@ -1,9 +1,9 @@
-"""What happens on a robot, as it happens: one model of live data, and its ways to whoever looks.
+"""What happens on a robot, as it happens: one model of live data, and its ways to viewers.
 
 The robot and the exploration publish `messages` on a `Hub`; a program subscribes to it, a `Server`
 passes it to other processes of the same user, and `attach` is their end. Records, the page,
 Foxglove and ROS 2 are views of the same messages. A viewer never slows the robot: each has a
-bounded queue, loses the oldest messages and is told how many.
+bounded queue, loses the oldest messages and learns how many.
 """
 
 from thigmo.stream.hub import Hub, Subscription

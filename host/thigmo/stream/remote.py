@@ -130,13 +130,13 @@ class Server(Closing):
 
     def _write(self, connection: Connection, messages: Subscription) -> None:
         """Thread of a client: messages."""
-        told = 0
+        reported = 0
         with messages, contextlib.suppress(OSError):
             connection.send_bytes(to_json(self._hello))
             while taken := messages.take():
-                lost = messages.dropped - told
+                lost = messages.dropped - reported
                 if lost:
-                    told += lost
+                    reported += lost
                     # Among the lost may have been the last of a channel that seldom speaks.
                     lead = Dropped(taken[0].t_s, taken[0].epoch_s, lost)
                     taken = [lead, *taken, *self._hub.retained()]
@@ -234,8 +234,8 @@ def attach(address: str, patience_s: float = _PATIENCE_S) -> RemoteRun:
 def running(hung: set[str] | None = None) -> list[Watchable]:
     """All runs of this user that can be watched, the youngest last.
 
-    `hung`: kept by who looks again and again, the addresses that did not answer; they are waited
-    for only briefly.
+    `hung`: kept by a caller that looks repeatedly, the addresses that did not answer; these are
+    waited for only briefly.
     """
     found = []
     silent = set() if hung is None else hung

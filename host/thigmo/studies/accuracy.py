@@ -1,9 +1,9 @@
 """What `localize` knows of its own errors: accuracy, coverage and wrong answers, error by error.
 
-Bodies of independent truth (`touches`), each read under every error that sensors and models have in
-practice (`ERRORS`), once passed to `localize` and once not. A localized contact whose 95 % interval
-holds no true place is wrong; shares are of all frames. The price of distrust is charted too:
-contacts found, and bad readings believed, over the odds that a reading is bad.
+Bodies of independent truth (`contact_scenes`), each read under every error that sensors and models
+have in practice (`ERRORS`), once passed to `localize` and once not. A localized contact whose 95 %
+interval holds no true place is wrong; shares are of all frames. The price of distrust is charted
+too: contacts found, and bad readings believed, over the odds that a reading is bad.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from scipy.stats import chi2
 
 from thigmo.localization import LocalizeResult, localize
 from thigmo.report.axes import BLUE, RED
-from thigmo.studies import touches
+from thigmo.studies import contact_scenes
 from thigmo.studies.charts import curves, legend_below, panels
+from thigmo.studies.contact_scenes import BENT, GROUPS, TOUCHED, Scenes, holds
 from thigmo.studies.engine import Claim, Context, Outcome, last, parts, share
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import LENGTH, ROBOT, SIGMA, SPAN
-from thigmo.studies.touches import BENT, GROUPS, TOUCHED, Scenes, holds
 
 BATCH = 250  # scenes that a process takes at a time: many are drawn faster than few
 RESOLVABLE = 5.0  # cm: errors are held against the Cramer-Rao bound where that is smaller
@@ -107,7 +107,7 @@ def _tell_friction(frame: Frame) -> dict[str, Any]:
     (contact,) = plain.contacts
     arc, force = np.array([[contact.arc]]), np.array([[contact.force]])
     body: dict[str, Any] = {"length": LENGTH, "free_curvature": frame.free}
-    load = touches.rubbing(force, np.sqrt(np.mean(np.square(touches.FRICTION))))
+    load = contact_scenes.rubbing(force, np.sqrt(np.mean(np.square(contact_scenes.FRICTION))))
     rough, smooth = solve(arc, force, **body, **load), solve(arc, force, **body)
     change = rough.readings(frame.position, SPAN) - smooth.readings(frame.position, SPAN)
     return {"shared_errors": change.T}
@@ -115,8 +115,8 @@ def _tell_friction(frame: Frame) -> dict[str, Any]:
 
 def _tell_uneven(frame: Frame) -> dict[str, Any]:
     """Columns: the bend under each sensor, times the shapes of the softness along the body."""
-    phase = touches.WAVES * frame.position
-    shapes = touches.SOFTNESS * np.concatenate([np.cos(phase), np.sin(phase)])
+    phase = contact_scenes.WAVES * frame.position
+    shapes = contact_scenes.SOFTNESS * np.concatenate([np.cos(phase), np.sin(phase)])
     return {"shared_errors": (shapes * (frame.curvature - frame.free)).T}
 
 
@@ -175,7 +175,7 @@ def other_readings_tell(frames: list[Frame]) -> NDArray[np.bool_]:
     """
     position = frames[0].position
     curvature, free = [frame.curvature for frame in frames], [frame.free for frame in frames]
-    least = touches.misfit_of_one_contact(np.array(curvature), position, np.array(free))
+    least = contact_scenes.misfit_of_one_contact(np.array(curvature), position, np.array(free))
     return np.greater(least, chi2.isf(0.01, position.size - 2))
 
 

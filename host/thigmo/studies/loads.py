@@ -18,11 +18,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from thigmo.localization import Localizer, arc_bounds
-from thigmo.studies import touches
+from thigmo.studies import contact_scenes
+from thigmo.studies.contact_scenes import Draw, Scenes, holds, signs, straight
 from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, share
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
-from thigmo.studies.touches import Draw, Scenes, holds, signs, straight
 
 BATCH = 50  # frames of one group that a process takes at a time
 FEW = (2, 3, 5, 10)  # readings
@@ -76,7 +76,7 @@ class Seen:
 
 
 def _free(rng: np.random.Generator, count: int, bent: bool) -> Floats:
-    size = rng.uniform(0.005, touches.MOST_FREE, count) if bent else 0.0
+    size = rng.uniform(0.005, contact_scenes.MOST_FREE, count) if bent else 0.0
     return signs(rng, count) * size
 
 
@@ -153,7 +153,7 @@ def anywhere(
 
 def folded(bent: bool, rng: np.random.Generator, count: int) -> Scenes:
     """One contact that has folded the base, where the first sensors see it."""
-    free = signs(rng, count) * rng.uniform(0.02, touches.MOST_FREE, count) * bent
+    free = signs(rng, count) * rng.uniform(0.02, contact_scenes.MOST_FREE, count) * bent
     side = -np.sign(free) if bent else signs(rng, count)
     arcs = np.stack([np.full(count, FOLD_CM), rng.uniform(15.0, LENGTH, count)], axis=1)
     forces, kinks = np.zeros((2, count, 2))
@@ -193,7 +193,7 @@ def kinked(touched: bool, bent: bool, rng: np.random.Generator, count: int) -> S
     order = np.argsort(places, axis=1)
     arcs, kinks, forces = (np.take_along_axis(v, order, 1) for v in (places, kinks, forces))
     scenes = _read(arcs, forces, COLUMN if bent else BOTH, free, kinks)
-    seen = touches.misfit_of_one_contact(scenes.curvature, scenes.position, free)
+    seen = contact_scenes.misfit_of_one_contact(scenes.curvature, scenes.position, free)
     return replace(scenes, arcs=places[:, 1 : 1 + touched], stands_out=seen)
 
 
@@ -245,7 +245,7 @@ def _groups() -> dict[str, Group]:
     for bent in (False, True):
         body = "bent" if bent else "straight"
         groups[f"folded, {body}, nothing said"] = Group(partial(folded, bent), options=NOTHING_SAID)
-    for name, draw in (("pressed", touches.pressed), ("bent", touches.bent)):
+    for name, draw in (("pressed", contact_scenes.pressed), ("bent", contact_scenes.bent)):
         for said, options in (("all said", {}), ("nothing said", NOTHING_SAID)):
             groups[f"{name}, {said}"] = Group(draw, options=options)
     return groups
@@ -263,7 +263,7 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
     stands_out = np.zeros(size) if scenes.stands_out is None else scenes.stands_out
     least = np.full(size, np.inf)
     if group.against_free or scenes.arcs.shape[1] == 2:
-        least = touches.misfit_of_one_contact(frames, scenes.position, scenes.free)
+        least = contact_scenes.misfit_of_one_contact(frames, scenes.position, scenes.free)
     if group.against_free:
         free = np.square((frames - scenes.free[:, None]) / SIGMA).sum(axis=1)
         stands_out = free - least

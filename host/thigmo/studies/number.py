@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from thigmo.localization import Localizer, LocalizeResult, arc_bounds, priors
 from thigmo.mechanics.closed_forms import phi
 from thigmo.report.axes import BLUE, ORANGE
-from thigmo.studies import touches
+from thigmo.studies import contact_scenes
 from thigmo.studies.charts import curves, legend_below, panels
+from thigmo.studies.contact_scenes import holds, signs
 from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, share
 from thigmo.studies.loads import DENSE, NOTHING_SAID, anywhere
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
-from thigmo.studies.touches import holds, signs
 
 BATCH = 100
 BOUNDS = (0.5, 1.0, 1.5, 2.0, 2.5, 4.0, 8.0)  # cm, upper edges of the bins
@@ -36,10 +36,10 @@ SURE = 0.9  # probability from which a number is hardly in doubt
 BINS = np.linspace(0.0, 1.0, 11)
 NUMBER_LEVELS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
 WIDTHS = (0.04, 0.08, 0.12, 0.15, 10.0 / 53.0, 0.25, 0.35)  # of the length
-TRADED: dict[str, touches.Draw] = {
-    "pressed": touches.pressed,
-    "bent": touches.bent,
-    "peg": touches.GROUPS["peg"],
+TRADED: dict[str, contact_scenes.Draw] = {
+    "pressed": contact_scenes.pressed,
+    "bent": contact_scenes.bent,
+    "peg": contact_scenes.GROUPS["peg"],
     "two bent, 20 readings": partial(anywhere, 2, True, DENSE),
 }
 SINGLES = tuple(TRADED)[:3]

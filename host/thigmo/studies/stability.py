@@ -6,7 +6,7 @@ readings; the map over starting points has the same readings in every row, and t
 a starting point. The thesis's sensitivity study (`experiments/sensitivity.py`) is one more such
 map.
 
-One chart has what a room and a calibration do that no method is told of: walls, friction, a wrong
+One chart has what a room and a calibration do that no method is given: walls, friction, a wrong
 map of the muscle, wrong gains, and weak touches at the tip. It holds ours against the thesis's
 solver and exact least squares, each given the number of contacts.
 """
@@ -26,6 +26,7 @@ from thigmo.localization import METHODS
 from thigmo.mechanics import Peg, Rod, Solution, Tube
 from thigmo.studies import charts
 from thigmo.studies.attempt import FAILURE_CM, attempt, mean_and_failures, mean_over
+from thigmo.studies.contact_scenes import one_contact as rubbed
 from thigmo.studies.engine import Claim, Context, Outcome, Record
 from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import (
@@ -42,7 +43,6 @@ from thigmo.studies.scenes import (
     read,
     side_of,
 )
-from thigmo.studies.touches import one_contact as rubbed
 
 Draw = Callable[[np.random.Generator, float, float], tuple[Case, float]]
 """Case and the noise that the method is given, for a row and a column condition."""
@@ -189,7 +189,7 @@ STRESSES: tuple[Stress, ...] = (
 )  # fmt: skip
 # What one chart has together, and the methods in it.
 RIVALS = {DEFAULT: "ours", "alternating": "the thesis's solver", "l2": "least squares"}
-UNTOLD: tuple[Stress, ...] = tuple(
+UNSTATED: tuple[Stress, ...] = tuple(
     Stress(name, draw, label, rows, methods=tuple(RIVALS))
     for name, draw, label, rows in (
         ("wall", _against_wall, "bend over that at the touch", (1.1, 1.25, 1.5, 2.0, 3.0)),
@@ -292,13 +292,13 @@ def _figure(stress: Stress, errors: Floats) -> Figure:
     return figure
 
 
-def _untold_figure(errors: dict[str, Floats]) -> Figure:
+def _unstated_figure(errors: dict[str, Floats]) -> Figure:
     """A column a stress: mean error above, failures below, a line a method."""
-    figure, axes = charts.panels(2, len(UNTOLD), size=(1.5, 2.3))
+    figure, axes = charts.panels(2, len(UNSTATED), size=(1.5, 2.3))
     tops = [0.0, 100.0]
-    for column, stress in enumerate(UNTOLD):
+    for column, stress in enumerate(UNSTATED):
         for measure, (label, _) in enumerate(_MEASURES):
-            axis = axes[measure * len(UNTOLD) + column]
+            axis = axes[measure * len(UNSTATED) + column]
             values = np.array([
                 [mean_and_failures(row[:, m])[measure] for m in range(len(RIVALS))]
                 for row in errors[stress.name][:, 0]
@@ -319,7 +319,7 @@ def _untold_figure(errors: dict[str, Floats]) -> Figure:
             else:
                 axis.tick_params(labelleft=False)
     for number, axis in enumerate(axes):
-        axis.set_ylim(-0.03 * tops[number >= len(UNTOLD)], tops[number >= len(UNTOLD)])
+        axis.set_ylim(-0.03 * tops[number >= len(UNSTATED)], tops[number >= len(UNSTATED)])
         axis.tick_params(labelsize=6)
     charts.legend_below(figure)
     return figure
@@ -337,16 +337,16 @@ def run(context: Context) -> Outcome:
     cases = context.count(2, 20)
     outcome = Outcome()
     lines: list[Record] = []
-    untold: dict[str, Floats] = {}
-    for stress in (*UNTOLD, *STRESSES):
+    unstated: dict[str, Floats] = {}
+    for stress in (*UNSTATED, *STRESSES):
         # A general optimiser takes long from a bad start, and three quick methods do not.
-        some = max(cases // 4, 1) if stress.starts else 5 * cases if stress in UNTOLD else cases
+        some = max(cases // 4, 1) if stress.starts else 5 * cases if stress in UNSTATED else cases
         errors = errors_of(context, stress, some)
         outcome.tables[stress.name] = tabulate(stress, errors)
         _, *others = over_all = pooled(stress, errors)
         lines += over_all
-        if stress in UNTOLD:
-            untold[stress.name] = errors
+        if stress in UNSTATED:
+            unstated[stress.name] = errors
         else:
             most, best = max((float(line["default_over_it"]), line["method"]) for line in others)
             text = "default method's mean error over that of the best other"
@@ -354,5 +354,5 @@ def run(context: Context) -> Outcome:
             outcome.figures[stress.name] = _figure(stress, errors)
         context.save(Outcome({stress.name: outcome.tables[stress.name]}, claims=outcome.claims))
     outcome.tables["rows"] = lines
-    outcome.figures["untold"] = _untold_figure(untold)
+    outcome.figures["unstated"] = _unstated_figure(unstated)
     return outcome

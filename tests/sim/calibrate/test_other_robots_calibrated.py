@@ -11,19 +11,19 @@ from command import Thigmo
 
 from thigmo.calibrate.session import blank
 from thigmo.config import RobotConfig
-from thigmo.design import draft
+from thigmo.design.draft import Kind, draft
 from thigmo.emulator.reach import random_peg, room_for
 from thigmo.emulator.scene import PegTable, Scene
 
 pytestmark = pytest.mark.ci
 
 
-def unknown(seed: int, length_cm: float, sensors: int, muscles: int) -> Scene:
+def unknown(seed: int, length_cm: float, sensors: int, muscles: int, kind: Kind) -> Scene:
     """A robot out to its tip in an empty room, whose sensors and maps nobody has measured."""
-    scene = room_for(draft(length_cm, sensors, muscles), 0, peg=False)
+    scene = room_for(draft(length_cm, sensors, muscles, kind=kind), 0, peg=False)
     rng = np.random.default_rng(seed)
     for sensor in scene.robot.sensors:
-        sensor.scale_per_ohm *= float(rng.uniform(0.75, 1.25))
+        sensor.rescale(float(rng.uniform(0.75, 1.25)))
     for muscle in scene.robot.muscles:
         for zone in muscle.maps:
             stretch = float(rng.uniform(0.93, 1.07))
@@ -34,12 +34,16 @@ def unknown(seed: int, length_cm: float, sensors: int, muscles: int) -> Scene:
 
 
 @pytest.mark.parametrize(
-    ("length_cm", "sensors", "muscles"), [(30.0, 3, 1), (120.0, 8, 2), (200.0, 16, 1)]
-)
+    ("length_cm", "sensors", "muscles", "kind"),
+    [
+        (30.0, 3, 1, "flex"), (120.0, 8, 2, "flex"), (200.0, 16, 1, "flex"),
+        (100.0, 12, 2, "heading"),
+    ],
+)  # fmt: skip
 def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
-    thigmo: Thigmo, tmp_path: Path, length_cm: float, sensors: int, muscles: int
+    thigmo: Thigmo, tmp_path: Path, length_cm: float, sensors: int, muscles: int, kind: Kind
 ) -> None:
-    scene = unknown(3, length_cm, sensors, muscles)
+    scene = unknown(3, length_cm, sensors, muscles, kind)
     truth = scene.robot
     scene.save(tmp_path / "bare.toml")
     # Body pressures but the last were calibrated before; here that takes a camera's time.
@@ -48,7 +52,7 @@ def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
         muscle.maps[:-1] = true.maps[:-1]
     begun.save(tmp_path / "begun.toml")
     folder = tmp_path / "calibration"
-    for step in ("pressure", "actuator", "flex"):
+    for step in ("pressure", "actuator", kind):
         ran = thigmo(
             "calibrate", step, "--robot", f"emulator://{tmp_path / 'bare.toml'}", "--config",
             tmp_path / "begun.toml", "--folder", folder, "--trials", 1, "--step-psi", 4.5,

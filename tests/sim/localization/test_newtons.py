@@ -8,7 +8,7 @@ import pytest
 import thigmo
 from thigmo.errors import DataError
 from thigmo.localization import Localizer, Quantity
-from thigmo.studies import touches
+from thigmo.studies import contact_scenes
 from thigmo.studies.loads import DENSE, MOST_TURN, ROD_CM, ROD_NOISE
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
@@ -28,12 +28,12 @@ def holds(quantity: Quantity | None, truth: float) -> bool:
 def test_forces_across_the_body_are_held_by_their_intervals(bent: bool, position: Floats) -> None:
     rng = np.random.default_rng(24)
     count = 150
-    free = touches.signs(rng, count) * rng.uniform(0.005, 0.05, count) * bent
+    free = contact_scenes.signs(rng, count) * rng.uniform(0.005, 0.05, count) * bent
     arc = rng.uniform(15.0, LENGTH, count)
     size = np.minimum(CRITICAL, 0.9 * np.abs(free)) if bent else np.full(count, CRITICAL)
-    side = -np.sign(free) if bent else touches.signs(rng, count)
+    side = -np.sign(free) if bent else contact_scenes.signs(rng, count)
     force = side * rng.uniform(0.3, 1.0, count) * size / arc
-    scenes = touches.one_contact(arc, force, free, position)
+    scenes = contact_scenes.one_contact(arc, force, free, position)
     localizer = Localizer.of(
         position=position, length=LENGTH, span=SPAN, noise=SIGMA, stiffness=(EI, ERROR), **ROBOT
     )
@@ -63,7 +63,7 @@ def test_loads_on_the_end_are_told_apart(sensors: int) -> None:
     held: list[list[bool]] = [[], [], []]
     wider = []
     while len(held[0]) < 150:
-        force = touches.signs(rng, 1)[0] * rng.uniform(0.5, 5.0) / ROD_CM**2
+        force = contact_scenes.signs(rng, 1)[0] * rng.uniform(0.5, 5.0) / ROD_CM**2
         slant, couple = rng.uniform(-np.pi / 3, np.pi / 3), rng.uniform(-1.5, 1.5) / ROD_CM
         across, along = force * np.cos(slant), force * np.sin(slant)
         end = np.full((1, 1), ROD_CM)

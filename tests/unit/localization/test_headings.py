@@ -23,8 +23,8 @@ def _answers(seed: int, count: int):
     rng = np.random.default_rng(seed)
     for _ in range(count):
         contact = rng.uniform(30.0, 95.0)
-        told = _headings(contact, 0.008 / contact) + SIGMA * rng.standard_normal(13)
-        yield contact, thigmo.from_headings(told, ARC, SIGMA)
+        noisy = _headings(contact, 0.008 / contact) + SIGMA * rng.standard_normal(13)
+        yield contact, thigmo.from_headings(noisy, ARC, SIGMA)
 
 
 def test_errors_that_neighbours_share_give_intervals_that_hold_the_contact() -> None:
@@ -46,8 +46,8 @@ def test_errors_that_neighbours_share_give_intervals_that_hold_the_contact() -> 
 
 
 def test_full_turns_are_taken_out_and_frames_are_rows() -> None:
-    told = 0.1 * np.arange(13) * np.array([[1.0], [2.0]]) * 8
-    wound = (told + np.pi) % (2 * np.pi) - np.pi
+    headings = 0.1 * np.arange(13) * np.array([[1.0], [2.0]]) * 8
+    wound = (headings + np.pi) % (2 * np.pi) - np.pi
     rows = thigmo.from_headings(wound, ARC, ERROR)
     assert rows.curvature == pytest.approx(np.full((2, 12), 0.1) * np.array([[1.0], [2.0]]))
     assert rows.shared_errors.sum(axis=1) == pytest.approx(np.zeros(12))

@@ -189,5 +189,5 @@ def test_a_localizer_is_checked_once_and_stays_as_it_was():
 
 def test_an_error_of_the_zero_is_noise_of_a_frame():
     arguments = GOOD | {"curvature": [3e-3, 2e-3, 1e-3]}
-    told = thigmo.localize(**arguments | {"zero_error": 8e-4})
-    assert told.log_odds == thigmo.localize(**arguments | {"noise": 1e-3}).log_odds
+    stated = thigmo.localize(**arguments | {"zero_error": 8e-4})
+    assert stated.log_odds == thigmo.localize(**arguments | {"noise": 1e-3}).log_odds

@@ -60,8 +60,8 @@ def test_a_contact_is_found_with_its_force_in_the_frame_of_the_base():
 def test_units_and_rows_are_those_of_the_plane():
     curvature = noisy(pressed(0.6, 2.0, 1.0).readings(POSITION, AXIS, SPAN), 2)
     one = thigmo.localize(curvature[0], **READ)
-    told = READ | {"position": 530 * POSITION, "span": 530 * SPAN, "length": 530.0}
-    localizer = Localizer.of(**(told | {"noise": SIGMA / 530}))
+    options = READ | {"position": 530 * POSITION, "span": 530 * SPAN, "length": 530.0}
+    localizer = Localizer.of(**(options | {"noise": SIGMA / 530}))
     other = localizer.localize(curvature[0] / 530)
     assert other.contacts[0].arc == pytest.approx(530 * one.contacts[0].arc)
     assert np.multiply(other.contacts[0].vector, 530**2) == pytest.approx(one.contacts[0].vector)
@@ -83,10 +83,10 @@ def test_turned_about_its_axis_with_everything_places_stay():
     assert other.contacts[0].vector == pytest.approx(about @ one.contacts[0].vector, abs=1e-6)
 
 
-def test_weight_that_is_told_is_no_contact():
+def test_weight_that_is_stated_is_no_contact():
     rods = solve(np.ones((1, 1)), np.zeros((1, 1, 3)), weight=np.array([[0.4, -1.5, 0.3]]))
     curvature = noisy(rods.readings(POSITION, AXIS, SPAN)[0], 4)
-    assert thigmo.localize(curvature, **READ).contacts  # untold it looks like one
+    assert thigmo.localize(curvature, **READ).contacts  # unstated it looks like one
     assert thigmo.localize(curvature, **READ, weight=rods.weight[0]).status == "no contact"
 
 
@@ -142,8 +142,8 @@ def test_one_contact_is_weighed_as_dense_normal_densities():
 
 @pytest.mark.parametrize("weight", [None, (0.2, -1.0, 0.5)])
 def test_readings_of_zero_without_a_noise_have_a_finite_answer(weight):
-    told = READ | {"noise": None, "weight": weight}
-    result = thigmo.localize(np.zeros(POSITION.size), **told)
+    options = READ | {"noise": None, "weight": weight}
+    result = thigmo.localize(np.zeros(POSITION.size), **options)
     assert np.isfinite(result.log_odds)
     assert sum(result.hypotheses.values()) == pytest.approx(1.0)
 

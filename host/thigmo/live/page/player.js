@@ -4,7 +4,7 @@
 import { $, BOARD, COLUMN, COLUMNS, SENSORS, add, hold, reset, store, time, until } from "./store.js";
 import { make, rounded } from "./svg.js";
 
-const ONCE = ["event", "log"]; // listed; what else is told holds until the next of its kind
+const ONCE = ["event", "log"]; // listed; what else is recorded holds until the next of its kind
 let messages = [], boards = [], end = 0, playing = null, loads = 0;
 
 export const shown = () => document.body.dataset.mode === "record";
@@ -37,7 +37,7 @@ export async function loadRecord() {
 
 export const loaded = () => end > 0;
 
-const told = (channel) => messages.filter((each) => each.channel === channel);
+const recorded = (channel) => messages.filter((each) => each.channel === channel);
 
 export function seek(t) {
   store.now = Math.min(Math.max(t, 0), end);
@@ -56,7 +56,7 @@ function drawMarks() {
   svg.replaceChildren();
   make("rect", { x: 0, y: 14, width: end, height: 8, fill: "var(--line)", rx: 0 }, svg);
   let stage = null, shade = 0;
-  const states = told("state");
+  const states = recorded("state");
   for (const each of states) {
     if (each.stage_cm === stage) continue;
     stage = each.stage_cm;
@@ -70,7 +70,7 @@ function drawMarks() {
     make("rect", { x: time(event.t_s) - tick / 2, y: 8, width: tick, height: 20, fill: `var(--${event.severity === "fault" ? "fault" : "warn"})` }, svg);
   }
   let known = 0;
-  for (const each of told("contacts")) {
+  for (const each of recorded("contacts")) {
     if (each.contacts.length > known) make("rect", { x: time(each.t_s) - tick, y: 6, width: 2 * tick, height: 24, fill: "var(--contact)" }, svg);
     known = each.contacts.length;
   }

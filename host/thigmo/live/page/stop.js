@@ -29,7 +29,7 @@ function show(next) {
 }
 
 // What is known of the way to the robot: "none" while nothing runs, "lost" where nobody owns its port
-// any more, "offline" where this page has lost its server. What became of a stop is told until the
+// any more, "offline" where this page has lost its server. What became of a stop is shown until the
 // robot is let go, or something runs again.
 export function stopReaches(way, page = null) {
   if (pending || page && (page.last_stop?.at_s ?? 0) < last_s) return; // it was sent before
@@ -49,9 +49,9 @@ export async function stop() {
   while (performance.now() < end) {
     try {
       const answer = await fetch("stop", { method: "POST", keepalive: true, cache: "no-store" });
-      const told = await answer.json();
-      if (told.stopped.length || told.failed) last_s = told.at_s;
-      next = told.stopped.length ? "stopped" : told.failed ? "unconfirmed" : "idle";
+      const outcome = await answer.json();
+      if (outcome.stopped.length || outcome.failed) last_s = outcome.at_s;
+      next = outcome.stopped.length ? "stopped" : outcome.failed ? "unconfirmed" : "idle";
       break;
     } catch {
       show("lost");

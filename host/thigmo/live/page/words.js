@@ -1,4 +1,4 @@
-// What is told in words: the header, banners, contacts and events.
+// What is said in words: the header, banners, contacts and events.
 
 import { $, COLUMN, muscles, element, latest, store, time } from "./store.js";
 import { minus, rounded } from "./svg.js";
@@ -48,13 +48,13 @@ export function drawWords(lost) {
 // How empty the muscles are, as far as the board was heard after it had stopped.
 function emptying() {
   const { board } = store;
-  if (!board.faults.includes("stopped")) return "The board has not told the pressures since.";
+  if (!board.faults.includes("stopped")) return "The board has not sent its pressures since.";
   const psi = muscles().map(({ output }) => latest(COLUMN.pressure + output));
-  const told = muscles().map(({ name }, n) => `${name} ${fixed(psi[n], 1)} psi`).join(", ");
-  return `The muscles ${Math.max(...psi) < EMPTY_PSI ? "are empty" : "are emptying"}: ${told}.`;
+  const pressures = muscles().map(({ name }, n) => `${name} ${fixed(psi[n], 1)} psi`).join(", ");
+  return `The muscles ${Math.max(...psi) < EMPTY_PSI ? "are empty" : "are emptying"}: ${pressures}.`;
 }
 
-// Who stopped last, and what came of it: it stays told, whatever runs next.
+// Who stopped last, and what came of it: it stays shown, whatever runs next.
 function lastStop() {
   const stop = store.page?.last_stop;
   if (!stop) return "";
@@ -143,38 +143,38 @@ function entry(event) {
 
 function drawBanners(lost) {
   const { page, board, events } = store;
-  const told = [];
+  const banners = [];
   if (lost) {
-    told.push(["fault", "Stop not connected: use the e-stop.", "The page has lost its server. In a terminal, `thigmo stop` stops the robot as well."]);
+    banners.push(["fault", "Stop not connected: use the e-stop.", "The page has lost its server. In a terminal, `thigmo stop` stops the robot as well."]);
   } else if (page?.mode === "live" && page.stop === "lost" && document.body.dataset.stop !== "stopped") {
-    told.push(["fault", "Stop not connected: use the e-stop.", "The process that owns the robot’s port does not answer."]);
+    banners.push(["fault", "Stop not connected: use the e-stop.", "The process that owns the robot’s port does not answer."]);
   }
   if (page?.mode === "live" && !lost && page.silent_s > 2 && !page.ended) {
-    told.push(["warning", `No reading for ${rounded(page.silent_s, 0)} s.`, "The run may hang. Stop works: the process that owns the port takes it."]);
+    banners.push(["warning", `No reading for ${rounded(page.silent_s, 0)} s.`, "The run may hang. Stop works: the process that owns the port takes it."]);
   }
   const stopped = document.body.dataset.stop === "stopped" && !lost;
   if (stopped) {
     const by = page?.last_stop ? ` by ${page.last_stop.by}` : "";
-    told.push(["note", `Stopped${by}: valves off, motor braked. ${emptying()}`, page?.robot
+    banners.push(["note", `Stopped${by}: valves off, motor braked. ${emptying()}`, page?.robot
       ? "Look at the robot, then Clear lets it move again, and Retract winds it in."
       : "This robot lives in its run, and ends with it."]);
   }
   for (const fault of board.faults) {
     if (fault === "stopped" && stopped) continue;
     const event = events.findLast((each) => each.severity === "fault" && each.name === fault);
-    told.push(["fault", event?.message ?? `Fault: ${fault}.`, event?.next ?? ""]);
+    banners.push(["fault", event?.message ?? `Fault: ${fault}.`, event?.next ?? ""]);
   }
-  if (page?.failure) told.push(["fault", "The record cannot be read.", page.failure]);
+  if (page?.failure) banners.push(["fault", "The record cannot be read.", page.failure]);
   const { name, said, failure } = page?.started ?? {};
-  if (failure && !stopped) told.push(["fault", `${MOTIONS[name]?.[1] ?? "The run"} did not start, or ended early.`, failure]);
-  else if (said && name !== "explore") told.push(["note", said, ""]);
+  if (failure && !stopped) banners.push(["fault", `${MOTIONS[name]?.[1] ?? "The run"} did not start, or ended early.`, failure]);
+  else if (said && name !== "explore") banners.push(["note", said, ""]);
   if (store.dropped && performance.now() - store.droppedAt < 5000) {
-    told.push(["warning", `This page is slow: ${store.dropped} readings were left out.`, "The robot and its record miss nothing."]);
+    banners.push(["warning", `This page is slow: ${store.dropped} readings were left out.`, "The robot and its record miss nothing."]);
   }
-  const key = JSON.stringify(told);
+  const key = JSON.stringify(banners);
   if (key === listed.banners) return;
   listed.banners = key;
-  $("banners").replaceChildren(...told.map(([kind, what, next]) => {
+  $("banners").replaceChildren(...banners.map(([kind, what, next]) => {
     const banner = element("div", { class: `banner ${kind}` }, element("b", {}, sentence(what)));
     if (next) banner.append(element("span", { class: "next" }, sentence(next)));
     return banner;

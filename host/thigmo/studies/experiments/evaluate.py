@@ -14,7 +14,7 @@ from scipy import special
 
 from thigmo.errors import DataError
 from thigmo.studies.engine import Claim, Context, Outcome
-from thigmo.studies.experiments import compare, figures, thesis
+from thigmo.studies.experiments import compare, plots, thesis
 from thigmo.studies.experiments.compare import OURS, THEIRS, Solved
 from thigmo.studies.experiments.trial import Trial
 from thigmo.studies.rod import Floats
@@ -63,7 +63,7 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
         every += solved
     return Outcome(
         {"answers": _answers(every), "rows": rows},
-        figures.FIGURES[name](every),
+        plots.FIGURES[name](every),
         [
             Claim(
                 f"{name}, {r['condition']}: {measure}",
@@ -223,7 +223,7 @@ def _remarks(r: Row) -> list[str]:
 
 
 def _answers(solved: Sequence[Solved]) -> list[dict[str, str]]:
-    """One line a trial and method: what `figures.py` draws, for other tools."""
+    """One line a trial and method: what `plots.py` draws, for other tools."""
     return [
         {"condition": trial.condition, "place": trial.place, "method": method}
         | {

@@ -72,10 +72,10 @@ def misfit(found: dict[str, tuple[float, float]]) -> float:
     total = 0.0
     readings = thesis.TRIALS * len(thesis.SINGLE_ARCS_CM)
     for row, (mean, spread) in found.items():
-        told_mean, told_spread = thesis.RESULTS["single-contact", row]
-        total += ((mean - told_mean) / (told_spread / np.sqrt(readings))) ** 2
+        thesis_mean, thesis_spread = thesis.RESULTS["single-contact", row]
+        total += ((mean - thesis_mean) / (thesis_spread / np.sqrt(readings))) ** 2
         # A standard deviation of n readings is known to 1 / sqrt(2 n - 2) of itself.
-        total += (np.log(max(spread, 1e-3) / told_spread) * np.sqrt(2 * readings - 2)) ** 2
+        total += (np.log(max(spread, 1e-3) / thesis_spread) * np.sqrt(2 * readings - 2)) ** 2
     return float(total)
 
 
@@ -119,7 +119,7 @@ def fit(seed: int, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
 
 
 def predictions(robots: int, trials: int, context: Context) -> Outcome:
-    """Every setting, over robots built anew for it from the same seed."""
+    """Every setting, over robots drawn for it from the same seed."""
     items = [(setting, robots, trials, context.seed) for setting in _settings()]
     found = [cell for some in context.map(_cells, items, "changed constants") for cell in some]
     return Outcome({"cells": found}, notes=remarks(found))

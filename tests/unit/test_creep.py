@@ -8,7 +8,7 @@ import pytest
 from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
-from thigmo.robot import StandingWatch
+from thigmo.robot import CreepWatch
 from thigmo.robot.readings import Floats, SensorTable
 
 CONFIG = RobotConfig()
@@ -26,13 +26,13 @@ def _sums(curvature: Floats, rng: np.random.Generator) -> tuple[int, ...]:
 
 def _watched(
     until_s: float, seed: int, tau_s: float = 8.0, bent_s: tuple[float, float] = (0.0, 0.0)
-) -> tuple[StandingWatch, Floats]:
+) -> tuple[CreepWatch, Floats]:
     """A robot that grew from 40 to 50 cm until t = 0 and stood still since, and its creep."""
     rng = np.random.default_rng(seed)
     creep = 0.02 * rng.standard_normal(10)
     offset = 0.002 * rng.standard_normal(10)
     everted_s = -1.125  # the tip passed 47.75 cm then, at 2 cm/s
-    watch = StandingWatch(CONFIG, OVERSAMPLE)
+    watch = CreepWatch(CONFIG, OVERSAMPLE)
     for t in np.arange(-5.0, until_s, 0.02):
         length = 50.0 + 2.0 * min(t, 0.0)
         late = np.zeros(10)

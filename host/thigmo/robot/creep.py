@@ -28,7 +28,7 @@ _TAU_SE = 0.15
 _AMPLITUDE_SD = 0.03
 
 
-class StandingWatch:
+class CreepWatch:
     """Follows telemetry through a run; a raw reading sums `oversample` conversions."""
 
     def __init__(self, config: RobotConfig, oversample: int) -> None:
@@ -55,15 +55,15 @@ class StandingWatch:
         if slot == self._slot:
             return
         self._slot = slot
-        told = frame.message
-        out = self._ends <= told.length_um / 1e4
+        row = frame.message
+        out = self._ends <= row.length_um / 1e4
         self._everted_s[out & ~self._out] = t_s
         self._out = out
-        if told.motor != 0 or max(told.pressure_cpsi) > _IDLE_CPSI:
+        if row.motor != 0 or max(row.pressure_cpsi) > _IDLE_CPSI:
             self._moved_s = t_s
         if t_s - self._moved_s > _STILL_S:
             self._times.append(t_s)
-            self._sums.append(told.flex_sum)
+            self._sums.append(row.flex_sum)
 
     def rest(self, at_s: float, sensors: int) -> tuple[Floats, Floats]:
         """What young sensors of a mask would read of the straight robot, and its standard error.
@@ -86,14 +86,14 @@ class StandingWatch:
             raw = self._table.unzeroed(sums)[:, i]
             count = np.bincount(bins)
             level = float(raw[-1])
-            told = np.bincount(bins, raw - level) / count
+            level_at = np.bincount(bins, raw - level) / count
             when = np.bincount(bins, since[use]) / count
             noise = float(self._table.noise[i])
             # A second pass lets this eversion's own amplitude carry the doubt about tau.
             law = self._laws[i]
-            *_, own = law.observe(when, told, noise)
+            *_, own = law.observe(when, level_at, noise)
             again = Settling(law.tau_s, law.tau_se_s, own.amplitude, law.amplitude_sd)
-            settled, settled_sd, own = again.observe(when, told, noise)
+            settled, settled_sd, own = again.observe(when, level_at, noise)
             excess, excess_sd = own.excess(at_s - self._everted_s[i])
             value[i] = level + settled + float(excess)
             sigma[i] = np.hypot(settled_sd, float(excess_sd))
