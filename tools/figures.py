@@ -390,7 +390,6 @@ SOURCES: dict[str, Source] = {
             "number": {"number-number.png": "number.png", "number-trade.png": "trade.png"},
             "exploration": {
                 "exploration-explorations.png": "explorations.png",
-                "exploration-dial.png": "dial.png",
             },
             "robots": {},
             "plant-models": {"plant-models-ladder.png": "ladder.png"},
@@ -430,6 +429,14 @@ def run(name: str) -> None:
         (RESULTS / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n")
         for made, kept in source.pictures.items():
             shutil.copy(next(Path(folder).rglob(made)), ROOT / "docs" / kept)
+
+
+def draw_dial() -> None:
+    """Draw docs/dial.png from the kept rows of the explorations."""
+    from thigmo.studies.exploration import dial_figure
+
+    (study,) = json.loads((RESULTS / "bench-exploration.json").read_text())
+    dial_figure(study["dial"]).savefig(ROOT / "docs" / "dial.png", dpi=200)
 
 
 # The five rows of README, by source and name, with the words that README has for them.
@@ -511,6 +518,8 @@ def main() -> None:
     if not (options.render or options.check):
         for name in options.sources or SOURCES:
             run(name)
+            if name == "bench-exploration":
+                draw_dial()
     for page in PAGES:
         made = rendered(page)
         if options.check and made != page.read_text():

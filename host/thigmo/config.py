@@ -528,7 +528,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}", "check the path") from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}", "mend that line") from error
+        raise ConfigError(f"{path} is not valid TOML: {error}", "correct that line") from error
 
 
 def validated(model: type[M], data: dict[str, Any], path: str | os.PathLike[str]) -> M:

@@ -1,6 +1,6 @@
 """What an installation may lack: packages of the extras, and what only the sources bring.
 
-The base localizes, explores and flashes. Whoever needs more asks here first, so that a user reads
+The base localizes, explores and flashes. Code that needs more asks here first, so that a user reads
 what to install and not a traceback.
 """
 

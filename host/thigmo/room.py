@@ -25,7 +25,7 @@ class Dowel(Protocol):
 
 
 class Operator(Protocol):
-    """Whoever stands beside the robot and does what its board cannot."""
+    """The person beside the robot, who does what its board cannot."""
 
     def everted_length_cm(self) -> float:
         """Measure the everted length."""

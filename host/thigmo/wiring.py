@@ -72,7 +72,7 @@ def beyond_board(config: RobotConfig) -> list[Beyond]:
         found.append(
             Beyond(
                 f"a column of {board.sensors} sensors without a healthy one at its base",
-                "mend that sensor: the contact trigger works on it",
+                "correct that sensor: the contact trigger works on it",
             )
         )
     return found

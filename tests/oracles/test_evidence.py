@@ -69,7 +69,8 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
             column = phi(arc, POSITION / LENGTH, SPAN / LENGTH)
             for scale in priors.MOMENTS:
                 deviation = scale / max(arc, priors.LEAST_LEVER)
-                each.append(log_density(deviation**2 * np.outer(column, column), which >= 0))
+                own = log_density(deviation**2 * np.outer(column, column), which >= 0)
+                each.append(own + np.log(priors.place_density(arc)))
         weight = logsumexp(each) - np.log(len(each)) + priors.CONTACT
         assert found[2, which] == pytest.approx(weight, abs=0.02)
 
@@ -120,6 +121,7 @@ def test_several_contacts_are_weighed_as_dense_normal_densities(count, cells, lo
         )
         for scale in priors.MOMENTS
     ]
+    logs += np.log(priors.place_density(arcs)).sum(axis=1)
     weight = mean_of(logs) + priors.CONTACT + (count - 1) * priors.ANOTHER
     assert found[load, -1] == pytest.approx(weight, abs=1e-6)
 
@@ -155,6 +157,7 @@ def test_kinks_are_weighed_as_dense_normal_densities():
             )
             for scale in priors.MOMENTS
         ]
+        logs += np.log(priors.place_density(arcs[:, 0]))
         each.append(mean_of(logs) + odds + priors.CONTACT)
     assert found[5, -1] == pytest.approx(logsumexp(each), abs=0.05)
 
@@ -192,7 +195,8 @@ def test_a_folded_base_is_weighed_as_dense_normal_densities():
                 curvature, np.broadcast_to(error * levers, (401, 1, 10)), doubted=doubted,
                 mean=sign * (levers + priors.ANGLE * angles * fold),
             )  # fmt: skip
-            each.append(logsumexp(logs + np.log(half[:, 0])) - np.log(2.0))
+            own = logsumexp(logs + np.log(half[:, 0])) - np.log(2.0)
+            each.append(own + np.log(priors.place_density(arc)))
     within = [math.erf(critical * LENGTH / (np.sqrt(2.0) * m)) for m in priors.MOMENTS]
     weight = logsumexp(each) - np.log(60) + priors.CONTACT + np.log(1.0 - np.mean(within))
     assert found[4, -1] == pytest.approx(weight, abs=0.05)

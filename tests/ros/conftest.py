@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
+import shlex
 import subprocess
 import sys
 import threading
@@ -12,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
@@ -87,6 +90,7 @@ class Ros:
             "ROS_DOMAIN_ID": str(self.domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "PYTHONUNBUFFERED": "1",
+            "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
         }
 
     def bridge(self, *arguments: str | Path) -> Program:
@@ -100,14 +104,38 @@ class Ros:
         planner.hears(lambda told: told["topic"] == "ready")
         return planner
 
-    def robot(self, url: str, options: str, namespace: str = "thigmo") -> Program:
-        """The node of ros/thigmo_ros that serves the action and the services of a robot."""
-        node = ROS_PYTHON.parents[1] / "lib" / "thigmo_ros" / "robot.py"
-        command = [str(ROS_PYTHON), str(node), "--ros-args", "-r", f"__ns:=/{namespace}"]
-        thigmo = Path(sys.executable).with_name("thigmo")
-        for name, value in (("robot", url), ("thigmo", thigmo), ("options", options)):
-            command += ["-p", f"{name}:={json.dumps(str(value))}"]
-        return self._start(command)
+    def launch(self, **given: str | Path) -> list[Program]:
+        """The programs of ros/thigmo_ros's launch file; what is not given has its default.
+
+        The file is read here, for the tests install nothing of ROS's `launch`: its elements
+        `executable` and `node` are started as `ros2 launch` starts them.
+        """
+        file = ROS_PYTHON.parents[1] / "share" / "thigmo_ros" / "launch" / "thigmo.launch.xml"
+        launch = ElementTree.parse(file).getroot()
+        known = {each.attrib["name"]: each.attrib["default"] for each in launch.iter("arg")}
+        assert given.keys() <= known.keys(), "the launch file has no such argument"
+        known |= {name: str(value) for name, value in given.items()}
+
+        def filled(text: str) -> str:
+            return re.sub(r"\$\(var (\w+)\)", lambda found: known[found[1]], text)
+
+        started = []
+        for program in launch:
+            if program.tag == "executable":
+                started.append(self._start(shlex.split(filled(program.attrib["cmd"]))))
+            elif program.tag == "node":
+                node = (
+                    ROS_PYTHON.parents[1] / "lib" / program.attrib["pkg"] / program.attrib["exec"]
+                )
+                command = [str(ROS_PYTHON), str(node), "--ros-args"]
+                command += ["-r", f"__ns:=/{filled(program.attrib['namespace'])}"]
+                for each in program.iter("param"):
+                    value = json.dumps(filled(each.attrib["value"]))
+                    command += ["-p", f"{each.attrib['name']}:={value}"]
+                started.append(self._start(command))
+            else:
+                assert program.tag == "arg", f"the tests cannot start <{program.tag}>"
+        return started
 
     def transforms(self) -> Program:
         """A reader of /tf and /tf_static."""

@@ -155,12 +155,11 @@ def _service(planner: Any, name: str) -> dict[str, Any]:
     return answer
 
 
-def test_action_explores_with_feedback_and_returns_the_run(
+def test_launch_file_s_action_explores_with_feedback_and_returns_the_run(
     ros: Any, url: str, tmp_path: Path
 ) -> None:
     planner = ros.planner()
-    ros.bridge(url)
-    ros.robot(url, f"--seed 1 --out {tmp_path}")
+    ros.launch(robot=url, options=f"--seed 1 --out {tmp_path}")
     planner.say("explore 0")
     result = planner.hears(lambda told: told["topic"] == "result")
     assert (result["status"], result["outcome"]) == ("succeeded", "full length")
@@ -175,8 +174,7 @@ def test_action_says_how_far_it_is_ends_when_cancelled_and_is_stopped_by_the_ser
     ros: Any, url: str, tmp_path: Path
 ) -> None:
     planner = ros.planner()
-    ros.bridge(url)
-    ros.robot(url, f"--realtime --out {tmp_path}")
+    ros.launch(robot=url, options=f"--realtime --out {tmp_path}")
     assert not _service(planner, "stop")["success"]  # nothing is to be stopped
     for ending, status in (("cancel", "canceled"), ("call stop", "aborted")):
         planner.told.clear()
@@ -199,7 +197,7 @@ def test_clear_service_clears_the_faults_of_a_robot_on_a_port(ros: Any) -> None:
     robot = ready_to_sweep()
     try:
         planner = ros.planner()
-        ros.robot(robot.port, "")
+        ros.launch(robot=robot.port)
         answer = _service(planner, "stop")
         assert answer["success"], answer["message"]
         answer = _service(planner, "clear")

@@ -12,7 +12,7 @@ import pytest
 from thigmo.config import RobotConfig
 from thigmo.errors import CommandRefusedError, RobotFaultError
 from thigmo.exploration.effort import Effort
-from thigmo.exploration.run import Exploration, Protocol
+from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.exploration.states import State
 from thigmo.record import LogWriter, RunDocument, RunFolder
 from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
@@ -82,6 +82,9 @@ class Script:
 
     def wait_settled(self, progress: Any, sensors: int = 0x3FF) -> None:
         self._call("settle")
+
+    def settles_s(self, sensors: int) -> float:
+        return 0.0
 
     def wait(self, seconds: float) -> None:
         self.clock += seconds
@@ -155,7 +158,12 @@ def _calibrated() -> RobotConfig:
     return config
 
 
-def _explore(tmp_path: Path, robot: Script, protocol: Protocol = "measure") -> Exploration:
+def _explore(
+    tmp_path: Path,
+    robot: Script,
+    protocol: Protocol = "measure",
+    progress: Progress = lambda doing, share: None,
+) -> Exploration:
     document = RunDocument(thigmo="0", name="n", url="u", started="s")
     log = LogWriter(tmp_path / "run.mcap", {})
     run = Exploration(
@@ -164,7 +172,7 @@ def _explore(tmp_path: Path, robot: Script, protocol: Protocol = "measure") -> E
         RunFolder(tmp_path),
         log,
         document,
-        lambda doing, fraction: None,
+        progress,
         protocol,
         Effort("every pitch", 6, 1),
     )
@@ -191,6 +199,16 @@ def test_an_empty_room_is_explored_to_the_full_length(tmp_path: Path) -> None:
         "body 1.01",
         "body 0.49",
     ]
+
+
+@pytest.mark.parametrize("protocol", ["measure", "thesis"])
+def test_progress_never_falls_and_ends_at_the_whole(tmp_path: Path, protocol: Protocol) -> None:
+    shares: list[float] = []
+    run = _explore(tmp_path, Script(), protocol, lambda doing, share: shares.append(share))
+    run.tell()
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert len(set(shares)) > 10
 
 
 def test_young_sensors_are_set_aside_and_measure_once_their_rest_is_known(tmp_path: Path) -> None:

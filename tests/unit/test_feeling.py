@@ -126,6 +126,20 @@ def test_a_body_that_swings_as_a_sweep_begins_does_not_bend_the_map() -> None:
     assert mean == pytest.approx(np.full(10, 0.025), abs=5e-4)
 
 
+def test_sweeps_that_repeat_leave_less_doubt_than_sweeps_that_scatter() -> None:
+    use = np.arange(10) >= 5
+    doubt = []
+    for scatter in (0.0, 4e-3):
+        rng, response = np.random.default_rng(5), FreeResponse(CONFIG)
+        for _ in range(6):
+            sweep = _free_sweep(1.0, 0.0, rng)
+            sweep.curvature[:] += scatter * rng.standard_normal(10)
+            response.learn(sweep, "left", 2)
+        told = response.expected("left", 2, 0.025, np.full(10, 0.025), use)
+        doubt.append(np.hypot.reduce(told.shared_errors, axis=1).mean())
+    assert doubt[0] < 0.8 * doubt[1]
+
+
 def test_what_one_zone_teaches_of_the_map_is_expected_of_the_next() -> None:
     config = RobotConfig()
     for zone in config.muscle("left").maps:

@@ -49,6 +49,15 @@ def _explained(*seen: Sighting, passed: tuple[Passed, ...] = ()) -> list[Found]:
     return Room(ARCS, seen, passed, RADIUS).obstacles()
 
 
+def test_what_a_sweep_cannot_place_lies_where_the_plane_has_room() -> None:
+    """The area that a step along the body sweeps grows with the arc squared."""
+    (far,) = _explained(_sighting(53.0, 30.0, 1e3))
+    assert far.arc_cm > 53.0 / 2 ** (1 / 3) - 0.5
+    # Where the readings tell the place, the area hardly moves it.
+    (known,) = _explained(_sighting(53.0, 30.0, 1.0))
+    assert known.arc_cm == pytest.approx(30.0, abs=0.2)
+
+
 def test_a_peg_felt_at_several_stages_is_one_obstacle_and_known_better() -> None:
     arcs = {40.0: 33.0, 50.0: 37.0, 53.0: 36.0}
     (peg,) = _explained(*(_sighting(length, arc, 2.0) for length, arc in arcs.items()))

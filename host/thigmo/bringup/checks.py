@@ -337,7 +337,7 @@ class BringUp:
     """The checks, on a robot that may be wired wrong."""
 
     robot: Robot  # connected, disarmed
-    attendant: Attendant  # whoever stands beside it
+    attendant: Attendant  # the person beside it
     tell: Callable[[Finding], None] = lambda finding: None  # shown each finding as it comes
 
     def run(self, first: str = STAGES[0], last: str = STAGES[-1]) -> list[Finding]:

@@ -63,7 +63,7 @@ class Plan:
 
 
 class Hand(Operator, Protocol):
-    """Whoever stands beside the robot, and can push its tip."""
+    """The person beside the robot, who can push its tip."""
 
     def push_tip(self, y_cm: float | None) -> None:
         """Push the tip aside to about y and hold it there; None = let go."""
@@ -324,8 +324,8 @@ def tip_rows(bench: Bench) -> list[Row]:
                 break
             stood, side = SIDES if y > 0 else SIDES[::-1]
             bench.say(f"{key}: the tip stands {abs(y):.1f} cm to the {stood}: push it to the "
-                      f"{side} (if it is there, the camera's +y is not the robot's left: mend the "
-                      "cards' places in the sheet file)")  # fmt: skip
+                      f"{side} (if it is there, the camera's +y is not the robot's left: correct "
+                      "the cards' places in the sheet file)")  # fmt: skip
         return {
             "kind": key.split()[0], "asked": wanted, "ohm": bench.ohm(reading),
             "rest": bench.rest, "t_s": reading.t_s, **seen,

@@ -46,7 +46,7 @@ def sides_of(table: Table) -> list[Side]:
     """(n,) the column `side` of a CSV."""
     words = table.words("side")
     if set(words) - set(SIDES):
-        raise DataError(f"{table.name}: side must be {' or '.join(SIDES)}", "mend that column")
+        raise DataError(f"{table.name}: side must be {' or '.join(SIDES)}", "correct that column")
     return cast("list[Side]", words)
 
 

@@ -4,7 +4,7 @@ Rows are of three kinds: `straight` (the robot at rest), `tip` (the tip pushed a
 that the camera saw; the rod solver gives the curvature under each sensor), and `bend` (a free bend
 by one muscle: the camera gives the one curvature that all sensors of the other side share). Ten tip
 places alone leave the distal sensors uncertain, because there is little curvature near a pushed
-tip; free bends mend that.
+tip; free bends resolve that.
 
 Before any line is fitted the rows are judged together: a tip on the wrong side, a moved camera or
 a lost marker disagree with all sensors at once, a dead sensor with all rows, an outlier with
@@ -115,7 +115,7 @@ class FlexResult(StepResult):
             sensor.scale_se = float(np.hypot(np.hypot(fit.scale_se, fit.sweep_se), fit.misfit))
             sensor.zero_ohm = fit.zero_ohm
             sensor.valid_direction = fit.valid_direction
-            # Whoever uses a reading knows nothing of the loop.
+            # What uses a reading later knows nothing of the loop.
             sensor.zero_se = float(np.hypot(fit.noise * fit.lasting**0.5, fit.hysteresis))
             sensor.noise = fit.noise * (1 - fit.lasting) ** 0.5
 
@@ -284,7 +284,7 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
     if mirrored(rows.readings):
         reason = (
             "most tips stood on the other side than asked for: the camera's +y is not the robot's "
-            "left; mend the cards' places in the sheet file, run `thigmo camera locate` and repeat"
+            "left; correct the cards' places in the sheet file, run `thigmo camera locate`, repeat"
         )
         return Verdict(False, reason, tuple(notes))
     if swapped:

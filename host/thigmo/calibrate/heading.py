@@ -81,8 +81,8 @@ def guided(bench: Bench) -> HeadingResult:
 
 def of_csv(table: Table, config: RobotConfig) -> HeadingResult:
     """Free bends: time, curvature by camera, and what the reader says of each span."""
-    told = of_sensors(table, "ohm", config)
-    return fit_heading(table.numbers("t_s"), table.numbers("curvature"), told, config)
+    resistance = of_sensors(table, "ohm", config)
+    return fit_heading(table.numbers("t_s"), table.numbers("curvature"), resistance, config)
 
 
 def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -> HeadingResult:

@@ -58,7 +58,7 @@ class Session:
                 if number == len(lines):
                     break
                 raise DataError(
-                    f"{path}, line {number} is damaged", "mend or delete that line"
+                    f"{path}, line {number} is damaged", "correct or delete that line"
                 ) from error
         return found
 
@@ -75,7 +75,7 @@ class Session:
             os.fsync(file.fileno())
 
     def forget(self, procedure: str) -> None:
-        """Set readings aside (kept as `.old`), to take them anew."""
+        """Set readings aside (kept as `.old`), to take them again."""
         path = self.folder / f"{procedure}.jsonl"
         if path.exists():
             path.replace(path.with_suffix(".jsonl.old"))

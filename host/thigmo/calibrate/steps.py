@@ -105,7 +105,7 @@ def _require(step: str, config: RobotConfig) -> None:
 
 
 def run(bench: Bench, step: str, *, again: bool = False, method: str | None = None) -> StepResult:
-    """One guided step of `STEPS`; `again` takes its readings anew. `method`: of `fit_csv`."""
+    """One guided step of `STEPS`; `again` takes its readings again. `method`: of `fit_csv`."""
     _require(step, bench.config)
     if again:
         for procedure in STEPS[step].rows:

@@ -13,7 +13,7 @@ from thigmo.cli.output import JsonOption
 def bench(
     studies: Annotated[
         list[str] | None,
-        typer.Argument(help="Studies to run; all when omitted. `list` names them."),
+        typer.Argument(help="Studies to run; all if omitted. `list` names them."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for tables and figures.")] = Path("bench-out"),
     scale: Annotated[
@@ -32,7 +32,7 @@ def bench(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Chart speed against accuracy, and show where each method fails."""
+    """Run the studies behind the project's numbers and figures."""
     import os
     from contextlib import nullcontext
 

@@ -22,7 +22,7 @@ _EMERGENCY = "use the emergency stop"
 
 def stop(
     robot: Annotated[
-        str | None, robot_option("Where it is, as /dev/ttyACM0; omitted: every robot in use.")
+        str | None, robot_option("Where it is, as /dev/ttyACM0; if omitted, every robot in use.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -77,7 +77,7 @@ def params(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the board's parameters, or one of them, or set it."""
+    """Show the board's parameters, or show or set one of them."""
     from thigmo.link import protocol as wire
     from thigmo.robot import connect
     from thigmo.robot.configuration import named
@@ -159,7 +159,7 @@ def retract(
     by_page: HeldOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Vent, then wind the robot in: muscles below 0.5 psi, for a bent body buckles."""
+    """Vent, then wind the robot in once the muscles are below 0.5 psi: a bent body buckles."""
     from thigmo.cli.console import Console
     from thigmo.config import RobotConfig
     from thigmo.robot import connect

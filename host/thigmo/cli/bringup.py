@@ -64,13 +64,13 @@ class _TerminalAttendant:
 def bringup(
     robot: RobotOption,
     first: Annotated[
-        str, typer.Option("--from", help="Stage to begin with; those before it were good.")
+        str, typer.Option("--from", help="Stage to begin with, if those before it were good.")
     ] = "board",
     last: Annotated[
-        str, typer.Option("--to", help="Stage to end with; what others need is not built yet.")
+        str, typer.Option("--to", help="Stage to end with, for a robot that is not complete yet.")
     ] = "home",
     config: SentConfigOption = None,
-    seed: Annotated[int | None, typer.Option(help="Of the emulator.", min=0)] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the emulator.", min=0)] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check a newly wired robot, from its supply to homing; what is wrong is named with its plug.
@@ -79,7 +79,7 @@ def bringup(
     the other, and stops after the first stage in which something is wrong; `--from STAGE` goes on
     from there, `--to STAGE` ends with that one. A board without a configuration gets the defaults.
 
-    Before it: docs/hardware, "Before the first power".
+    First read docs/hardware, "Before the first power".
     """
     from thigmo.bringup import STAGES, BringUp
     from thigmo.config import RobotConfig
@@ -109,7 +109,7 @@ def bringup(
     good = all(finding.good for finding in findings)
     stage = findings[-1].stage
     if not good:
-        on = f"Mend it, then: thigmo bringup --robot {robot} --from {stage}"
+        on = f"Correct it, then: thigmo bringup --robot {robot} --from {stage}"
     elif stage == STAGES[-1]:
         on = f"All is as it should be. Next: thigmo calibrate all --robot {robot}"
     else:
@@ -150,7 +150,7 @@ def press(
     robot: RobotOption,
     side: Annotated[str, typer.Argument(help="left or right.")],
     psi: Annotated[float, typer.Argument(help="Pressure, at most 5 psi.")],
-    seconds: Annotated[float, typer.Option(help="For so long, at most 60 s.")] = 5.0,
+    seconds: Annotated[float, typer.Option(help="Duration, at most 60 s.")] = 5.0,
     as_json: JsonOption = False,
 ) -> None:
     """Give a muscle's transducer the current of a low pressure, show the pressure, then vent.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from thigmo.calibrate.verdict import StepResult
     from thigmo.robot import Robot
 
-_STEPS = "pressure, encoder, actuator, flex, hysteresis, buckling, stiffness, noise, check"
+_STEPS = "pressure, encoder, actuator, flex, heading, hysteresis, buckling, stiffness, noise, check"
 
 
 def calibrate(
@@ -41,7 +41,8 @@ def calibrate(
     step_psi: Annotated[float, typer.Option(help="Pressure step of free bends.", min=0.5)] = 2.0,
     places: Annotated[int, typer.Option(help="Tip places of the flex step.", min=4)] = 10,
     pictures: Annotated[
-        int, typer.Option(help="Of the stiffness step, beside those of the tip places.", min=2)
+        int,
+        typer.Option(help="Pictures in the stiffness step, beside those of the tip places.", min=2),
     ] = 12,
     zone: Annotated[
         list[int] | None, typer.Option(help="Only these body-pressure zones (0 = first); repeat.")
@@ -49,18 +50,18 @@ def calibrate(
     method: Annotated[
         Literal["thesis"] | None,
         typer.Option(
-            help="Of flex and buckling: thesis fits them as the thesis did, without errors.",
+            help="For flex and buckling: fit them as the thesis did, without errors.",
             show_default=False,
         ),
     ] = None,
     from_fold: Annotated[
         bool,
         typer.Option(
-            "--from-fold", help="Of stiffness: state EI from the fold's moment; no robot is used."
+            "--from-fold", help="For stiffness: state EI from the fold's moment; no robot is used."
         ),
     ] = False,
-    again: Annotated[bool, typer.Option("--again", help="Take the readings anew.")] = False,
-    seed: Annotated[int, typer.Option(help="Of the emulator.", min=0)] = 0,
+    again: Annotated[bool, typer.Option("--again", help="Take the readings again.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the emulator.", min=0)] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Measure the robot's constants, with an overhead camera; good ones go into FOLDER/robot.toml.
@@ -91,12 +92,12 @@ def calibrate(
 
     noise, check: the robot at rest; later, whether it is still what robot.toml says.
 
-    Each draws its fit (FOLDER/STEP.png) and says good or bad and why. Only good
-    results are kept, the file before them as robot.toml.1.bak and so on. A
-    stopped step goes on after its last reading; `status` tells what is done.
+    Each step draws its fit (FOLDER/STEP.png) and says whether it is good, and why. Only good
+    results are kept; the file before them becomes robot.toml.1.bak and so on. A step that was
+    stopped resumes after its last reading; `status` lists what is done.
 
-    `--csv FILE` fits readings that a lab already has; for a file that lacks a column
-    all of them are listed. Try it without a robot: `--robot emulator://empty`.
+    `--csv FILE` fits readings that a lab already has; if a column is missing, the message lists
+    all of them. Try it without a robot: `--robot emulator://empty`.
     """
     from thigmo.extras import require
 
@@ -161,7 +162,7 @@ def calibrate(
     bad = [name for name, result in found.items() if not result.verdict.good]
     if bad:
         if step == "all":
-            say(f"not good: {', '.join(bad)}; see why above, mend it, and run this again")
+            say(f"not good: {', '.join(bad)}; see why above, correct it, and run this again")
         raise typer.Exit(2)
     say(f"constants so far: {session.robot_file}")
 

@@ -30,7 +30,7 @@ class Console:
     """What a command shows, and the person beside the robot whom it asks (an `Operator`).
 
     Everything but results goes to stderr; with `quiet`, prompts only. The viewers of a run are
-    asked as well, and whoever answers first has answered. Where nobody sits at a terminal, the
+    asked as well, and the first answer counts. Where nobody sits at a terminal, the
     first question ends the command, unless it is one that `asks_viewers`.
     """
 

@@ -21,7 +21,7 @@ scene = typer.Typer(help="Work with scene files.", no_args_is_help=True)
 
 def emulate(
     scene: Annotated[str, typer.Argument(help="Scene file, or a built-in scene's name.")],
-    seed: Annotated[int | None, typer.Option(help="Of the noise.", min=0)] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the noise.", min=0)] = None,
     link: Annotated[
         Path | None, typer.Option(help="Make this symbolic link to the port, for a stable name.")
     ] = None,

@@ -30,7 +30,9 @@ def experiment(
             "all; or fit, which fits the simulated robots' constants again."
         ),
     ],
-    robots: Annotated[int, typer.Option(help="Simulated robots, each built anew.")] = 20,
+    robots: Annotated[
+        int, typer.Option(help="Simulated robots, each with errors of its own.")
+    ] = 20,
     trials: Annotated[int, typer.Option(help="Trials a condition and robot; the thesis: 5.")] = 5,
     seed: Annotated[int, typer.Option(help="Every random number comes from it.", min=0)] = 1,
     jobs: Annotated[
@@ -49,7 +51,8 @@ def experiment(
     camera: Annotated[
         str | None,
         typer.Option(
-            help="Measures the dowels: camera:0, a folder of pictures. Else they are typed in."
+            help="Camera that measures the dowels: camera:0 or a folder of pictures. Without it "
+            "they are typed in."
         ),
     ] = None,
     sheet_file: SheetOption = SHEET_FILE,
@@ -67,8 +70,8 @@ def experiment(
     Without --robot, readings are computed from the emulator's mechanics and the fitted errors
     (fast: thousands of trials); explorations run on the whole emulator. With --robot the trials of
     single-contact, two-contacts or actuated are taken one by one, on a bench with prompts, on
-    emulator:// by its own operator, and kept in OUT/NAME/trials.jsonl; the same command goes on
-    after a stop. With --robot, exploration makes one run by each protocol a trial.
+    emulator:// by its own operator, and kept in OUT/NAME/trials.jsonl; the same command resumes
+    after a stop. With --robot, each trial of exploration is one run by each protocol.
     """
     require_sources("thigmo.studies", "`thigmo experiment`")
     from thigmo.cli.studies import conduct, report
@@ -189,7 +192,7 @@ def _take(
                     say=say,
                 )  # fmt: skip
         if not done:
-            say("stopped; the same command goes on")
+            say("stopped; the same command resumes")
 
 
 def _evaluated(name: str, folder: Path, jobs: int) -> Outcome:

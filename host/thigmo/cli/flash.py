@@ -20,7 +20,7 @@ def flash(
     ],
     image: Annotated[
         Path | None,
-        typer.Option(help="Image (.hex, .uf2); omitted: the one that came with this host."),
+        typer.Option(help="Image (.hex, .uf2); if omitted, the one that came with this host."),
     ] = None,
     avrdude: Annotated[str, typer.Option(help="The avrdude program.")] = "avrdude",
     as_json: JsonOption = False,

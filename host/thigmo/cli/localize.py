@@ -26,7 +26,9 @@ def localize(
         ),
     ],
     length: Annotated[float, typer.Option(help="Length of the body, in the CSV's length unit.")],
-    span: Annotated[float, typer.Option(help="Active length of the sensors, if no column.")] = 0.0,
+    span: Annotated[
+        float, typer.Option(help="Active length of the sensors, if there is no column span.")
+    ] = 0.0,
     free_curvature: Annotated[
         float, typer.Option("--free-curvature", help="Curvature from actuation alone.")
     ] = 0.0,

@@ -85,7 +85,7 @@ for name, group in groups.items():
     app.add_typer(group, name=name)
 for each in (app, *groups.values()):
     for command in each.registered_commands:
-        # A docstring's lines are as long as the source's; a terminal breaks its paragraphs anew.
+        # A docstring's lines are as long as the source's; a terminal wraps its paragraphs again.
         command.help = "\n\n".join(
             " ".join(part.split()) for part in (getdoc(command.callback) or "").split("\n\n")
         )

@@ -29,7 +29,7 @@ SentConfigOption = Annotated[
     Path | None, typer.Option(help="robot.toml to send first; else the board's own is used.")
 ]
 KnownConfigOption = Annotated[
-    Path | None, typer.Option(help="robot.toml; the emulator's robot is known without.")
+    Path | None, typer.Option(help="robot.toml; not needed for the emulator's robot.")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 

@@ -59,7 +59,7 @@ def new(
 
 @robot.command()
 def check(file: _FileArgument, as_json: JsonOption = False) -> None:
-    """Say by mechanics what a described robot will do: grow, slip, fold, feel, and where not.
+    """Predict from mechanics where a described robot grows, slips, folds and feels.
 
     Ends with status 1 where something must be changed.
     """

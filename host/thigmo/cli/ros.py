@@ -22,11 +22,11 @@ def ros(
         typer.Argument(
             metavar="RUN|URL",
             callback=named,
-            help="A run folder, whose map is published; or where a robot is. Omitted: whatever "
-            "run is under way, or comes.",
+            help="A run folder, whose map is published; or where a robot is. If omitted: "
+            "the run that is under way, or the next one.",
         ),
     ] = None,
-    namespace: Annotated[str, typer.Option(help="Of the topics.")] = "thigmo",
+    namespace: Annotated[str, typer.Option(help="Namespace of the topics.")] = "thigmo",
     frame: Annotated[
         str,
         typer.Option(

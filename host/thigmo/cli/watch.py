@@ -31,7 +31,7 @@ def watch(
             metavar="RUN|URL",
             callback=named,
             help="Folder of a finished run, or where the robot is, on which Start then explores. "
-            "Omitted: whatever run is under way, or comes.",
+            "If omitted: the run that is under way, or the next one.",
         ),
     ] = None,
     host: Annotated[
@@ -41,7 +41,7 @@ def watch(
     ] = "127.0.0.1",
     port: Annotated[
         int | None,
-        typer.Option(help="Port to serve at; 0 takes any that is free.", min=0, max=65535),
+        typer.Option(help="Port to serve at; 0 takes any free one.", min=0, max=65535),
     ] = None,
     browser: Annotated[bool, typer.Option(help="Open a browser.")] = True,
     config: Annotated[
@@ -49,10 +49,11 @@ def watch(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for their run folders.")] = Path("runs"),
     foxglove: Annotated[
-        bool, typer.Option("--foxglove", help="Serve it to Foxglove, too (thigmo\\[foxglove]).")
+        bool,
+        typer.Option("--foxglove", help="Serve the run to Foxglove as well (thigmo\\[foxglove])."),
     ] = False,
     foxglove_port: Annotated[
-        int, typer.Option(help="For Foxglove; 0 takes any.", min=0, max=65535)
+        int, typer.Option(help="Port for Foxglove; 0 takes any free one.", min=0, max=65535)
     ] = 8765,
     leave: Annotated[
         bool, typer.Option("--leave", help="End once the run is over and no page is open any more.")

@@ -294,7 +294,7 @@ class MicroPythonBoard:
             self._off()
             return
         self._running = bool(state & _RUNS)
-        # A controller that begins anew in the next step begins with tick 0.
+        # A controller that restarts in the next step begins with tick 0.
         self._ticks = self._ticks + count if self._running else 0
         self._powered = bool(state & _POWERED)
         self._drive = (drive[0], drive[1])

@@ -3,7 +3,7 @@
 Any program that opens serial ports can talk to it. As on the Mega, opening the port resets the
 board, which then sits in its boot loader for 0.84 s. The emulated body keeps its state through
 that, and goes on when the program at the other end dies: the board's own heartbeat limit is what
-makes it safe then. Whoever stands at the regulator sets it as prompted: whenever the host tells the
+makes it safe then. The person at the regulator sets it as prompted: whenever the host tells the
 board which body pressure holds, that one does.
 """
 

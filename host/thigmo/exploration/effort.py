@@ -24,7 +24,6 @@ _GROWS_MORE_S = 0.6  # speeding up and slowing down
 _ZERO_S = 5.2  # two windows of drift, and the average
 _ZERO_SETTLED_S = 3.2  # the same of a robot that has stood still: one window
 _VENTS_S = 1.5  # after a side
-_SPARE_S = 1.5  # by which a run may last longer than expected
 _MEASURE_S = 6.6
 _REST_S = 6.0  # of young sensors, on average
 
@@ -70,18 +69,23 @@ class Effort:
         return "; ".join(said)
 
     def expected_s(
-        self, config: RobotConfig, stops: Sequence[float], length_cm: float = 0.0
+        self,
+        config: RobotConfig,
+        stops: Sequence[float],
+        length_cm: float = 0.0,
+        settles_s: float = 0.0,
     ) -> float:
         """Robot time (s) that sweeps at these lengths take, grown to from another.
 
-        From half of the full length on a contact is expected at every other stop.
+        There the sensors at the base settle for `settles_s` yet. From half of the full length on a
+        contact is expected at every other stop.
         """
         speed = config.spool.max_speed_cm_s
         columns = (config.column(side) for side in SIDES)
         base_cm = max((c[0].center_cm + c[0].span_cm / 2 for c in columns if c), default=0.0)
         pitches = stage_lengths(config)
         boundaries = [zone.until_cm for zone in config.body.zones]
-        spent = settled_s = 0.0
+        spent, settled_s = 0.0, settles_s
         if length_cm < base_cm:
             spent = _PRESSURE_S
             settled_s = spent + (base_cm - length_cm) / speed + config.board.settle_s
@@ -102,25 +106,35 @@ class Effort:
         return _REST_S / self.rest_noise + self.measurements * _MEASURE_S
 
     def stops_after(
-        self, config: RobotConfig, length_cm: float, spent_s: float, *, swept: bool
+        self,
+        config: RobotConfig,
+        length_cm: float,
+        spent_s: float,
+        *,
+        swept: bool,
+        settles_s: float = 0.0,
     ) -> list[float]:
         """The lengths (cm) at which to sweep from here on; empty at the end.
 
-        Of those that the budget has no time for, the shortest are omitted; for the last, its
-        contact's measurement is (`measures`). Where the budget is too short for the full length as
-        well, the run ends at the longest that it allows.
+        The sensors at the base settle for `settles_s` yet. Of the stops that the budget has no time
+        for, the shortest are omitted; for the last, its contact's measurement is (`measures`).
+        Where the budget is too short for the full length as well, the run ends at the longest that
+        it allows.
         """
         reached_cm = length_cm + (SAME_CM if swept else -SAME_CM)
-        left_s = self.time_s - spent_s - _SPARE_S
+
+        def fits(effort: Effort, stops: list[float]) -> bool:
+            needed_s = effort.expected_s(config, stops, length_cm, settles_s)
+            return spent_s + needed_s <= self.time_s
 
         stops = [stop for stop in self.lengths(config) if stop > reached_cm]
-        while len(stops) > 1 and self.expected_s(config, stops, length_cm) > left_s:
+        while len(stops) > 1 and not fits(self, stops):
             stops = stops[1:]
         if len(stops) > 1:
             return stops
         look = replace(self, measurements=0)
         farther = [stop for stop in stage_lengths(config) if stop > reached_cm]
-        return [s for s in farther if look.expected_s(config, [s], length_cm) <= left_s][-1:]
+        return [stop for stop in farther if fits(look, [stop])][-1:]
 
     def measures(self, config: RobotConfig, length_cm: float, spent_s: float) -> bool:
         """Whether a contact at a length is measured: a budget leaves time for the full length."""
@@ -185,6 +199,6 @@ def within(time_s: float, config: RobotConfig) -> Effort:
         least = _BEGINS_S + effort.expected_s(config, stage_lengths(config)[:1])
         raise DataError(
             f"{time_s:g} s of robot time are too few for a sweep",
-            f"give --time {least + _SPARE_S + 1:.0f} or more",
+            f"give --time {least + 1:.0f} or more",
         )
     return effort

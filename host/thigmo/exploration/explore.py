@@ -82,7 +82,7 @@ def explore(
             felt, with its constants, map, protocol and method. An emulated robot begins anew, and
             so at its first length.
         operator: answers what the board cannot know; the emulator brings its own.
-        progress: told what the robot is doing.
+        progress: called with what the robot is doing.
 
     Raises:
         ThigmoError: with the next step for the operator. The robot is vented and braked, and the
@@ -169,7 +169,7 @@ def explore(
 
         folder.write_document(document)
         afterwards.push(draw)  # of what is known, also when the run is cut short
-        told = {
+        facts = {
             "thigmo": __version__,
             "url": url,
             "seed": "" if seed is None else str(seed),
@@ -184,7 +184,7 @@ def explore(
             operator.viewers = Questions(robot, control)
         with (
             robot.serve(label, str(folder.path.resolve()), control.command),
-            folder.open_log(told, robot.epoch_s) as log,
+            folder.open_log(facts, robot.epoch_s) as log,
             recording(robot.hub, log),
         ):
             robot.record_frames(log.frame)
@@ -208,12 +208,12 @@ def _walk(run: Exploration) -> None:
         failed = error
         interrupted = isinstance(error, KeyboardInterrupt | SystemExit | StoppedByViewerError)
         if isinstance(error, ThigmoError):
-            why, told = str(error), (error.what, error.next_step)
+            why, words = str(error), (error.what, error.next_step)
         else:
             why = _ENDINGS.get(type(error), f"{type(error).__name__}: {error}")
-            told = (why, "")
+            words = (why, "")
         run.document = replace(run.document, outcome=f"aborted: {why}")
-        run.live.tell(Event, "aborted", "fault", *told)
+        run.live.tell(Event, "aborted", "fault", *words)
         error.add_note(f"run folder: {run.folder.path}")
         raise
     finally:

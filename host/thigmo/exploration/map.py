@@ -165,9 +165,9 @@ class ContactMap:
         self._met.append(contact)
         self._known = None
 
-    def _contact(self, placed: PlacedContact, **told: Any) -> MapContact:
+    def _contact(self, placed: PlacedContact, **facts: Any) -> MapContact:
         """A contact at its place, with the obstacle of the map that was given that it is."""
-        found = MapContact(**told, **placed._asdict())
+        found = MapContact(**facts, **placed._asdict())
         return replace(found, known=match(self._prior, found))
 
     def _place_point(self, sighting: Sighting) -> MapContact:
@@ -184,7 +184,7 @@ class ContactMap:
         force_per_cm2: float,
         interval_cm: tuple[float, float],
         end_offset_cm: float | None,
-        **told: Any,
+        **facts: Any,
     ) -> MapContact:
         """A contact at its place on the body that a sighting bent."""
         contact = sighting.contact
@@ -206,7 +206,7 @@ class ContactMap:
             side=sighting.side,
             model=sighting.hypothesis,
             readings=sighting.readings,
-            **told,
+            **facts,
         )
 
     def _place(self, room: Room, found: Found) -> MapContact:
@@ -246,7 +246,7 @@ def _one_place(a: MapContact, b: MapContact, reach_cm2: float) -> bool:
     """Whether one place explains two obstacles better than two do.
 
     They are of the two muscles' sweeps, on the same skin of the body, or one of them was met by
-    growth: those of one muscle's sweeps the room has told apart.
+    growth: those of one muscle's sweeps the room has separated.
     """
     met = "" in (a.side, b.side)
     if a.side == b.side or not (met or a.force_per_cm2 * b.force_per_cm2 > 0):

@@ -82,13 +82,13 @@ class _Frames:
         match message:
             case wire.Telemetry():
                 device_us = self._clock.unwrap(message.t_us)
-                told = TelemetryFrame(frame.seq, entry.t_s, device_us, frame.payload)
+                telemetry = TelemetryFrame(frame.seq, entry.t_s, device_us, frame.payload)
                 if self._creep is not None:
-                    self._creep.telemetry(told)
+                    self._creep.telemetry(telemetry)
                 if self._growing:
-                    self.growth.telemetry(told)
+                    self.growth.telemetry(telemetry)
                 elif watcher:
-                    watcher.telemetry(told)
+                    watcher.telemetry(telemetry)
             case wire.GrowTo():
                 self._growing = True
             case wire.Hello():

@@ -31,7 +31,7 @@ class Reducer:
         stages: those that were swept to their end.
         looked: the stage's sweep for contacts.
         measured: the sweeps that measured one; None without.
-        feelings: what the stage's sweeps told.
+        feelings: what the stage's sweeps showed.
         met: by growth, and not yet on the map.
         tried: the stall that is tried again at a higher body pressure.
         raised: zone whose pressure growth has needed since it stalled.

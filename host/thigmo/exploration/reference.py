@@ -10,8 +10,9 @@ is modelled as
 with a constant c_i of each sensor (its zero; hysteresis keeps to one side while the pressure
 rises), the map's offset o and scale s at a body pressure, and each sensor's own gain e_i. All start
 at zero with the standard errors that calibration states, widened by what a robot may have changed
-since, and each untouched frame sharpens them (Bayesian linear regression). What is still unknown of
-them goes to the localizer as errors that readings share. The thesis compared with the map alone.
+since, and each untouched frame sharpens them (Bayesian linear regression). How well sweeps repeat
+is learnt as well, from what the model leaves of them. What is still unknown goes to the localizer
+as errors that readings share. The thesis compared with the map alone.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ _SWINGS_S = 0.7
 _BINS = 10
 # Bins of one sweep share its zero and its hysteresis: together they count as so many readings.
 _INDEPENDENT = 3.0
+# The stated noise counts as so many readings against what sweeps show of theirs.
+_STATED = 12.0
 # One sigma by which map and gains may have changed since the calibration: a body regulator is set
 # by hand, muscles age. The map's drift is that of all zones, but for a little.
 _MAP_DRIFT, _ZONE_DRIFT, _GAIN_DRIFT = 0.08, 0.01, 0.04
@@ -77,8 +80,11 @@ class FreeResponse:
         size = 2 * (self._count + zones)
         self._scale = 2 * self._count
         self._offset = self._scale + zones
+        self._prior = np.zeros((len(SIDES), size, size))  # inverse covariance
         self._matrix = np.zeros((len(SIDES), size, size))
         self._vector = np.zeros((len(SIDES), size))
+        self._squared = 0.0  # of the departures, over the stated noise's
+        self._readings = 0.0
         for name in config.sides:
             row = SIDES.index(name)
             maps = config.muscle(name).maps
@@ -88,7 +94,7 @@ class FreeResponse:
             covariance = np.diag(deviation**2)
             covariance[: self._count, : self._count] = self._errors
             covariance[self._scale : self._offset, self._scale : self._offset] += _MAP_DRIFT**2
-            self._matrix[row] = np.linalg.inv(covariance)
+            self._prior[row] = np.linalg.inv(covariance)
 
     def learn(self, sweep: SweepResult, side: Side, zone: int, below: float = np.inf) -> None:
         """Take the rising half of a sweep's side, as far as nothing was touched.
@@ -117,6 +123,17 @@ class FreeResponse:
             weight = _INDEPENDENT / _BINS * np.linalg.inv(self._errors[np.ix_(use, use)] + own)
             self._matrix[row] += effect.T @ weight @ effect
             self._vector[row] += effect.T @ weight @ departure[use]
+            self._squared += float(departure[use] @ weight @ departure[use])
+            self._readings += _INDEPENDENT / _BINS * use.size
+
+    def _repeats(self) -> float:
+        """Variance of what sweeps scatter by, over the stated noise's."""
+        explained = sum(
+            vector @ np.linalg.solve(prior + matrix, vector)
+            for prior, matrix, vector in zip(self._prior, self._matrix, self._vector, strict=True)
+            if prior.any()
+        )
+        return float((_STATED + self._squared - explained) / (_STATED + self._readings))
 
     def _effect(self, sensors: Indices, zone: int, free: float, reading: Floats) -> Floats:
         """(n, size) what each unknown adds to the readings of some sensors."""
@@ -137,8 +154,9 @@ class FreeResponse:
         error is a share.
         """
         row = SIDES.index(side)
-        covariance = np.linalg.inv(self._matrix[row])
-        mean = covariance @ self._vector[row]
+        scatter = self._repeats()
+        covariance = np.linalg.inv(self._prior[row] + self._matrix[row] / scatter)
+        mean = covariance @ self._vector[row] / scatter
         covariance[self._scale + zone, self._scale + zone] += _SWEEP_SCALE**2
         covariance[self._offset + zone, self._offset + zone] += _SWEEP_OFFSET**2
         sensors = np.flatnonzero(use)

@@ -78,6 +78,8 @@ class Exploration:
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
     _measured: int = 0  # sweeps that have measured the stage's contacts
+    _ends_s: float = 0.0  # robot time at which the run is expected to end; 0 before a plan
+    _done: float = 0.0  # share of the run
 
     def __post_init__(self) -> None:
         self.live = Live(self.robot)
@@ -86,7 +88,7 @@ class Exploration:
         self._table = SensorTable.of(self.config)
         if self.protocol == "thesis":
             self.effort = THESIS
-        self._whole_cm = sum(self.effort.lengths(self.config))
+        self._base = sum(1 << number for number in base_inputs(self.config))
 
     def run(self) -> None:
         """Walk the table to its end; each state has the method of its name.
@@ -110,10 +112,15 @@ class Exploration:
         if self._stage_cm:
             words += f" at {self._stage_cm:g} cm"
         words += f": {waiting}" if waiting else ""
-        done = sum(stage.everted_length_cm for stage in self.document.stages) / self._whole_cm
-        self.progress(words, done)
-        outcome = self.document.outcome
-        self.live.tell(RunState, self.state.name, words, self._stage_cm, done, paused, outcome)
+        if self.state is State.DONE:
+            self._done = 1.0
+        elif self._ends_s > 0.0:  # what takes longer than expected is not over
+            self._done = max(self._done, min(self.robot.elapsed_s / self._ends_s, 0.99))
+        self.progress(words, self._done)
+        self.live.tell(
+            RunState, self.state.name, words, self._stage_cm, self._done, paused,
+            self.document.outcome,
+        )  # fmt: skip
 
     def _note(self, **known: Any) -> None:
         """Keep in the document what is known now."""
@@ -153,9 +160,15 @@ class Exploration:
     # Each stage.
 
     def _plan(self) -> str:
-        swept = self._knows.swept(self.length_cm)
+        swept, spent_s = self._knows.swept(self.length_cm), self.robot.elapsed_s
+        settles_s = self.robot.settles_s(self._base)
         stops = self.effort.stops_after(
-            self.config, self.length_cm, self.robot.elapsed_s, swept=swept
+            self.config, self.length_cm, spent_s, swept=swept, settles_s=settles_s
+        )
+        behind = [stage.everted_length_cm for stage in self._knows.stages]
+        pace = spent_s / self.effort.expected_s(self.config, behind) if behind else 1.0
+        self._ends_s = spent_s + pace * self.effort.expected_s(
+            self.config, stops, self.length_cm, settles_s
         )
         if not stops:
             full = self.length_cm > self.config.body.length_cm - SAME_CM
@@ -245,8 +258,9 @@ class Exploration:
     def _settle(self) -> str:
         thesis = self.protocol == "thesis"
         # Sensors that have just everted are not needed to feel a contact, only to measure it.
-        needed = -1 if thesis else sum(1 << number for number in base_inputs(self.config))
-        self.robot.wait_settled(lambda rest_s: self.tell(f"{rest_s:.0f} s to go"), needed)
+        self.robot.wait_settled(
+            lambda rest_s: self.tell(f"{rest_s:.0f} s to go"), -1 if thesis else self._base
+        )
         if not thesis:
             status = self.robot.status()
             self.robot.set_aside(status.everted & ~status.settled)

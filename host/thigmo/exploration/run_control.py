@@ -40,7 +40,7 @@ class Live:
         return self._robot.now() - self._felt_s >= _SWEEPING_S
 
     def feels(self, length_cm: float, feeling: Feeling, *, sweeping: bool = False) -> None:
-        """What the sweep of one side told; `sweeping` while it goes on."""
+        """What the sweep of one side showed; `sweeping` while it goes on."""
         result = feeling.result
         self._felt_s = self._robot.now()
         self.tell(

@@ -15,7 +15,7 @@ import numpy as np
 from thigmo.config import SIGN, Side
 from thigmo.exploration.measuring import held_back
 from thigmo.exploration.workspace import Bend
-from thigmo.localization import Contact
+from thigmo.localization import Contact, priors
 from thigmo.localization.result import Marginal
 from thigmo.robot import TRIGGER_PER_CM, Peak, SweepFrame
 from thigmo.robot.readings import Floats
@@ -72,12 +72,15 @@ def arc_grid(full_cm: float) -> Floats:
 
 
 def contact_mass(marginal: Marginal | None, arcs: Floats) -> Floats:
-    """A contact's posterior on the grid; flat where a point estimate has none."""
+    """A contact's likelihood on the grid, of sum one; flat for a point estimate."""
     if marginal is None:
         return np.full(len(arcs), 1 / len(arcs))
+    # The prior is taken out, for several sightings share it; the end has one of its own.
+    place = 0.5 * (marginal.edges[1:] + marginal.edges[:-1]) / marginal.edges[-1]
+    prior = np.where(place < 1.0 - priors.END_CELL, priors.place_density(place), 1.0)
     step = arcs[1] - arcs[0]
     edges = np.concatenate((arcs - 0.5 * step, [arcs[-1] + 0.5 * step]))
-    below = np.concatenate(([0.0], np.cumsum(marginal.mass)))
+    below = np.concatenate(([0.0], np.cumsum(marginal.mass / prior)))
     mass = np.diff(np.interp(edges, marginal.edges, below))
     if not mass.sum() > 0:
         mass = np.ones(len(arcs))

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
-from thigmo.exploration.feel import Feeling, feel
+from thigmo.exploration.feel import LIKELY, Feeling, feel
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     GIVES_UP,
@@ -85,7 +85,7 @@ class Interpreter:
             certain = any(felt.contact.probability > _CERTAIN for felt in feeling.felt)
             if side in fired or certain:
                 feelings.append(feeling)
-            else:
+            elif not any(felt.contact.probability > LIKELY for felt in feeling.felt):
                 self._response.learn(sweep, side, zone)
             if side in fired:
                 self.map.add_passed(passed_before(touch, peak))

@@ -136,9 +136,9 @@ class Lean(Met):
         True as well where no sensor can tell: what may be a peg is not grown into.
         """
         back = before - after
-        told = np.isfinite(self.bend) & np.isfinite(back) & (back != 0.0)
-        bend = self.bend[told]
-        return not told.any() or float(bend @ back[told]) > _CAME_BACK * float(bend @ bend)
+        known = np.isfinite(self.bend) & np.isfinite(back) & (back != 0.0)
+        bend = self.bend[known]
+        return not known.any() or float(bend @ back[known]) > _CAME_BACK * float(bend @ bend)
 
 
 def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Met | None:
@@ -230,8 +230,8 @@ def lean(profile: Profile, before: Floats, after: Floats, table: SensorTable) ->
             continue
         force = float(lever @ moved[use] / (lever @ lever))
         noise = float(table.noise[use].mean() / np.sqrt(count))
-        told = np.where(use, moved, np.nan)
-        return Lean(float(length_cm[-1]), arc, (low, high), count, force, noise, told)
+        shown = np.where(use, moved, np.nan)
+        return Lean(float(length_cm[-1]), arc, (low, high), count, force, noise, shown)
     return None
 
 
@@ -254,12 +254,12 @@ def _first_zeros(profile: Profile, table: SensorTable) -> tuple[Profile, Floats,
         design = np.zeros((len(t_s) + 2, 4))  # the decays' priors below the readings
         design[:-2, 0], design[:-2, 2:] = 1.0, decays
         design[-2:, 2:] = np.eye(2) * table.noise[first].mean() / _CREEP
-        told = np.vstack([bend, np.zeros((2, bend.shape[1]))])
+        readings = np.vstack([bend, np.zeros((2, bend.shape[1]))])
         fits = []
         for at in range(_SMOOTH, len(t_s) - _SMOOTH):
             design[:-2, 1] = np.arange(len(t_s)) >= at
-            fit = np.linalg.lstsq(design, told)[0]
-            fits.append((float(((design @ fit - told) ** 2).sum()), fit))
+            fit = np.linalg.lstsq(design, readings)[0]
+            fits.append((float(((design @ fit - readings) ** 2).sum()), fit))
         start, step, *creep = min(fits, key=lambda fit: fit[0])[1]
         before[first], after[first] = start, start + step
         straight[:, first] = bend - decays @ np.array(creep)

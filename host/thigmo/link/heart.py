@@ -1,6 +1,6 @@
 """The heartbeat: what keeps the board's outputs energised, and only while the host lives.
 
-Whoever owns the bytes (the port's process, the emulator) beats it, so that a busy main thread
+The owner of the bytes (the port's process, the emulator) beats it, so that a busy main thread
 cannot starve it. The board drops a counter that does not rise, so a replayed beat keeps nobody
 alive.
 """

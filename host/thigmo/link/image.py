@@ -168,6 +168,6 @@ def make(folder: Path, target: Path, *settings: str) -> Path:
         lines = (result.stderr or result.stdout).strip().splitlines() or ["no message"]
         raise PortError(
             f"building {target.name} failed: {lines[0]}",
-            f"run `make -C {folder.relative_to(ROOT)}` and mend it",
+            f"run `make -C {folder.relative_to(ROOT)}` and correct what it names",
         )
     return target

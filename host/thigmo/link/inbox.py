@@ -117,7 +117,7 @@ class Inbox:
         return self.clock.unwrap(t_us) * 1e-6
 
     def _begin_session(self, session: int, new_boot: bool) -> None:
-        """Another conversation: telemetry and heartbeats count anew; a boot restarts all."""
+        """Another conversation: telemetry and heartbeats count from 0; a boot restarts all."""
         if new_boot:
             self.clock, self._ledger = DeviceClock(), EventLedger()
         self.session = session

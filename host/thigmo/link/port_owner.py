@@ -1,4 +1,4 @@
-"""Who has a serial port open, in the operator's words.
+"""Which program has a serial port open, in the operator's words.
 
 A port that is in use takes no stop from outside: the operator must know which program to end.
 """

@@ -1,6 +1,6 @@
 """Stopping the board: a frame that it obeys in every state, repeated until it echoes the nonce.
 
-Used by whoever can write to the port: the client, and the owner of its bytes (the process that
+Used by all that can write to the port: the client, and the owner of its bytes (the process that
 owns a serial port, the emulator). No session, no sequence number and no command that waits for its
 answer stands in the way. The stop latches on the board until an operator clears it.
 """

@@ -45,7 +45,7 @@ class FoxgloveServer(ServerListener, Closing):
             for topic, (name, data) in topics().items()
         }
         self._status = Channel(STATUS, message_encoding="json", context=context)
-        # Whoever subscribes later gets the last of each channel that seldom speaks.
+        # A later subscriber gets the last of each channel that seldom speaks.
         self._last: dict[str, dict[str, tuple[bytes, int]]] = {}
         self._run: Hello | None = None
         try:
@@ -99,7 +99,7 @@ class FoxgloveServer(ServerListener, Closing):
             self._channels[channel.topic].log(data, log_time=at_ns)
 
     def late_comers_get(self, topic: str) -> list[tuple[bytes, int]]:
-        """What a channel says to whoever subscribes now: data, and their times in ns."""
+        """What a channel says to a subscriber now: data, and their times in ns."""
         return list(self._last.get(topic, {}).values())
 
     def close(self) -> None:

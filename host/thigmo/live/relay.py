@@ -30,7 +30,7 @@ from thigmo.stream import (
     running,
 )
 
-_MOST_WAITING = 20_000  # messages; who is that far behind loses some, and the run says so
+_MOST_WAITING = 20_000  # messages; a view that is so far behind loses some, and the run says so
 _SEARCH_S = 0.3  # between two looks for a run
 _ROOM_S = 0.02  # between two looks whether messages were taken
 _LOOK_S = 0.02  # between two looks at the stream

@@ -88,8 +88,8 @@ class Explanations {
         frame_(readings.frame),
         priors_(priors),
         settings_(settings),
-        prior_{priors.moments,  priors.least_lever, settings.critical,
-               priors.straight, priors.shape_rests, priors.felt},
+        prior_{priors.moments,     priors.least_lever, settings.critical, priors.straight,
+               priors.shape_rests, priors.felt,        priors.swept},
         white_(frame_, frame_.shared),
         contact_(readings.known ? priors.contact : priors.contact_unsure),
         bad_(readings.bad) {

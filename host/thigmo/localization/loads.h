@@ -25,6 +25,11 @@ struct ForcePrior {
   double straight;  // turn (rad) below which a body counts as straight
   double rests;     // change of curvature below which a shape rests
   double felt;      // standard errors by which a contact that counts moves the readings
+  double swept;     // share of contacts that a sweep brought about
+
+  // Of a contact's place on a body of length one. A bend of the whole body carries each point
+  // across an area that grows as the square of its arc.
+  double density(double arc) const { return 1.0 - swept + 3.0 * swept * arc * arc; }
 };
 
 struct Window {
@@ -457,7 +462,7 @@ class OneContactGrid {
     double total = 0.0;
     for (int m = 0; m < count; ++m) {
       const double mass = std::max(out.mass[m], 1e-300);
-      total += out.mass[m];
+      total += out.mass[m] *= prior_.density(out.place[m]);
       out.force[m] /= mass;
       out.spread[m] = std::sqrt(std::max(out.spread[m] / mass - out.force[m] * out.force[m], 0.0));
     }
@@ -667,7 +672,8 @@ class SetsGrid {
 
   // Takes all columns at one level of noise: whitened levers, the readings, levers at the base, and
   // deviations of the forces for a largest moment of one.
-  THIGMO_WIDE void set(const Matrix& white, const Row& read, const Row& base, const Row& unit) {
+  THIGMO_WIDE void set(const Matrix& white, const Row& read, const Row& base, const Row& unit,
+                       const ForcePrior& prior) {
     const int wide = white.columns, sets = size(), cells = cells_;
     of_.resize(kRows, padded());
     products_.resize(4 + cells, wide);
@@ -676,6 +682,7 @@ class SetsGrid {
     for (int k = 0; k < wide; ++k) {
       variance[k] = unit[k] * unit[k];
       precision[k] = 1.0 / variance[k];
+      variance[k] /= std::pow(prior.density(place[k]), 2);
     }
     std::fill_n(told, 2 * wide, 0.0);
     for (int i = 0; i < white.rows; ++i) {
@@ -940,7 +947,7 @@ inline SeveralContacts several_contacts(const Whitened& readings, const ForcePri
     const Row unit = prior_deviations(prior, levers.largest);
     const auto take = [&](const Whitened::At& at) {
       at.by(levers.sensor, white);
-      sets.set(white, at.read, levers.base, unit);
+      sets.set(white, at.read, levers.base, unit, prior);
     };
     for (std::size_t s = 0; s < readings.levels.size(); ++s) {
       take(readings.levels[s]);
@@ -1093,7 +1100,8 @@ inline FoldedContact folded_contact(const Whitened& readings, const ForcePrior& 
           const double share = std::erfc(z / std::numbers::sqrt2);
           const double free = at.square - mean * (2.0 * told - mean * square);
           const double log_weight = at.by.log_det - 0.5 * free + 0.5 * found.gain -
-                                    std::log(found.volume) + std::log(std::max(share, 1e-300));
+                                    std::log(found.volume) + std::log(std::max(share, 1e-300)) +
+                                    std::log(prior.density(out.place[m]));
           each[m].push_back(log_weight);
           if (log_weight <= top[m]) continue;
           top[m] = log_weight;

@@ -107,6 +107,7 @@ constexpr std::pair<const char*, double Priors::*> kPriors[] = {
     {"NOISE_DEVIATE", &Priors::noise_deviate},
     {"CONTACT_UNSURE", &Priors::contact_unsure},
     {"FELT", &Priors::felt},
+    {"SWEPT", &Priors::swept},
 };
 
 // What holds for all frames of the same sensors.

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+import numpy.typing as npt
+
 from thigmo.localization import _posterior
 
 # Standard deviations of a contact's largest moment: a touch, a push, a lean; equally likely. For a
@@ -17,6 +20,11 @@ from thigmo.localization import _posterior
 MOMENTS = (0.15, 0.6, 2.4)
 # Nearer to the base than this share of the body the prior of the force no longer widens.
 LEAST_LEVER = 0.02
+# Share of contacts that a sweep brings about. A bend of the whole body carries each of its points
+# across an area that grows as the square of the arc, and so do the chances of a peg there; of pegs
+# spread evenly over the room 6 % bear on the first 40 % of the body. The others, as of a hand,
+# lie anywhere alike, as all do in space.
+SWEPT = 1.0 / 3.0
 
 # Log prior odds against a free body whose readings are all good.
 CONTACT = -1.2
@@ -34,8 +42,9 @@ END_STRAIGHT = -7.0
 # it, and where nothing else does.
 HELD = -1.0
 HELD_STRAIGHT = 0.0
-# Of one more contact, of a kink anywhere on the body.
-ANOTHER = -2.0
+# Of one more contact: one frame in six has another beside the first.
+ANOTHER = math.log(1.0 / 5.0)
+# Of a kink anywhere on the body.
 HINGE = -5.0
 # Of a fold near the base, where the caller does not say at which moment the body folds.
 BASE_FOLD = -2.0
@@ -89,6 +98,11 @@ NOISE_FACTOR = 2.4
 NOISE_ODDS = 0.18
 # Where the noise is unknown, its levels: shares of the readings' root mean square.
 NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
+
+
+def place_density(place: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Prior density of contacts on the side of a body of length one, in a plane."""
+    return 1.0 - SWEPT + 3.0 * SWEPT * place**2
 
 
 def narrow(interval: tuple[float, float], length: float) -> bool:

@@ -14,7 +14,7 @@ struct Priors {
       bad_deviation, angle;
   double near_fold, straight, end_turn, shape_rests, level, excluded, held_excluded, five_sigma,
       noise_factor, noise_odds;
-  double hopeless, trust, end_cell, misfit_deviate, noise_deviate, contact_unsure, felt;
+  double hopeless, trust, end_cell, misfit_deviate, noise_deviate, contact_unsure, felt, swept;
 };
 
 // What the caller gives: arrays of N numbers, or of one for all sensors.

@@ -151,7 +151,7 @@ class Rod(_rod.Rod):
         """Put other pegs into the room, beside the body as it lies.
 
         A body that is clear of them stays where it is. One that is not, or was held by the old
-        ones, bends up anew from straight, and pegs in its way push it aside.
+        ones, bends up again from straight, and pegs in its way push it aside.
         """
         self._place(_rows(pegs))
 

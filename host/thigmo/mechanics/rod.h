@@ -88,7 +88,7 @@ class Rod {
   // Take a body without contact for the present one.
   void assume_free(double natural, double length);
   // Put other pegs into the room, beside the body as it lies. A body that is clear of them stays
-  // where it is; one that is not, or was held by the old ones, bends up anew from straight.
+  // where it is; one that is not, or was held by the old ones, bends up again from straight.
   void place(std::vector<Peg> pegs);
   // Take given contacts and a given fold: one integration, nothing is solved.
   void press(std::vector<Contact> contacts, double fold_angle, double natural, double length);

@@ -29,7 +29,7 @@ struct Beam {
   double error_bound;  // cm, of positions against the large-deflection rod
 };
 
-// A straight beam of natural curvature g among pegs; nothing if the contacts cannot be told.
+// A straight beam of natural curvature g among pegs; nothing if the contacts cannot be determined.
 std::optional<Beam> bend_beam(double g, double length, double tube_radius, double critical,
                               const std::vector<Peg>& pegs, int cells);
 

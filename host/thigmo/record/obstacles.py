@@ -1,4 +1,4 @@
-"""obstacles.json: the room as a run leaves it to whoever plans with it, or explores it again.
+"""obstacles.json: the room as a run leaves it to a planner, or to the next exploration.
 
 Obstacles are contacts, merged over the run's stages and with those of a map that was given before;
 free is what the robot swept without being held back. `map.pgm` and `map.yaml` beside it hold the

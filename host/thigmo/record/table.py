@@ -117,7 +117,7 @@ class Table:
         values = self.numbers(column, None if default is None else float(default))
         for row in np.flatnonzero(values != np.round(values))[:1]:
             where = f"{self.name}, line {self.lines[row]}"
-            raise DataError(f"{where}: column '{column}' needs a whole number", "mend that cell")
+            raise DataError(f"{where}: column '{column}' needs a whole number", "correct that cell")
         return values.astype(np.int64)
 
     def words(self, column: str, default: str | None = None) -> list[str]:

@@ -1,7 +1,7 @@
 """What the robot publishes of itself: telemetry, events, and how its body lies, in units.
 
-It listens to the link beside whoever drives the robot, and commands nothing. What nobody listens
-to is not even decoded. Live listeners get each reading as it comes; a record gets them in blocks.
+It listens to the link beside the program that drives the robot, and commands nothing. What has no
+listener is not decoded. Live listeners get each reading as it comes; a record gets them in blocks.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The robot as an object: every command of the board in the lab's units, and waiting for its end.
 
-Used by the exploration, the calibration and whoever writes a program for the robot. Each concern
+Used by the exploration, the calibration and programs for the robot. Each concern
 builds on the one before: `connected` (link, stream, state), `supervised` (waiting, faults, arming,
 configuration), and here length, sensors and sweeps.
 """
@@ -183,19 +183,28 @@ class Robot(Supervised):
         CommandTimeoutError if they do not settle.
         """
         end = self.now() + self.config.board.settle_s + _SETTLE_EXTRA_S
-        while waiting := (status := self.status()).everted & ~status.settled & sensors:
+        while waiting := self._settling(sensors):
             if self.now() > end:
                 raise CommandTimeoutError(
                     f"sensors {in_mask(waiting)} do not settle",
                     "check the board's parameter settle_ms",
                 )
-            reports = [self._client.request(wire.GetSensor(n)) for n in in_mask(waiting)]
-            left_s = max(report.settle_left_ms for report in reports) / 1e3
+            left_s = self.settles_s(waiting)
             while left_s > 0:
                 progress(left_s)
                 self.wait(min(left_s, 1.0))
                 left_s -= 1.0
             self.wait(0.02)
+
+    def settles_s(self, sensors: int = -1) -> float:
+        """How long (s) everted sensors of a mask settle yet; 0 where they have."""
+        waiting = in_mask(self._settling(sensors))
+        left = [self._client.request(wire.GetSensor(n)).settle_left_ms for n in waiting]
+        return max(left, default=0) / 1e3
+
+    def _settling(self, sensors: int) -> int:
+        status = self.status()
+        return status.everted & ~status.settled & sensors
 
     def zero(self) -> int:
         """Average the everted sensors' readings into their zeros; returns the mask of these.

@@ -151,7 +151,7 @@ class Supervised(Connected):
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
         if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self.config)):
             cure = f"{hint}; {cure}"
-        # A board that lives in this process starts anew with the next connection.
+        # A board that lives in this process starts again with the next connection.
         if self.url and not self.virtual:
             cure = f"{cure} (`thigmo clear --robot {self.url}`)"
         return RobotFaultError(f"{first.key}{others}: {what}", cure, faults=tuple(faults))

@@ -1,4 +1,4 @@
-"""What happens on a robot, as it happens: one model of live data, and its ways to whoever looks.
+"""What happens on a robot, as it happens: one model of live data, and its ways to viewers.
 
 The robot and the exploration publish `messages` on a `Hub`; a program subscribes to it, a `Server`
 passes it to other processes of the same user, and `attach` is their end. Records, the page,

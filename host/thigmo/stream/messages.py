@@ -184,7 +184,7 @@ class Log(Message):
 
 @dataclass(frozen=True, slots=True)
 class Question(Message):
-    """What the run asks its operator; whoever watches may answer."""
+    """What the run asks its operator; any viewer may answer."""
 
     CHANNEL = "question"
 
@@ -200,7 +200,7 @@ CHANNELS: Mapping[str, type[Message]] = {
 }  # fmt: skip
 _OF_NOW = (Hello.CHANNEL, Dropped.CHANNEL, Question.CHANNEL)
 RECORDED = tuple(each for each in CHANNELS if each not in _OF_NOW)
-# The last of each is given to whoever comes later.
+# The last of each is given to later subscribers.
 RETAINED = frozenset(
     kind.CHANNEL for kind in (RunState, BodyShape, Posterior, Contacts, Grid, Question)
 )

@@ -234,8 +234,8 @@ def attach(address: str, patience_s: float = _PATIENCE_S) -> RemoteRun:
 def running(hung: set[str] | None = None) -> list[Watchable]:
     """All runs of this user that can be watched, the youngest last.
 
-    `hung`: kept by who looks again and again, the addresses that did not answer; they are waited
-    for only briefly.
+    `hung`: kept by a caller that looks repeatedly, the addresses that did not answer; these are
+    waited for only briefly.
     """
     found = []
     silent = set() if hung is None else hung

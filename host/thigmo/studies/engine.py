@@ -101,13 +101,13 @@ class Outcome:
     notes: list[str] = field(default_factory=list)  # sentences that are printed
     summary: Sequence[Record] | None = None  # a table that is printed
     samples: Mapping[str, int] = field(default_factory=dict)  # cases of each part that was run
+    kept: tuple[str, ...] = ("rows",)  # tables that programs get as well
 
     def record(self) -> dict[str, Any]:
         """What programs get: the rows of the comparison, if there is one, claims and notes."""
+        tables = {name: self.tables.get(name, []) for name in self.kept}
         claims = [claim.record() for claim in self.claims]
-        rows = self.tables.get("rows", [])
-        samples = dict(self.samples)
-        return {"rows": rows, "claims": claims, "notes": self.notes, "samples": samples}
+        return tables | {"claims": claims, "notes": self.notes, "samples": dict(self.samples)}
 
 
 @dataclass(frozen=True)

@@ -385,7 +385,7 @@ def _outcome(every: list[Run]) -> Outcome:
     tables: dict[str, Sequence[Record]] = {"runs": [vars(one) for one, _ in every], "rows": rows}
     figures = {"explorations": _figure(found)}
     if dialled:
-        tables["dial"], figures["dial"] = dialled, _dial_figure(dialled)
+        tables["dial"], figures["dial"] = dialled, dial_figure(dialled)
     return Outcome(
         tables,
         figures,
@@ -397,6 +397,7 @@ def _outcome(every: list[Run]) -> Outcome:
         ],
         [f"{text}: {cells:{'.2g' if cells < 10 else '.0f'}} %" for text, cells in others],
         rows,
+        kept=("rows", "dial"),
     )
 
 
@@ -531,7 +532,7 @@ def _dial_claims(rows: list[Record]) -> list[Claim]:
     ]
 
 
-def _dial_figure(rows: list[Record]) -> Figure:
+def dial_figure(rows: Sequence[Record]) -> Figure:
     """Error, contacts missed and contacts localized wrong, against robot time."""
     figure, axes = charts.panels(2, len(DIALLED), size=(3.4, 2.6))
     most_cm = max((float(row["error_cm"]) for row in rows if row["contacts"]), default=1.0)

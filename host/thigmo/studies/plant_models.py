@@ -4,8 +4,8 @@ Plant: random scenes of three kinds (free, gently touched, swept into a peg) are
 step by `arc`, `beam`, `elastica` and the automatic choice at several tolerances. Error is the
 largest distance, along the body at the end, from an elastica with a four times finer mesh.
 
-Localizer: frames of one to three contacts are answered by a point fit, by each number of contacts,
-and by the automatic choice. Error is the mean distance of each true contact from the nearest
+Localizer: frames of one to three contacts are answered by each number of contacts, and by the
+automatic choice. Error is the mean distance of each true contact from the nearest
 answered one, and of each answered one from the nearest true one; 10 cm where there is none nearer.
 """
 

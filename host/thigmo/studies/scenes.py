@@ -24,7 +24,7 @@ NEAREST = 8.0  # no contact is drawn closer to the base
 FULL_CURVATURE = 0.04  # of the bent robot
 COLUMN: Floats = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 BOTH: Floats = np.tile(COLUMN, 2)
-# What every caller of `localize` who has a robot says of it: scenes fold only where they say so.
+# What a caller of `localize` with a robot states of it; a scene folds only where it says so.
 ROBOT: dict[str, Any] = {
     "tube_radius": RADIUS, "held_end": False, "critical_curvature": float("inf"),
 }  # fmt: skip

@@ -376,3 +376,14 @@ def test_forces_are_no_surer_than_they_may_be(contacts, many):
         off_where_it_is.append((marginal.force[cell] - force) / marginal.force_deviation[cell])
     for each in (off, off_where_it_is):
         assert 0.2 < np.sqrt(np.mean(np.square(each))) < 1.2
+
+
+def test_a_weak_touch_near_the_tip_is_not_put_far_from_it(many):
+    rng = np.random.default_rng(12)
+    off = []
+    for _ in range(many(150)):
+        arc = rng.uniform(45.0, LENGTH)
+        force = rng.choice([-1.0, 1.0]) * 0.0011 / arc
+        reading = felt(arc, force) + SIGMA * rng.standard_normal(10)
+        off += [abs(contact.arc - arc) for contact in find(reading).contacts[-1:]]
+    assert np.mean(off) < 10.5  # least squares is 9.5 cm off, a prior even over the body 12.0

@@ -55,7 +55,7 @@ async function lookBack() {
 }
 
 function takePage(message) {
-  // Who looks at a robot that moves must be able to stop it: another run is live.
+  // A viewer of a robot that moves must be able to stop it: another run is live.
   if (message.mode === "live" && message.ended && message.run.id === back) message.mode = "record";
   const before = store.page, same = before?.run?.id === message.run?.id;
   store.page = message;

@@ -52,7 +52,7 @@ export function addRows(message) {
   for (const row of message.rows) {
     const t = row[0];
     store.origin ??= t;
-    // The board or its emulator began anew: what was before lies on another clock.
+    // The board or its emulator restarted: what was before lies on another clock.
     if (columns[0].length && t - store.origin < columns[0].at(-1)) {
       if (columns[0].at(-1) - (t - store.origin) < 0.5) continue;
       for (const column of columns) column.length = 0;

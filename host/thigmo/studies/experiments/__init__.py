@@ -23,7 +23,7 @@ from thigmo.studies.experiments.trial import STATIC, Trial
 __all__ = ["EXPERIMENTS", "Experiment"]
 
 Experiment = Callable[[int, int, Context], Outcome]
-"""Of so many robots, each built anew, and so many trials a condition and robot."""
+"""Takes the number of robots, each with errors of its own, and of trials a condition and robot."""
 
 
 def _of_robot(item: tuple[str, int, int, int]) -> list[Trial]:

@@ -119,7 +119,7 @@ def fit(seed: int, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
 
 
 def predictions(robots: int, trials: int, context: Context) -> Outcome:
-    """Every setting, over robots built anew for it from the same seed."""
+    """Every setting, over robots drawn for it from the same seed."""
     items = [(setting, robots, trials, context.seed) for setting in _settings()]
     found = [cell for some in context.map(_cells, items, "changed constants") for cell in some]
     return Outcome({"cells": found}, notes=remarks(found))

@@ -159,7 +159,7 @@ def trials(folder: Folder) -> list[Trial]:
         return [_trial(row, folder.config, kept) for row in kept]
     except (LookupError, TypeError, ValueError) as error:
         raise DataError(
-            f"the table in {folder.path} is damaged: {error!r}", "mend or delete that line"
+            f"the table in {folder.path} is damaged: {error!r}", "correct or delete that line"
         ) from error
 
 

@@ -41,7 +41,7 @@ _WORDS: dict[str, Verdict] = {"": "keep", "r": "redo", "s": "skip", "q": "quit"}
 
 @dataclass
 class Attendant:
-    """Whoever is beside a robot: takes dowels away, sets them, measures them, judges."""
+    """The person beside a robot, who takes dowels away, sets and measures them, and judges."""
 
     # puts a question to the person there; None: nobody is, and everything is kept
     ask: Callable[[str], str] | None = None
