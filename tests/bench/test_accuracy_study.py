@@ -43,17 +43,17 @@ def test_the_bound_is_that_of_a_beam_where_the_body_is_straight() -> None:
 def test_other_readings_tell_of_a_bad_one_in_their_midst() -> None:
     rng = np.random.default_rng(8)
     scenes = GROUPS["peg"](rng, 40)
-    told = {}
+    noticed = {}
     for offset in (0.0, 8e-3):
         noise = SIGMA * rng.standard_normal((40, 5)) + offset * (COLUMN == 35.0)
-        told[offset] = accuracy.other_readings_tell(
+        noticed[offset] = accuracy.other_readings_tell(
             [
                 Frame(readings, COLUMN, free, {})
                 for readings, free in zip(scenes.curvature + noise, scenes.free, strict=True)
             ]
         ).sum()
-    assert told[0.0] <= 3
-    assert told[8e-3] >= 30
+    assert noticed[0.0] <= 3
+    assert noticed[8e-3] >= 30
 
 
 def test_scores_count_what_they_say() -> None:

@@ -120,9 +120,9 @@ def test_the_bound_in_the_thesis_measure_holds_the_foreshortening() -> None:
     rng = np.random.default_rng(4)
     for offset, spread in ((0.0, 1.0), (5.6, 0.9), (1.0, 2.0)):
         drawn = np.abs(offset + np.sqrt(np.pi / 2) * spread * rng.standard_normal(400_000))
-        told = folded(np.array([offset]), np.array([spread]))[0]
-        assert told == pytest.approx(drawn.mean(), rel=0.01)
-        assert told >= max(offset, spread) - 1e-12
+        found = folded(np.array([offset]), np.array([spread]))[0]
+        assert found == pytest.approx(drawn.mean(), rel=0.01)
+        assert found >= max(offset, spread) - 1e-12
 
 
 def test_the_bound_is_reached_by_an_efficient_fit() -> None:

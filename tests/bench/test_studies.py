@@ -76,8 +76,8 @@ def test_an_outcome_is_written_whole(tmp_path: Path) -> None:
 
 def test_claims_of_any_kind_of_number_are_json() -> None:
     for number in (np.float64(4.0), np.int64(4), 4):
-        told = json.loads(json.dumps(Claim("fast", number, 5).record()))
-        assert (told["value"], told["limit"], told["holds"]) == (4.0, 5.0, True)
+        record = json.loads(json.dumps(Claim("fast", number, 5).record()))
+        assert (record["value"], record["limit"], record["holds"]) == (4.0, 5.0, True)
 
 
 def test_work_goes_to_processes_in_order() -> None:
@@ -102,20 +102,20 @@ def test_a_stopped_study_leaves_its_finished_parts(
 
 
 def test_progress_on_a_pipe_is_a_line_now_and_then_with_what_is_left() -> None:
-    now, told = 0.0, []
-    tell = lines(told.append, lambda: now)
+    now, shown = 0.0, []
+    tell = lines(shown.append, lambda: now)
     for done in range(101):
         now = 0.5 * done
         tell("part", done, 100)
-    assert told[:3] == [
+    assert shown[:3] == [
         "part: 0/100, 0 s",
         "part: 20/100, 10 s, about 40 s to go",
         "part: 40/100, 20 s, about 30 s to go",
     ]
-    assert told[-1] == "part: 100/100, 50 s"
-    assert len(told) == 6
+    assert shown[-1] == "part: 100/100, 50 s"
+    assert len(shown) == 6
     tell("counted from one", 1, 3)
-    assert told[-1] == "counted from one: 1/3, 0 s, about 0 s to go"
+    assert shown[-1] == "counted from one: 1/3, 0 s, about 0 s to go"
 
 
 @pytest.mark.parametrize("name", list(STUDIES))

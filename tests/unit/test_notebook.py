@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -238,3 +239,13 @@ def test_frames_have_a_row_for_each_contact() -> None:
     assert many["status"].tolist() == [one.status, "no contact"]
     assert many["arc"][0] == pytest.approx(one.contacts[0].arc)
     assert np.isnan(many["arc"][1])
+
+
+def test_a_contact_tells_where_it_was_first_felt_and_last_measured(
+    contact: thigmo.MapContact,
+) -> None:
+    merged = replace(contact, merged=[40.0, 50.0])
+    document = thigmo.RunDocument(thigmo="0", name="n", url="u", started="", contacts=[merged])
+    (printed,) = thigmo.ExplorationResult(document, Path("runs/n")).as_json()["contacts"]
+    assert (printed["everted_length_cm"], printed["measured_length_cm"]) == (40.0, 53.0)
+    assert "track" not in printed

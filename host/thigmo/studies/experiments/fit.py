@@ -72,10 +72,10 @@ def misfit(found: dict[str, tuple[float, float]]) -> float:
     total = 0.0
     readings = thesis.TRIALS * len(thesis.SINGLE_ARCS_CM)
     for row, (mean, spread) in found.items():
-        told_mean, told_spread = thesis.RESULTS["single-contact", row]
-        total += ((mean - told_mean) / (told_spread / np.sqrt(readings))) ** 2
+        thesis_mean, thesis_spread = thesis.RESULTS["single-contact", row]
+        total += ((mean - thesis_mean) / (thesis_spread / np.sqrt(readings))) ** 2
         # A standard deviation of n readings is known to 1 / sqrt(2 n - 2) of itself.
-        total += (np.log(max(spread, 1e-3) / told_spread) * np.sqrt(2 * readings - 2)) ** 2
+        total += (np.log(max(spread, 1e-3) / thesis_spread) * np.sqrt(2 * readings - 2)) ** 2
     return float(total)
 
 

@@ -1,7 +1,6 @@
 """Figures of the experiments, in the places of the thesis's own.
 
-Errors by condition (3.2c, 3.5c, 3.7c), readings and fits (3.3, 3.6), and the residual surface
-(2.7).
+Errors by condition (3.2c, 3.5c, 3.7c), readings and fits (3.3, 3.6).
 """
 
 from __future__ import annotations
@@ -94,7 +93,7 @@ def _readings(axis: Axes, one: Solved, title: str) -> None:
 
 
 def single_contact(solved: Sequence[Solved]) -> dict[str, Figure]:
-    """Errors by place and force (3.2c), fits (3.3), and the residual surface (2.7)."""
+    """Errors by place and force (3.2c), and fits (3.3)."""
     levels = _groups(solved, "condition")
     fits, axes = charts.panels(
         1, len(levels), size=(5.2, 4.0),
@@ -107,41 +106,7 @@ def single_contact(solved: Sequence[Solved]) -> dict[str, Figure]:
     return {
         "errors": _levels(solved, "single-contact", title),
         "fits": fits,
-        "residual-surface": _surface(solved),
     }
-
-
-def _surface(solved: Sequence[Solved]) -> Figure:
-    """The thesis's objective over place and force for a high force at 3L/4 (its figure 2.7)."""
-    trial, answers = min(
-        solved,
-        key=lambda s: (s.trial.condition != thesis.LEVELS[0], s.trial.place != "3L/4"),
-    )
-    theirs = answers[THEIRS]
-    # On a real robot the force is known only as the method's own.
-    force = trial.forces[0] if np.isfinite(trial.forces[0]) else theirs.forces[0]
-    arcs = np.linspace(1.0, trial.length_cm, 261)
-    moments = np.linspace(0.1, 3.0, 240) * force * trial.arcs_cm[0]
-    levers = np.array([phi(arc, trial.position, 0.0) / arc for arc in arcs])
-    rest = (trial.curvature - trial.free) - moments[:, None, None] * levers
-    value = np.abs(rest).sum(axis=2)  # (moments, arcs)
-    figure, (axis,) = charts.panels(
-        size=(7, 4.6),
-        title=f"Residuals over place and force, {trial.condition} at {trial.place} (thesis, "
-        "figure 2.7)",
-    )
-    axis.grid(visible=False, which="both")
-    image = axis.pcolormesh(arcs, moments, np.log10(value), cmap="viridis", shading="auto")
-    figure.colorbar(image, ax=axis, label="log10 of the 1-norm of residuals (1/cm)")
-    ravine, floor = value.min(axis=0), moments[value.argmin(axis=0)]
-    axis.plot(arcs, floor, "w:", linewidth=1, label="floor of the ravine")
-    inner = np.flatnonzero((ravine[1:-1] < ravine[:-2]) & (ravine[1:-1] < ravine[2:])) + 1
-    axis.plot(arcs[inner], floor[inner], "wv", label="local minima along it")
-    axis.axvline(trial.arcs_cm[0], color="white", linewidth=1, label="true contact")
-    axis.axvline(theirs.arcs_cm[0], color=ORANGE, linewidth=1, label="thesis's method, here")
-    axis.set(xlabel="arc of the contact (cm)", ylabel="base moment f a (1/cm)")
-    axis.legend(fontsize=8, labelcolor="white", facecolor="0.25", loc="upper right")
-    return figure
 
 
 def two_contacts(solved: Sequence[Solved]) -> dict[str, Figure]:
