@@ -46,7 +46,7 @@ WARM_UP_S = 60.0
 RECOVER_S = 25.0
 SAVE_S = 120.0
 HELLO_S = 300.0
-CLOCK_S = 10.0
+CLOCK_S = 1.0
 # What the mix must not do at random: end the session, or swallow events that were not delivered.
 OWN = (wire.Hello, wire.AckEvent, wire.SaveConfig)
 # These answer when they are done, and are repeated until then.

@@ -103,6 +103,8 @@ class FlexResult(StepResult):
 
         A sensor found dead keeps its old constants and is marked unhealthy.
         """
+        loops = [fit.hysteresis for fit in self.sensors if fit.healthy]
+        usual_loop = float(np.sqrt(np.mean(np.square(loops)))) if loops else 0.0
         for fit in self.sensors:
             sensor = config.column(fit.side)[fit.index]
             if not isinstance(sensor, FlexSensor):
@@ -115,8 +117,10 @@ class FlexResult(StepResult):
             sensor.scale_se = float(np.hypot(np.hypot(fit.scale_se, fit.sweep_se), fit.misfit))
             sensor.zero_ohm = fit.zero_ohm
             sensor.valid_direction = fit.valid_direction
-            # What uses a reading later knows nothing of the loop.
-            sensor.zero_se = float(np.hypot(fit.noise * fit.lasting**0.5, fit.hysteresis))
+            # What uses a reading later knows nothing of the loop. A few rows measure one poorly, so
+            # it counts as large as its neighbours'.
+            loop = max(abs(fit.hysteresis), usual_loop)
+            sensor.zero_se = float(np.hypot(fit.noise * fit.lasting**0.5, loop))
             sensor.noise = fit.noise * (1 - fit.lasting) ** 0.5
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf, tan
+from math import tan
 from typing import Any
 
 import cv2
@@ -28,9 +28,8 @@ Color = tuple[float, float, float]  # blue, green, red, 0..255
 _SHIFT = 6  # fractional bits of OpenCV's polygon vertices
 _TABLE_PX_CM = 12
 _SIZE = (1920, 1080)
-# Pixels of a camera over those of `_SIZE`, by how many times 53 cm its robot is long: 1440 and 2160
-# lines, for the tip's marker.
-_FINER = ((1.3, 1.0), (2.3, 4 / 3), (inf, 2.0))
+# Above a robot of more than so many times 53 cm the camera has 1440 lines, for the tip's marker.
+_FINE, _FINER = 1.3, 4 / 3
 # The table of a robot of 53 cm is painted within this distance of the picture's middle.
 _LIVE_CM, _LENGTH_CM, _HEIGHT_CM = 90.0, 53.0, 105.0
 
@@ -93,7 +92,7 @@ def overhead_camera(
     pick = rng or np.random.default_rng(0)
     vary = 0.0 if rng is None else 1.0
     share = length_cm / _LENGTH_CM
-    size = np.array(_SIZE) * next(finer for most, finer in _FINER if share <= most)
+    size = np.array(_SIZE) * (_FINER if share > _FINE else 1.0)
     height = share * (_HEIGHT_CM + vary * pick.uniform(-10, 12))
     # The picture's columns run along -y and its rows along -x: the robot grows upwards.
     down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

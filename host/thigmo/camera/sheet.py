@@ -47,6 +47,8 @@ class Card(Model):
 
 
 _LENGTH_CM = 53.0  # of the robot that these cards are for
+# Times that, up to which the usual tip marker is seen; and how much larger fits a page.
+_MARKER_SEEN, _MARKER_LARGEST = 2.3, 1.8
 _CARDS = [
     Card(name="base left", first_id=0, x_cm=0.0, y_cm=44.0),
     Card(name="base right", first_id=4, x_cm=0.0, y_cm=-44.0),
@@ -93,19 +95,30 @@ class Sheet(Model):
 
     @classmethod
     def of_length(cls, length_cm: float) -> Sheet:
-        """The sheet of a robot of that length: its cards lie around what it can reach."""
+        """The sheet of a robot of that length: its cards lie around what it can reach.
+
+        A camera that sees all of a long one has few pixels for its tip's marker, which is larger.
+        """
         share = length_cm / _LENGTH_CM
+        larger = min(max(share / _MARKER_SEEN, 1.0), _MARKER_LARGEST)
         laid = [
             card.model_copy(update={"x_cm": round(card.x_cm * share, 1),
                                     "y_cm": round(card.y_cm * share, 1)})
             for card in _CARDS
         ]  # fmt: skip
-        return cls(cards=laid)
+        return cls(
+            cards=laid, tip_marker_cm=round(2.4 * larger, 1), tip_offset_cm=round(2.0 * larger, 1)
+        )
 
     @property
     def length_cm(self) -> float:
         """Length of the robot that the cards are laid for."""
         return max(card.x_cm for card in self.cards) * _LENGTH_CM / _CARDS[-1].x_cm
+
+    @property
+    def tip_hides_cm(self) -> float:
+        """How much of the body's end the tip's marker covers, with its margin."""
+        return self.tip_offset_cm + self.tip_marker_cm * (0.5 + 1 / self.modules)
 
     @property
     def modules(self) -> int:

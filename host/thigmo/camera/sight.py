@@ -207,8 +207,13 @@ class _Glance:
         if (four := self.markers.get(self.sheet.tip_marker_id)) is not None:
             # The white margin belongs to the marker: one more cell on each side.
             center = four.mean(axis=0)
+            # It may be wider than the tube.
             wider = 1.02 * (1 + 2 / self.sheet.modules)
-            cover = camera.to_plane(center + wider * (four - center), radius)
+            side_cm = wider * self.sheet.tip_marker_cm * self.sheet.print_scale
+            across = (four[0] + four[1] - four[2] - four[3]) / 4
+            too_wide = max(0.0, wider * (1 - wanted.diameter_cm / side_cm)) * across
+            out = wider * (four - center) - np.outer([1, 1, -1, -1], too_wide)
+            cover = camera.to_plane(center + out, radius)
         track = follow(flat, bodyness(flat, radius, cover, empty), radius)
         middle, good = track.middle, track.good
         # The end's upper or lower edge juts out by its height, by half if it is rounded.
@@ -234,7 +239,9 @@ class _Glance:
         line = fit_centerline(
             middle, seen_end if end is None else end, constant=wanted.constant, good=good
         )
-        return line, _doubts(track, middle, good, line, wanted)
+        # A marker that is not seen hides the end of the body.
+        within = wanted.diameter_cm + (self.sheet.tip_hides_cm if tip is None else 0.0)
+        return line, _doubts(track, middle, good, line, wanted, within)
 
     def obstacles(self) -> list[Obstacle]:
         """Dowels: those clicked, and others that are seen."""
@@ -248,7 +255,12 @@ class _Glance:
 
 
 def _doubts(
-    track: Track, middle: Array, good: NDArray[np.bool_], line: Centerline, wanted: Seen
+    track: Track,
+    middle: Array,
+    good: NDArray[np.bool_],
+    line: Centerline,
+    wanted: Seen,
+    within_cm: float,
 ) -> list[str]:
     """Why an axis that was followed may not be the body's, or not all of it."""
     doubts = []
@@ -263,7 +275,7 @@ def _doubts(
             f"the axis passes the body's own middle by {away:.1f} cm: the body is kinked, or "
             "something beside it was taken for it"
         )
-    if wanted.length_cm is not None and abs(line.length_cm - wanted.length_cm) > wanted.diameter_cm:
+    if wanted.length_cm is not None and abs(line.length_cm - wanted.length_cm) > within_cm:
         doubts.append(
             f"the axis that was seen is {line.length_cm:.1f} cm long, and the body is "
             f"{wanted.length_cm:.1f} cm"

@@ -6,6 +6,7 @@ Shared by the picture of the map and by the obstacle map, so that both show the 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import ceil
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +16,8 @@ from thigmo.mechanics import traced
 from thigmo.record.document import Shape
 
 Floats = NDArray[np.float64]
-_BETWEEN = 9  # positions from one recorded shape to the next
+# Positions from one recorded shape to the next, at least, and the most between two tips.
+_BETWEEN, _APART_CM = 9, 2.0
 
 
 def outline(poses: ArrayLike, radius_cm: float) -> Floats:
@@ -50,7 +52,9 @@ def passed(shapes: Iterable[Shape], drawn_in: float = 0.0) -> Floats:
         # What bends no further than the late start, by its error, was perhaps never passed.
         bent = bent[way * (bent[:, -1, 2] - straight[-1, 2]) > 0]
     start = np.concatenate((straight[None], bent[:-1]))
-    share = np.linspace(0, 1, _BETWEEN)[None, :, None, None]
+    moved = float(np.hypot(*(bent - start)[:, -1, :2].T).max(initial=0.0))
+    count = max(_BETWEEN, ceil(moved / _APART_CM) + 1)
+    share = np.linspace(0, 1, count)[None, :, None, None]
     between: Floats = start[:, None] + (bent - start)[:, None] * share
     return between.reshape(-1, *straight.shape)
 

@@ -9,14 +9,13 @@ covers it. The same visits run on the real image (tests/sim/mega).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, Literal
 
 import numpy as np
 
-from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.board import Board
+from thigmo.emulator.board import Board, virtual_board
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import CommandRefusedError
@@ -30,6 +29,7 @@ MAX_PSI = 18.5  # max_pressure_cpsi of robot.toml's 18 psi, with its margin
 START_CM = 20.0
 LASTS_S = 12.0
 STEADY_S = 2.0  # at the end of the failure
+_LIVE_ZERO = 320  # of 1599: 4 mA
 EMPTIED_CM = 12.0  # a second of the spool at full speed: the body empties in about that
 FILL_S = 15.0  # for the body, through its throttle
 QUIET_S = 0.5  # outputs that have been off for so long stay off
@@ -123,6 +123,9 @@ STATES: dict[str, tuple[tuple[wire.Command[Any], ...], float]] = {
     "pressing": ((wire.SetPressure((1800, 0), 0),), 6.0),
 }
 QUICK = ("ready", "growing", "pressing")
+# Directions of the muscles of robots with fewer and with more than two.
+BUILT = {1: (90.0,), 2: (90.0, 270.0), 4: (90.0, 270.0, 0.0, 180.0)}
+BENDING = ("sweeping", "pressing")  # what differs with the muscles
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,7 @@ class Case:
     state: str
     fit: Fit = "bare"
     second: Failure | None = None
+    muscles: int = 2  # of `BUILT`
 
 
 @dataclass(frozen=True)
@@ -153,34 +157,42 @@ class Visit:
     beyond_cm: float
     pull_n: float  # most on the line
     recovers: bool  # once the failure is over, faults clear and the robot arms, without a reset
+    driven: int  # most muscles that were driven at once, above the transducers' live zero
 
 
 BoardFor = Callable[[bytes], Board]
-_virtual_board: BoardFor = partial(VirtualBoard, _SEED)
 
 
-def _scene(fit: Fit = "bare") -> Scene:
+def _scene(fit: Fit = "bare", muscles: int = 2) -> Scene:
     scene = Scene.load("empty").model_copy(update={"start_length_cm": START_CM})
     scene.belief = type(scene.belief)()
     scene.enables = scene.enables.model_copy(update={"fitted": fit != "bare"})
     scene.robot = scene.robot.model_copy(deep=True)
     scene.robot.spool.brake = fit == "brake"
+    (first, *_), count = scene.robot.muscles, muscles
+    if count != len(scene.robot.muscles):
+        scene.robot.muscles = [
+            first.model_copy(deep=True, update={"name": f"{lies:g} deg", "direction_deg": lies})
+            for lies in BUILT[count]
+        ]
     return scene
 
 
 @cache
-def stored(fit: Fit = "bare") -> bytes:
+def stored(fit: Fit = "bare", muscles: int = 2) -> bytes:
     """The store of a configured board."""
-    transport = EmulatorTransport(_scene(fit), _virtual_board(b""), seed=_SEED)
+    scene = _scene(fit, muscles)
+    transport = EmulatorTransport(scene, virtual_board(scene.robot, _SEED), seed=_SEED)
     Robot(Client(transport)).configure(transport.config)
     return transport.lockstep.board.eeprom
 
 
-def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 10) -> Visit:
-    """Break one thing in one state, on a board of that store, and watch."""
-    transport = EmulatorTransport(
-        _scene(case.fit), board_for(stored(case.fit)), seed=_SEED, exchange_ms=exchange_ms
-    )
+def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) -> Visit:
+    """Break one thing in one state, on a board of that store (the virtual one), and watch."""
+    scene = _scene(case.fit, case.muscles)
+    made = board_for or partial(virtual_board, scene.robot, _SEED)
+    board = made(stored(case.fit, case.muscles))
+    transport = EmulatorTransport(scene, board, seed=_SEED, exchange_ms=exchange_ms)
     lockstep, plant = transport.lockstep, transport.lockstep.plant
     client = Client(transport)
     robot = Robot(client)
@@ -194,13 +206,13 @@ def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 1
     robot.zero()
     commands, lead_s = STATES[case.state]
     for command in commands:
-        client.request(command)
+        client.request(_of_muscles(command, case.muscles, client.capacity.muscles))
     begins = transport.now() + lead_s
     for failure in filter(None, (case.failure, case.second)):
         table = {"kind": failure.kind, "at_s": begins, "duration_s": LASTS_S} | failure.options
         lockstep.faults.inject(FaultTable.model_validate(table))
     transport.pass_time(lead_s)
-    decoder, board, length = Decoder(), lockstep.board, plant.length_cm
+    decoder, length = Decoder(), plant.length_cm
     shown_cm, known = length, length  # by the encoder
     faults, announced = 0, False
     rows = []
@@ -216,8 +228,13 @@ def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 1
         unsafe = board.motor != 0 or any(board.drive_enabled)
         grown = plant.length_cm
         psi_now = max(plant.muscle_psi)
-        rows.append((t_s - begins, unsafe, psi_now, grown - length, grown - known, plant.line_n))
-    after_s, on, psi, moved_cm, beyond_cm, pull_n = np.array(rows).T
+        driven = sum(
+            on and level > _LIVE_ZERO
+            for on, level in zip(board.drive_enabled, board.drive, strict=True)
+        )
+        row = t_s - begins, unsafe, psi_now, grown - length, grown - known, plant.line_n, driven
+        rows.append(row)
+    after_s, on, psi, moved_cm, beyond_cm, pull_n, at_once = np.array(rows).T
     last_s = float(after_s[on > 0].max(initial=0.0))
     noticed = ", ".join(f.key for f in wire.Fault.from_mask(faults))
     noticed = noticed or ("reset" if announced else "")
@@ -230,7 +247,18 @@ def visit(case: Case, board_for: BoardFor = _virtual_board, exchange_ms: int = 1
         beyond_cm=float(beyond_cm.max(initial=0.0)),
         pull_n=float(pull_n.max()),
         recovers=_recovers(transport),
+        driven=int(at_once.max()),
     )
+
+
+def _of_muscles(command: wire.Command[Any], muscles: int, outputs: int) -> wire.Command[Any]:
+    """A command of two muscles, of so many on a board with so many outputs."""
+    key = {wire.Sweep: "amplitude_cpsi", wire.SetPressure: "set_cpsi"}.get(type(command))
+    if key is None:
+        return command
+    first, second = getattr(command, key)
+    tops = [first, *[second] * (muscles - 1), *[0] * (outputs - muscles)]
+    return replace(command, **{key: tuple(tops)})
 
 
 def _recovers(transport: EmulatorTransport) -> bool:
@@ -264,6 +292,13 @@ def run(context: Context) -> Outcome:
         for state in (states if fit == "bare" else fitted)
         if fit == "brake" or failure.kind not in of_brake
     ]
+    cases += [
+        Case(failure, state, muscles=muscles)
+        for muscles in (1, 4)
+        for failure in FAILURES
+        for state in (BENDING[-1:] if quick else BENDING)
+        if failure.kind not in of_brake
+    ]
     return outcome(cases, context.map(visit, cases, "failures"))
 
 
@@ -288,6 +323,8 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
             "bare": "failures", "valves": "failures_with_valves",
             "brake": "failures_with_valves_and_brake",
         }[case.fit]  # fmt: skip
+        if case.muscles != 2:
+            name = f"failures_with_{case.muscles}_muscles"
         tables[name] = [*tables.get(name, ()), _line(case, one)]
     seen = [(c, v) for c, v in pairs if v.noticed]
     air = [v for c, v in seen if not c.failure.valve or c.fit != "bare"]
@@ -313,6 +350,7 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
          [v.safe_s or 0.0 for c, v in seen if not c.failure.spool], 8.0, "s"),
         ("time to safe of a noticed failure of the spool, some of which only a motion's end shows",
          [v.safe_s or 0.0 for c, v in seen if c.failure.spool], LASTS_S - QUIET_S, "s"),
+        ("muscles driven at once", [v.driven for v in visits], 1, ""),
         ("noticed failures after which an output stays on",
          [sum(v.safe_s is None for _, v in seen)], 0, ""),
         ("failures in motion that nothing notices and nothing covers",
