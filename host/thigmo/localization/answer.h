@@ -55,12 +55,13 @@ class Mixture {
     const Marginal* before = nullptr;
     for (const auto& [weight, part] : parts) {
       if (before && part->place == before->place) continue;
+      const auto from = static_cast<std::ptrdiff_t>(edges.size());
       for (const double place : part->place) add_edge(place - 0.5 * part->width, within);
       add_edge(part->place.back() + 0.5 * part->width, within);
+      std::inplace_merge(edges.begin(), edges.begin() + from, edges.end());
       before = part;
     }
     edges.push_back(within.far);
-    if (!std::is_sorted(edges.begin(), edges.end())) std::sort(edges.begin(), edges.end());
     edges.erase(
         std::unique(edges.begin(), edges.end(), [](double a, double b) { return b - a < 1e-9; }),
         edges.end());
@@ -68,18 +69,12 @@ class Mixture {
     const std::size_t cells = edges.size() - 1;
     mass = force = variance = Row(cells);
     double total = 0.0;
-    std::vector<int> at(cells);  // of each cell among the part's
-    before = nullptr;
     for (const auto& [weight, part] : parts) {
       const double near = part->place.front() - 0.5 * part->width;
       const int last = static_cast<int>(part->place.size()) - 1;
-      for (std::size_t c = 0; c < cells && !(before && part->place == before->place); ++c) {
-        const double middle = 0.5 * (edges[c] + edges[c + 1]);
-        at[c] = middle < near ? -1 : static_cast<int>((middle - near) / part->width);
-      }
-      before = part;
       for (std::size_t c = 0; c < cells; ++c) {
-        const int m = at[c];
+        const double middle = 0.5 * (edges[c] + edges[c + 1]);
+        const int m = middle < near ? -1 : static_cast<int>((middle - near) / part->width);
         if (m < 0 || m > last) continue;
         const double share = weight * part->mass[m] * (edges[c + 1] - edges[c]) / part->width;
         mass[c] += share;
@@ -165,14 +160,6 @@ class Mixture {
   }
 };
 
-// Places of the contacts that are felt together, or of the only one.
-struct Arcs {
-  std::size_t count;
-  std::array<double, kMostContacts> at;
-  const double* begin() const { return at.data(); }
-  const double* end() const { return at.data() + count; }
-};
-
 // Hypotheses and their probabilities, asked for places of contacts.
 class Posterior {
  public:
@@ -203,8 +190,8 @@ class Posterior {
   // Probability of so many contacts that are felt; and of so many to be listed, one at least.
   std::array<double, 4> felt{}, listed{};
 
-  // Where the contacts lie that `choose` picks. Of a set and its arcs it returns one's index, or
-  // -1; a contact that is felt alone is a set as well.
+  // Where the contacts lie that `choose` picks: of a set it returns one's index, or -1; a contact
+  // that is felt alone is a set as well.
   template <class Choose>
   Mixture mixture(Window within, const Choose& choose) const {
     constexpr double kNegligible = 1e-3;  // share of a hypothesis that changes no interval
@@ -213,7 +200,7 @@ class Posterior {
     for (std::size_t k = 0; k < hypotheses_.size(); ++k) {
       const Hypothesis& h = hypotheses_[k];
       if (!counts(h) || probability_[k] <= kNegligible * most_) continue;
-      const bool alone = choose(Arcs{1, {}}) == 0;
+      const bool alone = choose(FeltSet{.count = 1}) == 0;
       if (h.shares.contacts.size() == 1) {
         if (alone) parts.emplace_back(probability_[k], &h.shares.contacts[0]);
         continue;
@@ -227,7 +214,7 @@ class Posterior {
         }
       }
       for (const FeltSet& set : h.shares.sets) {
-        const int i = choose(arcs(h, set));
+        const int i = choose(set);
         if (i < 0) continue;
         kept[from + set.contact[i]].add(set.cell[i], set.mass, set.force[i], set.spread[i]);
       }
@@ -246,12 +233,12 @@ class Posterior {
       const Hypothesis& h = hypotheses_[k];
       for (const Marginal& contact : h.shares.contacts) {
         for (std::size_t m = 0; m < contact.place.size(); ++m) {
-          out[nearest(of, contact.place[m])] += probability_[k] * contact.mass[m];
+          out[nearest(of.data(), of.size(), contact.place[m])] += probability_[k] * contact.mass[m];
         }
       }
       for (const FeltSet& set : h.shares.sets) {
         std::array<bool, kMostContacts> there{};
-        for (const double arc : arcs(h, set)) there[nearest(of, arc)] = true;
+        for (int i = 0; i < set.count; ++i) there[nearest(of.data(), of.size(), set.arc[i])] = true;
         for (std::size_t j = 0; j < of.size(); ++j) {
           out[j] += there[j] * probability_[k] * set.mass;
         }
@@ -260,24 +247,19 @@ class Posterior {
     return out;
   }
 
-  // Index of the one that is nearest to an arc.
-  template <class Places>
-  static int nearest(const Places& of, double arc) {
-    const auto nearer = [&](double a, double b) { return std::abs(a - arc) < std::abs(b - arc); };
-    return static_cast<int>(std::min_element(of.begin(), of.end(), nearer) - of.begin());
+  // Index of the one of some arcs that is nearest to another.
+  static int nearest(const double* of, std::size_t count, double arc) {
+    int out = 0;
+    for (int j = 1; j < static_cast<int>(count); ++j) {
+      if (std::abs(of[j] - arc) < std::abs(of[out] - arc)) out = j;
+    }
+    return out;
   }
 
  private:
   bool counts(const Hypothesis& h) const {
     const int size = static_cast<int>(h.shares.contacts.size());
     return asked_ > 0 ? size == asked_ : size > 0;
-  }
-  static Arcs arcs(const Hypothesis& h, const FeltSet& set) {
-    Arcs out{static_cast<std::size_t>(set.count), {}};
-    for (int i = 0; i < set.count; ++i) {
-      out.at[i] = h.shares.contacts[set.contact[i]].place[set.cell[i]];
-    }
-    return out;
   }
 
   const std::vector<Hypothesis>& hypotheses_;
@@ -343,15 +325,16 @@ inline void conclude(Explanations& weighing, const Priors& priors, const Setting
   const Window within = count == 1 ? settings.within : Window{0.0, 1.0};
   Row medians(count);
   for (std::size_t j = 0; j < count; ++j) {
-    const auto ordinal = [&](const Arcs& arcs) {
-      return arcs.count == count ? static_cast<int>(j) : -1;
+    const auto ordinal = [&](const FeltSet& set) {
+      return set.count == static_cast<int>(count) ? static_cast<int>(j) : -1;
     };
     medians[j] = posterior.mixture(within, ordinal).quantile(0.5);
   }
   const Row present = count > 0 ? posterior.present(medians) : Row{};
   for (std::size_t j = 0; j < count; ++j) {
-    Mixture mixture = posterior.mixture(
-        within, [&](const Arcs& arcs) { return Posterior::nearest(arcs, medians[j]); });
+    Mixture mixture = posterior.mixture(within, [&](const FeltSet& set) {
+      return Posterior::nearest(set.arc.data(), set.count, medians[j]);
+    });
     FeltContact felt;
     felt.arc = medians[j];
     felt.probability = present[j];

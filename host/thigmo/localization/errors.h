@@ -27,7 +27,6 @@ struct Frame {
   Row gain;       // (N,) standard deviation of a reading's gain error
   Matrix shared;  // (K, N) effect of each shared error of one standard deviation
   std::vector<Level> levels;  // of the noise; their odds sum to one
-  Nodes rest;                 // curvature of the free body
   int size() const { return static_cast<int>(excess.size()); }
 };
 

@@ -9,6 +9,7 @@
 // and splits the grid, whatever the loads, in a plane and in space.
 #pragma once
 
+#include <map>
 #include <memory>
 #include <optional>
 #include <utility>
@@ -179,7 +180,7 @@ class Explanations {
     if (settings_.space) {
       return std::make_unique<SpaceBody>(readings, in, *settings_.space, priors_, settings_.radius);
     }
-    return std::make_unique<PlaneBody>(readings, priors_, prior_, settings_.radius);
+    return std::make_unique<PlaneBody>(readings, in, priors_, prior_, settings_.radius);
   }
 
   // Chi-squared that one contact which is right passes as seldom as a standard normal number passes
@@ -354,7 +355,9 @@ class Explanations {
     const Whitened& white = mark < 0 ? white_ : *own;
     const double odds = weight + (mark < 0 ? 0.0 : mark_odds_[mark]);
     const int bad = mark < frame_.size() ? mark : -1;
-    Grid grid = grid_of(of, side);
+    thread_local std::map<const Explanation*, Grid> grids;  // whose memory the next frame needs
+    Grid& grid = grids[&of];
+    prepare(of, side, grid);
     const int count = grid.count();
     const bool asked = settings_.contacts == count, all = asked && count > 1;
     const bool certain = &of == &kOne || asked || settings_.held_end == Settings::Held::yes;
@@ -385,8 +388,10 @@ class Explanations {
       if (turn == 0 && count > 2 && !all) {
         const double least = best() - odds + kNegligible;
         if (log_evidence < least) return kNone;
-        grid.solve();
-        if (log_evidence + std::log(grid.all_felt()) < least) return kNone;
+        for (const double part : {0.25, 0.0}) {  // mostly the likelier sets decide
+          grid.solve(part / grid.size());
+          if (log_evidence + std::log(grid.all_felt()) < least) return kNone;
+        }
       }
       Row bent = body_->bent(now.loads);
       Row next = body_->shown(bent, now.left, bad);
@@ -410,7 +415,7 @@ class Explanations {
       const double nothing =
           count == 1 ? 0.0 : kNothingOfAll * std::exp(std::min(matters - log_evidence, 3.0));
       const auto add = [&](Grid& from, double log_weight, int by) {
-        from.solve();
+        from.solve(nothing);
         const Grid::Likeliest likeliest = from.likeliest(*read.frame);
         Hypothesis& out = found.emplace_back(
             Hypothesis{&of, log_weight, bent, likeliest.misfit, read.levels[from.level].factor});
@@ -452,12 +457,14 @@ class Explanations {
     return kNone;
   }
 
-  Grid grid_of(const Explanation& of, double side) const {
-    Grid out;
+  void prepare(const Explanation& of, double side, Grid& grid) const {
     const int across = body_->in_space() ? 2 : 1;
-    for (const Load& load : of.loads) {
-      Placed& p = out.placed.emplace_back(
-          Placed{&load, load.where == Load::Where::anywhere ? of.cells : 1});
+    grid.placed.resize(of.loads.size());
+    for (std::size_t j = 0; j < of.loads.size(); ++j) {
+      const Load& load = of.loads[j];
+      Placed& p = grid.placed[j];
+      p.load = &load, p.cells = load.where == Load::Where::anywhere ? of.cells : 1;
+      p.window = {0.0, 1.0};
       p.across = load.across ? across : 0;
       const double mean = load.critical ? side / prior_.tolerance : 0.0;
       p.number.assign(p.across, {!load.critical, mean, 0.0});
@@ -466,7 +473,6 @@ class Explanations {
       if (load.twists) p.number.resize(p.number.size() + 1);
       if (load.kinks) p.number.push_back({false, 0.0, side});
     }
-    return out;
   }
 
   // Log evidence of the sets of a grid that is weighed. On the whole body those listed are all

@@ -82,6 +82,7 @@ struct ForcePrior {
 
 struct Window {
   double near, far;
+  bool operator==(const Window&) const = default;
 };
 
 constexpr double kResolved = 0.35;          // mass of a cell above which the grid is too coarse
@@ -90,32 +91,43 @@ constexpr double kNothing = 25.0;           // nats below the likeliest set that
 constexpr double kNearlyNothing = 1.4e-11;  // the same as a weight
 constexpr std::size_t kMostContacts = 3;
 
+// Numbers of four sets of places, as a processor takes them.
+using Four [[gnu::vector_size(32), gnu::aligned(8)]] = double;
+inline const Four& four(const double* from) { return *reinterpret_cast<const Four*>(from); }
+inline Four& four(double* from) { return *reinterpret_cast<Four*>(from); }
+
+// Roots, of zero where a number is less.
+[[gnu::always_inline]] inline Four root(Four of) {
+  for (int lane = 0; lane < 4; ++lane) of[lane] = std::sqrt(of[lane] > 0.0 ? of[lane] : 0.0);
+  return of;
+}
+
+inline double largest(const Four& of) {
+  return std::max(std::max(of[0], of[1]), std::max(of[2], of[3]));
+}
+
 // e^x for x up to 700, to 11 digits; what is below e^-200 counts as that. Without branches or
-// calls, so that loops over places become vector code, and the same on every machine.
-[[gnu::always_inline]] inline double exponential(double x) {
+// calls, and the same on every machine.
+[[gnu::always_inline]] inline Four exponential(Four x) {
+  using Bits [[gnu::vector_size(32)]] = std::uint64_t;
   constexpr double kShift = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to a whole number
-  x = x > -200.0 ? x : -200.0;
-  const double shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
+  x = x > -200.0 ? x : -200.0 + Four{};
+  const Four shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
   // The rest, at most ln(2) / 2, by Taylor's series.
-  const double r = (x - whole * 0x1.62e42fefa0000p-1) - whole * 0x1.cf79abc9e3b3ap-40;
+  const Four r = (x - whole * 0x1.62e42fefa0000p-1) - whole * 0x1.cf79abc9e3b3ap-40;
   constexpr std::array kTerms{1.0,           1.0,           1.0 / 2.0,   1.0 / 6.0,
                               1.0 / 24.0,    1.0 / 120.0,   1.0 / 720.0, 1.0 / 5040.0,
                               1.0 / 40320.0, 1.0 / 362880.0};
-  double sum = kTerms.back();
+  Four sum = kTerms.back() + Four{};
   for (int k = 8; k >= 0; --k) sum = sum * r + kTerms[k];
-  const auto bits = std::bit_cast<std::uint64_t>(shifted) + 1023;
-  return sum * std::bit_cast<double>(bits << 52);
+  return sum * Four((Bits(shifted) + 1023) << 52);
 }
 
-// Four at a time, as a processor does.
+// Of a whole number of fours.
 THIGMO_WIDE inline double largest(const double* value, int count) {
-  std::array<double, 4> top;
-  top.fill(-INFINITY);
-  for (; count >= 4; count -= 4, value += 4) {
-    for (int j = 0; j < 4; ++j) top[j] = value[j] > top[j] ? value[j] : top[j];
-  }
-  for (int j = 0; j < count; ++j) top[j] = value[j] > top[j] ? value[j] : top[j];
-  return std::max(std::max(top[0], top[1]), std::max(top[2], top[3]));
+  Four top = four(value);
+  for (int s = 4; s < count; s += 4) top = four(value + s) > top ? four(value + s) : top;
+  return largest(top);
 }
 
 // Probability that a normal number lies within plus and minus a limit.
@@ -127,15 +139,14 @@ inline double probability_within(double mean, double variance, double limit) {
 // Probability that a load which moves the readings by `moved` standard errors, give or take
 // `deviation` of them, moves them by `least` or more: the normal integral to 2e-7 (Abramowitz and
 // Stegun, 7.1.26).
-[[gnu::always_inline]] inline double probability_felt(double moved, double deviation,
-                                                      double least) {
-  deviation = deviation > 1e-12 ? deviation : 1e-12;
-  const double deviate = (moved - least) / deviation;
-  const double t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * std::abs(deviate));
-  const double series =
+[[gnu::always_inline]] inline Four probability_felt(Four moved, Four deviation, double least) {
+  const Four deviate = (moved - least) / (deviation > 1e-12 ? deviation : 1e-12 + Four{});
+  const Four size = deviate > 0.0 ? deviate : -deviate;
+  const Four t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * size);
+  const Four series =
       ((((1.061405429 * t - 1.453152027) * t + 1.421413741) * t - 0.284496736) * t + 0.254829592) *
       t;
-  const double beyond = 0.5 * series * exponential(-0.5 * deviate * deviate);
+  const Four beyond = 0.5 * series * exponential(-0.5 * deviate * deviate);
   return deviate > 0.0 ? 1.0 - beyond : beyond;
 }
 
@@ -178,13 +189,13 @@ struct Marginal {
   }
 };
 
-// Two or three contacts that are felt together, base to tip: of each its index among those that
-// were placed, its cell there, and its force.
+// Contacts that are felt together, base to tip: of each its index among those that were placed, its
+// cell there and its arc, and its force.
 struct FeltSet {
   double mass = 0.0;
-  std::uint8_t count = 0;
+  int count = 0;
   std::array<std::uint8_t, kMostContacts> contact{}, cell{};
-  std::array<double, kMostContacts> force{}, spread{};
+  std::array<double, kMostContacts> arc{}, force{}, spread{};
 };
 
 // Posterior of the contacts of an explanation. In `contacts` is the mass of sets of which no other
@@ -193,11 +204,6 @@ struct Shares {
   std::vector<Marginal> contacts{};
   std::vector<FeltSet> sets{};
 };
-
-// Numbers of four sets of places, as a processor takes them.
-using Four [[gnu::vector_size(32), gnu::aligned(8)]] = double;
-inline const Four& four(const double* from) { return *reinterpret_cast<const Four*>(from); }
-inline Four& four(double* from) { return *reinterpret_cast<Four*>(from); }
 
 // Normal equations of K numbers: products with the readings and, lower half, with each other;
 // precision of the prior.
@@ -270,6 +276,7 @@ struct Placed {
   Matrix column{};  // (N, numbers * cells), of one prior deviation at a scale of one
   Row unit{};       // (numbers * cells) such a deviation
   Row base{};       // (numbers * cells) the moment at the base that it causes; empty in space
+  Row laid{};       // what all that hangs on; empty: on the shape
   int size() const { return static_cast<int>(number.size()); }
 };
 
@@ -306,20 +313,25 @@ class Grid {
 
   // Lists all sets whose contacts are half a cell apart at least.
   void list() {
-    cell_.resize(placed.size());
-    for (std::vector<int>& each : cell_) each.clear();
+    std::vector<Window> windows;
     number_.clear(), at_.clear();
     for (std::size_t j = 0; j < placed.size(); ++j) {
       for (int d = 0; d < placed[j].size(); ++d) {
         at_.push_back({static_cast<int>(j), d});
         number_.push_back(placed[j].number[d]);
       }
+      windows.push_back(placed[j].window);
     }
-    std::vector<int> at(placed.size());
-    list(0, at);
-    sets_ = static_cast<int>(cell_[0].size());
-    for (std::vector<int>& each : cell_) each.resize(padded(), each.empty() ? 0 : each.back());
-    density_.assign(sets_, 1.0);
+    if (windows != listed_) {
+      listed_ = windows;
+      cell_.assign(placed.size(), {});
+      std::vector<int> at(placed.size());
+      list(0, at);
+      sets_ = static_cast<int>(cell_[0].size());
+      for (std::vector<int>& each : cell_) each.resize(padded(), each.empty() ? 0 : each.back());
+    }
+    density_.assign(padded(), 0.0);
+    std::fill_n(density_.begin(), sets_, 1.0);
     for (std::size_t j = 0; j < placed.size(); ++j) {
       const Row& of = placed[j].density;
       for (int s = 0; !of.empty() && s < sets_; ++s) density_[s] *= of[cell_[j][s]];
@@ -350,8 +362,8 @@ class Grid {
   THIGMO_WIDE bool weigh(const ForcePrior& prior) {
     const std::size_t scales = prior.scales.size();
     weight_.resize(static_cast<int>(levels_.size() * scales), padded());
-    top_of_.assign(weight_.rows, -INFINITY);
-    mass.assign(sets_, 0.0), total = 0.0, top = -INFINITY;
+    ways_.clear();
+    mass.assign(padded(), 0.0), total = 0.0, top = -INFINITY;
     Row volumes(padded());
     const bool folds = may_fold(prior);
     const bool bounded = folds || std::any_of(number_.begin(), number_.end(),
@@ -360,27 +372,28 @@ class Grid {
       const Products& of = levels_[r / scales];
       const Scaled by = scaled(prior.scales[r % scales]);
       double* __restrict weight = weight_[r], * __restrict volume = volumes.data();
-      const double* density = density_.data();
       numbers([&]<int K>() __attribute__((always_inline)) {
         for (int s = 0; s < sets_; s += 4) {
           const Eliminated<K> found(normal<K>(of, by, s));
           four(weight + s) = 0.5 * found.gain, four(volume + s) = found.volume * by.wider;
         }
       });
-      const double most = largest(weight, sets_) + of.constant + by.constant;
+      const double most = largest(weight, padded()) + of.constant + by.constant;
       if (!(most > -INFINITY) || most < top - kNothing) continue;
-      top_of_[r] = most, top = std::max(top, most);
+      ways_.push_back({r, by, most}), top = std::max(top, most);
       const double shift = of.constant + by.constant - most;
-      for (int s = 0; s < sets_; ++s) {
-        weight[s] = density[s] * exponential(weight[s] + shift) / std::sqrt(volume[s]);
+      for (int s = 0; s < sets_; s += 4) {
+        four(weight + s) =
+            four(&density_[s]) * exponential(four(weight + s) + shift) / root(four(volume + s));
       }
       if (bounded) bound(prior.critical, folds, of, by, weight);
     }
     double peak = 0.0;
-    for (int r = 0; r < weight_.rows; ++r) {
+    std::erase_if(ways_, [&](const Way& way) { return way.share < top - kNothing; });
+    for (auto& [r, by, share] : ways_) {
       const double* weight = weight_[r];
-      if (top_of_[r] < top - kNothing) continue;
-      const double share = std::exp(top_of_[r] - top), most = share * largest(weight, sets_);
+      share = std::exp(share - top);
+      const double most = share * largest(weight, padded());
       for (int s = 0; s < sets_; ++s) mass[s] += share * weight[s];
       if (most <= peak) continue;
       peak = most, level = r / scales, scale_ = prior.scales[r % scales];
@@ -391,31 +404,33 @@ class Grid {
     return total > 0.0;
   }
 
-  // Forces of all sets over levels and scales, and the probability that each contact counts.
-  THIGMO_WIDE void solve() {
+  // Of sets that hold a share of `least` or more: forces over levels and scales, and the
+  // probability that each contact counts. Contacts of other sets are taken to count.
+  THIGMO_WIDE void solve(double least) {
     const int contacts = count();
-    for (Matrix* each : {&mean, &spread, &felt}) *each = Matrix(contacts, padded());
-    Matrix moved(contacts, padded());
-    for (int r = 0; r < weight_.rows; ++r) {
-      if (top_of_[r] < top - kNothing) continue;
-      const Products& of = levels_[r / prior_->scales.size()];
-      const Scaled by = scaled(prior_->scales[r % prior_->scales.size()]);
-      const double* weight = weight_[r];
-      const double share = std::exp(top_of_[r] - top);
-      numbers([&]<int K>() __attribute__((always_inline)) {
-        for (int s = 0; s < sets_; s += 4) {
-          const Normal<K> normal = this->normal<K>(of, by, s);
+    for (Matrix* each : {&mean, &spread, &felt}) each->resize(contacts, padded());
+    const int scales = static_cast<int>(prior_->scales.size());
+    numbers([&]<int K>() __attribute__((always_inline)) {
+      constexpr int kContacts = std::min<int>(K, kMostContacts);
+      const bool single = contacts == K;  // number of each
+      for (int s = 0; s < sets_; s += 4) {
+        const Four& whole = four(&mass[s]);
+        if (largest(whole) < least * total) {
+          for (int j = 0; j < contacts; ++j) four(felt[j] + s) = 1.0 + Four{};
+          continue;
+        }
+        Four first[kContacts]{}, second[kContacts]{}, times[kContacts]{}, likely[kContacts]{};
+        for (const auto& [r, by, share] : ways_) {
+          const Normal<K> normal = this->normal<K>(levels_[r / scales], by, s);
           const Eliminated<K> found(normal);
           Four force[K], variance[K];
           found.solve(force, variance);
-          const Four own = share * four(weight + s);
-          for (int j = 0, from = 0; j < contacts; from += placed[j++].size()) {
+          const Four own = share * four(weight_[r] + s);
+          for (int j = 0; single && j < kContacts; ++j) {
+            first[j] += own * force[j], second[j] += own * (force[j] * force[j] + variance[j]);
+          }
+          for (int j = 0, from = 0; !single && j < contacts; from += placed[j++].size()) {
             const int beyond = from + placed[j].size(), across = placed[j].across;
-            if (beyond == from + 1) {  // how far it moves the readings is a number times its size
-              four(mean[j] + s) += own * force[from];
-              four(spread[j] + s) += own * (force[from] * force[from] + variance[from]);
-              continue;
-            }
             Four ways[K]{}, moves[K]{}, length{}, standard{}, size, loose, told;
             for (int k = from; k < beyond; ++k) {
               if (k < from + across) ways[k] = force[k], length += force[k] * force[k];
@@ -427,45 +442,27 @@ class Grid {
             found.variance(ways, loose), found.variance(moves, told);
             loose /= length > 1e-300 ? length : 1e-300 + Four{};
             told /= standard > 1e-300 ? standard : 1e-300 + Four{};
-            for (int lane = 0; lane < 4; ++lane) {
-              size[lane] = across == 1 ? force[from][lane] : std::sqrt(length[lane]);
-              standard[lane] = std::sqrt(std::max(standard[lane], 0.0));
-            }
-            four(mean[j] + s) += own * size;
-            four(spread[j] + s) += own * (size * size + loose);
-            four(moved[j] + s) += own * standard;
-            four(felt[j] + s) += own * (standard * standard + told);
+            size = across == 1 ? force[from] : root(length), standard = root(standard);
+            first[j] += own * size, second[j] += own * (size * size + loose);
+            times[j] += own * standard, likely[j] += own * (standard * standard + told);
           }
         }
-      });
-    }
-    const int count = static_cast<int>(number_.size());
-    for (int j = 0, from = 0; j < contacts; from += placed[j++].size()) {
-      double* __restrict first = mean[j], * __restrict second = spread[j];
-      double* __restrict times = moved[j], * __restrict likely = felt[j];
-      const double* square = levels_[level].of[gram(count, from, from)];
-      const bool single = placed[j].size() == 1;
-      for (int s = 0; s < sets_; ++s) {
-        const double part = 1.0 / (mass[s] > 1e-300 ? mass[s] : 1e-300);
-        first[s] *= part, times[s] *= part;
-        const double loose = second[s] * part - first[s] * first[s];
-        const double told = likely[s] * part - times[s] * times[s];
-        second[s] = std::sqrt(loose > 0.0 ? loose : 0.0);
-        likely[s] = std::sqrt(told > 0.0 ? told : 0.0);
+        const Four part = 1.0 / (whole > 1e-300 ? whole : 1e-300 + Four{});
+        for (int j = 0; j < kContacts && j < contacts; ++j) {
+          const Four one = first[j] * part, loose = root(second[j] * part - one * one);
+          Four moved, told, unit;
+          if (single) {  // how far a force moves the readings is that times its size
+            const Four moves = root(product(levels_[level], j, j, s));
+            moved = (one > 0.0 ? one : -one) * moves, told = loose * moves;
+          } else {
+            moved = times[j] * part, told = root(likely[j] * part - moved * moved);
+          }
+          four(felt[j] + s) = probability_felt(moved, told, prior_->felt);
+          for (int lane = 0; lane < 4; ++lane) unit[lane] = placed[j].unit[cell_[j][s + lane]];
+          four(mean[j] + s) = one * unit, four(spread[j] + s) = loose * (unit > 0.0 ? unit : -unit);
+        }
       }
-      for (int s = 0; single && s < sets_; ++s) {
-        const double moves = std::sqrt(square[s] > 0.0 ? square[s] : 0.0);
-        times[s] = std::abs(first[s]) * moves, likely[s] = second[s] * moves;
-      }
-      for (int s = 0; s < sets_; ++s) {
-        likely[s] = probability_felt(times[s], likely[s], prior_->felt);
-      }
-      const int* cell = cell_[j].data();
-      const double* unit = placed[j].unit.data();
-      for (int s = 0; s < sets_; ++s) {
-        first[s] *= unit[cell[s]], second[s] *= std::abs(unit[cell[s]]);
-      }
-    }
+    });
   }
 
   // Probability that all contacts of a set are felt.
@@ -551,8 +548,7 @@ class Grid {
             most = gain > most ? gain : most;
           }
         });
-        double best = std::max(std::max(most[0], most[1]), std::max(most[2], most[3]));
-        best = of.constant + beside.gain + 0.5 * best;
+        const double best = of.constant + beside.gain + 0.5 * largest(most);
         double& to = e < 0 ? plain : out[e];
         to = std::max(to, best);
       }
@@ -593,6 +589,13 @@ class Grid {
   struct Scaled {
     std::array<double, 2 * kMostOfLoad> tight;
     double wider = 1.0, constant = 0.0;
+  };
+
+  // A row of the weights, of one level and one scale; its share of the mass, a log while weighed.
+  struct Way {
+    int row;
+    Scaled by;
+    double share;
   };
 
   int padded() const { return (sets_ + 3) / 4 * 4; }  // to whole vectors of four
@@ -773,13 +776,15 @@ class Grid {
     });
   }
 
+  std::vector<Window> listed_;          // of the loads whose sets these are
   std::vector<std::vector<int>> cell_;  // of each load, in each set
   std::vector<std::array<int, 2>> at_;  // of each number its load, and which of its own it is
   std::vector<Number> number_;
   std::vector<int> first_;  // column of each load
   Matrix column_, weight_, along_;
   std::vector<Products> levels_;
-  Row top_of_, both_, density_;
+  std::vector<Way> ways_;
+  Row both_, density_;
   const ForcePrior* prior_ = nullptr;
   double scale_ = 0.0;  // of the forces, and index, of the likeliest set
   int best_ = 0, sets_ = 0;
@@ -800,7 +805,8 @@ inline Shares share_out(const Grid& sets, bool all, double nothing) {
   double kept = 0.0;
   for (const double mass : sets.mass) kept += mass < least ? 0.0 : mass;
   std::array<std::array<double, 2>, kMostContacts> odds{};  // that each is not felt, and that it is
-  out.sets.reserve(sets.size());
+  FeltSet set;
+  if (count > 1) out.sets.reserve(sets.size());
   for (int s = 0; s < sets.size(); ++s) {
     if (sets.mass[s] < least) continue;
     int strongest = 0;
@@ -820,12 +826,15 @@ inline Shares share_out(const Grid& sets, bool all, double nothing) {
         if (way) out.contacts[only].felt[cell] += share;
         continue;
       }
-      FeltSet& set = out.sets.emplace_back(share);
+      set.mass = share, set.count = 0;
       for (int j = 0; j < count; ++j) {
         if (!(way >> j & 1)) continue;
-        set.contact[set.count] = j, set.cell[set.count] = sets.cell(j, s);
+        const int cell = sets.cell(j, s);
+        set.contact[set.count] = j, set.cell[set.count] = cell;
+        set.arc[set.count] = out.contacts[j].place[cell];
         set.force[set.count] = sets.mean[j][s], set.spread[set.count++] = sets.spread[j][s];
       }
+      out.sets.push_back(set);
     }
   }
   for (Marginal& contact : out.contacts) contact.average();

@@ -9,10 +9,10 @@ namespace thigmo {
 class PlaneBody : public Body {
  public:
   // `fold` (N,): what a fold of one radian adds to each reading.
-  PlaneBody(const Readings& readings, const Priors& priors, const ForcePrior& prior, double radius)
+  PlaneBody(const Readings& readings, const Input& in, const Priors& priors,
+            const ForcePrior& prior, double radius)
       : frame_(readings.frame), priors_(priors), prior_(prior), radius_(radius) {
-    rest.assign(frame_.rest.begin(), frame_.rest.end());
-    start = rest;
+    start = rest = rest_of(in.body, in.position, in.length);
     turn = readings.turn;
   }
 
@@ -35,15 +35,21 @@ class PlaneBody : public Body {
   void place(Placed& p) const override {
     const Load& load = *p.load;
     const int n = frame_.size(), cells = p.cells;
+    Row now;  // what a straight body's columns hang on
+    if (straight_ && load.where == Load::Where::anywhere && !load.critical) {
+      now = {p.window.near, p.window.far, prior_.least, prior_.swept};
+      now.insert(now.end(), frame_.low.begin(), frame_.low.end());
+      now.insert(now.end(), frame_.high.begin(), frame_.high.end());
+      if (now == p.laid) return;
+    }
+    p.laid = std::move(now);
     p.column.resize(n, p.size() * cells);
     p.unit.resize(p.column.columns), p.base.assign(p.column.columns, 0.0);
-    if (load.where != Load::Where::anywhere)
-      p.place = {load.where == Load::Where::end ? 1.0 : 0.0};
-    else
-      p.place = middles(p.window, cells);
     if (load.where == Load::Where::anywhere) {
-      p.density = p.place;
+      p.place = p.density = middles(p.window, cells);
       for (double& each : p.density) each = prior_.density(each);
+    } else {
+      p.place = {load.where == Load::Where::end ? 1.0 : 0.0};
     }
     if (load.kinks) {
       p.unit[0] = priors_.angle;

@@ -80,12 +80,9 @@ inline std::pair<Problem, double> problem_of(const Input& in) {
 }
 
 // Curvature of the free body at the nodes, linear between sensors.
-inline Nodes rest_of(const Row& body, const Row& position, double length) {
-  Nodes rest;
-  if (body.size() == 1) {
-    rest.fill(body[0] * length);
-    return rest;
-  }
+inline Row rest_of(const Row& body, const Row& position, double length) {
+  Row rest(kNodes, body[0] * length);
+  if (body.size() == 1) return rest;
   std::vector<int> order(body.size());
   std::iota(order.begin(), order.end(), 0);
   std::sort(order.begin(), order.end(), [&](int a, int b) { return position[a] < position[b]; });
@@ -156,7 +153,6 @@ inline Readings normalised(const Input& in, const Priors& priors) {
       frame.shared[k++][i] = in.shared[j][out.index[i]] * length;
     }
   }
-  frame.rest = rest_of(in.body, in.position, length);
   return out;
 }
 

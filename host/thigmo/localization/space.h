@@ -252,6 +252,7 @@ class SpaceBody : public Body {
 
   void place(Placed& p) const override {
     p.place = p.load->where == Load::Where::anywhere ? middles(p.window, p.cells) : Row{1.0};
+    p.density.clear(), p.base.clear(), p.laid.clear();
     p.column.resize(readings_.frame.size(), p.size() * p.cells);
     p.unit.resize(p.column.columns);
     for (int m = 0; m < p.cells; ++m) {

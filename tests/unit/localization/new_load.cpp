@@ -19,9 +19,11 @@ int main() {
     frame.excess.push_back(i < 6 ? 0.2 : 0.0);
     frame.noise.push_back(0.01), frame.gain.push_back(0.0);
   }
-  frame.shared = Matrix(0, 10), frame.levels = {{1.0, 0.0}}, frame.rest = {};
+  frame.shared = Matrix(0, 10), frame.levels = {{1.0, 0.0}};
   readings.turn = 0.0;
-  PlaneBody body(readings, priors, prior, 0.03);
+  Input in{};
+  in.body = {0.0}, in.length = 1.0;
+  PlaneBody body(readings, in, priors, prior, 0.03);
   const Whitened white(frame, frame.shared);
   for (const Load& load : {couple, kTouch}) {
     const Explanation alone{"a load of its own", {load}, 60};

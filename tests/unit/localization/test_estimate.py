@@ -387,3 +387,20 @@ def test_a_weak_touch_near_the_tip_is_not_put_far_from_it(many):
         reading = felt(arc, force) + SIGMA * rng.standard_normal(10)
         off += [abs(contact.arc - arc) for contact in find(reading).contacts[-1:]]
     assert np.mean(off) < 10.5  # least squares is 9.5 cm off, a prior even over the body 12.0
+
+
+def test_an_answer_is_the_same_whatever_was_answered_before():
+    one, lost = felt(30.0, 3e-4), felt(30.0, 3e-4)
+    lost[3] = math.nan
+    calls = (
+        lambda: find(one),
+        lambda: find(lost),
+        lambda: find(one, span=2.0),
+        lambda: find(one + 0.03, free_curvature=0.03),
+        lambda: find(felt([20.0, 45.0], [9e-4, -9e-4])),
+    )
+    first = [call() for call in calls]
+    for k in (4, 0, 3, 2, 0, 1, 1, 2, 4, 3):
+        again = calls[k]()
+        assert again.hypotheses == first[k].hypotheses
+        assert again.contacts == first[k].contacts
