@@ -101,7 +101,7 @@ class Controller {
   // Somebody stops the robot; at once, in every state.
   void stop(uint32_t nonce);
 
-  // A host said hello, the one of before or another; a heartbeat arrived.
+  // A host said hello, the same as before or another; a heartbeat arrived.
   void greet(bool same_host);
   void beat() {
     beat_tick_ = tick_;

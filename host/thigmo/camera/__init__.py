@@ -6,7 +6,7 @@ heavy.
 
 from thigmo.camera.centerline import fit_centerline
 from thigmo.camera.clicks import Clicks
-from thigmo.camera.errors import (
+from thigmo.camera.exceptions import (
     AxisDoubtfulError,
     BodyNotSeenError,
     CameraError,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from thigmo.camera.body import Track, bodyness, flatten, follow
 from thigmo.camera.centerline import Centerline, fit_centerline
 from thigmo.camera.clicks import Clicks
-from thigmo.camera.errors import (
+from thigmo.camera.exceptions import (
     AxisDoubtfulError,
     BodyNotSeenError,
     CameraError,

@@ -32,7 +32,7 @@ from thigmo.exploration.sighting import (
     shortest,
 )
 from thigmo.localization.priors import narrow
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 Group = tuple[int, ...]  # sightings of one obstacle
 Masses = dict[int, Floats]  # posterior over the arcs of each of a group's sightings

@@ -18,7 +18,7 @@ from thigmo.config import SIGN, RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
-from thigmo.robot.readings import SensorTable
+from thigmo.robot.curvature import SensorTable
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
 from thigmo.stream.blocks import Phase, TelemetryBlock
 from thigmo.stream.messages import Severity

@@ -21,7 +21,7 @@ from thigmo.camera import (
     open_source,
 )
 from thigmo.camera.clicks import click, parse_pixel
-from thigmo.camera.errors import CameraError
+from thigmo.camera.exceptions import CameraError
 from thigmo.camera.model import judge_still
 from thigmo.camera.obstacles import circle_through
 from thigmo.camera.pose import fit_pose, what_helps
