@@ -146,8 +146,9 @@ def _explorations(found: list[dict[str, Any]]) -> list[Row]:
     kinds = [
         (
             row["kind"],
-            f"{row['missed']} missed, {row['with_false_contacts']} with false contacts, "
-            f"{row['localized_and_wrong']} of {row['localized']} localized wrong",
+            f"{row['touched_missed']} of {row['touched']} missed, "
+            f"{row['with_false_contacts']} with false contacts, "
+            f"{row['contacts_wrong']} of {row['contacts_localized']} localized wrong",
             f"{row['rooms']} rooms"
             + (f", {row['aborted']} aborted" if row["aborted"] else "")
             + (

@@ -59,8 +59,8 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
             each.append(density + np.log(odds * (priors.BAD_READING if bad else 1.0)))
         return logsumexp(each)
 
-    assert found[0, -1] == pytest.approx(log_density(0.0), abs=1e-6)
-    assert found[0, 3] == pytest.approx(log_density(0.0, bad=True), abs=1e-6)
+    assert found["free body", -1] == pytest.approx(log_density(0.0), abs=1e-6)
+    assert found["free body", 3] == pytest.approx(log_density(0.0, bad=True), abs=1e-6)
     if free:
         return  # the levers of a contact are then those of a bent body
     for which in (-1, 3):
@@ -72,7 +72,7 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
                 own = log_density(deviation**2 * np.outer(column, column), which >= 0)
                 each.append(own + np.log(priors.place_density(arc)))
         weight = logsumexp(each) - np.log(len(each)) + priors.CONTACT
-        assert found[2, which] == pytest.approx(weight, abs=0.02)
+        assert found["one contact", which] == pytest.approx(weight, abs=0.02)
 
 
 def dense(curvature, columns, *, doubted, mean=0.0):
@@ -104,12 +104,15 @@ def mean_of(logs):
     return logsumexp(logs) - np.log(np.size(logs))
 
 
-@pytest.mark.parametrize(("count", "cells", "load"), [(2, 24, 6), (3, 12, 7)])
+@pytest.mark.parametrize(
+    ("count", "cells", "load"), [(2, 24, "two contacts"), (3, 12, "three contacts")]
+)
 def test_several_contacts_are_weighed_as_dense_normal_densities(count, cells, load):
     curvature = 3e-5 * (phi(46.0, POSITION, SPAN) - 1.5 * phi(24.0, POSITION, SPAN))
     curvature += 0.3 * NOISE * np.random.default_rng(2).standard_normal(10)
     found = weighed(curvature, 0.0, contacts=count, critical_curvature=np.inf, held_end=False)
-    doubted = (found[0, -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
+    plain = dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]
+    doubted = (found["free body", -1] - plain) ** 2 > 1e-9
     middles = (np.arange(cells) + 0.5) / cells
     arcs = np.stack(np.meshgrid(*[middles] * count, indexing="ij"), -1).reshape(-1, count)
     arcs = arcs[(np.diff(arcs, axis=1) > 0.0).all(axis=1)]  # base to tip, each in its own cell
@@ -144,7 +147,7 @@ def test_kinks_are_weighed_as_dense_normal_densities():
     columns, widths = kinks()
     log_odds = priors.HINGE + np.log(widths)
     alone = dense(curvature, columns[:, None], doubted=True) + log_odds
-    assert found[1, -1] == pytest.approx(logsumexp(alone), abs=1e-6)
+    assert found["hinge", -1] == pytest.approx(logsumexp(alone), abs=1e-6)
     arcs = ((np.arange(200) + 0.5) / 200)[:, None]
     each = []
     for column, odds in zip(columns, log_odds, strict=True):
@@ -159,17 +162,18 @@ def test_kinks_are_weighed_as_dense_normal_densities():
         ]
         logs += np.log(priors.place_density(arcs[:, 0]))
         each.append(mean_of(logs) + odds + priors.CONTACT)
-    assert found[5, -1] == pytest.approx(logsumexp(each), abs=0.05)
+    assert found["one contact, hinge", -1] == pytest.approx(logsumexp(each), abs=0.05)
 
 
 def test_a_held_end_is_weighed_as_dense_normal_densities():
     curvature = 2e-5 * phi(LENGTH, POSITION, SPAN) + 5e-4
     curvature += NOISE * np.random.default_rng(6).standard_normal(10)
     found = weighed(curvature, 0.0, critical_curvature=np.inf, held_end=True, contacts=1)
-    doubted = (found[0, -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
+    plain = dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]
+    doubted = (found["free body", -1] - plain) ** 2 > 1e-9
     loads = np.stack([levers_at(np.ones(1))[0], np.ones(10)])  # the tangential force bends nothing
     logs = [dense(curvature, scale * loads[None], doubted=doubted) for scale in priors.MOMENTS]
-    assert found[3, -1] == pytest.approx(mean_of(logs) + priors.CONTACT, abs=0.02)
+    assert found["end wrench", -1] == pytest.approx(mean_of(logs) + priors.CONTACT, abs=0.02)
 
 
 def test_a_folded_base_is_weighed_as_dense_normal_densities():
@@ -183,7 +187,8 @@ def test_a_folded_base_is_weighed_as_dense_normal_densities():
         curvature, 0.0, critical_curvature=critical, critical_curvature_error=error,
         tube_radius=radius, contacts=1, held_end=False, end_face_odds=0.0,
     )  # fmt: skip
-    doubted = (found[0, -1] - dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]) ** 2 > 1e-9
+    plain = dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]
+    doubted = (found["free body", -1] - plain) ** 2 > 1e-9
     arcs, angles = (np.arange(60) + 0.5) / 60, np.linspace(0.0, 4.0, 401)[:, None]
     half = np.full((401, 1), angles[1, 0] * 2.0 / np.sqrt(2.0 * np.pi)) * np.exp(-0.5 * angles**2)
     half[0] *= 0.5
@@ -199,7 +204,7 @@ def test_a_folded_base_is_weighed_as_dense_normal_densities():
             each.append(own + np.log(priors.place_density(arc)))
     within = [math.erf(critical * LENGTH / (np.sqrt(2.0) * m)) for m in priors.MOMENTS]
     weight = logsumexp(each) - np.log(60) + priors.CONTACT + np.log(1.0 - np.mean(within))
-    assert found[4, -1] == pytest.approx(weight, abs=0.05)
+    assert found["one contact, folded base", -1] == pytest.approx(weight, abs=0.05)
 
 
 def test_an_edited_prior_changes_the_answers_of_the_next_localizer(monkeypatch):
@@ -255,3 +260,18 @@ def test_strong_and_near_the_base_is_listed_with_its_probability():
         assert contact.interval[0] < 12.0
         assert result.status == "ambiguous"
         assert 0.05 < contact.probability < 1.0
+
+
+def test_odds_of_bad_readings_are_those_of_bad_readings_alone():
+    contact = 1.5e-5 * phi(45.0, POSITION, SPAN)
+    stuck, kinked = contact.copy(), contact + 0.2 * kinks()[0][2] / LENGTH
+    stuck[2] += 6.0 * NOISE
+    options = {"contacts": 1, "critical_curvature": np.inf, "held_end": False}
+    rare, usual = (
+        [weighed(frame, 0.0, bad_reading_odds=odds, **options) for frame in (stuck, kinked)]
+        for odds in (1e-3, 1e-2)
+    )
+    change = usual[0]["one contact", 2] - rare[0]["one contact", 2]
+    assert change == pytest.approx(math.log(10.0), abs=1e-6)
+    kink = "one contact, hinge", -1
+    assert usual[1][kink] == pytest.approx(rare[1][kink], abs=1e-6)

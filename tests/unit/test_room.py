@@ -50,9 +50,9 @@ def _explained(*seen: Sighting, passed: tuple[Passed, ...] = ()) -> list[Found]:
 
 
 def test_what_a_sweep_cannot_place_lies_where_the_plane_has_room() -> None:
-    """The area that a step along the body sweeps grows with the arc squared."""
+    """The area at a distance from the base grows with it."""
     (far,) = _explained(_sighting(53.0, 30.0, 1e3))
-    assert far.arc_cm > 53.0 / 2 ** (1 / 3) - 0.5
+    assert far.arc_cm > 53.0 / 2 ** (1 / 2) - 0.5
     # Where the readings tell the place, the area hardly moves it.
     (known,) = _explained(_sighting(53.0, 30.0, 1.0))
     assert known.arc_cm == pytest.approx(30.0, abs=0.2)

@@ -119,7 +119,7 @@ class Room:
     def place(self, index: int) -> Floats:
         """Posterior of one sighting's arc, (n,), by what it felt and what other sweeps passed."""
         mass = self._alone[index] * self._expected((index,))
-        mass = mass * self._area(self._seen[index].length_cm)
+        mass = mass * self._arcs * (self._arcs <= self._seen[index].length_cm + 1e-9)
         normalised: Floats = mass / mass.sum()
         return normalised
 
@@ -225,17 +225,6 @@ class Room:
         known = self._seen[group[-1]].expected
         return np.ones(len(self._arcs)) if known is None else known / known.mean()
 
-    def _area(self, length_cm: float) -> Floats:
-        """Prior density of an obstacle's arc, (n,), on a body, up to a factor.
-
-        It stands anywhere in the plane, of which a step along the body and one of its bend sweep an
-        area as the arc squared. What stands beyond the end by less than its radius touches the
-        end's corner.
-        """
-        area = np.where(self._arcs <= length_cm + 1e-9, self._arcs**2, 0.0)
-        area[np.flatnonzero(area)[-1]] *= 1 + np.mean(_RADII_CM) / (self._arcs[1] - self._arcs[0])
-        return np.asarray(area)
-
     def _log_nothing(self, sightings: Group) -> float:
         """Log weight of no obstacle behind sightings, against another behind each."""
         odds = [(1 - p) / p for p in (self._seen[i].probability for i in sightings)]
@@ -305,7 +294,8 @@ class Room:
         total = float((np.exp(log) * prior * bends).sum() / max(there.sum(), 1))
         # Sightings share errors of map and gains: on the place n of them count as the root of n.
         place = np.exp((log - log.max()) / np.sqrt(len(group)))
-        mass = place * prior * bends * self._area(lengths.max())
+        # It stands anywhere in the plane, where the area at a distance grows with that.
+        mass = place * prior * bends * self._arcs
         return float(np.log(total + 1e-300)), mass / max(float(mass.sum()), 1e-300)
 
     def _wall(self, group: Group) -> tuple[float, Masses]:

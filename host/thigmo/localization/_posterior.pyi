@@ -17,7 +17,7 @@ class Answer:
     end_open: bool
     noise: float
     log_odds: float
-    weighed: list[tuple[int, int, float]]
+    weighed: list[tuple[str, int, float]]
     hypothesis: str
     hypotheses: dict[str, float]
     def contacts(self, length: float) -> list[tuple[Any, ...]]: ...

@@ -10,7 +10,7 @@
 #include <deque>
 #include <tuple>
 
-#include "space.h"
+#include "hypotheses.h"
 
 namespace thigmo {
 
@@ -42,6 +42,7 @@ struct Answer {
   int discarded = -1;
   bool end_open = false;  // only the end, which something may hold, leaves a place open
   double noise = 0.0, log_odds = 0.0;
+  double radius = 0.0;  // of the tube, over the length
 };
 
 class Mixture {
@@ -180,14 +181,14 @@ class Posterior {
       : hypotheses_(hypotheses), probability_(probability), asked_(asked) {
     for (std::size_t k = 0; k < hypotheses.size(); ++k) {
       const Hypothesis& h = hypotheses[k];
-      if (h.contacts.empty()) felt[0] += probability[k];
-      for (const Marginal& of : h.contacts) {
+      if (h.shares.contacts.empty()) felt[0] += probability[k];
+      for (const Marginal& of : h.shares.contacts) {
         for (std::size_t m = 0; m < of.mass.size(); ++m) {
           const double share = probability[k] * of.mass[m];
           listed[1] += share, felt[1] += share * of.felt[m], felt[0] += share * (1.0 - of.felt[m]);
         }
       }
-      for (const FeltSet& set : h.sets) {
+      for (const FeltSet& set : h.shares.sets) {
         listed[set.count] += probability[k] * set.mass;
         felt[set.count] += probability[k] * set.mass;
       }
@@ -213,19 +214,19 @@ class Posterior {
       const Hypothesis& h = hypotheses_[k];
       if (!counts(h) || probability_[k] <= kNegligible * most_) continue;
       const bool alone = choose(Arcs{1, {}}) == 0;
-      if (h.contacts.size() == 1) {
-        if (alone) parts.emplace_back(probability_[k], &h.contacts[0]);
+      if (h.shares.contacts.size() == 1) {
+        if (alone) parts.emplace_back(probability_[k], &h.shares.contacts[0]);
         continue;
       }
       const std::size_t from = kept.size();
-      for (const Marginal& of : h.contacts) {
+      for (const Marginal& of : h.shares.contacts) {
         Marginal& to = kept.emplace_back(of);
         for (std::size_t m = 0; m < of.mass.size(); ++m) {
           to.force[m] = to.spread[m] = to.mass[m] = 0.0;
           if (alone) to.add(m, of.mass[m], of.force[m], of.spread[m]);
         }
       }
-      for (const FeltSet& set : h.sets) {
+      for (const FeltSet& set : h.shares.sets) {
         const int i = choose(arcs(h, set));
         if (i < 0) continue;
         kept[from + set.contact[i]].add(set.cell[i], set.mass, set.force[i], set.spread[i]);
@@ -243,12 +244,12 @@ class Posterior {
     Row out(of.size());
     for (std::size_t k = 0; k < hypotheses_.size(); ++k) {
       const Hypothesis& h = hypotheses_[k];
-      for (const Marginal& contact : h.contacts) {
+      for (const Marginal& contact : h.shares.contacts) {
         for (std::size_t m = 0; m < contact.place.size(); ++m) {
           out[nearest(of, contact.place[m])] += probability_[k] * contact.mass[m];
         }
       }
-      for (const FeltSet& set : h.sets) {
+      for (const FeltSet& set : h.shares.sets) {
         std::array<bool, kMostContacts> there{};
         for (const double arc : arcs(h, set)) there[nearest(of, arc)] = true;
         for (std::size_t j = 0; j < of.size(); ++j) {
@@ -268,13 +269,13 @@ class Posterior {
 
  private:
   bool counts(const Hypothesis& h) const {
-    const int size = static_cast<int>(h.contacts.size());
+    const int size = static_cast<int>(h.shares.contacts.size());
     return asked_ > 0 ? size == asked_ : size > 0;
   }
   static Arcs arcs(const Hypothesis& h, const FeltSet& set) {
     Arcs out{static_cast<std::size_t>(set.count), {}};
     for (int i = 0; i < set.count; ++i) {
-      out.at[i] = h.contacts[set.contact[i]].place[set.cell[i]];
+      out.at[i] = h.shares.contacts[set.contact[i]].place[set.cell[i]];
     }
     return out;
   }
@@ -285,9 +286,8 @@ class Posterior {
   double most_ = 0.0;
 };
 
-// `Weighing`: what was weighed of the readings.
-template <class Weighing>
-void conclude(Weighing&& weighing, const Priors& priors, const Settings& settings, Answer& out) {
+inline void conclude(Explanations& weighing, const Priors& priors, const Settings& settings,
+                     Answer& out) {
   constexpr double kNearEnd = 0.95;  // from here on a contact and a hold of the end are one place
   weighing.run();
   const Readings& readings = weighing.readings;
@@ -300,11 +300,12 @@ void conclude(Weighing&& weighing, const Priors& priors, const Settings& setting
   }
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
     out.probability[k] /= total;
-    (out.hypotheses[k].contacts.empty() ? none : out.touched) += out.probability[k];
+    (out.hypotheses[k].shares.contacts.empty() ? none : out.touched) += out.probability[k];
   }
   out.log_odds = std::log(std::max(out.touched, 1e-300) / std::max(none, 1e-300));
   const Posterior posterior(out.hypotheses, out.probability, settings.contacts);
   out.number = posterior.felt;
+  out.radius = settings.radius;
   std::size_t count = 1;
   for (std::size_t k = 2; k < 4; ++k) {
     if (posterior.listed[k] > posterior.listed[count]) count = k;
@@ -314,23 +315,23 @@ void conclude(Weighing&& weighing, const Priors& priors, const Settings& setting
   if (settings.contacts >= 0) count = static_cast<std::size_t>(settings.contacts);
   double most = -1.0;
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
-    if (out.hypotheses[k].contacts.size() == count && out.probability[k] > most) {
+    if (out.hypotheses[k].shares.contacts.size() == count && out.probability[k] > most) {
       most = out.probability[k];
       out.best = static_cast<int>(k);
     }
   }
   const Hypothesis& best = out.hypotheses[out.best];
-  out.bend = weighing.bend(best);
+  out.bend = weighing.body().above(best.bent);
   out.noise = best.noise * readings.noise;
   if (best.bad >= 0) out.discarded = readings.index[best.bad];
-  if (best.contacts.size() != count) count = best.contacts.size();
+  if (best.shares.contacts.size() != count) count = best.shares.contacts.size();
   // What fits as many numbers as there are good readings explains nothing.
   double all = 0.0, open = 0.0, held = 0.0;
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
     const Hypothesis& h = out.hypotheses[k];
-    if (h.contacts.size() != count) continue;
+    if (h.shares.contacts.size() != count) continue;
     all += out.probability[k];
-    if (h.held) held += out.probability[k];
+    if (h.held()) held += out.probability[k];
     if (h.numbers >= readings.frame.size() - (h.bad >= 0)) open += out.probability[k];
   }
   // A hand that holds the end explains what a contact beside it does.
@@ -366,11 +367,11 @@ void conclude(Weighing&& weighing, const Priors& priors, const Settings& setting
       double heaviest = 0.0;
       for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
         const Hypothesis& h = out.hypotheses[k];
-        if ((h.load == Load::end || h.load == Load::end_fold) && out.probability[k] > heaviest) {
+        if (h.on_end() && h.shares.contacts.size() == 1 && out.probability[k] > heaviest) {
           heaviest = out.probability[k];
-          felt.offset = h.offset;
+          felt.offset = h.offset(settings.radius);
           felt.arc = 1.0;
-          felt.force = h.contacts[0].force[0];
+          felt.force = h.shares.contacts[0].force[0];
         }
       }
     }
@@ -400,12 +401,8 @@ inline Answer answer(const Input& input, const Priors& priors, const Settings& s
   Answer out;
   std::tie(out.problem, out.shows) = problem_of(input);
   if (out.problem != Problem::none) return out;
-  Readings readings = normalised(input, priors);
-  if (settings.space) {
-    conclude(InSpace(std::move(readings), input, priors, settings), priors, settings, out);
-  } else {
-    conclude(InPlane(std::move(readings), priors, settings), priors, settings, out);
-  }
+  Explanations weighing(normalised(input, priors), input, priors, settings);
+  conclude(weighing, priors, settings, out);
   return out;
 }
 

@@ -1,30 +1,22 @@
 // Which explanations of a frame are weighed, and how likely each is.
 //
-// Every frame weighs a free body, one contact, each of them with one bad reading, two contacts, and
-// three, whose grid is laid finer unless the evidence on it leaves them negligible. What a scene
-// calls for comes in order of cost: a contact on the end of a bent body, a folded base near its
-// critical moment, and a hinge where one contact leaves a misfit. What then still leaves a misfit
-// is weighed with one bad reading, of those that may bring it within reach of the best. All
-// evidences are densities of the same readings, so they compare directly; prior odds are those of
-// priors.py.
+// Every frame weighs a free body, one contact, each of them with one bad reading or kink, two
+// contacts, and three, whose grid is laid finer unless the evidence on it leaves them negligible.
+// What a scene calls for comes in order of cost: a contact on the end of a bent body, a folded base
+// near its critical moment, and a held end. What leaves a misfit is weighed with one bad reading,
+// of those that may bring it within reach of the best. All evidences are densities of the same
+// readings, so they compare directly; prior odds are those of priors.py. One loop settles the shape
+// and splits the grid, whatever the loads, in a plane and in space.
 #pragma once
 
-#include <functional>
+#include <memory>
 #include <optional>
 #include <utility>
 
-#include "loads.h"
-#include "readings.h"
+#include "plane.h"
+#include "space.h"
 
 namespace thigmo {
-
-// A body in space: its readings' directions, and what bends it beside contacts.
-struct Space {
-  std::vector<Vector> direction;  // (N,) axis of the turn that each measures
-  Matrix curvature_map;           // (2 cells, N) the body's bends in each cell, from readings
-  Vector compliance;              // EI over the stiffness against each component of a moment
-  Vector weight;                  // of a body of length one, over EI
-};
 
 struct Settings {
   double critical, critical_error;  // base moment that folds it, and its relative standard error
@@ -41,63 +33,155 @@ struct Settings {
   std::optional<Space> space;
 };
 
-enum class Load {
-  none,
-  hinge,
-  contact,
-  end,
-  fold,
-  contact_hinge,
-  two,
-  three,
-  end_fold,
-  contact_end
-};
-
-struct Hypothesis : Fit {
-  Load load;
-  double log_weight;                 // log evidence plus log prior odds
-  std::vector<Marginal> contacts{};  // base to tip
-  std::vector<FeltSet> sets{};       // of more than one that is felt
-  int numbers = 0;                   // how many numbers of its own it fits
-  int bad = -1;                      // index of the bad reading
-  bool held = false;                 // whether something holds the end
-  // Further numbers: fold's or hinge's angle, place of the hinge; force that pushes the end back,
-  // couple on it, where that bears left of the centreline.
-  double angle = NAN, at = NAN, push = NAN, couple = NAN, offset = NAN;
-  double push_spread = NAN, couple_spread = NAN;  // standard deviations
+struct Hypothesis {
+  const Explanation* of;
+  double log_weight;             // log evidence plus log prior odds
+  Row bent{};                    // curvature of the body that its likeliest loads bend
+  double misfit = INFINITY;      // of the likeliest loads: squared whitened residual
+  double noise = 1.0;            // likeliest factor of the noise
+  int numbers = 0;               // how many numbers of its own it fits
+  int bad = -1;                  // index of the bad reading
+  double at = NAN;               // place of a kink
+  std::vector<Loaded> loads{};   // the likeliest
+  Shares shares{};               // places of its contacts, base to tip
   std::vector<Vector> forces{};  // in space: of its contacts, across the body, in the base's frame
+
+  bool held() const {
+    return std::any_of(loads.begin(), loads.end(), [](const Loaded& l) { return l.load->holds(); });
+  }
+  const Loaded* on_end() const {
+    for (const Loaded& each : loads) {
+      if (each.load->where == Load::Where::end) return &each;
+    }
+    return nullptr;
+  }
+  // In a plane: force that pushes the end back and couple on it, each with its standard deviation.
+  std::array<double, 4> end_load() const {
+    const Loaded* end = on_end();
+    if (!end || !forces.empty()) return {NAN, NAN, NAN, NAN};
+    return {end->value[1], end->spread[1], end->value[2], end->spread[2]};
+  }
+  // In a plane: where a force on the end's face bears, left of the centreline.
+  double offset(double radius) const {
+    const Loaded* end = on_end();
+    if (!end || end->load->holds() || !(end->value[1] > 0.0) || !forces.empty()) return NAN;
+    return std::clamp(end->value[2] / end->value[1], -radius, radius);
+  }
 };
 
-// What is common to bodies in a plane and in space: noise, bad readings, and the free body.
 class Explanations {
  public:
-  static constexpr int kCells = 60;         // of a contact's first grid: 0.9 cm of the 53 cm body
-  static constexpr double kMatters = -3.0;  // log share from which a rival has its own grid
-  static constexpr int kPairCells = 24, kTripleCells = 12;
-  static constexpr double kNegligible = -4.6;      // the same of three that are felt, or left out
-  static constexpr double kSeveralMatter = -1.5;   // the same of several contacts
-  static constexpr std::size_t kMostSuspects = 5;  // bad readings weighed beside one explanation
+  static constexpr double kMatters = -3.0;        // log share from which a rival has its own grid
+  static constexpr double kNegligible = -4.6;     // the same of three that are felt, or left out
+  static constexpr double kSeveralMatter = -1.5;  // the same of several contacts
+  static constexpr double kFarFromIt =
+      -40.0;  // the same at a first shape, as of none that is right
+  // The same while a twist is found, which goes too far at first: to -94 in 800 frames.
+  static constexpr double kTwistFarFromIt = -400.0;
+  static constexpr int kTwistTurns = 5;
+  static constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
+  static constexpr double kNothingOfAll = 1e-4;
+  static constexpr int kMostPasses = 18, kMostTurns = 24;
 
   Readings readings;
   std::vector<Hypothesis> found;
   double explained = 0.0;  // misfit of a free body that one contact takes away, if more than half
 
-  Explanations(Readings&& given, const Priors& priors, const Settings& settings)
+  Explanations(Readings&& given, const Input& in, const Priors& priors, const Settings& settings)
       : readings(std::move(given)),
         frame_(readings.frame),
         priors_(priors),
         settings_(settings),
-        prior_{priors.moments,     priors.least_lever, settings.critical, priors.straight,
-               priors.shape_rests, priors.felt,        priors.swept},
+        prior_{priors.moments,          priors.least_lever, settings.critical,
+               settings.critical_error, priors.felt,        priors.swept},
+        body_(body(in)),
         white_(frame_, frame_.shared),
         contact_(readings.known ? priors.contact : priors.contact_unsure),
-        bad_(readings.bad) {
+        marks_(readings.bad),
+        mark_odds_(readings.log_bad),
+        kinks_(frame_.size()) {
     found.reserve(2 * frame_.size() + 8);
     limit_ = misfit_at(priors.misfit_deviate);
+    if (!settings.space) add_kinks();
   }
 
- protected:
+  const Body& body() const { return *body_; }
+
+  void run() {
+    free();
+    // Beyond this misfit the noise may be larger than stated.
+    doubtful_ = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
+    std::size_t one = weigh(kOne, contact_, body_->start);
+    const bool misfit = readings.known && found[one].misfit > limit_;
+    if (readings.known) explained = found[0].misfit - found[one].misfit;
+    if (explained < found[one].misfit) explained = 0.0;
+    if (found[one].misfit > doubtful_) {
+      const Row bent = found[one].bent;
+      readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
+                               {priors_.noise_factor, std::log(priors_.noise_odds)}};
+      white_ = Whitened(frame_, frame_.shared);
+      doubtful_ = INFINITY;
+      found.clear(), doubts_.clear();
+      free();
+      one = weigh(kOne, contact_, bent);
+    }
+    const Row bent = found[one].bent;
+    const double turn = body_->turn_of(bent);
+    const bool bends = body_->turn > priors_.end_turn, two_or_more = frame_.size() > 1;
+    const auto odds = [](double given, double usual) { return std::isnan(given) ? usual : given; };
+    const double face = odds(settings_.log_end, bends ? priors_.end : priors_.end_straight);
+    const bool held = settings_.held_end == Settings::Held::yes;
+    std::size_t end = kNone;
+    if (two_or_more && !held && face > -INFINITY &&
+        std::max(body_->turn, turn) > priors_.end_turn) {
+      end = weigh(kEnd, contact_ + face, bent);
+    }
+    const double moment = std::abs(bent[0] - body_->rest[0]);
+    if (settings_.critical < INFINITY &&
+        (misfit || moment > priors_.near_fold * settings_.critical)) {
+      const double folded = contact_ + std::log(std::max(folded_share(), 1e-12));
+      if (end != kNone) weigh(kEndFolded, folded + priors_.end, found[end].bent);
+      for (const double side : {-1.0, 1.0}) weigh(kOneFolded, folded - std::log(2.0), bent, side);
+    }
+    const auto several = [&](int count) {
+      if (settings_.contacts >= 0) return two_or_more && settings_.contacts >= count;
+      return frame_.size() >= count;
+    };
+    bool poor = misfit;
+    Row bent_by_two = bent;
+    if (several(2)) {
+      const std::size_t two = weigh(kTwo, contact_ + priors_.another, bent);
+      if (two != kNone) {
+        // Noise that is not known hides a misfit.
+        poor |= !readings.known && found[two].log_weight > found[one].log_weight;
+        bent_by_two = found[two].bent;
+      }
+    }
+    // What bends a straight body so far may hold its end.
+    const bool perhaps = settings_.held_end == Settings::Held::perhaps;
+    if (two_or_more && (held || (perhaps && (poor || (turn > priors_.straight && !bends))))) {
+      double weight = contact_;
+      if (perhaps) weight += odds(settings_.log_held, bends ? priors_.held : priors_.held_straight);
+      if (body_->twists()) weight -= std::log(2.0);
+      if (body_->twists()) weigh(kHeldTwisted, weight, bent);
+      weigh(kHeld, weight, bent);
+      if (several(2) && body_->in_space())
+        weigh(kOneAndHeld, weight + priors_.another, bent_by_two);
+    }
+    if (several(3)) weigh(kThree, contact_ + 2.0 * priors_.another, bent_by_two);
+    weigh_doubts();
+  }
+
+ private:
+  static constexpr std::size_t kNone = -1;
+
+  std::unique_ptr<Body> body(const Input& in) {
+    if (settings_.space) {
+      return std::make_unique<SpaceBody>(readings, in, *settings_.space, priors_, settings_.radius);
+    }
+    return std::make_unique<PlaneBody>(readings, priors_, prior_, settings_.radius);
+  }
+
   // Chi-squared that one contact which is right passes as seldom as a standard normal number passes
   // `deviate` (Wilson and Hilferty, PNAS 17 (1931)).
   double misfit_at(double deviate) const {
@@ -105,341 +189,328 @@ class Explanations {
     return freedom * std::pow(1.0 - part + deviate * std::sqrt(part), 3);
   }
 
-  // An explanation that leaves a misfit, and how to weigh it beside a bad reading.
-  struct Doubt {
-    double log_weight;
-    double log_odds;  // prior odds against one contact
-    Frame left;       // of the readings, without what the loads' prior means explain
-    Matrix loads;     // that were fitted
-    std::function<void(int)> weigh;
-  };
-
   double best() const {
     double top = -INFINITY;
     for (const Hypothesis& hypothesis : found) top = std::max(top, hypothesis.log_weight);
     return top;
   }
 
-  // Bad readings that may bring an explanation within reach of the best, the likeliest first: by
-  // what they add where its loads change in proportion only, or added to what was weighed already.
-  std::vector<int> suspects(const Doubt& doubt) const {
-    const Whitened white(doubt.left, stacked(frame_.shared, doubt.loads));
-    Row weight = white.log_densities(bad_);
-    const double plain = doubt.log_weight - white.log_density();
-    for (int i = 0; i < frame_.size(); ++i) weight[i] += plain + readings.log_bad[i];
-    for (const Hypothesis& other : found) {
-      if (other.bad < 0) continue;
-      weight[other.bad] = std::max(weight[other.bad], other.log_weight + doubt.log_odds);
-    }
-    const double least = best() + priors_.hopeless;
-    std::vector<int> out;
-    for (int i = 0; i < frame_.size(); ++i) {
-      if (weight[i] > least) out.push_back(i);
-    }
-    std::sort(out.begin(), out.end(), [&](int a, int b) { return weight[a] > weight[b]; });
-    out.resize(std::min(out.size(), kMostSuspects));
-    return out;
-  }
-
-  void doubt(const Hypothesis& of, double log_odds, std::function<void(int)> weigh) {
-    if (of.misfit < limit_) return;
-    doubts_.push_back({of.log_weight, log_odds, frame_, of.loads, std::move(weigh)});
-    for (std::size_t i = 0; i < of.known.size(); ++i) doubts_.back().left.excess[i] -= of.known[i];
-  }
-
-  void free() {
-    const Whitened::At& likeliest = white_.likeliest();
-    Hypothesis plain{{}, Load::none, white_.log_density()};
-    plain.misfit = likeliest.square, plain.noise = likeliest.factor;
-    plain.curvature = frame_.rest;
-    found.push_back(plain);
-    const Row with = white_.log_densities(bad_);
-    for (int i = 0; i < frame_.size(); ++i) {
-      const double weight = with[i] + readings.log_bad[i];
-      if (weight > plain.log_weight + priors_.hopeless) {
-        found.push_back(plain);
-        found.back().log_weight = weight;
-        found.back().bad = i;
-      }
-    }
-  }
-
-  // The frame whitened with one more shared column; without one for index -1.
-  Whitened with(const Columns& columns, int index) const {
-    if (index < 0) return white_;
-    Matrix more(1, frame_.size());
-    const Columns::Column column = columns[index];
-    std::copy_n(column.value, column.count, more[0] + column.from);
-    return Whitened(frame_, stacked(frame_.shared, more));
-  }
-
-  Hypothesis hypothesis(Load load, const Fit& fit, double weight, int numbers, int bad) const {
-    const double odds = bad < 0 ? weight : weight + readings.log_bad[bad];
-    return {fit, load, fit.log_evidence + odds, {}, {}, numbers, bad};
-  }
-
-  Hypothesis contact(Load load, OneContact fit, double weight, int numbers, int bad) const {
-    Hypothesis out = hypothesis(load, fit, weight, numbers, bad);
-    out.contacts.push_back(std::move(fit));
-    return out;
-  }
-
-  void weigh_doubts() {
-    for (const Doubt& doubt : doubts_) {
-      for (const int i : suspects(doubt)) doubt.weigh(i);
-    }
-  }
-
-  // After a change of the frame.
-  void whiten() { white_ = Whitened(frame_, frame_.shared); }
-
-  const Frame& frame_;
-  const Priors& priors_;
-  const Settings& settings_;
-  ForcePrior prior_;
-  Whitened white_;
-  double contact_;  // log prior odds of one
-  Columns bad_;
-  std::vector<Doubt> doubts_;
-  double limit_;  // misfit beyond which an explanation is poor
-};
-
-class InPlane : public Explanations {
- public:
-  InPlane(Readings&& given, const Priors& priors, const Settings& settings)
-      : Explanations(std::move(given), priors, settings) {
+  // Prior share of contacts that fold the base.
+  double folded_share() const {
     double share = 0.0;
-    for (const double moment : priors.moments) {
-      share += std::erf(std::min(settings.critical / (std::numbers::sqrt2 * moment), 30.0));
+    for (const double moment : priors_.moments) {
+      share += std::erfc(std::min(settings_.critical / (std::numbers::sqrt2 * moment), 30.0));
     }
-    unfolded_ = share / static_cast<double>(priors.moments.size());
+    return share / static_cast<double>(priors_.moments.size());
   }
 
-  // Curvature at the nodes above that of the free body.
-  Row bend(const Hypothesis& by) const {
-    Row out(by.curvature.begin(), by.curvature.end());
-    for (int k = 0; k < kNodes; ++k) out[k] -= frame_.rest[k];
-    return out;
-  }
-
-  void run() {
-    free();
-    // Beyond this misfit the noise may be larger than stated.
-    const double doubtful = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
-    std::size_t one = weigh_one(bad_, readings.log_bad, frame_.rest, doubtful);
-    const bool misfit = readings.known && found[one].misfit > limit_;
-    if (readings.known) explained = found[0].misfit - found[one].misfit;
-    if (explained < found[one].misfit) explained = 0.0;
-    if (found[one].misfit > doubtful) {
-      const Nodes bent = found[one].curvature;
-      readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
-                               {priors_.noise_factor, std::log(priors_.noise_odds)}};
-      whiten();
-      found.clear();
-      free();
-      one = weigh_one(bad_, readings.log_bad, bent, INFINITY);
-    }
-    const Nodes bent = found[one].curvature;
-    const bool held = settings_.held_end == Settings::Held::yes;
-    const bool turned = std::max(readings.turn, turn_of(bent)) > priors_.end_turn;
-    const bool face = settings_.log_end > -INFINITY || std::isnan(settings_.log_end);
-    if (frame_.size() > 1 && ((turned && face) || held)) end(bent, held);
-    const double moment = std::abs(bent[0] - frame_.rest[0]);
-    if (settings_.critical < INFINITY &&
-        (misfit || moment > priors_.near_fold * settings_.critical)) {
-      fold(bent);
-    }
-    const auto several = [&](int count) {
-      if (settings_.contacts >= 0) return frame_.size() >= 2 && settings_.contacts >= count;
-      return frame_.size() >= count;
-    };
-    bool poor = misfit;
-    Nodes bent_by_two = bent;
-    if (several(2) && add_several(2, kPairCells, frame_.rest, -1)) {
-      // Noise that is not known hides a misfit.
-      poor |= !readings.known && found.back().log_weight > found[one].log_weight;
-      bent_by_two = found.back().curvature;
-    }
-    hinge(bent, true);
-    // What bends a straight body so far may hold its end.
-    const bool held_perhaps =
-        poor || (turn_of(bent) > priors_.straight && readings.turn <= priors_.end_turn);
-    if (held_perhaps && settings_.held_end == Settings::Held::perhaps) end(bent, true);
-    if (several(3)) add_several(3, kTripleCells, bent_by_two, -1);
-    weigh_doubts();
-  }
-
- private:
-  // One contact, then one beside each rival that is worth weighing: on the same grid, and by
-  // itself where that may change the answer. `bad` is the rival's index. Returns the index of the
-  // contact alone; rivals are weighed if it leaves no more than the misfit `doubtful`.
-  std::size_t weigh_one(const Columns& column, const Row& log_odds, const Nodes& start,
-                        double doubtful) {
-    const double weight = contact_ + std::log(unfolded_);
-    const Rivals rivals{column, log_odds, best() - weight, priors_.hopeless, doubtful};
-    ContactsBeside beside;
-    OneContact alone = one_contact(white_, prior_, kCells, start, &rivals, &beside);
-    const std::size_t first = found.size();
-    found.push_back(contact(Load::contact, std::move(alone), weight, 2, -1));
-    const double matters = best() + kMatters;
-    for (auto& [index, other] : beside) {
-      const double odds = weight + log_odds[index];
-      if (other.log_evidence + odds > matters) {
-        other = one_contact(with(column, index), prior_, kCells, found[first].curvature);
-      }
-      found.push_back(contact(Load::contact, std::move(other), odds, 2, -1));
-      found.back().bad = index;
-    }
-    return first;
-  }
-
-  void add_end(const Whitened& white, const Nodes& start, bool held, double weight, int bad) {
-    const EndWrench fit = end_wrench(white, prior_, settings_.radius, held, start);
-    Hypothesis out = hypothesis(Load::end, fit, weight, 3, bad);
-    const double cell = priors_.end_cell;
-    out.contacts.push_back(
-        {{1.0 - 0.5 * cell}, cell, {1.0}, {fit.load[0]}, {fit.spread[0]}, {fit.felt}});
-    out.held = held;
-    out.push = fit.load[1];
-    out.couple = fit.load[2];
-    out.push_spread = fit.spread[1], out.couple_spread = fit.spread[2];
-    if (!held && fit.load[1] > 0.0) {
-      out.offset = std::clamp(fit.load[2] / fit.load[1], -settings_.radius, settings_.radius);
-    }
-    found.push_back(std::move(out));
-  }
-
-  void end(const Nodes& start, bool held) {
-    double weight = contact_;
-    const bool bends = readings.turn > priors_.end_turn;
-    const auto odds = [](double given, double usual) { return std::isnan(given) ? usual : given; };
-    if (!held) weight += odds(settings_.log_end, bends ? priors_.end : priors_.end_straight);
-    if (held && settings_.held_end == Settings::Held::perhaps) {
-      weight += odds(settings_.log_held, bends ? priors_.held : priors_.held_straight);
-    }
-    add_end(white_, start, held, weight, -1);
-    const Hypothesis& plain = found.back();
-    doubt(plain, weight - contact_, [this, shape = plain.curvature, held, weight](int i) {
-      add_end(with(bad_, i), shape, held, weight, i);
-    });
-  }
-
-  // What a fold of one radian, spread over one diameter from the base, adds to each reading.
-  Row fold_share() const {
-    const double diameter = 2.0 * settings_.radius;
-    Row share(frame_.size());
-    for (int i = 0; i < frame_.size(); ++i) {
-      const double span = frame_.high[i] - frame_.low[i];
-      const double inside = std::min(frame_.high[i], diameter) - frame_.low[i];
-      share[i] = span < kPoint ? frame_.low[i] < diameter : std::max(inside, 0.0) / span;
-      share[i] /= diameter;
-    }
-    return share;
-  }
-
-  void fold(const Nodes& start) {
-    Row share = fold_share();
-    for (double& value : share) value *= priors_.angle;
-    if (found.back().load == Load::end) {  // the end of a bent body may bear the load as well
-      Columns column;
-      column.add(0, share);
-      const double weight = contact_ + priors_.end + std::log(1.0 - unfolded_ + 1e-12);
-      add_end(with(column, 0), found.back().curvature, false, weight, -1);
-      found.back().load = Load::end_fold;
-      found.back().numbers = 4;
-    }
-    if (!add_fold(share, start, -1)) return;
-    doubt(found.back(), std::log(std::max(1.0 - unfolded_, 1e-12)),
-          [this, share, start](int i) { add_fold(share, start, i); });
-  }
-
-  // Returns whether any place is possible.
-  bool add_fold(const Row& share, const Nodes& start, int bad) {
-    const double error = settings_.critical_error;
-    FoldedContact fit = folded_contact(with(bad_, bad), prior_, error, share, kCells, start);
-    if (!(fit.log_evidence > -INFINITY)) return false;
-    const double weight = contact_ + std::log(std::max(1.0 - unfolded_, 1e-12));
-    found.push_back(contact(Load::fold, fit, weight, 3, bad));
-    found.back().angle = priors_.angle * fit.angle[fit.top];
-    return true;
-  }
-
-  // Kinks anywhere, or only near the base.
-  void hinge(const Nodes& start, bool anywhere) {
+  // Kinks between the ends of sensors, where they see one.
+  void add_kinks() {
     Row edges = frame_.low;
     edges.insert(edges.end(), frame_.high.begin(), frame_.high.end());
     std::sort(edges.begin(), edges.end());
-    Row place, log_odds;
-    Columns columns;
     for (std::size_t e = 1; e < edges.size(); ++e) {
-      const double middle = 0.5 * (edges[e - 1] + edges[e]);
-      const bool near = middle < 4.0 * settings_.radius;
-      if (edges[e] - edges[e - 1] < kPoint || (!anywhere && !near)) continue;
+      const double middle = 0.5 * (edges[e - 1] + edges[e]), width = edges[e] - edges[e - 1];
+      if (width < kPoint) continue;
       Row column;
-      int first = 0, covered = 0;
+      int first = 0;
       for (int i = 0; i < frame_.size(); ++i) {
         if (!(frame_.low[i] < middle && middle < frame_.high[i])) continue;
         if (column.empty()) first = i;
         column.resize(i - first + 1, 0.0);
         column.back() = priors_.angle / (frame_.high[i] - frame_.low[i]);
-        ++covered;
       }
-      if (covered == 0) continue;
-      columns.add(first, column);
-      place.push_back(middle);
-      log_odds.push_back(priors_.hinge + std::log(edges[e] - edges[e - 1]));
+      if (column.empty()) continue;
+      marks_.add(first, column);
+      kinks_.push_back(middle);
+      // Where the caller does not say at which moment the base folds, it is likelier there.
+      const double near = 4.0 * settings_.radius;
+      const bool fold = settings_.folds_perhaps && middle < near;
+      mark_odds_.push_back(std::log(width) +
+                           (fold ? priors_.base_fold - std::log(near) : priors_.hinge));
+      kink_odds_.push_back(std::log(width) + priors_.hinge);
     }
-    const Row alone = white_.log_densities(columns);
-    for (int h = 0; h < columns.size(); ++h) {
-      Hypothesis& free = found.emplace_back(Hypothesis{{}, Load::hinge, alone[h] + log_odds[h]});
-      free.at = place[h];
-      free.curvature = frame_.rest;
-      free.numbers = 1;
-      if (settings_.folds_perhaps && place[h] < 4.0 * settings_.radius) {
-        log_odds[h] += priors_.base_fold - priors_.hinge - std::log(4.0 * settings_.radius);
+  }
+
+  // A free body, and one with a bad reading or a kink.
+  void free() {
+    const Whitened::At& likeliest = white_.likeliest();
+    Hypothesis plain{&kFree, white_.log_density(), body_->rest, likeliest.square, likeliest.factor};
+    found.push_back(plain);
+    const Row with = white_.log_densities(marks_);
+    const int n = frame_.size();
+    for (int i = 0; i < n; ++i) {
+      const double weight = with[i] + mark_odds_[i];
+      if (weight < plain.log_weight + priors_.hopeless) continue;
+      found.push_back(plain);
+      found.back().log_weight = weight, found.back().bad = i;
+    }
+    Row each;
+    for (int e = n; e < marks_.size(); ++e) each.push_back(with[e] + kink_odds_[e - n]);
+    if (each.empty()) return;
+    Hypothesis& kinked = found.emplace_back(Hypothesis{&kHinge, log_sum_exp(each), body_->rest});
+    kinked.numbers = 1;
+    kinked.at = kinks_[n + (std::max_element(each.begin(), each.end()) - each.begin())];
+  }
+
+  // Readings as a shape leaves them, less what is known beside the loads.
+  struct Left {
+    Frame frame;
+    std::optional<Whitened> white;
+  };
+  const Whitened& left(const Whitened& white, const Matrix& shared, Left& of) const {
+    const Row known = body_->known();
+    if (known.empty()) return white;
+    of.frame = frame_;
+    for (std::size_t i = 0; i < known.size(); ++i) of.frame.excess[i] -= known[i];
+    return of.white.emplace(of.frame, shared);
+  }
+
+  // Shared columns of the errors with one mark more; those alone for -1.
+  Matrix shared_with(int mark) const {
+    if (mark < 0) return frame_.shared;
+    Matrix more(1, frame_.size());
+    const Columns::Column column = marks_[mark];
+    std::copy_n(column.value, column.count, more[0] + column.from);
+    return stacked(frame_.shared, more);
+  }
+
+  // An explanation beside a mark, on the grid and the shape that suit it without.
+  struct Doubt {
+    Hypothesis rough;
+    const Explanation* of;
+    double weight, side;
+    int mark;
+  };
+  // Gives the likeliest a grid and a shape of their own.
+  void weigh_doubts() {
+    std::sort(doubts_.begin(), doubts_.end(), [](const Doubt& a, const Doubt& b) {
+      return a.rough.log_weight > b.rough.log_weight;
+    });
+    for (Doubt& doubt : doubts_) {
+      if (doubt.rough.log_weight > best() + kMatters) {
+        weigh(*doubt.of, doubt.weight, doubt.rough.bent, doubt.side, doubt.mark);
+      } else {
+        found.push_back(std::move(doubt.rough));
       }
     }
-    if (place.empty()) return;
-    const double one = contact_ + std::log(unfolded_), least = best() + priors_.hopeless;
-    for (std::size_t k = 0, known = found.size(); k < known; ++k) {
-      // A kink under one sensor alone looks like a bad reading there, whose body is near.
-      if (found[k].load != Load::contact || found[k].bad < 0 || found[k].log_weight < least)
+  }
+
+  static double apart(const Row& a, const Row& b) {
+    double most = 0.0;
+    for (std::size_t k = 0; k < a.size(); ++k) most = std::max(most, std::abs(a[k] - b[k]));
+    return most;
+  }
+
+  // Half a step where steps do not shrink.
+  static double stride(double change, double& last) {
+    return change < 0.8 * std::exchange(last, change) ? 1.0 : 0.5;
+  }
+  static void towards(const Row& next, double step, Row& shape) {
+    for (std::size_t k = 0; k < next.size(); ++k) shape[k] += step * (next[k] - shape[k]);
+  }
+
+  // Lays the grid on the body's shape; returns the readings as that leaves them.
+  const Whitened& lay(Grid& grid, const Whitened& white, const Matrix& shared, Left& room,
+                      int level) const {
+    for (Placed& p : grid.placed) {
+      const bool anywhere = p.load->where == Load::Where::anywhere;
+      p.width = anywhere ? (p.window.far - p.window.near) / p.cells : priors_.end_cell;
+      body_->place(p);
+    }
+    grid.list();
+    const Whitened& read = left(white, shared, room);
+    grid.take(read, level);
+    return read;
+  }
+
+  // Curvature of the body at rest under the likeliest loads of a grid, from a shape near it.
+  Row settled(const Grid& grid, const Whitened& white, const Matrix& shared, Row shape, int bad,
+              int& passes) const {
+    Grid only = grid.alone();
+    Left room;
+    double last = INFINITY, step = 1.0;
+    while (++passes < kMostPasses) {
+      body_->take(shape, step);
+      const Whitened& read = lay(only, white, shared, room, static_cast<int>(grid.level));
+      const Grid::Likeliest now = only.likeliest(*read.frame);
+      Row next = body_->shown(body_->bent(now.loads), now.left, bad);
+      const double change = apart(next, shape);
+      if (change < priors_.shape_rests || body_->keeps(next)) return next;
+      step = stride(change, last);
+      towards(next, step, shape);
+    }
+    return shape;
+  }
+
+  // Weighs an explanation from a shape on, beside a mark or none, and beside marks that may matter.
+  // `side`: of the moment that folds the base. Returns the index of the hypothesis, or `kNone` if
+  // it is of no account.
+  std::size_t weigh(const Explanation& of, double weight, Row shape, double side = 0.0,
+                    int mark = -1) {
+    const Matrix shared = shared_with(mark);
+    std::optional<Whitened> own;
+    if (mark >= 0) own.emplace(frame_, shared);
+    const Whitened& white = mark < 0 ? white_ : *own;
+    const double odds = weight + (mark < 0 ? 0.0 : mark_odds_[mark]);
+    const int bad = mark < frame_.size() ? mark : -1;
+    Grid grid = grid_of(of, side);
+    const int count = grid.count();
+    const bool asked = settings_.contacts == count, all = asked && count > 1;
+    const bool certain = &of == &kOne || asked || settings_.held_end == Settings::Held::yes;
+    const double matters = count == 1 ? -INFINITY : best() - odds + kSeveralMatter;
+    const bool twists = of.loads.back().twists;
+    body_->begin(of, std::any_of(of.loads.begin(), of.loads.end(), [](const Load& load) {
+                   return load.where != Load::Where::anywhere || load.critical;
+                 }));
+    bool whole = true;
+    Left room;
+    double last = INFINITY, step = 1.0;
+    for (int turn = 0, passes = 0; turn < kMostTurns; ++turn) {
+      body_->take(shape, std::exchange(step, 1.0));
+      const Whitened& read = lay(grid, white, shared, room, -1);
+      if (!grid.weigh(prior_)) return kNone;
+      const double log_evidence = evidence(grid, whole);
+      // The first shape may be far from that of the loads.
+      double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
+      if (twists && turn < kTwistTurns) hopeless = turn == 0 ? -INFINITY : kTwistFarFromIt;
+      const Grid::Likeliest now = grid.likeliest(*read.frame);
+      if (!certain && log_evidence + odds < best() + hopeless) {
+        if (mark >= 0 || now.misfit < limit_) return kNone;
+        const Row gain = grid.gains(read, marks_, frame_.size());
+        double most = -INFINITY;
+        for (int i = 0; i < frame_.size(); ++i) most = std::max(most, gain[i] + mark_odds_[i]);
+        if (log_evidence + odds + most < best() + hopeless) return kNone;
+      }
+      if (turn == 0 && count > 2 && !all) {
+        const double least = best() - odds + kNegligible;
+        if (log_evidence < least) return kNone;
+        grid.solve();
+        if (log_evidence + std::log(grid.all_felt()) < least) return kNone;
+      }
+      Row bent = body_->bent(now.loads);
+      Row next = body_->shown(bent, now.left, bad);
+      const double change = apart(next, shape);
+      const bool rests = change < priors_.shape_rests || body_->keeps(next);
+      const bool last_turn = turn + 1 == kMostTurns;
+      if (!rests && !last_turn && ++passes < kMostPasses) {
+        if (turn > 0 && grid.size() > 1) {
+          shape = settled(grid, white, shared, std::move(next), bad, passes);
+        } else {
+          step = stride(change, last);
+          towards(next, step, shape);
+        }
         continue;
-      for (int h = 0; h < columns.size(); ++h) {
-        if (columns[h].from != found[k].bad || columns[h].count != 1) continue;
-        OneContact fit = one_contact(with(columns, h), prior_, kCells, Nodes(found[k].curvature));
-        found.push_back(contact(Load::contact_hinge, std::move(fit), one + log_odds[h], 3, -1));
-        found.back().at = place[h];
-        log_odds[h] = -INFINITY;
       }
+      const double coarse = all || log_evidence > matters ? kResolved : kCoarse;
+      if (!last_turn && split(grid, coarse)) {
+        whole = false, shape = std::move(next);
+        continue;
+      }
+      const double nothing =
+          count == 1 ? 0.0 : kNothingOfAll * std::exp(std::min(matters - log_evidence, 3.0));
+      const auto add = [&](Grid& from, double log_weight, int by) {
+        from.solve();
+        const Grid::Likeliest likeliest = from.likeliest(*read.frame);
+        Hypothesis& out = found.emplace_back(
+            Hypothesis{&of, log_weight, bent, likeliest.misfit, read.levels[from.level].factor});
+        out.loads = likeliest.loads, out.forces = body_->forces(out.loads);
+        out.shares = share_out(from, all, nothing);
+        for (const Placed& p : from.placed) {
+          out.numbers += p.size() + (p.load->where == Load::Where::anywhere);
+        }
+        if (by >= frame_.size())
+          out.of = &kOneAndHinge, out.at = kinks_[by], ++out.numbers;
+        else
+          out.bad = by;
+      };
+      add(grid, log_evidence + odds, mark);
+      const std::size_t index = found.size() - 1;
+      if (mark >= 0) return index;
+      const double misfit = found[index].misfit;
+      int marks = misfit > limit_ ? frame_.size() : 0;
+      if (&of == &kOne) marks = misfit > doubtful_ ? 0 : marks_.size();
+      if (marks == 0) return index;
+      if (!whole) {  // beside another mark the contacts may lie anywhere
+        for (Placed& p : grid.placed) p.window = {0.0, 1.0};
+        lay(grid, white, frame_.shared, room, -1);
+        grid.weigh(prior_);
+      }
+      const double plain = evidence(grid, true) + weight, matter = best() + kMatters;
+      const Row gain = grid.gains(read, marks_, marks);
+      for (int e = 0; e < marks; ++e) {
+        if (plain + gain[e] + mark_odds_[e] < best() + priors_.hopeless) continue;
+        Grid beside = grid.beside(read, marks_[e]);
+        if (!beside.weigh(prior_)) continue;
+        add(beside, weight + mark_odds_[e] + evidence(beside, true), e);
+        if (found.back().log_weight < matter) continue;
+        doubts_.push_back({std::move(found.back()), &of, weight, side, e});
+        found.pop_back();
+      }
+      return index;
     }
-    const auto first = static_cast<std::ptrdiff_t>(weigh_one(columns, log_odds, start, INFINITY));
-    for (auto kinked = found.erase(found.begin() + first); kinked != found.end(); ++kinked) {
-      kinked->load = Load::contact_hinge;
-      kinked->numbers = 3;
-      kinked->at = place[std::exchange(kinked->bad, -1)];
-    }
+    return kNone;
   }
 
-  // Returns whether any set of places is possible.
-  bool add_several(int count, int cells, const Nodes& start, int bad) {
-    const double weight = contact_ + (count - 1) * priors_.another;
-    const double odds = bad < 0 ? weight : weight + readings.log_bad[bad];
-    const bool all = settings_.contacts == count;
-    const double top = best() - odds, least = count == 2 || all ? -INFINITY : top + kNegligible;
-    SeveralContacts fit = several_contacts(with(bad_, bad), prior_, count, cells, start, all,
-                                           top + kSeveralMatter, least);
-    if (!(fit.log_evidence > -INFINITY)) return false;
-    Hypothesis& out = found.emplace_back(
-        hypothesis(count == 2 ? Load::two : Load::three, fit, weight, 2 * count, bad));
-    out.contacts = std::move(fit.contacts), out.sets = std::move(fit.sets);
-    if (count == 2 && bad < 0) {
-      doubt(out, priors_.another, [this, start](int i) { add_several(2, kPairCells, start, i); });
+  Grid grid_of(const Explanation& of, double side) const {
+    Grid out;
+    const int across = body_->in_space() ? 2 : 1;
+    for (const Load& load : of.loads) {
+      Placed& p = out.placed.emplace_back(
+          Placed{&load, load.where == Load::Where::anywhere ? of.cells : 1});
+      p.across = load.across ? across : 0;
+      const double mean = load.critical ? side / prior_.tolerance : 0.0;
+      p.number.assign(p.across, {!load.critical, mean, 0.0});
+      if (load.along) p.number.push_back({true, 0.0, load.pushes ? 1.0 : 0.0});
+      if (load.couples != Load::Couples::none) p.number.resize(p.number.size() + across);
+      if (load.twists) p.number.resize(p.number.size() + 1);
+      if (load.kinks) p.number.push_back({false, 0.0, side});
     }
-    return true;
+    return out;
   }
 
-  double unfolded_ = 1.0;  // prior share of contacts that leave the base as it is
+  // Log evidence of the sets of a grid that is weighed. On the whole body those listed are all
+  // there are: their prior sums to one.
+  double evidence(const Grid& grid, bool whole) const {
+    double volume = 0.0;
+    int free = 0;
+    for (const Placed& p : grid.placed) {
+      if (p.load->where == Load::Where::anywhere) volume += std::log(++free * p.width);
+    }
+    if (whole && free > 0) volume = -std::log(static_cast<double>(grid.size()));
+    return grid.top + std::log(grid.total / static_cast<double>(prior_.scales.size())) + volume;
+  }
+
+  // Lays finer windows around the mass where a cell holds more than `coarse` of it.
+  static bool split(Grid& grid, double coarse) {
+    bool finer = false;
+    for (std::size_t j = 0; j < grid.placed.size(); ++j) {
+      Placed& p = grid.placed[j];
+      if (p.load->where != Load::Where::anywhere || p.width < 1e-6) continue;
+      Row each(p.cells);
+      for (int s = 0; s < grid.size(); ++s)
+        each[grid.cell(static_cast<int>(j), s)] += grid.mass[s] / grid.total;
+      if (*std::max_element(each.begin(), each.end()) < coarse) continue;
+      const Window part = support(each.data(), p.cells, p.window, kOutside, 2);
+      if (part.far - part.near >= 0.75 * (p.window.far - p.window.near)) continue;
+      p.window = part, finer = true;
+    }
+    return finer;
+  }
+
+  const Frame& frame_;
+  const Priors& priors_;
+  const Settings& settings_;
+  ForcePrior prior_;
+  std::unique_ptr<Body> body_;
+  Whitened white_;
+  double contact_;  // log prior odds of one
+  // Bad readings, then kinks: columns that readings share, log odds of each beside loads.
+  Columns marks_;
+  Row mark_odds_, kinks_, kink_odds_;  // place of each; log odds of kinks of a free body
+  std::vector<Doubt> doubts_;
+  double limit_;     // misfit beyond which an explanation is poor
+  double doubtful_;  // misfit of one contact beyond which the noise is larger than stated, perhaps
 };
 
 }  // namespace thigmo

@@ -69,7 +69,7 @@ class Localizer:
         >>> sensors = thigmo.Sensors(position=[5, 15, 25, 35, 45], span=5.5)
         >>> localizer = thigmo.Localizer(body, sensors, thigmo.Errors(noise=6e-4))
         >>> round(localizer.localize([0.0059, 0.0042, 0.0021, 0.0006, 0.0]).contacts[0].arc, 1)
-        38.1
+        38.3
         >>> localizer.localize_batch([[0.0059, 0.0042, 0.0021, 0.0006, 0.0], [0.0] * 5])
         BatchResult(2 rows: 1 no contact, 1 ambiguous)
 
@@ -307,7 +307,7 @@ def localize(
         >>> position = [5, 15, 25, 35, 45]
         >>> reading = [0.0059, 0.0042, 0.0021, 0.0006, 0.0]
         >>> thigmo.localize(reading, position, length=53, span=5.5, noise=6e-4)
-        LocalizeResult(ambiguous, one contact: arc 38.29, 30.03 to 47.7; body of 53)
+        LocalizeResult(ambiguous, one contact: arc 38.28, 30.03 to 47.7; body of 53)
         >>> thigmo.localize(reading, position, length=53, span=5.5, noise=1e-4).contacts[0].status
         'localized'
     """

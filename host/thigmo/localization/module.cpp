@@ -4,6 +4,7 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include "answer.h"
@@ -37,23 +38,8 @@ Matrix matrix(const Table& from) {
 }
 
 constexpr const char* kStatuses[] = {"no contact", "below detection", "ambiguous", "localized"};
-// In the order of `Load`.
-constexpr const char* kLoads[] = {"free body",
-                                  "hinge",
-                                  "one contact",
-                                  "end wrench",
-                                  "one contact, folded base",
-                                  "one contact, hinge",
-                                  "two contacts",
-                                  "three contacts",
-                                  "end wrench, folded base",
-                                  "one contact, end wrench"};
-
-// Hypotheses of one key have one name.
-int key_of(const Hypothesis& of) { return 2 * static_cast<int>(of.load) + (of.bad >= 0); }
-nb::str name_of(int key) {
-  const std::string name = kLoads[key / 2];
-  return nb::str((key % 2 == 0 ? name : name + ", one bad reading").c_str());
+std::string name_of(const Hypothesis& of) {
+  return of.bad < 0 ? of.of->name : std::string(of.of->name) + ", one bad reading";
 }
 
 // Numbers of many answers: of each row, and of each of its contacts.
@@ -162,29 +148,25 @@ NB_MODULE(_posterior, m) {
              }
              return out;
            })
-      // Of each hypothesis: load, index of the bad reading among the finite ones or -1, log weight.
+      // Of each hypothesis: name, index of the bad reading among the finite ones or -1, log weight.
       .def_prop_ro("weighed",
                    [](const Answer& a) {
                      nb::list out;
                      for (const Hypothesis& h : a.hypotheses) {
-                       out.append(nb::make_tuple(static_cast<int>(h.load), h.bad, h.log_weight));
+                       out.append(nb::make_tuple(h.of->name, h.bad, h.log_weight));
                      }
                      return out;
                    })
-      .def_prop_ro("hypothesis",
-                   [](const Answer& a) { return name_of(key_of(a.hypotheses[a.best])); })
+      .def_prop_ro("hypothesis", [](const Answer& a) { return name_of(a.hypotheses[a.best]); })
       .def_prop_ro("hypotheses",
                    [](const Answer& a) {
-                     std::vector<std::pair<int, double>> total;  // in the order of weighing
+                     nb::dict out;  // in the order of weighing
                      for (std::size_t k = 0; k < a.hypotheses.size(); ++k) {
-                       const int key = key_of(a.hypotheses[k]);
-                       const auto has = [key](const auto& each) { return each.first == key; };
-                       auto at = std::find_if(total.begin(), total.end(), has);
-                       if (at == total.end()) at = total.insert(at, {key, 0.0});
-                       at->second += a.probability[k];
+                       const std::string name = name_of(a.hypotheses[k]);
+                       const double before =
+                           out.contains(name.c_str()) ? nb::cast<double>(out[name.c_str()]) : 0.0;
+                       out[name.c_str()] = before + a.probability[k];
                      }
-                     nb::dict out;
-                     for (const auto& [key, probability] : total) out[name_of(key)] = probability;
                      return out;
                    })
       // Further numbers of the likeliest one, in the caller's unit.
@@ -195,18 +177,17 @@ NB_MODULE(_posterior, m) {
              const auto add = [&](const char* name, double value) {
                if (!std::isnan(value)) out[name] = value;
              };
-             add("fold_angle", h.angle), add("hinge_arc", h.at * length);
-             add("push_back", h.push / (length * length));
-             add("tip_moment", h.couple / length), add("end_offset", h.offset * length);
+             add("hinge_arc", h.at * length), add("end_offset", h.offset(a.radius) * length);
+             for (const Loaded& each : h.loads) {
+               if (each.load->kinks) add("fold_angle", each.value[0]);
+             }
+             const auto [push, push_spread, couple, couple_spread] = h.end_load();
+             add("push_back", push / (length * length)), add("tip_moment", couple / length);
              return out;
            })
       // Force that pushes the end back and couple on it, by the likeliest explanation, each with
       // its standard deviation; NaN where nothing loads the end.
-      .def_prop_ro("end_load",
-                   [](const Answer& a) {
-                     const Hypothesis& h = a.hypotheses[a.best];
-                     return std::array{h.push, h.push_spread, h.couple, h.couple_spread};
-                   })
+      .def_prop_ro("end_load", [](const Answer& a) { return a.hypotheses[a.best].end_load(); })
       // Of each contact: edges of cells of the body; the mass in each, the force there and its
       // standard deviation.
       .def_prop_ro("masses",
@@ -222,19 +203,19 @@ NB_MODULE(_posterior, m) {
       .def_prop_ro("joint",
                    [](const Answer& a) -> nb::object {
                      const Hypothesis& h = a.hypotheses[a.best];
-                     if (h.contacts.size() != 2) return nb::none();
+                     if (h.shares.contacts.size() != 2) return nb::none();
                      const auto edges = [](const Marginal& of) {
                        Row out{of.place.front() - 0.5 * of.width};
                        for (const double place : of.place) out.push_back(place + 0.5 * of.width);
                        return array(out);
                      };
-                     const std::size_t near = h.contacts[0].place.size();
-                     const std::size_t far = h.contacts[1].place.size();
+                     const std::size_t near = h.shares.contacts[0].place.size();
+                     const std::size_t far = h.shares.contacts[1].place.size();
                      Row mass(near * far);
-                     for (const FeltSet& set : h.sets) {
+                     for (const FeltSet& set : h.shares.sets) {
                        mass[set.cell[0] * far + set.cell[1]] += set.mass;
                      }
-                     return nb::make_tuple(edges(h.contacts[0]), edges(h.contacts[1]),
+                     return nb::make_tuple(edges(h.shares.contacts[0]), edges(h.shares.contacts[1]),
                                            array<2>(std::move(mass), {near, far}));
                    })
       .def_ro("touched", &Answer::touched)

@@ -24,6 +24,14 @@ struct Input {
   double offset, map, length, radius;
 };
 
+// A body in space: its readings' directions, and what bends it beside contacts.
+struct Space {
+  std::vector<Vector> direction;  // (N,) axis of the turn that each measures
+  Matrix curvature_map;           // (2 cells, N) the body's bends in each cell, from readings
+  Vector compliance;              // EI over the stiffness against each component of a moment
+  Vector weight;                  // of a body of length one, over EI
+};
+
 struct Readings {
   Frame frame;
   std::vector<int> index;  // (N,) places in the caller's arrays

@@ -56,7 +56,7 @@ struct Point {
 class Shape {
  public:
   // From the curvature at even nodes of a body of length one.
-  explicit Shape(const Nodes& curvature) {
+  explicit Shape(const Row& curvature) {
     const double half = 0.5 / (kNodes - 1);
     double heading = 0.0;
     c_[0] = 1.0, s_[0] = x_[0] = y_[0] = sum_x_[0] = sum_y_[0] = 0.0;
@@ -92,7 +92,7 @@ class Shape {
   }
 
   // Add the curvature that a force at `point` causes along the body.
-  void add_moment(const Point& point, double force, Nodes& curvature) const {
+  void add_moment(const Point& point, double force, Row& curvature) const {
     const double own = point.x * point.c + point.y * point.s;
     const int end = std::min(static_cast<int>(std::ceil(point.arc * (kNodes - 1))), kNodes);
     for (int k = 0; k < end; ++k) {

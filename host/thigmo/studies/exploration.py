@@ -41,7 +41,7 @@ from thigmo.studies.rooms import explored
 from thigmo.studies.scenes import RADIUS
 
 ROUNDS = 10  # parts of all rooms, after each of which all that is known is written
-_LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
+LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
 _RADII_CM = (0.25, 2.5)
 _MOST_PEGS = 3
 _MOST_DOWELS = 64  # of a scene
@@ -108,10 +108,6 @@ class Explored:
     y_cm: float = nan
     radius_cm: float = nan
     status: str = "silent"  # of the best contact, "silent", or why the run was aborted
-    missed: bool = True  # nothing on the map is at a peg
-    false: int = 0  # contacts on the map that are not in the room
-    # the best contact is localized, and its interval does not hold the true arc
-    wrong: bool = False
     error_x_cm: float = nan  # of the best contact; NaN without one
     # All contacts, against surfaces. touched, touched_missed: true contacts, each as touched last,
     # and those of them that no contact is near
@@ -129,31 +125,15 @@ class Explored:
     cause: str = ""  # the likeliest of a stall: "obstacle", "wall" or "pressure"; empty without one
 
     def judge(self, document: RunDocument) -> None:
-        """Hold the run's best contact against the room."""
+        """Hold what the run says against the room."""
         self.time_s = document.robot_time_s
         if (stalled := document.stall) is not None:
             self.cause = max(
                 "obstacle", "wall", "pressure", key=lambda each: getattr(stalled, each)
             )
-        self._judge_surfaces(document)
-        best = best_contact(document.contacts)
-        if best is None:
-            return
-        near = [
-            contact.arc_cm
-            for contact in (document.truth.contacts if document.truth else ())
-            if abs(contact.everted_length_cm - best.everted_length_cm) < 0.5
-        ]
-        low, high = best.interval_cm
-        held = any(low - _LENGTH_CM <= arc <= high + _LENGTH_CM for arc in near)
-        self.status = best.status
-        self.false = len(document.false or [])
-        self.missed = len(document.contacts) == self.false
-        self.wrong = best.status == "localized" and not held
-        self.error_x_cm = nan if document.error_x_cm is None else document.error_x_cm
-
-    def _judge_surfaces(self, document: RunDocument) -> None:
-        """Hold every contact against what was touched."""
+        if (best := best_contact(document.contacts)) is not None:
+            self.status = best.status
+            self.error_x_cm = nan if document.error_x_cm is None else document.error_x_cm
         truth = document.truth or Truth()
         last = {contact.peg: contact for contact in truth.contacts}
         self.touched = len(last)
@@ -189,7 +169,7 @@ class Explored:
                 self.contacts_localized += 1
                 self.contacts_wrong += not any(
                     of_stage(true, contact.everted_length_cm, contact.side)
-                    and low - _LENGTH_CM <= true.arc_cm <= high + _LENGTH_CM
+                    and low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM
                     for true in truth.contacts
                 )
         self.near, self.error_cm = len(errors), float(np.mean(errors)) if errors else nan
@@ -424,10 +404,7 @@ def _by_kind(found: list[Explored]) -> list[Record]:
     return [
         {
             "kind": kind, "rooms": len(mine),
-            "missed": sum(one.missed for one in mine) if KINDS[kind].peg else 0,
-            "with_false_contacts": sum(one.false > 0 for one in mine),
-            "localized": sum(one.status == "localized" for one in mine),
-            "localized_and_wrong": sum(one.wrong for one in mine),
+            "with_false_contacts": sum(one.far > 0 for one in mine),
             "aborted": sum(one.status.startswith("aborted") for one in mine),
             "median_error_x_cm": _median_x(mine),
             **{
@@ -451,7 +428,7 @@ def _claims(found: list[Explored]) -> list[Claim]:
         return 100 * total(some, "touched_missed") / max(total(some, "touched"), 1.0)
 
     walls, stalls, several, pegs = of(WALLS), of(STALLS), of(MORE), of(TRUE, *_OTHERS)
-    noisy = share([one.false > 0 for one in of(*_NOISY)])
+    noisy = share([one.far > 0 for one in of(*_NOISY)])
     held = total(walls, "contacts_localized") - total(walls, "contacts_wrong")
     stalled = [one for one in stalls if one.cause]
     one_peg, off = f"one peg, {len(pegs)} rooms", f"{_OFF_CM:g} cm"
@@ -573,25 +550,25 @@ def _figure(found: list[Explored]) -> Figure:
     figure, (first, second) = charts.panels(1, 2, size=(6.5, 5.5))
     pegs = [one for one in found if np.isfinite(one.x_cm)]
     for label, marker, color, those in (
-        ("found", "o", GREEN, [e for e in pegs if not e.missed and not e.wrong]),
-        ("localized, and wrong", "^", ORANGE, [e for e in pegs if e.wrong]),
-        ("missed", "X", RED, [e for e in pegs if e.missed]),
+        ("found", "o", GREEN, [e for e in pegs if not e.touched_missed and not e.contacts_wrong]),
+        ("localized, and wrong", "^", ORANGE, [e for e in pegs if e.contacts_wrong]),
+        ("missed", "X", RED, [e for e in pegs if e.touched_missed]),
     ):
         x, y = [e.x_cm for e in those], [e.y_cm for e in those]
         first.scatter(x, y, 14, marker=marker, color=color, label=f"{label} ({len(those)})")
     first.fill_between([0.0, 53.0], -1.75, 1.75, color="0.85", label="straight robot")
     first.set(xlabel="x along the straight robot (cm)", ylabel="y (cm)", aspect="equal")
     rows, at = _by_kind(found), np.arange(len(KINDS))
-    for shift, (label, color, what) in enumerate((
-        ("missed", RED, "missed"),
-        ("localized, and wrong", ORANGE, "localized_and_wrong"),
-        ("with false contacts", "0.5", "with_false_contacts"),
+    for shift, (label, color, what, of) in enumerate((
+        ("contacts missed", RED, "touched_missed", "touched"),
+        ("localized ones that are wrong", ORANGE, "contacts_wrong", "contacts_localized"),
+        ("rooms with false contacts", "0.5", "with_false_contacts", "rooms"),
     )):  # fmt: skip
-        shares = [100 * float(row[what]) / max(float(row["rooms"]), 1.0) for row in rows]
+        shares = [100 * float(row[what]) / max(float(row[of]), 1.0) for row in rows]
         second.barh(at + 0.25 * (shift - 1), shares, 0.25, color=color, label=label)
     second.set_yticks(at, list(KINDS), fontsize=8)
     second.invert_yaxis()
-    second.set(xlabel="share of the rooms of a kind (%)", xlim=(0, None))
+    second.set(xlabel="share (%)", xlim=(0, None))
     legend: dict[str, Any] = {"fontsize": 7, "ncols": 2, "frameon": False}
     figure.legend(*first.get_legend_handles_labels(), loc="outside lower left", **legend)
     figure.legend(*second.get_legend_handles_labels(), loc="outside lower right", **legend)

@@ -68,8 +68,8 @@ def _felt(arcs: Floats, forces: Floats) -> int:
 def by_prior(task: tuple[tuple[int, ...], int]) -> NDArray[np.float64]:
     """A batch of frames drawn by the prior: (size, 5) probabilities of the number, and the truth.
 
-    The prior is that of a straight body: number by its odds, places anywhere, forces by the
-    largest moment's three scales.
+    The prior is that of a straight body: number by its odds, places by `place_density`, forces by
+    the largest moment's three scales.
     """
     key, size = task
     rng = np.random.default_rng(key)
@@ -78,7 +78,8 @@ def by_prior(task: tuple[tuple[int, ...], int]) -> NDArray[np.float64]:
     out = np.zeros((size, 5))
     for row in out:
         count = int(rng.choice(4, p=odds / odds.sum()))
-        arcs = np.sort(rng.uniform(0.0, LENGTH, count))
+        swept = rng.uniform(size=count) < priors.SWEPT
+        arcs = LENGTH * np.sort(rng.uniform(size=count) ** np.where(swept, 1.0 / 3.0, 1.0))
         scale = rng.choice(priors.MOMENTS) / LENGTH  # base moment over EI
         forces = scale * rng.standard_normal(count)
         forces /= np.maximum(arcs, priors.LEAST_LEVER * LENGTH)

@@ -22,7 +22,7 @@ from thigmo.errors import ThigmoError
 from thigmo.exploration.map import best_contact, of_stage
 from thigmo.record import RunDocument, Truth
 from thigmo.studies.engine import Claim, Context, Outcome, Record, share
-from thigmo.studies.exploration import Explored
+from thigmo.studies.exploration import LENGTH_CM, Explored
 from thigmo.studies.rooms import explored
 
 _ELLIPSE = 5.991  # 95 % of chi-squared of two degrees of freedom
@@ -61,20 +61,26 @@ class Visited(Explored):
 
     peg: bool = True
     length_cm: float = nan  # of the robot
+    missed: bool = True  # nothing on the map is at a peg
+    # the best contact is localized, and its interval does not hold the true arc
+    wrong: bool = False
     plane_cm: float = nan  # error of the best contact in the plane; NaN without one
     # the 95 % ellipse of the best contact does not hold the true point
     outside: bool = False
 
     def judge_place(self, document: RunDocument) -> None:
-        """Hold the place of the run's best contact against the true point of its stage."""
+        """Hold the run's best contact against the true points of its stage."""
         best, truth = best_contact(document.contacts), document.truth or Truth()
         if best is None:
             return
-        apart = [
-            np.array([true.x_cm - best.x_cm, true.y_cm - best.y_cm])
-            for true in truth.contacts
-            if of_stage(true, best.everted_length_cm, best.side)
+        here = [
+            true for true in truth.contacts if of_stage(true, best.everted_length_cm, best.side)
         ]
+        low, high = best.interval_cm
+        held = any(low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM for true in here)
+        self.missed = len(document.contacts) == len(document.false or [])
+        self.wrong = best.status == "localized" and not held
+        apart = [np.array([true.x_cm - best.x_cm, true.y_cm - best.y_cm]) for true in here]
         if nearest := sorted(apart, key=np.linalg.norm)[:1]:
             self.plane_cm = float(np.linalg.norm(nearest[0]))
             squared = nearest[0] @ np.linalg.solve(np.asarray(best.covariance_cm2), nearest[0])

@@ -122,7 +122,7 @@ def test_one_contact_is_weighed_as_dense_normal_densities():
     localizer = Localizer.of(**READ, contacts=1, held_end=False)._compiled
     nothing = np.zeros(1)
     weighed = localizer.localize(curvature, nothing, nothing).weighed
-    found = next(weight for load, bad, weight in weighed if (load, bad) == (2, -1))
+    found = next(weight for load, bad, weight in weighed if (load, bad) == ("one contact", -1))
     white = (SIGMA**2 + (priors.TRUST * np.abs(curvature).max()) ** 2) * np.eye(POSITION.size)
     logs = []
     for arc in (np.arange(60) + 0.5) / 60:

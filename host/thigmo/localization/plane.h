@@ -1,0 +1,151 @@
+// A body that bends in a plane, as the kernel asks for it (body.h).
+#pragma once
+
+#include "body.h"
+#include "readings.h"
+
+namespace thigmo {
+
+class PlaneBody : public Body {
+ public:
+  // `fold` (N,): what a fold of one radian adds to each reading.
+  PlaneBody(const Readings& readings, const Priors& priors, const ForcePrior& prior, double radius)
+      : frame_(readings.frame), priors_(priors), prior_(prior), radius_(radius) {
+    rest.assign(frame_.rest.begin(), frame_.rest.end());
+    start = rest;
+    turn = readings.turn;
+  }
+
+  void begin(const Explanation&, bool bends) override { straight_ = !bends; }
+
+  void take(const Row& curvature, double) override {
+    straight_ = straight_ && turn_of(curvature) < priors_.straight;
+    if (straight_) {
+      least_ = prior_.least;
+      return;
+    }
+    shape_ = Shape(curvature);
+    least_ = prior_.least * largest_lever(shape_.at(1.0));
+  }
+
+  bool keeps(const Row& curvature) const override {
+    return straight_ && turn_of(curvature) < priors_.straight;
+  }
+
+  void place(Placed& p) const override {
+    const Load& load = *p.load;
+    const int n = frame_.size(), cells = p.cells;
+    p.column.resize(n, p.size() * cells);
+    p.unit.resize(p.column.columns), p.base.assign(p.column.columns, 0.0);
+    if (load.where != Load::Where::anywhere)
+      p.place = {load.where == Load::Where::end ? 1.0 : 0.0};
+    else
+      p.place = middles(p.window, cells);
+    if (load.where == Load::Where::anywhere) {
+      p.density = p.place;
+      for (double& each : p.density) each = prior_.density(each);
+    }
+    if (load.kinks) {
+      p.unit[0] = priors_.angle;
+      for (int i = 0; i < n; ++i) p.column[i][0] = p.unit[0] * fold_of(i);
+      return;
+    }
+    int number = 0;
+    const auto fill = [&](const Levers& of, const Row& unit) {
+      for (int i = 0; i < n; ++i) {
+        double* to = p.column[i] + number * cells;
+        for (int m = 0; m < cells; ++m) to[m] = of.sensor[i][m] * unit[m];
+      }
+      for (int m = 0; m < cells; ++m) {
+        p.unit[number * cells + m] = unit[m], p.base[number * cells + m] = of.base[m] * unit[m];
+      }
+      ++number;
+    };
+    Levers levers(n, cells);
+    const auto lay = [&](bool along) {
+      if (straight_)
+        straight_levers(p.place, frame_.low, frame_.high, levers);
+      else
+        bent_levers(shape_, p.place, frame_.low, frame_.high, levers, along);
+    };
+    lay(false);
+    Row force(cells);
+    for (int m = 0; m < cells; ++m) {
+      const double lever = std::max(std::abs(load.critical ? levers.base[m] : levers.largest[m]),
+                                    std::max(least_, 1e-12));
+      force[m] = load.critical
+                     ? std::copysign(prior_.tolerance * prior_.critical / lever, levers.base[m])
+                     : 1.0 / lever;
+    }
+    if (load.across) fill(levers, force);
+    if (load.along) lay(true), fill(levers, force);
+    if (load.couples == Load::Couples::none) return;
+    for (int m = 0; m < cells; ++m) {
+      levers.base[m] = 1.0;
+      for (int i = 0; i < n; ++i) {
+        const double span = frame_.high[i] - frame_.low[i], before = p.place[m] - frame_.low[i];
+        levers.sensor[i][m] = span < kPoint ? before > 0.0 : std::clamp(before / span, 0.0, 1.0);
+      }
+      force[m] = load.holds() ? 1.0 : radius_ * force[m];
+    }
+    fill(levers, force);
+  }
+
+  Row bent(const std::vector<Loaded>& loads) override {
+    static const Shape straight{Row(kNodes)};
+    const Shape& shape = straight_ ? straight : shape_;
+    Row out = rest;
+    for (const Loaded& each : loads) {
+      if (each.load->kinks) continue;
+      const Point at = shape.at(each.arc);
+      int number = 0;
+      if (each.load->across) shape.add_moment(at, each.value[number++], out);
+      if (each.load->along) shape.add_moment(at.turned(), each.value[number++], out);
+      if (each.load->couples == Load::Couples::none) continue;
+      for (int k = 0; k < kNodes && k <= each.arc * (kNodes - 1); ++k) out[k] += each.value[number];
+    }
+    return out;
+  }
+
+  Row shown(const Row& bent, const Row&, int) const override { return bent; }
+
+  double turn_of(const Row& curvature) const override {
+    double heading = 0.0, most = 0.0;
+    for (const double value : curvature) {
+      heading += value;
+      most = std::max(most, std::abs(heading));
+    }
+    return most / kNodes;
+  }
+
+  Row above(const Row& curvature) const override {
+    Row out = curvature;
+    for (int k = 0; k < kNodes; ++k) out[k] -= rest[k];
+    return out;
+  }
+
+ private:
+  double largest_lever(const Point& of) const {
+    const double own = of.x * of.c + of.y * of.s;
+    double most = std::abs(own);
+    shape_.raise_to_largest(1, &of.arc, &of.c, &of.s, &own, &most);
+    return most;
+  }
+
+  // What a fold of one radian, spread over one diameter from the base, adds to a reading.
+  double fold_of(int i) const {
+    const double diameter = 2.0 * radius_, span = frame_.high[i] - frame_.low[i];
+    if (span < kPoint) return (frame_.low[i] < diameter) / diameter;
+    const double inside = std::min(frame_.high[i], diameter) - frame_.low[i];
+    return std::max(inside, 0.0) / span / diameter;
+  }
+
+  const Frame& frame_;
+  const Priors& priors_;
+  const ForcePrior& prior_;
+  double radius_, least_ = 0.0;
+  bool straight_ = true;
+  Shape shape_{Row(kNodes)};
+};
+
+}  // namespace thigmo

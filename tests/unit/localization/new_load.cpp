@@ -1,0 +1,39 @@
+// A load that the table does not have: a couple anywhere on a straight body in a plane. Prints its
+// log evidence and the likeliest place, and the log evidence of a contact, for readings of a
+// couple.
+#include <cstdio>
+
+#include "plane.h"
+
+using namespace thigmo;
+
+int main() {
+  const Load couple{.where = Load::Where::anywhere, .couples = Load::Couples::any};
+  Priors priors{};
+  priors.moments = {0.15, 0.6, 2.4}, priors.least_lever = 0.02, priors.straight = 0.25;
+  const ForcePrior prior{priors.moments, priors.least_lever, INFINITY, 0.1, 3.0, 0.0};
+  Readings readings;
+  Frame& frame = readings.frame;
+  for (int i = 0; i < 10; ++i) {  // a couple of 0.2 at 0.6 of the body
+    frame.low.push_back(0.1 * i), frame.high.push_back(0.1 * i + 0.05);
+    frame.excess.push_back(i < 6 ? 0.2 : 0.0);
+    frame.noise.push_back(0.01), frame.gain.push_back(0.0);
+  }
+  frame.shared = Matrix(0, 10), frame.levels = {{1.0, 0.0}}, frame.rest = {};
+  readings.turn = 0.0;
+  PlaneBody body(readings, priors, prior, 0.03);
+  const Whitened white(frame, frame.shared);
+  for (const Load& load : {couple, kTouch}) {
+    const Explanation alone{"a load of its own", {load}, 60};
+    Grid grid;
+    Placed& placed = grid.placed.emplace_back(Placed{&alone.loads[0], alone.cells, {{}}});
+    placed.width = 1.0 / alone.cells;
+    body.begin(alone, false), body.take(body.start, 1.0), body.place(placed);
+    grid.list(), grid.take(white);
+    if (!grid.weigh(prior)) return 1;
+    const double scales = static_cast<double>(prior.scales.size() * alone.cells);
+    const Grid::Likeliest found = grid.likeliest(frame);
+    std::printf("%g %g %g\n", grid.top + std::log(grid.total / scales) - white.log_density(),
+                found.loads[0].arc, found.loads[0].value[0]);
+  }
+}
