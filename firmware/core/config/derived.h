@@ -82,8 +82,8 @@ struct Derived {
   uint16_t stuck_steps;
   uint16_t stall_steps;
   uint16_t enabled_mask = 0;
-  uint8_t fitted_mask = 0;   // muscles
-  uint16_t bases_mask = 0;   // sensors that the trigger works on while one of these is driven
+  uint8_t fitted_mask = 0;  // muscles
+  uint16_t bases_mask = 0;  // sensors that the trigger works on while one of these is driven
   bool telemetry_aligned;
   bool judges_encoder;  // by the motor's duty, and by the sensors that pass the tip
   uint8_t oversample_log2;
