@@ -513,7 +513,8 @@ inline void Controller::assemble_conditions() {
     if ((in_use & ~eversion_.settled_mask()) == 0) c |= mask(Condition::kSettled);
     if ((in_use & ~zeros_.valid_mask()) == 0) c |= mask(Condition::kZeroed);
     if (eversion_.half_mask() != 0) c |= mask(Condition::kHalfEverted);
-    if ((in_use & zeros_.valid_mask() & kBaseSensors) != 0) c |= mask(Condition::kBaseUsable);
+    if ((in_use & zeros_.valid_mask() & derived_.bases_mask) != 0)
+      c |= mask(Condition::kBaseUsable);
   }
   if (zone_ < kBodyPressures) c |= mask(Condition::kZoneKnown);
   if (vented_steps_ >= kVentedSteps) c |= mask(Condition::kVented);
