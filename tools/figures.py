@@ -498,7 +498,7 @@ def headlines() -> str:
 
 
 def rendered(page: Path) -> str:
-    """The page with every table made anew."""
+    """The page with every table generated again."""
     text = page.read_text()
     return PLACE.sub(
         lambda m: m[1] + (headlines() if m[2] == "headlines" else table(m[2])) + m[3], text

@@ -638,7 +638,7 @@ def drawn(name: str) -> str:
     text = DRAWINGS[name]().get_imagedata("svg").decode()
     found = re.search(r'height="([\d.]+)pt" width="([\d.]+)pt"', text)
     if found is None:
-        raise SystemExit("schemdraw writes another head of the file now: mend tools/schematics.py")
+        raise SystemExit("schemdraw's file header has changed; adapt tools/schematics.py")
     height, width = (float(number) / PX_MM for number in found.groups())
     scale = min(1.0, A4_MM[0] / width, A4_MM[1] / height)
     if scale * FONT_PT < SMALLEST_PT:

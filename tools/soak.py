@@ -11,7 +11,7 @@
 Commands are all of the schema's, with valid, impossible and meaningless contents, of wrong sizes
 and unknown numbers: moves, sweeps, presses, zeroing, parameters, maps, saves (one in two minutes,
 for the EEPROM's sake). Wires break, air fails, the spool sticks, the emergency stop is pressed; now
-and then the host says hello anew. Exit code 1 when a promise is broken. A run depends on its seed
+and then the host says hello again. Exit code 1 when a promise is broken. A run depends on its seed
 alone; ctrl-C ends it early, with the figures so far. tools/budgets.py paints the stack under the
 same mix.
 """

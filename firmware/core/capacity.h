@@ -1,4 +1,4 @@
-// What a board holds: fixed when its firmware is compiled, and told to the host by `capacity`.
+// What a board holds: fixed when its firmware is compiled, and reported to the host in `capacity`.
 //
 // The defaults are those of the thesis's robot. A build for more defines the macros, all three.
 #ifndef THIGMO_CORE_CAPACITY_H_

@@ -101,7 +101,7 @@ class Controller {
   // Somebody stops the robot; at once, in every state.
   void stop(uint32_t nonce);
 
-  // A host said hello, the one of before or another; a heartbeat arrived.
+  // A host said hello, the same as before or another; a heartbeat arrived.
   void greet(bool same_host);
   void beat() {
     beat_tick_ = tick_;
@@ -134,10 +134,9 @@ class Controller {
   static constexpr uint8_t kTelemetryPhase = 3;
   static constexpr uint8_t kSparePhase = 2;      // the spool's, which stands still then
   static constexpr int32_t kReferenceMv = 1100;  // by which a board measures its supply
-  static constexpr uint16_t kBaseSensors = 1u | 1u << kColumn;
-  static constexpr uint8_t kAtRest = 0x80;     // of trigger_when: while no muscle bends the body
-  static constexpr uint8_t kVentedSteps = 20;  // 0.1 s below the threshold
-  static constexpr uint8_t kRestSteps = 250;   // 1.25 s: the body has swung back
+  static constexpr uint8_t kAtRest = 0x80;       // of trigger_when: while no muscle bends the body
+  static constexpr uint8_t kVentedSteps = 20;    // 0.1 s below the threshold
+  static constexpr uint8_t kRestSteps = 250;     // 1.25 s: the body has swung back
   static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
   static constexpr uint8_t kAppliedAtOnce = 18;     // parameters looked at in a control period
   static constexpr uint16_t kRearmMs = 200;

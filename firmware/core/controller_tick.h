@@ -198,7 +198,7 @@ inline void Controller::spool_step() {
 }
 
 // Before the next duty is known, of the one since the last step. A driver under test is watched by
-// whoever tests it.
+// its own test.
 inline void Controller::watch_motion(int16_t duty) {
   if (activity_ == Activity::kTesting) {
     motion_.restart(encoder_);
@@ -233,7 +233,7 @@ inline Enables Controller::enables() const {
   return {armed && !testing_vent(), armed && body_air_, power || proving_stop_, power && !proving_};
 }
 
-// Whether the contacts do what they are told, and the emergency stop's what it must.
+// Whether the motor's supply follows its enable, and the emergency stop's contact cuts it.
 inline void Controller::watch_power() {
   if (!brake_fitted()) return;
   if (proving_stop_ && tick_ - stop_tick_ >= kStopProofMs) {
@@ -513,7 +513,8 @@ inline void Controller::assemble_conditions() {
     if ((in_use & ~eversion_.settled_mask()) == 0) c |= mask(Condition::kSettled);
     if ((in_use & ~zeros_.valid_mask()) == 0) c |= mask(Condition::kZeroed);
     if (eversion_.half_mask() != 0) c |= mask(Condition::kHalfEverted);
-    if ((in_use & zeros_.valid_mask() & kBaseSensors) != 0) c |= mask(Condition::kBaseUsable);
+    if ((in_use & zeros_.valid_mask() & derived_.bases_mask) != 0)
+      c |= mask(Condition::kBaseUsable);
   }
   if (zone_ < kBodyPressures) c |= mask(Condition::kZoneKnown);
   if (vented_steps_ >= kVentedSteps) c |= mask(Condition::kVented);

@@ -112,7 +112,7 @@ class Robot {
     (refreshed_ < kMuscles ? written_.drive[refreshed_] : written_.motor) = kNever;
   }
 
-  // Hands outputs to the board that have changed, or that are to be written anew.
+  // Hands the board the outputs that have changed or are due to be refreshed.
   void write_outputs() {
     const Outputs& out = controller_.outputs();
     for (uint8_t i = 0; i < kMuscles; ++i) {

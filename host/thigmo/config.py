@@ -435,7 +435,7 @@ class RobotConfig(Model):
         """The sensors that lie on a side, in the file's order: base to tip."""
         return [sensor for sensor in self.sensors if sensor.side == side]
 
-    def feeling(self, side: Side) -> list[Sensor]:
+    def sensors_for(self, side: Side) -> list[Sensor]:
         """The sensors that read right while the muscle of a side bends the body, base first."""
         found = [s for s in self.sensors if s.side and not (s.wrinkles and s.side == side)]
         return sorted(found, key=lambda sensor: sensor.center_cm)

@@ -1,8 +1,8 @@
 """What calibration says the readings of one stage may be off by, as the localizer takes it.
 
-One place for exploration, studies, the live filter and the command line: robot.toml holds the
-standard errors, a stage picks the muscle, the pressure zone and the sensors. It knows nothing of
-the localizer; the names are those of its arguments.
+Used by explorations, studies and the command line: robot.toml holds the standard errors, a stage
+picks the muscle, the pressure zone and the sensors. It does not import the localizer; the names are
+those of its arguments.
 """
 
 from __future__ import annotations

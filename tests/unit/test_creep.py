@@ -9,7 +9,7 @@ from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.robot import CreepWatch
-from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.curvature import Floats, SensorTable
 
 CONFIG = RobotConfig()
 TABLE = SensorTable.of(CONFIG)

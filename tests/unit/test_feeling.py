@@ -147,6 +147,6 @@ def test_what_one_zone_teaches_of_the_map_is_expected_of_the_next() -> None:
     response = FreeResponse(config)
     for seed in range(3):
         response.learn(_free_sweep(0.9, 0.0, np.random.default_rng(seed)), "left", 0)
-    feeling = np.arange(10) >= 5
-    mean = response.expected("left", 1, 0.025, np.full(10, 0.0225), feeling).mean
+    use = np.arange(10) >= 5
+    mean = response.expected("left", 1, 0.025, np.full(10, 0.0225), use).mean
     assert mean == pytest.approx(np.full(5, 0.0225), abs=8e-4)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from thigmo import from_headings, wiring
-from thigmo.calibrate.figures import draw
 from thigmo.calibrate.heading import fit_heading
+from thigmo.calibrate.step_figures import draw
 from thigmo.calibrate.steps import fit_csv
 from thigmo.config import RAD_PER_OHM, FlexSensor, HeadingSensor, RobotConfig
 from thigmo.design import draft, judge

@@ -8,7 +8,7 @@ import pytest
 from thigmo.config import RobotConfig
 from thigmo.exploration.stall import Lean, lean
 from thigmo.robot import Profile, SensorTable
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 TABLE = SensorTable.of(RobotConfig())
 LENGTHS = np.linspace(30.0, 40.0, 120)

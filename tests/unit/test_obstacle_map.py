@@ -317,7 +317,7 @@ def test_two_pegs_of_one_sweep_that_were_not_told_apart_say_so() -> None:
     other = TrueContact(20.0, 5.0, 20.0, 50.0, 1, "left")
     document = judged(replace(_document(found), truth=_truth(here, other)), CONFIG)
     assert document.missed is not None
-    assert "told apart" in document.missed[0].reason
+    assert "not separated" in document.missed[0].reason
 
 
 def test_between_a_walls_points_it_is_occupied_only_where_it_is_sure(folder: RunFolder) -> None:

@@ -31,7 +31,7 @@ from thigmo.robot import (
     sweep_period_s,
 )
 from thigmo.robot.configuration import map_settings, parameter_settings
-from thigmo.robot.readings import resistance_ohm
+from thigmo.robot.curvature import resistance_ohm
 
 OK = wire.Status.OK
 

@@ -12,7 +12,7 @@ from thigmo.exploration.room import Found, Room, touch_point
 from thigmo.exploration.sighting import BENDS, Passed, Sighting, arc_grid, shortest
 from thigmo.exploration.workspace import Bend
 from thigmo.localization import Contact
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 CONFIG = RobotConfig()
 RADIUS = CONFIG.body.radius_cm

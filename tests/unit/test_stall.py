@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from thigmo.config import RobotConfig
 from thigmo.exploration.map import ContactMap
-from thigmo.exploration.stall import Met, causes, stall
+from thigmo.exploration.stall import Obstruction, causes, stall
 from thigmo.robot import SensorTable
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 CONFIG = RobotConfig()
 TABLE = SensorTable.of(CONFIG)
@@ -69,49 +69,49 @@ def test_where_no_sensor_was_due_nothing_can_be_said() -> None:
     assert stall(np.zeros(0), np.zeros((0, 10)), TABLE) is None
 
 
-def _met(late_cm: tuple[float, ...] = (), at: float = 36.0) -> Met:
-    return Met(at, at, (at - 1.5, at + 1.5), 2, 0.0, late_cm=late_cm)
+def _obstruction(late_cm: tuple[float, ...] = (), at: float = 36.0) -> Obstruction:
+    return Obstruction(at, at, (at - 1.5, at + 1.5), 2, 0.0, late_cm=late_cm)
 
 
 def test_a_stall_has_causes_and_never_is_a_localized_peg_by_itself() -> None:
     for late in ((), (0.0, 0.1), (2.5, 2.6)):
-        found = causes(_met(late))
+        found = causes(_obstruction(late))
         assert found.obstacle + found.wall + found.pressure == pytest.approx(1.0, abs=1e-3)
         room = ContactMap(CONFIG)
-        room.add_met(_met(late))
+        room.add_obstruction(_obstruction(late))
         assert room.stall == found
         assert all(contact.status == "ambiguous" for contact in room.contacts)
 
 
 def test_a_tip_that_slowed_before_it_stopped_lacks_pressure() -> None:
     at_once, unknown, slowed = (
-        causes(_met(late)).pressure for late in ((0.0, 0.1), (), (2.5, 2.5))
+        causes(_obstruction(late)).pressure for late in ((0.0, 0.1), (), (2.5, 2.5))
     )
     assert at_once < unknown < slowed
     assert slowed > 0.95
     room = ContactMap(CONFIG)
-    room.add_met(_met((2.5, 2.5)))
+    room.add_obstruction(_obstruction((2.5, 2.5)))
     assert room.contacts == []  # and what is likely no obstacle is on no map
     assert room.stall is not None
     assert "body pressure" in room.stall.words.split(",")[0]
 
 
 def test_a_trial_at_a_higher_pressure_decides() -> None:
-    moved, stood = (causes(_met((0.0, 0.1)), moved_on=moved) for moved in (True, False))
+    moved, stood = (causes(_obstruction((0.0, 0.1)), moved_on=moved) for moved in (True, False))
     assert moved.pressure > 0.95
     assert stood.pressure < 0.05
     room = ContactMap(CONFIG)
-    room.tried(_met(), moved_on=True)
+    room.tried(_obstruction(), moved_on=True)
     assert room.contacts == []
-    room.tried(_met(), moved_on=False)
+    room.tried(_obstruction(), moved_on=False)
     (contact,) = room.contacts
     assert contact.status == "localized"
 
 
 def test_a_known_wall_that_leads_to_the_tip_is_the_likelier_cause() -> None:
     line = [(16.0, 10.0), (26.0, 5.0)]  # crosses the path at 36 cm
-    assert causes(_met(), [line]).wall > 0.5 > causes(_met()).wall
-    assert causes(_met(at=20.0), [line]).wall < 0.5
+    assert causes(_obstruction(), [line]).wall > 0.5 > causes(_obstruction()).wall
+    assert causes(_obstruction(at=20.0), [line]).wall < 0.5
 
 
 def test_sensors_that_evert_late_are_told_by_the_growth() -> None:

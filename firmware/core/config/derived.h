@@ -83,6 +83,7 @@ struct Derived {
   uint16_t stall_steps;
   uint16_t enabled_mask = 0;
   uint8_t fitted_mask = 0;  // muscles
+  uint16_t bases_mask = 0;  // sensors that the trigger works on while one of these is driven
   bool telemetry_aligned;
   bool judges_encoder;  // by the motor's duty, and by the sensors that pass the tip
   uint8_t oversample_log2;
@@ -96,6 +97,7 @@ struct Derived {
       update_lag(c, muscle);
       update_fitted(c, muscle);
     }
+    update_bases(c);
     update_scale(c);
     update_distances(c);
     update_motor(c);
@@ -150,6 +152,9 @@ struct Derived {
       update_lag(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kLagMs)));
     } else if (within(Param::kMuscleFitted, kMuscles)) {
       update_fitted(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kMuscleFitted)));
+      update_bases(c);
+    } else if (within(Param::kTriggerWhen, kSensors)) {
+      update_bases(c);
     } else if (within(Param::kDrive4maCpsi, 1) || within(Param::kDrive20maCpsi, 1)) {
       update_drive(c);
     } else if (within(Param::kSpoolAccelUmS2, 1)) {
@@ -224,6 +229,15 @@ struct Derived {
     const uint8_t bit = static_cast<uint8_t>(1u << muscle);
     fitted_mask = static_cast<uint8_t>(
         c.get(Param::kMuscleFitted, muscle) != 0 ? fitted_mask | bit : fitted_mask & ~bit);
+  }
+
+  void update_bases(const Configuration& c) {
+    bases_mask = 0;
+    for (uint8_t i = 0; i < kColumns; ++i) {
+      const uint8_t input = base_input(i);
+      if ((c.get(Param::kTriggerWhen, input) & fitted_mask) != 0)
+        bases_mask = static_cast<uint16_t>(bases_mask | 1u << input);
+    }
   }
 
   void update_scale(const Configuration& c) {

@@ -55,7 +55,7 @@ class EventQueue {
     return nullptr;
   }
 
-  // A new conversation: all that is latched is to be sent anew.
+  // A new conversation: everything latched is to be sent again.
   void resend() {
     for (uint8_t i = 0; i < kPlaces; ++i) places_[i].sent = false;
     waiting_ = true;

@@ -132,10 +132,10 @@ enum class Reason : uint8_t {
   kNotZeroed = 20,  // Sensors have no valid zero; vent, wait for settling, and zero.
   kContradiction = 23,  // Parameters contradict each other, and none of those that were set runs;
                         // correct the one that is named.
-  kNoBaseSensor =
-      22,  // Neither base sensor can feel a contact; grow past them, and mend, enable or zero one.
-  kHostSilent = 21,  // No heartbeat has arrived lately; keep the host beating, then arm again.
-  kOtherHost = 25,   // Another program has taken the robot over; close one of the two.
+  kNoBaseSensor = 22,  // No base sensor can feel a contact while a muscle is driven (trigger_when);
+                       // grow past them, and mend, enable or zero one.
+  kHostSilent = 21,    // No heartbeat has arrived lately; keep the host beating, then arm again.
+  kOtherHost = 25,     // Another program has taken the robot over; close one of the two.
   kStoppedAgain =
       24,  // The robot was stopped once more since; look at it again, then clear that stop.
 };
@@ -217,9 +217,10 @@ enum class Condition : uint8_t {
   kEstop = 8,        // The emergency stop input is active.
   kConfigValid =
       9,  // The running configuration came whole from the store, or was set and checked since.
-  kSupplyGood = 10,        // The supply is within limits.
-  kContact = 11,           // The contact trigger is latched.
-  kBaseUsable = 13,        // At least one base sensor is everted, enabled and zeroed.
+  kSupplyGood = 10,  // The supply is within limits.
+  kContact = 11,     // The contact trigger is latched.
+  kBaseUsable = 13,  // A base sensor that the trigger works on while a muscle is driven is everted,
+                     // enabled and zeroed.
   kTelemetryDropped = 12,  // Telemetry was dropped for want of room since the last report.
   kBodyAir = 14,  // The body's enable is on: `body_air` was commanded since the robot was armed.
 };

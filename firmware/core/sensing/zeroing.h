@@ -17,8 +17,8 @@ class DriftWatch {
  public:
   static constexpr uint16_t kWindowMs = 2000;
 
-  // Once a control period: whether the robot is vented and still. A disturbance begins anew; what
-  // was measured stays readable.
+  // Once a control period: whether the robot is vented and still. A disturbance starts it over;
+  // what was measured stays readable.
   void set_quiet(bool quiet, uint32_t tick) {
     if (quiet == quiet_) return;
     quiet_ = quiet;
@@ -128,7 +128,7 @@ class SensorZeros {
     valid_ = static_cast<uint16_t>(valid_ | (1u << sensor));
   }
 
-  // Voids zeros: the sensors everted anew, or readings changed their scale.
+  // Voids zeros: the sensors everted again, or readings changed their scale.
   void invalidate(uint16_t mask) { valid_ = static_cast<uint16_t>(valid_ & ~mask); }
 
   uint16_t valid_mask() const { return valid_; }

@@ -70,7 +70,7 @@ static mp_obj_t board_run(size_t n_args, const mp_obj_t* args) {
 }
 static MP_DEFINE_CONST_FUN_OBJ_VAR_BETWEEN(board_run_obj, 1, 2, board_run);
 
-// A soft reset imports main.py anew, and this module with it: nothing runs on from before.
+// A soft reset imports main.py and this module again: nothing keeps running from before.
 static mp_obj_t board_init(void) {
   thigmo_end();
   return mp_const_none;

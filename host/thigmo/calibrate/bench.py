@@ -17,10 +17,10 @@ import numpy as np
 from thigmo import wiring
 from thigmo.calibrate.columns import Array, places_of
 from thigmo.calibrate.drive import Drive
-from thigmo.calibrate.overhead import Eyes
+from thigmo.calibrate.overhead import OverheadCamera
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
-from thigmo.camera.errors import CameraError, CameraMovedError
+from thigmo.camera.exceptions import CameraError, CameraMovedError
 from thigmo.config import DEGREES, SIDES, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.link import protocol as wire
@@ -74,7 +74,7 @@ class Bench:
     """A robot on the calibration bench."""
 
     robot: Robot  # connected
-    eyes: Eyes
+    camera: OverheadCamera
     session: Session  # the folder
     plan: Plan = field(default_factory=Plan)
     say: Callable[[str], None] = lambda text: None  # called with what happens
@@ -237,7 +237,7 @@ def growth_rows(bench: Bench) -> list[Row]:
         records = [bench.robot.record(0.25) for _ in range(round(bench.plan.creep_s / 0.25))]
         reading = bench.robot.read(0.5)
         seen = bench.seen(
-            lambda: {"seen_cm": bench.eyes.axis(free_bend=True).length_cm}, {"seen_cm": None}
+            lambda: {"seen_cm": bench.camera.axis(free_bend=True).length_cm}, {"seen_cm": None}
         )
         bench.session.add("growth", {
             "key": key, "counts": reading.length_cm * spool.counts_per_cm * spool.payout_ratio,
@@ -269,7 +269,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
     length = bench.config.body.length_cm
 
     def shot() -> Row:
-        axis = bench.eyes.axis(free_bend=True, length_cm=length)
+        axis = bench.camera.axis(free_bend=True, length_cm=length)
         return {"k": axis.coefficients[2], "k_se": float(axis.covariance[2, 2] ** 0.5)}
 
     def take(key: str, asked: Row) -> Row:
@@ -360,7 +360,7 @@ def _tip_seen(bench: Bench) -> Row:
     """The tip and the axis by the camera; None where it does not see the robot."""
 
     def shot() -> Row:
-        axis = bench.eyes.axis(free_bend=False, length_cm=bench.config.body.length_cm)
+        axis = bench.camera.axis(free_bend=False, length_cm=bench.config.body.length_cm)
         return {"tip": list(axis.tip_cm), "points": axis.points_cm}
 
     return bench.seen(shot, {"tip": [None, None], "points": None})

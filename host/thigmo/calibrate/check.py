@@ -71,7 +71,7 @@ def guided(bench: Bench) -> CheckResult:
 
 def _bend(bench: Bench) -> float:
     """Curvature of the free bend that the camera sees, 1/cm."""
-    axis = bench.eyes.axis(free_bend=True, length_cm=bench.config.body.length_cm)
+    axis = bench.camera.axis(free_bend=True, length_cm=bench.config.body.length_cm)
     return float(axis.coefficients[2])
 
 

@@ -56,7 +56,7 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
     of that side is healthy.
     """
     robot, top = bench.robot, 0.9 * bench.config.muscle(side).max_pressure_psi
-    sensors = bench.config.feeling(side)
+    sensors = bench.config.sensors_for(side)
     every = sensors_of(bench.config)
     far = [every.index(sensor) for sensor in sensors]
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from thigmo.camera import (
     AxisDoubtfulError,
     CameraModel,
+    Detection,
     PictureSource,
-    Seen,
     Sheet,
-    Sighting,
-    look,
+    Wanted,
+    detect,
 )
 from thigmo.camera import render as painter
 from thigmo.camera.centerline import Centerline
@@ -26,36 +26,36 @@ from thigmo.robot import Robot
 
 
 @dataclass
-class Eyes:
-    """What the guided steps ask of the camera."""
+class OverheadCamera:
+    """The located camera above the robot, as the guided steps use it."""
 
     source: PictureSource  # of pictures; live ones show the robot as it is now
-    camera: CameraModel  # located
+    model: CameraModel  # located
     sheet: Sheet  # in use
     body: Body = field(default_factory=Body)  # of the robot
     dowel_radius_cm: float | None = None  # of the obstacles, if known: fewer mistakes
 
     @property
-    def _wanted(self) -> Seen:
-        return Seen(self.body.diameter_cm, full_cm=self.body.length_cm)
+    def _wanted(self) -> Wanted:
+        return Wanted(self.body.diameter_cm, full_cm=self.body.length_cm)
 
     def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
         """The body's axis, if beyond doubt; a pushed tip needs its marker, a free bend does not."""
         wanted = replace(
             self._wanted, constant=free_bend, obstacles=False, length_cm=length_cm,
         )  # fmt: skip
-        sighting = look(self.source.read(), self.camera, self.sheet, wanted)
-        doubtful = any(isinstance(problem, AxisDoubtfulError) for problem in sighting.problems)
-        if doubtful or sighting.axis is None or (sighting.tip is None and not free_bend):
-            raise sighting.problems[-1]
-        return sighting.axis
+        detection = detect(self.source.read(), self.model, self.sheet, wanted)
+        doubtful = any(isinstance(problem, AxisDoubtfulError) for problem in detection.problems)
+        if doubtful or detection.axis is None or (detection.tip is None and not free_bend):
+            raise detection.problems[-1]
+        return detection.axis
 
-    def everything(self) -> Sighting:
+    def everything(self) -> Detection:
         """Tip, axis and obstacles; raises CameraError."""
         wanted = self._wanted
         if (radius := self.dowel_radius_cm) is not None:
             wanted = replace(wanted, obstacle_radius_cm=(0.8 * radius, 1.2 * radius))
-        return look(self.source.read(), self.camera, self.sheet, wanted)
+        return detect(self.source.read(), self.model, self.sheet, wanted)
 
 
 def emulated_source(
@@ -65,7 +65,7 @@ def emulated_source(
     seed: int = 0,
     spoil: Callable[[CameraModel], CameraModel] | None = None,
 ) -> tuple[PictureSource, float]:
-    """A camera above an emulated robot, and its height as a tape would tell.
+    """A camera above an emulated robot, and its height as a tape measures it.
 
     `seed` draws its place, lens and room; `spoil` changes it before every picture (tests move it).
     """

@@ -90,7 +90,7 @@ class Session:
 
     def keep(self, step: str, result: StepResult) -> list[str]:
         """Store a result and its figure; a good one goes into robot.toml. Returns what to say."""
-        from thigmo.calibrate.figures import draw  # takes Matplotlib with it
+        from thigmo.calibrate.step_figures import draw  # takes Matplotlib with it
 
         file = self.folder / f"{step}.json"
         with DataError.from_os(f"cannot write {file}", _FULL):

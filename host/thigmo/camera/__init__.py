@@ -6,7 +6,8 @@ heavy.
 
 from thigmo.camera.centerline import fit_centerline
 from thigmo.camera.clicks import Clicks
-from thigmo.camera.errors import (
+from thigmo.camera.detection import Detection, Wanted, detect, draw
+from thigmo.camera.exceptions import (
     AxisDoubtfulError,
     BodyNotSeenError,
     CameraError,
@@ -21,7 +22,6 @@ from thigmo.camera.errors import (
 from thigmo.camera.model import CameraModel, Lens, calibrate_lens
 from thigmo.camera.pose import locate
 from thigmo.camera.sheet import Sheet, print_sheet
-from thigmo.camera.sight import Seen, Sighting, draw, look
 from thigmo.camera.source import PictureSource, open_source
 
 __all__ = [
@@ -31,22 +31,22 @@ __all__ = [
     "CameraModel",
     "CameraMovedError",
     "Clicks",
+    "Detection",
     "Lens",
     "MarkerAstrayError",
     "MarkerMissingError",
     "PictureError",
     "PictureSource",
     "PlaneFitError",
-    "Seen",
     "Sheet",
     "SheetHiddenError",
-    "Sighting",
     "TooCoarseError",
+    "Wanted",
     "calibrate_lens",
+    "detect",
     "draw",
     "fit_centerline",
     "locate",
-    "look",
     "open_source",
     "print_sheet",
 ]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from thigmo.camera.errors import BodyNotSeenError
+from thigmo.camera.exceptions import BodyNotSeenError
 from thigmo.camera.model import CameraModel, Picture
 
 Array = NDArray[np.float64]

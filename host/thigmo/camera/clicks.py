@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.camera.errors import CameraError
+from thigmo.camera.exceptions import CameraError
 from thigmo.camera.model import Kept
 
 Pixel = tuple[float, float]

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PlainSerializer, PlainValidator, TypeAdapter, ValidationError
 
-from thigmo.camera.errors import CameraError, CameraMovedError, SheetHiddenError
+from thigmo.camera.exceptions import CameraError, CameraMovedError, SheetHiddenError
 from thigmo.camera.sheet import Sheet, board, dictionary
 from thigmo.config import invalid_entry
 from thigmo.files import write_whole
@@ -33,7 +33,7 @@ Points = Annotated[
     PlainSerializer(np.ndarray.tolist),
 ]
 
-_PERIMETER_PX = 38.0  # of the smallest marker: finer cells are not told apart
+_PERIMETER_PX = 38.0  # of the smallest marker: finer cells cannot be distinguished
 _MOVED_PX = 2.0  # median shift of the cards' corners that counts as a moved camera
 _LARGEST = (
     *(f"DICT_{n}X{n}_1000" for n in range(4, 8)), "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_36h11",

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from thigmo.camera.errors import PlaneFitError, SheetHiddenError
+from thigmo.camera.exceptions import PlaneFitError, SheetHiddenError
 from thigmo.camera.model import CameraModel, Lens, Picture, Points, detect_markers, other_dictionary
 from thigmo.camera.sheet import Sheet
 

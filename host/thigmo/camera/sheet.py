@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from thigmo.camera.errors import CameraError
+from thigmo.camera.exceptions import CameraError
 from thigmo.config import Finite, Model, Positive, load_toml
 from thigmo.files import whole_file
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from thigmo.camera.errors import PictureError
+from thigmo.camera.exceptions import PictureError
 from thigmo.camera.model import Picture
 
 _STILLS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")

@@ -24,7 +24,7 @@ class _TerminalAttendant:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._told = False
+        self._asked = False
 
     def ready(self, request: str) -> None:
         self._console.ask(f"{request}. Then press Enter.")
@@ -49,8 +49,8 @@ class _TerminalAttendant:
 
     def spool_turned(self) -> Turned:
         """Ask how the spool turned; before it has been driven, only for attention."""
-        if not self._told:
-            self._told = True
+        if not self._asked:
+            self._asked = True
             self.ready("Watch the spool: it is to pay out a little line")
             return "not"
         answers: dict[str, Turned] = {"o": "out", "i": "in", "n": "not"}

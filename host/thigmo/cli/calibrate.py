@@ -13,7 +13,7 @@ from thigmo.cli.output import AnyRobotOption, JsonOption, print_json, show
 from thigmo.errors import DataError
 
 if TYPE_CHECKING:
-    from thigmo.calibrate.overhead import Eyes
+    from thigmo.calibrate.overhead import OverheadCamera
     from thigmo.calibrate.session import Session
     from thigmo.calibrate.verdict import StepResult
     from thigmo.robot import Robot
@@ -147,8 +147,8 @@ def calibrate(
         steps = steps_of(session.config) if step == "all" else [step]
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
-        eyes = _eyes(machine, session, camera, sheet_file, camera_file, seed)
-        bench = Bench(machine, eyes, session, plan, say)
+        overhead = _overhead_camera(machine, session, camera, sheet_file, camera_file, seed)
+        bench = Bench(machine, overhead, session, plan, say)
         found: dict[str, StepResult] = {}
         for name in steps:
             if step == "all" and not again and session.done(name):
@@ -180,11 +180,11 @@ def _status(session: Session, as_json: bool) -> None:
     show(as_json, facts, *lines)
 
 
-def _eyes(
+def _overhead_camera(
     machine: Robot, session: Session, camera: str, sheet_file: Path, camera_file: Path, seed: int
-) -> Eyes:
+) -> OverheadCamera:
     """The camera: painted over an emulated robot, opened and located on a real one."""
-    from thigmo.calibrate.overhead import Eyes, emulated_source
+    from thigmo.calibrate.overhead import OverheadCamera, emulated_source
     from thigmo.camera import CameraModel, locate, open_source
     from thigmo.cli.camera import load_sheet
 
@@ -195,5 +195,5 @@ def _eyes(
         measured = sheet.model_copy(update={"camera_height_cm": height})
         model = locate(source.read(), measured)
         model.save(session.folder / "camera.json")
-        return Eyes(source, model, measured, body)
-    return Eyes(open_source(camera), CameraModel.load(camera_file), sheet, body)
+        return OverheadCamera(source, model, measured, body)
+    return OverheadCamera(open_source(camera), CameraModel.load(camera_file), sheet, body)

@@ -14,7 +14,7 @@ from thigmo.cli.output import JsonOption, show
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from thigmo.camera import Clicks, Sheet, Sighting
+    from thigmo.camera import Clicks, Detection, Sheet
     from thigmo.camera.model import Picture
 
 group = typer.Typer(
@@ -202,9 +202,9 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Show what the camera sees, drawn over the picture."""
-    from thigmo.camera import CameraModel, Seen, draw, look
+    from thigmo.camera import CameraModel, Wanted, detect, draw
     from thigmo.camera import locate as find
-    from thigmo.camera.sight import write_picture
+    from thigmo.camera.detection import write_picture
 
     picture = _one_picture(source)
     used = load_sheet(sheet_file)
@@ -215,10 +215,10 @@ def check(
         if not as_json:
             typer.echo(f"no {camera_file}: the camera is located from this very picture")
     radii = (0.65, 2.5) if peg_radius is None else (0.8 * peg_radius, 1.2 * peg_radius)
-    wanted = Seen(diameter, peg_height, radii, constant=free_bend, length_cm=length)
+    wanted = Wanted(diameter, peg_height, radii, constant=free_bend, length_cm=length)
     empty = None if background is None else _one_picture(background)
     clicks = _clicks(picture, tip, points, click)
-    seen = look(picture, model, used, wanted, background=empty, clicks=clicks)
+    seen = detect(picture, model, used, wanted, background=empty, clicks=clicks)
     write_picture(out, draw(picture, model, used, seen, wanted))
     show(as_json, {**_facts(seen), "picture": str(out)}, *_lines(seen), f"wrote {out}")
 
@@ -238,7 +238,7 @@ def _clicks(
     return clicks if tip is None else replace(clicks or Clicks(), tip=parse_pixel(tip))
 
 
-def _facts(seen: Sighting) -> dict[str, Any]:
+def _facts(seen: Detection) -> dict[str, Any]:
     """A sighting as plain data."""
     tip, axis = seen.tip, seen.axis
     return {
@@ -254,7 +254,7 @@ def _facts(seen: Sighting) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _lines(seen: Sighting) -> Iterator[str]:
+def _lines(seen: Detection) -> Iterator[str]:
     """A sighting in words."""
     from thigmo.camera import MarkerMissingError
 

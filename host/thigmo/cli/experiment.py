@@ -124,7 +124,7 @@ def _fit(seed: int, out: Path) -> None:
 
 def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float], list[Place]]:
     """A function of the body's diameter (cm) that measures the centres of the dowels beside it."""
-    from thigmo.calibrate.overhead import Eyes
+    from thigmo.calibrate.overhead import OverheadCamera
     from thigmo.camera import CameraModel, open_source
     from thigmo.cli.camera import load_sheet
     from thigmo.config import Body
@@ -134,7 +134,9 @@ def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float],
 
     def look(diameter_cm: float) -> list[Place]:
         found = (
-            Eyes(*located, Body(diameter_cm=diameter_cm), thesis.DOWEL_CM).everything().obstacles
+            OverheadCamera(*located, Body(diameter_cm=diameter_cm), thesis.DOWEL_CM)
+            .everything()
+            .obstacles
         )
         return sorted((float(o.x_cm), float(o.y_cm)) for o in found)
 

@@ -158,9 +158,9 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
     muscle, body = config.muscle(side), config.body
     what = f"sweep of {muscle.name}"
     sign = SIGN[side]
-    feeling = config.feeling(side)
-    column = [s for s in feeling if s.healthy and s.valid_direction in (0, sign)]
-    if not column or column[0] is not feeling[0]:
+    sensors = config.sensors_for(side)
+    column = [s for s in sensors if s.healthy and s.valid_direction in (0, sign)]
+    if not column or column[0] is not sensors[0]:
         yield Finding(
             what,
             "bad",
@@ -238,7 +238,7 @@ def _imus(config: RobotConfig) -> Iterator[Finding]:
     )
     yield Finding("bus", "ok" if busy < 1.0 else "bad", text)
     base = min(imus, key=lambda sensor: sensor.center_cm)
-    if any(config.feeling(side)[:1] == [base] for side in config.sides):
+    if any(config.sensors_for(side)[:1] == [base] for side in config.sides):
         held, known = TRIGGER_PER_CM * base.span_cm, base.reading_se * base.span_cm
         sure = held / known >= _TRIGGER_SIGMAS
         text = (

@@ -60,7 +60,7 @@ def sweep_once(
     )
     model = Rod(Tube(body.diameter_cm, crit), pegs, model="auto")
     model.step(0.0, length_cm)
-    base = robot.feeling(side)[0]
+    base = robot.sensors_for(side)[0]
     center, span, mean = np.array([base.center_cm]), np.array([base.span_cm]), np.zeros(1)
     sign = SIGN[side]
     felt: list[tuple[float, float]] = []  # pressure and base contact curvature while it touches

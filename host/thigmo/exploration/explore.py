@@ -79,8 +79,8 @@ def explore(
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. It is believed as far as the readings allow.
         resume: folder of a run that was cut short, to go on from what it had learnt, swept and
-            felt, with its constants, map, protocol and method. An emulated robot begins anew, and
-            so at its first length.
+            felt, with its constants, map, protocol and method. An emulated robot starts again at
+            its first length.
         operator: answers what the board cannot know; the emulator brings its own.
         progress: called with what the robot is doing.
 

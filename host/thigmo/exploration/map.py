@@ -1,8 +1,9 @@
 """The map that grows while the robot explores: obstacles, each felt at one stage or at several.
 
 `room.py` says which sightings are one obstacle and where it is on the body; here it gets its place
-in the plane. The two muscles' rooms and what growth met share that plane: where one place explains
-two of their obstacles better than two places do, they are one, and the surer place stays.
+in the plane. The two muscles' rooms and the obstructions of growth share that plane: where one
+place explains two of their obstacles better than two places do, they are one, and the surer place
+stays.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ import numpy as np
 
 from thigmo.config import SIDES, RobotConfig
 from thigmo.display import POINT_ESTIMATE
-from thigmo.exploration.feel import LIKELY
+from thigmo.exploration.peak import LIKELY
 from thigmo.exploration.prior import match
 from thigmo.exploration.room import Found, Room
 from thigmo.exploration.sighting import LEVEL, Passed, Sighting, arc_grid, shortest
-from thigmo.exploration.stall import Lean, Met, causes
+from thigmo.exploration.stall import Lean, Obstruction, causes
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
 from thigmo.localization import Contact
 from thigmo.localization.priors import narrow
@@ -43,7 +44,7 @@ class ContactMap:
         self._arcs = arc_grid(config.body.length_cm)
         self._seen: list[Sighting] = []
         self._passed: list[Passed] = []
-        self._met: list[MapContact] = []
+        self._obstructions: list[MapContact] = []
         self.stall: Stall | None = None  # what stopped the growth
         self._points: list[MapContact] = []  # by a method without intervals
         self._known: list[MapContact] | None = []  # None: something was added since
@@ -88,7 +89,7 @@ class ContactMap:
         found.sort(key=lambda contact: min([*contact.merged, contact.everted_length_cm]))
         known: list[MapContact] = []
         reach_cm2 = _REACH * self._config.body.length_cm**2
-        for contact in [*found, *self._met]:
+        for contact in [*found, *self._obstructions]:
             same = next(
                 (n for n, other in enumerate(known) if _one_place(other, contact, reach_cm2)), None
             )
@@ -101,44 +102,44 @@ class ContactMap:
                 known[same] = replace(first, merged=merged)
         return known + self._points
 
-    def tried(self, met: Met, *, moved_on: bool) -> None:
+    def tried(self, obstruction: Obstruction, *, moved_on: bool) -> None:
         """Take a stall that was tried again at a higher body pressure.
 
         The tip that `moved_on` lacked pressure, and nothing stands there.
         """
         if moved_on:
-            self.stall = causes(met, self._walls(), moved_on=True)
+            self.stall = causes(obstruction, self._walls(), moved_on=True)
         else:
-            self.add_met(met, moved_on=False)
+            self.add_obstruction(obstruction, moved_on=False)
 
     def _walls(self) -> list[list[tuple[float, float]]]:
         return [contact.surface for contact in self.contacts if contact.kind == "wall"]
 
-    def add_met(self, met: Met, *, moved_on: bool | None = None) -> None:
-        """Take what growth met; of a stall, whether the tip moved on at a higher pressure."""
-        low, high = met.interval_cm
+    def add_obstruction(self, obstruction: Obstruction, *, moved_on: bool | None = None) -> None:
+        """Add an obstruction of growth; `moved_on` is that of `causes`."""
+        low, high = obstruction.interval_cm
         radius = self._config.body.radius_cm
         full_cm = self._config.body.length_cm
         probability, kind = 1.0, "peg"
-        if isinstance(met, Lean):
+        if isinstance(obstruction, Lean):
             model = "growth bent the body: its zeros moved"
-            if self.stall and abs(met.arc_cm - self.stall.length_cm) < _ASIDE * full_cm:
+            if self.stall and abs(obstruction.arc_cm - self.stall.length_cm) < _ASIDE * full_cm:
                 # At the higher pressure the tip went round what had stopped it.
                 self.stall = replace(self.stall, obstacle=probability, wall=0.0, pressure=0.0)
             placed = place_contact(
                 Bend(
-                    met.length_cm,
+                    obstruction.length_cm,
                     0.0,
-                    ramp_knots([(met.arc_cm, met.force_per_cm2)]),
-                    curvature_se=met.curvature_se,
+                    ramp_knots([(obstruction.arc_cm, obstruction.force_per_cm2)]),
+                    curvature_se=obstruction.curvature_se,
                 ),
-                met.arc_cm,
-                met.force_per_cm2,
-                met.interval_cm,
+                obstruction.arc_cm,
+                obstruction.force_per_cm2,
+                obstruction.interval_cm,
                 radius_cm=radius,
             )
         else:
-            self.stall = causes(met, self._walls(), moved_on=moved_on)
+            self.stall = causes(obstruction, self._walls(), moved_on=moved_on)
             probability = round(1.0 - self.stall.pressure, 4)
             kind = "wall" if self.stall.wall > self.stall.obstacle else "peg"
             if probability <= LIKELY:
@@ -147,22 +148,24 @@ class ContactMap:
             # Anywhere in the interval along the path, and anywhere across the tip's face.
             along, across = (high - low) ** 2 / 12, (2 * radius) ** 2 / 12
             track = [(low, 0.0), (high, 0.0)]
-            placed = PlacedContact(met.arc_cm, 0.0, 0.0, ((along, 0.0), (0.0, across)), track)
-        sure = narrow(met.interval_cm, full_cm) and probability >= LEVEL
+            placed = PlacedContact(
+                obstruction.arc_cm, 0.0, 0.0, ((along, 0.0), (0.0, across)), track
+            )
+        sure = narrow(obstruction.interval_cm, full_cm) and probability >= LEVEL
         contact = self._contact(
             placed,
-            arc_cm=met.arc_cm,
-            force_per_cm2=met.force_per_cm2,
-            interval_cm=met.interval_cm,
+            arc_cm=obstruction.arc_cm,
+            force_per_cm2=obstruction.force_per_cm2,
+            interval_cm=obstruction.interval_cm,
             status="localized" if sure else "ambiguous",
-            everted_length_cm=met.length_cm,
+            everted_length_cm=obstruction.length_cm,
             side="",
             model=model,
-            readings=met.sensors,
+            readings=obstruction.sensors,
             kind=kind,
             probability=probability,
         )
-        self._met.append(contact)
+        self._obstructions.append(contact)
         self._known = None
 
     def _contact(self, placed: PlacedContact, **facts: Any) -> MapContact:
@@ -245,11 +248,11 @@ def _newtons(contact: Contact, times: float) -> dict[str, Any]:
 def _one_place(a: MapContact, b: MapContact, reach_cm2: float) -> bool:
     """Whether one place explains two obstacles better than two do.
 
-    They are of the two muscles' sweeps, on the same skin of the body, or one of them was met by
-    growth: those of one muscle's sweeps the room has separated.
+    They are of the two muscles' sweeps, on the same skin of the body, or growth met one of them.
+    The room has already separated those of one muscle's sweeps.
     """
-    met = "" in (a.side, b.side)
-    if a.side == b.side or not (met or a.force_per_cm2 * b.force_per_cm2 > 0):
+    by_growth = "" in (a.side, b.side)
+    if a.side == b.side or not (by_growth or a.force_per_cm2 * b.force_per_cm2 > 0):
         return False
     covariance = np.asarray(a.covariance_cm2) + np.asarray(b.covariance_cm2)
     covariance += _FLOOR_CM**2 * np.eye(2)

@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
 from thigmo.mechanics.closed_forms import critical_moment
 from thigmo.robot import TRIGGER_PER_CM, SweepFrame, SweepResult
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 # Of the moment that folds the base: close to it for the signal, below it for the errors of both.
 _SHARE = 0.65

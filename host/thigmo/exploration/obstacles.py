@@ -84,13 +84,13 @@ def occupancy(
     Free cells keep `sigmas` standard errors from what is not.
     """
     felt = [_obstacle(contact) for contact in document.contacts]
-    met = {contact.known for contact in document.contacts}
+    found = {contact.known for contact in document.contacts}
     grid = _empty_grid(document, radius_cm, [*felt, *prior])
     free = _free(grid, document, radius_cm, sigmas)
     rest = [
         replace(obstacle, source=GONE if _swept_through(obstacle, grid, free) else "prior")
         for index, obstacle in enumerate(prior)
-        if index not in met
+        if index not in found
     ]
     grid.cells[free] = FREE
     there = [*felt, *(obstacle for obstacle in rest if obstacle.source != GONE)]

@@ -28,7 +28,7 @@ from thigmo.record import (
     read_ros_map,
 )
 from thigmo.record.occupancy import OCCUPIED
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 # No place is known better than this (one sigma): the peg is touched on another part of its rim, and
 # the two runs' shapes err.

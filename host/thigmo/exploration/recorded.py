@@ -30,7 +30,7 @@ from thigmo.robot import (
     mask_of,
     peak_frame,
 )
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 from thigmo.wiring import board_of
 
 _ZEROED = 1 << 2  # of sensor_report.flags
@@ -217,7 +217,7 @@ class RecordedRun:
                 known.grown(frames.profile())
             case "ZERO", "held bent":
                 known.zeroed(frames.profile(), frames.zeros())
-            case "ZERO", "as before: the zeros moved" if known.met:
+            case "ZERO", "as before: the zeros moved" if known.obstruction:
                 known.let_go(frames.zeros())
             case "GROW", "whole pitch":
                 known.moved_on()
@@ -227,9 +227,9 @@ class RecordedRun:
                 frames.growth = GrowthWatcher()
             case "PRESSURIZE", "stalled, nobody to ask":
                 known.gives_up_trial()
-                known.ended_at_met()
+                known.ended_at_obstruction()
             case ("BACK_OFF", "stalled" | "peg ahead") | ("ZERO", "straight again: peg ahead"):
-                known.ended_at_met()
+                known.ended_at_obstruction()
             case "SWEEP", _ if new:
                 known.has_looked(_joined(new), new[-1].zone)
                 return True

@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.feel import Feeling
+from thigmo.exploration.peak import PeakAnswer
 from thigmo.exploration.stage import Interpreter
-from thigmo.exploration.stall import Lean, Met, lean, stall
+from thigmo.exploration.stall import Lean, Obstruction, lean, stall
 from thigmo.record import Obstacle, Stage, Stall
 from thigmo.robot import Profile, SensorTable, SweepResult
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 _SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
 
@@ -31,8 +31,8 @@ class Reducer:
         stages: those that were swept to their end.
         looked: the stage's sweep for contacts.
         measured: the sweeps that measured one; None without.
-        feelings: what the stage's sweeps showed.
-        met: by growth, and not yet on the map.
+        answers: of the stage's sweeps.
+        obstruction: of growth, not yet on the map.
         tried: the stall that is tried again at a higher body pressure.
         raised: zone whose pressure growth has needed since it stalled.
         straight_cm: up to this length the body is known not to be held bent.
@@ -47,51 +47,51 @@ class Reducer:
         self.stages: list[Stage] = []
         self.looked = SweepResult()
         self.measured: SweepResult | None = None
-        self.feelings: list[Feeling] = []
-        self.met: Met | None = None
-        self.tried: Met | None = None
+        self.answers: list[PeakAnswer] = []
+        self.obstruction: Obstruction | None = None
+        self.tried: Obstruction | None = None
         self.raised: int | None = None
         self.straight_cm = 0.0
 
     # Growth.
 
-    def grown(self, profile: Profile) -> Met | None:
+    def grown(self, profile: Profile) -> Obstruction | None:
         """The stage has grown so far: what has stopped the tip, if anything."""
-        self.met = stall(profile.length_cm, profile.bend, self._table)
-        return self.met
+        self.obstruction = stall(profile.length_cm, profile.bend, self._table)
+        return self.obstruction
 
     def leans(self, profile: Profile) -> bool:
         """Whether a growth whose sensors have no zero yet looks as if the body were held bent."""
         unknown = np.full(profile.bend.shape[1], np.nan)
         return lean(profile, unknown, unknown, self._table) is not None
 
-    def zeroed(self, profile: Profile, zeros: tuple[Floats, Floats]) -> Met | None:
+    def zeroed(self, profile: Profile, zeros: tuple[Floats, Floats]) -> Obstruction | None:
         """The stage has grown, and its sensors are zeroed: what holds the body bent, if anything.
 
         `zeros`: before and after.
         """
-        self.met = lean(profile, *zeros, self._table)
-        return self.met
+        self.obstruction = lean(profile, *zeros, self._table)
+        return self.obstruction
 
     def let_go(self, zeros: tuple[Floats, Floats]) -> bool:
         """The tip was wound in from what held the body bent, and the sensors were zeroed again.
 
         Whether the body is straight again; if not, the zeros have moved by themselves.
         """
-        held = self.met
+        held = self.obstruction
         assert isinstance(held, Lean)
         if held.released(*zeros):
             return True
-        self.met, self.straight_cm = None, held.length_cm
+        self.obstruction, self.straight_cm = None, held.length_cm
         return False
 
     def tries_more_pressure(self, zone: int) -> None:
         """What stopped the tip is tried again, at the body pressure of a zone."""
-        self.tried, self.met, self.raised = self.met, None, zone
+        self.tried, self.obstruction, self.raised = self.obstruction, None, zone
 
     def gives_up_trial(self) -> None:
         """Nobody was there to raise the body pressure: what stopped the tip stays unknown."""
-        self.met, self.tried, self.raised = self.tried, None, None
+        self.obstruction, self.tried, self.raised = self.tried, None, None
 
     def moved_on(self) -> None:
         """At the higher pressure the stage has grown to its end."""
@@ -99,22 +99,22 @@ class Reducer:
             self.found.map.tried(self.tried, moved_on=True)
         self.tried = None
 
-    def ended_at_met(self) -> Stall | None:
-        """The run has ended at what growth met, which goes on the map; what a stall may be."""
-        met, self.met = self.met, None
-        if met is None:
+    def ended_at_obstruction(self) -> Stall | None:
+        """The run has ended at an obstruction, which goes on the map; what a stall may be."""
+        obstruction, self.obstruction = self.obstruction, None
+        if obstruction is None:
             return None
-        if self.tried is None or isinstance(met, Lean):
-            self.found.map.add_met(met)
+        if self.tried is None or isinstance(obstruction, Lean):
+            self.found.map.add_obstruction(obstruction)
         else:
-            self.found.map.tried(met, moved_on=False)
-        return None if isinstance(met, Lean) else self.found.map.stall
+            self.found.map.tried(obstruction, moved_on=False)
+        return None if isinstance(obstruction, Lean) else self.found.map.stall
 
     # A stage's sweeps.
 
     def has_looked(self, sweep: SweepResult, zone: int) -> None:
         """A sweep for contacts has ended, in a zone of body pressure."""
-        self.looked, self.measured, self.feelings, self._zone = sweep, None, [], zone
+        self.looked, self.measured, self.answers, self._zone = sweep, None, [], zone
 
     def has_measured(self, sweep: SweepResult) -> None:
         """The sides with a contact were swept again, for the first time or once more."""
@@ -122,21 +122,21 @@ class Reducer:
             sweep = replace(SweepResult.joined([self.measured, sweep]), truth=sweep.truth)
         self.measured = sweep
 
-    def localized(self) -> list[Feeling]:
-        """What the stage's sweeps tell."""
-        self.feelings = self.found.feel(self.looked, self.measured, self._zone)
-        return self.feelings
+    def localized(self) -> list[PeakAnswer]:
+        """Localize the stage's contacts."""
+        self.answers = self.found.localize(self.looked, self.measured, self._zone)
+        return self.answers
 
     def mapped(self) -> None:
         """What was felt goes on the map."""
-        self.found.add(self.feelings)
+        self.found.add(self.answers)
 
     def ended(self, t_s: float, length_cm: float) -> None:
         """The stage is over, at a length."""
         t_s = round(t_s, 6)  # a record's times are whole nanoseconds
-        entry = self.found.entry(t_s, length_cm, self.looked, self.feelings, self._zone)
+        entry = self.found.entry(t_s, length_cm, self.looked, self.answers, self._zone)
         self.stages.append(entry)
-        self.looked, self.measured, self.feelings = SweepResult(), None, []
+        self.looked, self.measured, self.answers = SweepResult(), None, []
 
     def swept(self, length_cm: float) -> bool:
         """Whether a stage at this length was swept to its end."""

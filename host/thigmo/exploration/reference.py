@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from thigmo import wiring
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.robot import SensorTable, SweepResult
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]

@@ -32,7 +32,7 @@ from thigmo.exploration.sighting import (
     shortest,
 )
 from thigmo.localization.priors import narrow
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 Group = tuple[int, ...]  # sightings of one obstacle
 Masses = dict[int, Floats]  # posterior over the arcs of each of a group's sightings
@@ -114,7 +114,7 @@ class Room:
         self._tip = [self._near_tip(each.length_cm) for each in self._seen]
         self._touch = [_touch_likelihood(each) for each in self._seen]
         self._at_end = [self._end_likelihood(each) for each in self._seen]
-        self._told: dict[tuple[Group, str], tuple[float, Masses]] = {}
+        self._weighed_groups: dict[tuple[Group, str], tuple[float, Masses]] = {}
 
     def place(self, index: int) -> Floats:
         """Posterior of one sighting's arc, (n,), by what it felt and what other sweeps passed."""
@@ -270,13 +270,13 @@ class Room:
 
     def _evidence(self, group: Group, kind: str) -> tuple[float, Masses]:
         """Log evidence that these felt one obstacle of a kind, and the posteriors of the arcs."""
-        if (group, kind) not in self._told:
+        if (group, kind) not in self._weighed_groups:
             if kind == "peg":
                 log, mass = self._peg(group)
-                self._told[group, kind] = log, dict.fromkeys(group, mass)
+                self._weighed_groups[group, kind] = log, dict.fromkeys(group, mass)
             else:
-                self._told[group, kind] = self._wall(group)
-        return self._told[group, kind]
+                self._weighed_groups[group, kind] = self._wall(group)
+        return self._weighed_groups[group, kind]
 
     def _peg(self, group: Group, within: NDArray[np.bool_] | None = None) -> tuple[float, Floats]:
         """Log evidence that these felt one peg, and the posterior of its arc."""

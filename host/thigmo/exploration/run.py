@@ -21,7 +21,7 @@ from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import SAME_CM, growth_target, growth_zone, stage_lengths, trial_zone
 from thigmo.exploration.reducer import Reducer
 from thigmo.exploration.run_control import Live, RunControl
-from thigmo.exploration.scoring import met_ahead
+from thigmo.exploration.scoring import true_obstruction
 from thigmo.exploration.stall import Lean
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
@@ -198,7 +198,7 @@ class Exploration:
                 if self._knows.tried is None:
                     raise
                 self._knows.gives_up_trial()
-                self._end_at_met()
+                self._end_at_obstruction()
                 return "stalled, nobody to ask"
             self._body_psi = pressure
         self.robot.select_zone(self._zone)
@@ -228,16 +228,20 @@ class Exploration:
     def _back_off(self) -> str:
         """Wind in until the tip is clear of what stopped or bent it.
 
-        There every sensor is where the encoder says. A tip that was stopped is told by the encoder,
-        and a body that is held bent by sensors only: those are asked again.
+        There every sensor is where the encoder says. The encoder shows a tip that was stopped; only
+        the sensors show a body that is held bent, so they are asked again.
         """
-        met, truth = self._knows.met, self.robot.truth()
-        assert met is not None
-        leaning = isinstance(met, Lean)
+        obstruction, truth = self._knows.obstruction, self.robot.truth()
+        assert obstruction is not None
+        leaning = isinstance(obstruction, Lean)
         if truth is not None:
-            ahead = truth.contacts if leaning else met_ahead(truth.pegs, met, self.config)
+            ahead = (
+                truth.contacts
+                if leaning
+                else true_obstruction(truth.pegs, obstruction, self.config)
+            )
             self._note(truth=together([self.document.truth, Truth(truth.pegs, ahead)]))
-        clear_cm = met.clear_cm if isinstance(met, Lean) else self._start_cm
+        clear_cm = obstruction.clear_cm if isinstance(obstruction, Lean) else self._start_cm
         self.length_cm = self.robot.retract_to(min(self._start_cm, clear_cm))
         if leaning:
             return "clear of what held it"
@@ -247,11 +251,11 @@ class Exploration:
             self._growth = GrowthWatcher()
             self.live.tell(Log, "info", "growth stalled: it is tried at a higher body pressure")
             return "stalled: more pressure"
-        self._end_at_met()
+        self._end_at_obstruction()
         return "stalled"
 
-    def _end_at_met(self) -> None:
-        stalled = self._knows.ended_at_met()
+    def _end_at_obstruction(self) -> None:
+        stalled = self._knows.ended_at_obstruction()
         self._note(outcome="peg ahead" if stalled is None else stalled.words)
         self._judge()
 
@@ -269,20 +273,20 @@ class Exploration:
     def _zero(self) -> str:
         if not self._zeroed():
             return "drifting"
-        if isinstance(self._knows.met, Lean):
+        if isinstance(self._knows.obstruction, Lean):
             return self._released()
         if self._knows.swept(self.length_cm):
             return "zeroed after sweep"
         if self._stage_cm > self._knows.straight_cm:
             self._knows.zeroed(self._grown(), self.robot.zeros())
-        if self._knows.met is not None:
+        if self._knows.obstruction is not None:
             return "held bent"
         return "zeroed after growth"
 
     def _released(self) -> str:
         """Whether the body was held bent, now that its tip is clear; the peg goes on the map."""
         if self._knows.let_go(self.robot.zeros()):
-            self._end_at_met()
+            self._end_at_obstruction()
             return "straight again: peg ahead"
         return "as before: the zeros moved"
 
@@ -328,18 +332,18 @@ class Exploration:
         held = held_now(so_far.frames, side)
         if held <= TRIGGER_PER_CM:
             return False
-        feeling = self._found.so_far(so_far, self._zone)
-        if feeling is not None and self.live.due:
-            self.live.feels(self.length_cm, feeling, sweeping=True)
-        if feeling is None or not self._found.placed(feeling):
+        answer = self._found.so_far(so_far, self._zone)
+        if answer is not None and self.live.due:
+            self.live.posterior(self.length_cm, answer, sweeping=True)
+        if answer is None or not self._found.placed(answer):
             return pressed_enough(held, self.config, self._zone)
         self._known.add(side)
         return True
 
-    def _tell_feeling(self, so_far: SweepResult) -> bool:
+    def _publish_posterior(self, so_far: SweepResult) -> bool:
         """Tell viewers what a measurement feels so far; it goes on to its end."""
-        if self.live.due and (feeling := self._found.so_far(so_far, self._zone)) is not None:
-            self.live.feels(self.length_cm, feeling, sweeping=True)
+        if self.live.due and (answer := self._found.so_far(so_far, self._zone)) is not None:
+            self.live.posterior(self.length_cm, answer, sweeping=True)
         return False
 
     def _rest(self) -> str:
@@ -374,20 +378,20 @@ class Exploration:
             tops,
             period_s=sweep_period_s(self.config, self._zone, top_psi=max(tops.values())),
             rising_only=True,
-            enough=self._tell_feeling,
+            enough=self._publish_posterior,
         )
         self._measured += 1
         self._knows.has_measured(measured)
         return "once more" if self._measured < self.effort.measurements else "measured"
 
     def _localize(self) -> str:
-        feelings = self._knows.localized()
-        for feeling in feelings:
-            self.live.feels(self.length_cm, feeling)
-        if not feelings:
+        answers = self._knows.localized()
+        for answer in answers:
+            self.live.posterior(self.length_cm, answer)
+        if not answers:
             nothing = "nothing was felt at this stage"
             self.live.tell(Posterior, "", self.length_cm, (), (), "no contact", "", nothing)
-        return "contact" if any(feeling.felt for feeling in feelings) else "none"
+        return "contact" if any(answer.sightings for answer in answers) else "none"
 
     def _map(self) -> str:
         self._knows.mapped()
@@ -428,7 +432,7 @@ class Exploration:
     # The end.
 
     def _finish(self) -> str:
-        if (stalled := self.document.stall) is not None:  # a later bend may have told its cause
+        if (stalled := self.document.stall) is not None:  # a later bend may have shown its cause
             self.live.tell(Log, "info", stalled.words)
         self.robot.disarm()
         self.restore()

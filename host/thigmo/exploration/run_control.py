@@ -13,7 +13,7 @@ from contextlib import suppress
 from math import tanh
 
 from thigmo.errors import StoppedByViewerError
-from thigmo.exploration.feel import Feeling
+from thigmo.exploration.peak import PeakAnswer
 from thigmo.link import protocol as wire
 from thigmo.robot import Robot
 from thigmo.stream import Command, Message, Posterior, Question
@@ -39,13 +39,13 @@ class Live:
         """Whether it is time for another posterior of mid-sweep: there are ten a second."""
         return self._robot.now() - self._felt_s >= _SWEEPING_S
 
-    def feels(self, length_cm: float, feeling: Feeling, *, sweeping: bool = False) -> None:
+    def posterior(self, length_cm: float, answer: PeakAnswer, *, sweeping: bool = False) -> None:
         """What the sweep of one side showed; `sweeping` while it goes on."""
-        result = feeling.result
+        result = answer.result
         self._felt_s = self._robot.now()
         self.tell(
             Posterior,
-            feeling.shape.side,
+            answer.shape.side,
             length_cm,
             tuple(result.places.tolist()),
             tuple(result.probability.tolist()),

@@ -1,4 +1,4 @@
-"""What a run missed and what it made up, by whoever else knows the room.
+"""Scores a run against a known room: contacts that it missed, and false ones.
 
 The emulator knows its pegs and which of them each sweep's peak touched; on hardware a map that was
 given says what to expect. The reasons are read off the run's own record.
@@ -15,7 +15,7 @@ from thigmo.config import RobotConfig
 from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.map import errors, of_stage
 from thigmo.exploration.obstacles import GONE, occupancy
-from thigmo.exploration.stall import Met
+from thigmo.exploration.stall import Obstruction
 from thigmo.record import (
     FalseContact,
     MapContact,
@@ -66,19 +66,21 @@ def judged(
     return replace(document, error_x_cm=error_x, error_cm=error, missed=missed, false=false)
 
 
-def met_ahead(pegs: Sequence[TruePeg], met: Met, config: RobotConfig) -> list[TrueContact]:
+def true_obstruction(
+    pegs: Sequence[TruePeg], obstruction: Obstruction, config: RobotConfig
+) -> list[TrueContact]:
     """The true contact of a tip that stalled: the near face of the peg before it, if there is one.
 
     The emulated tip is stopped just short of the peg, so its body reports no contact.
     """
-    low, high = met.interval_cm
+    low, high = obstruction.interval_cm
     faces = [
-        TrueContact(p.x_cm - p.radius_cm, p.y_cm, met.arc_cm, met.arc_cm, n)
+        TrueContact(p.x_cm - p.radius_cm, p.y_cm, obstruction.arc_cm, obstruction.arc_cm, n)
         for n, p in enumerate(pegs)
         if abs(p.y_cm) < config.body.radius_cm + p.radius_cm
         and low - _AHEAD_CM <= p.x_cm - p.radius_cm <= high + _AHEAD_CM
     ]
-    return sorted(faces, key=lambda face: abs(face.x_cm - met.arc_cm))[:1]
+    return sorted(faces, key=lambda face: abs(face.x_cm - obstruction.arc_cm))[:1]
 
 
 def felt_pegs(document: RunDocument) -> set[int]:
@@ -120,10 +122,10 @@ def _same(contact: MapContact, true: TrueContact) -> bool:
 def _why_missed(
     document: RunDocument, missed: TrueContact, truth: Sequence[TrueContact], config: RobotConfig
 ) -> str:
-    feeling = [
+    sensors = [
         s for s in config.sensors if s.healthy and not (s.wrinkles and s.side == missed.side)
     ]
-    first = min((s.center_cm - s.span_cm / 2 for s in feeling), default=np.inf)
+    first = min((s.center_cm - s.span_cm / 2 for s in sensors), default=np.inf)
     if missed.arc_cm <= first:
         return "below detection: nearer to the base than the first sensor, which it does not bend"
     near = [s for s in document.stages if of_stage(missed, s.everted_length_cm, missed.side)]
@@ -139,7 +141,7 @@ def _why_missed(
     found = [c for c in document.contacts if of_stage(missed, c.everted_length_cm, c.side)]
     there = [t for t in truth if of_stage(t, stage.everted_length_cm, missed.side)]
     if found and len(found) < len(there):
-        return "not told apart from another contact of the same sweep"
+        return "not separated from another contact of the same sweep"
     if found:
         return "placed elsewhere, beyond three standard deviations of its interval"
     for contact in document.contacts:

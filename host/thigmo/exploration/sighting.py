@@ -18,7 +18,7 @@ from thigmo.exploration.workspace import Bend
 from thigmo.localization import Contact, priors
 from thigmo.localization.result import Marginal
 from thigmo.robot import TRIGGER_PER_CM, Peak, SweepFrame
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 _GRID_CM = 0.25
 LEVEL = 0.95  # of the set that an interval spans, and of what is called sure

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
-from thigmo.exploration.feel import LIKELY, Feeling, feel
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     GIVES_UP,
@@ -22,13 +21,14 @@ from thigmo.exploration.measuring import (
     pressed_enough,
     touch_curvature,
 )
+from thigmo.exploration.peak import LIKELY, PeakAnswer, localize_peak
 from thigmo.exploration.reference import FreeResponse, gain_errors
 from thigmo.exploration.scoring import judged
 from thigmo.exploration.sighting import LEVEL, passed_before, passed_freely, touch_mass
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
 from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult, mean_peak
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 _SHAPES_A_SIDE = 12
 _AVERAGED = 5  # frames behind a shape, a quarter of a second
@@ -40,9 +40,7 @@ _TOUCH_MARGIN = TRIGGER_PER_CM / GIVES_UP
 ENOUGH = 3.0 / 3.5
 # Probability from which a contact counts although the trigger did not fire.
 _CERTAIN = 0.99
-_CAUGHT = (
-    "the body was held bent before the muscle bent it: its tip is caught, and no place is told"
-)
+_CAUGHT = "the body was held bent before the muscle bent it: its tip is caught, place unknown"
 _NOT_HELD = "the base was not held back for a quarter of a second: noise, and no peg"
 
 
@@ -59,7 +57,9 @@ class Interpreter:
         self._response = FreeResponse(config)
         self.map = ContactMap(config, prior)  # contacts so far
 
-    def feel(self, sweep: SweepResult, measuring: SweepResult | None, zone: int) -> list[Feeling]:
+    def localize(
+        self, sweep: SweepResult, measuring: SweepResult | None, zone: int
+    ) -> list[PeakAnswer]:
         """Contacts of a stage: where the board's trigger fired, or the readings leave no doubt.
 
         The trigger compares with the map; where the body bends more than that, a contact does not
@@ -72,67 +72,73 @@ class Interpreter:
             side: [peak for peak in measuring.peaks if peak.side == side] if measuring else []
             for side in SIDES
         }
-        feelings = []
+        answers = []
         for peak in sweep.peaks:
             side = peak.side
             if side in caught or not self._table.usable(side, peak.sensors).any():
-                continue  # nothing to feel with: no sensor is out and well
+                continue  # no sensor is everted and healthy
             for each in (sweep, measuring) if measuring else (sweep,):
                 _learn(self._response, each, side, zone, touch_curvature(sweep.frames, side))
-            told = mean_peak(again[side] or [peak])
+            final = mean_peak(again[side] or [peak])
             touch = touch_mass(sweep.frames, side)
-            feeling = self._feel(told, zone, self._response, touch)
-            certain = any(felt.contact.probability > _CERTAIN for felt in feeling.felt)
+            answer = self._localize(final, zone, self._response, touch)
+            certain = any(sighting.contact.probability > _CERTAIN for sighting in answer.sightings)
             if side in fired or certain:
-                feelings.append(feeling)
-            elif not any(felt.contact.probability > LIKELY for felt in feeling.felt):
+                answers.append(answer)
+            elif not any(sighting.contact.probability > LIKELY for sighting in answer.sightings):
                 self._response.learn(sweep, side, zone)
             if side in fired:
                 self.map.add_passed(passed_before(touch, peak))
-            elif feeling.result.status == "no contact":
+            elif answer.result.status == "no contact":
                 self.map.add_passed(passed_freely(peak))
-        return feelings
+        return answers
 
-    def so_far(self, so_far: SweepResult, zone: int) -> Feeling | None:
-        """What a sweep that is on its way up tells; None where no sensor is out and well."""
+    def so_far(self, so_far: SweepResult, zone: int) -> PeakAnswer | None:
+        """The answer so far, on the way up; None where no sensor is everted and healthy."""
         peak = so_far.peaks[-1]
         if not self._table.usable(peak.side, peak.sensors).any():
             return None
         response = deepcopy(self._response)
         _learn(response, so_far, peak.side, zone, touch_curvature(so_far.frames, peak.side))
         touch = touch_mass(so_far.frames, peak.side)
-        return self._feel(peak, zone, response, touch)
+        return self._localize(peak, zone, response, touch)
 
-    def _feel(self, peak: Peak, zone: int, response: FreeResponse, touch: Floats) -> Feeling:
-        return feel(peak, self._config, zone, response, touch, self._prior, self._method)
+    def _localize(self, peak: Peak, zone: int, response: FreeResponse, touch: Floats) -> PeakAnswer:
+        return localize_peak(peak, self._config, zone, response, touch, self._prior, self._method)
 
-    def placed(self, feeling: Feeling) -> bool:
-        """Whether a feeling tells one contact's place well enough."""
-        if len(feeling.felt) != 1:
+    def placed(self, answer: PeakAnswer) -> bool:
+        """Whether an answer has one contact whose place is known well enough."""
+        if len(answer.sightings) != 1:
             return False
-        low, high = self.map.interval(feeling.felt[0])
+        low, high = self.map.interval(answer.sightings[0])
         return (
-            feeling.felt[0].probability >= LEVEL
+            answer.sightings[0].probability >= LEVEL
             and high - low <= ENOUGH * self._config.body.diameter_cm
         )
 
-    def add(self, feelings: Iterable[Feeling]) -> None:
+    def add(self, answers: Iterable[PeakAnswer]) -> None:
         """Put what a stage felt on the map."""
-        for felt in (felt for feeling in feelings for felt in feeling.felt):
-            self.map.add(felt)
+        for answer in answers:
+            for sighting in answer.sightings:
+                self.map.add(sighting)
 
     def entry(
-        self, t_s: float, length_cm: float, sweep: SweepResult, told: Sequence[Feeling], zone: int
+        self,
+        t_s: float,
+        length_cm: float,
+        sweep: SweepResult,
+        answers: Sequence[PeakAnswer],
+        zone: int,
     ) -> Stage:
         """The stage's entry in contacts.json."""
-        said = {each.shape.side: (each.result.status, each.result.message) for each in told}
+        said = {each.shape.side: (each.result.status, each.result.message) for each in answers}
         said |= {side: ("ambiguous", _CAUGHT) for side in caught_sides(sweep) if side not in said}
         shapes = _swept_shapes(length_cm, zone, sweep, self._config)
         return Stage(
             everted_length_cm=length_cm,
             body_pressure_psi=self._config.body.zones[zone].pressure_psi,
             t_s=t_s,
-            shapes=[*shapes, *(feeling.shape for feeling in told)],
+            shapes=[*shapes, *(answer.shape for answer in answers)],
             triggers=[
                 Trigger(
                     t.side, t.t_s, t.excess_per_cm, *said.get(t.side, ("no contact", _NOT_HELD))

@@ -1,4 +1,4 @@
-"""What growth met, by the sensors: a peg that stopped the tip, or one that bent the body aside.
+"""Obstructions of growth, by the sensors: a peg that stopped the tip or bent the body aside.
 
 The spool only pays out line; nothing measures its tension. If a peg stands ahead, the tip stalls,
 the tail goes slack, and the length that the encoder tells is too long from there on. But a sensor
@@ -25,7 +25,7 @@ from scipy.ndimage import median_filter
 from thigmo.exploration.plan import FOLD_MARGIN_CM
 from thigmo.record import Stall
 from thigmo.robot import Profile, SensorTable
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 _SMOOTH = 5  # frames of a running median, a quarter of a second
 
@@ -63,8 +63,8 @@ _BACK_CM, _ON_CM = 1.0, 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Met:
-    """A peg that growth met: where it is not a `Lean`, the peg stopped the tip."""
+class Obstruction:
+    """A peg in the way of growth. It stopped the tip, unless it is a `Lean`."""
 
     length_cm: float  # everted length
     arc_cm: float  # where the peg is, by the best guess
@@ -76,7 +76,7 @@ class Met:
 
 
 def causes(
-    met: Met,
+    obstruction: Obstruction,
     walls: Sequence[Sequence[tuple[float, float]]] = (),
     *,
     moved_on: bool | None = None,
@@ -90,7 +90,7 @@ def causes(
     once. In the emulator half of the tips without pressure slow by 2 cm and more, and no reading
     tells the others from an obstacle: only a trial at a higher body pressure would.
     """
-    late = np.maximum(np.asarray(met.late_cm, dtype=float), 0.0)
+    late = np.maximum(np.asarray(obstruction.late_cm, dtype=float), 0.0)
     odds = _OBSTACLE_ODDS
     if late.size:
         # Those side by side are late together, so they count as one.
@@ -101,10 +101,10 @@ def causes(
     if moved_on is not None:
         odds *= _MOVED_ON if moved_on else _STOOD
     obstacle = odds / (1 + odds)
-    crossed = any(_crosses_path(wall, met.interval_cm) for wall in walls)
+    crossed = any(_crosses_path(wall, obstruction.interval_cm) for wall in walls)
     wall = obstacle * (_WALL_KNOWN if crossed else _WALL)
     return Stall(
-        met.arc_cm, met.interval_cm, round(obstacle - wall, 4), round(wall, 4),
+        obstruction.arc_cm, obstruction.interval_cm, round(obstacle - wall, 4), round(wall, 4),
         round(1 - obstacle, 4), moved_on,
     )  # fmt: skip
 
@@ -119,7 +119,7 @@ def _crosses_path(line: Sequence[tuple[float, float]], interval: tuple[float, fl
 
 
 @dataclass(frozen=True, slots=True)
-class Lean(Met):
+class Lean(Obstruction):
     """A peg on which the body leans while nothing inflates it."""
 
     curvature_se: float  # standard error of the bend, 1/cm
@@ -141,7 +141,7 @@ class Lean(Met):
         return not known.any() or float(bend @ back[known]) > _CAME_BACK * float(bend @ bend)
 
 
-def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Met | None:
+def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Obstruction | None:
     """What a growth's readings say of its tip; None if every sensor that was due has everted.
 
     At believed lengths (n,), ascending, the sensors read `bend` (n, 10) in 1/cm from any zero.
@@ -160,7 +160,9 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Met | None:
         if len(stuck) == len(here):
             tips, lows, highs = zip(*stuck, strict=True)
             tip = float(np.mean(tips))
-            return Met(tip, tip, (min(lows), max(highs)), len(here), 0.0, late_cm=tuple(late))
+            return Obstruction(
+                tip, tip, (min(lows), max(highs)), len(here), 0.0, late_cm=tuple(late)
+            )
         late = [_left_late(length_cm, bend[:, i], float(start[i]), float(end[i])) for i in here]
     return None
 

@@ -103,7 +103,7 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     BAD_CONFIG = 19  # The stored configuration is damaged; load defaults, configure and save again.
     NOT_ZEROED = 20  # Sensors have no valid zero; vent, wait for settling, and zero.
     CONTRADICTION = 23  # Parameters contradict each other, and none of those that were set runs
-    NO_BASE_SENSOR = 22  # Neither base sensor can feel a contact
+    NO_BASE_SENSOR = 22  # No base sensor can feel a contact while a muscle is driven (trigger_when)
     HOST_SILENT = 21  # No heartbeat has arrived lately; keep the host beating, then arm again.
     OTHER_HOST = 25  # Another program has taken the robot over; close one of the two.
     STOPPED_AGAIN = 24  # The robot was stopped once more since
@@ -168,7 +168,9 @@ class Condition(Documented):
     CONFIG_VALID = 9
     SUPPLY_GOOD = 10  # The supply is within limits.
     CONTACT = 11  # The contact trigger is latched.
-    BASE_USABLE = 13  # At least one base sensor is everted, enabled and zeroed.
+    # A base sensor that the trigger works on while a muscle is driven is everted, enabled and
+    # zeroed.
+    BASE_USABLE = 13
     TELEMETRY_DROPPED = 12  # Telemetry was dropped for want of room since the last report.
     BODY_AIR = 14  # The body's enable is on: `body_air` was commanded since the robot was armed.
 

@@ -59,7 +59,7 @@ def contact_poses(contacts: Contacts, frame: str) -> list[Any]:
 
 
 def walls(contacts: Contacts, frame: str) -> Any:
-    """The walls' lines, as solid as they are probable; those of before are removed."""
+    """The walls' lines, as solid as they are probable; earlier ones are removed."""
     head = header(contacts.epoch_s, frame)
     known = [contact for contact in contacts.contacts if contact.surface]
     return ros.MarkerArray([

@@ -35,7 +35,7 @@ class Viewer:
         self._last: dict[str, str] = {}
         self._due = asyncio.Event()
         self._under_way = 0
-        self._told = 0
+        self._reported = 0
         self.dropped = 0  # readings that it has missed
 
     def add_rows(self, rows: Iterable[str], board: str, *, most: int = _MOST_ROWS) -> None:
@@ -89,8 +89,8 @@ class Viewer:
     def _batch(self) -> str | None:
         # The page's own message first: it says which run the others are of.
         parts = [self._last.pop(_PAGE)] if _PAGE in self._last else []
-        if self.dropped > self._told:
-            self._told = self.dropped
+        if self.dropped > self._reported:
+            self._reported = self.dropped
             parts.append(json.dumps({"channel": "dropped", "count": self.dropped}))
         # Shapes before the posterior, which lies on one of them.
         parts += [*self._shapes, *self._last.values(), *self._once]

@@ -1,7 +1,7 @@
 """What a sensor layout can know: the Cramer-Rao bound of contacts along a body.
 
-For a proposed layout: where, and from which force, a contact can be felt, found and told from a
-second one. Used to plan robots (`thigmo design`). Small deflections: the bound is a planning
+For a proposed layout: where, and from which force, a contact can be felt, found and distinguished
+from a second one. Used to plan robots (`thigmo design`). Small deflections: the bound is a planning
 figure, and is one standard deviation of the best unbiased estimate.
 """
 

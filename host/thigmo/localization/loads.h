@@ -13,7 +13,7 @@
 #include <bit>
 #include <cstdint>
 
-#include "errors.h"
+#include "whitening.h"
 
 namespace thigmo {
 

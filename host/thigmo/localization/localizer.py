@@ -1,6 +1,6 @@
 """`Localizer`: one frame of readings in, contacts with intervals out; tables of frames as well.
 
-Its `options` are checked once (`validation`). Each frame is checked and normalised (`readings.h`),
+Its `options` are checked once (`validation`). Each frame is checked and normalised (`input.h`),
 explanations are weighed (`hypotheses.h`) and mixed into an answer (`answer.h`): one posterior over
 everything that may have bent the body, with every stated error; nothing is thrown out silently.
 `localize` and `localize_batch` are a `Localizer` that is used once.
@@ -274,7 +274,7 @@ def check_method(method: str) -> None:
     """Raises DataError if there is no such method."""
     if method == "l2":
         raise DataError(
-            "method l2 is no longer there", 'use "posterior", which errs less, or "l1" or "thesis"'
+            "method l2 has been removed", 'use "posterior", which errs less, or "l1" or "thesis"'
         )
     if method not in METHODS:
         raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "body.h"
-#include "readings.h"
+#include "input.h"
 
 namespace thigmo {
 

@@ -12,7 +12,7 @@
 #include <optional>
 
 #include "body.h"
-#include "readings.h"
+#include "input.h"
 
 namespace thigmo {
 

@@ -182,7 +182,7 @@ def _same_unit(given: float, total: float) -> str:
     return ""
 
 
-# In the order of `Problem` in readings.h; {:g} is the number that shows it.
+# In the order of `Problem` in input.h; {:g} is the number that shows it.
 _PROBLEMS = (
     ("", ""),
     ("a reading is infinite", "mark missing sensors with NaN"),

@@ -1,6 +1,6 @@
 """The run folder on disk: made, filled while the run goes on, closed, found again.
 
-Its files are on disk whole or not at all: a crash leaves the one of before.
+Its files are on disk whole or not at all: a crash leaves the previous file.
 """
 
 from __future__ import annotations

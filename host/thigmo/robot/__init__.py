@@ -4,7 +4,7 @@ What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's intege
 """
 
 from thigmo.robot.creep import CreepWatch
-from thigmo.robot.readings import SensorTable, in_mask, mask_of
+from thigmo.robot.curvature import SensorTable, in_mask, mask_of
 from thigmo.robot.robot import JOG_CM, Robot, connect
 from thigmo.robot.state import (
     ContactTrigger,

@@ -22,8 +22,8 @@ from thigmo.errors import DataError, LinkError
 from thigmo.link import protocol as wire
 from thigmo.record import TrueContact, TruePeg, Truth
 from thigmo.robot.creep import CreepWatch
+from thigmo.robot.curvature import SensorTable
 from thigmo.robot.publishing import Publisher
-from thigmo.robot.readings import SensorTable
 from thigmo.robot.state import Status
 from thigmo.room import Dowel, Operator, Simulated
 from thigmo.stream import Command, Hello, Message, Server, Telemetry

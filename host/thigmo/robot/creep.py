@@ -14,7 +14,7 @@ from thigmo import wiring
 from thigmo.config import RobotConfig
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.mechanics.settling import Settling
-from thigmo.robot.readings import Floats, SensorTable
+from thigmo.robot.curvature import Floats, SensorTable
 
 _SPACING_S = 0.05
 _BIN_S = 0.25

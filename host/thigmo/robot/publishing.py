@@ -18,7 +18,7 @@ from thigmo.config import SIGN, RobotConfig
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
-from thigmo.robot.readings import SensorTable
+from thigmo.robot.curvature import SensorTable
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
 from thigmo.stream.blocks import Phase, TelemetryBlock
 from thigmo.stream.messages import Severity
@@ -62,7 +62,7 @@ def _phase(both: int, faults: int) -> Phase:
     )
 
 
-def _told(event: wire.Event, config: RobotConfig) -> tuple[str, Severity, str, str]:
+def _described(event: wire.Event, config: RobotConfig) -> tuple[str, Severity, str, str]:
     """Name, severity, what happened, and what to do next."""
     code, arg, value = event.code, event.arg, event.value
     if code is wire.EventCode.FAULT:
@@ -208,7 +208,7 @@ class Publisher:
 
     def event(self, received: ReceivedEvent) -> Event:
         """An event in words, with the operator's next step if there is one."""
-        words = _told(received.message, self._config)
+        words = _described(received.message, self._config)
         return Event(received.t_s, self.epoch_s + received.t_s, *words)
 
     def _shape(self, block: TelemetryBlock, n: int) -> BodyShape:

@@ -19,7 +19,7 @@ from thigmo.link.inbox import TelemetryFrame
 from thigmo.link.transport import open_transport
 from thigmo.record import Truth
 from thigmo.robot.creep import CreepWatch
-from thigmo.robot.readings import Floats, in_mask, mask_of
+from thigmo.robot.curvature import Floats, in_mask, mask_of
 from thigmo.robot.state import Reading, Recording, SweepFrame, SweepResult, together
 from thigmo.robot.supervised import OPEN, SHORT, Supervised
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame

@@ -11,7 +11,7 @@ import numpy as np
 
 from thigmo.config import Side
 from thigmo.record import Truth
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from thigmo.link.heart import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
 from thigmo.robot.connected import Connected
-from thigmo.robot.readings import SensorTable
+from thigmo.robot.curvature import SensorTable
 from thigmo.wiring import muscle_outputs, sensor_name
 
 if TYPE_CHECKING:

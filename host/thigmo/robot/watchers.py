@@ -16,7 +16,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import Truth
 from thigmo.robot.creep import CreepWatch
-from thigmo.robot.readings import Floats, SensorTable, mask_of
+from thigmo.robot.curvature import Floats, SensorTable, mask_of
 from thigmo.robot.state import ContactTrigger, Peak, SweepFrame, SweepResult
 
 _FRAME_SPACING_S = 0.05

@@ -92,7 +92,7 @@ def _tip(shape: BodyShape, stamp: Timestamp) -> FrameTransform:
 
 
 def _contacts(message: Contacts, stamp: Timestamp) -> SceneUpdate:
-    """All contacts; they replace those of before."""
+    """All contacts; they replace the earlier ones."""
     entities = [
         _contact(f"contact {number}", contact, stamp)
         for number, contact in enumerate(message.contacts)

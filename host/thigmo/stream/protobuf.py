@@ -120,7 +120,7 @@ def _proto(channel: str) -> type[Proto]:
     return message_factory.GetMessageClass(_file(channel).message_types_by_name[name])
 
 
-def _told(value: Any) -> dict[str, Any]:
+def _arguments(value: Any) -> dict[str, Any]:
     """A dataclass as the keyword arguments of its protobuf message."""
     return {each.name: _held(getattr(value, each.name)) for each in fields(value)}
 
@@ -129,13 +129,13 @@ def _held(value: Any) -> Any:
     if not isinstance(value, tuple | list) or not value:
         return value
     if is_dataclass(value[0]):
-        return [_told(each) for each in value]
+        return [_arguments(each) for each in value]
     return [{"values": each} for each in value] if isinstance(value[0], tuple | list) else value
 
 
 def to_protobuf(message: Message) -> bytes:
     """A message's bytes, by `schema`."""
-    return _proto(message.CHANNEL)(**_told(message)).SerializeToString()
+    return _proto(message.CHANNEL)(**_arguments(message)).SerializeToString()
 
 
 def packed(block: TelemetryBlock) -> Iterator[tuple[slice, NDArray[np.uint8]]]:

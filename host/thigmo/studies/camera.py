@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from thigmo.camera import CameraModel, Lens, Seen, Sheet, calibrate_lens, locate, look
+from thigmo.camera import CameraModel, Lens, Sheet, Wanted, calibrate_lens, detect, locate
 from thigmo.camera.model import Picture
 from thigmo.camera.render import BodyShape, PegShape, View, overhead_camera, random_look, render
 from thigmo.camera.sheet import Decal, board, card_decals, tip_decal
@@ -81,8 +81,8 @@ def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:
     patches = [*card_decals(laid), tip_decal(sheet, x, y, 3.5)]
     picture = render(camera, View(BodyShape(x, y), pegs, patches), random_look(rng), rng)
     model = locate(picture, sheet, lens)
-    wanted = Seen(constant=free, obstacles=way in _DOWELS, length_cm=float(s[-1]))
-    seen = look(picture, model, sheet, wanted)
+    wanted = Wanted(constant=free, obstacles=way in _DOWELS, length_cm=float(s[-1]))
+    seen = detect(picture, model, sheet, wanted)
     grid = np.array([[gx, gy, RADIUS] for gx in (0, 14, 27, 40, 54) for gy in range(-40, 41, 20)])
     off = model.to_plane(camera.project(grid), RADIUS) - grid[:, :2]
     found = Glimpse(float(np.linalg.norm(off, axis=1).max()), model.accuracy_cm, free)

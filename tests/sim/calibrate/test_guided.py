@@ -11,7 +11,7 @@ import thigmo
 from thigmo.calibrate import steps
 from thigmo.calibrate.bench import Bench, Plan, tip_rows
 from thigmo.calibrate.flex_data import FlexReadings
-from thigmo.calibrate.overhead import Eyes, emulated_source
+from thigmo.calibrate.overhead import OverheadCamera, emulated_source
 from thigmo.calibrate.session import Session, blank
 from thigmo.camera import CameraMovedError, MarkerMissingError, Sheet, locate
 from thigmo.camera.sheet import card_decals
@@ -38,7 +38,7 @@ class Lab:
         source, sheet.camera_height_cm = emulated_source(
             self.robot, sheet, seed=3, spoil=self._spoil
         )
-        self.eyes = Eyes(source, locate(source.read(), sheet), sheet)
+        self.camera = OverheadCamera(source, locate(source.read(), sheet), sheet)
         self.told: list[str] = []
         self.session = Session(tmp_path / "calibration", self.robot.known_config)
 
@@ -49,7 +49,7 @@ class Lab:
         return camera
 
     def bench(self, *, start: bool = True) -> Bench:
-        bench = Bench(self.robot, self.eyes, self.session, PLAN, self.told.append)
+        bench = Bench(self.robot, self.camera, self.session, PLAN, self.told.append)
         if start:
             bench.start()
         return bench
@@ -80,7 +80,7 @@ def test_moved_camera_stops_the_step_and_the_rest_is_taken_after_it_is_located_a
 @pytest.mark.ci
 def test_lost_marker_leaves_a_blank_row_that_the_fit_leaves_out(lab, monkeypatch):
     bench = lab.bench()
-    look = lab.eyes.axis
+    look = lab.camera.axis
     calls = 0
 
     def blinded(**asked):
@@ -90,7 +90,7 @@ def test_lost_marker_leaves_a_blank_row_that_the_fit_leaves_out(lab, monkeypatch
             raise MarkerMissingError("the tip marker (id 40) is not seen", "clear the view")
         return look(**asked)
 
-    monkeypatch.setattr(lab.eyes, "axis", blinded)
+    monkeypatch.setattr(lab.camera, "axis", blinded)
     rows = tip_rows(bench)
     assert rows[2]["tip"] == [None, None]
     readings = FlexReadings.of_rows(rows, 53.0)
@@ -132,7 +132,7 @@ def test_pushed_tip_without_its_marker_is_not_seen(lab, monkeypatch):
         "thigmo.calibrate.overhead.tip_decal", lambda sheet, x, y, d: card_decals(sheet)[0]
     )
     with pytest.raises(MarkerMissingError, match="id 40"):
-        lab.eyes.axis(free_bend=False)
+        lab.camera.axis(free_bend=False)
 
 
 def test_noise_pressure_and_check_of_a_sound_robot(lab):

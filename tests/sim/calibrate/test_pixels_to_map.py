@@ -10,7 +10,7 @@ import pytest
 import thigmo
 from thigmo.calibrate import steps
 from thigmo.calibrate.bench import Bench, Plan
-from thigmo.calibrate.overhead import Eyes, emulated_source
+from thigmo.calibrate.overhead import OverheadCamera, emulated_source
 from thigmo.calibrate.session import Session, blank
 from thigmo.camera import Sheet, locate
 from thigmo.config import SIDES
@@ -63,7 +63,7 @@ def test_from_pixels_to_the_map(tmp_path):
         sheet.camera_height_cm = height
         camera = locate(source.read(), sheet)
         session = Session(tmp_path / "calibration", blank(truth))
-        bench = Bench(robot, Eyes(source, camera, sheet), session, PLAN)
+        bench = Bench(robot, OverheadCamera(source, camera, sheet), session, PLAN)
         bench.start()
         for step in ("pressure", "encoder", "actuator", "flex", "buckling"):
             result = steps.run(bench, step)
@@ -97,7 +97,7 @@ def test_from_pixels_to_the_map(tmp_path):
     with thigmo.connect(room, seed=4) as robot:
         source, _ = emulated_source(robot, sheet, seed=8)
         # The operator has measured the dowels' thickness, not their places.
-        seen = Eyes(source, camera, sheet, dowel_radius_cm=0.6).everything().obstacles
+        seen = OverheadCamera(source, camera, sheet, dowel_radius_cm=0.6).everything().obstacles
     where = seen[0]
     assert (where.x_cm, where.y_cm) == pytest.approx((peg.x, peg.y), abs=0.3)
 

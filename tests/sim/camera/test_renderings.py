@@ -18,19 +18,19 @@ from thigmo.camera import (
     Clicks,
     MarkerAstrayError,
     MarkerMissingError,
-    Seen,
     Sheet,
     SheetHiddenError,
     TooCoarseError,
+    Wanted,
+    detect,
     draw,
     locate,
-    look,
     open_source,
 )
+from thigmo.camera.detection import write_picture
 from thigmo.camera.pose import GOOD_CM
 from thigmo.camera.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo.camera.sheet import card_decals, tip_decal
-from thigmo.camera.sight import write_picture
 from thigmo.cli.camera import group
 from thigmo.errors import ConfigError
 from thigmo.studies.camera import axis_of, board_lens, glimpse, summarise
@@ -114,7 +114,7 @@ def test_marker_that_fell_off_the_tip_is_not_taken_for_it(room, model):
         fallen = tip_decal(SHEET, room.x + dx, room.y + dy, 3.5)
         view = View(BodyShape(room.x, room.y), room.pegs, [*card_decals(SHEET), fallen])
         picture = render(room.camera, view, Look(), np.random.default_rng(5))
-        seen = look(picture, model, SHEET, Seen(constant=True))
+        seen = detect(picture, model, SHEET, Wanted(constant=True))
         assert seen.tip is None
         assert seen.axis is None
         (problem,) = seen.problems
@@ -125,7 +125,7 @@ def test_marker_that_fell_off_the_tip_is_not_taken_for_it(room, model):
 
 
 def test_tip_axis_and_dowels_of_one_room(room, picture, model):
-    seen = look(picture, model, SHEET, Seen(constant=True))
+    seen = detect(picture, model, SHEET, Wanted(constant=True))
     assert seen.problems == ()
     assert (seen.tip.x_cm, seen.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.1)
     assert seen.axis.coefficients[2] == pytest.approx(0.02, abs=1e-4)
@@ -136,8 +136,8 @@ def test_tip_axis_and_dowels_of_one_room(room, picture, model):
 
 
 def test_what_is_seen_is_drawn(picture, model):
-    wanted = Seen()
-    seen = look(picture, model, SHEET, wanted)
+    wanted = Wanted()
+    seen = detect(picture, model, SHEET, wanted)
     drawn = draw(picture, model, SHEET, seen, wanted)
     changed = (np.abs(drawn.astype(int) - picture).max(axis=2) > 40).mean()
     assert 0.005 < changed < 0.1
@@ -149,7 +149,7 @@ def test_what_is_seen_is_drawn(picture, model):
 
 def test_missing_tip_marker_is_a_problem_with_a_way_out(room, model, tmp_path):
     bare = room.picture(tip=False)
-    seen = look(bare, model, SHEET)
+    seen = detect(bare, model, SHEET)
     assert isinstance(seen.problems[0], MarkerMissingError)
     # The line goes to `thigmo calibrate` too, which takes no clicked tip; `camera check` does.
     assert str(seen.problems[0]).endswith("turn it face up and clear the view")
@@ -161,7 +161,7 @@ def test_missing_tip_marker_is_a_problem_with_a_way_out(room, model, tmp_path):
     told = CliRunner().invoke(group, asked)
     assert "clear the view, or give the tip with `--tip X,Y`" in told.output
     end = room.camera.project(np.array([[room.x[-1], room.y[-1], 1.75]]))[0]
-    clicked = look(bare, model, SHEET, clicks=Clicks(tip=(end[0] + 1.0, end[1] - 1.0)))
+    clicked = detect(bare, model, SHEET, clicks=Clicks(tip=(end[0] + 1.0, end[1] - 1.0)))
     assert clicked.tip.clicked
     assert (clicked.tip.x_cm, clicked.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.2)
     # The body's own end is found without any marker.
@@ -178,13 +178,13 @@ def test_clicked_axis_and_dowel_replace_detection(room, model):
         axis=tuple(map(tuple, axis)),
         obstacles=(tuple(map(tuple, room.camera.project(rim))),),
     )
-    seen = look(room.picture(body=False), model, SHEET, Seen(constant=True), clicks=clicks)
+    seen = detect(room.picture(body=False), model, SHEET, Wanted(constant=True), clicks=clicks)
     assert seen.axis.coefficients[2] == pytest.approx(0.02, abs=3e-4)
     assert min(np.hypot(o.x_cm - 30, o.y_cm + 8) for o in seen.obstacles if o.rim == 1.0) < 0.1
 
 
 def test_no_robot_is_said(room, model):
-    seen = look(room.picture(tip=False, body=False), model, SHEET)
+    seen = detect(room.picture(tip=False, body=False), model, SHEET)
     assert seen.axis is None
     assert any(isinstance(p, BodyNotSeenError) for p in seen.problems)
 
@@ -197,8 +197,10 @@ def test_body_of_the_tables_colour_needs_a_background_picture(room, model):
     def shot(body):
         return render(room.camera, View(body, (), patches), dull, np.random.default_rng(6))
 
-    dark = look(shot(shape), model, SHEET, Seen(constant=True, tip=False))
-    helped = look(shot(shape), model, SHEET, Seen(constant=True, tip=False), background=shot(None))
+    dark = detect(shot(shape), model, SHEET, Wanted(constant=True, tip=False))
+    helped = detect(
+        shot(shape), model, SHEET, Wanted(constant=True, tip=False), background=shot(None)
+    )
     assert helped.axis is not None
     assert helped.axis.coefficients[2] == pytest.approx(0.02, abs=5e-4)
     if dark.axis is None:
@@ -208,8 +210,8 @@ def test_body_of_the_tables_colour_needs_a_background_picture(room, model):
 def test_moved_camera_is_detected_and_hidden_cards_named(room, model):
     shoved = replace(room.camera, translation=room.camera.translation + np.array([1.0, 0, 0]))
     with pytest.raises(CameraMovedError, match="locate` again"):
-        look(room.picture(camera=shoved), model, SHEET)
-    assert look(room.picture(cards=(0, 2, 3)), model, SHEET).hidden == ("base right",)
+        detect(room.picture(camera=shoved), model, SHEET)
+    assert detect(room.picture(cards=(0, 2, 3)), model, SHEET).hidden == ("base right",)
     with pytest.raises(SheetHiddenError, match="tip left"):
         locate(room.picture(cards=(0, 1)), SHEET)
     partly = locate(room.picture(cards=(0, 1, 3)), SHEET)
@@ -219,7 +221,7 @@ def test_moved_camera_is_detected_and_hidden_cards_named(room, model):
 def test_a_picture_of_another_size_is_refused(picture, model):
     small = cv2.resize(picture, (1280, 720))
     with pytest.raises(CameraError, match="1280 x 720 px"):
-        look(small, model, SHEET)
+        detect(small, model, SHEET)
     with pytest.raises(CameraError, match="of one size"):
         locate(small, SHEET, model.lens)
 
@@ -229,11 +231,11 @@ def test_a_picture_of_too_few_pixels_is_refused_with_the_number_needed(picture):
         small = cv2.resize(picture, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
         model = locate(small, SHEET)
         if fine:
-            seen = look(small, model, SHEET, Seen(constant=True, obstacles=False))
+            seen = detect(small, model, SHEET, Wanted(constant=True, obstacles=False))
             assert seen.problems == ()
             continue
         with pytest.raises(TooCoarseError, match=r"4\.6 px per cm, and a tip .* needs 5\.0; "):
-            look(small, model, SHEET)
+            detect(small, model, SHEET)
 
 
 def test_a_body_of_which_a_part_is_not_seen_is_doubted(room, model):
@@ -241,11 +243,11 @@ def test_a_body_of_which_a_part_is_not_seen_is_doubted(room, model):
     part = BodyShape(room.x[:230], room.y[:230])
     view = View(part, (), card_decals(SHEET))
     picture = render(room.camera, view, Look(), np.random.default_rng(5))
-    wanted = Seen(constant=True, tip=False, obstacles=False, length_cm=53.0)
-    (problem,) = look(picture, model, SHEET, wanted).problems
+    wanted = Wanted(constant=True, tip=False, obstacles=False, length_cm=53.0)
+    (problem,) = detect(picture, model, SHEET, wanted).problems
     assert isinstance(problem, AxisDoubtfulError)
     assert re.search(r"is 30\.\d cm long, and the body is 53\.0 cm", str(problem))
-    whole = look(room.picture(tip=False), model, SHEET, wanted)
+    whole = detect(room.picture(tip=False), model, SHEET, wanted)
     assert whole.problems == ()
 
 
@@ -259,7 +261,7 @@ def test_a_kinked_body_is_doubted(room, model, turn):
     picture = render(
         room.camera, View(kinked, (), card_decals(SHEET)), Look(), np.random.default_rng(5)
     )
-    seen = look(picture, model, SHEET, Seen(constant=True, tip=False, obstacles=False))
+    seen = detect(picture, model, SHEET, Wanted(constant=True, tip=False, obstacles=False))
     assert any(isinstance(problem, AxisDoubtfulError) for problem in seen.problems)
 
 
@@ -271,7 +273,7 @@ def test_an_axis_whose_flanks_are_hidden_is_doubted(room, model):
     picture = render(
         room.camera, View(straight, heap, card_decals(SHEET)), Look(), np.random.default_rng(5)
     )
-    seen = look(picture, model, SHEET, Seen(constant=True, tip=False, obstacles=False))
+    seen = detect(picture, model, SHEET, Wanted(constant=True, tip=False, obstacles=False))
     assert seen.axis is None or any(isinstance(p, AxisDoubtfulError) for p in seen.problems)
 
 
@@ -281,7 +283,7 @@ def test_markers_may_be_of_any_dictionary(room, name):
     patches = [*card_decals(other), tip_decal(other, room.x, room.y, 3.5)]
     view = View(BodyShape(room.x, room.y), (), patches)
     picture = render(room.camera, view, Look(), np.random.default_rng(5))
-    seen = look(picture, locate(picture, other), other, Seen(constant=True))
+    seen = detect(picture, locate(picture, other), other, Wanted(constant=True))
     assert (seen.tip.x_cm, seen.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.1)
     told = "DICT_6X6_1000" if "6X6" in name else name
     with pytest.raises(SheetHiddenError, match=f'write dictionary = "{told}"'):

@@ -9,9 +9,9 @@ import pytest
 from calibration_truth import DEFLATE, INFLATE, bends
 
 from thigmo.calibrate.actuator import BendReadings, fit_actuator
-from thigmo.calibrate.figures import draw
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.lag import fit_lag
+from thigmo.calibrate.step_figures import draw
 from thigmo.config import RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table

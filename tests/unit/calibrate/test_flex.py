@@ -10,12 +10,12 @@ import pytest
 from calibration_truth import CENTERS, LENGTH, SPANS, Lab, merge, real_sweeps
 
 from thigmo.calibrate import thesis
-from thigmo.calibrate.figures import draw
 from thigmo.calibrate.flex import FlexResult, fit_flex
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.flex_rows import tip_curvature
 from thigmo.calibrate.regression import fit_linear
+from thigmo.calibrate.step_figures import draw
 from thigmo.calibrate.steps import fit_csv
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError

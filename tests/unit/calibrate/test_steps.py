@@ -12,10 +12,10 @@ from thigmo.calibrate import thesis
 from thigmo.calibrate.buckling import fit_buckling
 from thigmo.calibrate.check import CheckReadings, CheckResult, run_check
 from thigmo.calibrate.encoder import fit_encoder
-from thigmo.calibrate.figures import draw
 from thigmo.calibrate.hysteresis import CreepRecord, fit_decay, fit_hysteresis
 from thigmo.calibrate.noise import fit_noise
 from thigmo.calibrate.pressure import PressureResult, fit_pressure_zero
+from thigmo.calibrate.step_figures import draw
 from thigmo.calibrate.steps import fit_csv
 from thigmo.calibrate.stiffness import AxisPoints, fit_stiffness
 from thigmo.config import Muscle, RobotConfig

@@ -14,14 +14,14 @@ from thigmo.camera import (
     Lens,
     PictureError,
     PlaneFitError,
-    Seen,
     Sheet,
     SheetHiddenError,
+    Wanted,
     fit_centerline,
     open_source,
 )
 from thigmo.camera.clicks import click, parse_pixel
-from thigmo.camera.errors import CameraError
+from thigmo.camera.exceptions import CameraError
 from thigmo.camera.model import judge_still
 from thigmo.camera.obstacles import circle_through
 from thigmo.camera.pose import fit_pose, what_helps
@@ -200,9 +200,9 @@ def test_no_window_is_said_and_points_can_be_typed(tmp_path):
 
 def test_sizes_and_words_that_cannot_be_are_refused(tmp_path):
     with pytest.raises(DataError, match="tube of 0 cm"):
-        Seen(diameter_cm=0.0)
+        Wanted(diameter_cm=0.0)
     with pytest.raises(DataError, match="radius above 0"):
-        Seen(obstacle_radius_cm=(-1.0, -2.0))
+        Wanted(obstacle_radius_cm=(-1.0, -2.0))
     with pytest.raises(CameraError, match="'nose' cannot be clicked"):
         click(np.zeros((10, 10, 3), np.uint8), ("nose",))
     with pytest.raises(CameraError, match="cannot write"):

@@ -61,6 +61,7 @@ class Lab:
         self.step(200)
         for name, values in {
             "muscle_fitted": [int(n < fitted) for n in range(built.muscles)],
+            "trigger_when": [0x8F] * built.sensors,  # beside the body: no muscle wrinkles them
             "settle_ms": [0],
             "zero_ms": [100],
             "drift_limit_e5": [10_000],

@@ -266,6 +266,19 @@ def test_a_second_touch_elsewhere_is_no_base() -> None:
     assert not knows_length(bench)
 
 
+def test_a_base_sensor_that_no_muscle_leaves_at_rest_allows_no_sweep() -> None:
+    bench = Bench()
+    bench.zeroed()
+    sweep = wire.Sweep((1800, 0), 20_000, 1, 0)
+    for element in (0, 5):
+        bench.set("trigger_when", 0x80, element=element)  # while none is driven
+    assert bench.refused(sweep) == wire.Reason.NO_BASE_SENSOR
+    bench.set("trigger_when", 1 << 3, element=5)  # of a muscle that is not fitted
+    assert bench.refused(sweep) == wire.Reason.NO_BASE_SENSOR
+    bench.set("trigger_when", 0x81, element=5)
+    bench.do(sweep)
+
+
 def test_a_sweep_needs_a_base_sensor() -> None:
     bench = Bench()
     bench.grown(0)

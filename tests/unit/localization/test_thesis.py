@@ -71,7 +71,7 @@ def test_what_it_cannot_do_is_said() -> None:
     with pytest.raises(DataError, match="a reading is infinite"):
         thigmo.localize(np.full(10, np.inf), X, length=53, method="thesis")
 
-    with pytest.raises(DataError, match="l2 is no longer there") as gone:
+    with pytest.raises(DataError, match="l2 has been removed") as gone:
         thigmo.localize(pressed(30.0), X, length=53, method="l2")
     assert "posterior" in gone.value.next_step
 

@@ -1,7 +1,7 @@
 """One picture, read: tip, axis, obstacles, and what was wrong with it.
 
 `look` is what calibration and the command line call. Nothing that fails is passed over: it is
-either raised (no cards, moved camera) or listed in the sighting, and a point clicked by hand can
+either raised (no cards, moved camera) or listed in the detection, and a point clicked by hand can
 stand in for any of it.
 """
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from thigmo.camera.body import Track, bodyness, flatten, follow
 from thigmo.camera.centerline import Centerline, fit_centerline
 from thigmo.camera.clicks import Clicks
-from thigmo.camera.errors import (
+from thigmo.camera.exceptions import (
     AxisDoubtfulError,
     BodyNotSeenError,
     CameraError,
@@ -44,7 +44,7 @@ _CURE = (
 
 
 @dataclass(frozen=True)
-class TipSighting:
+class TipDetection:
     """The tip marker, or a clicked tip."""
 
     x_cm: float  # of the robot's very tip
@@ -55,10 +55,10 @@ class TipSighting:
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """What a picture shows."""
+class Detection:
+    """What was detected in a picture."""
 
-    tip: TipSighting | None  # tip, if seen
+    tip: TipDetection | None  # tip, if seen
     axis: Centerline | None  # fitted axis, if the body was seen
     obstacles: list[Obstacle]  # dowels
     hidden: tuple[str, ...]  # names of cards that were not seen
@@ -67,8 +67,8 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What to look for, and the sizes that the eye needs."""
+class Wanted:
+    """What to look for in a picture, with the sizes that this needs."""
 
     diameter_cm: float = 3.5  # of the tube
     obstacle_height_cm: float = 6.0  # of the dowels' tops above the table
@@ -93,15 +93,15 @@ class Seen:
             )
 
 
-def look(
+def detect(
     picture: Picture,
     camera: CameraModel,
     sheet: Sheet,
-    wanted: Seen | None = None,
+    wanted: Wanted | None = None,
     *,
     background: Picture | None = None,
     clicks: Clicks | None = None,
-) -> Sighting:
+) -> Detection:
     """Read one picture, (h, w, 3) BGR.
 
     `background` is the empty table from the same camera; `clicks` replace detection.
@@ -114,38 +114,38 @@ def look(
     """
     camera.lens.require(picture)
     markers = detect_markers(picture, sheet.dictionary)
-    glance = _Glance(picture, camera, sheet, wanted or Seen(), clicks or Clicks(), markers)
-    glance.require_fine()
+    detector = _Detector(picture, camera, sheet, wanted or Wanted(), clicks or Clicks(), markers)
+    detector.require_fine()
     hidden = judge_still(markers, camera, sheet)
     problems: list[CameraError] = []
-    tip: TipSighting | None = None
-    if glance.wanted.tip:
+    tip: TipDetection | None = None
+    if detector.wanted.tip:
         try:
-            tip = glance.tip()
+            tip = detector.tip()
         except MarkerMissingError as error:
             problems.append(error)
     axis: Centerline | None = None
-    if glance.wanted.body:
+    if detector.wanted.body:
         try:
-            axis, doubts = glance.axis(tip, background)
+            axis, doubts = detector.axis(tip, background)
             problems += [AxisDoubtfulError(doubt, _CURE) for doubt in doubts]
         except (BodyNotSeenError, MarkerAstrayError) as error:
             problems.append(error)
             tip = None if isinstance(error, MarkerAstrayError) else tip
         except DataError as error:
             problems.append(BodyNotSeenError(error.what, error.next_step))
-    found = glance.obstacles() if glance.wanted.obstacles else []
-    return Sighting(tip, axis, found, hidden, tuple(problems), markers)
+    found = detector.obstacles() if detector.wanted.obstacles else []
+    return Detection(tip, axis, found, hidden, tuple(problems), markers)
 
 
 @dataclass(frozen=True)
-class _Glance:
+class _Detector:
     """A picture, and what reading it takes."""
 
     picture: Picture
     camera: CameraModel
     sheet: Sheet
-    wanted: Seen
+    wanted: Wanted
     clicks: Clicks
     markers: dict[int, Array]  # corners px by id
 
@@ -170,13 +170,13 @@ class _Glance:
     def _full_cm(self) -> float:
         return self.wanted.full_cm or self.sheet.length_cm
 
-    def tip(self) -> TipSighting:
+    def tip(self) -> TipDetection:
         """The tip as it was clicked, or by its marker."""
         diameter, marker = self.wanted.diameter_cm, self.sheet.tip_marker_id
         if self.clicks.tip is not None:
             # A hand clicks the outline's end, which stands at the axis's height.
             place = self.camera.to_plane(np.array([self.clicks.tip]), diameter / 2)[0]
-            return TipSighting(float(place[0]), float(place[1]), float("nan"), True, place)
+            return TipDetection(float(place[0]), float(place[1]), float("nan"), True, place)
         if marker not in self.markers:
             raise MarkerMissingError(
                 f"the tip marker (id {marker}) is not seen", "turn it face up and clear the view"
@@ -186,10 +186,10 @@ class _Glance:
         heading = float(np.arctan2(ahead[1], ahead[0]))
         center = flat.mean(axis=0)
         tip = center + self.sheet.tip_offset_cm * np.array([np.cos(heading), np.sin(heading)])
-        return TipSighting(float(tip[0]), float(tip[1]), heading, False, center)
+        return TipDetection(float(tip[0]), float(tip[1]), heading, False, center)
 
     def axis(
-        self, tip: TipSighting | None, background: Picture | None
+        self, tip: TipDetection | None, background: Picture | None
     ) -> tuple[Centerline, list[str]]:
         """The axis, and why it may not be trusted."""
         camera, wanted = self.camera, self.wanted
@@ -259,7 +259,7 @@ def _doubts(
     middle: Array,
     good: NDArray[np.bool_],
     line: Centerline,
-    wanted: Seen,
+    wanted: Wanted,
     within_cm: float,
 ) -> list[str]:
     """Why an axis that was followed may not be the body's, or not all of it."""
@@ -284,12 +284,12 @@ def _doubts(
 
 
 def draw(
-    picture: Picture, camera: CameraModel, sheet: Sheet, sighting: Sighting, wanted: Seen
+    picture: Picture, camera: CameraModel, sheet: Sheet, detection: Detection, wanted: Wanted
 ) -> Picture:
     """What was seen, drawn over the picture."""
     canvas = picture.copy()
     card_of = sheet.marker_ids()
-    for marker, four in sighting.markers.items():
+    for marker, four in detection.markers.items():
         known = marker in card_of or marker == sheet.tip_marker_id
         color = (0, 200, 0) if known else (0, 0, 255)
         _lines(canvas, four, color, closed=True)
@@ -303,8 +303,8 @@ def draw(
     for end, name in zip(ends, "xy", strict=True):
         cv2.arrowedLine(canvas, _at(origin), _at(end), (255, 0, 0), 3)
         _text(canvas, name, end, (255, 0, 0))
-    if sighting.axis is not None:
-        axis = sighting.axis
+    if detection.axis is not None:
+        axis = detection.axis
         radius = wanted.diameter_cm / 2
         for out, color in ((0.0, (255, 255, 0)), (radius, _FLANK), (-radius, _FLANK)):
             x = axis.x_cm - out * np.sin(axis.heading)
@@ -314,19 +314,19 @@ def draw(
         (at,) = camera.project(_raised(axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius))
         caption = f"length {axis.length_cm:.1f} cm, mean curvature {axis.curvature:+.4f} /cm"
         _text(canvas, caption, at)
-    if sighting.tip is not None:
-        tip = sighting.tip
+    if detection.tip is not None:
+        tip = detection.tip
         (at,) = camera.project(_raised(tip.x_cm, tip.y_cm, wanted.diameter_cm / 2))
         cv2.drawMarker(canvas, _at(at), (0, 0, 255), cv2.MARKER_CROSS, 24, 2)
         _text(canvas, f"tip {tip.x_cm:.2f}, {tip.y_cm:.2f} cm", at + np.array([14, -14]))
     around = np.linspace(0, 2 * np.pi, 60)
-    for o in sighting.obstacles:
+    for o in detection.obstacles:
         x, y = o.x_cm + o.radius_cm * np.cos(around), o.y_cm + o.radius_cm * np.sin(around)
         seen = camera.project(_raised(x, y, wanted.obstacle_height_cm))
         _lines(canvas, seen, (255, 0, 255), closed=True)
         _text(canvas, f"({o.x_cm:.1f}, {o.y_cm:.1f}) r {o.radius_cm:.2f}", seen[0], (255, 0, 255))
-    texts = [f"hidden cards: {', '.join(sighting.hidden)}"] if sighting.hidden else []
-    for n, text in enumerate([*texts, *map(str, sighting.problems)]):
+    texts = [f"hidden cards: {', '.join(detection.hidden)}"] if detection.hidden else []
+    for n, text in enumerate([*texts, *map(str, detection.problems)]):
         _text(canvas, text, np.array([20, 40 + 34 * n]), (0, 0, 255))
     return canvas
 

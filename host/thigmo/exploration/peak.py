@@ -1,4 +1,4 @@
-"""One peak's readings to contacts along the body: what the live run and a replay share.
+"""Localizes contacts from the readings at a sweep's peak, alike in a live run and its replay.
 
 Averages of the ten peak readings of the inactive side's sensors that were everted, settled and
 zeroed go to the localizer with the free curvature of the map at the lag-filtered pressure, as the
@@ -25,7 +25,7 @@ from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics.closed_forms import fold_share
 from thigmo.record import Obstacle, Shape
 from thigmo.robot import Peak, SensorTable
-from thigmo.robot.readings import Floats
+from thigmo.robot.curvature import Floats
 
 # Least relative standard error of the critical moment, which goes with a pressure set by hand.
 _LEAST_FOLD_ERROR = 0.1
@@ -34,15 +34,15 @@ LIKELY = 0.5  # probability from which a contact that the localizer lists goes o
 
 
 @dataclass(frozen=True, slots=True)
-class Feeling:
-    """What one peak told: the answer, those of its contacts that have a place, and the body."""
+class PeakAnswer:
+    """The answer at one peak, a sighting for each contact with a place, and the body's shape."""
 
     result: LocalizeResult
-    felt: list[Sighting]
+    sightings: list[Sighting]
     shape: Shape
 
 
-def feel(
+def localize_peak(
     peak: Peak,
     config: RobotConfig,
     zone: int,
@@ -50,7 +50,7 @@ def feel(
     touch: Floats,
     prior: Sequence[Obstacle] = (),
     method: str = "posterior",
-) -> Feeling:
+) -> PeakAnswer:
     """Localize the contacts behind a peak's readings, at a body-pressure zone.
 
     `touch` (145,) says where the sweep's first touch began; `prior` are obstacles that are
@@ -108,11 +108,11 @@ def feel(
             skin_point(curve, float(arc), -bend.free_curvature, body.radius_cm)[:2] for arc in arcs
         ]
         expected = boost(prior, np.array(skin), bend.length_cm)
-    felt = [
+    sightings = [
         Sighting(
             peak.side, peak.length_cm, bend, contact, contact_mass(marginal, arcs), touch,
             result.hypothesis, int(use.sum()), alone=len(found) == 1, expected=expected,
         )
         for contact, marginal in found
     ]  # fmt: skip
-    return Feeling(result, felt, Shape(peak.side, peak.pressure_psi, curve.poses(1.0)))
+    return PeakAnswer(result, sightings, Shape(peak.side, peak.pressure_psi, curve.poses(1.0)))

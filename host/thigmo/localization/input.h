@@ -3,7 +3,7 @@
 
 #include <numeric>
 
-#include "errors.h"
+#include "whitening.h"
 
 namespace thigmo {
 
