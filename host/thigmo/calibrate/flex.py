@@ -118,9 +118,12 @@ class FlexResult(StepResult):
             sensor.zero_ohm = fit.zero_ohm
             sensor.valid_direction = fit.valid_direction
             # What uses a reading later knows nothing of the loop. A few rows measure one poorly, so
-            # it counts as large as its neighbours'.
+            # it counts as large as its neighbours'. Bends do not show how a zero drifts once the
+            # sensor has everted: an error that robot.toml states is never made smaller.
             loop = max(abs(fit.hysteresis), usual_loop)
-            sensor.zero_se = float(np.hypot(fit.noise * fit.lasting**0.5, loop))
+            sensor.zero_se = max(
+                sensor.zero_se, float(np.hypot(fit.noise * fit.lasting**0.5, loop))
+            )
             sensor.noise = fit.noise * (1 - fit.lasting) ** 0.5
 
 
