@@ -162,7 +162,7 @@ def test_a_line_that_lacks_a_reading_is_named(single_contact: Folder, tmp_path: 
     (row, *_) = taken(single_contact.path)
     del row["curvature"]
     (tmp_path / "torn" / "trials.jsonl").write_text(json.dumps(row) + "\n")
-    with pytest.raises(DataError, match="torn is damaged: KeyError\\('curvature'\\); mend"):
+    with pytest.raises(DataError, match="torn is damaged: KeyError\\('curvature'\\); correct"):
         trials(Folder(tmp_path / "torn"))
 
 
@@ -252,7 +252,7 @@ def test_the_prompts_lead_an_operator_through_trials(scene: str, tmp_path: Path)
     terminal.answer("", touch)
     terminal.answer("", place)
     terminal.answer("q", keep)
-    terminal.wait_for("the same command goes on")
+    terminal.wait_for("the same command resumes")
     assert terminal.end() == 0
     rows = taken(tmp_path / "actuated")
     assert [row["state"] for row in rows] == ["kept", "skipped"]

@@ -134,14 +134,15 @@ void step(const uint8_t* at) {
   }
   uint8_t* out = machine.answer;
   put<uint8_t>(out, 'S');
-  uint8_t* const flags = out++;
+  uint8_t* const answered = out++;
   const bool alive = machine.alive;
-  *flags =
+  *answered =
       static_cast<uint8_t>((alive ? 1 : 0) | (machine.flash.powered ? 2 : 0) | (bites ? 4 : 0));
   if (alive) {
-    *flags = static_cast<uint8_t>(*flags | (board().pays_out() ? 8 : 0) |
-                                  (board().enabled(0) ? 16 : 0) | (board().enabled(1) ? 32 : 0) |
-                                  (board().enabled(2) ? 64 : 0) | (board().enabled(3) ? 128 : 0));
+    *answered =
+        static_cast<uint8_t>(*answered | (board().pays_out() ? 8 : 0) |
+                             (board().enabled(0) ? 16 : 0) | (board().enabled(1) ? 32 : 0) |
+                             (board().enabled(2) ? 64 : 0) | (board().enabled(3) ? 128 : 0));
   }
   for (uint8_t i = 0; i < kMuscles; ++i) {
     put<int16_t>(out, alive ? board().duty(i) : static_cast<int16_t>(-1));

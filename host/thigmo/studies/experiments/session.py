@@ -227,6 +227,6 @@ class Folder:
                 self._session.add("trials", {"key": key, **plain(planned), **taken})
         except (KeyboardInterrupt, SystemExit) as stopped:
             held = f"{len(self._rows())} {self._things} are in {self.path}"
-            stopped.add_note(f"{held}, the same command goes on")
+            stopped.add_note(f"{held}, the same command resumes")
             raise
         return True
