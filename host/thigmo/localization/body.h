@@ -9,9 +9,10 @@ namespace thigmo {
 // cell of the body; which they are is the body's own affair.
 class Body {
  public:
-  Row rest;           // curvature of the free body, under its weight
-  Row start;          // the first that is tried of a touched body
-  double turn = 0.0;  // of the free body (rad)
+  Row rest;            // curvature of the free body, under its weight
+  Row start;           // the first that is tried of a touched body
+  double turn = 0.0;   // of the free body (rad)
+  int components = 1;  // numbers of the curvature in each node or cell
 
   Body() = default;
   Body(const Body&) = delete;

@@ -297,10 +297,17 @@ class Explanations {
     }
   }
 
-  static double apart(const Row& a, const Row& b) {
+  // Largest difference of two curvatures in a node or cell, the same however the body is turned.
+  double apart(const Row& a, const Row& b) const {
     double most = 0.0;
-    for (std::size_t k = 0; k < a.size(); ++k) most = std::max(most, std::abs(a[k] - b[k]));
-    return most;
+    for (std::size_t k = 0; k < a.size(); k += body_->components) {
+      double square = 0.0;
+      for (int j = 0; j < body_->components; ++j) {
+        square += (a[k + j] - b[k + j]) * (a[k + j] - b[k + j]);
+      }
+      most = std::max(most, square);
+    }
+    return std::sqrt(most);
   }
 
   // Half a step where steps do not shrink.

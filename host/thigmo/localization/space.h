@@ -214,6 +214,7 @@ class SpaceBody : public Body {
             double radius)
       : readings_(readings), priors_(priors), space_(space), radius_(radius) {
     const Frame& frame = readings.frame;
+    components = 3;
     for (const int i : readings.index) direction_.push_back(space.direction[i]);
     // The free body, and that which the readings show: with what is missing as if it were free.
     Row shown(in.curvature.size());
