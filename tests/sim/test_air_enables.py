@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import pytest
+from emulated import armed, scene_at
 
-from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.scene import FaultTable, Scene
+from thigmo.emulator.scene import FaultTable
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import LinkError, RobotFaultError
-from thigmo.link.client import Client
 from thigmo.robot import Robot
 
 
 def breathing() -> tuple[Robot, EmulatorTransport]:
     """A robot with the valves, armed, its body filled, 10 cm out."""
-    scene = Scene.load("empty")
+    scene = scene_at(10.0)
     scene.enables.fitted = True
-    scene.start_length_cm = 10.0
-    transport = EmulatorTransport(scene, VirtualBoard(0))
-    robot = Robot(Client(transport), url="emulator://empty")
-    robot.configure(transport.config)
-    robot.confirm_length(10.0, settled=True)
+    robot, transport = armed(scene)
     robot.select_zone(0)
-    robot.arm()
     robot.wait(15.0)
     return robot, transport
 

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import pytest
+from emulated import emulated, scene_at
 
-from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.scene import FaultTable, Scene
+from thigmo.emulator.scene import FaultTable
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import RobotFaultError
 from thigmo.link import protocol as wire
-from thigmo.link.client import Client
 from thigmo.robot import Robot
 
 
 def robot_with(*, brake: bool = True, failure: str = "") -> tuple[Robot, EmulatorTransport]:
     """Configured, at 20 cm; the failure is there before it is armed."""
-    scene = Scene.load("empty")
-    scene.start_length_cm = 20.0
+    scene = scene_at(20.0)
     scene.robot.spool.brake = brake
-    transport = EmulatorTransport(scene, VirtualBoard(1), seed=1)
-    robot = Robot(Client(transport))
+    robot, transport = emulated(scene)
     robot.configure(transport.config)
     if failure:
         break_now(transport, kind=failure)
@@ -136,11 +133,3 @@ def test_an_emergency_stop_that_leaves_the_motor_its_supply_is_named() -> None:
         raise robot._fault_error(["spool_slip"])
     robot.wait(1.0, despite_faults=True)
     assert not transport.lockstep.plant.motor_power  # the enable's contact did
-
-
-def test_a_robot_without_a_brake_runs_as_before() -> None:
-    robot, transport = robot_with(brake=False)
-    ready(robot)
-    robot.grow_to(30.0)
-    assert transport.lockstep.plant.length_cm == pytest.approx(30.0, abs=0.1)
-    assert transport.lockstep.plant.motor_power

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from emulated import emulated
 
 from thigmo.bringup import STAGES, BringUp, Finding, jog, press
-from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import ConfigError, RobotFaultError
 from thigmo.link import protocol as wire
-from thigmo.link.client import Client
 from thigmo.robot import Robot
 
 
@@ -20,7 +19,7 @@ def new_robot(change: Callable[[Scene], None] = lambda scene: None) -> Robot:
     """A board as it comes from `thigmo flash`, in a robot that was built by hand."""
     scene = Scene.load("empty")
     change(scene)
-    return Robot(Client(EmulatorTransport(scene, VirtualBoard(1))))
+    return emulated(scene, seed=0)[0]
 
 
 def bring_up(change: Callable[[Scene], None] = lambda scene: None) -> list[Finding]:
@@ -48,8 +47,7 @@ def bring_up_braked(failure: str) -> list[Finding]:
     """Of a robot with valves and brake, in which something fails after its motor was checked."""
     scene = Scene.load("empty")
     scene.enables.fitted = scene.robot.spool.brake = True
-    transport = EmulatorTransport(scene, VirtualBoard(1))
-    robot = Robot(Client(transport))
+    robot, transport = emulated(scene, seed=0)
     run = BringUp(robot, robot.operator)  # type: ignore[arg-type]
     assert all(finding.good for finding in run.run(last="motor"))
     robot.configure(transport.config)

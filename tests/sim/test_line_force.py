@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from test_lost_counts import robot_in, scene_at
+from emulated import armed, at_each_step, scene_at
 
 from thigmo.emulator.scene import FaultTable
 from thigmo.errors import CommandRefusedError, RobotFaultError
@@ -18,15 +18,9 @@ def wound_in(command: wire.Command[wire.Ack], *, jam: bool, share: float = 1.0) 
     scene = scene_at(20.0)
     # A high supply and a cold winding: an eighth more pull, and no more speed to speak of.
     scene.spool.stall_n *= share
-    robot, transport = robot_in(scene)
+    robot, transport = armed(scene)
     lockstep, pulls = transport.lockstep, []
-    advance = lockstep.advance
-
-    def watch() -> None:
-        advance()
-        pulls.append(lockstep.plant.line_n)
-
-    lockstep.advance = watch  # type: ignore[method-assign]
+    at_each_step(transport, lambda: pulls.append(lockstep.plant.line_n))
     if jam:
         lockstep.faults.inject(FaultTable(kind="tail_jam", at_s=robot.now() + 3.0))
     try:
@@ -66,7 +60,7 @@ def test_what_winds_in_pulls_no_harder_than_the_line_bears(
 def test_motion_against_the_command_is_noticed_within_50_ms(
     command: wire.Command[wire.Ack] | None, speed_cm_s: float, duty: int
 ) -> None:
-    robot, transport = robot_in(scene_at(20.0))
+    robot, transport = armed(scene_at(20.0))
     plant = transport.lockstep.plant
     if command is not None:
         robot._start(command)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
+from emulated import emulated, scene_at
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -47,13 +48,13 @@ def parameters(draw: st.DrawFn) -> dict[str, list[int]]:
 @cache
 def stored() -> bytes:
     """The store of a board that is configured but for these parameters."""
-    transport = EmulatorTransport(scene(), VirtualBoard(5))
-    Robot(Client(transport)).configure(transport.config)
+    robot, transport = emulated(scene(), seed=5)
+    robot.configure(transport.config)
     return transport.lockstep.board.eeprom
 
 
 def scene() -> Scene:
-    scene = Scene.load("empty").model_copy(update={"start_length_cm": START_CM})
+    scene = scene_at(START_CM)
     scene.belief = type(scene.belief)()
     return scene
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from command import Thigmo
-from test_lost_counts import robot_in, scene_at
+from emulated import armed, at_each_step, scene_at
 
 from thigmo.bringup import BringUp
 from thigmo.emulator.scene import Scene
@@ -33,17 +33,11 @@ def test_a_swapped_plug_moves_the_tip_by_millimetres_and_is_named(
 ) -> None:
     scene = scene_at(START_CM)
     scene.spool.wiring = wiring  # type: ignore[assignment]
-    robot, transport = robot_in(scene)
+    robot, transport = armed(scene)
     plant = transport.lockstep.plant
     plant.set_body_pressure(psi)
     lengths = [plant.length_cm]
-    advance = transport.lockstep.advance
-
-    def watch() -> None:
-        advance()
-        lengths.append(plant.length_cm)
-
-    transport.lockstep.advance = watch  # type: ignore[method-assign]
+    at_each_step(transport, lambda: lengths.append(plant.length_cm))
     with pytest.raises(RobotFaultError, match=r"against its command.*J4.1 and J4.2.*J5.2 and J5.3"):
         MOVES[move](robot)
     robot.wait(0.5, despite_faults=True)
@@ -52,7 +46,7 @@ def test_a_swapped_plug_moves_the_tip_by_millimetres_and_is_named(
 
 
 def test_each_armed_session_proves_its_direction() -> None:
-    robot, transport = robot_in(scene_at(START_CM))
+    robot, transport = armed(scene_at(START_CM))
     robot.grow_to(25.0)
     robot.disarm()
     transport.lockstep.plant.scene.spool.wiring = "motor_swapped"  # somebody works on the plug
@@ -63,7 +57,7 @@ def test_each_armed_session_proves_its_direction() -> None:
 
 def test_both_swapped_look_right_to_the_board_and_are_seen_at_bringup() -> None:
     scene = scene_at(5.0)  # line to spare, also backwards
-    robot, transport = robot_in(scene)
+    robot, transport = armed(scene)
     robot.make_safe()
     attendant = robot.operator
     good = BringUp(robot, attendant).run("motor", "motor")  # type: ignore[arg-type]
