@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from command import Thigmo, thigmo_command
+from emulated import last_stages, room_file
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
@@ -104,6 +105,12 @@ def own_sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv(OTHER_PLACE, folder)
     yield
     shutil.rmtree(folder)
+
+
+@pytest.fixture(scope="session")
+def late_url(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The default room, of which only the last stages are explored: its address."""
+    return room_file(tmp_path_factory.mktemp("late"), last_stages(), "late")
 
 
 @pytest.fixture

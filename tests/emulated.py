@@ -45,10 +45,10 @@ def at_each_step(transport: EmulatorTransport, look: Callable[[], object]) -> No
     transport.lockstep.advance = advance_and_look  # type: ignore[method-assign]
 
 
-def room_file(folder: Path, scene: Scene) -> str:
+def room_file(folder: Path, scene: Scene, name: str = "room") -> str:
     """The address of the robot in a scene, which is saved in a folder."""
-    scene.save(folder / "room.toml")
-    return f"emulator://{folder / 'room.toml'}"
+    scene.save(folder / f"{name}.toml")
+    return f"emulator://{folder / f'{name}.toml'}"
 
 
 def last_stages(length_cm: float = 50.0, name: str = "default") -> Scene:

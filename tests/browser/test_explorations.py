@@ -17,8 +17,6 @@ from browsing import Looking, Served
 from playwright.sync_api import expect
 from served import ServedRobot
 
-from thigmo.emulator.scene import Scene
-
 ServePage = Callable[..., Served]
 EXPLORE = """
 import sys
@@ -36,23 +34,11 @@ explore(port, config=RobotConfig.load(config), out=out, operator=Beside())
 """
 
 
-@pytest.fixture
-def late_room(tmp_path: Path) -> Path:
-    """The default room, of which only the last two stages are explored."""
-    scene = Scene.load("default")
-    scene.start_length_cm = 50.0
-    scene.robot.board.settle_s = 0.2
-    scene.save(tmp_path / "late.toml")
-    return tmp_path / "late.toml"
-
-
 def test_exploration_from_start_to_map(
-    looking: Looking, serve_page: ServePage, late_room: Path, tmp_path: Path
+    looking: Looking, serve_page: ServePage, late_url: str, tmp_path: Path
 ) -> None:
     runs = tmp_path / "runs"
-    page = looking.open(
-        serve_page(url=f"emulator://{late_room}", explore=("--out", str(runs))).address
-    )
+    page = looking.open(serve_page(url=late_url, explore=("--out", str(runs))).address)
     expect(page.locator("#doing")).to_have_text("Nothing runs yet")
     page.locator("#pace").select_option("fast")
     page.locator("#start").click()
@@ -86,10 +72,10 @@ def test_exploration_from_start_to_map(
 
 
 def test_posterior_moves_with_the_body_in_mid_sweep(
-    looking: Looking, serve_page: ServePage, late_room: Path, tmp_path: Path
+    looking: Looking, serve_page: ServePage, late_url: str, tmp_path: Path
 ) -> None:
     options = ("--out", str(tmp_path / "runs"))
-    page = looking.open(serve_page(url=f"emulator://{late_room}", explore=options).address)
+    page = looking.open(serve_page(url=late_url, explore=options).address)
     page.locator("#start").click()  # in real time
     page.wait_for_function("() => thigmo.store.last.posterior?.sweeping")
     expect(page.locator("#doing")).to_contain_text("sweeping")

@@ -7,25 +7,21 @@ from pathlib import Path
 
 import pytest
 from browsing import Looking, Served
+from emulated import room_file
 from playwright.sync_api import Page, expect
 from scripted import ScriptedRun
 
 from thigmo.design import draft
 from thigmo.emulator.reach import room_for
-from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult, explore
 
 ServePage = Callable[..., Served]
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> ExplorationResult:
+def finished(late_url: str, tmp_path_factory: pytest.TempPathFactory) -> ExplorationResult:
     """The end of an exploration of the default room."""
-    folder = tmp_path_factory.mktemp("finished")
-    scene = Scene.load("default")
-    scene.start_length_cm = 50.0
-    scene.save(folder / "late.toml")
-    return explore(f"emulator://{folder / 'late.toml'}", seed=1, out=folder / "runs")
+    return explore(late_url, seed=1, out=tmp_path_factory.mktemp("finished"))
 
 
 def _shown_s(page: Page) -> float:
@@ -127,8 +123,7 @@ def test_a_robot_of_one_column_shows_its_own_muscle_and_sensors(
 ) -> None:
     scene = room_for(draft(120.0, 8, 1), 1)
     scene.start_length_cm = 101.5
-    scene.save(tmp_path / "long.toml")
-    found = explore(f"emulator://{tmp_path / 'long.toml'}", seed=1, out=tmp_path / "runs")
+    found = explore(room_file(tmp_path, scene), seed=1, out=tmp_path / "runs")
     page = looking.open(serve_page(past=found.folder).address)
     expect(page.locator("#doing")).to_have_text("Ended: full length")
     expect(page.locator("#body-legend")).to_contain_text("270 deg sensor")

@@ -18,23 +18,11 @@ import pytest
 from served import LIVE, comes, ready_to_sweep
 
 import thigmo
-from thigmo.emulator.scene import Scene
 from thigmo.errors import RobotFaultError, StoppedByViewerError
 from thigmo.stream import Hello, Hub, Server
 
 # A run hears of a stop from its viewer and from its board, whichever is first.
 STOPPED = (StoppedByViewerError, RobotFaultError)
-
-
-@pytest.fixture(scope="module")
-def url(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The default room, of which only the last stages are explored."""
-    scene = Scene.load("default")
-    scene.start_length_cm = 50.0
-    scene.robot.board.settle_s = 0.2
-    path = tmp_path_factory.mktemp("scene") / "late.toml"
-    scene.save(path)
-    return f"emulator://{path}"
 
 
 def _map_is_the_run_s(planner: Any, run: thigmo.ExplorationResult) -> None:
@@ -75,13 +63,13 @@ def _contacts_are_the_run_s(planner: Any, run: thigmo.ExplorationResult) -> None
 
 
 def test_planner_receives_map_contacts_and_body_of_a_live_run(
-    ros: Any, url: str, tmp_path: Path
+    ros: Any, late_url: str, tmp_path: Path
 ) -> None:
     planner, transforms = ros.planner(), ros.transforms()
-    ros.bridge(url)
+    ros.bridge(late_url)
     # The bridge is there before the run: what it says of it then is that it knows of none.
     planner.hears(lambda told: told.get("name") == "thigmo: run" and told["level"] == 3)
-    run = thigmo.explore(url, seed=1, out=tmp_path)
+    run = thigmo.explore(late_url, seed=1, out=tmp_path)
     planner.hears(lambda told: told.get("message") == "full length")
     _map_is_the_run_s(planner, run)
     _contacts_are_the_run_s(planner, run)
@@ -100,7 +88,7 @@ def test_planner_receives_map_contacts_and_body_of_a_live_run(
             and float(told["values"]["everted length (m)"]) > 0.4
         )
     )
-    assert board["hardware"] == url
+    assert board["hardware"] == late_url
     base = transforms.hears(lambda told: told["topic"] == "tf_static")
     assert (base["frame"], base["child"]) == ("map", "thigmo_base")
     assert base["pose"] == [0, 0, 0, 0, 0, 0, 1]
@@ -110,12 +98,12 @@ def test_planner_receives_map_contacts_and_body_of_a_live_run(
 
 
 def test_description_s_joints_and_the_transforms_end_at_the_tip(
-    ros: Any, url: str, tmp_path: Path
+    ros: Any, late_url: str, tmp_path: Path
 ) -> None:
     planner, transforms = ros.planner(), ros.transforms()
-    ros.bridge(url)
+    ros.bridge(late_url)
     planner.hears(lambda told: told.get("name") == "thigmo: run")
-    thigmo.explore(url, seed=1, out=tmp_path)
+    thigmo.explore(late_url, seed=1, out=tmp_path)
     planner.hears(lambda told: told.get("message") == "full length")
     described = planner.hears(lambda told: told["topic"] == "description")
     urdf = ElementTree.fromstring(described["urdf"])
@@ -156,10 +144,10 @@ def _service(planner: Any, name: str) -> dict[str, Any]:
 
 
 def test_launch_file_s_action_explores_with_feedback_and_returns_the_run(
-    ros: Any, url: str, tmp_path: Path
+    ros: Any, late_url: str, tmp_path: Path
 ) -> None:
     planner = ros.planner()
-    ros.launch(robot=url, options=f"--seed 1 --out {tmp_path}")
+    ros.launch(robot=late_url, options=f"--seed 1 --out {tmp_path}")
     planner.say("explore 0")
     result = planner.hears(lambda told: told["topic"] == "result")
     assert (result["status"], result["outcome"]) == ("succeeded", "full length")
@@ -171,10 +159,10 @@ def test_launch_file_s_action_explores_with_feedback_and_returns_the_run(
 
 @pytest.mark.realtime
 def test_action_says_how_far_it_is_ends_when_cancelled_and_is_stopped_by_the_service(
-    ros: Any, url: str, tmp_path: Path
+    ros: Any, late_url: str, tmp_path: Path
 ) -> None:
     planner = ros.planner()
-    ros.launch(robot=url, options=f"--realtime --out {tmp_path}")
+    ros.launch(robot=late_url, options=f"--realtime --out {tmp_path}")
     assert not _service(planner, "stop")["success"]  # nothing is to be stopped
     for ending, status in (("cancel", "canceled"), ("call stop", "aborted")):
         planner.told.clear()
@@ -207,9 +195,9 @@ def test_clear_service_clears_the_faults_of_a_robot_on_a_port(ros: Any) -> None:
 
 
 def test_planner_that_comes_later_gets_a_finished_run_s_map(
-    ros: Any, url: str, tmp_path: Path
+    ros: Any, late_url: str, tmp_path: Path
 ) -> None:
-    run = thigmo.explore(url, seed=1, out=tmp_path)
+    run = thigmo.explore(late_url, seed=1, out=tmp_path)
     ros.bridge(run.folder, "--namespace", "lab/vine")
     planner = ros.planner("lab/vine")
     _map_is_the_run_s(planner, run)
@@ -230,12 +218,12 @@ def test_planner_receives_walls_as_lines_with_their_probability(ros: Any, tmp_pa
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("stop", ["stop", "stop, best effort"])
-def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: str) -> None:
+def test_planner_s_stop_stops_a_run(ros: Any, late_url: str, tmp_path: Path, stop: str) -> None:
     planner = ros.planner()
     bridge = ros.bridge("--run", str(os.getpid()))
     bent = threading.Event()
     asked: list[str] = []  # of another run at the same address, which is the youngest
-    hello = Hello(0.0, time.time() + 3600.0, url, "another", "", 1, "0", True)
+    hello = Hello(0.0, time.time() + 3600.0, late_url, "another", "", 1, "0", True)
 
     def ask() -> None:
         planner.hears(lambda told: abs(sum(told.get("positions", [0])[1:11])) > 0.1)
@@ -248,11 +236,11 @@ def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: st
         Server(Hub(), hello, lambda command, text: asked.append(command)),
         pytest.raises(STOPPED, match="stopped"),
     ):
-        thigmo.explore(url, seed=1, out=tmp_path, realtime=True)
+        thigmo.explore(late_url, seed=1, out=tmp_path, realtime=True)
     asking.join()
     assert bent.is_set()
     assert asked == []
-    bridge.hears(lambda told: told.get("text") == f"Stop from ROS: stopped {url}\n")
+    bridge.hears(lambda told: told.get("text") == f"Stop from ROS: stopped {late_url}\n")
     told = planner.hears(
         lambda told: told.get("name") == "thigmo: run" and told["message"].startswith("aborted")
     )
@@ -261,7 +249,7 @@ def test_planner_s_stop_stops_a_run(ros: Any, url: str, tmp_path: Path, stop: st
 
 @pytest.mark.realtime
 def test_planner_s_latched_stop_is_heard_that_was_said_once_before_anybody_listened(
-    ros: Any, url: str, tmp_path: Path
+    ros: Any, late_url: str, tmp_path: Path
 ) -> None:
     planner = ros.planner()
     planner.say("stop, latched")
@@ -273,7 +261,7 @@ def test_planner_s_latched_stop_is_heard_that_was_said_once_before_anybody_liste
             bridges.append(ros.bridge())
 
     with pytest.raises(STOPPED, match="stopped"):
-        thigmo.explore(url, seed=1, out=tmp_path, progress=progress, realtime=True)
+        thigmo.explore(late_url, seed=1, out=tmp_path, progress=progress, realtime=True)
 
 
 @pytest.mark.realtime

@@ -1,7 +1,6 @@
 """What goes wrong at the command line: each prints one clear line with the next step and no more.
 
-Ports that are no robot, files that are no scene, and an operator or a computer that ends the
-command in the middle of a sweep, in real time against an emulated robot on a pseudo-terminal.
+Ports that are no robot, records that are none. Files and arguments are in tests/unit/test_cli.py.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ from thigmo.link import protocol as wire
 from thigmo.link.framing import encode
 
 LINE = r"thigmo: [^\n]+; [^\n]+"  # what happened; what to do
-GOOD = "position,curvature\n5,0.0104\n15,0.0083\n25,0.006\n35,0.0041\n45,0.0017\n"
 THIGMO = [sys.executable, "-m", "thigmo"]
 
 
@@ -131,91 +129,6 @@ def test_a_robot_whose_constants_nobody_gave_is_not_explored(
 
 
 # Files.
-
-
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("[[pegs]\nx = 1\n", "room.toml"),
-        ("pegs = 3\n", "pegs"),
-        ("[[pegs]]\nx = 30\ny = nan\nradius = 1\n", r"pegs\.0\.y"),
-        ("[[pegs]]\nx = 0\ny = 0\nradius = 1\n", r"pegs\[0\] overlaps"),
-        ("[[pegs]]\nx = 30\ny = 9\n", r"pegs\.0\.radius"),
-        ("[noise]\nwhite_count = 1\n", r"noise\.white_count"),
-        ('extends = "nowhere"\n', "nowhere"),
-        ('[[faults]]\nkind = "flex_short"\n', r"faults\.0"),
-        ('[[faults]]\nkind = "gremlins"\nat_s = 1\n', r"faults\.0\.kind"),
-        ("[robot.body]\nlength_cm = -5\n", r"robot\.body\.length_cm"),
-        ("start_length_cm = 99\n", "start_length_cm"),
-        (b"\xff\xfe\x00", "room.toml"),
-    ],
-)
-@pytest.mark.parametrize("command", [["explore", "--scene"], ["emulate"]], ids=lambda c: c[0])
-def test_a_malformed_scene(
-    thigmo: Thigmo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes, named: str,
-    command: list[str],
-) -> None:  # fmt: skip
-    monkeypatch.chdir(tmp_path)
-    Path("room.toml").write_bytes(text if isinstance(text, bytes) else text.encode())
-    one_line(thigmo(*command, "room.toml"), named)
-    assert not Path("runs").exists()
-
-
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("position,curvature,span\n5,0.01,many\n", "line 2: span"),
-        ("position,curvature,span\n5,0.01,-1\n", "span"),
-        ("position,curvature\n5,0.01\n15\n", "line 3"),
-        ("position,curvature\n", "no rows|no readings|empty"),
-        ("position,curvature\n5,inf\n", "line 2: curvature is inf"),
-        ("position,curvature\n-5,0.1\n", "a sensor is centred at -5, off a body of 53"),
-        (b"\x89PNG\r\n\x1a\n\xff\xfe", "r.csv"),
-    ],
-)
-def test_a_malformed_table_of_readings(
-    thigmo: Thigmo, tmp_path: Path, text: str | bytes, named: str
-) -> None:
-    file = tmp_path / "r.csv"
-    file.write_bytes(text if isinstance(text, bytes) else text.encode())
-    one_line(thigmo("localize", file, "--length", 53, "--span", 5.5), named)
-
-
-def test_a_folder_where_a_file_is_needed(thigmo: Thigmo, tmp_path: Path) -> None:
-    (tmp_path / "room.toml").mkdir()
-    for command in (
-        ["localize", tmp_path, "--length", 53],
-        ["explore", "--scene", tmp_path / "room.toml"],
-        ["explore", "--config", tmp_path / "room.toml"],
-    ):
-        one_line(thigmo(*command), str(tmp_path))
-
-
-def test_a_malformed_robot_toml_is_said_before_anything_moves(
-    thigmo: Thigmo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for text, named in (("[body]\nlength_cm = 0\n", r"body\.length_cm"), ("[bodi]\n", "bodi")):
-        Path("robot.toml").write_text(text)
-        one_line(thigmo("explore", "--config", "robot.toml"), named)
-    assert not Path("runs").exists()
-
-
-@pytest.mark.parametrize("place", ["file/runs", "file"])
-def test_a_folder_that_cannot_be_written(thigmo: Thigmo, tmp_path: Path, place: str) -> None:
-    (tmp_path / "file").write_text("not a folder")
-    ran = thigmo("explore", "--scene", "empty", "--out", tmp_path / place, "--json")
-    one_line(ran, "--out")
-
-
-@pytest.mark.parametrize("given", ["no-such-run", "room.yaml", "."])
-def test_a_map_that_is_none_is_said_before_anything_moves(
-    thigmo: Thigmo, tmp_path: Path, given: str
-) -> None:
-    (tmp_path / "room.yaml").write_text("resolution: fine")
-    ran = thigmo("explore", "--scene", "empty", "--out", tmp_path, "--map", tmp_path / given)
-    one_line(ran, "ROS map")
-    assert not list(tmp_path.glob("*-empty"))
 
 
 def test_a_run_folder_whose_record_is_garbage(thigmo: Thigmo, tmp_path: Path) -> None:

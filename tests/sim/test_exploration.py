@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from command import Thigmo
+from emulated import last_stages, room_file, scene_at
 from PIL import Image
 
 from thigmo.cli.main import main
@@ -27,11 +28,6 @@ from thigmo.studies.rooms import explored
 
 FOUND = ("localized", "ambiguous")
 EVERY_PITCH = Effort("every pitch", 6, 1)
-
-
-def _write(scene: Scene, path: Path) -> Path:
-    scene.save(path)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -189,8 +185,7 @@ def test_a_random_peg_is_found_at_the_first_stage_that_can_feel_it(
     scene = Scene.load("default")
     peg, felt = random_peg(scene.robot, np.random.default_rng(seed))
     scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
-    file = _write(scene, tmp_path / "room.toml")
-    document = explored(f"emulator://{file}", tmp_path, seed, effort=EVERY_PITCH).document
+    document = explored(room_file(tmp_path, scene), tmp_path, seed, effort=EVERY_PITCH).document
     first = next(s for s in document.stages if any(t.status in FOUND for t in s.triggers))
     assert round(first.everted_length_cm) == felt.length_cm
     assert felt.side in {t.side for t in first.triggers if t.status in FOUND}
@@ -205,13 +200,11 @@ def test_a_random_peg_is_found_at_the_first_stage_that_can_feel_it(
 
 
 def test_the_thesis_protocol_measures_at_the_full_sweeps_peak(tmp_path: Path) -> None:
-    scene = Scene.load("mid_body")
-    scene.start_length_cm = 38.0  # one stage less to explore
-    file = _write(scene, tmp_path / "room.toml")
+    url = room_file(tmp_path, scene_at(38.0, "mid_body"))  # one stage less to explore
     times = {}
     protocols: tuple[Protocol, ...] = ("thesis", "measure")
     for protocol in protocols:
-        result = explored(f"emulator://{file}", tmp_path / protocol, 2, protocol=protocol)
+        result = explored(url, tmp_path / protocol, 2, protocol=protocol)
         times[protocol] = result.document.robot_time_s
         pressures = [
             max(s.pressure_psi for s in stage.shapes if s.side == "right")
@@ -235,12 +228,10 @@ def test_the_thesis_protocol_measures_at_the_full_sweeps_peak(tmp_path: Path) ->
 def test_a_fault_ends_the_run_safely_and_the_folder_says_so(
     tmp_path: Path, fault: FaultTable, error: type[Exception], named: str
 ) -> None:
-    scene = Scene.load("empty")
-    scene.robot.board.settle_s = 0.2
+    scene = last_stages(0.0, "empty")
     scene.faults = [fault]
-    file = _write(scene, tmp_path / "room.toml")
     with pytest.raises(error, match=named):
-        explore(f"emulator://{file}", seed=1, out=tmp_path)
+        explore(room_file(tmp_path, scene), seed=1, out=tmp_path)
     (path,) = tmp_path.glob("*-room")
     folder = RunFolder(path)
     document = folder.read_document()
@@ -255,9 +246,8 @@ def test_each_command_prints_one_object_or_what_fits_80_columns(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thigmo: Thigmo
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    scene = Scene.load("default")
-    scene.start_length_cm = 51.0
-    late = _write(scene, tmp_path / "late.toml")
+    room_file(tmp_path, scene_at(51.0, "default"), "late")
+    late = tmp_path / "late.toml"
     ran = thigmo("explore", "--scene", late, "--seed", 1, "--out", tmp_path, "--json")
     assert ran.code == 0, ran.err
     result = json.loads(ran.out)
@@ -285,12 +275,6 @@ def test_each_command_prints_one_object_or_what_fits_80_columns(
         assert ran.code == 0, command
         assert 0 < max(map(len, ran.out.splitlines())) <= 90
         assert "…" not in ran.out
-
-
-def test_an_unwritable_folder_is_said_before_anything_moves(tmp_path: Path) -> None:
-    (tmp_path / "runs").write_text("a file")
-    with pytest.raises(Exception, match="choose another with --out"):
-        explore("emulator://empty", out=tmp_path / "runs")
 
 
 @pytest.mark.parametrize("time_s", [61.0, 63.0])

@@ -15,9 +15,8 @@ from typing import Any
 
 import aiohttp
 import pytest
+from emulated import last_stages, room_file
 from served import comes
-
-from thigmo.emulator.scene import Scene
 
 # Stands for the operator's browser: tells the page's address, and the process that serves it, which
 # has started Python's `webbrowser`, which has started this.
@@ -98,11 +97,8 @@ def watched(own_sockets: None, tmp_path: Path) -> Iterator[Any]:
     started: list[Watched] = []
 
     def explore(start_cm: float, *options: str) -> Watched:
-        scene = Scene.load("default")
-        scene.start_length_cm = start_cm
-        scene.robot.board.settle_s = 0.2
-        scene.save(tmp_path / "room.toml")
-        where = ["--scene", str(tmp_path / "room.toml"), "--out", str(tmp_path / "runs")]
+        url = room_file(tmp_path, last_stages(start_cm))
+        where = ["--robot", url, "--out", str(tmp_path / "runs")]
         started.append(Watched(tmp_path, *where, *options))
         return started[-1]
 

@@ -16,7 +16,6 @@ import aiohttp
 import pytest
 
 import thigmo
-from thigmo.emulator.scene import Scene
 from thigmo.errors import PortError, RobotFaultError, StoppedByViewerError
 from thigmo.live.foxglove import FoxgloveServer
 from thigmo.live.relay import Relay, Watched
@@ -93,26 +92,15 @@ async def connected(session: aiohttp.ClientSession, address: str) -> Client:
     return client
 
 
-@pytest.fixture(scope="module")
-def url(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The default room, of which only the last stages are explored."""
-    scene = Scene.load("default")
-    scene.start_length_cm = 50.0
-    scene.robot.board.settle_s = 0.2
-    path = tmp_path_factory.mktemp("scene") / "late.toml"
-    scene.save(path)
-    return f"emulator://{path}"
-
-
 @pytest.mark.usefixtures("own_sockets")
-def test_foxglove_sees_a_run_and_late_comers_its_map(url: str, tmp_path: Path) -> None:
+def test_foxglove_sees_a_run_and_late_comers_its_map(late_url: str, tmp_path: Path) -> None:
     async def look(address: str) -> None:
         async with aiohttp.ClientSession() as session:
             client = await connected(session, address)
             assert set(VIEWS) < set(client.channels)
             await client.subscribe("/telemetry", "/foxglove/scene", "/contacts")
             exploring = asyncio.create_task(
-                asyncio.to_thread(thigmo.explore, url, seed=1, out=tmp_path)
+                asyncio.to_thread(thigmo.explore, late_url, seed=1, out=tmp_path)
             )
             topics = {"/telemetry", "/foxglove/scene", "/contacts"}
             seen: dict[str, bytes] = {}
@@ -143,7 +131,7 @@ def test_foxglove_sees_a_run_and_late_comers_its_map(url: str, tmp_path: Path) -
                 assert isinstance(grid, Grid)
                 cells = grid.cells
 
-    with served(url) as address:
+    with served(late_url) as address:
         asyncio.run(look(address))
 
 
@@ -180,21 +168,21 @@ def test_foxglove_draws_walls_as_lines_with_their_probability(tmp_path: Path) ->
 
 @pytest.mark.realtime
 @pytest.mark.usefixtures("own_sockets")
-def test_foxglove_s_service_stops_the_run(url: str, tmp_path: Path) -> None:
+def test_foxglove_s_service_stops_the_run(late_url: str, tmp_path: Path) -> None:
     async def stop(address: str) -> None:
         async with aiohttp.ClientSession() as session:
             client = await connected(session, address)
             await client.subscribe("/state")
             exploring = asyncio.create_task(
-                asyncio.to_thread(thigmo.explore, url, seed=1, out=tmp_path, realtime=True)
+                asyncio.to_thread(thigmo.explore, late_url, seed=1, out=tmp_path, realtime=True)
             )
             await client.message()
-            assert await client.call("/thigmo/stop") == {"message": f"stopped {url}"}
+            assert await client.call("/thigmo/stop") == {"message": f"stopped {late_url}"}
             # The run hears of it from its viewer and from its board, whichever is first.
             with pytest.raises((StoppedByViewerError, RobotFaultError), match="stopped"):
                 await exploring
 
-    with served(url) as address:
+    with served(late_url) as address:
         asyncio.run(stop(address))
 
 

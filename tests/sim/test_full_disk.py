@@ -14,11 +14,11 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from emulated import last_stages
 from served import EVER_S, ServedRobot, comes
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
-from thigmo.emulator.scene import Scene
 from thigmo.emulator.serve import brought_up
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder
@@ -81,9 +81,7 @@ def test_a_folder_that_takes_nothing_is_told_before_the_robot_moves(
 
 @pytest.mark.realtime
 def test_a_full_disk_makes_the_robot_safe_first(explore: Explore, tmp_path: Path) -> None:
-    room = Scene.load("empty")
-    room.start_length_cm = 20.0
-    room.robot.board.settle_s = 0.2
+    room = last_stages(20.0, "empty")
     room.robot.save(tmp_path / "robot.toml")
     served = ServedRobot(Lockstep(room, VirtualBoard(1, brought_up()), seed=1))
     operator, terminal = os.openpty()

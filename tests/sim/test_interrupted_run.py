@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 from command import Thigmo
+from emulated import last_stages
 from served import ServedRobot, comes
 
 from thigmo.emulator._board import VirtualBoard
@@ -39,10 +40,7 @@ LIMIT_S = 0.6  # of silence, and one period of the heart
 @pytest.fixture
 def room() -> Scene:
     """The robot 20 cm out, with sensors that settle at once: real time is dear."""
-    scene = Scene.load("empty")
-    scene.start_length_cm = 20.0
-    scene.robot.board.settle_s = 0.2
-    return scene
+    return last_stages(20.0, "empty")
 
 
 Serve = Callable[[Scene], ServedRobot]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from emulated import room_file, scene_at
 
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.exploration import explore, reducer, replay
@@ -22,8 +23,7 @@ def room(folder: Path, peg: PegTable) -> str:
     scene = Scene.load("default")
     scene.start_length_cm = 38.0 if peg.x > 40.0 else scene.start_length_cm
     scene.pegs = [peg]
-    scene.save(folder / "room.toml")
-    return f"emulator://{folder / 'room.toml'}"
+    return room_file(folder, scene)
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.ci)])
@@ -42,19 +42,6 @@ def test_a_peg_that_stalls_the_growth_is_reported_and_backed_off_from(
     assert result.length_cm == pytest.approx(40.0, abs=0.1)  # the slack is wound in again
     (obstacle,) = read_obstacles(result.folder / OBSTACLES_FILE).obstacles
     assert obstacle.kind == "peg"
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_stall_for_want_of_pressure_is_overcome_and_is_no_peg(tmp_path: Path, seed: int) -> None:
-    scene = Scene.load("empty")
-    scene.robot.body.growth_psi_per_cm = 0.008
-    scene.save(tmp_path / "room.toml")
-    document = explored(f"emulator://{tmp_path / 'room.toml'}", tmp_path, seed).document
-    assert document.stall is not None
-    assert document.stall.moved_on  # when the body pressure was raised
-    assert document.stall.pressure > 0.95
-    assert document.contacts == []
-    assert document.outcome == "full length"
 
 
 @pytest.mark.parametrize(("x", "y", "seed"), [(34.0, 0.3, 1), (18.4, 1.3, 2), (27.3, -1.6, 3)])
@@ -101,12 +88,7 @@ def test_zeros_that_moved_by_themselves_end_no_run(
         return Lean(40.0, 34.0, (33.0, 35.5), 3, 2e-4, 3e-4, bend)
 
     monkeypatch.setattr(reducer, "lean", moved)
-    scene = Scene.load("default")
-    scene.start_length_cm = 30.0
-    scene.pegs = []
-    file = tmp_path / "room.toml"
-    scene.save(file)
-    result = explore(f"emulator://{file}", seed=1, out=tmp_path)
+    result = explore(room_file(tmp_path, scene_at(30.0)), seed=1, out=tmp_path)
     assert asked.count(40) == 1  # what was refuted is not asked again
     assert result.document.outcome == "full length"
     assert result.document.contacts == []

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from emulated import room_file, scene_at
 
-from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult, explore, replay
 from thigmo.record import OBSTACLES_FILE, OccupancyGrid, read_obstacles, write_ros_map
 
@@ -17,19 +17,15 @@ SEED = 2
 
 
 @pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def room(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The scene mid_body, from 38 cm on: three stages, and a contact at each."""
-    scene = Scene.load("mid_body")
-    scene.start_length_cm = 38.0
-    file = tmp_path_factory.mktemp("room") / "room.toml"
-    scene.save(file)
-    return file
+    return room_file(tmp_path_factory.mktemp("room"), scene_at(38.0, "mid_body"))
 
 
 @pytest.fixture(scope="module")
-def first(room: Path) -> ExplorationResult:
+def first(room: str, tmp_path_factory: pytest.TempPathFactory) -> ExplorationResult:
     """Explored without a map."""
-    return explore(f"emulator://{room}", seed=SEED, out=room.parent, name="first")
+    return explore(room, seed=SEED, out=tmp_path_factory.mktemp("first"))
 
 
 def _grid(path: Path, *blocks: tuple[float, float]) -> Path:
@@ -54,10 +50,10 @@ def _arc_is_held(result: ExplorationResult) -> None:
 
 
 def test_a_second_run_knows_the_firsts_obstacle_again(
-    room: Path, first: ExplorationResult, tmp_path: Path
+    room: str, first: ExplorationResult, tmp_path: Path
 ) -> None:
     assert first.document.contacts[0].known is None
-    again = explore(f"emulator://{room}", seed=9, out=tmp_path, prior=first.folder)
+    again = explore(room, seed=9, out=tmp_path, prior=first.folder)
     (contact,) = again.document.contacts
     assert contact.known == 0
     _arc_is_held(again)
@@ -69,13 +65,13 @@ def test_a_second_run_knows_the_firsts_obstacle_again(
 
 
 def test_a_map_of_the_true_peg_narrows_the_interval(
-    room: Path, first: ExplorationResult, tmp_path: Path
+    room: str, first: ExplorationResult, tmp_path: Path
 ) -> None:
     truth = first.document.truth
     assert truth is not None
     (peg,) = truth.pegs
     given = _grid(tmp_path / "room.yaml", (peg.x_cm, peg.y_cm))
-    result = explore(f"emulator://{room}", seed=SEED, out=tmp_path, prior=given)
+    result = explore(room, seed=SEED, out=tmp_path, prior=given)
     (contact,), (before,) = result.document.contacts, first.document.contacts
     assert contact.known == 0
     _arc_is_held(result)
@@ -95,21 +91,19 @@ def test_a_map_of_the_true_peg_narrows_the_interval(
     ],
 )
 def test_a_wrong_map_does_not_break_the_run(
-    room: Path, tmp_path: Path, blocks: list[tuple[float, float]]
+    room: str, tmp_path: Path, blocks: list[tuple[float, float]]
 ) -> None:
     given = _grid(tmp_path / "room.yaml", *blocks)
-    result = explore(f"emulator://{room}", seed=SEED, out=tmp_path, prior=given)
+    result = explore(room, seed=SEED, out=tmp_path, prior=given)
     assert result.document.outcome == "full length"
     _arc_is_held(result)
 
 
 def test_an_empty_room_stays_empty_whatever_the_map_says(tmp_path: Path) -> None:
-    scene = Scene.load("empty")
-    scene.start_length_cm = 38.0
-    scene.save(tmp_path / "empty.toml")
     given = _grid(tmp_path / "room.yaml", (40.0, 0.0), (44.0, 24.0))
-    url = f"emulator://{tmp_path / 'empty.toml'}"
-    document = explore(url, seed=1, out=tmp_path, prior=given).document
+    document = explore(
+        room_file(tmp_path, scene_at(38.0)), seed=1, out=tmp_path, prior=given
+    ).document
     assert document.contacts == []
     assert document.missed is not None
     assert (40.0, 0.0) in {(round(m.x_cm), round(m.y_cm)) for m in document.missed}

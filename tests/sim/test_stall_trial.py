@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from command import Thigmo
+from emulated import room_file
 
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.transport import EmulatedOperator
@@ -16,12 +17,14 @@ from thigmo.exploration import ExplorationResult, explore, replay
 _TOO_LITTLE_PSI = 0.49  # of the last zone, for the friction of the longest body
 
 
-def _explore(tmp_path: Path) -> ExplorationResult:
+def _room(folder: Path) -> str:
     scene = Scene.load("empty")
     scene.robot.body.growth_psi_per_cm = 0.008
-    room = tmp_path / "room.toml"
-    scene.save(room)
-    return explore(f"emulator://{room}", seed=1, out=tmp_path)
+    return room_file(folder, scene)
+
+
+def _explore(tmp_path: Path) -> ExplorationResult:
+    return explore(_room(tmp_path), seed=1, out=tmp_path)
 
 
 def test_a_tip_that_moves_on_lacked_pressure_and_a_replay_says_so_too(tmp_path: Path) -> None:
@@ -38,8 +41,7 @@ def test_a_tip_that_moves_on_lacked_pressure_and_a_replay_says_so_too(tmp_path: 
 
 
 def test_the_terminal_says_a_stall_that_was_overcome(thigmo: Thigmo, tmp_path: Path) -> None:
-    room = _explore(tmp_path).document.url
-    ran = thigmo("explore", "--robot", room, "--seed", "1", "--out", str(tmp_path))
+    ran = thigmo("explore", "--robot", _room(tmp_path), "--seed", "1", "--out", str(tmp_path))
     said = " ".join(ran.out.split())
     assert re.search(r"stalled at 3\d\.\d cm: too little body pressure .* \(9\d %\)", said)
 

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from emulated import last_stages, room_file
 from served import comes
 
-from thigmo.emulator.scene import Scene
 from thigmo.record import RunFolder
 
 pytestmark = [
@@ -26,12 +26,8 @@ pytestmark = [
 @pytest.fixture
 def words(tmp_path: Path) -> list[str]:
     """The command that explores what is left of a room."""
-    scene = Scene.load("default")
-    scene.start_length_cm = 53.0
-    scene.robot.board.settle_s = 0.2
-    scene.save(tmp_path / "room.toml")
-    scene_file, runs = str(tmp_path / "room.toml"), str(tmp_path / "runs")
-    return [sys.executable, "-m", "thigmo", "explore", "--scene", scene_file, "--out", runs]
+    url, runs = room_file(tmp_path, last_stages(53.0)), str(tmp_path / "runs")
+    return [sys.executable, "-m", "thigmo", "explore", "--robot", url, "--out", runs]
 
 
 @pytest.fixture

@@ -111,19 +111,8 @@ class Watched:
 
 
 @pytest.fixture(scope="module")
-def url(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The default room, of which only the last two stages are explored."""
-    scene = Scene.load("default")
-    scene.start_length_cm = 50.0
-    scene.robot.board.settle_s = 0.2
-    path = tmp_path_factory.mktemp("scene") / "late.toml"
-    scene.save(path)
-    return f"emulator://{path}"
-
-
-@pytest.fixture(scope="module")
-def run(url: str, tmp_path_factory: pytest.TempPathFactory) -> Watched:
-    return Watched(url, tmp_path_factory.mktemp("runs"))
+def run(late_url: str, tmp_path_factory: pytest.TempPathFactory) -> Watched:
+    return Watched(late_url, tmp_path_factory.mktemp("runs"))
 
 
 def _plain(folder: Path) -> dict[str, Any]:
@@ -239,7 +228,7 @@ def test_the_body_is_seen_to_bend_both_ways_as_long_as_it_is(run: Watched) -> No
 
 
 def test_a_viewer_pauses_the_run_between_stages_and_lets_it_go_on(
-    url: str, run: Watched, tmp_path: Path
+    late_url: str, run: Watched, tmp_path: Path
 ) -> None:
     def act(message: Message, control: RunControl) -> None:
         if isinstance(message, RunState) and message.state == "SWEEP" and not paused:
@@ -252,7 +241,7 @@ def test_a_viewer_pauses_the_run_between_stages_and_lets_it_go_on(
 
     paused: list[RunState] = []
     seen = Seen(act)
-    result = seen.explore(url, tmp_path)
+    result = seen.explore(late_url, tmp_path)
     assert result.document.outcome == "full length"
     (state,) = paused
     assert (state.state, state.doing.split(": ")[-1]) == ("PLAN", "paused")
@@ -266,7 +255,7 @@ def test_a_viewer_pauses_the_run_between_stages_and_lets_it_go_on(
 
 
 def test_a_viewer_stops_the_run_in_mid_sweep_and_the_map_so_far_is_kept(
-    url: str, tmp_path: Path
+    late_url: str, tmp_path: Path
 ) -> None:
     def act(message: Message, control: RunControl) -> None:
         if isinstance(message, Telemetry) and max(message.pressure_psi) > 3.0 and not clicked:
@@ -276,7 +265,7 @@ def test_a_viewer_stops_the_run_in_mid_sweep_and_the_map_so_far_is_kept(
     clicked: list[float] = []
     seen = Seen(act)
     with pytest.raises(StoppedByViewerError, match=f"^{STOPPED}"):
-        seen.explore(url, tmp_path)
+        seen.explore(late_url, tmp_path)
     telemetry = seen.of(Telemetry)
     safe = next(m.t_s for m in telemetry if m.t_s > clicked[0] and m.drive_ma == (0.0, 0.0))
     assert safe - clicked[0] < 0.3

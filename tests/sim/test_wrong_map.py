@@ -7,6 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from emulated import room_file
 
 from thigmo.config import SIDES
 from thigmo.emulator.scene import Scene
@@ -23,8 +24,7 @@ def test_a_robot_off_its_map_places_its_contact_within_the_interval(
         for zone in scene.robot.muscle(side).maps:
             zone.inflate.amplitude *= bend
             zone.deflate.amplitude *= bend
-    scene.save(tmp_path / "room.toml")
-    result = explored(f"emulator://{tmp_path / 'room.toml'}", tmp_path, 1, config=known)
+    result = explored(room_file(tmp_path, scene), tmp_path, 1, config=known)
     truth = result.document.truth
     assert truth is not None
     assert result.document.contacts

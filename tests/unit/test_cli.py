@@ -129,6 +129,7 @@ def test_a_discarded_reading_is_named_with_its_line(tmp_path: Path, thigmo: Thig
         ("position,bend\n5,1\n", "no column `curvature`"),
         (GOOD.replace("45,", "55,"), "centred at 55, off a body of 53"),
         ("", "is empty"),
+        ("position,curvature,span\n5,0.01,-1\n", "span"),
         (GOOD.replace("5,", "50,"), "looks like mm where the length is in cm"),
         (re.sub(r"(?m)^(\d+),", r"0.0\1,", GOOD), "look mixed"),
         (
@@ -174,6 +175,18 @@ def test_a_bad_csv_is_one_line_and_status_1(
         (["localize", "r.csv", "--length", "53", "--side", "left"], "--config is not given"),
         (["explore", "--robot", "a", "--scene", "b"], "both given"),
         (["explore", "--config", "none.toml"], "cannot read none.toml"),
+        (["explore", "--config", "bad.toml"], "pegs"),
+        (["explore", "--config", "empty"], "empty"),
+        (["explore", "--scene", "./empty"], "empty"),
+        (["explore", "--scene", "noise.toml"], "noise.toml"),
+        (["explore", "--scene", "empty", "--out", "r.csv"], "--out"),
+        (["explore", "--scene", "empty", "--out", "r.csv/runs"], "--out"),
+        (["explore", "--scene", "empty", "--map", "no-such-run"], "ROS map"),
+        (["explore", "--scene", "empty", "--map", "bad.yaml"], "ROS map"),
+        (["explore", "--scene", "empty", "--map", "."], "ROS map"),
+        (["emulate", "bad.toml"], "pegs.0.radius"),
+        (["localize", "empty", "--length", "53"], "empty"),
+        (["localize", "noise.toml", "--length", "53"], "noise.toml"),
         (["explore", "--scene", "no-such-scene"], "no-such-scene"),
         (["explore", "--scene", "none.toml"], "none.toml"),
         (["explore", "--scene", "bad.toml"], "bad.toml"),
@@ -225,14 +238,16 @@ def test_every_bad_argument_is_one_clear_line(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "r.csv").write_text(GOOD)
     (tmp_path / "bad.toml").write_text("[[pegs]]\nx = 1\ny = 20\nradius = -1\n")
+    (tmp_path / "bad.yaml").write_text("resolution: fine")
+    (tmp_path / "noise.toml").write_bytes(b"\xff\xfe\x00")
     (tmp_path / "empty").mkdir()
     ran = thigmo(*arguments)
     assert ran.code == 1
     line = ran.err.strip()
     assert named in line
     assert re.fullmatch(r"thigmo: [^\n]+; [^\n]+", line)  # what happened; what to do
-    left = {path.name for path in tmp_path.iterdir()}
-    assert left == {"r.csv", "bad.toml", "empty"}  # and nothing is begun
+    left = {path.name for path in tmp_path.rglob("*")}
+    assert left == {"r.csv", "bad.toml", "bad.yaml", "noise.toml", "empty"}  # nothing is begun
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,7 @@ def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
         ('position,curvature\n5,"0.01\n15,0.02\n25,0.03\n', r"'0.01\n15,0.02"),
         ("position,curvature\n5,0x1F\n", "'0x1F', not a number"),
         ("# only a comment\n", "is empty"),
+        ("position,curvature,span\n5,0.01,many\n", "line 2: span"),
     ],
 )
 def test_a_bad_table_is_named_in_one_line(tmp_path: Path, text: str, named: str) -> None:

@@ -10,18 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from thigmo.emulator.scene import Scene
 from thigmo.exploration import explore
 
 pytestmark = pytest.mark.ci
 
 
-def test_the_last_stage_finds_the_same_contact_on_both_boards(tmp_path: Path) -> None:
-    scene = Scene.load("default")
-    scene.start_length_cm = 50.0
-    scene.robot.board.settle_s = 0.2  # the chip takes its time
-    room = tmp_path / "last_stage.toml"
-    scene.save(room)
+def test_the_last_stage_finds_the_same_contact_on_both_boards(
+    late_url: str, tmp_path: Path
+) -> None:
+    room = late_url.partition("://")[2]
     found = {
         board: explore(f"{board}://{room}", seed=1, out=tmp_path, name=board).document
         for board in ("emulator", "mega-sim")

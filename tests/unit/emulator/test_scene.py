@@ -134,6 +134,8 @@ def test_extending_merges_tables_and_replaces_lists(tmp_path: Path) -> None:
         ("extends = 'nowhere'", "no scene named"),
         ("extends = 'bad.toml'", "extends itself"),
         ("name = ", "not valid TOML"),
+        ("[[pegs]]\nx = 30\ny = 9", "pegs.0.radius"),
+        ("[robot.body]\nlength_cm = -5", "robot.body.length_cm"),
     ],
 )
 def test_malformed_scene_names_the_entry(tmp_path: Path, text: str, message: str) -> None:
