@@ -73,32 +73,43 @@ inline bool same(const Configuration& a, const Configuration& b) {
   return std::memcmp(&a, &b, sizeof(a)) == 0;
 }
 
-TEST(a_blank_store_gives_defaults_and_says_so) {
+// A store that has booted.
+struct Booted {
   Eeprom eeprom;
   ConfigStore store;
   Configuration c;
-  CHECK(boot(eeprom, store, c) == LoadResult::kBlank);
+  LoadResult result = boot(eeprom, store, c);
+};
+
+// And in which a configuration was saved.
+struct Saved : Booted {
+  Saved() { CHECK(save(eeprom, store, config(1))); }
+  // The next start: what it loads, and what it says of that.
+  LoadResult again() {
+    store = ConfigStore();
+    return boot(eeprom, store, c);
+  }
+};
+
+TEST(a_blank_store_gives_defaults_and_says_so) {
+  Booted blank;
+  CHECK(blank.result == LoadResult::kBlank);
   Configuration defaults;
   defaults.load_defaults();
-  CHECK(same(c, defaults));
-  CHECK_EQUAL(store.generation(), 0u);
+  CHECK(same(blank.c, defaults));
+  CHECK_EQUAL(blank.store.generation(), 0u);
 }
 
 TEST(a_stored_value_outside_its_limits_or_against_another_is_bad_and_no_silent_default) {
   const auto stored = [](Param name, int32_t value) {
-    Eeprom eeprom;
-    ConfigStore store;
-    Configuration c;
-    boot(eeprom, store, c);
-    c = config(7);
+    Saved s;
+    Configuration c = config(7);
     c.value[static_cast<uint16_t>(name)] = value;
-    CHECK(save(eeprom, store, c));
-    ConfigStore next;
-    Configuration loaded;
-    const LoadResult result = boot(eeprom, next, loaded);
+    CHECK(save(s.eeprom, s.store, c));
+    const LoadResult result = s.again();
     Configuration defaults;
     defaults.load_defaults();
-    CHECK(same(loaded, result == LoadResult::kLoaded ? c : defaults));
+    CHECK(same(s.c, result == LoadResult::kLoaded ? c : defaults));
     return result;
   };
   CHECK(stored(Param::kMaxPressureCpsi, 1800) == LoadResult::kLoaded);
@@ -156,14 +167,9 @@ TEST(saves_alternate_slots_and_the_newest_is_loaded) {
 }
 
 TEST(a_power_cut_at_any_byte_keeps_a_whole_configuration) {
-  Eeprom before;
-  {
-    ConfigStore store;
-    Configuration c;
-    boot(before, store, c);
-    CHECK(save(before, store, config(1)));
-    CHECK(save(before, store, config(2)));
-  }
+  Saved twice;
+  CHECK(save(twice.eeprom, twice.store, config(2)));
+  const Eeprom& before = twice.eeprom;
   const Configuration old = config(2);
   const Configuration wanted = config(3);
   int cuts = 0;
@@ -210,59 +216,39 @@ TEST(a_power_cut_at_any_byte_keeps_a_whole_configuration) {
 
 TEST(a_power_cut_in_the_first_save_leaves_none) {
   for (int cut = 0; cut < 700; cut += 13) {
-    Eeprom eeprom;
-    ConfigStore store;
-    Configuration c;
-    boot(eeprom, store, c);
-    eeprom.cut_at = eeprom.writes + cut;
-    eeprom.garbage = 0x33;
-    if (save(eeprom, store, config(1))) break;
-    eeprom.dead = false;
+    Booted b;
+    b.eeprom.cut_at = b.eeprom.writes + cut;
+    b.eeprom.garbage = 0x33;
+    if (save(b.eeprom, b.store, config(1))) break;
+    b.eeprom.dead = false;
     ConfigStore next;
-    const LoadResult result = boot(eeprom, next, c);
-    CHECK(result == LoadResult::kDamaged);
+    CHECK(boot(b.eeprom, next, b.c) == LoadResult::kDamaged);
     CHECK_EQUAL(next.generation(), 0u);
   }
 }
 
 TEST(any_flipped_byte_of_the_only_slot_is_found) {
-  Eeprom good;
-  ConfigStore store;
-  Configuration c;
-  boot(good, store, c);
-  CHECK(save(good, store, config(1)));
+  const Saved good;
   for (uint16_t i = 0; i < kSlotSize; ++i) {
-    Eeprom eeprom = good;
-    eeprom.cells[kSlotAt[0] + i] ^= 0x10;
-    ConfigStore next;
-    CHECK(boot(eeprom, next, c) != LoadResult::kLoaded);
+    Saved s = good;
+    s.eeprom.cells[kSlotAt[0] + i] ^= 0x10;
+    CHECK(s.again() != LoadResult::kLoaded);
   }
 }
 
 TEST(a_configuration_stored_without_ids_is_told) {
-  Eeprom eeprom;
-  ConfigStore store;
-  Configuration c;
-  boot(eeprom, store, c);
-  CHECK(save(eeprom, store, config(1)));
-  eeprom.cells[kSlotAt[0]] = kWholeImage;
-  ConfigStore next;
-  CHECK(boot(eeprom, next, c) == LoadResult::kOldFormat);
+  Saved s;
+  s.eeprom.cells[kSlotAt[0]] = kWholeImage;
+  CHECK(s.again() == LoadResult::kOldFormat);
 }
 
 TEST(a_store_of_before_lists_is_kept_and_waits_for_the_hosts_word) {
-  Eeprom eeprom;
-  ConfigStore store;
-  Configuration c;
-  boot(eeprom, store, c);
-  CHECK(save(eeprom, store, config(1)));
-  eeprom.cells[kSlotAt[0]] = kTwoSides;
-  ConfigStore next;
-  CHECK(boot(eeprom, next, c) == LoadResult::kToConfirm);
-  CHECK(same(c, config(1)));
-  CHECK(save(eeprom, next, c));
-  ConfigStore last;
-  CHECK(boot(eeprom, last, c) == LoadResult::kLoaded);
+  Saved s;
+  s.eeprom.cells[kSlotAt[0]] = kTwoSides;
+  CHECK(s.again() == LoadResult::kToConfirm);
+  CHECK(same(s.c, config(1)));
+  CHECK(save(s.eeprom, s.store, s.c));
+  CHECK(s.again() == LoadResult::kLoaded);
 }
 
 using Entry = std::vector<uint8_t>;
@@ -306,13 +292,10 @@ inline uint16_t index_of(uint8_t key) {
 }
 
 TEST(another_firmwares_parameters_are_kept_by_their_ids) {
-  Eeprom saved;
-  ConfigStore store;
-  Configuration blank;
-  boot(saved, store, blank);
+  const Saved s;
+  const Eeprom& saved = s.eeprom;
   const Configuration stored = config(1);
-  CHECK(save(saved, store, stored));
-  CHECK_EQUAL(store.report().kept, protocol::kParamKeys + 1);
+  CHECK_EQUAL(s.store.report().kept, protocol::kParamKeys + 1);
   const std::vector<Entry> whole = entries(saved);
   CHECK_EQUAL(whole.size(), protocol::kParamKeys + 1u);
   const auto load = [&saved](const std::vector<Entry>& wanted, ConfigStore& next) {
@@ -359,87 +342,61 @@ TEST(another_firmwares_parameters_are_kept_by_their_ids) {
 }
 
 TEST(the_order_of_the_entries_is_no_matter) {
-  Eeprom eeprom;
-  ConfigStore store;
-  Configuration c;
-  boot(eeprom, store, c);
-  const Configuration stored = config(1);
-  CHECK(save(eeprom, store, stored));
-  std::vector<Entry> turned = entries(eeprom);
+  Saved s;
+  std::vector<Entry> turned = entries(s.eeprom);
   std::reverse(turned.begin(), turned.end());
-  put(eeprom, turned);
-  ConfigStore next;
-  CHECK(boot(eeprom, next, c) == LoadResult::kLoaded);
-  CHECK(same(c, stored));
+  put(s.eeprom, turned);
+  CHECK(s.again() == LoadResult::kLoaded);
+  CHECK(same(s.c, config(1)));
 }
 
 TEST(many_unknown_entries_are_counted_and_eight_are_named) {
-  Eeprom eeprom;
-  ConfigStore store;
-  Configuration c;
-  boot(eeprom, store, c);
-  CHECK(save(eeprom, store, config(1)));
+  Saved s;
   std::vector<Entry> wanted;
   for (int i = 0; i < 20; ++i) wanted.push_back({static_cast<uint8_t>(200 + i), 4, 1, 1, 2, 3, 4});
-  put(eeprom, wanted);
-  ConfigStore next;
-  CHECK(boot(eeprom, next, c) == LoadResult::kLoaded);
-  CHECK_EQUAL(next.report().kept, 0);
-  CHECK_EQUAL(next.report().fresh.count, protocol::kParamKeys + 1);
-  CHECK_EQUAL(next.report().unknown.count, 20);
-  CHECK_EQUAL(next.report().unknown.id[7], 207);
+  put(s.eeprom, wanted);
+  CHECK(s.again() == LoadResult::kLoaded);
+  CHECK_EQUAL(s.store.report().kept, 0);
+  CHECK_EQUAL(s.store.report().fresh.count, protocol::kParamKeys + 1);
+  CHECK_EQUAL(s.store.report().unknown.count, 20);
+  CHECK_EQUAL(s.store.report().unknown.id[7], 207);
   // A save by this firmware holds what it has, and only that.
-  CHECK(save(eeprom, next, c));
-  ConfigStore last;
-  CHECK(boot(eeprom, last, c) == LoadResult::kLoaded);
-  CHECK_EQUAL(last.report().kept, protocol::kParamKeys + 1);
-  CHECK_EQUAL(last.report().fresh.count + last.report().unknown.count, 0);
+  CHECK(save(s.eeprom, s.store, s.c));
+  CHECK(s.again() == LoadResult::kLoaded);
+  CHECK_EQUAL(s.store.report().kept, protocol::kParamKeys + 1);
+  CHECK_EQUAL(s.store.report().fresh.count + s.store.report().unknown.count, 0);
 }
 
 TEST(entries_that_do_not_add_up_are_damage) {
-  Eeprom saved;
-  ConfigStore store;
-  Configuration c;
-  boot(saved, store, c);
-  CHECK(save(saved, store, config(1)));
+  const Saved saved;
   for (const Entry& last :
        {Entry{7, 4, 2, 0, 0, 0, 0}, Entry{7, 4}, Entry{7}, Entry{7, 255, 255}}) {
-    Eeprom eeprom = saved;
-    std::vector<Entry> wanted = entries(saved);
+    Saved s = saved;
+    std::vector<Entry> wanted = entries(s.eeprom);
     wanted.push_back(last);
-    put(eeprom, wanted);
-    ConfigStore next;
-    CHECK(boot(eeprom, next, c) == LoadResult::kDamaged);
+    put(s.eeprom, wanted);
+    CHECK(s.again() == LoadResult::kDamaged);
   }
-  // A length beyond the slot is not read.
-  saved.cells[kSlotAt[0] + 6] = 0xFF;
-  ConfigStore next;
-  CHECK(boot(saved, next, c) == LoadResult::kDamaged);
+  Saved s = saved;
+  s.eeprom.cells[kSlotAt[0] + 6] = 0xFF;  // a length beyond the slot is not read
+  CHECK(s.again() == LoadResult::kDamaged);
 }
 
 TEST(a_worn_cell_fails_the_save_and_keeps_the_old_one) {
-  Eeprom eeprom;
-  ConfigStore store;
-  Configuration c;
-  boot(eeprom, store, c);
-  CHECK(save(eeprom, store, config(1)));
-  eeprom.worn = kSlotAt[1] + 300;
-  CHECK(!save(eeprom, store, config(2)));
-  CHECK_EQUAL(store.generation(), 1u);
-  ConfigStore next;
-  CHECK(boot(eeprom, next, c) == LoadResult::kLoaded);
-  CHECK(same(c, config(1)));
+  Saved s;
+  s.eeprom.worn = kSlotAt[1] + 300;
+  CHECK(!save(s.eeprom, s.store, config(2)));
+  CHECK_EQUAL(s.store.generation(), 1u);
+  CHECK(s.again() == LoadResult::kLoaded);
+  CHECK(same(s.c, config(1)));
 }
 
 TEST(a_save_skips_bytes_that_are_there_already) {
-  Eeprom eeprom;
-  ConfigStore store;
-  Configuration c;
-  boot(eeprom, store, c);
-  for (int i = 0; i < 2; ++i) CHECK(save(eeprom, store, config(1)));
-  const int before = eeprom.writes;
-  CHECK(save(eeprom, store, config(1)));
-  CHECK(eeprom.writes - before < 8);
+  Saved s;
+  CHECK(save(s.eeprom, s.store, config(1)));
+  const int before = s.eeprom.writes;
+  CHECK(save(s.eeprom, s.store, config(1)));
+  CHECK(s.eeprom.writes - before < 8);
 }
 
 TEST(no_boot_count_comes_twice_though_power_is_cut) {

@@ -566,46 +566,6 @@ def test_bad_configuration_after_a_cut_save() -> None:
     assert bench.do(wire.ClearFaults(0xFFFF)) == 0
 
 
-def _saved(eeprom: bytes, scale: int, cut: int | None) -> tuple[bytes, bool]:
-    """Save a configuration with one flex scale; returns the EEPROM and whether power failed."""
-    bench = Bench(eeprom=eeprom)
-    bench.hello()
-    bench.do(wire.LoadDefaults())
-    for sensor in range(10):
-        bench.set("flex_scale", scale + 257 * sensor, element=sensor)
-    if cut is not None:
-        bench.board.cut_power_after(cut)
-    bench.seq += 1
-    bench.send(wire.SaveConfig(), bench.seq, bench.session)
-    bench.until(lambda: not bench.board.powered or bool(bench.event(wire.EventCode.SAVED)), 10_000)
-    return bench.board.eeprom, not bench.board.powered
-
-
-def test_power_cut_at_every_byte_of_a_save_keeps_a_whole_configuration() -> None:
-    """Third save, over an older slot: only the bytes that differ are written."""
-    first, _ = _saved(b"", 11_111, None)
-    second, _ = _saved(first, 22_222, None)
-    scale = wire.PARAMETERS["flex_scale"].index
-    for cut in range(200):
-        image, failed = _saved(second, 33_333, cut)
-        board = Bench(eeprom=image)
-        board.hello()
-        assert board.faults() == ()
-        values = [
-            board.get(wire.GetParameter(scale + sensor), wire.ParameterValue).value
-            for sensor in range(10)
-        ]
-        generation = board.status().config_generation
-        old = [22_222 + 257 * sensor for sensor in range(10)]
-        new = [33_333 + 257 * sensor for sensor in range(10)]
-        assert (values, generation) in [(old, 2), (new, 3)]
-        assert failed or values == new
-        if not failed:
-            assert cut > 20
-            return
-    raise AssertionError("the save never ended")
-
-
 # --- interlocks ----------------------------------------------------------------------------------
 
 
