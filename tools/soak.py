@@ -25,7 +25,6 @@ import signal
 import statistics
 import sys
 from collections import Counter, deque
-from collections.abc import Callable
 
 from mega_rig import RAM, Figure, Rig, painted_stack, scene, static_ram
 
@@ -120,7 +119,6 @@ class Soak:
         client: connected.
         seed: of the mix.
         transport: of an emulated robot; None on a real board, which is asked questions only.
-        now: the clock of replies, ms; None takes the host's.
     """
 
     def __init__(
@@ -128,16 +126,13 @@ class Soak:
         client: Client,
         seed: int,
         transport: EmulatorTransport | None = None,
-        now: Callable[[], float] | None = None,
     ) -> None:
         self.client = client
         self.transport = transport
         self.random = random.Random(seed)
         self.count: Counter[str] = Counter()
         self.raised: Counter[str] = Counter()
-        self.by_command: Counter[str] = Counter()
         self.latency_ms = 0.0
-        self.slowest = ""
         self._rig = transport.lockstep.board if transport else None
         self._sent_cycle = 0
         self._sent_s = 0.0
@@ -169,7 +164,7 @@ class Soak:
                 self._sent_cycle = self._rig.chip.cycle
                 self._rig.forget_frames()
 
-    def _note_latency(self, command: wire.Message) -> None:
+    def _note_latency(self) -> None:
         """From handing the command to the line to the reply's last byte on it."""
         took = (self.client.now() - self._sent_s) * 1e3
         if isinstance(self._rig, Rig):
@@ -177,14 +172,12 @@ class Soak:
             if not replies:
                 return  # lost
             took = (replies[-1] - self._sent_cycle) / CYCLES_PER_MS
-        if took > self.latency_ms:
-            self.latency_ms, self.slowest = took, command.NAME
+        self.latency_ms = max(self.latency_ms, took)
 
     # --- asking ---------------------------------------------------------------------------------
     def ask(self, command: wire.Command[wire.Message]) -> wire.Message | None:
         """Send a command; None when it was refused or lost."""
         self.count["sent"] += 1
-        self.by_command[command.NAME] += 1
         reply: wire.Message | None = None
         repeats = self.client.stats.repeats
         try:
@@ -199,7 +192,7 @@ class Soak:
             self.count["restarts"] += 1
             self.client.connect()
         if command.ID not in LONG:
-            self._note_latency(command)
+            self._note_latency()
             self.count["repeated"] += self.client.stats.repeats - repeats
         return reply
 

@@ -9,8 +9,9 @@ import time
 from dataclasses import replace
 from typing import Any
 
+from contacts import CONTACT
+
 from thigmo.closing import Closing
-from thigmo.record import MapContact
 from thigmo.stream import (
     BodyShape,
     Command,
@@ -23,22 +24,6 @@ from thigmo.stream import (
     RunState,
     Server,
     Telemetry,
-)
-
-CONTACT = MapContact(
-    arc_cm=31.2,
-    x_cm=27.5,
-    y_cm=11.6,
-    force_per_cm2=2.1e-4,
-    interval_cm=(29.8, 32.7),
-    status="localized",
-    everted_length_cm=40.0,
-    side="left",
-    normal_rad=2.0,
-    covariance_cm2=((0.7, 0.3), (0.3, 0.4)),
-    track=[(26.4, 10.6), (27.5, 11.6), (28.6, 12.7)],
-    model="side",
-    readings=7,
 )
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from browsing import Looking, Served
+from contacts import CONTACT
 from playwright.sync_api import Page, expect
-from scripted import CONTACT, ScriptedRun
+from scripted import ScriptedRun
 
 from thigmo.cli.watch import parameters
 from thigmo.stream import Contacts

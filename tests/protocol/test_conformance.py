@@ -84,15 +84,21 @@ def test_a_new_hello_opens_another_session(host: RawHost) -> None:
     assert first.boot_nonce == second.boot_nonce
 
 
+def zeroing(host: RawHost) -> tuple[int, wire.HelloReply]:
+    """A new conversation in which an activity is under way; its nonce, and the answer to hello."""
+    nonce = random.getrandbits(32)
+    reply = host.hello(nonce)
+    host.beating = True
+    host.listen(0.05)
+    host.get(wire.Arm())
+    host.get(wire.ConfirmLength(100_000, 1))
+    host.get(wire.ZeroSensors(0b00001_00001))
+    return nonce, reply
+
+
 def test_a_host_that_lost_its_session_goes_on_under_another_number(ready: RawHost) -> None:
     """What it began goes on; a repeat of that hello changes nothing; an older one is stale."""
-    nonce = random.getrandbits(32)
-    first = ready.hello(nonce)
-    ready.beating = True
-    ready.listen(0.05)
-    ready.get(wire.Arm())
-    ready.get(wire.ConfirmLength(100_000, 1))
-    ready.get(wire.ZeroSensors(0b00001_00001))
+    nonce, first = zeroing(ready)
     second = ready.hello(nonce=nonce, resumes=first.session)
     assert second.status is wire.Status.OK
     assert second.session not in (0, first.session)
@@ -109,13 +115,7 @@ def test_a_host_that_lost_its_session_goes_on_under_another_number(ready: RawHos
 
 
 def test_another_host_ends_what_moves_and_the_first_cannot_go_on(ready: RawHost) -> None:
-    nonce = random.getrandbits(32)
-    first = ready.hello(nonce)
-    ready.beating = True
-    ready.listen(0.05)
-    ready.get(wire.Arm())
-    ready.get(wire.ConfirmLength(100_000, 1))
-    ready.get(wire.ZeroSensors(0b00001_00001))
+    nonce, first = zeroing(ready)
     ready.hello(random.getrandbits(32))
     ended = (wire.EventCode.ACTIVITY_ABORTED, wire.Activity.ZEROING, R.OTHER_HOST)
     told = ready.next_frame(lambda f: ended in {(e.code, e.arg, e.value) for e in events([f])}, 1.0)

@@ -208,31 +208,6 @@ def host(board: PtyDevice) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
     process.stdout.close()
 
 
-STALLED = """
-import ctypes, sys
-from thigmo.link import protocol as wire
-from thigmo.link.client import Client
-from thigmo.link.transport import open_transport
-client = Client(open_transport(sys.argv[1]))
-client.wait_for(lambda: False, 0.3)
-ctypes.PyDLL(None).usleep(5_000_000)
-value = client.request(wire.SetParameter(int(sys.argv[2]), 5)).value
-client.wait_for(lambda: False, 0.5)
-print(value, client.stats.telemetry_lost, client.stats.bad_frames)
-"""
-
-
-def test_five_seconds_of_a_thread_that_holds_the_interpreter_starve_no_heart(
-    board: PtyDevice,
-) -> None:
-    """PyDLL keeps the interpreter's lock, as a long compilation does."""
-    command = [sys.executable, "-c", STALLED, board.port, str(SETTLE)]
-    done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
-    assert done.stdout.split() == [b"5", b"0", b"0"]
-    assert board.beats[-1] - board.beats[0] > 2.0  # of its own time, which slips
-    assert max(b - a for a, b in pairwise(board.beats)) < LIMIT_S
-
-
 def test_a_killed_host_takes_the_heart_with_it(
     board: PtyDevice, host: tuple[subprocess.Popen[bytes], int]
 ) -> None:
@@ -256,17 +231,6 @@ def test_a_stopped_host_keeps_the_heart(
     assert not comes(lambda: board.silent_for() > LIMIT_S, 1.5)
     assert max(gaps(board, stopped)) < LIMIT_S
     process.send_signal(signal.SIGCONT)
-
-
-def test_control_c_stops_the_robot_though_the_host_hangs(
-    board: PtyDevice, host: tuple[subprocess.Popen[bytes], int]
-) -> None:
-    process, pid = host
-    process.send_signal(signal.SIGSTOP)
-    os.killpg(process.pid, signal.SIGINT)  # what a terminal does
-    assert comes(lambda: bool(board.device.stops))
-    assert alive(pid)
-    assert board.silent_for() < LIMIT_S
 
 
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP, signal.SIGTERM])

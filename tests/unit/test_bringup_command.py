@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
+from dataclasses import astuple
 from pathlib import Path
 
 import pytest
+from command import Thigmo
 
 from thigmo.cli.bringup import _TerminalAttendant
 from thigmo.cli.console import Console
-from thigmo.cli.main import main
 
 
 class AnsweringConsole(Console):
@@ -26,15 +26,6 @@ class AnsweringConsole(Console):
         return self._answers.pop(0)
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["thigmo", *arguments])
-    try:
-        main()
-    except SystemExit as ended:
-        return int(ended.code or 0)
-    return 0
-
-
 def test_the_person_is_asked_until_the_answer_is_one() -> None:
     console = AnsweringConsole("", "", "", "perhaps", "In")
     attendant = _TerminalAttendant(console)
@@ -46,45 +37,41 @@ def test_the_person_is_asked_until_the_answer_is_one() -> None:
     assert console.asked[1] == "Release the emergency stop. Then press Enter."
 
 
-def test_json_says_what_was_found(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "bringup", "--robot", "emulator://empty", "--json") == 0
-    found = json.loads(capsys.readouterr().out)
+def test_json_says_what_was_found(thigmo: Thigmo) -> None:
+    ran = thigmo("bringup", "--robot", "emulator://empty", "--json")
+    assert ran.code == 0
+    found = json.loads(ran.out)
     assert found["good"] is True
     assert {finding["stage"] for finding in found["findings"]} >= {"estop", "valves", "home"}
 
 
 def test_a_later_stage_can_be_tried_on_the_emulator_whose_board_is_new_each_time(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    thigmo: Thigmo,
 ) -> None:
-    assert run(monkeypatch, "bringup", "--robot", "emulator://empty", "--from", "motor") == 0
-    out = capsys.readouterr().out
+    code, out, _ = astuple(thigmo("bringup", "--robot", "emulator://empty", "--from", "motor"))
+    assert code == 0
     assert "valves" not in out
     assert "good  home: home: the spool stalls twice at one place; length 0.0 cm" in out
 
 
-def test_it_ends_with_what_is_built(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_ends_with_what_is_built(thigmo: Thigmo) -> None:
     robot = ("bringup", "--robot", "emulator://empty")
-    assert run(monkeypatch, *robot, "--to", "estop") == 0
-    out = capsys.readouterr().out
+    code, out, _ = astuple(thigmo(*robot, "--to", "estop"))
+    assert code == 0
     assert "emergency stop: seen pressed and released" in out
     assert "good  pressure" not in out
     assert out.endswith("Next: thigmo bringup --robot emulator://empty --from pressure\n")
-    assert run(monkeypatch, *robot, "--from", "flex", "--to", "estop") == 1
-    assert "stage estop comes before flex; the order is board, supply" in capsys.readouterr().err
+    wrong = thigmo(*robot, "--from", "flex", "--to", "estop")
+    assert wrong.code == 1
+    assert "stage estop comes before flex; the order is board, supply" in wrong.err
 
 
-def test_what_is_wrong_ends_with_1_and_the_way_on(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_what_is_wrong_ends_with_1_and_the_way_on(thigmo: Thigmo, tmp_path: Path) -> None:
     scene = tmp_path / "cut.toml"
     scene.write_text('extends = "empty"\n[[faults]]\nkind = "flex_wire_cut"\nat_s = 0.0\n')
     url = f"emulator://{scene}"
-    assert run(monkeypatch, "bringup", "--robot", url) == 1
-    out = capsys.readouterr().out
+    code, out, _ = astuple(thigmo("bringup", "--robot", url))
+    assert code == 1
     assert "WRONG flex: flex left 0: open; plug it in, check J6.2" in out
     assert f"thigmo bringup --robot {url} --from flex" in out
 
@@ -102,13 +89,8 @@ def test_what_is_wrong_ends_with_1_and_the_way_on(
         (("press", "--robot", "emulator://empty", "left", "6"), "at most 5 psi and 60 s"),
     ],
 )
-def test_a_bad_request_is_one_line(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: tuple[str, ...],
-    line: str,
-) -> None:
-    assert run(monkeypatch, *arguments) == 1
-    error = capsys.readouterr().err.strip()
-    assert line in error
-    assert "\n" not in error
+def test_a_bad_request_is_one_line(thigmo: Thigmo, arguments: tuple[str, ...], line: str) -> None:
+    ran = thigmo(*arguments)
+    assert ran.code == 1
+    assert line in ran.err
+    assert ran.err.count("\n") == 1

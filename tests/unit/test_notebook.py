@@ -12,6 +12,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from command import run_python
+from contacts import CONTACT
 
 import thigmo
 from thigmo.record import RunFolder, write_obstacles, write_ros_map
@@ -68,20 +69,8 @@ def grid() -> thigmo.OccupancyGrid:
 
 @pytest.fixture
 def contact() -> thigmo.MapContact:
-    return thigmo.MapContact(
-        arc_cm=31.0,
-        x_cm=29.5,
-        y_cm=7.8,
-        force_per_cm2=-2e-4,
-        interval_cm=(29.0, 34.0),
-        status="localized",
-        everted_length_cm=53.0,
-        side="left",
-        normal_rad=1.0,
-        covariance_cm2=((1.0, 0.0), (0.0, 1.0)),
-        track=[(28.0, 7.0), (31.0, 8.6)],
-        model="one contact",
-        readings=5,
+    return replace(
+        CONTACT, arc_cm=31.0, x_cm=29.5, y_cm=7.8, interval_cm=(29.0, 34.0), everted_length_cm=53.0
     )
 
 

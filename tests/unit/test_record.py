@@ -5,10 +5,12 @@ from __future__ import annotations
 import random
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
 import pytest
+from contacts import CONTACT
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -17,7 +19,6 @@ from thigmo.errors import RunFolderError
 from thigmo.record import (
     Entry,
     LogWriter,
-    MapContact,
     Note,
     RunDocument,
     RunFolder,
@@ -174,22 +175,7 @@ def test_an_unwritable_place_is_named(tmp_path: Path) -> None:
 
 
 def test_the_document_survives_a_round_trip(tmp_path: Path) -> None:
-    contact = MapContact(
-        arc_cm=51.0,
-        x_cm=37.0,
-        y_cm=28.0,
-        force_per_cm2=-3e-4,
-        interval_cm=(46.0, 53.0),
-        status="localized",
-        everted_length_cm=53.0,
-        side="left",
-        normal_rad=1.2,
-        covariance_cm2=((1.0, 0.1), (0.1, 2.0)),
-        track=[(36.0, 27.0), (37.0, 28.0)],
-        model="beam",
-        readings=4,
-        merged=[50.0],
-    )
+    contact = replace(CONTACT, merged=[50.0])
     document = RunDocument(
         thigmo="0",
         name="n",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -313,32 +314,23 @@ def test_check_names_each_fault():
     bent = {
         side: ohm + np.where(np.arange(10) == 6, 1000, 0) for side, ohm in sound.bend_ohm.items()
     }
-    found = {f.what: f for f in run_check(
-        CheckReadings(rest, bent, 12.0, sound.bend_seen, sound.held_psi, zone=2), config
-    ).findings}  # fmt: skip
+    off = run_check(replace(sound, rest_ohm=rest, bend_ohm=bent), config)
+    found = {f.what: f for f in off.findings}
     assert found["sensor left 3"].mark == "bad"
     assert "open circuit" in found["sensor left 3"].text
     assert "drifted" in found["sensor right 1"].text
 
     swapped = {side: np.r_[ohm[5:], ohm[:5]] for side, ohm in sound.bend_ohm.items()}
-    columns = run_check(
-        CheckReadings(sound.rest_ohm, swapped, 12.0, sound.bend_seen, sound.held_psi, zone=2),
-        config,
-    )
+    columns = run_check(replace(sound, bend_ohm=swapped), config)
     assert any("columns are swapped" in f.text for f in columns.findings)
 
     crossed = {"left": sound.bend_seen["right"], "right": sound.bend_seen["left"]}
-    tubes = run_check(
-        CheckReadings(sound.rest_ohm, sound.bend_ohm, 12.0, crossed, sound.held_psi, zone=2), config
-    )
+    tubes = run_check(replace(sound, bend_seen=crossed), config)
     assert "tubes are swapped" in tubes.verdict.reason
 
     t = np.arange(0, 4, 0.1)
     leaking = {**sound.held_psi, "left": np.column_stack([t, 12 - 0.4 * t])}
-    leak = run_check(
-        CheckReadings(sound.rest_ohm, sound.bend_ohm, 12.0, sound.bend_seen, leaking, zone=2),
-        config,
-    )
+    leak = run_check(replace(sound, held_psi=leaking), config)
     assert "a leak" in leak.verdict.reason
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import socket
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 
 import pytest
+from page_server import Served
 
-from thigmo.live.server import WatchOptions, serve
+from thigmo.live.server import WatchOptions
 
 REFUSED = b"403"
 GARBAGE = [
@@ -27,25 +26,9 @@ GARBAGE = [
 @pytest.fixture
 def address(own_sockets: None) -> Iterator[str]:
     """Where a page is served, in a thread."""
-    told: list[str] = []
-    up, loop = threading.Event(), asyncio.new_event_loop()
-
-    def announce(where: str) -> None:
-        told.append(where)
-        up.set()
-
-    def run() -> None:
-        with pytest.raises(asyncio.CancelledError):
-            loop.run_until_complete(task)
-        loop.close()
-
-    task = loop.create_task(serve(WatchOptions(port=0), announce))
-    thread = threading.Thread(target=run)
-    thread.start()
-    assert up.wait(60)
-    yield told[0]
-    loop.call_soon_threadsafe(task.cancel)
-    thread.join()
+    server = Served(WatchOptions(port=0))
+    yield server.address
+    server.close()
 
 
 def _place(address: str) -> tuple[str, int]:
