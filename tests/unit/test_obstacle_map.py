@@ -320,6 +320,17 @@ def test_two_pegs_of_one_sweep_that_were_not_told_apart_say_so() -> None:
     assert "not separated" in document.missed[0].reason
 
 
+def test_a_peg_that_was_taken_for_another_one_is_named_so() -> None:
+    """Sweeps of two lengths touched two pegs, and the map has them as one, near the first."""
+    found = replace(_contact(), merged=[40.0])
+    first = TrueContact(found.x_cm, found.y_cm, 38.0, 40.0, 0, "left")
+    second = TrueContact(20.0, 15.0, 20.0, 50.0, 1, "left")
+    document = judged(replace(_document(found), truth=_truth(first, second)), CONFIG)
+    assert document.missed is not None
+    (missed,) = document.missed
+    assert "taken for the peg that other stages felt" in missed.reason
+
+
 def test_between_a_walls_points_it_is_occupied_only_where_it_is_sure(folder: RunFolder) -> None:
     """Unknown while the wall may be two pegs, and free in neither case."""
     line = [(20.0, 8.0), (30.0, 8.0), (40.0, 8.0)]

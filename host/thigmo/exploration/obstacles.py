@@ -18,6 +18,7 @@ from contourpy import FillType, contour_generator
 from numpy.typing import NDArray
 
 from thigmo.config import SIDES
+from thigmo.exploration.sighting import LEVEL
 from thigmo.record import (
     OBSTACLES_FILE,
     Ellipse,
@@ -42,7 +43,6 @@ _SIGMA_95 = 2.4477
 # Standard errors of a swept shape beyond which a cell is free: one in a thousand is not. Over 200
 # random rooms so few cells inside pegs that were felt are free (`thigmo bench exploration`).
 SIGMAS = 3.1
-_SURE = 0.95  # probability from which a cell is occupied
 GONE = "prior, not felt"  # source of an expected obstacle whose place was swept
 
 Mask = NDArray[np.bool_]
@@ -106,9 +106,9 @@ def occupancy(
 def _occupied_lines(obstacle: Obstacle) -> list[list[Point]]:
     """Lines along which something stands for sure: to 95 %, and within a standard deviation."""
     lines = []
-    if obstacle.status == "localized" and obstacle.probability >= _SURE:
+    if obstacle.status == "localized" and obstacle.probability >= LEVEL:
         lines.append(_core(obstacle) if obstacle.normal_rad is not None else obstacle.track)
-    if obstacle.probability * obstacle.wall_probability >= _SURE:
+    if obstacle.probability * obstacle.wall_probability >= LEVEL:
         lines.append(obstacle.surface)
     return lines
 

@@ -135,22 +135,25 @@ def _why_missed(
     held = stage.held_back_per_cm.get(missed.side)
     if held is not None and held < TRIGGER_PER_CM:
         return (
-            f"moment below threshold: it held the base back by {max(held, 0.0):.4f} 1/cm at most, "
+            f"moment below threshold: it held the base back by {max(held, 0.0):.5f} 1/cm at most, "
             f"and the trigger takes {TRIGGER_PER_CM} 1/cm"
         )
     found = [c for c in document.contacts if of_stage(missed, c.everted_length_cm, c.side)]
     there = [t for t in truth if of_stage(t, stage.everted_length_cm, missed.side)]
     if found and len(found) < len(there):
         return "not separated from another contact of the same sweep"
-    if found:
-        return "placed elsewhere, beyond three standard deviations of its interval"
     for contact in document.contacts:
-        lengths = [abs(length - missed.everted_length_cm) for length in contact.merged]
-        if contact.side == missed.side and min(lengths, default=np.inf) < 1.0:
+        lengths = [*contact.merged, contact.everted_length_cm]
+        if not any(of_stage(missed, length, contact.side) for length in lengths):
+            continue
+        pegs = {t.peg for t in truth for cm in lengths if of_stage(t, cm, contact.side)}
+        if contact not in found or (contact.kind == "peg" and len(pegs) > 1):
             return (
                 f"felt, and taken for the {contact.kind} that other stages felt at "
                 f"{contact.x_cm:.1f}, {contact.y_cm:.1f} cm"
             )
+    if found:
+        return "placed elsewhere, beyond three standard deviations of its interval"
     said = [
         f"{t.status}: {t.message}" for t in stage.triggers if t.side == missed.side and t.message
     ]
