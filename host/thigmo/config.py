@@ -24,7 +24,7 @@ import os
 import shutil
 import tomllib
 from collections.abc import Sequence
-from math import hypot, pi, tanh
+from math import cos, hypot, pi, tanh
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
@@ -173,6 +173,11 @@ class _Sensor(_Placed):
         return 0.0
 
     @property
+    def gain_error(self) -> float:
+        """One sigma of its scale as it lies in the body, relative."""
+        return self.scale_se
+
+    @property
     def reading_se(self) -> float:
         """One sigma of an averaged reading, 1/cm: noise, its zero, and what it shares."""
         return hypot(self.noise, self.zero_error)
@@ -255,6 +260,49 @@ class HeadingSensor(_Sensor):
         return self.ends_cm[1], IMU_CM
 
 
+class FibreSensor(_Sensor):
+    """One bend at a grating of a multi-core fibre: the strain of its cores in one direction.
+
+    A grating has two, at different directions. An interrogator reads them, and the board does not.
+    Defaults: an outer core 37 um off the axis, where a bend of 0.01 1/cm strains by 37 microstrain.
+    """
+
+    wrinkles = False
+    kind: Literal["fibre"]
+    span_cm: NonNegative = 0.5  # length of the grating
+    scale_per_ue: Finite = 2.7e-4  # 1/cm per microstrain; sign included
+    scale_se: NonNegative = 0.05
+    zero_ue: Finite = 0.0  # of the straight body
+    noise: NonNegative = 2.7e-4  # a microstrain
+    # What temperature adds to all gratings alike, 1/cm. A kelvin strains a core by 11 microstrain
+    # [a typical grating at 1550 nm]; cores that are told apart leave a tenth of that [assumed].
+    temperature_se: NonNegative = 3e-4
+    twist_se_rad: NonNegative = 0.05  # by which the fibre lies turned about its axis
+
+    valid_direction: ClassVar[int] = 0
+
+    @property
+    def gain_error(self) -> float:
+        """One sigma of its scale, relative: what a twist turns out of its direction is lost."""
+        return hypot(self.scale_se, 1 - cos(self.twist_se_rad))
+
+    @property
+    def reading_se(self) -> float:
+        """One sigma of an averaged reading, 1/cm: noise and temperature."""
+        return hypot(self.noise, self.temperature_se)
+
+    def rescale(self, factor: float) -> None:
+        """Let it stand for so much more curvature."""
+        self.scale_per_ue *= factor
+
+    def curvature(self, strain_ue: float) -> float:
+        """Curvature (1/cm) at a strain that the interrogator says."""
+        return self.scale_per_ue * (strain_ue - self.zero_ue)
+
+
+BoardSensor = FlexSensor | HeadingSensor
+
+
 def _kind(data: Any) -> str:
     """Kind of a sensor's entry; files from before there were kinds have flex sensors."""
     kind = data.get("kind", "flex") if isinstance(data, dict) else data.kind
@@ -262,11 +310,13 @@ def _kind(data: Any) -> str:
 
 
 Sensor = Annotated[
-    Annotated[FlexSensor, Tag("flex")] | Annotated[HeadingSensor, Tag("heading")],
+    Annotated[FlexSensor, Tag("flex")]
+    | Annotated[HeadingSensor, Tag("heading")]
+    | Annotated[FibreSensor, Tag("fibre")],
     Discriminator(
         _kind,
         custom_error_type="kind",
-        custom_error_message="kind is none of flex and heading",
+        custom_error_message="kind is none of flex, heading and fibre",
     ),
 ]
 
@@ -431,21 +481,32 @@ class RobotConfig(Model):
             f"use {' or '.join(muscle.name for muscle in self.muscles)}",
         )
 
-    def column(self, side: Side) -> list[Sensor]:
-        """The sensors that lie on a side, in the file's order: base to tip."""
-        return [sensor for sensor in self.sensors if sensor.side == side]
+    @property
+    def board_sensors(self) -> list[BoardSensor]:
+        """The sensors that hang on the board."""
+        return [sensor for sensor in self.sensors if isinstance(sensor, BoardSensor)]
+
+    @property
+    def gratings(self) -> list[FibreSensor]:
+        """The sensors of a fibre, which an interrogator reads."""
+        return [sensor for sensor in self.sensors if isinstance(sensor, FibreSensor)]
+
+    def column(self, side: Side) -> list[BoardSensor]:
+        """The board's sensors that lie on a side, in the file's order: base to tip."""
+        return [sensor for sensor in self.board_sensors if sensor.side == side]
 
     def sensors_for(self, side: Side) -> list[Sensor]:
         """The sensors that read right while the muscle of a side bends the body, base first."""
         found = [s for s in self.sensors if s.side and not (s.wrinkles and s.side == side)]
         return sorted(found, key=lambda sensor: sensor.center_cm)
 
-    def set_column(self, side: Side, sensors: Sequence[Sensor]) -> None:
-        """Replace the sensors of a side."""
+    def set_column(self, side: Side, sensors: Sequence[BoardSensor]) -> None:
+        """Replace the board's sensors of a side."""
         by_side = {one: self.column(one) for one in SIDES} | {side: list(sensors)}
         for sensor in sensors:
             sensor.direction_deg = DEGREES[side]
-        others = [sensor for sensor in self.sensors if sensor.side is None]
+        others: list[Sensor] = [s for s in self.board_sensors if s.side is None]
+        others += self.gratings
         self.sensors = [*(s for one in SIDES for s in by_side[one]), *others]
 
     @classmethod

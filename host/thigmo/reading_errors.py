@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import SAME_IMU_CM, HeadingSensor, RobotConfig, Sensor, Side
+from thigmo.config import SAME_IMU_CM, FibreSensor, HeadingSensor, RobotConfig, Sensor, Side
 from thigmo.errors import DataError
 
 Floats = npt.NDArray[np.float64]
@@ -57,14 +57,17 @@ def imus_of(sensors: Sequence[HeadingSensor]) -> tuple[Floats, npt.NDArray[np.in
 def shared_errors(sensors: Sequence[Sensor | None]) -> Floats:
     """What sensors share, at one standard error: (N, K) columns, 1/cm.
 
-    An IMU stands between two turns: what it drifts by is in both, with opposite signs.
+    An IMU stands between two turns: what it drifts by is in both, with opposite signs. What the
+    temperature adds is in all gratings of a fibre alike.
     """
     turning = {n: s for n, s in enumerate(sensors) if isinstance(s, HeadingSensor)}
     places, imus = imus_of([*turning.values()])
     columns = np.zeros((len(sensors), len(places)))
     for (row, sensor), ends in zip(turning.items(), imus, strict=True):
         columns[row, ends] = np.array([-1.0, 1.0]) * sensor.heading_se_rad / sensor.span_cm
-    return columns[:, places > SAME_IMU_CM]
+    columns = columns[:, places > SAME_IMU_CM]
+    warm = [[s.temperature_se if isinstance(s, FibreSensor) else 0.0] for s in sensors]
+    return np.hstack([columns, warm]) if np.any(warm) else columns
 
 
 def reading_errors(
@@ -81,20 +84,26 @@ def reading_errors(
     Raises:
         DataError: a sensor or a zone that robot.toml does not have.
     """
-    body = config.body
-    if not 0 <= zone < len(body.zones):
-        raise DataError(f"robot.toml has no pressure zone {zone}", "count body.pressure from 0")
     for column, index in sensors:
         if not 0 <= index < len(config.column(column)):
             raise DataError(f"robot.toml has no sensor {column} {index}", "count from the base, 0")
-    found = [config.column(column)[index] for column, index in sensors]
+    return errors_of(config, side, zone, [config.column(column)[n] for column, n in sensors])
+
+
+def errors_of(
+    config: RobotConfig, side: Side | None, zone: int, found: Sequence[Sensor]
+) -> ReadingErrors:
+    """As `reading_errors`, of sensors of any kind that robot.toml has."""
+    body = config.body
+    if not 0 <= zone < len(body.zones):
+        raise DataError(f"robot.toml has no pressure zone {zone}", "count body.pressure from 0")
     ratio = body.zones[zone].pressure_psi / body.critical_pressure_psi
     muscle = None if side is None else config.muscle(side)
     shared = shared_errors(found)
     return ReadingErrors(
         noise=np.array([sensor.noise for sensor in found]),
         zero_error=np.array([sensor.zero_error for sensor in found]),
-        gain_error=np.array([sensor.scale_se for sensor in found]),
+        gain_error=np.array([sensor.gain_error for sensor in found]),
         offset_error=0.0 if muscle is None else muscle.offset_se,
         map_error=0.0 if muscle is None else muscle.maps[zone].scale_se,
         critical_curvature=body.critical_curvature * ratio,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from thigmo.config import SIDES, RobotConfig, Sensor, Side
+from thigmo.config import SIDES, BoardSensor, RobotConfig, Side
 from thigmo.errors import ConfigError
 
 
@@ -29,10 +29,10 @@ class Board(NamedTuple):
 
     def holds(self, config: RobotConfig) -> bool:
         """Whether its inputs, outputs and maps are enough."""
-        needed = len(config.muscles), len(config.sensors), len(config.body.zones)
+        needed = len(config.muscles), len(config.board_sensors), len(config.body.zones)
         most = self.capacity.values()
         enough = all(n <= each for n, each in zip(needed, most, strict=True))
-        return enough and {sensor.kind for sensor in config.sensors} <= {*self.kinds}
+        return enough and {sensor.kind for sensor in config.board_sensors} <= {*self.kinds}
 
 
 BOARDS = (
@@ -58,7 +58,7 @@ def beyond_board(config: RobotConfig) -> list[Beyond]:
     board, found = board_of(config), []
     for what, count, most in (
         ("muscles", len(config.muscles), board.muscles),
-        ("sensors", len(config.sensors), board.sensors),
+        ("sensors", len(config.board_sensors), board.sensors),
         ("body pressures", len(config.body.zones), board.body_pressures),
     ):
         if count > most:
@@ -78,8 +78,15 @@ def beyond_board(config: RobotConfig) -> list[Beyond]:
     return found
 
 
-def out_of_plane(config: RobotConfig) -> Beyond | None:
-    """The muscles and sensors that lie out of the plane, for what works in the plane alone."""
+def unexplored(config: RobotConfig) -> Beyond | None:
+    """What of the robot `explore` cannot do: readings from elsewhere, or bends out of the plane."""
+    if config.gratings:
+        return Beyond(
+            f"{len(config.gratings)} readings of a fibre reach no board, whose contact trigger "
+            "must see them while a muscle bends the body",
+            "localize its readings (`thigmo localize FILE --config robot.toml`), or leave them out "
+            "of robot.toml and explore with the sensors on the board",
+        )
     names = [f"muscle {muscle.name}" for muscle in config.muscles if muscle.side is None]
     count = sum(sensor.side is None for sensor in config.sensors)
     if count:
@@ -123,7 +130,7 @@ def base_inputs(config: RobotConfig) -> list[int]:
     ]
 
 
-def sensors(config: RobotConfig) -> list[Sensor | None]:
+def sensors(config: RobotConfig) -> list[BoardSensor | None]:
     """The sensor on each input; None where there is none. Raises as `places`.
 
     Those that lie out of the plane take what the two columns leave, a base sensor first where the
@@ -134,16 +141,18 @@ def sensors(config: RobotConfig) -> list[Sensor | None]:
     free = sorted(
         (n for n, sensor in enumerate(found) if sensor is None), key=lambda n: n % half > 0
     )
-    others = [sensor for sensor in config.sensors if sensor.side is None]
+    others = [sensor for sensor in config.board_sensors if sensor.side is None]
     others.sort(key=lambda sensor: not _first(config, sensor))
     for number, sensor in zip(free, others, strict=False):
         found[number] = sensor
     return found
 
 
-def _first(config: RobotConfig, sensor: Sensor) -> bool:
+def _first(config: RobotConfig, sensor: BoardSensor) -> bool:
     """Whether a sensor is the base one at its direction."""
-    return sensor is next(s for s in config.sensors if s.direction_deg == sensor.direction_deg)
+    return sensor is next(
+        s for s in config.board_sensors if s.direction_deg == sensor.direction_deg
+    )
 
 
 def input_of(config: RobotConfig) -> dict[tuple[Side, int], int]:
@@ -167,7 +176,7 @@ def columns(config: RobotConfig) -> list[Column]:
     inputs = {id(sensor): number for number, sensor in enumerate(sensors(config)) if sensor}
     names = {muscle.direction_deg: muscle.name for muscle in config.muscles}
     found: dict[float, Column] = {}
-    for sensor in sorted(config.sensors, key=lambda sensor: sensor.direction_deg):
+    for sensor in sorted(config.board_sensors, key=lambda sensor: sensor.direction_deg):
         lies = sensor.direction_deg
         column = found.setdefault(
             lies, Column(names.get(lies, f"{lies:g} deg"), sensor.side, [], [])

@@ -11,7 +11,7 @@ import numpy as np
 from thigmo.calibrate.bench import STEADY_S, Bench
 from thigmo.calibrate.columns import Array, medians, places_of
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Sensor, Side, opposite
+from thigmo.config import DEGREES, SIDES, SIGN, BoardSensor, RobotConfig, Side, opposite
 from thigmo.errors import DataError
 
 Mark = Literal["ok", "warning", "bad"]
@@ -97,7 +97,7 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     return CheckResult(tuple(findings), Verdict(not bad, first, tuple(notes)))
 
 
-def _at_rest(sensor: Sensor, zero: float, scatter: float) -> tuple[Mark, str]:
+def _at_rest(sensor: BoardSensor, zero: float, scatter: float) -> tuple[Mark, str]:
     if not sensor.healthy:
         return "ok", "marked unhealthy, not used"
     if not np.isfinite(zero) or zero > 300_000:

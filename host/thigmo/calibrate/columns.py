@@ -8,7 +8,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.config import SIDES, RobotConfig, Sensor, Side
+from thigmo.config import SIDES, BoardSensor, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 Key = TypeVar("Key", bound=Any)
 
 
-def sensors_of(config: RobotConfig) -> list[Sensor]:
-    """All sensors."""
+def sensors_of(config: RobotConfig) -> list[BoardSensor]:
+    """All sensors on the board."""
     return [sensor for side in SIDES for sensor in config.column(side)]
 
 

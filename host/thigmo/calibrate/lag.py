@@ -20,7 +20,7 @@ from thigmo.calibrate.bench import Bench, Row
 from thigmo.calibrate.columns import Array, sensors_of
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.regression import lasting
-from thigmo.config import DEGREES, SIGN, Side, TanhMap, ZoneMap
+from thigmo.config import DEGREES, SIGN, BoardSensor, Side, TanhMap, ZoneMap
 from thigmo.errors import DataError
 
 # Ramps up and down, for the lag of 0.2..0.4 s: an error of pressure or map looks like a lag that is
@@ -56,7 +56,7 @@ def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | No
     of that side is healthy.
     """
     robot, top = bench.robot, 0.9 * bench.config.muscle(side).max_pressure_psi
-    sensors = bench.config.sensors_for(side)
+    sensors = [s for s in bench.config.sensors_for(side) if isinstance(s, BoardSensor)]
     every = sensors_of(bench.config)
     far = [every.index(sensor) for sensor in sensors]
 

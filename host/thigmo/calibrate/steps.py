@@ -20,6 +20,7 @@ from thigmo.calibrate import (
     buckling,
     check,
     encoder,
+    fibre,
     flex,
     heading,
     hysteresis,
@@ -39,7 +40,8 @@ from thigmo.record.table import MissingColumnError, Table
 class Step:
     """One step of the calibration."""
 
-    guided: Callable[..., StepResult]  # of a Bench, and of another fit than its own
+    # of a Bench, and of another fit than its own; None where readings come as a CSV only
+    guided: Callable[..., StepResult] | None
     of_csv: Callable[..., StepResult] | None = None  # of a Table and a RobotConfig, and the same
     columns: str = ""  # of its CSV; those in brackets may be omitted
     rows: tuple[str, ...] = ()  # names of the tables of readings that are its own
@@ -76,6 +78,9 @@ STEPS = {
         heading.guided, heading.of_csv, "t_s, curvature, ohm_left_0 .. ohm_right_4",
         needed=True, kind="heading",
     ),
+    "fibre": Step(
+        None, fibre.of_csv, "t_s, curvature, strain_0 .. strain_N (microstrain)", kind="fibre"
+    ),
     "hysteresis": Step(
         hysteresis.guided, hysteresis.of_csv, "side, index, t_s, curvature [eversion]", ("growth",)
     ),
@@ -107,6 +112,17 @@ def _require(step: str, config: RobotConfig) -> None:
 def run(bench: Bench, step: str, *, again: bool = False, method: str | None = None) -> StepResult:
     """One guided step of `STEPS`; `again` takes its readings again. `method`: of `fit_csv`."""
     _require(step, bench.config)
+    guided = STEPS[step].guided
+    if guided is None:
+        raise DataError(
+            f"the readings of a {STEPS[step].kind} do not come over the board",
+            f"give them as a file: `thigmo calibrate {step} --csv FILE`",
+        )
+    if step != "pressure" and not bench.config.board_sensors:
+        raise DataError(
+            "no sensor is on the board, which bends no body whose base it does not feel",
+            f"give readings as a file: `thigmo calibrate {step} --csv FILE`",
+        )
     if again:
         for procedure in STEPS[step].rows:
             bench.session.forget(procedure)
@@ -114,7 +130,7 @@ def run(bench: Bench, step: str, *, again: bool = False, method: str | None = No
         bench.configure()  # no length is taken from a robot that does not look vented
     else:
         bench.start()
-    result = STEPS[step].guided(bench, *STEPS[step].other_fit(method))
+    result = guided(bench, *STEPS[step].other_fit(method))
     bench.finish(step, result)
     return result
 

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     from thigmo.calibrate.verdict import StepResult
     from thigmo.robot import Robot
 
-_STEPS = "pressure, encoder, actuator, flex, heading, hysteresis, buckling, stiffness, noise, check"
+_STEPS = (
+    "pressure, encoder, actuator, flex, heading, fibre, hysteresis, buckling, stiffness, noise, "
+    "check"
+)
 
 
 def calibrate(
@@ -82,6 +85,8 @@ def calibrate(
 
     heading: of IMUs instead: the turn from each to the next at the free bends; scale, zero, drift.
 
+    fibre: with `--csv`: strains at free bends; scales, zeros, twist, and the drift that all share.
+
     hysteresis: how each sensor creeps after it was everted (from the encoder's stops).
 
     buckling: hard pushes at the tip, until the base folds.
@@ -144,7 +149,8 @@ def calibrate(
     with console.interruptible(), connect(robot, seed=seed, operator=console) as machine:
         known = machine.known_config
         session = Session(folder, start or (blank(known) if known else None))
-        steps = steps_of(session.config) if step == "all" else [step]
+        guided = [name for name in steps_of(session.config) if STEPS[name].guided]
+        steps = guided if step == "all" else [step]
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
         overhead = _overhead_camera(machine, session, camera, sheet_file, camera_file, seed)

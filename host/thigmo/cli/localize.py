@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -136,7 +137,11 @@ def localize(
             frames.position, frames.curvature[0], None, frames.lines[:1],
             np.deg2rad(directions) if directions else None,
         )  # fmt: skip
-    stated = {} if config is None else _calibrated(config, side, table, length)
+    if table.strain is not None and config is None:
+        raise DataError("the readings are strains", "give the robot's file: --config robot.toml")
+    stated: dict[str, Any] = {}
+    if config is not None:
+        stated, table = _calibrated(config, side, table, length)
     flags = {
         "noise": noise,
         "gain_error": gain_error,
@@ -203,35 +208,41 @@ def _numbers(text: str | None, option: str, such_as: str) -> tuple[float, ...] |
 
 def _calibrated(
     path: Path, side: str | None, table: ReadingsTable, length_cm: float
-) -> dict[str, Any]:
-    """The errors of robot.toml, reading by reading: each is that of the sensor at its place."""
-    from thigmo.config import SIDES, RobotConfig, Side
+) -> tuple[dict[str, Any], ReadingsTable]:
+    """The errors of robot.toml, reading by reading: each is that of the sensor at its place.
+
+    With them the table, in which a fibre's strains are curvatures.
+    """
+    import numpy as np
+
+    from thigmo.config import SIDES, FibreSensor, RobotConfig, Sensor
     from thigmo.errors import DataError
-    from thigmo.reading_errors import reading_errors
+    from thigmo.reading_errors import errors_of
 
     robot = RobotConfig.load(path)
     inflated = next((name for name in SIDES if name == side), None)
     if side is not None and inflated is None:
         raise DataError(f"--side is {side!r}", f"give {' or '.join(SIDES)}")
     # Flex sensors on the inflated side wrinkle and are not read.
-    free = [
-        (name, index, sensor)
-        for name in SIDES
-        for index, sensor in enumerate(robot.column(name))
-        if not (sensor.wrinkles and name == inflated)
-    ]
-    found: list[tuple[Side, int]] = []
+    free = [s for s in robot.sensors if s.side and not (s.wrinkles and s.side == inflated)]
+    found: list[Sensor] = []
     for position in table.position.tolist():
-        near = min(free, key=lambda one: abs(one[2].center_cm - position), default=None)
-        if near is None or abs(near[2].center_cm - position) > max(near[2].span_cm / 2, 0.5):
+        near = min(free, key=lambda one: abs(one.center_cm - position), default=None)
+        if near is None or abs(near.center_cm - position) > max(near.span_cm / 2, 0.5):
             raise DataError(
                 f"{path} has no sensor at {position:g} cm that is not taken",
                 "give positions in cm, and --side where a muscle is inflated",
             )
         free.remove(near)
-        found.append((near[0], near[1]))
+        found.append(near)
     zone = robot.body.zone_at(length_cm)
-    return reading_errors(robot, inflated, zone, found).arguments()
+    if table.strain is not None:
+        if not all(isinstance(sensor, FibreSensor) for sensor in found):
+            raise DataError("a strain of what is no fibre", f"correct {path}, or give curvatures")
+        pairs = zip(found, table.strain.tolist(), strict=True)
+        bent = [each.curvature(ue) for each, ue in pairs if isinstance(each, FibreSensor)]
+        table = replace(table, curvature=np.array(bent))
+    return errors_of(robot, inflated, zone, found).arguments(), table
 
 
 def _facts(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:

@@ -26,8 +26,8 @@ def new(
     sensors: Annotated[int, typer.Option(help="Sensors in each column.")] = 5,
     muscles: Annotated[int, typer.Option(help="1 (one column, opposite) or 2.")] = 2,
     kind: Annotated[
-        Literal["flex", "heading"],
-        typer.Option(help="Of the sensors: flex, or heading for one string of IMUs."),
+        Literal["flex", "heading", "fibre"],
+        typer.Option(help="Of the sensors: flex, heading for one string of IMUs, or fibre."),
     ] = "flex",
     diameter: Annotated[float, typer.Option(help="Diameter of the tube, cm.")] = 3.5,
     out: Annotated[Path, typer.Option(help="Folder for robot.toml and scene.toml.")] = Path(
@@ -39,14 +39,15 @@ def new(
     """Draft a robot: its robot.toml, and a scene with a peg that it feels, to explore on."""
     from thigmo.design import draft
     from thigmo.errors import ConfigError
-    from thigmo.wiring import beyond_board
+    from thigmo.wiring import beyond_board, unexplored
 
     config = draft(length, sensors, muscles, diameter, kind=kind)
     with ConfigError.from_os(f"cannot make {out}", "choose another folder"):
         out.mkdir(parents=True, exist_ok=True)
     config.save(out / "robot.toml")
     written, said = [str(out / "robot.toml")], []
-    if beyond := beyond_board(config):
+    other = unexplored(config)
+    if beyond := [*beyond_board(config), *([other] if other else [])]:
         said = [f"no scene: {what}; {cure}" for what, cure in beyond]
     else:
         reach: Any = import_module(_REACH)

@@ -22,6 +22,7 @@ from thigmo.config import (
     Board,
     Body,
     BodyPressure,
+    FibreSensor,
     FlexSensor,
     HeadingSensor,
     Muscle,
@@ -43,7 +44,9 @@ _SPAN_CM, _GAP_CM = 5.5, 1.1  # of a sensor, and to the next one: the tip's fold
 _END_CM = 3.0  # of the tip, without a sensor
 _CLEAR_CM = 1.5  # of an IMU behind the tip, where growth stops
 _REST_S = 2.0  # IMUs do not creep after eversion
-Kind = Literal["flex", "heading"]
+_GRATING_CM = 1.0  # from one to the next, at least
+_POUCH_CM = 10.0
+Kind = Literal["flex", "heading", "fibre"]
 
 
 def draft(
@@ -59,7 +62,8 @@ def draft(
     Args:
         length_cm: 30 to 300.
         sensors: in each column. Of flex sensors two muscles have two columns, and a single muscle
-            has one opposite, which it leaves at rest. One string of IMUs serves all muscles.
+            has one opposite, which it leaves at rest. One string of IMUs, or one fibre with two
+            readings a grating, serves all muscles.
         muscles: 1 or 2.
         diameter_cm: of the tube.
         name: of the robot; by its length if empty.
@@ -78,26 +82,31 @@ def draft(
         raise ConfigError(
             f"a diameter of {diameter_cm:g} cm", f"give 0.5 to {length_cm / 4:g}, a slender body"
         )
-    least = 1.0 + _GAP_CM if kind == "flex" else _CLEAR_CM + 2 * IMU_CM
+    least = {"flex": 1.0 + _GAP_CM, "heading": _CLEAR_CM + 2 * IMU_CM, "fibre": _GRATING_CM}[kind]
     most = int((length_cm - _END_CM) / least)
     if not 1 <= sensors <= most:
         raise ConfigError(f"{sensors} sensors in a column", f"give 1 to {most} at this length")
     pitch = np.floor(2 * (length_cm - _END_CM) / sensors) / 2
-    body = _body(length_cm, diameter_cm, float(pitch))
+    body = _body(length_cm, diameter_cm, _POUCH_CM if kind == "fibre" else float(pitch))
     sides = SIDES[:muscles]
     columns = SIDES if muscles == 2 and kind == "flex" else [opposite(sides[0])]
-    made = _imu if kind == "heading" else _flex
+    made = {"flex": _flex, "heading": _imu, "fibre": _grating}[kind]
     return RobotConfig(
         name=name or f"vine-{length_cm:g}",
         body=body,
         muscles=[_muscle(side, body) for side in sides],
-        sensors=[made(side, float(pitch), number) for side in columns for number in range(sensors)],
+        sensors=[
+            sensor
+            for side in columns
+            for number in range(sensors)
+            for sensor in made(side, float(pitch), number)
+        ],
         board=Board() if kind == "flex" else Board(settle_s=_REST_S),
     )
 
 
-def _flex(side: Side, pitch_cm: float, number: int) -> Sensor:
-    return FlexSensor(
+def _flex(side: Side, pitch_cm: float, number: int) -> list[Sensor]:
+    sensor = FlexSensor(
         direction_deg=DEGREES[side],
         center_cm=pitch_cm * (number + 0.5),
         span_cm=min(_SPAN_CM, pitch_cm - _GAP_CM),
@@ -105,18 +114,31 @@ def _flex(side: Side, pitch_cm: float, number: int) -> Sensor:
         scale_per_ohm=-SIGN[side] * FlexSensor(center_cm=1.0).scale_per_ohm,
         valid_direction=1 if SIGN[side] < 0 else -1,
     )
+    return [sensor]
 
 
-def _imu(side: Side, pitch_cm: float, number: int) -> Sensor:
+def _imu(side: Side, pitch_cm: float, number: int) -> list[Sensor]:
     """From the IMU before, or the base, to one that is clear of the fold where growth stops."""
     end = pitch_cm * (number + 1) - _CLEAR_CM
     start = end - pitch_cm if number else 0.0
-    return HeadingSensor(
+    sensor = HeadingSensor(
         kind="heading",
         direction_deg=DEGREES[side],
         center_cm=(start + end) / 2,
         span_cm=end - start,
     )
+    return [sensor]
+
+
+def _grating(side: Side, pitch_cm: float, number: int) -> list[Sensor]:
+    """A reading in the plane, and one across it."""
+    center_cm = pitch_cm * (number + 0.5)
+    # The outside of a bend is stretched.
+    scale = -SIGN[side] * FibreSensor(kind="fibre", center_cm=1.0).scale_per_ue
+    return [
+        FibreSensor(kind="fibre", center_cm=center_cm, direction_deg=lies, scale_per_ue=each)
+        for lies, each in ((DEGREES[side], scale), (0.0, abs(scale)))
+    ]
 
 
 def _body(length_cm: float, diameter_cm: float, pitch_cm: float) -> Body:

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import SIGN, HeadingSensor, RobotConfig, Sensor, Side
+from thigmo.config import SIGN, BoardSensor, HeadingSensor, RobotConfig, Sensor, Side
 from thigmo.errors import ConfigError
 from thigmo.exploration.plan import stage_lengths
 from thigmo.link.protocol import PARAMETERS
@@ -26,7 +26,7 @@ from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
-from thigmo.wiring import beyond_board, board_of, columns, out_of_plane
+from thigmo.wiring import beyond_board, board_of, columns, unexplored
 
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
@@ -64,12 +64,12 @@ def judge(config: RobotConfig) -> list[Finding]:
     except ConfigError as error:
         found.append(Finding("stages", "bad", str(error)))
     found += [*_growth(config), *_bends(config)]
-    if beyond := out_of_plane(config):
+    if beyond := unexplored(config):
         text = f"{beyond.what}: `thigmo explore` refuses; {beyond.cure}"
-        found.append(Finding("plane", "warning", text))
+        found.append(Finding("explore", "warning", text))
     for side in config.sides:
         found += _feels(config, side)
-    return [*found, *_inputs(config), *_rates(config), *_imus(config)]
+    return [*found, *_inputs(config), *_rates(config), *_imus(config), *_fibre(config)]
 
 
 def _board(config: RobotConfig) -> str:
@@ -160,7 +160,8 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
     sign = SIGN[side]
     sensors = config.sensors_for(side)
     column = [s for s in sensors if s.healthy and s.valid_direction in (0, sign)]
-    if not column or column[0] is not sensors[0]:
+    wired = [sensor for sensor in sensors if isinstance(sensor, BoardSensor)]
+    if not column or (wired and wired[0] not in column):
         yield Finding(
             what,
             "bad",
@@ -171,17 +172,18 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
     free = muscle.maps[-1].inflate.curvature(muscle.max_pressure_psi)
     moment = min(_PROPPED * free, _fold_moments(config)[-1])
     arcs = np.linspace(0.0, body.length_cm, _STEPS + 1)[1:]
-    base = column[0]
+    base = wired[0] if wired else column[0]
     held_back = moment * phi(arcs, base.center_cm, base.span_cm) / arcs
     felt = arcs[held_back > TRIGGER_PER_CM]
-    if not felt.size:
+    if not wired:
+        text = "the board refuses it: it sees no base sensor (no_base_sensor)"
+        yield Finding(what, "warning", text)
+    elif felt.size:
+        ends = f"{felt[0]:.1f} to {body.length_cm:g} cm"
+        yield Finding(what, "ok", f"feels contacts from {ends}; blind nearer to the base")
+    else:
         yield Finding(what, "bad", f"feels nothing: contacts hold back {held_back.max():.4f} 1/cm")
         return
-    yield Finding(
-        what,
-        "ok",
-        f"feels contacts from {felt[0]:.1f} to {body.length_cm:g} cm; blind nearer to the base",
-    )
     within = f"within {WIDTH_SHARE * body.length_cm:.1f} cm, pressed hardest, on"
     stated, calibrated = (
         100 * _localized(config, column, arcs, moment, min(muscle.offset_se, offset), gain).mean()
@@ -200,7 +202,7 @@ def _localized(
     most_gain: float,
 ) -> npt.NDArray[np.bool_]:
     """Which arcs' 95 % interval is narrow enough, by the bound of small deflections."""
-    gains = [min(s.scale_se, most_gain) * moment * (1 - s.center_cm / arcs[-1]) for s in column]
+    gains = [min(s.gain_error, most_gain) * moment * (1 - s.center_cm / arcs[-1]) for s in column]
     noise = [hypot(s.reading_se, gain) for s, gain in zip(column, gains, strict=True)]
     centers, spans = ([getattr(s, key) for s in column] for key in ("center_cm", "span_cm"))
     bounds = [
@@ -214,8 +216,10 @@ def _rates(config: RobotConfig) -> Iterator[Finding]:
     """How often each kind of channel is read, by the schedule of firmware/core/board.h."""
     conversions = 2 ** PARAMETERS["oversample_log2"].defaults[0]
     bases, others = _TICKS_HZ / conversions, _TICKS_HZ / 2 / conversions
-    read = {sensor.side for sensor in config.sensors} - {None}
-    rest = len(config.sensors) - len(read)
+    read = {sensor.side for sensor in config.board_sensors} - {None}
+    rest = len(config.board_sensors) - len(read)
+    if not config.board_sensors:
+        return
     yield Finding(
         "rates",
         "ok",
@@ -246,3 +250,17 @@ def _imus(config: RobotConfig) -> Iterator[Finding]:
             f"{degrees(held):.1f} degrees of it, and its IMU is known to {degrees(known):.2f}"
         )
         yield Finding("trigger", "ok" if sure else "bad", text)
+
+
+def _fibre(config: RobotConfig) -> Iterator[Finding]:
+    """What a fibre's readings are known to, beside what the contact trigger would need."""
+    if not config.gratings:
+        return
+    worst = max(config.gratings, key=lambda sensor: sensor.reading_se)
+    text = (
+        f"{len(config.gratings)} readings, each known to {worst.reading_se:.1e} 1/cm, of which "
+        f"{worst.temperature_se:.1e} are the temperature's, in all alike; a contact of "
+        f"{TRIGGER_PER_CM:g} 1/cm strains by {TRIGGER_PER_CM / abs(worst.scale_per_ue):.0f} "
+        "microstrain"
+    )
+    yield Finding("fibre", "ok", text)

@@ -28,7 +28,7 @@ from thigmo.report import draw_map
 from thigmo.robot import Operator, connect
 from thigmo.room import Reachable
 from thigmo.stream import Event, recording
-from thigmo.wiring import out_of_plane
+from thigmo.wiring import unexplored
 
 _ENDINGS: dict[type[BaseException], str] = {
     KeyboardInterrupt: "interrupted by the operator",
@@ -134,8 +134,11 @@ def explore(
         connect(url, seed=seed, operator=operator, realtime=realtime) as robot,
     ):
         used = config or robot.known_config
-        if used and (beyond := out_of_plane(used)):
-            raise ConfigError(f"an exploration is in the plane: {beyond.what}", beyond.cure)
+        if used and (beyond := unexplored(used)):
+            raise ConfigError(
+                f"an exploration is in the plane, by sensors on the board: {beyond.what}",
+                beyond.cure,
+            )
         if used is None:
             made = Path("calibration") / "robot.toml"
             raise ConfigError(

@@ -138,21 +138,28 @@ class ReadingsTable:
     span: Array | None  # None without that column
     lines: tuple[int, ...]  # of the file, from 1
     direction: Array | None = None  # rad; None without that column
+    strain: Array | None = None  # microstrain, in place of a curvature, which is nan then
 
 
 def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
     """Read a CSV of readings: columns `position`, `curvature` and optionally `span`, `direction`.
 
+    A fibre's table may have `strain` (microstrain) in place of `curvature`.
     `direction` is in degrees about the body, as `Sensors` has it in rad.
     Whether they can be those of a body (places, units) is the localizer's to say. Raises DataError,
     which names file, line and column: unreadable, empty, too long, a missing or empty column, or a
     value that is no finite number. An empty curvature, or NaN, is a sensor that was not read.
     """
     table = Table.read(path, most_rows=_MOST_READINGS)
-    position, curvature = _readings(table, "position"), _readings(table, "curvature", missing=True)
+    position, strain = _readings(table, "position"), None
+    if "strain" in table and "curvature" not in table:
+        strain = _readings(table, "strain", missing=True)
+        curvature = np.full(len(position), np.nan)
+    else:
+        curvature = _readings(table, "curvature", missing=True)
     span = _readings(table, "span") if "span" in table else None
     direction = np.deg2rad(_readings(table, "direction")) if "direction" in table else None
-    return ReadingsTable(position, curvature, span, tuple(table.lines), direction)
+    return ReadingsTable(position, curvature, span, tuple(table.lines), direction, strain)
 
 
 def _readings(table: Table, name: str, *, missing: bool = False) -> Array:

@@ -1,0 +1,155 @@
+"""A fibre: scale, zero, twist and drift of each grating's strains, by free bends.
+
+Its readings come from an interrogator, so they come here as a CSV: at each free bend the curvature
+by camera, and the strain of each reading. A line in curvature and time is fitted to each. Its
+slope gives `scale_per_ue`. The drift that all gratings share is the temperature's. A reading
+across the plane that moves with bends in it says by how much the fibre is twisted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thigmo.calibrate.columns import Array
+from thigmo.calibrate.regression import outlying
+from thigmo.calibrate.verdict import StepResult, Verdict
+from thigmo.config import FibreSensor, RobotConfig
+from thigmo.errors import DataError
+from thigmo.record.table import Table
+
+_FEWEST = 8  # bends
+_LEAST_BEND = 1e-3  # 1/cm, between the least and the most
+_CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
+_FROM_ZERO_S = 20.0  # a sweep's last peak comes so long after the zeros
+_MOST_SE = 0.1  # of a scale that is of use
+_SAME_CM = 0.05  # places that are nearer are one grating's
+
+
+@dataclass(frozen=True)
+class FibreFit:
+    """One reading's calibration, by its number in the fibre."""
+
+    index: int
+    healthy: bool
+    reason: str
+    scale_per_ue: float = np.nan  # 1/cm per microstrain
+    scale_se: float = np.inf  # relative
+    zero_ue: float = 0.0
+    drift_ue_s: float = np.nan
+    noise_ue: float = np.nan  # one sigma of a strain about the line
+    twist_rad: float = np.nan  # of its grating, if a reading across the plane tells
+
+
+@dataclass(frozen=True)
+class FibreResult(StepResult):
+    """All readings in the plane, and what they share when a contact is measured."""
+
+    sensors: tuple[FibreFit, ...]
+    temperature_se: float  # 1/cm
+    twist_se_rad: float  # nan: nothing tells
+    verdict: Verdict
+
+    def write(self, config: RobotConfig) -> None:
+        """Scales, zeros, noise, drift, twist and health; a dead reading keeps its constants."""
+        for fit in self.sensors:
+            sensor = config.gratings[fit.index]
+            sensor.healthy = fit.healthy
+            if not fit.healthy:
+                continue
+            sensor.scale_per_ue, sensor.scale_se = fit.scale_per_ue, fit.scale_se
+            sensor.zero_ue, sensor.temperature_se = fit.zero_ue, self.temperature_se
+            sensor.noise = abs(fit.scale_per_ue) * fit.noise_ue
+            if np.isfinite(self.twist_se_rad):
+                sensor.twist_se_rad = self.twist_se_rad
+
+
+def of_csv(table: Table, config: RobotConfig) -> FibreResult:
+    """Free bends: time, curvature by camera, and the strain of each reading (microstrain)."""
+    strain = [table.numbers(f"strain_{number}") for number in range(len(config.gratings))]
+    return fit_fibre(
+        table.numbers("t_s"), table.numbers("curvature"), np.column_stack(strain), config
+    )
+
+
+def fit_fibre(t_s: Array, curvature: Array, strain: Array, config: RobotConfig) -> FibreResult:
+    """Fit a fibre to free bends (n,), in 1/cm, and strains (n, gratings), nan where it dropped."""
+    seen = np.isfinite(t_s) & np.isfinite(curvature)
+    if seen.sum() < _FEWEST or np.ptp(curvature[seen]) < _LEAST_BEND:
+        raise DataError(
+            f"{int(seen.sum())} free bends that the camera saw", f"take {_FEWEST} and more, apart"
+        )
+    gratings = config.gratings
+    lines = [_line(t_s, curvature, strain[:, n], seen) for n in range(len(gratings))]
+    fits = [_fit(n, gratings, lines) for n, sensor in enumerate(gratings) if sensor.side]
+    good = [fit for fit in fits if fit.healthy]
+    notes = tuple(f"strain_{fit.index} {fit.reason}" for fit in fits if not fit.healthy)
+    if not good:
+        return FibreResult(
+            tuple(fits), np.nan, np.nan, Verdict(False, "no grating can be used", notes)
+        )
+    drift = np.median([fit.drift_ue_s * fit.scale_per_ue for fit in good])
+    temperature = float(abs(drift) * _FROM_ZERO_S)
+    turned = np.array([fit.twist_rad for fit in good])
+    turned = turned[np.isfinite(turned)]
+    twist = float(np.sqrt(np.mean(turned**2))) if turned.size else np.nan
+    worst = max(fit.scale_se for fit in good)
+    reason = (
+        f"{len(good)} of {len(fits)} gratings; scales known to {100 * worst:.1f} % at worst; "
+        f"temperature shifts all by {60 * abs(drift):.1e} 1/cm a minute"
+    )
+    if turned.size:
+        reason += f"; twisted by {np.degrees(twist):.1f} degrees"
+    return FibreResult(tuple(fits), temperature, twist, Verdict(True, reason, notes))
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A strain's line in time and curvature."""
+
+    zero: float
+    drift: float
+    slope: float  # microstrain per 1/cm
+    slope_se: float
+    spread: float
+
+
+def _line(t_s: Array, curvature: Array, strain: Array, seen: NDArray[np.bool_]) -> _Line | None:
+    own = seen & np.isfinite(strain)
+    if own.sum() < _FEWEST or np.ptp(curvature[own]) < _LEAST_BEND:
+        return None
+    since = t_s[own] - t_s[own].mean()
+    design = np.column_stack([np.ones(len(since)), since, curvature[own]])
+    keep = np.ones(len(since), dtype=np.bool_)
+    for _ in range(2):
+        fit = np.linalg.lstsq(design[keep], strain[own][keep])[0]
+        rest = strain[own] - design @ fit
+        keep = ~outlying(rest, 6, 1e-3)
+    spread = float(np.sqrt(rest[keep] @ rest[keep] / max(1, keep.sum() - 3)))
+    error = spread * float(np.linalg.inv(design[keep].T @ design[keep])[2, 2]) ** 0.5
+    zero, drift, slope = fit.tolist()
+    return _Line(zero, drift, slope, error, spread)
+
+
+def _fit(index: int, gratings: list[FibreSensor], lines: list[_Line | None]) -> FibreFit:
+    """One reading in the plane, and its grating's twist by the reading across."""
+    line = lines[index]
+    if line is None:
+        return FibreFit(index, False, f"is read at fewer than {_FEWEST} bends: its peak is lost")
+    se = float(np.hypot(line.slope_se / max(abs(line.slope), 1e-9), _CAMERA_SCALE_SE))
+    if se > _MOST_SE:
+        return FibreFit(index, False, "does not follow the bends; check which grating it is")
+    across = [
+        lines[n]
+        for n, other in enumerate(gratings)
+        if other.side is None and abs(other.center_cm - gratings[index].center_cm) < _SAME_CM
+    ]
+    twist = np.nan
+    if across and (beside := across[0]) is not None:
+        twist = float(np.arctan2(abs(beside.slope), abs(line.slope)))
+    return FibreFit(
+        index, True, f"scale known to {100 * se:.1f} %", 1.0 / line.slope, se, line.zero,
+        line.drift, line.spread, twist,
+    )  # fmt: skip
