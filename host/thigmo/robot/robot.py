@@ -262,8 +262,9 @@ class Robot(Supervised):
         heard: list[TelemetryFrame] = []
         with self._telemetry_to(heard.append):
             self.wait(seconds, despite_faults=despite_faults)
-            if not heard:  # a busy computer may hear it late
-                self.wait(1.0, despite_faults=despite_faults)
+            if not heard:  # a busy computer may hear it late, and telemetry may be slow
+                period_s = self.parameter("telemetry_ms")[0] / 1e3
+                self.wait(max(1.0, 2 * period_s), despite_faults=despite_faults)
         if not heard:
             raise LinkError("no telemetry came", "check the parameter telemetry_ms")
         frames = [frame.message for frame in heard]

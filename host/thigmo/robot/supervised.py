@@ -149,6 +149,9 @@ class Supervised(Connected):
             else:
                 what += " now and then, at present none is"
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
+            if any(sensor.kind == "heading" for sensor in self.config.sensors):
+                what = what.replace("A flex sensor's circuit is open", "An IMU does not answer")
+                cure = cure.replace("its wire", "the IMUs at both its ends, and their bus")
         if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self.config)):
             cure = f"{hint}; {cure}"
         # A board that lives in this process starts again with the next connection.
