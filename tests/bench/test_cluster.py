@@ -23,24 +23,6 @@ def work(item: int) -> tuple[float, int]:
     return float(np.linalg.norm(np.arange(item + 1.0))), os.getpid()
 
 
-def test_a_study_spreads_over_a_cluster_and_keeps_its_order() -> None:
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
-        client = connect_cluster(cluster.scheduler_address)
-        try:
-            seen: list[int] = []
-            context = Context(
-                backend="dask", jobs=2, progress=lambda part, done, total: seen.append(done)
-            )
-            found = context.map(work, range(12), "norms")
-        finally:
-            client.close()
-    assert [value for value, _ in found] == [work(item)[0] for item in range(12)]
-    assert os.getpid() not in {process for _, process in found}
-    assert seen == list(range(13))
-
-
 def study(context: Context) -> Outcome:
     """A table of which process did what."""
     found = context.map(work, range(12), "norms")

@@ -146,15 +146,11 @@ def test_a_stopped_experiment_goes_on_and_skipped_trials_are_no_trials(
     assert (folder.path / "run-2.mcap").exists()
 
 
-def test_another_robot_may_not_add_to_a_folder(scene: str, tmp_path: Path) -> None:
-    with connect(scene, seed=1) as robot:
-        assert robot.known_config is not None
-        folder = Folder(tmp_path / "one", robot.known_config)
-        assert not run_trials(robot, Stops(robot, "keep"), folder, "single-contact", 1)
-    other = folder.config.model_copy(deep=True)
+def test_another_robot_may_not_add_to_a_folder(single_contact: Folder) -> None:
+    other = single_contact.config.model_copy(deep=True)
     other.body.critical_curvature = 0.02
     with pytest.raises(DataError, match="another robot"):
-        Folder(folder.path, other)
+        Folder(single_contact.path, other)
 
 
 def test_a_line_that_lacks_a_reading_is_named(single_contact: Folder, tmp_path: Path) -> None:
