@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from contacts import CONTACT
 from PIL import Image
 
 from thigmo.config import RobotConfig
@@ -43,20 +44,17 @@ def _contact(arc: float = 40.0, length: float = 50.0, width: float = 3.0) -> Map
     """A peg on the left of a robot that bends to the left with 0.02 1/cm."""
     bend = Bend(length, 0.02, ramp_knots([(arc, -2e-4)]), curvature_se=5e-4)
     placed = place_contact(bend, arc, -2e-4, (arc - width, arc + width), radius_cm=RADIUS)
-    return MapContact(
+    return replace(
+        CONTACT,
         arc_cm=arc,
         x_cm=placed.x_cm,
         y_cm=placed.y_cm,
         force_per_cm2=-2e-4,
         interval_cm=(arc - width, arc + width),
-        status="localized",
         everted_length_cm=length,
-        side="left",
         normal_rad=placed.normal_rad,
         covariance_cm2=placed.covariance_cm2,
         track=placed.track,
-        model="plain beam",
-        readings=5,
     )
 
 

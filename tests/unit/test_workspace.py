@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, pi, sin
 
 import numpy as np
 import pytest
+from contacts import CONTACT
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -109,21 +111,15 @@ def test_the_covariance_is_the_interval_along_and_the_shapes_error_across() -> N
     assert abs(xy) < 0.2
 
 
-def _contact(x: float, y: float, width: float, length: float, side: str = "left") -> MapContact:
-    return MapContact(
+def _contact(x: float, y: float, width: float, length: float) -> MapContact:
+    return replace(
+        CONTACT,
         arc_cm=45.0,
         x_cm=x,
         y_cm=y,
-        force_per_cm2=-2e-4,
         interval_cm=(45.0 - width / 2, 45.0 + width / 2),
-        status="localized",
         everted_length_cm=length,
-        side=side,
-        normal_rad=1.0,
         covariance_cm2=(((width / 3.92) ** 2, 0.0), (0.0, 0.2)),
-        track=[],
-        model="",
-        readings=4,
     )
 
 

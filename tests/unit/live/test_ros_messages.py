@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from contacts import CONTACT
 
 from thigmo.live import ros_messages as made
 from thigmo.live.relay import Facts
@@ -23,10 +24,10 @@ STATE = RunState(1.0, 101.0, "SWEEP", "sweeping", 40.0, 0.5)
 
 
 def _contact(track: list[tuple[float, float]]) -> MapContact:
-    return MapContact(
-        31.0, 29.5, 7.8, -2e-4, (29.0, 34.0), "localized", 53.0, "left", math.pi / 2,
-        ((4.0, 1.0), (1.0, 2.0)), track, "one contact", 5,
-    )  # fmt: skip
+    covariance_cm2 = ((4.0, 1.0), (1.0, 2.0))
+    return replace(
+        CONTACT, x_cm=29.5, normal_rad=math.pi / 2, covariance_cm2=covariance_cm2, track=track
+    )
 
 
 def test_times_keep_their_microseconds() -> None:

@@ -7,9 +7,9 @@ from math import isnan, nan
 
 import numpy as np
 import pytest
+from contacts import CONTACT
 
 from thigmo.errors import DataError
-from thigmo.record import MapContact
 from thigmo.stream import (
     CHANNELS,
     BodyShape,
@@ -63,15 +63,7 @@ ONE_OF_EACH = [
     a_state(),
     BodyShape(1.0, 2.0, ((0.0, 0.0, 0.0), (1.0, 0.1, 0.2)), 1.75),
     Posterior(1.0, 2.0, "left", 40.0, (1.0, 2.0), (0.25, 0.75), "localized", "one", "", 0.9, True),
-    Contacts(
-        1.0, 2.0,
-        (
-            MapContact(
-                20.0, 19.0, 4.0, -1e-3, (19.0, 21.0), "localized", 40.0, "left", 1.5,
-                ((1.0, 0.0), (0.0, 2.0)), [(18.0, 4.0), (20.0, 4.0)], "rod", 4, known=None,
-            ),
-        ),
-    ),
+    Contacts(1.0, 2.0, (CONTACT,)),
     Grid(1.0, 2.0, 0.5, (-1.0, -2.0, 0.0), 3, 2, (0, 100, -1, 0, 0, 0)),
     Log(1.0, 2.0, "warning", "the record is cut short"),
     Question(1.0, 2.0, "How many cm?"),
