@@ -61,7 +61,8 @@ def test_the_scorer_alone_gives_the_scores_of_the_command(answers: Path, tmp_pat
         check=True, capture_output=True, text=True,
     )  # fmt: skip
     assert done.stdout == CliRunner().invoke(app, ["score", str(answers)]).output
-    assert len(done.stdout.splitlines()) == 12
+    assert len(done.stdout.splitlines()) == 13
+    assert max(map(len, done.stdout.splitlines())) <= 80
 
 
 def test_the_localizer_covers_and_does_not_overclaim(answers: Path) -> None:

@@ -192,16 +192,18 @@ def _share(count: int, of: int) -> float:
     return count / of if of else math.nan
 
 
+# Of each column, in one or two lines.
 _HEADS = {
-    "answered": "answered", "number": "number right", "error_cm": "error, cm",
-    "failures": "failed", "coverage": "coverage", "width_cm": "width, cm", "claimed": "localized",
-    "overclaimed": "overclaimed",
+    "answered": "answers", "number": "number right", "error_cm": "error, cm", "failures": "failed",
+    "coverage": "coverage", "width_cm": "width, cm", "claimed": "localized",
+    "overclaimed": "over- claimed",
 }  # fmt: skip
 
 
 def table(scores: Sequence[Score]) -> str:
-    """Scores for people."""
-    lines = [["group", *_HEADS.values()]]
+    """Scores for people, in 80 columns."""
+    heads = [["", *head.split()][-2:] for head in _HEADS.values()]
+    lines = [["", *(above for above, _ in heads)], ["group", *(below for _, below in heads)]]
     for each in scores:
         cells = [each.group, f"{each.answered}/{each.frames}"]
         for name in list(_HEADS)[1:]:
@@ -210,7 +212,7 @@ def table(scores: Sequence[Score]) -> str:
         lines.append(cells)
     wide = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(
-        "  ".join([line[0].ljust(wide[0]), *map(str.rjust, line[1:], wide[1:])]).rstrip()
+        " ".join([line[0].ljust(wide[0]), *map(str.rjust, line[1:], wide[1:])]).rstrip()
         for line in lines
     )
 

@@ -60,7 +60,7 @@ def _reported() -> Iterator[None]:
     except _UsageError as error:
         if type(error).show is not _UsageError.show:  # no argument at all: its help is shown
             raise
-        said = " ".join(error.format_message().split()).rstrip(".")
+        said = " ".join(error.format_message().split()).rstrip(".").replace("Value error, ", "")
         path = error.ctx.command_path if error.ctx else "thigmo"
         typer.echo(f"thigmo: {said}; see `{path} --help`", err=True)
         raise typer.Exit(error.exit_code) from None

@@ -37,8 +37,9 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 MethodOption = Annotated[
     str | None,
     typer.Option(
-        help="How contacts are localized: posterior (the default; a replay's is its run's), or "
-        "without intervals: the thesis's alternating fit (thesis), or what it seeks (l1).",
+        help="How contacts are localized: posterior (the default), or without intervals: thesis "
+        "(its alternating fit) or l1 (the minimum that this fit searches for). A replay's default "
+        "is the method of its run.",
         show_default=False,
     ),
 ]

@@ -26,13 +26,16 @@ def hints(
     """What the readings (N,) of a result look like; `options` are those of its `localize`."""
     free = np.broadcast_to(options.get("free_curvature", 0.0), curvature.shape)
     seen = np.isfinite(curvature)
+    # A column of the other sign looks like noise: the result's may be larger than the stated one.
+    stated = options.get("noise")
+    noise = result.noise if stated is None else float(np.sqrt(np.mean(np.square(stated))))
     found = []
-    if _mirrored(curvature[seen], -free[seen], result.noise):
+    if _mirrored(curvature[seen], -free[seen], noise):
         found.append(
             "the readings have the other sign than the free curvature: change the sign of one"
         )
     elif options.get("direction") is None and (
-        opposite := _opposite_columns(curvature[seen], position[seen], result.noise)
+        opposite := _opposite_columns(curvature[seen], position[seen], noise)
     ):
         found.append(
             f"the two sensors at {opposite} read opposite curvatures: change the sign of the "

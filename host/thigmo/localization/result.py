@@ -219,8 +219,8 @@ class LocalizeResult:
                 for arc, force in zip(arcs.tolist(), forces.tolist(), strict=True)
             ),
             f"{arcs.size} contact{'s' * (arcs.size > 1)}, {method}",
-            f"{method} gives a place without an interval: how far off it is, and whether there is "
-            "a contact at all, it does not say",
+            f"{method} gives no interval: it cannot say how far off the place is, nor whether "
+            "there is a contact at all",
             nan,
             nan,
             {},
@@ -352,14 +352,13 @@ def _message(status: Status, found: _posterior.Answer, count: int) -> str:
         return "the readings are those of the free body" + bad
     if status == "below detection":
         return "a contact is not certain; average more readings, bend further or give `noise`" + bad
-    felt = f"{count} felt with probability {found.number[count]:.2f}"
+    felt = f"{count} contact{'s' * (count > 1)}: probability {found.number[count]:.2f}"
     if count < len(found.number) - 1:
-        felt += f", more are not excluded ({sum(found.number[count + 1 :]):.2f})"
+        felt += f", more: {sum(found.number[count + 1 :]):.2f}"
     if status == "localized":
-        places = "a contact lies" if count == 1 else "contacts lie"
-        return f"{places} where `intervals` say, whatever their number; {felt}{bad}"
+        return f"the intervals hold whatever the number of contacts; {felt}{bad}"
     if found.touched < 1.0 - priors.EXCLUDED:
         return f"a contact has probability {found.touched:.2f}; {felt}{bad}"
     if found.end_open:
         return f"something may hold the end: give held_end; {felt}{bad}"
-    return f"the readings do not fix the place, see `intervals`; {felt}{bad}"
+    return f"the readings do not fix the place: see the intervals; {felt}{bad}"

@@ -166,7 +166,8 @@ def _readings(table: Table, name: str, *, missing: bool = False) -> Array:
     if name not in table:
         raise MissingColumnError(
             f"{table.name}: no column `{name}` in its header ({', '.join(table.columns)})",
-            "name the columns position, curvature and optionally span",
+            "name the columns position, curvature and optionally span; if each row is a frame, "
+            "give --columns",
         )
     if not any(table.columns[name]):
         raise DataError(f"{table.name}: the column `{name}` is empty", "fill it, or leave it out")

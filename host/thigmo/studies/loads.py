@@ -69,7 +69,7 @@ class Seen:
     wrong: bool  # localized, with an interval that holds no true place
     off_cm: float  # the farthest that a localized contact is from the true place nearest to it
     hinge: bool  # the explanation has a kink, or the message says that it may
-    open: bool  # the message says that more contacts are not excluded
+    open: bool  # the message gives the probability of more contacts
     stands_out: float  # misfit of what the group's promise speaks of
     turn: float  # of the body, by the mean of what evenly spaced sensors read without noise (rad)
     fits: bool  # one contact leaves no more misfit than noise does in 99 of 100 frames
@@ -292,7 +292,7 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
                     word in f"{result.hypothesis} {result.message}"
                     for word in ("hinge", "folded", "kinked")
                 ),
-                open="not excluded" in result.message,
+                open=", more: " in result.message,
                 stands_out=float(out),
                 turn=float(turn),
                 fits=bool(fit),

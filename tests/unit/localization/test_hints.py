@@ -43,6 +43,9 @@ def test_each_mistake_gets_its_own_hint() -> None:
     assert "from the tip" in _hints(straight, 53.0 - POSITION, 0.0)
     both = np.concatenate((straight, -straight)), np.tile(POSITION, 2)
     assert "the two sensors at 5, 15, 25, 35, 45" in _hints(*both, 0.0)
+    weak = np.array([0.0104, 0.0083, 0.006, 0.0041, 0.0017])  # taken for a larger noise
+    opposed = np.concatenate((-weak, weak)), np.tile(POSITION, 2)
+    assert "the two sensors at 5, 15, 25, 35, 45" in _hints(*opposed, 0.0)
 
 
 def test_a_sensor_just_beyond_the_body_is_said_to_be_one_that_is_not_everted() -> None:
