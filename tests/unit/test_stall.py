@@ -58,6 +58,18 @@ def test_a_tip_that_stalls_before_the_sensor_has_an_interval(tip: float, seed: i
     assert found.interval_cm[0] <= tip <= found.interval_cm[1]
 
 
+def test_a_thicker_body_folds_more_gently() -> None:
+    thick = RobotConfig()
+    thick.body.diameter_cm *= 4
+    length, bend = _growth(30.0, 40.0, 35.0)
+    found = stall(length, bend / 6, SensorTable.of(thick))
+    assert found is not None
+    assert found.arc_cm == pytest.approx(35.0, abs=1.0)
+    # Of the thesis's tube so small a rise is creep.
+    creep = stall(length, bend / 6, TABLE)
+    assert creep is None or creep.arc_cm != pytest.approx(35.0, abs=1.0)
+
+
 def test_one_sensor_that_is_silent_is_a_sensor_that_is_broken() -> None:
     length, bend = _growth(30.0, 40.0)
     bend[:, 3] = 0.3

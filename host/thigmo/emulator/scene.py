@@ -96,7 +96,7 @@ class Flex(Model):
     wrinkle: NonNegative = 0.012  # 1/cm, size of the garbage on the active side
     wrinkle_start_psi: NonNegative = 1.0
     wrinkle_full_psi: Positive = 4.0
-    fold_bend: NonNegative = 0.15  # 1/cm, seen while the tip's fold passes
+    fold_bend: NonNegative = 0.15  # 1/cm, seen while the fold of a tip of 1.75 cm radius passes
     stowed: NonNegative = 0.01  # 1/cm, one sigma of what a sensor inside the tail reads
 
 

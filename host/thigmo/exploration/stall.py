@@ -29,9 +29,9 @@ from thigmo.robot.curvature import Floats
 
 _SMOOTH = 5  # frames of a running median, a quarter of a second
 
-# A rise of so much (1/cm) is the fold's. The fold's own curvature is of the order of one
-# over the tube's radius, ten times that even where a sensor averages it; creep and noise are less.
-_FOLD_PER_CM = 0.03
+# A rise of this share of one over the tube's radius is the fold's. The fold's own curvature is of
+# that order, ten times this share even where a sensor averages it; creep and noise are less.
+_FOLD = 0.0525  # 0.03 1/cm at the thesis's 1.75 cm
 _PASSED = 0.5  # share of the rise by which a reading falls once the fold is past; creep is less
 _SAME_PLACE_CM = 1.0
 _LEVEL = 0.03  # share of the rise by which a reading may differ from its last and count as that
@@ -152,10 +152,13 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Obstruction | 
     end = table.center_cm + table.span_cm / 2
     due = table.healthy & (start > length_cm[0]) & (end + FOLD_MARGIN_CM <= length_cm[-1] + 0.05)
     due &= np.isfinite(bend).all(axis=0)
+    rise = _FOLD / table.radius_cm
     late: list[float] = []
     for place in sorted(set(table.center_cm[due].tolist())):
         here = np.flatnonzero(due & (np.abs(table.center_cm - place) < _SAME_PLACE_CM))
-        stalls = [_stalled(length_cm, bend[:, i], float(start[i]), float(end[i])) for i in here]
+        stalls = [
+            _stalled(length_cm, bend[:, i], float(start[i]), float(end[i]), rise) for i in here
+        ]
         stuck = [found for found in stalls if found is not None]
         if len(stuck) == len(here):
             tips, lows, highs = zip(*stuck, strict=True)
@@ -178,14 +181,14 @@ def _left_late(length_cm: Floats, reading: Floats, start: float, end: float) -> 
 
 
 def _stalled(
-    length_cm: Floats, reading: Floats, start: float, end: float
+    length_cm: Floats, reading: Floats, start: float, end: float, least: float
 ) -> tuple[float, float, float] | None:
     """(tip, low, high) of a sensor that the fold did not pass through; None if it did."""
     before = float(np.median(reading[length_cm < start][-_SMOOTH:]))
     last = float(np.median(reading[-_SMOOTH:]))
     rise = np.abs(reading - before)
     top = int(rise.argmax())
-    if rise[top] < _FOLD_PER_CM:  # it has not reached the fold
+    if rise[top] < least:  # it has not reached the fold
         low, high = float(length_cm[0]), start + _ONSET_CM
         return (low + high) / 2, low, high
     if abs(reading[top] - last) >= _PASSED * rise[top]:

@@ -50,6 +50,7 @@ class SensorTable:
     lies: NDArray[np.int64]
     direction: NDArray[np.int64]  # of bends that it answers to; 0: both
     healthy: NDArray[np.bool_]  # mask of sensors to use at all
+    radius_cm: float  # of the tube
     divider_ohm: float  # the divider's fixed resistor
     oversample: int  # conversions that a raw reading sums
     zero_sum: Floats  # raw readings at the last zeroing; NaN where there is none
@@ -70,6 +71,7 @@ class SensorTable:
             ),
             direction=np.array([s.valid_direction if s else 0 for s in sensors]),
             healthy=np.array([s is not None and s.healthy for s in sensors]),
+            radius_cm=config.body.radius_cm,
             divider_ohm=config.board.divider_ohm,
             oversample=oversample,
             zero_sum=np.full(len(sensors), np.nan),
