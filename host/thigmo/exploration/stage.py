@@ -181,8 +181,9 @@ def _swept_shapes(
     table = SensorTable.of(config)
     gain = gain_errors(config)
     for side in SIDES:
-        use = table.usable(side, sweep.sensors)
         frames, readings = sweep.half(side)
+        # A record with a gap may lack a sensor's zero.
+        use = table.usable(side, sweep.sensors) & np.isfinite(readings).all(axis=0)
         if not use.any() or not frames:
             continue
         readings = readings[:, use]
