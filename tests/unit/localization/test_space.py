@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import cache
+from itertools import combinations
 
 import numpy as np
 import pytest
 from scipy.special import logsumexp
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 import thigmo
 from thigmo.errors import DataError
@@ -83,6 +85,21 @@ def test_turned_about_its_axis_with_everything_places_stay():
     assert other.contacts[0].vector == pytest.approx(about @ one.contacts[0].vector, abs=1e-6)
 
 
+def test_turned_about_its_axis_two_contacts_stay():
+    # Frame 74 moves by 5e-6 where shapes are compared component by component.
+    arcs = np.tile([0.35, 0.8], (80, 1))
+    sizes = np.array([[0.0, 12.0, 12.0], [0.0, 6.0, 6.0]])
+    forces = sizes * np.random.default_rng(5).uniform(-1.0, 1.0, (80, 2, 3))
+    curvature = noisy(solve(arcs, forces).readings(POSITION, AXIS, SPAN), 5)
+    turned = READ | {"direction": DIRECTION + 1.234}
+    pairs = 0
+    for frame in curvature:
+        one, other = (thigmo.localize(frame, **options).contacts for options in (READ, turned))
+        assert [c.arc for c in other] == pytest.approx([c.arc for c in one], abs=1e-6)
+        pairs += len(one) == 2
+    assert pairs > 40
+
+
 def test_weight_that_is_stated_is_no_contact():
     rods = solve(np.ones((1, 1)), np.zeros((1, 1, 3)), weight=np.array([[0.4, -1.5, 0.3]]))
     curvature = noisy(rods.readings(POSITION, AXIS, SPAN)[0], 4)
@@ -116,27 +133,108 @@ def test_sensors_that_measure_twist_show_what_twists_the_end():
     assert result.status == "localized"
 
 
-def test_one_contact_is_weighed_as_dense_normal_densities():
+@cache
+def responses(free, arc):
+    """(6, N) of readings of a circle to unit forces and couples at an arc, in the frame there."""
+
+    def frames(at):
+        c, s = np.cos(free * at), np.sin(free * at)
+        zero = 0.0 * at
+        columns = [[c, s, zero], [-s, c, zero], [zero, zero, zero + 1.0]]
+        return np.moveaxis(np.array(columns), (0, 1), (-2, -1))
+
+    def places(at):
+        x = np.sinc(free * at / np.pi) * at
+        return np.stack(
+            [x, at * np.sin(free * at / 2) * np.sinc(free * at / 2 / np.pi), 0 * at], -1
+        )
+
+    across = (np.arange(100) + 0.5) / 100 - 0.5  # of a sensor
+    at = POSITION[:, None] + SPAN * across
+    axes, lever = frames(np.array(arc)), places(np.array(arc)) - places(at)
+    moments = [np.cross(lever, axis) for axis in axes] + [0.0 * lever + axis for axis in axes]
+    read = np.einsum("dsni,snki,sk->dsn", np.array(moments), frames(at), AXIS)
+    return (read * (at < arc)).mean(axis=2)
+
+
+def largest_lever(free, arc):
+    """Of forces across a circle, over all of it before an arc."""
+    before = np.linspace(0.0, arc, 200)
+    return np.abs(np.sin(free * (arc - before)) / free if free else arc - before).max()
+
+
+def log_densities(curvature, column_sets, *, bad=None, pushes=None):
+    """Log densities of readings under sets of columns (K, N).
+
+    `pushes`: index of a column whose number is never negative. Beside a bad reading one contact
+    leaves a misfit, so that the noise is doubted; the likelier level of it is all that matters.
+    """
+    out, doubt = [], 0.0 if bad is None else np.log1p(-priors.NOISE_ODDS)
+    for columns in column_sets:
+        white = (SIGMA**2 + (priors.TRUST * np.abs(curvature).max()) ** 2) * np.eye(POSITION.size)
+        if bad is not None:
+            white[bad, bad] += priors.BAD_DEVIATION**2
+        total = white + columns.T @ columns
+        own = multivariate_normal(np.zeros(POSITION.size), total).logpdf(curvature)
+        if pushes is not None:
+            gain = np.linalg.solve(total, columns[pushes])
+            mean, variance = gain @ curvature, 1.0 - gain @ columns[pushes]
+            own += np.log(2.0) + norm.logcdf(mean / np.sqrt(variance))
+        out.append(own)
+    return np.array(out) + doubt
+
+
+def columns_of(free, scale, arcs=(), end=""):
+    """Columns of one prior deviation of contacts at arcs, and of a face or a grip of the end."""
+    sets = []
+    for arc in arcs:
+        deviation = scale / max(
+            largest_lever(free, arc), priors.LEAST_LEVER * largest_lever(free, 1)
+        )
+        sets.append(deviation * responses(free, arc)[1:3])
+    if end:
+        force, unit = responses(free, 1.0), scale / largest_lever(free, 1.0)
+        couple = scale if end == "grip" else unit * priors.TUBE_RADIUS
+        sets += [unit * force[1:3], unit * force[:1], couple * force[4:6]]
+    return np.concatenate(sets)
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "cells", "end", "bad", "free", "odds", "options"),
+    [
+        ("one contact", 1, 60, "", None, 0.0, 0.0, {"contacts": 1}),
+        ("one contact", 1, 60, "", 5, 0.0, np.log(priors.BAD_READING), {"contacts": 1}),
+        ("two contacts", 2, 24, "", None, 0.0, priors.ANOTHER, {"contacts": 2}),
+        ("three contacts", 3, 12, "", None, 0.0, 2.0 * priors.ANOTHER, {"contacts": 3}),
+        ("end wrench", 0, 0, "grip", None, 0.0, 0.0, {"held_end": True}),
+        ("one contact, end wrench", 1, 24, "grip", None, 0.0, priors.ANOTHER, {"held_end": True}),
+        ("end wrench", 0, 0, "face", None, 0.6, priors.END, {}),
+        ("one contact", 1, 60, "", None, 0.6, 0.0, {"contacts": 1}),
+    ],
+)
+def test_explanations_are_weighed_as_dense_normal_densities(
+    name, count, cells, end, bad, free, odds, options
+):
     clean = 0.05 * phi(0.6, POSITION, SPAN)
-    curvature = clean + 0.3 * noisy(0.0 * clean, 9)
-    localizer = Localizer.of(**READ, contacts=1, held_end=False)._compiled
-    nothing = np.zeros(1)
-    weighed = localizer.localize(curvature, nothing, nothing).weighed
-    found = next(weight for load, bad, weight in weighed if (load, bad) == ("one contact", -1))
-    white = (SIGMA**2 + (priors.TRUST * np.abs(curvature).max()) ** 2) * np.eye(POSITION.size)
-    logs = []
-    for arc in (np.arange(60) + 0.5) / 60:
-        lever = phi(arc, POSITION, SPAN)
-        for scale in priors.MOMENTS:
-            deviation = scale / max(arc, priors.LEAST_LEVER)
-            both = (deviation**2) * sum(
-                np.outer(column, column)
-                for column in (lever * (DIRECTION == 0.0), lever * (DIRECTION > 0.0))
-            )
-            logs.append(
-                multivariate_normal(np.zeros(POSITION.size), white + both).logpdf(curvature)
-            )
-    weight = logsumexp(logs) - np.log(len(logs)) + priors.CONTACT
+    excess = clean + 0.3 * noisy(0.0 * clean, 9)
+    if bad is not None:
+        excess[bad] += 0.1
+    rest = free * (DIRECTION == 0.0)
+    localizer = Localizer.of(**(READ | {"held_end": False} | options))._compiled
+    weighed = localizer.localize(excess + rest, rest, rest).weighed
+    which = -1 if bad is None else bad
+    found = next(weight for load, at, weight in weighed if (load, at) == (name, which))
+    middles = (np.arange(cells) + 0.5) / cells if cells else ()
+    logs = [
+        log_densities(
+            excess,
+            [columns_of(free, scale, arcs, end) for arcs in combinations(middles, count)],
+            bad=bad,
+            pushes=2 * count + 2 if end == "face" else None,
+        )
+        for scale in priors.MOMENTS
+    ]
+    weight = logsumexp(logs) - np.log(np.size(logs)) + priors.CONTACT + odds
     assert found == pytest.approx(weight, abs=0.02)
 
 
