@@ -38,7 +38,7 @@ from thigmo.config import FlexSensor, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
-_TOLD = 0.02  # share of the scale from which one-way bends are said
+_REPORTED = 0.02  # share of the scale from which one-way bends are reported
 Direction = Literal[-1, 0, 1]
 
 _CAMERA_SCALE_SE = 0.002  # what the camera's own scale may be off by, common to all rows
@@ -273,7 +273,7 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
             f"omitted {sum(fit.rejected for fit in dropped)} of {total} single readings as "
             f"outliers ({each}); many of one sensor mean a loose wire"
         )
-    grew = [fit for fit in everted if fit.one_way > _TOLD]
+    grew = [fit for fit in everted if fit.one_way > _REPORTED]
     if grew:
         worst_loop = max(grew, key=lambda fit: fit.one_way)
         notes.append(

@@ -28,7 +28,7 @@ Color = tuple[float, float, float]  # blue, green, red, 0..255
 _SHIFT = 6  # fractional bits of OpenCV's polygon vertices
 _TABLE_PX_CM = 12
 _SIZE = (1920, 1080)
-# Above a robot of more than so many times 53 cm the camera has 1440 lines, for the tip's marker.
+# Robots longer than this multiple of 53 cm are seen with 1440 lines, for the tip's marker.
 _FINE, _FINER = 1.3, 4 / 3
 # The table of a robot of 53 cm is painted within this distance of the picture's middle.
 _LIVE_CM, _LENGTH_CM, _HEIGHT_CM = 90.0, 53.0, 105.0

@@ -212,7 +212,7 @@ class EmulatorTransport:
         self._heart = Heart(session, period_s, hold_after=HOLD_AFTER)
 
     def stop_heartbeat(self) -> None:
-        """Beat no more."""
+        """Send no further heartbeats."""
         self._heart = None
 
     def beats(self) -> list[Beat]:

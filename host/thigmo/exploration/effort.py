@@ -36,7 +36,7 @@ class Effort:
     stops: int  # lengths at which it sweeps, at most
     # slow sweeps that measure a contact at a stop; 0: the readings of the first sweep count
     measurements: int
-    # a young sensor counts once its rest is known to so many times its noise
+    # a young sensor counts once its rest is known to this multiple of its noise
     rest_noise: float = 1.0
     time_s: float = inf  # budget of robot time
 

@@ -237,7 +237,7 @@ class ContactMap:
 
 
 def _newtons(contact: Contact, times: float) -> dict[str, Any]:
-    """A contact's force across the body, where the same moment needs so many times of it."""
+    """A contact's force across the body, where the same moment needs this multiple of it."""
     if contact.newtons is None:
         return {}
     across = contact.newtons.across

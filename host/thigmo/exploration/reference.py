@@ -35,9 +35,9 @@ _LEAST_PSI = 2.5  # below, the regulator is near its live zero
 # touch leaves low pressures only, that would look like a map too weak by 7 %.
 _SWINGS_S = 0.7
 _BINS = 10
-# Bins of one sweep share its zero and its hysteresis: together they count as so many readings.
+# Bins of one sweep share its zero and its hysteresis: together they count as this many readings.
 _INDEPENDENT = 3.0
-# The stated noise counts as so many readings against what sweeps show of theirs.
+# Weight of the stated noise, in readings, against the noise that sweeps show.
 _STATED = 12.0
 # One sigma by which map and gains may have changed since the calibration: a body regulator is set
 # by hand, muscles age. The map's drift is that of all zones, but for a little.

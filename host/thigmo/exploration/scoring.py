@@ -27,7 +27,7 @@ from thigmo.record import (
 )
 from thigmo.robot import TRIGGER_PER_CM
 
-# A contact is the true one if it lies within so many standard deviations in the plane, none taken
+# A contact is the true one if it lies within this many standard deviations in the plane, none taken
 # as smaller than a peg's size; or if its interval holds the true arc (an end is no sharper than
 # this).
 _SAME_SIGMA = 3.0

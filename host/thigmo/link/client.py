@@ -60,7 +60,7 @@ class _Outstanding:
     next_s: float = 0.0
     attempts: int = 0
     answer: wire.Message | None = None
-    orphaned: bool = False  # the board knows the session no more
+    orphaned: bool = False  # the board no longer knows the session
     refused_by: int | None = None  # hash of the schema of a board that refused a hello
     boot: int | None = None  # nonce of that board's boot
     cause: int = 0  # of its last reset

@@ -122,7 +122,7 @@ class Message:
     @classmethod
     @cache
     def _layout(cls, counts: tuple[int, ...]) -> _Layout:
-        """The layout of so many of what the message counts."""
+        """The layout for given counts of the message's arrays."""
         number = dict(zip(cls._COUNTED, counts, strict=True))
         code, place, places, at = "<", 0, [], {}
         for field in cls.CODES.values():
@@ -228,7 +228,7 @@ class Parameter:
 
 @cache
 def parameters(**capacity: int) -> dict[str, Parameter]:
-    """The parameter table, by name, of a board that has so many muscles, sensors and so on."""
+    """The parameter table, by name, of a board with these numbers of muscles, sensors and so on."""
     found: dict[str, Parameter] = {}
     index = 0
     for row in _DATA["parameters"]:

@@ -109,7 +109,7 @@ class SerialTransport:
         self._tell(Kind.START, (session, period_s))
 
     def stop_heartbeat(self) -> None:
-        """Beat no more."""
+        """Send no further heartbeats."""
         self._tell(Kind.HUSH)
 
     def attend(self) -> None:

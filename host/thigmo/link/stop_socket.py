@@ -95,7 +95,7 @@ class StopListener(Closing):
         self._thread.start()
 
     def close(self) -> None:
-        """Take no more stops; may be called twice."""
+        """Stop accepting stops; may be called twice."""
         if self._closed:
             return
         self._closed = True

@@ -39,7 +39,7 @@ class Transport(Protocol):
         """Beat a `heart.Heart` of this session from now on, whatever the main thread does."""
 
     def stop_heartbeat(self) -> None:
-        """Beat no more."""
+        """Send no further heartbeats."""
 
     def beats(self) -> list[Beat]:
         """Heartbeats sent since the last call, oldest first (the last 64 at most)."""

@@ -1,4 +1,4 @@
-"""The page's door: takes every connection, answers stops itself, and lets so many others in.
+"""The page's door: takes every connection, answers stops itself, and limits the others.
 
 A stop must not wait for those who look, however many they are and whatever they leave unread. One
 thread accepts all connections of the page's port and looks at how each begins. A stop is answered
@@ -58,7 +58,7 @@ class Door(Closing):
         self._thread.start()
 
     def close(self) -> None:
-        """Let nobody in any more."""
+        """Refuse further connections."""
         self._closed = True
         self._wake.close()
         self._thread.join()

@@ -83,7 +83,7 @@ def thinned(count: int, most: int) -> slice:
 
 
 def block(readings: Sequence[Telemetry], origin_s: float, most: int) -> NDArray[np.float32]:
-    """At most so many readings, in the order of time, as (columns, rows); NaN is not known.
+    """At most this many readings, in the order of time, as (columns, rows); NaN is not known.
 
     Their time is counted from an origin: 32 bits do not hold that of a computer that has been on
     for a month.

@@ -142,7 +142,7 @@ class Watched:
             raise LinkError(f"the run {run.hello.name} does not answer")
 
     def close(self) -> None:
-        """Look no more."""
+        """Close the relay's view of the run."""
         self._closed.set()
         self._thread.join()
 
@@ -287,6 +287,6 @@ class Relay:
         return f"stopped {', '.join(stopped)}" if stopped else _CLOSED["none"]
 
     def close(self) -> None:
-        """Pass nothing on any more; from any thread."""
+        """Stop forwarding; from any thread."""
         self._closed.set()
         self._watched.close()

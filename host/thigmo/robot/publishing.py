@@ -39,7 +39,7 @@ _STEP_CM = 2.0  # a tenth of the tightest bend's radius
 
 @cache
 def _layout(counts: tuple[int, ...]) -> np.dtype[np.void]:
-    """The wire's telemetry as numpy reads it, of so many sensors and muscles."""
+    """The wire's telemetry as numpy reads it, for given numbers of sensors and muscles."""
     found: list[tuple[str, str, tuple[int, ...]]] = []
     left = list(counts)
     of_each: dict[str, int] = {}

@@ -65,7 +65,7 @@ class Subscription(Closing):
         self._ended.wait(seconds)
 
     def close(self) -> None:
-        """Listen no more: what is in it can still be taken. May be called twice."""
+        """Stop listening; messages that have arrived can still be read. May be called twice."""
         self._hub.detach(self._put)
         self._end()
 
@@ -148,7 +148,7 @@ class Hub:
             self._listen([*self._sinks, (sink, names, closed)])
 
     def detach(self, sink: Sink) -> None:
-        """Call `sink` no more; nothing happens if it is not attached."""
+        """Stop calling `sink`; nothing happens if it is not attached."""
         with self._lock:
             self._listen([entry for entry in self._sinks if entry[0] != sink])
 

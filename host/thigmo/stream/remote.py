@@ -83,7 +83,7 @@ class Server(Closing):
         self._accepting = _thread(self._accept)
 
     def close(self) -> None:
-        """Serve no more; clients get five seconds for what remains. May be called twice."""
+        """Stop serving; clients have five seconds to read what remains. May be called twice."""
         with self._lock:
             if self._closed:
                 return
@@ -207,7 +207,7 @@ class RemoteRun(Closing):
             raise LinkError(f"the run {self.hello.name} has ended", "see its run folder") from error
 
     def close(self) -> None:
-        """Listen no more; may be called twice."""
+        """Stop listening; may be called twice."""
         self._connection.close()
 
     def __iter__(self) -> Iterator[Message]:

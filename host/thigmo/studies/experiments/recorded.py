@@ -42,7 +42,7 @@ def run_trials(
     count: int,
     say: Say = lambda text: None,
 ) -> bool:
-    """Take so many trials of each place and condition, but for those that the folder holds.
+    """Take this many trials of each place and condition, but for those that the folder holds.
 
     Returns whether all are done; False if the attendant stopped.
     """

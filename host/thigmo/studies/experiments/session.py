@@ -107,7 +107,7 @@ class Attendant:
         )
 
     def dowels(self, count: int, known: Sequence[Place] = ()) -> list[Place]:
-        """Centres of so many dowels, cm, base first.
+        """Centres of this many dowels, cm, base first.
 
         `known` is what an emulated room says, if another robot than ours is in it.
 
