@@ -1,4 +1,4 @@
-"""Bending stiffness EI: what makes newtons of the forces over EI that curvature tells.
+"""Bending stiffness EI: it turns forces over EI, which curvature gives, into newtons.
 
 Two ways. A known force, of a hung weight or a spring balance, bends the calibrated robot, and its
 sensors tell the force over EI. Or EI is stated from the fold: a thin inflated tube folds at a

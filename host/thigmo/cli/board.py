@@ -26,7 +26,7 @@ def stop(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Stop a robot at once, beside the program that drives it; `thigmo clear` lets it go.
+    """Stop a robot at once, beside the program that drives it; `thigmo clear` ends the stop.
 
     It ends with status 0 only if the robot's board has confirmed the stop.
     """
@@ -58,7 +58,7 @@ def stop(
         *(
             f"Stopped: {each}."
             # An emulated robot ends with the program that runs it.
-            + ("" if emulated(each) else f" `thigmo clear --robot {each}` lets it go.")
+            + ("" if emulated(each) else f" `thigmo clear --robot {each}` ends the stop.")
             for each in stopped
         ),
     )
@@ -131,7 +131,7 @@ def params(
 
 
 def clear(robot: RobotOption, as_json: JsonOption = False) -> None:
-    """Let a stopped robot go, and clear faults whose cause is gone; lists those that remain."""
+    """End a stop, clear faults whose cause is gone, and list those that remain."""
     from thigmo.robot import connect
 
     with connect(robot) as machine:

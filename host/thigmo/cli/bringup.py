@@ -73,7 +73,7 @@ def bringup(
     seed: Annotated[int | None, typer.Option(help="Seed of the emulator.", min=0)] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a newly wired robot, from its supply to homing; what is wrong is named with its plug.
+    """Check a newly wired robot, from its supply to homing; names the plug of what is wrong.
 
     Stages: board, supply, estop, pressure, flex, valves, motor, home. It asks for one thing after
     the other, and stops after the first stage in which something is wrong; `--from STAGE` goes on

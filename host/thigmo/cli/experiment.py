@@ -33,7 +33,9 @@ def experiment(
     robots: Annotated[
         int, typer.Option(help="Simulated robots, each with errors of its own.")
     ] = 20,
-    trials: Annotated[int, typer.Option(help="Trials a condition and robot; the thesis: 5.")] = 5,
+    trials: Annotated[
+        int, typer.Option(help="Trials of each condition and robot; the thesis has 5.")
+    ] = 5,
     seed: Annotated[int, typer.Option(help="Every random number comes from it.", min=0)] = 1,
     jobs: Annotated[
         int, typer.Option(help="Processes on this machine; the results do not depend on it.", min=1)

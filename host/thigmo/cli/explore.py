@@ -42,8 +42,8 @@ def explore(
     effort: Annotated[
         Literal["quick", "default", "careful"] | None,
         typer.Option(
-            help="How much robot time goes into how good a map. What is omitted is said at the "
-            "start and at the end."
+            help="How much robot time to spend on the map. The run says at its start and end "
+            "what it omits."
         ),
     ] = None,
     time_s: Annotated[
@@ -58,7 +58,7 @@ def explore(
         typer.Option(
             "--map",
             help="A map of the room: an earlier run's folder or obstacles.json, or a ROS map's "
-            "YAML file. It is believed as far as the readings allow.",
+            "YAML file. Readings can overrule it.",
         ),
     ] = None,
     resume: Annotated[

@@ -17,9 +17,9 @@ def named(address: str | None) -> str | None:
 
 
 def robot_option(
-    text: str = "Where it is: /dev/ttyACM0, COM3, socket://HOST:PORT, emulator://SCENE.",
+    text: str = "Its address: /dev/ttyACM0, COM3, socket://HOST:PORT, emulator://SCENE.",
 ) -> Any:
-    """The option that names a robot, for a command that says of it what `text` does."""
+    """The option that names a robot; `text` is its help."""
     return typer.Option("--robot", help=text, callback=named)
 
 

@@ -45,7 +45,7 @@ def ros(
         typer.Option(help="Network interface, by name or address; else this machine alone."),
     ] = None,
 ) -> None:
-    """Publish maps, contacts and the body on ROS 2, and stop the robot when ROS says so."""
+    """Publish maps, contacts and the body on ROS 2, and stop the robot when asked there."""
     from thigmo.cli.watch import finished_run
     from thigmo.extras import require
 

@@ -1,4 +1,4 @@
-"""Output that nobody takes is lost, and stops nothing.
+"""Output that nobody reads is dropped, and stops nothing.
 
 A reader may leave (`thigmo explore | head -1`), a terminal may be closed, a disk may be full. A
 program that drives a robot goes on: what it prints to stdout and stderr is then dropped. If a

@@ -77,7 +77,7 @@ def explore(
         method: of `thigmo.localize`. Without intervals ("l1", "thesis") every stage's place
             is a contact of its own, for nothing tells whether two are one.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
-            file. It is believed as far as the readings allow.
+            file. Readings can overrule it.
         resume: folder of a run that was cut short, to go on from what it had learnt, swept and
             felt, with its constants, map, protocol and method. An emulated robot starts again at
             its first length.

@@ -1,4 +1,4 @@
-"""What an exploration tells those who watch it, and what they may ask of it.
+"""What an exploration shows to its viewers, and what they may request.
 
 All of it goes to the robot's hub, beside the telemetry. Requests come from other threads (a viewer
 on the run's socket); the exploration obeys them when it next waits, or between stages.

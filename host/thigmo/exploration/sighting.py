@@ -1,4 +1,4 @@
-"""What one sweep says of the room: where its first touch began, what it felt, what it passed.
+"""What one sweep shows of the room: where its first touch began, what it felt, what it passed.
 
 A free body bends alike at every length, so the bend at which a touch begins is as good a clue to an
 obstacle as its place along the body. Both stay whole posteriors on their way to `room.py`.

@@ -1,4 +1,4 @@
-"""Puts a firmware image on an Arduino Mega 2560 and makes sure that it runs.
+"""Writes a firmware image to an Arduino Mega 2560 and checks that it runs.
 
 avrdude does the writing, through the board's own boot loader; this module checks what goes in,
 says what its failures mean, and waits for the hello of what booted.

@@ -1,4 +1,4 @@
-"""Puts a firmware image on a Raspberry Pi Pico: UF2 files, and the drive of its boot ROM.
+"""Writes a firmware image to a Raspberry Pi Pico: UF2 files, and the drive of its boot ROM.
 
 A Pico that is plugged in with BOOTSEL pressed shows a drive, RPI-RP2. A UF2 file that is copied
 there is written to the flash block by block, and the program starts when the last block has come.

@@ -1,4 +1,4 @@
-"""Headings along the body, as IMUs tell them, as curvature that `localize` takes.
+"""Headings along the body, as IMUs measure them, as curvature that `localize` takes.
 
 Two neighbours' difference over their distance is the mean curvature between them. Each one's error
 is in two differences, with opposite signs: an error that readings share.

@@ -1,4 +1,4 @@
-"""The thesis's own solver (`method="thesis"`), as its text has it, and what it seeks (`"l1"`).
+"""The thesis's own solver (`method="thesis"`), and the exact minimum of its objective (`"l1"`).
 
 Source: M. Bryant, Tactile Perception for Growing Robots via Discrete Curvature Measurements, 2022,
 section 2.5. Its model (equation 2.9) is taken at the centre of each sensor, whatever the span, its

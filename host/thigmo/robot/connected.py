@@ -138,7 +138,7 @@ class Connected(Closing):
         self._client.stop()
 
     def clear_stop(self) -> bool:
-        """Let a stopped robot go, for the operator who has looked at it; whether one was stopped.
+        """End a stop, for an operator who has looked at the robot; whether there was one.
 
         No program should call it on its own account. `clear_faults` leaves a stop latched. Refused
         if the robot was stopped once more meanwhile.

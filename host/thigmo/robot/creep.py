@@ -1,4 +1,4 @@
-"""Young sensors watched while the robot stands still: what they will rest at, and how surely.
+"""Young sensors while the robot stands still: their value at rest, and how well it is known.
 
 A sensor that has just everted creeps back to its straight reading. Readings of the vented robot
 tell its creep long before it has died away (`mechanics.settling`), so that a measurement need not

@@ -1,4 +1,4 @@
-"""What the robot publishes of itself: telemetry, events, and how its body lies, in units.
+"""What the robot publishes: telemetry, events, and the shape of its body, in units.
 
 It listens to the link beside the program that drives the robot, and commands nothing. What has no
 listener is not decoded. Live listeners get each reading as it comes; a record gets them in blocks.

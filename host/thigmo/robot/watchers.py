@@ -1,4 +1,4 @@
-"""What telemetry and events tell while the robot grows or sweeps.
+"""What telemetry and events show while the robot grows or sweeps.
 
 Shared by the live robot and the replay of a record, so that both give the same numbers.
 """

@@ -64,8 +64,8 @@ def test_a_list_becomes_rows(run: Path, tmp_path: Path) -> None:
         ("2", "0.75"),
     ]
     (contact,) = _table(tmp_path / "contacts.csv")
-    assert (contact["interval_low_cm"], contact["interval_high_cm"]) == ("19", "21")
-    assert (contact["variance_x_cm2"], contact["variance_y_cm2"]) == ("1", "2")
+    assert (contact["interval_low_cm"], contact["interval_high_cm"]) == ("29.8", "32.7")
+    assert (contact["variance_x_cm2"], contact["variance_y_cm2"]) == ("0.7", "0.4")
     assert contact["known"] == ""
 
 

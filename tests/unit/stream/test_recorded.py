@@ -117,7 +117,7 @@ def test_mcaps_own_tools_decode_every_channel(path: Path) -> None:
     telemetry = a_telemetry()
     assert decoded["/telemetry"].pressure_psi == list(telemetry.pressure_psi)
     assert decoded["/telemetry"].state == "ready"
-    assert decoded["/contacts"].contacts[0].arc_cm == 20.0
+    assert decoded["/contacts"].contacts[0].arc_cm == 31.2
     assert not decoded["/contacts"].contacts[0].HasField("known")
     assert [row.values for row in decoded["/shape"].poses] == [[0.0, 0.0, 0.0], [1.0, 0.1, 0.2]]
     assert summary is not None
@@ -138,8 +138,8 @@ def test_a_contact_is_drawn_where_it_is_and_along_its_interval() -> None:
     contacts = _one(Contacts)
     ((_, scene),) = views(contacts)
     (entity,) = scene.entities
-    assert entity.spheres[0].pose.position.x == pytest.approx(0.19)
-    assert len(entity.lines[0].points) == 2
+    assert entity.spheres[0].pose.position.x == pytest.approx(0.275)
+    assert len(entity.lines[0].points) == 3
     assert scene.deletions[0].id == "contact 1"  # there may have been one
 
 
