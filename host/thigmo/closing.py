@@ -9,7 +9,7 @@ class Closing:
     """Something that a `with` statement closes."""
 
     def close(self) -> None:
-        """Let go of what it holds; may be called twice."""
+        """Release its resources; may be called twice."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:

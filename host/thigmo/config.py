@@ -373,7 +373,7 @@ def _default_muscles() -> list[Muscle]:
 
 
 class Board(Model):
-    """The controller, and what it is set to."""
+    """The controller and its settings."""
 
     divider_ohm: Positive = 22_000.0  # fixed resistor of the flex sensors' dividers
     settle_s: NonNegative = 30.0  # thesis: no reading within 30 s of eversion
@@ -395,7 +395,7 @@ class Spool(Model):
 
 
 class RobotConfig(Model):
-    """The whole of robot.toml."""
+    """Contents of robot.toml."""
 
     version: Literal[2] = 2
     name: str = "vine-53"

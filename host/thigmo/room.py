@@ -41,7 +41,7 @@ class Operator(Protocol):
 
 
 class Viewers(Protocol):
-    """Those who watch a run, and may answer what it asks its operator."""
+    """Viewers of a run, who may answer its questions to the operator."""
 
     def ask(self, question: str) -> None:
         """Show a question, until an empty one takes it away."""

@@ -208,7 +208,7 @@ def _valves(robot: Robot, attendant: Attendant) -> Found:
 
 
 def _enables(robot: Robot, attendant: Attendant) -> Found:
-    """Each valve must empty what it is for while the transducer's current still flows."""
+    """Each valve must empty its muscle or body while the transducer's current still flows."""
     if not attendant.valves_fitted():
         yield "valves Y1 to Y3", "none: 0 mA alone empties the muscles, V1 the body", ""
         return

@@ -239,7 +239,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     size = float(np.log(max(top, 1e-3)))
     best = unknowns([size, np.log(8.0), 4.0], 0.0)
     bounds = (unknowns([size - 1.5, 0.0, -10.0], -0.05), unknowns([size + 2.0, 4.0, 25.0], 0.05))
-    # A camera errs alike in all pictures of a place: its error does not average out.
+    # A camera has the same error in all pictures of a place: it does not average out.
     camera_se = float(np.median(error[finite]))
     for attempt in range(8):
         # Cauchy at first: a tenth of wild readings must not pull the start.

@@ -107,7 +107,7 @@ class Session:
 
 
 def blank(config: RobotConfig) -> RobotConfig:
-    """A robot of that geometry whose constants nobody has measured: where calibration begins."""
+    """An uncalibrated robot of this geometry: where calibration begins."""
     made, fresh = config.model_copy(deep=True), RobotConfig()
     made.sensors = [
         type(sensor)(**sensor.model_dump(include={"direction_deg", "kind", "center_cm", "span_cm"}))

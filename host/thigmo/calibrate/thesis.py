@@ -26,7 +26,9 @@ from thigmo.errors import DataError
 
 _LEAST_PLACES = 3
 _SCALE_SE = float(FlexSensor.model_fields["scale_se"].default)
-_FOLD_SE = 0.1  # relative; gains err alike in all trials, and do not show in their scatter
+_FOLD_SE = (
+    0.1  # relative; errors of gains are the same in all trials, so their scatter does not show them
+)
 
 
 @dataclass(frozen=True)

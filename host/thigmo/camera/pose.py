@@ -134,7 +134,7 @@ class Problem:
         self.spread = np.array([*spread[: self._head], *slips])
 
     def start(self, view_deg: float) -> Points:
-        """Unknowns to begin with: a pinhole of that angle, the plane's pose, no slips."""
+        """Initial values of the unknowns: a pinhole of this angle, the plane's pose, no slips."""
         x = np.concatenate([self.center, np.zeros(6 + 3 * len(self.cards))])
         if self.lens is None:
             x[0] = _log_focal(self.size[0], view_deg)

@@ -95,7 +95,7 @@ class Sheet(Model):
 
     @classmethod
     def of_length(cls, length_cm: float) -> Sheet:
-        """The sheet of a robot of that length: its cards lie around what it can reach.
+        """The sheet for a robot of this length: its cards lie around all that it can reach.
 
         A camera that sees all of a long one has few pixels for its tip's marker, which is larger.
         """
@@ -172,7 +172,7 @@ def _turned(points: Points, cosine: float, sine: float) -> Points:
 
 
 def dictionary(name: str) -> Any:
-    """OpenCV's predefined ArUco dictionary of that name."""
+    """OpenCV's predefined ArUco dictionary of this name."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 

@@ -1,4 +1,4 @@
-"""`thigmo replay`, `info` and `export`: what runs leave behind, and what a board says of itself."""
+"""`thigmo replay`, `info` and `export`: what runs leave behind, and what a board reports."""
 
 from __future__ import annotations
 

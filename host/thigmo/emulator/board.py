@@ -101,7 +101,7 @@ class Board(Protocol):
 
 
 def virtual_board(robot: RobotConfig, seed: int, eeprom: bytes = b"") -> Board:
-    """The virtual board that a robot needs, with an EEPROM of that content."""
+    """The virtual board that a robot needs, with an EEPROM of this content."""
     from thigmo.emulator import _board, _large_board
 
     if wiring.board_of(robot) is wiring.BOARDS[0]:

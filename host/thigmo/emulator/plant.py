@@ -63,7 +63,7 @@ class _Switch:
         self.on = False
 
     def step(self, coil: bool) -> bool:
-        """Go one step; whether it is on."""
+        """Advance one step; returns whether it is on."""
         self._since_s = 0.0 if coil is self.on else self._since_s + STEP_S
         if coil is not self.on and self._since_s >= self._after_s[coil]:
             self.on, self._since_s = coil, 0.0

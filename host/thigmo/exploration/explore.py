@@ -72,10 +72,9 @@ def explore(
         effort: "quick", "default" or "careful": how much robot time goes into how good a map
             (`figures.md` charts it). The thesis's protocol has no such choice.
         time_s: instead of an effort, a budget of robot time in seconds, within which the run does
-            as much as it can; it includes the times at
-            which the robot waits for a person.
+            as much as it can; time spent waiting for a person counts.
         method: of `thigmo.localize`. Without intervals ("l1", "thesis") every stage's place
-            is a contact of its own, for nothing tells whether two are one.
+            is a contact of its own: nothing shows whether two are the same.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. Readings can overrule it.
         resume: folder of a run that was cut short, to go on from what it had learnt, swept and

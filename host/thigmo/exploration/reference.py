@@ -40,7 +40,7 @@ _INDEPENDENT = 3.0
 # Weight of the stated noise, in readings, against the noise that sweeps show.
 _STATED = 12.0
 # One sigma by which map and gains may have changed since the calibration: a body regulator is set
-# by hand, muscles age. The map's drift is that of all zones, but for a little.
+# by hand, muscles age. The map drifts almost alike in all zones.
 _MAP_DRIFT, _ZONE_DRIFT, _GAIN_DRIFT = 0.08, 0.01, 0.04
 # One sigma by which scale and offset differ between sweeps: lag and hysteresis. Peaks of untouched
 # sweeps on the emulator depart by a third of this from what the sweeps before them say.
@@ -148,7 +148,7 @@ class FreeResponse:
     def expected(
         self, side: Side, zone: int, free_curvature: float, curvature: Floats, use: Mask
     ) -> FreeReading:
-        """What the sensors in `use` (10,) would read untouched, and what is unknown of that.
+        """What the sensors in `use` (10,) would read untouched, and the uncertainty of that.
 
         The free curvature (1/cm) is the map's; of what they read now, `curvature` (10,), a gain's
         error is a share.

@@ -1,4 +1,4 @@
-"""A run that was cut short, so that another goes on from what it had learnt, swept and felt."""
+"""A run that was cut short: what it had learnt, swept and felt, for the run that resumes it."""
 
 from __future__ import annotations
 

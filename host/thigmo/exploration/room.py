@@ -39,7 +39,7 @@ Masses = dict[int, Floats]  # posterior over the arcs of each of a group's sight
 
 # Lengths are shares of the body's, measured on one of 53 cm; where a peg rolls on the skin they are
 # tube radii. At the rim of an earlier tip, one radius, a peg may have slid off unfelt.
-# A wall is felt by the last tube radius of the body, or farther from the tip by so much on average:
+# A wall is felt by the last tube radius of the body, or by this mean distance farther from the tip:
 # of 163 emulated touches of walls 75 % lie within it, and 91 % within 5 cm of the tip.
 _AT_TIP, _BEHIND = 0.75, 4.0 / 53
 _SLIDE = 0.7 / 1.75  # one sigma by which a contact moves along the body while a peg stands still
@@ -54,7 +54,7 @@ _WRONG_FRAME = 0.03  # probability that the readings were explained wrongly alto
 # The same where only a wrench on the end explains them, at every length: friction and a body
 # squeezed from both sides look like that. Of 18 such contacts at emulated walls 4 were elsewhere.
 _WRONG_END = 0.2
-# A wall's points lie on a line but for one sigma of this; points of other things do but for that.
+# One sigma of the distance of touched points from a line: of one wall's, of several things'.
 _STRAIGHT, _OFF = 1.2 / 53, 15.0 / 53
 _LOG_ANOTHER = np.log(0.1)  # prior odds of one more obstacle
 _LOG_WALL = np.log(0.05)  # of a wall against a peg

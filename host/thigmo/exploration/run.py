@@ -42,7 +42,7 @@ from thigmo.wiring import base_inputs
 
 _MOST_ZERO_TRIES = 5
 
-_STAND_S = 0.5  # between two looks at that
+_STAND_S = 0.5  # between two checks of it
 _PAUSE_S = 0.1
 
 # "measure" sweeps a side with a contact again, to the pressure at which it is felt best; "thesis"
@@ -107,7 +107,7 @@ class Exploration:
             self.state = after
 
     def tell(self, waiting: str = "", *, paused: bool = False) -> None:
-        """Tell those who watch what it does, or how it ended."""
+        """Publish what the run does, or how it ended."""
         words = self.state.value
         if self._stage_cm:
             words += f" at {self._stage_cm:g} cm"

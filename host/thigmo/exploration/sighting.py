@@ -24,7 +24,7 @@ _GRID_CM = 0.25
 LEVEL = 0.95  # of the set that an interval spans, and of what is called sure
 BENDS: Floats = np.linspace(5e-4, 0.0365, 145)
 # From a touch to the moment at which the base is held back by the trigger's threshold, a touched
-# body bends on by so much: 0.005 1/cm over the slope of held-back over free curvature.
+# body bends on by this much: 0.005 1/cm over the slope of held-back over free curvature.
 TRIGGER_LATE = 0.0042
 # One sigma of where a touch began. Over 344 pairs of emulated stages that touched one peg, the two
 # differ by 1.7e-4 in half of them and by 5e-4 in one of ten.
@@ -37,7 +37,7 @@ _LINE_LOW, _LINE_HIGH = 0.0025, 0.0085
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """One contact that a sweep felt, in a body that bends so."""
+    """One contact that a sweep felt, and the bend of the body in which it did."""
 
     side: Side  # the inflated muscle
     length_cm: float
@@ -53,7 +53,7 @@ class Sighting:
 
     @property
     def probability(self) -> float:
-        """That there is such a contact at all."""
+        """Probability that this contact exists."""
         return self.contact.probability
 
 

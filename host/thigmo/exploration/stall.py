@@ -142,7 +142,7 @@ class Lean(Obstruction):
 
 
 def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Obstruction | None:
-    """What a growth's readings say of its tip; None if every sensor that was due has everted.
+    """What a growth's readings show of its tip; None if every sensor that was due has everted.
 
     At believed lengths (n,), ascending, the sensors read `bend` (n, 10) in 1/cm from any zero.
     """
@@ -202,7 +202,7 @@ def _stalled(
 
 
 def lean(profile: Profile, before: Floats, after: Floats, table: SensorTable) -> Lean | None:
-    """What a growth's readings and the zeros around it say of the body; None if it is straight.
+    """What a growth's readings and the zeros around it show of the body; None if it is straight.
 
     `before` and `after` (10,) are NaN without a zero. Before the first of all zeros, the growth's
     own readings stand for it.

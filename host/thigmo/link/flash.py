@@ -163,7 +163,7 @@ def explain(output: str, port: str) -> LinkError:
 
 
 def _meet(port: str) -> tuple[wire.HelloReply, StoredConfiguration]:
-    """Who runs there now, and what it made of the configuration that was stored before."""
+    """The firmware that runs now, and what it kept of the stored configuration."""
     try:
         client = Client(open_transport(port))
     except NotARobotError as error:

@@ -74,7 +74,7 @@ class EventLedger:
         self._ahead: dict[int, int] = {}  # above it: number -> times seen
 
     def take(self, number: int) -> bool:
-        """Note an event that came; whether it is new."""
+        """Record an event; returns whether it is new."""
         if self._base is None and number == 1:
             self._base = 0
         if self._base is not None and not 0 < (number - self._base) & 0xFFFF < 0x8000:

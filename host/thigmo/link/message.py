@@ -140,7 +140,7 @@ class Message:
 
     @classmethod
     def counts(cls, payload: bytes) -> tuple[int, ...]:
-        """How many muscles, sensors and so on a payload tells of; ValueError if it is no such."""
+        """Numbers of muscles, sensors and so on in a payload; ValueError if it is malformed."""
         counts: tuple[int, ...] = ()
         for number in range(len(cls._COUNTED)):
             # Where the next count stands, only those before it decide.

@@ -11,7 +11,7 @@ from typing import IO, Any, NamedTuple
 
 
 class Kind(Enum):
-    """What a packet says, and what it carries."""
+    """Meaning and content of a packet."""
 
     # host -> process
     WRITE = auto()  # bytes for the port

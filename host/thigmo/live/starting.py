@@ -103,7 +103,7 @@ class Started:
             self._process.wait()
 
     def _listen(self) -> None:
-        """Thread: what it says."""
+        """Thread: reads its output."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             self._said.append(line.strip())

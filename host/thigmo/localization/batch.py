@@ -74,7 +74,7 @@ class BatchResult:
 
     @classmethod
     def of(cls, of_row: Array, of_contact: Array, length: float) -> BatchResult:
-        """From what the compiled code says of rows and of their contacts.
+        """From the compiled code's arrays of rows and of their contacts.
 
         Raises:
             DataError: a row that cannot be used, by its number.

@@ -58,8 +58,9 @@ class Localizer:
         method: "posterior"; or a method without intervals, whose answers say so by their status
             `point estimate`, for the number of contacts given, one for "auto": "thesis" (the
             thesis's alternating fit; with `critical_curvature`, also its remedies for a folded
-            base; lengths in cm only), "l1" (what that fit seeks: the least 1-norm of the residual,
-            of one or two contacts). Both are in `thigmo.localization.thesis`, and use no error.
+            base; lengths in cm only), "l1" (the minimum that it searches for: the least 1-norm of
+            the residual, of one or two contacts). Both are in `thigmo.localization.thesis`, and use
+            no error.
 
     Raises:
         DataError: a number that is not possible, or lengths that look like another unit.
@@ -252,7 +253,7 @@ class Localizer:
         )
 
     def _point_estimate(self, excess: Array) -> LocalizeResult:
-        """The thesis's fit to checked readings above the free curvature, or what it seeks."""
+        """The thesis's fit to checked readings above the free curvature, or its exact minimum."""
         from thigmo.localization import thesis  # its optimiser takes a tenth of a second to import
 
         read = np.isfinite(excess)
@@ -301,7 +302,7 @@ def localize(
 
     Raises:
         DataError: as `Localizer`, or as `Localizer.localize`.
-        TypeError: an option that is none.
+        TypeError: an unknown option.
 
     Example:
         >>> position = [5, 15, 25, 35, 45]

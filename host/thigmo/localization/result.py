@@ -50,7 +50,7 @@ class Contact:
         intervals: that set; more than one piece if there are several modes; none of a `point
             estimate`.
         force_deviation: posterior standard deviation of the force, wherever in `intervals` it acts.
-        probability: that there is such a contact: nearer to `arc` than to that of another one; NaN
+        probability: that a contact lies nearer to `arc` than to the arc of another listed one; NaN
             for a `point estimate`.
         end_offset: where a contact on the end of the body bears, at +y of the centreline; None for
             one on the side.

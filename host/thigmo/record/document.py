@@ -230,7 +230,7 @@ class Stall:
 
 @dataclass(frozen=True, slots=True)
 class RunDocument:
-    """The whole of contacts.json."""
+    """Contents of contacts.json."""
 
     thigmo: str
     name: str

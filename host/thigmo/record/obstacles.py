@@ -86,7 +86,7 @@ class FreeArea:
 
 @dataclass(frozen=True, slots=True)
 class ObstacleMap:
-    """The whole of obstacles.json: what the run of a name, a start and an outcome knows."""
+    """Contents of obstacles.json: the map, with name, start and outcome of its run."""
 
     name: str
     started: str

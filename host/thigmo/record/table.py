@@ -146,7 +146,7 @@ def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
 
     A fibre's table may have `strain` (microstrain) in place of `curvature`.
     `direction` is in degrees about the body, as `Sensors` has it in rad.
-    Whether they can be those of a body (places, units) is the localizer's to say. Raises DataError,
+    The localizer checks whether they can belong to a body (places, units). Raises DataError,
     which names file, line and column: unreadable, empty, too long, a missing or empty column, or a
     value that is no finite number. An empty curvature, or NaN, is a sensor that was not read.
     """

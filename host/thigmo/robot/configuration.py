@@ -168,7 +168,7 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
 
 
 def named(name: str) -> wire.Parameter:
-    """A parameter's row in the schema; ConfigError if there is none of that name."""
+    """A parameter's row in the schema; ConfigError for an unknown name."""
     if name not in wire.PARAMETERS:
         raise ConfigError(
             f"no parameter {name!r}", "see `thigmo params --robot URL` for their names"

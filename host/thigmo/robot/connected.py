@@ -209,7 +209,7 @@ class Connected(Closing):
             self._client.on_telemetry.remove(take)
 
     def while_waiting(self, callback: Callable[[], None]) -> None:
-        """Call `callback` while something of the board is waited for; what it raises ends the wait.
+        """Call `callback` during each wait for the board; an exception in it ends the wait.
 
         It must command nothing.
         """

@@ -207,7 +207,7 @@ class Robot(Supervised):
         return status.everted & ~status.settled & sensors
 
     def zero(self) -> int:
-        """Average the everted sensors' readings into their zeros; returns the mask of these.
+        """Average the everted sensors' readings into their zeros; returns these sensors' mask.
 
         Refused unless they are vented, settled and free of drift.
         """
