@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from command import Thigmo
 
+from thigmo.bringup import STAGES
 from thigmo.cli.bringup import _TerminalAttendant
 from thigmo.cli.console import Console
 
@@ -35,6 +36,11 @@ def test_the_person_is_asked_until_the_answer_is_one() -> None:
     assert attendant.spool_turned() == "in"
     assert console.asked[0] == "Press the emergency stop. Then press Enter."
     assert console.asked[1] == "Release the emergency stop. Then press Enter."
+
+
+def test_the_help_names_the_stages_in_their_order(thigmo: Thigmo) -> None:
+    words = " ".join(thigmo("bringup", "--help").out.split())
+    assert f"Stages: {', '.join(STAGES)}." in words
 
 
 def test_json_says_what_was_found(thigmo: Thigmo) -> None:

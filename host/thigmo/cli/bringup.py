@@ -75,9 +75,10 @@ def bringup(
 ) -> None:
     """Check a newly wired robot, from its supply to homing; names the plug of what is wrong.
 
-    Stages: board, supply, estop, pressure, flex, valves, motor, home. It asks for one thing after
-    the other, and stops after the first stage in which something is wrong; `--from STAGE` goes on
-    from there, `--to STAGE` ends with that one. A board without a configuration gets the defaults.
+    Stages: board, supply, estop, pressure, flex, valves, enables, motor, brake, home. It asks for
+    one thing after the other, and stops after the first stage in which something is wrong; `--from
+    STAGE` goes on from there, `--to STAGE` ends with that one. A board without a configuration gets
+    the defaults.
 
     First read docs/hardware, "Before the first power".
     """
