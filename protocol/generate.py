@@ -56,7 +56,12 @@ DEADLINE_MS = 2000  # message.py's default
 INBOUND_DATAGRAMS = ("heartbeat", "stop")
 BIT_ENUMS = ("Fault", "Condition", "SweepOption")
 # What a board has so many of: the schema's `capacity`, and the constant of the C++ header.
-CAPACITY = {"muscles": "kMuscles", "sensors": "kSensors", "body_pressures": "kBodyPressures"}
+CAPACITY = {
+    "muscles": "kMuscles",
+    "sensors": "kSensors",
+    "body_pressures": "kBodyPressures",
+    "imus": "kImus",
+}
 
 
 class SchemaError(Exception):
@@ -385,6 +390,8 @@ def load(path: Path) -> Schema:
                 body["doc"],
             )
         )
+    rare = [p.of in capacity and not capacity[p.of].usual for p in parameters]
+    _require(rare == sorted(rare), "parameters: those of which a board may have none come last")
     stored = [tree["map"]["id"], *(p.id for p in parameters)]
     _require(all(0 < i < 256 for i in stored), "parameters: ids must be 1..255")
     _require(len(set(stored)) == len(stored), "parameters: a stored id is used twice")
@@ -516,6 +523,8 @@ def cpp(schema: Schema) -> str:
         f"constexpr int16_t kMapStepCpsi = {schema.map_step_cpsi};",
         *(
             f'static_assert({CAPACITY[name]} > 0 && {CAPACITY[name]} <= {of.most}, "{name}");'
+            if of.usual
+            else f'static_assert({CAPACITY[name]} <= {of.most}, "{name}");'
             for name, of in schema.capacity.items()
         ),
         "",
@@ -570,6 +579,10 @@ def cpp(schema: Schema) -> str:
         "// Parameters: first index of each; arrays take consecutive ones.",
         "enum class Param : uint16_t {",
     ]
+    rare = {name for name, of in schema.capacity.items() if not of.usual}
+    always = [p for p in schema.parameters if p.of not in rare]
+    sometimes = [p for p in schema.parameters if p.of in rare]
+    macros = sorted({f"THIGMO_{p.of.upper()}" for p in sometimes})
     at = "0"
     for p in schema.parameters:
         unit = f" ({p.unit})" if p.unit else ""
@@ -584,13 +597,13 @@ def cpp(schema: Schema) -> str:
         "struct ParamKey {",
         "  uint8_t id, count;",
         "};",
-        f"constexpr uint8_t kParamKeys = {len(schema.parameters)};",
-        "constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {",
-        *(
-            f"    {{{p.id}, {CAPACITY[p.of] if p.of else 1}}},  // {p.name}"
-            for p in schema.parameters
-        ),
+        "constexpr ParamKey kParamKeyTable[] THIGMO_PROGMEM = {",
+        *(f"    {{{p.id}, {CAPACITY[p.of] if p.of else 1}}},  // {p.name}" for p in always),
+        *(f"#if {name}" for name in macros),
+        *(f"    {{{p.id}, {CAPACITY[p.of]}}},  // {p.name}" for p in sometimes),
+        *("#endif" for _ in macros),
         "};",
+        "constexpr uint8_t kParamKeys = sizeof kParamKeyTable / sizeof *kParamKeyTable;",
         "",
         "// Limits and default of each element.",
         "struct ParamRow {",

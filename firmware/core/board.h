@@ -61,6 +61,9 @@ constexpr uint8_t adc_channel(bool odd_tick, uint8_t slot) {
 struct AdcFrame {
   uint16_t count[kAdcSlots];
   uint32_t tick;
+#if THIGMO_IMUS
+  uint16_t restarted = 0;  // inputs whose zero means nothing since the frame before
+#endif
 };
 
 // Parts of a main-loop pass, as marked for a stop-watch by BoardPolicy::task(); 0 = none.

@@ -144,8 +144,8 @@ class Commands {
         return config_report(answer);
       case protocol::kGetCapacity:
         return answer.send(protocol::Capacity{protocol::Status::kOk, kMuscles, kSensors,
-                                              kBodyPressures, kAdcBits, kDriveFull, kMotorFull,
-                                              1000});
+                                              kBodyPressures, kImus, kAdcBits, kDriveFull,
+                                              kMotorFull, 1000});
       default:
         return answer.ack({Reason::kUnknownId, command.id()});
     }

@@ -37,6 +37,9 @@ inline void Controller::sense(const Inputs& in) {
   const uint16_t* count = in.frame->count;
   for (uint8_t i = 0; i < kMuscles; ++i) pressure_[i].add(count[i]);
   for (uint8_t i = 0; i < kColumns; ++i) base_sum_[i].add(count[kMuscles + i]);
+#if THIGMO_IMUS
+  zeros_.invalidate(in.frame->restarted);
+#endif
   uint16_t done = flex_.add_tick(odd, count + kMuscles);
   for (uint8_t i = 0; done != 0; ++i, done = static_cast<uint16_t>(done >> 1)) {
     if ((done & 1) == 0) continue;

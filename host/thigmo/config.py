@@ -225,6 +225,9 @@ class HeadingSensor(_Sensor):
     zero_rad: Finite = 0.0  # turn that they say of the straight body
     heading_se_rad: NonNegative = 3e-3  # of either IMU: what it drifts by from zeroing to reading
     noise: NonNegative = 1e-4
+    # Of the IMU at the span's far end: the multiplexer's channel, and its address; 0 = not stated.
+    mux_channel: Annotated[int, Field(ge=0, le=7)] = 0
+    i2c_address: Annotated[int, Field(ge=0, le=127)] = 0
 
     valid_direction: ClassVar[int] = 0
     straight_ohm: ClassVar[float] = 12_000.0  # that the reader says for no turn

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from thigmo.config import SIDES, BoardSensor, RobotConfig, Side
+from thigmo.config import SAME_IMU_CM, SIDES, BoardSensor, HeadingSensor, RobotConfig, Side
 from thigmo.errors import ConfigError
 
 
@@ -20,7 +20,7 @@ class Board(NamedTuple):
     muscles: int
     sensors: int
     body_pressures: int
-    kinds: tuple[str, ...]  # of sensors
+    imus: int  # inputs that may be the turn from one IMU to the next
 
     @property
     def capacity(self) -> dict[str, int]:
@@ -29,15 +29,16 @@ class Board(NamedTuple):
 
     def holds(self, config: RobotConfig) -> bool:
         """Whether its inputs, outputs and maps are enough."""
-        needed = len(config.muscles), len(config.board_sensors), len(config.body.zones)
+        wired = config.board_sensors
+        turns = sum(isinstance(sensor, HeadingSensor) for sensor in wired)
+        needed = len(config.muscles), len(wired), len(config.body.zones), turns
         most = self.capacity.values()
-        enough = all(n <= each for n, each in zip(needed, most, strict=True))
-        return enough and {sensor.kind for sensor in config.board_sensors} <= {*self.kinds}
+        return all(n <= each for n, each in zip(needed, most, strict=True))
 
 
 BOARDS = (
-    Board("mega", 2, 10, 3, ("flex",)),
-    Board("large, the virtual board with an external converter", 4, 16, 8, ("flex", "heading")),
+    Board("mega", 2, 10, 3, 0),
+    Board("large, the virtual board with an external converter", 4, 16, 8, 16),
 )  # the smallest first
 
 
@@ -197,3 +198,28 @@ def sensor_name(config: RobotConfig, number: int) -> str:
         if number in column.inputs:
             return f"{column.name} {column.inputs.index(number)}"
     return f"on input {number}, which robot.toml leaves free"
+
+
+def imu_ends(config: RobotConfig) -> tuple[list[int], list[int]]:
+    """The IMUs where the span on each input begins and ends, as `imu_from` and `imu_to` have them.
+
+    0 is the base, and no IMU. An IMU has the address of the sensor that ends with it: a span that
+    begins where none ends has no address there, and does not count as read over the bus.
+    """
+    wired = sensors(config)
+    places = [
+        (sensor.ends_cm[1], sensor.mux_channel << 7 | sensor.i2c_address)
+        for sensor in wired
+        if isinstance(sensor, HeadingSensor) and sensor.i2c_address
+    ]
+    begins, ends = [0] * len(wired), [0] * len(wired)
+    for number, sensor in enumerate(wired):
+        if not isinstance(sensor, HeadingSensor):
+            continue
+        start = sensor.ends_cm[0]
+        nearest = min(places, key=lambda place: abs(place[0] - start), default=(0.0, 0))
+        based = start < SAME_IMU_CM
+        if sensor.i2c_address and (based or abs(nearest[0] - start) < SAME_IMU_CM):
+            begins[number] = 0 if based else nearest[1]
+            ends[number] = sensor.mux_channel << 7 | sensor.i2c_address
+    return begins, ends

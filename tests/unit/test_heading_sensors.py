@@ -73,7 +73,7 @@ def test_a_file_without_kinds_has_flex_sensors_and_an_unknown_kind_is_named(
 def test_the_check_says_what_bus_and_trigger_can() -> None:
     said = {one.what: one for one in judge(CONFIG)}
     assert said["board"].text.startswith("large")
-    assert said["bus"].text.startswith("12 IMUs behind a multiplexer, 0.54 ms each at 400 kHz")
+    assert said["bus"].text.startswith("12 IMUs behind a multiplexer, 0.60 ms each at 400 kHz")
     assert said["trigger"].mark == "ok"
     drifting = CONFIG.model_copy(deep=True)
     for sensor in drifting.sensors:

@@ -46,7 +46,7 @@ class DictionaryBoard:
             for entry in wire.PARAMETERS.values()
             for i, value in enumerate(entry.defaults)
         }
-        self.capacity = wire.Capacity(OK, 2, 10, 3, 10, 1599, 800, 1000)
+        self.capacity = wire.Capacity(OK, 2, 10, 3, 0, 10, 1599, 800, 1000)
         self.parameters = wire.PARAMETERS
         self.maps: dict[tuple[int, int, int], tuple[int, ...]] = {}
         self.faults = 0

@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x18614AFEu;
+constexpr uint32_t kSchemaHash = 0x6A713CB3u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -30,6 +30,7 @@ constexpr int16_t kMapStepCpsi = 200;
 static_assert(kMuscles > 0 && kMuscles <= 4, "muscles");
 static_assert(kSensors > 0 && kSensors <= 16, "sensors");
 static_assert(kBodyPressures > 0 && kBodyPressures <= 8, "body_pressures");
+static_assert(kImus <= 16, "imus");
 
 // The supervisor's states.
 enum class State : uint8_t {
@@ -1135,11 +1136,12 @@ struct LinkStats {
 // What the board holds, fixed when its firmware was compiled.
 struct Capacity {
   static constexpr uint8_t kId = kCapacity;
-  static constexpr uint8_t kSize = 11;
+  static constexpr uint8_t kSize = 12;
   Status status;           // ok.
   uint8_t muscles;         // Muscles: transducers and their pressure sensors.
   uint8_t sensors;         // Flex sensors: inputs.
   uint8_t body_pressures;  // Body pressures that it keeps maps for.
+  uint8_t imus;            // Inputs that may be read from two IMUs; 0 = none.
   uint8_t adc_bits;        // Bits of the counts that readings are sums of.
   uint16_t drive_full;     // Transducer duty of 20 mA.
   uint16_t motor_full;     // Motor duty of full voltage.
@@ -1149,10 +1151,11 @@ struct Capacity {
     detail::put8(out + 1, static_cast<uint8_t>(muscles));
     detail::put8(out + 2, static_cast<uint8_t>(sensors));
     detail::put8(out + 3, static_cast<uint8_t>(body_pressures));
-    detail::put8(out + 4, static_cast<uint8_t>(adc_bits));
-    detail::put16(out + 5, static_cast<uint16_t>(drive_full));
-    detail::put16(out + 7, static_cast<uint16_t>(motor_full));
-    detail::put16(out + 9, static_cast<uint16_t>(tick_us));
+    detail::put8(out + 4, static_cast<uint8_t>(imus));
+    detail::put8(out + 5, static_cast<uint8_t>(adc_bits));
+    detail::put16(out + 6, static_cast<uint16_t>(drive_full));
+    detail::put16(out + 8, static_cast<uint16_t>(motor_full));
+    detail::put16(out + 10, static_cast<uint16_t>(tick_us));
   }
   static bool decode(const uint8_t* in, uint8_t length, Capacity* out) {
     if (length != kSize) return false;
@@ -1160,10 +1163,11 @@ struct Capacity {
     out->muscles = static_cast<uint8_t>(detail::get8(in + 1));
     out->sensors = static_cast<uint8_t>(detail::get8(in + 2));
     out->body_pressures = static_cast<uint8_t>(detail::get8(in + 3));
-    out->adc_bits = static_cast<uint8_t>(detail::get8(in + 4));
-    out->drive_full = static_cast<uint16_t>(detail::get16(in + 5));
-    out->motor_full = static_cast<uint16_t>(detail::get16(in + 7));
-    out->tick_us = static_cast<uint16_t>(detail::get16(in + 9));
+    out->imus = static_cast<uint8_t>(detail::get8(in + 4));
+    out->adc_bits = static_cast<uint8_t>(detail::get8(in + 5));
+    out->drive_full = static_cast<uint16_t>(detail::get16(in + 6));
+    out->motor_full = static_cast<uint16_t>(detail::get16(in + 8));
+    out->tick_us = static_cast<uint16_t>(detail::get16(in + 10));
     return true;
   }
 };
@@ -1605,7 +1609,12 @@ enum class Param : uint16_t {
                  // muscle bends the body, 7 while none does. A muscle that it does not lie under
                  // leaves it at rest. Base sensors are the first input and the first of the upper
                  // half: they are converted in every ms. [kSensors]
-  kEnd = kTriggerWhen + kSensors
+  kImuFrom = kTriggerWhen +
+      kSensors,  // IMU where the span on this input begins: 128 x its channel of the multiplexer +
+                 // its I2C address. 0: the base, which does not turn. [kImus]
+  kImuTo = kImuFrom + kImus,  // IMU where the span on this input ends, in the same form. 0: the
+                              // converter reads this input. [kImus]
+  kEnd = kImuTo + kImus
 };
 constexpr uint16_t kParamCount = static_cast<uint16_t>(Param::kEnd);
 
@@ -1613,8 +1622,7 @@ constexpr uint16_t kParamCount = static_cast<uint16_t>(Param::kEnd);
 struct ParamKey {
   uint8_t id, count;
 };
-constexpr uint8_t kParamKeys = 59;
-constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
+constexpr ParamKey kParamKeyTable[] THIGMO_PROGMEM = {
     {1, kSensors},         // flex_enabled
     {2, kSensors},         // flex_center_um
     {3, kSensors},         // flex_span_um
@@ -1674,7 +1682,12 @@ constexpr ParamKey kParamKeyTable[kParamKeys] THIGMO_PROGMEM = {
     {48, 1},               // telemetry_ms
     {59, kMuscles},        // muscle_fitted
     {60, kSensors},        // trigger_when
+#if THIGMO_IMUS
+    {61, kImus},  // imu_from
+    {62, kImus},  // imu_to
+#endif
 };
+constexpr uint8_t kParamKeys = sizeof kParamKeyTable / sizeof *kParamKeyTable;
 
 // Limits and default of each element.
 struct ParamRow {
@@ -1760,6 +1773,8 @@ constexpr ParamRows param_rows() {
   rows.add(kMuscles, 0, 1, muscle_fitted);
   const int32_t trigger_when[] = {130, 0, 0, 0, 0, 129};
   rows.add(kSensors, 0, 255, trigger_when);
+  rows.add(kImus, 0, 1023, 0);  // imu_from
+  rows.add(kImus, 0, 1023, 0);  // imu_to
   return rows;
 }
 constexpr ParamRows kParamRows THIGMO_PROGMEM = param_rows();

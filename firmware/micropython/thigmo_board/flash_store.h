@@ -20,7 +20,8 @@
 
 namespace thigmo {
 
-constexpr uint16_t kFlashSector = 4096;
+// Of the chip, or three in a row where the core keeps more.
+constexpr uint16_t kFlashSector = kEepromUsed > 2048 ? 3 * 4096 : 4096;
 constexpr uint16_t kFlashPage = 256;
 
 // Flash has `const uint8_t* data()`, both sectors in a row; `erase(sector)`; and

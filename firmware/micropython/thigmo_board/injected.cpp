@@ -6,6 +6,7 @@
 //   for
 //       each tick the counts 8 x u16 and the encoder at each pass 4 x i32; flags: 1 estop, 2 the
 //       main loop hangs, 4 the motor has its supply
+//   after a 'B': result u8, 21 bytes that were read
 //   'C' bytes u32                        power fails in that byte written to flash from now on
 //   'G'                                  what is kept
 // To the host:
@@ -14,6 +15,9 @@
 //       4 the watchdog bites, 8 pays out, 16 muscle air, 32 body air, 64 motor's supply, 128 brake
 //       open
 //   'G' latched u8, nonce u32, erasures 2 x u32, flash 8192, the store's bytes 2048
+//   'B' now_us u32, address u8, read u8, count u8, 21 bytes that are written: an I2C transfer
+//   'N'                                  nine clocks on that bus, then a STOP
+// A build for more has counts and drives for what it holds, and a larger flash and store.
 #include <new>
 
 #include "controller.h"
@@ -118,7 +122,11 @@ void step(const uint8_t* at) {
     for (uint8_t pass = 0; pass < kPasses && machine.alive; ++pass) {
       encoder = take<int32_t>(at);
       board().at(begun + instants[pass], encoder);
-      if (instants[pass] == machine.frame_us) board().convert(machine.tick, counts);
+      const Configuration& c = robot().controller().configuration();
+#if THIGMO_IMUS
+      board().poll_imus(c);
+#endif
+      if (instants[pass] == machine.frame_us) board().convert(machine.tick, counts, c);
       if ((flags & 2) == 0) robot().loop();
       machine.stopped = board().kept_stop().latched;
       machine.stop_nonce = board().kept_stop().nonce;

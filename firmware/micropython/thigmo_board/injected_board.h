@@ -12,6 +12,10 @@
 #include "../../core/robot.h"
 #include "../../core/sensing/narrowing.h"
 #include "flash_store.h"
+#if THIGMO_IMUS
+#include "../../core/sensing/imu_string.h"
+#include "stream.h"
+#endif
 
 #if defined(__arm__)
 #define THIGMO_INJECTED_KIND kCortexM3
@@ -76,6 +80,48 @@ class InjectedFlash {
   }
 };
 
+#if THIGMO_IMUS
+// An I2C bus whose chips are the host's. A transfer's outcome is known at once, and is told when
+// the bus would have done with it.
+class InjectedBus {
+ public:
+  static constexpr uint32_t kBitsMs = 400;  // fast mode
+
+  void at(uint32_t now_us) { now_us_ = now_us; }
+
+  void begin(const I2cTransfer& transfer) {
+    uint8_t sent[8 + kI2cMost] = {'B'};
+    memcpy(sent + 1, &now_us_, sizeof now_us_);
+    sent[5] = transfer.address;
+    sent[6] = transfer.read;
+    sent[7] = transfer.count;
+    memcpy(sent + 8, transfer.bytes, kI2cMost);
+    stream_send(sent, sizeof sent);
+    uint8_t got[1 + kI2cMost];
+    stream_take(got, sizeof got);
+    result_ = static_cast<I2cResult>(got[0]);
+    memcpy(bytes_, got + 1, kI2cMost);
+    ready_us_ = now_us_ + (9u * (1 + transfer.count) + 2) * 1000 / kBitsMs;
+  }
+
+  I2cResult poll(I2cTransfer* transfer) {
+    if (static_cast<int32_t>(now_us_ - ready_us_) < 0) return I2cResult::kBusy;
+    if (transfer->read) memcpy(transfer->bytes, bytes_, kI2cMost);
+    return result_;
+  }
+
+  void free() {
+    const uint8_t clocks = 'N';
+    stream_send(&clocks, 1);
+  }
+
+ private:
+  uint32_t now_us_ = 0, ready_us_ = 0;
+  I2cResult result_ = I2cResult::kDone;
+  uint8_t bytes_[kI2cMost];
+};
+#endif
+
 class InjectedBoard {
  public:
   static constexpr protocol::Board kKind = protocol::Board::THIGMO_INJECTED_KIND;
@@ -87,6 +133,7 @@ class InjectedBoard {
   InjectedBoard(InjectedFlash& flash, uint16_t frame_us, uint8_t adc_bits,
                 protocol::ResetCause cause, StopLatch stop)
       : store_(flash), narrowing_(adc_bits), frame_us_(frame_us), cause_(cause), stop_(stop) {
+    for (int16_t& duty : drive_) duty = -1;
     store_.begin();
   }
 
@@ -103,13 +150,29 @@ class InjectedBoard {
     encoder_errors_ = encoder_errors;
     estop_ = estop;
   }
-  void convert(uint32_t tick, const uint16_t* count) {
+  void convert(uint32_t tick, const uint16_t* count, const Configuration& c) {
     if (frames_ == kAdcFrames) return;
     AdcFrame* const frame = &frame_[(first_ + frames_++) % kAdcFrames];
     frame->tick = tick;
     memcpy(frame->count, count, sizeof frame->count);
+#if THIGMO_IMUS
+    frame->restarted = imus_.take_restarted(c);
+    for (uint8_t slot = kMuscles; slot < kAdcSlots; ++slot) {
+      const uint8_t input = adc_channel((tick & 1) != 0, slot);
+      if (imus_.reads(input, c)) frame->count[slot] = imus_.count(input, now_us_, c);
+    }
+#else
+    static_cast<void>(c);
+#endif
     narrowing_.apply(frame);
   }
+#if THIGMO_IMUS
+  // What the bus does meanwhile.
+  void poll_imus(const Configuration& c) {
+    bus_.at(now_us_);
+    imus_.pass(now_us_, c);
+  }
+#endif
   void sent(const uint8_t* bytes, uint16_t count) {
     if (from_host_.size() == 0) arrival_us_ = later(arrival_us_) + kByteUs;
     for (uint16_t i = 0; i < count; ++i) from_host_.push(bytes[i]);
@@ -202,6 +265,10 @@ class InjectedBoard {
   }
 
   FlashStore<InjectedFlash> store_;
+#if THIGMO_IMUS
+  InjectedBus bus_;
+  ImuString<InjectedBus> imus_{bus_};
+#endif
   Narrowing narrowing_;
   const uint16_t frame_us_;
   const protocol::ResetCause cause_;
@@ -215,7 +282,7 @@ class InjectedBoard {
   uint16_t supply_mv_ = 5000;
   uint16_t encoder_errors_ = 0;
   uint16_t overruns_ = 0;
-  int16_t drive_[kMuscles] = {-1, -1};
+  int16_t drive_[kMuscles];
   int16_t motor_ = 0;
   bool pays_out_ = true;
   bool estop_ = true;

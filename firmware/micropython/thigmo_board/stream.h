@@ -13,6 +13,8 @@ extern "C" {
 // sentence if the hardware cannot be reached, else null. Calls after the first do nothing.
 const char* stream_open(void);
 void stream_send(const uint8_t* bytes, uint32_t count);
+// Waits for so many bytes inside injected_receive(); on the unix port only.
+void stream_take(uint8_t* bytes, uint32_t count);
 // Nothing is received between the two.
 void stream_lock(void);
 void stream_unlock(void);

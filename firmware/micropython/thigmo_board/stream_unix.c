@@ -3,6 +3,7 @@
 #include <pthread.h>
 #include <signal.h>
 #include <stdlib.h>
+#include <string.h>
 #include <unistd.h>
 
 #include "stream.h"
@@ -53,6 +54,20 @@ void stream_send(const uint8_t* bytes, uint32_t count) {
     }
     bytes += sent;
     count -= (uint32_t)sent;
+  }
+}
+
+void stream_take(uint8_t* bytes, uint32_t count) {
+  while (count != 0) {
+    const ssize_t taken = read(hardware, bytes, count);
+    if (taken < 0 && errno == EINTR) continue;
+    if (taken <= 0) {
+      memset(bytes, 0xFF, count);
+      gone = true;
+      return;
+    }
+    bytes += taken;
+    count -= (uint32_t)taken;
   }
 }
 

@@ -43,6 +43,7 @@ _GROWTH_MARGIN = 1.35  # of the pressure over what growth needs
 _SPAN_CM, _GAP_CM = 5.5, 1.1  # of a sensor, and to the next one: the tip's fold between them
 _END_CM = 3.0  # of the tip, without a sensor
 _CLEAR_CM = 1.5  # of an IMU behind the tip, where growth stops
+_IMU_ADDRESSES = (0x4A, 0x4B)  # of a BNO085, by its pin SA0
 _REST_S = 2.0  # IMUs do not creep after eversion
 _GRATING_CM = 1.0  # from one to the next, at least
 _POUCH_CM = 10.0
@@ -126,6 +127,8 @@ def _imu(side: Side, pitch_cm: float, number: int) -> list[Sensor]:
         direction_deg=DEGREES[side],
         center_cm=(start + end) / 2,
         span_cm=end - start,
+        mux_channel=number // 2,
+        i2c_address=_IMU_ADDRESSES[number % 2],
     )
     return [sensor]
 

@@ -32,10 +32,11 @@ _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
 _PROPPED = 1.5  # base moment over EI of a propped cantilever, over its free curvature
 _TICKS_HZ = 1000  # of the board
-# I2C in fast mode, nine bits a byte. Of an IMU behind a multiplexer: the multiplexer's address and
-# channel, its own address, and 21 bytes of a BNO085's packet with a game rotation vector.
-_BUS_HZ, _IMU_BITS = 400_000, 9 * (2 + 1 + 21)
-_REPORTS_HZ = 100  # of each IMU
+# I2C in fast mode, nine bits a byte, and what begins and ends a transfer. Of an IMU behind a
+# multiplexer: its channel is written and read back, then 21 bytes of a BNO085's packet with a game
+# rotation vector are read (kTurnBits of firmware/core/sensing/imu_string.h).
+_BUS_HZ, IMU_BITS = 400_000, 9 * (2 + 2 + 1 + 21) + 3 * 2
+_REPORTS_HZ = 50  # of each IMU
 _TRIGGER_SIGMAS = 5.0  # a trigger on less fires without a contact
 _STEPS = 200
 # Errors that a calibration leaves (scenes/default.toml): relative, of a sensor's scale, and 1/cm.
@@ -233,7 +234,7 @@ def _imus(config: RobotConfig) -> Iterator[Finding]:
     imus = [sensor for sensor in config.sensors if isinstance(sensor, HeadingSensor)]
     if not imus:
         return
-    each_ms = 1e3 * _IMU_BITS / _BUS_HZ
+    each_ms = 1e3 * IMU_BITS / _BUS_HZ
     busy = len(imus) * each_ms * _REPORTS_HZ / 1e3
     text = (
         f"{len(imus)} IMUs behind a multiplexer, {each_ms:.2f} ms each at {_BUS_HZ // 1000} kHz: "

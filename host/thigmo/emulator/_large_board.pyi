@@ -3,4 +3,5 @@
 Its channels are the sensors' inputs and then the muscles': levels and noise have 20 of them.
 """
 
+from thigmo.emulator._board import Analog as Analog
 from thigmo.emulator._board import VirtualBoard as VirtualBoard

@@ -45,6 +45,9 @@ class ImuString:
         self._wandered = np.zeros(count)  # rad
         self._seat = np.zeros(count)  # rad, of this eversion
         self._out = np.zeros(count, dtype=np.bool_)
+        self._zero_rad = np.array([sensor.zero_rad for sensor in sensors])
+        # What each IMU says, rad; of neighbours that no span joins, each from 0.
+        self.headings = np.zeros(count)
         self.hung: set[int] = set()  # IMUs that do not answer, by number
 
     def counts(self, curvature: Floats, length_cm: float) -> Floats:
@@ -64,6 +67,11 @@ class ImuString:
         first, last = said[self._imus.T]
         bent = curvature * np.clip(length_cm - self._start_cm, 0.0, self._span_cm)
         turn = bent / self._scale + last - first
+        self.headings = said.copy()
+        for (start, end), bend in sorted(
+            zip(self._imus.tolist(), bent / self._scale + self._zero_rad, strict=True)
+        ):
+            self.headings[end] += self.headings[start] - said[start] + bend
         ohm = np.clip(self._zero_ohm + turn / RAD_PER_OHM, _LEAST_OHM, _MOST_OHM)
         counts: Floats = 1024.0 * self._divider_ohm / (self._divider_ohm + ohm)
         counts[np.isin(self._imus, [*self.hung]).any(axis=1)] = 0.0

@@ -21,8 +21,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
+from thigmo import wiring
 from thigmo.emulator._board import Analog
+from thigmo.emulator._large_board import Analog as LargeAnalog
 from thigmo.emulator.board import require_usual
+from thigmo.emulator.imu_bus import ImuBus, string_bus
 from thigmo.emulator.micropython_build import image
 from thigmo.emulator.transport import EmulatorTransport, parse_url
 from thigmo.errors import PortError
@@ -36,26 +39,31 @@ Floats = npt.NDArray[np.float64]
 Processor = Literal["unix", "cortex-m3"]
 
 BOOT_MS = 840  # as the Mega's boot loader takes, so that runs on both can be compared
-STORE_SIZE = 2048  # bytes of the core's store, of which the flash keeps an image
-FLASH_SIZE = 8192
+# Of the usual board and of the large one: bytes of the core's store, of which the flash keeps an
+# image in one of its two sectors.
+STORE_SIZE, _LARGE_STORE = 2048, 8192
+_SECTORS = {STORE_SIZE: 4096, _LARGE_STORE: 3 * 4096}
 _PAGE = 256
 _START_S = 20.0  # of the wall clock, within which the program must have started
 _MOST_TICKS = 10  # in one message
-_STEP = struct.Struct("<BhhhH")
+_LARGE_BITS = 16  # of the large board's counts, so that a turn keeps 0.1 mrad
+_LARGE_FRAME_US = 320
+_TRANSFER = struct.Struct("<IBBB21s")
 _KEPT = struct.Struct("<BIII")
 _RUNS, _POWERED, _BITES, _OUT, _MUSCLE_AIR, _BODY_AIR, _MOTOR_SUPPLY, _BRAKE_OPEN = (
     1 << n for n in range(8)
 )
 
 
-def flash_of(store: bytes) -> bytes:
+def flash_of(store: bytes, size: int = STORE_SIZE) -> bytes:
     """The flash that holds a store's bytes: one image (firmware/micropython, flash_store.h)."""
+    flash_size = 2 * _SECTORS[size]
     if not store:
-        return b"\xff" * FLASH_SIZE
-    whole = store[:STORE_SIZE].ljust(STORE_SIZE, b"\xff")
+        return b"\xff" * flash_size
+    whole = store[:size].ljust(size, b"\xff")
     header = struct.pack("<IH", 1, check_sequence(whole))
     header += struct.pack("<H", check_sequence(header))
-    return (header.ljust(_PAGE, b"\xff") + whole).ljust(FLASH_SIZE, b"\xff")
+    return (header.ljust(_PAGE, b"\xff") + whole).ljust(flash_size, b"\xff")
 
 
 class MicroPythonBoard:
@@ -70,7 +78,13 @@ class MicroPythonBoard:
         program: what Python runs; None: the robot's main.py.
         adc_bits: of the converter.
         frame_us: into a tick, when its conversions are complete.
+        large: Whether it is built for more muscles and sensors, and for IMUs.
+
+    Attributes:
+        bus: Where it reads IMUs; set it before time passes. Only a large board asks it.
     """
+
+    bus: ImuBus | None = None
 
     def __init__(
         self,
@@ -81,14 +95,21 @@ class MicroPythonBoard:
         program: str | None = None,
         adc_bits: int = 10,
         frame_us: int = 832,
+        large: bool = False,
     ) -> None:
         self._program = program or "import main"
-        self._image = image(on)
+        if large:
+            adc_bits, frame_us = _LARGE_BITS, _LARGE_FRAME_US
+        self._image = image("unix-large" if large else on)
         self._on: Processor = on
         self._profile = (adc_bits, frame_us)
         self._passes = np.array(sorted({250, 500, 990, frame_us})) * 1e-3
-        self._analog = Analog(seed, adc_bits, frame_us)
-        self._flash = flash_of(store)
+        made = LargeAnalog if large else Analog
+        self._analog = made(seed, adc_bits, frame_us)
+        self._muscles = 4 if large else 2
+        self._state = struct.Struct(f"<B{self._muscles + 1}hH")
+        self._store_size = _LARGE_STORE if large else STORE_SIZE
+        self._flash = flash_of(store, self._store_size)
         self._stop = (0, 0)  # whether one is latched, its nonce
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
@@ -121,7 +142,7 @@ class MicroPythonBoard:
 
     def _off(self) -> None:
         self._running = False
-        self._drive = (-1, -1)
+        self._drive = (-1,) * self._muscles
         self.motor = 0
         self.air = self.motor_enables = (False, False)
 
@@ -248,8 +269,8 @@ class MicroPythonBoard:
         self._hear(1)
         latched, nonce, *self.erasures = _KEPT.unpack(self._hear(_KEPT.size))
         self._stop = (latched, nonce)
-        self._flash = self._hear(FLASH_SIZE)
-        return self._hear(STORE_SIZE)
+        self._flash = self._hear(len(self._flash))
+        return self._hear(self._store_size)
 
     # --- time -------------------------------------------------------------------------------------
     def step(self, ticks: int) -> None:
@@ -286,9 +307,12 @@ class MicroPythonBoard:
         message = struct.pack("<BBHHH", count, flags, self._supply_mv, errors, len(line))
         try:
             self._tell(b"S" + message + line + rows.tobytes())
-            while self._hear(1) == b"R":  # the program has begun again, in this step or before
-                self.boots += 1
-            state, *drive, motor, length = _STEP.unpack(self._hear(_STEP.size))
+            while (kind := self._hear(1)) != b"S":
+                if kind == b"R":  # the program has begun again, in this step or before
+                    self.boots += 1
+                elif self.bus is not None:
+                    self._serve_bus(self.bus, kind)
+            state, *drive, motor, length = self._state.unpack(self._hear(self._state.size))
             self._received += self._hear(length)
         except OSError:  # Python itself has ended, and the pins float
             self._off()
@@ -297,7 +321,7 @@ class MicroPythonBoard:
         # A controller that restarts in the next step begins with tick 0.
         self._ticks = self._ticks + count if self._running else 0
         self._powered = bool(state & _POWERED)
-        self._drive = (drive[0], drive[1])
+        self._drive = tuple(drive)
         self.motor = motor
         if motor:
             self._direction = 1 if state & _OUT else -1
@@ -305,6 +329,17 @@ class MicroPythonBoard:
         self.motor_enables = (bool(state & _MOTOR_SUPPLY), bool(state & _BRAKE_OPEN))
         if state & _BITES:
             self.power_on(ResetCause.WATCHDOG)
+
+    def _serve_bus(self, bus: ImuBus, kind: bytes) -> None:
+        """Do on the bus what the firmware wants."""
+        if kind == b"N":
+            bus.clock()
+            return
+        now_us, address, reads, count, data = _TRANSFER.unpack(self._hear(_TRANSFER.size))
+        now_us += 1000 * (self._now_ms - self._ticks)
+        written, wanted = (b"", count) if reads else (data[:count], 0)
+        ended, read = bus.transfer(now_us, address, written, wanted)
+        self._tell(bytes([ended]) + read.ljust(21, b"\xff"))
 
     @property
     def now_us(self) -> int:
@@ -325,7 +360,10 @@ class MicroPythonBoard:
     # --- inputs -----------------------------------------------------------------------------------
     def set_analog(self, counts: Floats) -> None:
         """Ideal counts in 1/1024 of the reference, shape (16, 2): at the step's start and end."""
-        self._analog.set_levels(np.ascontiguousarray(counts, dtype=np.float64))
+        levels = np.array(counts, dtype=np.float64, order="C")
+        if self.bus is not None:
+            levels[self.bus.inputs] = 0.0  # pulled down
+        self._analog.set_levels(levels)
 
     def set_adc_noise(self, sigma: Floats) -> None:
         """White noise of a conversion in 1/1024 of the reference, shape (16,)."""
@@ -357,16 +395,14 @@ class MicroPythonBoard:
 
     # --- outputs ----------------------------------------------------------------------------------
     @property
-    def drive(self) -> tuple[int, int]:
+    def drive(self) -> tuple[int, ...]:
         """Transducer duties, 0..1599."""
-        first, second = self._drive
-        return max(first, 0), max(second, 0)
+        return tuple(max(duty, 0) for duty in self._drive)
 
     @property
-    def drive_enabled(self) -> tuple[bool, bool]:
+    def drive_enabled(self) -> tuple[bool, ...]:
         """Whether each transducer's output is connected."""
-        first, second = self._drive
-        return first >= 0, second >= 0
+        return tuple(duty >= 0 for duty in self._drive)
 
     @property
     def braked(self) -> bool:
@@ -391,7 +427,7 @@ class MicroPythonBoard:
     # --- faults and the store ---------------------------------------------------------------------
     @property
     def eeprom(self) -> bytes:
-        """The core's store: STORE_SIZE bytes."""
+        """The core's store."""
         return self._keep() if self._process is not None else b""
 
     def cut_power_after(self, n_bytes: int) -> None:
@@ -410,7 +446,12 @@ class MicroPythonBoard:
 def open_micropython(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
     """Open `micropython://SCENE?seed=N&on=unix|cortex-m3`."""
     scene, used, options = parse_url(url, seed, on=("unix", "cortex-m3"))
-    require_usual(scene.robot)
     on: Processor = "cortex-m3" if options["on"] == "cortex-m3" else "unix"
-    board = MicroPythonBoard(used, on=on)
-    return EmulatorTransport(scene, board, seed=used, realtime=realtime, name=url)
+    large = wiring.board_of(scene.robot) is not wiring.BOARDS[0]
+    if on == "cortex-m3":
+        require_usual(scene.robot)
+    board = MicroPythonBoard(used, on=on, large=large)
+    transport = EmulatorTransport(scene, board, seed=used, realtime=realtime, name=url)
+    if large:
+        board.bus = string_bus(scene.robot, transport.lockstep.plant.imus)
+    return transport

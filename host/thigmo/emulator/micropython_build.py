@@ -19,10 +19,12 @@ SOURCES = ROOT / "firmware" / "micropython"
 BUILD = ROOT / "build" / "micropython"
 IMAGES = {
     "unix": BUILD / "unix" / "micropython",
+    "unix-large": BUILD / "unix-large" / "micropython",
     "cortex-m3": BUILD / "cortex-m3" / "firmware.elf",
 }
 _TOOLS = {
     "unix": ("make", "gcc", "g++", "python3", "apt-get", "tar", "xz"),
+    "unix-large": (),
     "cortex-m3": ("arm-none-eabi-g++", "qemu-system-arm"),
 }
 
@@ -38,7 +40,7 @@ def missing(kind: str) -> str:
 
 @cache
 def image(kind: str) -> Path:
-    """The image of a kind: unix or cortex-m3; PortError if it cannot be built here."""
+    """The image of a kind: unix, unix-large or cortex-m3; PortError if it cannot be built here."""
     build = f"`make -C firmware/micropython {kind}`"
     if reason := missing(kind):
         raise PortError(

@@ -130,8 +130,9 @@ class Client(Inbox, Closing):
         """The board's parameter table, by name."""
         has = self.capacity
         return wire.parameters(
-            muscles=has.muscles, sensors=has.sensors, body_pressures=has.body_pressures
-        )
+            muscles=has.muscles, sensors=has.sensors, body_pressures=has.body_pressures,
+            imus=has.imus,
+        )  # fmt: skip
 
     def now(self) -> float:
         """Host seconds, by the transport's clock."""

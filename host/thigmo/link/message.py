@@ -233,6 +233,8 @@ def parameters(**capacity: int) -> dict[str, Parameter]:
     index = 0
     for row in _DATA["parameters"]:
         count = capacity[row["of"]] if row["of"] else 1
+        if count == 0:
+            continue  # its firmware leaves that parameter out
         given = row["defaults"]
         defaults = given * count if len(given) == 1 else [*given, *[0] * count][:count]
         stated = {key: row[key] for key in ("name", "id", "unit", "low", "high", "doc")}

@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, Command, Documented, Message
 from thigmo.link.message import OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x18614AFE
+SCHEMA_HASH = 0x6A713CB3
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -24,6 +24,7 @@ MAP_STEP_CPSI = 200
 MOST_MUSCLES = 4
 MOST_SENSORS = 16
 MOST_BODY_PRESSURES = 8
+MOST_IMUS = 16
 
 
 class State(Documented):  # The supervisor's states.
@@ -287,6 +288,7 @@ class Capacity(Reply, number=0x89):  # What the board holds, fixed when its firm
     muscles: U8  # Muscles: transducers and their pressure sensors.
     sensors: U8  # Flex sensors: inputs.
     body_pressures: U8  # Body pressures that it keeps maps for.
+    imus: U8  # Inputs that may be read from two IMUs; 0 = none.
     adc_bits: U8  # Bits of the counts that readings are sums of.
     drive_full: U16  # Transducer duty of 20 mA.
     motor_full: U16  # Motor duty of full voltage.

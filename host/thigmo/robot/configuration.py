@@ -35,7 +35,9 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
     ratio = board.divider_ohm / _BOARD_DIVIDER_OHM
     muscles = config.muscles
-    return {
+    begins, ends = wiring.imu_ends(config)
+    imus = {"imu_from": begins, "imu_to": ends} if wiring.board_of(config).imus else {}
+    return imus | {
         "flex_enabled": [int(s is not None and s.healthy) for s in flex],
         "flex_center_um": [round(s.fold_cm[0] * 1e4) if s else 0 for s in flex],
         "flex_span_um": [round(s.fold_cm[1] * 1e4) if s else 0 for s in flex],
@@ -92,7 +94,7 @@ def send_config(client: Client, config: RobotConfig) -> bool:
     hold or does not give back.
     """
     has, board = client.capacity, wiring.board_of(config)
-    if (has.muscles, has.sensors, has.body_pressures) != (*board.capacity.values(),):
+    if (has.muscles, has.sensors, has.body_pressures, has.imus) != (*board.capacity.values(),):
         raise ConfigError(
             f"the board is built for {has.muscles} muscles, {has.sensors} sensors and "
             f"{has.body_pressures} body pressures, and this robot needs one for {board.muscles}, "
@@ -178,7 +180,7 @@ def named(name: str) -> wire.Parameter:
 
 def _row(client: Client, name: str) -> wire.Parameter:
     """Its row in the board's table; raises as `named`."""
-    return client.parameters[named(name).name]
+    return client.parameters.get(name) or named(name)
 
 
 def _verify(what: str, got: object, wanted: object) -> None:

@@ -29,16 +29,18 @@ class Built:
     muscles: int
     sensors: int
     body_pressures: int
+    imus: int = 0
 
     @property
     def table(self) -> dict[str, wire.Parameter]:
         """Its parameters."""
         return wire.parameters(
-            muscles=self.muscles, sensors=self.sensors, body_pressures=self.body_pressures
-        )
+            muscles=self.muscles, sensors=self.sensors, body_pressures=self.body_pressures,
+            imus=self.imus,
+        )  # fmt: skip
 
 
-USUAL, LARGE = Built(2, 10, 3), Built(4, 16, 8)
+USUAL, LARGE = Built(2, 10, 3), Built(4, 16, 8, 16)
 
 
 class Lab:
@@ -157,7 +159,7 @@ def lab(request: pytest.FixtureRequest) -> Lab:
 def test_the_board_says_what_it_holds(lab: Lab) -> None:
     told = lab.ask(wire.GetCapacity())
     assert isinstance(told, wire.Capacity)
-    assert Built(told.muscles, told.sensors, told.body_pressures) == lab.built
+    assert Built(told.muscles, told.sensors, told.body_pressures, told.imus) == lab.built
 
 
 def test_every_muscle_reaches_its_pressure_and_the_others_stay_empty(lab: Lab) -> None:
