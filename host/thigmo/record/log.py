@@ -23,7 +23,7 @@ from thigmo.closing import Closing
 from thigmo.errors import RunFolderError
 from thigmo.link.protocol import MESSAGES
 from thigmo.record.mcap_file import read_mcap
-from thigmo.record.older import WITHOUT_COUNTS, with_counts
+from thigmo.record.older import OLDER_SCHEMAS, in_todays_layout
 
 Direction = Literal["tx", "rx"]
 
@@ -237,13 +237,13 @@ def read_log(path: Path) -> Log:
     found = read_mcap(path, {*_TOPICS, _NOTES})
     epoch = found.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(epoch) if epoch.isdecimal() else 0
-    older = found.metadata.get("schema_hash") == WITHOUT_COUNTS
+    schema = found.metadata.get("schema_hash", "")
     items: list[Entry | Note] = []
     for topic, log_ns, data in found.messages:
         t_s = (log_ns - epoch_ns) / 1e9
         if topic == _NOTES:
             items.append(Note(t_s, json.loads(data)))
         else:
-            frame = with_counts(data) if older else data
+            frame = in_todays_layout(data, schema) if schema in OLDER_SCHEMAS else data
             items.append(Entry(t_s, _TOPICS[topic], frame))
     return Log(items, found.metadata, found.truncated, found.gaps)
