@@ -353,6 +353,11 @@ class ZoneMap(Model):
     inflate: TanhMap = Field(default_factory=TanhMap)
     deflate: TanhMap = Field(default_factory=TanhMap)
 
+    @property
+    def calibrated(self) -> bool:
+        """Whether it was measured: its error is not the one that is assumed."""
+        return bool(self.scale_se != ZoneMap.model_fields["scale_se"].default)
+
 
 def _default_zone_maps() -> list[ZoneMap]:
     return [ZoneMap(body_pressure_psi=p) for p in (1.47, 1.01, 0.49)]

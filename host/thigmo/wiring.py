@@ -7,10 +7,21 @@ other column leaves free: the first input of that last.
 
 from __future__ import annotations
 
+from math import cos, radians
 from typing import NamedTuple
 
-from thigmo.config import SAME_IMU_CM, SIDES, BoardSensor, HeadingSensor, RobotConfig, Side
+from thigmo.config import (
+    SAME_IMU_CM,
+    SIDES,
+    BoardSensor,
+    HeadingSensor,
+    Muscle,
+    RobotConfig,
+    Side,
+)
 from thigmo.errors import ConfigError
+
+_LEAST_SHARE = 0.5  # of a bend, that a sensor must read to measure it
 
 
 class Board(NamedTuple):
@@ -147,6 +158,38 @@ def sensors(config: RobotConfig) -> list[BoardSensor | None]:
     for number, sensor in zip(free, others, strict=False):
         found[number] = sensor
     return found
+
+
+class Witness(NamedTuple):
+    """A sensor that reads part of a muscle's bend."""
+
+    number: int  # of its input
+    sensor: BoardSensor
+    share: float  # cosine between the muscle's direction and that in which it reads positive
+
+    @property
+    def sound(self) -> bool:
+        """Whether it is healthy, and answers to bends that way."""
+        answers = self.sensor.valid_direction in (0, 1 if self.share > 0 else -1)
+        return self.sensor.healthy and answers
+
+
+def witnesses(config: RobotConfig, muscle: Muscle) -> list[Witness]:
+    """The sensors that read at least half of a muscle's bend and do not wrinkle, base first.
+
+    A sensor and the one opposite read positive towards the same direction, that below 180 degrees:
+    in the plane towards 90. Raises as `places`.
+    """
+    found = []
+    for number, sensor in enumerate(sensors(config)):
+        if sensor is None:
+            continue
+        lies, bends = radians(sensor.direction_deg), radians(muscle.direction_deg)
+        share = cos(lies - bends) * (1 if sensor.direction_deg < 180.0 else -1)
+        wrinkles = sensor.wrinkles and cos(lies - bends) > 1e-6
+        if abs(share) >= _LEAST_SHARE and not wrinkles:
+            found.append(Witness(number, sensor, share))
+    return sorted(found, key=lambda one: one.sensor.center_cm)
 
 
 def _first(config: RobotConfig, sensor: BoardSensor) -> bool:

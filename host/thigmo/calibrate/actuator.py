@@ -1,7 +1,9 @@
 """Free curvature of a muscle against its pressure: the thesis's tanh fit (section 3.1) with errors.
 
 Rows are free bends: pressure (measured), curvature by camera, branch (inflating or deflating) and
-trial. Each branch gets its own tanh map; trials may sit a little apart (the robot never lies quite
+trial. The camera does not see a bend out of the plane: the sensors that read at least half of it
+measure it, to the error of their scales. A muscle without such a sensor is named as not calibrated.
+Each branch gets its own tanh map; trials may sit a little apart (the robot never lies quite
 straight), which is fitted as an offset for each trial, and its spread becomes `offset_se`, the
 common error that the localizer marginalises and re-estimates from frames without contact. A muscle
 also bends the body a little more or less in every trial: that spread, with the fit's own error, is
@@ -20,12 +22,13 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from thigmo.calibrate.bench import Bench, bend_rows
+from thigmo import wiring
+from thigmo.calibrate.bench import Bench, Row, bend_rows, unseen_bend_rows
 from thigmo.calibrate.columns import Array, column, grouped, sides_of
 from thigmo.calibrate.lag import Lag, fit_lag, ramp, tanh_curve
 from thigmo.calibrate.regression import Mask
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
-from thigmo.config import SIGN, RobotConfig, Side, TanhMap, ZoneMap
+from thigmo.config import SIGN, Muscle, RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -40,19 +43,23 @@ _DAYS_SE = 2e-4  # 1/cm, what differs from day to day and no session can show [a
 # One sigma of a trial's gain beforehand [a guess], and as how many trials it counts.
 _TRIAL_GAIN, _TRIAL_GAIN_COUNT = 0.015, 2
 _CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
+_MOST_SE = 0.02  # of g, of full scale
+_LEAST_BEND = 1e-3  # 1/cm, by the upper half of the pressures
 
 
 @dataclass(frozen=True)
 class BendReadings:
     """Free bends of one muscle at one body pressure."""
 
-    side: Side  # which muscle
+    muscle: str  # its name
     body_pressure_psi: float  # set by hand
     pressure_psi: Array  # (n,) measured muscle pressure
-    curvature: Array  # (n,) by camera, 1/cm, signed; nan where the body was not seen
+    curvature: Array  # (n,) towards the muscle, 1/cm; nan where the body was not seen
     curvature_se: Array  # (n,) one sigma
     branch: tuple[str, ...]  # (n,) "inflate" or "deflate"
     trial: NDArray[np.int64]  # (n,) trial numbers
+    scale_se: float = _CAMERA_SCALE_SE  # relative, common to all rows
+    sensors: int = 0  # number of those that measured the bends; 0: the camera did
 
     def __post_init__(self) -> None:
         unknown = set(self.branch) - set(BRANCHES)
@@ -65,15 +72,23 @@ class BendReadings:
         return [f"trial {trial} {branch} {psi:.1f} psi" for trial, branch, psi in columns]
 
     @classmethod
-    def read_all(cls, table: Table) -> list[BendReadings]:
-        """Of each muscle and body pressure, from a CSV."""
-        keys = sides_of(table), table.numbers("body_pressure_psi").tolist()
+    def read_all(cls, table: Table, config: RobotConfig) -> list[BendReadings]:
+        """Of each muscle and body pressure, from a CSV; muscles by name, or in the plane by side.
+
+        In the plane curvature is positive to the left, out of it towards the muscle.
+        """
+        if "muscle" in table:
+            muscles = [config.muscles[config.muscle_number(n)] for n in table.words("muscle")]
+        else:
+            muscles = [config.muscle(side) for side in sides_of(table)]
+        keys = [muscle.name for muscle in muscles], table.numbers("body_pressure_psi").tolist()
         branch = table.words("branch", "inflate")
-        p, k = table.numbers("pressure_psi"), table.numbers("curvature")
+        sign = np.array([SIGN[muscle.side] if muscle.side else 1.0 for muscle in muscles])
+        p, k = table.numbers("pressure_psi"), sign * table.numbers("curvature")
         e, trial = table.numbers("curvature_se", _PICTURE_SE), table.whole("trial", 0)
         return [
-            cls(side, body, p[own], k[own], e[own], tuple(branch[r] for r in own), trial[own])
-            for (side, body), own in grouped(zip(*keys, strict=True))
+            cls(name, body, p[own], k[own], e[own], tuple(branch[r] for r in own), trial[own])
+            for (name, body), own in grouped(zip(*keys, strict=True))
             if np.isfinite(body)
         ]
 
@@ -95,7 +110,7 @@ class ActuatorResult(StepResult):
     def as_data(self) -> dict[str, Any]:
         """Plain data."""
         return {
-            "side": self.readings.side,
+            "muscle": self.readings.muscle,
             **super().as_data(),
             "rows": len(self.used),
             "rows_left_out": np.flatnonzero(~self.used).tolist(),
@@ -103,7 +118,7 @@ class ActuatorResult(StepResult):
 
     def write(self, config: RobotConfig) -> None:
         """Put the map into the zone of its body pressure (within 10 %)."""
-        actuator = config.muscle(self.readings.side)
+        actuator = config.muscles[config.muscle_number(self.readings.muscle)]
         gaps = [abs(z.pressure_psi / self.zone.body_pressure_psi - 1) for z in config.body.zones]
         zone = int(np.argmin(gaps))
         if gaps[zone] > 0.1:
@@ -120,10 +135,11 @@ class ActuatorResult(StepResult):
 
 @dataclass(frozen=True)
 class ActuatorResults(StepResult):
-    """Both muscles at every body pressure that was measured."""
+    """The muscles at every body pressure that was measured."""
 
     each: tuple[ActuatorResult, ...]
     verdict: Verdict
+    not_calibrated: tuple[str, ...] = ()  # muscles that nothing measures: their maps stay
     EVIDENCE: ClassVar = ("each",)
 
     def as_data(self) -> dict[str, Any]:
@@ -136,17 +152,32 @@ class ActuatorResults(StepResult):
             result.write(config)
 
 
-def together(found: Sequence[ActuatorResult]) -> ActuatorResults:
-    """Maps with one verdict over all of them."""
+def together(found: Sequence[ActuatorResult], unseen: Sequence[Muscle] = ()) -> ActuatorResults:
+    """Maps with one verdict over all of them, which names the muscles that nothing measures."""
     bad: list[str] = []
     notes: list[str] = []
     for r in found:
-        name = f"{r.readings.side} at {r.readings.body_pressure_psi:g} psi"
+        name = f"{r.readings.muscle} at {r.readings.body_pressure_psi:g} psi"
         (notes if r.verdict.good else bad).append(f"{name}: {r.verdict.reason}")
         notes += [f"{name}: {text}" for text in r.verdict.notes]
-    worst = max(r.g_se / max(r.full_scale, 1e-9) for r in found)
+    worst = max(
+        np.hypot(r.g_se / max(r.full_scale, 1e-9), r.readings.scale_se if r.readings.sensors else 0)
+        for r in found
+    )
     good = f"{len(found)} maps, g to {100 * worst:.2f} % or better"
-    return ActuatorResults(tuple(found), Verdict(not bad, [*bad, good][0], tuple(notes)))
+    names = tuple(muscle.name for muscle in unseen)
+    if names:
+        good += f"; not calibrated: {' and '.join(names)}"
+        notes += [_unseen(muscle) for muscle in unseen]
+    return ActuatorResults(tuple(found), Verdict(not bad, [*bad, good][0], tuple(notes)), names)
+
+
+def _unseen(muscle: Muscle) -> str:
+    return (
+        f"muscle {muscle.name} is not calibrated: no healthy sensor reads a bend towards "
+        f"{muscle.direction_deg:g} degrees, and the camera sees the plane only; put a sensor at "
+        f"{(muscle.direction_deg + 180) % 360:g} degrees"
+    )
 
 
 def _map_values(p: Array, log_amplitude: Array, log_scale: Array, offset: Array) -> Array:
@@ -154,37 +185,78 @@ def _map_values(p: Array, log_amplitude: Array, log_scale: Array, offset: Array)
 
 
 def guided(bench: Bench) -> ActuatorResults:
-    """Maps of both muscles for the planned body pressures, and the lag."""
+    """Maps of all muscles that can be measured for the planned body pressures, and their lags."""
     config = bench.config
     zones = bench.plan.zones or tuple(range(len(config.body.zones)))
+    unseen = [m for m in config.muscles if not m.side and not _sound(config, m)]
+    measured = [m for m in config.muscles if m not in unseen]
+    if not measured:
+        raise DataError(*_unseen(unseen[0]).split("; "))
     rows = bend_rows(bench, zones)
-    ramps = {side: ramp(bench, side, zones[-1]) for side in config.sides}
+    for muscle in measured:
+        if muscle.side is None:
+            rows += unseen_bend_rows(bench, zones, muscle)
+    ramps = {muscle.name: ramp(bench, muscle, zones[-1]) for muscle in measured}
     found: list[ActuatorResult] = []
-    for zone, side in product(zones, config.sides):
-        mine = [r for r in rows if r["zone"] == zone and r["side"] == side]
-        result = fit_actuator(
-            BendReadings(
-                side,
-                config.body.zones[zone].pressure_psi,
-                column(mine, "psi"),
-                column(mine, "k"),
-                np.nan_to_num(column(mine, "k_se"), nan=_PICTURE_SE),
-                tuple(r["branch"] for r in mine),
-                np.array([r["trial"] for r in mine], np.int64),
-            )
-        )
-        record = ramps[side]
+    for zone, muscle in product(zones, measured):
+        mine = [
+            r for r in rows
+            if r["zone"] == zone
+            and (r.get("side") == muscle.side if muscle.side else r.get("muscle") == muscle.name)
+        ]  # fmt: skip
+        result = fit_actuator(readings_of(mine, config, muscle, zone))
+        record = ramps[muscle.name]
         if result.verdict.good and zone == zones[-1] and record is not None:
-            lag = fit_lag(*record, result.zone, side, config.muscle(side).reversal_psi)
+            lag = fit_lag(*record, result.zone, muscle.reversal_psi)
             if lag.inflate_se_s < _LAG_SE_S:
                 result = replace(result, lag=lag)
         found.append(result)
-    return together(found)
+    return together(found, unseen)
 
 
-def of_csv(table: Table, _: RobotConfig) -> ActuatorResults:
-    """Bends of one or both muscles."""
-    found = [fit_actuator(readings) for readings in BendReadings.read_all(table)]
+def _sound(config: RobotConfig, muscle: Muscle) -> list[wiring.Witness]:
+    return [one for one in wiring.witnesses(config, muscle) if one.sound]
+
+
+def readings_of(
+    rows: Sequence[Row], config: RobotConfig, muscle: Muscle, zone: int
+) -> BendReadings:
+    """The bench's rows of one muscle at one body pressure: by camera, or else by the sensors."""
+    if muscle.side:
+        k = SIGN[muscle.side] * column(rows, "k")
+        error = np.nan_to_num(column(rows, "k_se"), nan=_PICTURE_SE)
+        scale_se, sensors = _CAMERA_SCALE_SE, 0
+    else:
+        found = _sound(config, muscle)
+        k, error, scale_se = curvature_by_sensors(column(rows, "ohm"), found)
+        sensors = len(found)
+    branch, trial = tuple(r["branch"] for r in rows), np.array([r["trial"] for r in rows], np.int64)
+    psi, body_psi = column(rows, "psi"), config.body.zones[zone].pressure_psi
+    return BendReadings(muscle.name, body_psi, psi, k, error, branch, trial, scale_se, sensors)
+
+
+def curvature_by_sensors(
+    ohm: Array, sensors: Sequence[wiring.Witness]
+) -> tuple[Array, Array, float]:
+    """Curvature (n,) towards a muscle, one sigma (n,), and that of its scale, relative.
+
+    `ohm` (n, inputs) is what resistances changed by since the body lay straight. Weighted least
+    squares over what was read. Scales err independently.
+    """
+    share = np.array([one.share for one in sensors])
+    read = ohm[:, [one.number for one in sensors]] * [s.sensor.scale_per_ohm for s in sensors]
+    weight = np.isfinite(read) / np.array([one.sensor.reading_se for one in sensors]) ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        power = weight @ share**2
+        k = (weight * np.nan_to_num(read)) @ share / power
+        gain = weight * share**2 / power[:, None] * [one.sensor.gain_error for one in sensors]
+    scale_se = float(np.nanmax(np.hypot.reduce(gain, axis=1), initial=0.0))
+    return k, np.where(power > 0, power, np.inf) ** -0.5, scale_se
+
+
+def of_csv(table: Table, config: RobotConfig) -> ActuatorResults:
+    """Bends of one or more muscles."""
+    found = [fit_actuator(readings) for readings in BendReadings.read_all(table, config)]
     if not found:
         raise DataError(f"{table.name} holds no bends", "give one line for each bend")
     return together(found)
@@ -192,27 +264,25 @@ def of_csv(table: Table, _: RobotConfig) -> ActuatorResults:
 
 def fit_actuator(readings: BendReadings) -> ActuatorResult:
     """Tanh maps of both branches with per-trial offsets."""
-    sign = SIGN[readings.side]
     p, k, error = readings.pressure_psi, readings.curvature, readings.curvature_se
     finite = np.isfinite(p) & np.isfinite(k)
     total = int(finite.sum())
     if total < 8 or np.ptp(p[finite]) < 6:
         raise DataError(
-            f"{total} usable bends of the {readings.side} muscle",
+            f"{total} usable bends of the {readings.muscle} muscle",
             "take 0..20 psi in steps of 2, three trials",
         )
     notes: list[str] = []
     if not finite.all():
         lost = listed(readings.names(), np.flatnonzero(~finite).tolist())
-        notes.append(f"omitted {lost}: the camera lost the body; clear the view to take it again")
+        why = "the camera lost the body; clear the view"
+        if readings.sensors:
+            why = "no sensor was read; check their wires"
+        notes.append(f"omitted {lost}: {why} to take it again")
     highest = float(p[finite].max())
-    if np.median(sign * k[finite & (p > 0.5 * highest)]) < 0:
-        verdict = Verdict(
-            False,
-            f"the robot bends to the other side when the {readings.side} muscle is inflated: the "
-            "muscles' tubes are swapped, or the camera's picture is mirrored; exchange and repeat",
-            tuple(notes),
-        )
+    bend = float(np.median(k[finite & (p > 0.5 * highest)]))
+    if bend < _LEAST_BEND:
+        verdict = Verdict(False, _not_towards(readings, bend), tuple(notes))
         zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi)
         return ActuatorResult(readings, zone, np.inf, 0.0, np.inf, finite, verdict)
     branches = [b for b in BRANCHES if b in np.array(readings.branch)[finite]]
@@ -228,7 +298,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         return _map_values(p, *x[:maps].reshape(-1, 3)[branch].T)
 
     def residuals(x: Array, rows: Mask, spread: float, loose: float) -> Array:
-        rest = (k - sign * curve(x) - x[maps:][slot]) / np.hypot(spread, error)
+        rest = (k - curve(x) - x[maps:][slot]) / np.hypot(spread, error)
         # Weak priors keep a saturation that the data do not reach within reason.
         priors = [(x[2:maps:3] - 4.0) / 8.0, (x[1:maps:3] - np.log(10.0)) / 1.5]
         return np.concatenate([rest[rows], x[maps:] / loose, *priors])
@@ -248,7 +318,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
             loss="cauchy" if attempt < 2 else "linear", f_scale=2.0, x_scale="jac",
         )  # fmt: skip
         best, offsets = fit.x, fit.x[maps:]
-        rest = k - sign * curve(best) - offsets[slot]
+        rest = k - curve(best) - offsets[slot]
         freedom = max(1, int(used.sum()) - maps - len(trials))
         robust = float(np.median(np.abs(rest[finite])) / norm.ppf(0.75))
         scatter = robust if attempt < 3 else float(np.sqrt(np.sum(rest[used] ** 2) / freedom))
@@ -264,9 +334,9 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
     built, (fit_se, top_se, shape_se) = _maps(best[:maps], covariance, branches, highest)
     g_se = float(np.hypot(fit_se, camera_se))
-    trial_se = _trial_gain(sign * rest, curve(best), slot, used, len(trials))
+    trial_se = _trial_gain(rest, curve(best), slot, used, len(trials))
     scale_se = float(np.sqrt(
-        top_se**2 + trial_se**2 * (1 + 1 / len(trials)) + _CAMERA_SCALE_SE**2
+        top_se**2 + trial_se**2 * (1 + 1 / len(trials)) + readings.scale_se**2
     ))  # fmt: skip
     if len(branches) == 1:
         notes.append(f"only the {branches[0]} branch was measured; used for both")
@@ -281,7 +351,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     if len(moved):
         names = ", ".join(map(str, moved.tolist()))
         notes.append(f"trial {names} is bent by a constant against the others")
-    good, reason = _judged(len(moved) > 0, len(out) / total, g_se / max(full, 1e-9), full)
+    good, reason = _judged(readings, len(moved) > 0, len(out) / total, g_se / max(full, 1e-9), full)
     zone = ZoneMap(
         body_pressure_psi=readings.body_pressure_psi, scale_se=scale_se, inflate=inflate,
         deflate=deflate,
@@ -315,8 +385,29 @@ def _maps(
     return built, errors
 
 
-def _judged(moved: bool, left_out: float, share: float, full: float) -> tuple[bool, str]:
+def _not_towards(readings: BendReadings, bend: float) -> str:
+    """Why a muscle does not bend the body towards itself."""
+    name = readings.muscle
+    if bend > -_LEAST_BEND:
+        return (
+            f"the robot does not bend when the {name} muscle is inflated: check its air, and its "
+            "direction_deg and that of the sensors"
+        )
+    cause = "the camera's picture is mirrored"
+    if readings.sensors:
+        cause = "scale_per_ohm of the sensors has the wrong sign"
+    return (
+        f"the robot bends to the other side when the {name} muscle is inflated: the muscles' tubes "
+        f"are swapped, or {cause}; exchange and repeat"
+    )
+
+
+def _judged(
+    readings: BendReadings, moved: bool, left_out: float, share: float, full: float
+) -> tuple[bool, str]:
     """Whether the maps may be used, and why: by shares of bends omitted and of g's error."""
+    if moved and readings.sensors:
+        return False, "the sensors' zeros moved between trials; let them settle, then repeat those"
     if moved:
         return False, (
             "the camera or the base moved between trials; fix it, run `thigmo camera locate` "
@@ -324,9 +415,16 @@ def _judged(moved: bool, left_out: float, share: float, full: float) -> tuple[bo
         )
     if left_out > 0.3:
         return False, "a third of the bends disagree with any smooth map"
-    if share > 0.02:
+    # More trials than the sensors' scales are worth help nobody.
+    if share > max(_MOST_SE, readings.scale_se):
         return False, f"g is known to {100 * share:.1f} % of full scale only; add trials"
-    return True, f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
+    known = f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
+    if readings.sensors:
+        known += (
+            f" as {readings.sensors} sensor(s) read it, whose scales are known to "
+            f"{100 * readings.scale_se:.0f} %"
+        )
+    return True, known
 
 
 def _trial_gain(rest: Array, bend: Array, slot: NDArray[np.intp], used: Mask, trials: int) -> float:

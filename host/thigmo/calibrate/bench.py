@@ -1,7 +1,7 @@
 """A robot on the calibration bench: how to bring it to a state, read it, and keep what was read.
 
-`growth_rows`, `bend_rows`, `tip_rows` and `bow_rows` take what several steps are fitted to, row by
-row. Each plans its rows, leaves out those that the folder already holds, and stores each one as it
+`growth_rows`, `bend_rows`, `tip_rows` and `bow_rows` take what steps are fitted to, row by row.
+Each plans its rows, leaves out those that the folder already holds, and stores each one as it
 comes, so that a stopped command goes on where it was.
 """
 
@@ -21,7 +21,7 @@ from thigmo.calibrate.overhead import OverheadCamera
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.exceptions import CameraError, CameraMovedError
-from thigmo.config import DEGREES, SIDES, RobotConfig, Side
+from thigmo.config import SIDES, Muscle, RobotConfig
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.link import protocol as wire
 from thigmo.mechanics import push_tip
@@ -106,9 +106,9 @@ class Bench:
         if self.robot.status().state == "safe":
             self.robot.arm()
 
-    def press(self, side: Side, psi: float, ramp_psi_s: float = 0.0) -> None:
-        """Bring one muscle to a pressure."""
-        self.robot.press(DEGREES[side], psi, ramp_psi_s=ramp_psi_s)
+    def press(self, muscle: str, psi: float, ramp_psi_s: float = 0.0) -> None:
+        """Bring one muscle, by its name, to a pressure."""
+        self.robot.press(muscle, psi, ramp_psi_s=ramp_psi_s)
 
     def ohm(self, read: Reading | Recording) -> Array:
         """Resistances (..., m) of the robot's sensors: the board has inputs that it may not use."""
@@ -257,30 +257,24 @@ def growth_rows(bench: Bench) -> list[Row]:
     return list(bench.session.rows("growth").values())
 
 
-def bend_set_points(bench: Bench, side: Side) -> list[tuple[str, float]]:
+def bend_set_points(bench: Bench, muscle: Muscle) -> list[tuple[str, float]]:
     """Branch and pressure, up and down."""
-    top = bench.config.muscle(side).max_pressure_psi
+    top = muscle.max_pressure_psi
     up = [*np.arange(0.0, top, bench.plan.step_psi).tolist(), top]
     return [("inflate", p) for p in up] + [("deflate", p) for p in reversed(up[:-1])]
 
 
 def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
-    """Free bends of both muscles at full length, for each body pressure."""
-    length = bench.config.body.length_cm
+    """Free bends of the plane's muscles at full length, for each body pressure."""
+    config, length = bench.config, bench.config.body.length_cm
 
     def shot() -> Row:
         axis = bench.camera.axis(free_bend=True, length_cm=length)
         return {"k": axis.coefficients[2], "k_se": float(axis.covariance[2, 2] ** 0.5)}
 
     def take(key: str, asked: Row) -> Row:
-        if asked["psi"] == 0.0:
-            bench.robot.vent()
-        else:
-            bench.press(asked["side"], asked["psi"], _RAMP_PSI_S)
-        bench.robot.wait(STEADY_S + bench.plan.step_psi / _RAMP_PSI_S)
-        reading = bench.robot.read(READ_S)
+        reading, psi = _bent(bench, config.muscle(asked["side"]), asked["psi"])
         seen = bench.seen(shot, {"k": None, "k_se": None})
-        psi = reading.pressure_psi[bench.config.muscle_number(DEGREES[asked["side"]])]
         return {
             **asked, "psi": psi, "ohm": bench.ohm(reading),
             "rest": bench.rest, "t_s": reading.t_s, **seen,
@@ -288,17 +282,57 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
 
     rows: list[Row] = []
     for zone in zones:
-        body = bench.config.body.zones[zone].pressure_psi
+        body = config.body.zones[zone].pressure_psi
         planned = {
             f"zone {zone} trial {trial} {side} {branch} {psi:g}": {
                 "zone": zone, "body_psi": body, "trial": trial, "side": side, "branch": branch,
                 "psi": psi,
             }
             for trial in range(bench.plan.trials)
-            for side in bench.config.sides
-            for branch, psi in bend_set_points(bench, side)
+            for side in config.sides
+            for branch, psi in bend_set_points(bench, config.muscle(side))
         }  # fmt: skip
         rows.extend(bench.rows("bends", planned, take, partial(bench.ready_to_bend, zone)))
+        bench.robot.vent()
+    return rows
+
+
+def _bent(bench: Bench, muscle: Muscle, psi: float) -> tuple[Reading, float]:
+    """Readings with a muscle held at a set point, and its measured pressure."""
+    if psi == 0.0:
+        bench.robot.vent()
+    else:
+        bench.press(muscle.name, psi, _RAMP_PSI_S)
+    bench.robot.wait(STEADY_S + bench.plan.step_psi / _RAMP_PSI_S)
+    reading = bench.robot.read(READ_S)
+    return reading, reading.pressure_psi[bench.config.muscle_number(muscle.name)]
+
+
+def unseen_bend_rows(bench: Bench, zones: Iterable[int], muscle: Muscle) -> list[Row]:
+    """Free bends of a muscle out of the plane, which the camera does not see.
+
+    Each row holds the resistances of all inputs, from those of the straight robot.
+    """
+    straight: list[Array] = []
+
+    def ready(zone: int) -> None:
+        bench.ready_to_bend(zone)
+        straight[:] = [bench.robot.read(2.0).resistance]
+
+    def take(key: str, asked: Row) -> Row:
+        reading, psi = _bent(bench, muscle, asked["psi"])
+        return {**asked, "psi": psi, "ohm": reading.resistance - straight[0], "t_s": reading.t_s}
+
+    rows: list[Row] = []
+    for zone in zones:
+        planned = {
+            f"zone {zone} trial {trial} {muscle.name} {branch} {psi:g}": {
+                "zone": zone, "trial": trial, "muscle": muscle.name, "branch": branch, "psi": psi,
+            }
+            for trial in range(bench.plan.trials)
+            for branch, psi in bend_set_points(bench, muscle)
+        }  # fmt: skip
+        rows.extend(bench.rows("unseen_bends", planned, take, partial(ready, zone)))
         bench.robot.vent()
     return rows
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
+from thigmo.calibrate.actuator import curvature_by_sensors
 from thigmo.calibrate.bench import STEADY_S, Bench
 from thigmo.calibrate.columns import Array, medians, places_of
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import DEGREES, SIDES, SIGN, BoardSensor, RobotConfig, Side, opposite
+from thigmo.config import SIDES, SIGN, BoardSensor, RobotConfig, Side, opposite
 from thigmo.errors import DataError
+from thigmo.wiring import witnesses
 
 Mark = Literal["ok", "warning", "bad"]
 
@@ -37,6 +39,8 @@ class CheckReadings:
     # (t, 2) time (s) and pressure while a muscle is held, by side, for the leak
     held_psi: dict[Side, Array]
     zone: int = 0  # pressure zone in use
+    # by the name of a muscle out of the plane: its bend by the sensors, 1/cm (nan: none reads it)
+    unseen: dict[str, tuple[float, Array]] = field(default_factory=dict)  # and its hold, (t, 2)
 
 
 @dataclass(frozen=True)
@@ -51,19 +55,26 @@ def guided(bench: Bench) -> CheckResult:
     """Rest, one bend and one hold for each muscle."""
     bench.ready_to_bend()
     robot, config = bench.robot, bench.config
-    rest = np.array([bench.ohm(robot.read(0.25)) for _ in range(8)])
-    top = 0.7 * min(config.muscle(side).max_pressure_psi for side in config.sides)
+    reads = [robot.read(0.25) for _ in range(8)]
+    rest, straight = np.array([bench.ohm(each) for each in reads]), reads[-1].resistance
+    top = 0.7 * min(muscle.max_pressure_psi for muscle in config.muscles)
     readings = CheckReadings(rest, {}, top, {}, {}, zone=len(config.body.zones) - 1)
-    for side in config.sides:
-        bench.press(side, top)
+    for number, muscle in enumerate(config.muscles):
+        bench.press(muscle.name, top)
         robot.wait(STEADY_S)
         record = robot.record(4.0)
-        psi = record.pressure_psi[:, config.muscle_number(DEGREES[side])]
-        readings.held_psi[side] = np.column_stack([record.t_s - record.t_s[0], psi])
-        readings.bend_ohm[side] = bench.mean_ohm(record)
-        shot = bench.seen(lambda: {"k": _bend(bench)}, {"k": None})
-        if shot["k"] is not None:
-            readings.bend_seen[side] = shot["k"]
+        held = np.column_stack([record.t_s - record.t_s[0], record.pressure_psi[:, number]])
+        if muscle.side is None:
+            gone = robot.read(1.0).resistance - straight
+            sensors = [one for one in witnesses(config, muscle) if one.sound]
+            bend = curvature_by_sensors(gone[None], sensors)[0][0]
+            readings.unseen[muscle.name] = float(bend), held
+        else:
+            readings.held_psi[muscle.side] = held
+            readings.bend_ohm[muscle.side] = bench.mean_ohm(record)
+            shot = bench.seen(lambda: {"k": _bend(bench)}, {"k": None})
+            if shot["k"] is not None:
+                readings.bend_seen[muscle.side] = shot["k"]
         robot.vent()
         robot.wait(1.0)
     return run_check(readings, config)
@@ -90,6 +101,18 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     for side in config.sides:
         findings += [Finding(*found) for found in _bent(side, readings, zero, config)]
         findings.append(Finding(f"{side} muscle's tightness", *_leak(readings.held_psi[side])))
+    for name, (bend, held) in readings.unseen.items():
+        zone = config.muscles[config.muscle_number(name)].maps[readings.zone]
+        expected = zone.inflate.curvature(readings.bend_psi)
+        if not np.isfinite(bend):
+            none = "is not calibrated: no healthy sensor reads its bend, out of the plane"
+            findings.append(Finding(f"{name} muscle", "warning", none))
+        elif not zone.calibrated:
+            text = f"is not calibrated; it bends by {bend:+.4f} 1/cm"
+            findings.append(Finding(f"{name} muscle", "warning", text))
+        else:
+            findings.append(Finding(f"{name} muscle", *_as_mapped(bend, expected)))
+        findings.append(Finding(f"{name} muscle's tightness", *_leak(held)))
     bad, warned = (
         [f"{f.what}: {f.text}" for f in findings if f.mark == mark] for mark in ("bad", "warning")
     )
@@ -124,17 +147,8 @@ def _bent(
     what = f"{side} muscle"
     if seen is None:
         target = expected
-    elif seen * sign < -0.002:
-        yield (what, "bad", "bends the robot to the other side: the muscles' tubes are swapped, or "
-               "the camera is mirrored")  # fmt: skip
-    elif abs(seen) < 0.3 * abs(expected):
-        yield (what, "bad", f"bends by {seen:+.4f} 1/cm, {expected:+.4f} were expected: no air, a "
-               "leak, or a wrong map")  # fmt: skip
-    elif abs(seen - expected) > 0.15 * abs(expected):
-        yield (what, "warning", f"bends by {seen:+.4f} 1/cm, the map says {expected:+.4f}: "
-               "recalibrate the actuator")  # fmt: skip
     else:
-        yield what, "ok", f"bends by {seen:+.4f} 1/cm as mapped"
+        yield what, *_as_mapped(seen, expected)
     shares: dict[Side, list[float]] = {side: [] for side in SIDES}
     gone = readings.bend_ohm[side] - zero
     for (of, k), ohm in zip(places_of(config), gone.tolist(), strict=True):
@@ -158,6 +172,25 @@ def _bent(
                "robot.toml")  # fmt: skip
     elif off > 0.15:
         yield f"{far} sensors", "warning", f"read {100 * off:.0f} % off the bend: recalibrate flex"
+
+
+def _as_mapped(seen: float, expected: float) -> tuple[Mark, str]:
+    """Whether a muscle bends the body by what its map says, 1/cm with their signs."""
+    if seen * np.sign(expected) < -0.002:
+        return "bad", (
+            "bends the robot to the other side: the muscles' tubes are swapped, or the camera is "
+            "mirrored"
+        )
+    if abs(seen) < 0.3 * abs(expected):
+        return "bad", (
+            f"bends by {seen:+.4f} 1/cm, {expected:+.4f} were expected: no air, a leak, or a "
+            "wrong map"
+        )
+    if abs(seen - expected) > 0.15 * abs(expected):
+        return "warning", (
+            f"bends by {seen:+.4f} 1/cm, the map says {expected:+.4f}: recalibrate the actuator"
+        )
+    return "ok", f"bends by {seen:+.4f} 1/cm as mapped"
 
 
 def _leak(held: Array) -> tuple[Mark, str]:

@@ -135,7 +135,8 @@ def guided(bench: Bench, fit: Fit | None = None) -> FlexResult:
     last = len(bench.config.body.zones) - 1
     tips = tip_rows(bench)
     bends = [r for r in bench.session.rows("bends").values() if r["zone"] == last]
-    if len(bends) < sum(len(bend_set_points(bench, side)) for side in bench.config.sides):
+    muscles = [muscle for muscle in bench.config.muscles if muscle.side]
+    if len(bends) < sum(len(bend_set_points(bench, muscle)) for muscle in muscles):
         bends = bend_rows(bench, [last])
     readings = FlexReadings.of_rows([*tips, *bends], bench.config.body.length_cm)
     result = (fit or fit_flex)(readings, bench.config)

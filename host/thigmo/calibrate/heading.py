@@ -74,7 +74,8 @@ def guided(bench: Bench) -> HeadingResult:
     """From the free bends of the last body pressure (which it takes if there are none yet)."""
     last = len(bench.config.body.zones) - 1
     bends = [r for r in bench.session.rows("bends").values() if r["zone"] == last]
-    if len(bends) < sum(len(bend_set_points(bench, side)) for side in bench.config.sides):
+    muscles = [muscle for muscle in bench.config.muscles if muscle.side]
+    if len(bends) < sum(len(bend_set_points(bench, muscle)) for muscle in muscles):
         bends = bend_rows(bench, [last])
     return fit_heading(column(bends, "t_s"), column(bends, "k"), column(bends, "ohm"), bench.config)
 

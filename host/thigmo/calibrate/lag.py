@@ -16,11 +16,12 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
+from thigmo import wiring
 from thigmo.calibrate.bench import Bench, Row
-from thigmo.calibrate.columns import Array, sensors_of
+from thigmo.calibrate.columns import Array
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.regression import lasting
-from thigmo.config import DEGREES, SIGN, BoardSensor, Side, TanhMap, ZoneMap
+from thigmo.config import Muscle, TanhMap, ZoneMap
 from thigmo.errors import DataError
 
 # Ramps up and down, for the lag of 0.2..0.4 s: an error of pressure or map looks like a lag that is
@@ -49,41 +50,46 @@ class Lag:
     deflate_se_s: float
 
 
-def ramp(bench: Bench, side: Side, zone: int) -> tuple[Array, Array, Array] | None:
-    """Time, pressure and curvature (mean of the inactive side) of ramps up and down.
+def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] | None:
+    """Time, pressure and curvature towards a muscle (mean of what reads it) of ramps up and down.
 
-    The readings of all sensors are moved to be as late as the base sensor's. None where no sensor
-    of that side is healthy.
+    The readings of all sensors are moved to be as late as the base sensor's. None where no sound
+    sensor reads its bend.
     """
-    robot, top = bench.robot, 0.9 * bench.config.muscle(side).max_pressure_psi
-    sensors = [s for s in bench.config.sensors_for(side) if isinstance(s, BoardSensor)]
-    every = sensors_of(bench.config)
-    far = [every.index(sensor) for sensor in sensors]
+    robot, top = bench.robot, 0.9 * muscle.max_pressure_psi
+    found, bases = wiring.witnesses(bench.config, muscle), wiring.base_inputs(bench.config)
+    inputs = [one.number for one in found]
+    if not any(one.sound for one in found):
+        return None
 
     def take(key: str, _: None) -> Row:
         parts = []
         for seconds in _RAMPS_S:
             for target in (top, _RAMP_END_PSI):
-                bench.press(side, target, top / seconds)
+                bench.press(muscle.name, target, top / seconds)
                 parts.append(robot.record(seconds + _RAMP_STOP_S))
         robot.vent()
         t = np.concatenate([p.t_s for p in parts])
-        muscle = bench.config.muscle_number(DEGREES[side])
-        psi = np.concatenate([p.pressure_psi[:, muscle] for p in parts])
-        ohm = np.concatenate([bench.ohm(p)[:, far] for p in parts])
+        number = bench.config.muscle_number(muscle.name)
+        psi = np.concatenate([p.pressure_psi[:, number] for p in parts])
+        ohm = np.concatenate([p.resistance[:, inputs] for p in parts])
         step = max(1, round(_RAMP_FRAME_S / float(np.median(np.diff(t)))))
         return {"t_s": t[::step], "psi": psi[::step], "ohm": ohm[::step]}
 
     ready = partial(bench.ready_to_bend, zone)
-    (row,) = bench.rows("lag", {f"ramp {side} zone {zone}": None}, take, ready)
+    (row,) = bench.rows(
+        "lag", {f"ramp {muscle.side or muscle.name} zone {zone}": None}, take, ready
+    )
     t, psi, ohm = (np.array(row[name], float) for name in ("t_s", "psi", "ohm"))
     later = _LATER_SCAN_S * (1 << robot.parameter("oversample_log2")[0])
     bends = [
-        np.interp(t + (later if n else 0.0), t, ohm[:, n]) * sensor.scale_per_ohm
-        for n, sensor in enumerate(sensors)
-        if sensor.healthy
+        np.interp(t + (0.0 if one.number in bases else later), t, ohm[:, n])
+        * one.sensor.scale_per_ohm
+        / one.share
+        for n, one in enumerate(found)
+        if one.sound
     ]
-    return (t, psi, np.mean(bends, axis=0)) if bends else None
+    return t, psi, np.mean(bends, axis=0)
 
 
 def _muscle(psi: Array, rising_s: float, falling_s: float) -> Array:
@@ -129,14 +135,13 @@ def fit_lag(
     pressure_psi: Array,
     curvature: Array,
     zone: ZoneMap,
-    side: Side,
     reversal_psi: float = 1.0,
 ) -> Lag:
-    """Lags of both directions from recorded ramps: measured pressure, and curvature by the sensors.
+    """Lags of both directions from recorded ramps: measured pressure, and the sensors' curvature.
 
-    The curvature (n,), as late as the base sensor's, may be off by a gain, an offset and a loop
-    (they are fitted): only its timing counts. `reversal_psi` turns the muscle over to its other
-    branch.
+    The curvature towards the muscle (n,), as late as the base sensor's, may be off by a gain, an
+    offset and a loop (they are fitted): only its timing counts. `reversal_psi` turns the muscle
+    over to its other branch.
     """
     rows = np.array([t_s, pressure_psi, curvature])
     rows = rows[:, np.isfinite(rows).all(axis=0)]
@@ -145,7 +150,6 @@ def fit_lag(
         raise DataError(
             "the ramp shows no bend to time", "ramp to 16 psi within 3 s, hold, and back"
         )
-    sign = SIGN[side]
     fine = np.arange(t[0], t[-1] + _STEP_S, _STEP_S)
     pressed = np.interp(fine, t, p)
 
@@ -153,7 +157,7 @@ def fit_lag(
         felt = _muscle(np.interp(fine - x[4], fine, pressed), x[0], x[1])
         down = _deflating(felt, reversal_psi)
         up, back = _curve(zone.inflate, felt), _curve(zone.deflate, felt)
-        g = np.interp(t, fine, _swung(sign * (down * back + (1 - down) * up), x[2], x[3]))
+        g = np.interp(t, fine, _swung(down * back + (1 - down) * up, x[2], x[3]))
         loop = loop_turns(g[:, None], np.zeros(len(g), np.int64))[:, 0]
         slope = np.interp(t, fine, _curve(zone.inflate, felt + 0.1) - up)
         design = np.column_stack([g, np.ones(len(g)), loop, slope])

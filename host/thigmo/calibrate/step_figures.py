@@ -22,7 +22,7 @@ from thigmo.calibrate.hysteresis import HysteresisResult
 from thigmo.calibrate.noise import NoiseResult
 from thigmo.calibrate.stiffness import StiffnessResult
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import SIDES, SIGN
+from thigmo.config import SIDES
 from thigmo.errors import DataError
 from thigmo.files import whole_file
 from thigmo.report.axes import BLUE, CYCLE, GREEN, ORANGE, RED
@@ -108,24 +108,25 @@ def _flex(result: FlexResult, path: Path) -> None:
 def _actuator(result: ActuatorResult, path: Path) -> None:
     r, used = result.readings, result.used
     branch = np.array(r.branch)
-    sign = SIGN[r.side]
     grid = np.linspace(0, max(20.0, float(np.nanmax(r.pressure_psi))), 200)
-    labels = "muscle pressure (psi)", "free curvature (1/cm)"
+    labels = "muscle pressure (psi)", "free curvature towards it (1/cm)"
     with _panel(path, result.verdict, *labels, size=(7, 4.5)) as axes:
         for name, mark, color in (("inflate", "^", BLUE), ("deflate", "v", ORANGE)):
             pick, curve = (branch == name) & used, getattr(result.zone, name)
             axes.plot(r.pressure_psi[pick], r.curvature[pick], mark, color=color, ms=4, label=name)
-            axes.plot(grid, [sign * curve.curvature(p) for p in grid], "-", color=color, lw=1)
+            axes.plot(grid, [curve.curvature(p) for p in grid], "-", color=color, lw=1)
         axes.plot(r.pressure_psi[~used], r.curvature[~used], "x", color=RED, label="omitted")
         axes.set_title(
-            f"{r.side} muscle at {r.body_pressure_psi:g} psi of body pressure", fontsize=9
+            f"{r.muscle} muscle at {r.body_pressure_psi:g} psi of body pressure", fontsize=9
         )
 
 
 @draw.register
 def _actuators(results: ActuatorResults, path: Path) -> None:
     for result in results.each:
-        name = f"{path.stem}-{result.readings.side}-{result.readings.body_pressure_psi:g}psi.png"
+        r = result.readings
+        muscle = "".join(letter if letter.isalnum() else "_" for letter in r.muscle)
+        name = f"{path.stem}-{muscle}-{r.body_pressure_psi:g}psi.png"
         _actuator(result, path.with_name(name))
 
 

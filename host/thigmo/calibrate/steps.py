@@ -65,8 +65,9 @@ STEPS = {
     ),
     "actuator": Step(
         actuator.guided, actuator.of_csv,
-        "side, body_pressure_psi, pressure_psi, curvature [curvature_se, branch, trial]",
-        ("bends", "lag"), needed=True,
+        "muscle (or side), body_pressure_psi, pressure_psi, curvature "
+        "[curvature_se, branch, trial]",
+        ("bends", "unseen_bends", "lag"), needed=True,
     ),
     "flex": Step(
         flex.guided, flex.of_csv,

@@ -79,7 +79,8 @@ def calibrate(
 
     encoder: the robot grows; counts against the length seen, and the motor's duty meanwhile.
 
-    actuator: free bends of both muscles at every body pressure; maps, and the lag.
+    actuator: free bends of every muscle at every body pressure; maps, and the lag. Bends out of
+    the plane are measured by the sensors that read them.
 
     flex: the tip is pushed aside by hand to ten places; every sensor's scale, zero and noise.
 

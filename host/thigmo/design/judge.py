@@ -26,7 +26,7 @@ from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
-from thigmo.wiring import beyond_board, board_of, columns, unexplored
+from thigmo.wiring import beyond_board, board_of, columns, unexplored, witnesses
 
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
@@ -124,6 +124,8 @@ def _bends(config: RobotConfig) -> Iterator[Finding]:
         top = max(m.inflate.curvature(muscle.max_pressure_psi) for m in muscle.maps)
         angle = top * body.length_cm
         text = f"bends the whole body by {degrees(angle):.0f} degrees at {top:.4f} 1/cm"
+        if not all(each.calibrated for each in muscle.maps):
+            text += " (not calibrated)"
         if angle < _CLOSED_RAD:
             yield Finding(f"muscle {muscle.name}", "ok", text)
         else:
@@ -133,6 +135,14 @@ def _bends(config: RobotConfig) -> Iterator[Finding]:
                 "bad",
                 f"{text}: it runs into itself; lower max_pressure_psi until g is {most:.4f}",
             )
+        if muscle.side is None and not beyond_board(config):
+            read = [one for one in witnesses(config, muscle) if one.sound]
+            if not read:
+                text = (
+                    "cannot be calibrated: no healthy sensor reads a bend towards "
+                    f"{muscle.direction_deg:g} degrees, and the camera sees the plane only"
+                )
+                yield Finding(f"muscle {muscle.name}", "warning", text)
     for zone, moment in zip(body.zones, _fold_moments(config), strict=True):
         what = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
         if moment > TRIGGER_PER_CM:

@@ -159,7 +159,6 @@ def bends(
 ) -> BendReadings:
     """Three trials of 0..20..0 psi in steps of 2, seen by a camera; `gain` from trial to trial."""
     rng = np.random.default_rng(seed)
-    sign = SIGN[side]
     pressure, seen, branch, trial = [], [], [], []
     for number in range(trials):
         common, strength = rng.normal(0, offset), 1 + rng.normal(0, gain) if gain else 1.0
@@ -169,12 +168,12 @@ def bends(
         ):
             for p in steps:
                 pressure.append(p + rng.normal(0, 0.02))
-                bend = sign * strength * curve.curvature(max(p, 0.0))
+                bend = strength * curve.curvature(max(p, 0.0))
                 seen.append(bend + common + rng.normal(0, sigma))
                 branch.append(name)
                 trial.append(number)
     n = len(seen)
     return BendReadings(
-        "left" if side == "left" else "right", 0.49, np.array(pressure), np.array(seen),
+        side, 0.49, np.array(pressure), np.array(seen),
         np.full(n, 1e-4), tuple(branch), np.array(trial),
     )  # fmt: skip

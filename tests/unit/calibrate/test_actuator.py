@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from calibration_truth import DEFLATE, INFLATE, bends
 
-from thigmo.calibrate.actuator import BendReadings, fit_actuator
+from thigmo import wiring
+from thigmo.calibrate.actuator import BendReadings, fit_actuator, readings_of, together
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.lag import fit_lag
 from thigmo.calibrate.step_figures import draw
-from thigmo.config import RobotConfig, TanhMap, ZoneMap
+from thigmo.config import SIDES, FlexSensor, Muscle, RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
 
@@ -144,7 +145,7 @@ def test_lags_of_both_directions_are_found_beside_loop_and_pressure_error(
         turn = loop_turns(g[:, None], np.zeros(len(g), np.int64))[:, 0]
         k = 1.1 * g - loop * turn + 0.001 + rng.normal(0, 3e-4, len(t))
         seen = p + pressure_error + rng.normal(0, 0.03, len(t))
-        lag = fit_lag(t, seen, k, zone, "left")
+        lag = fit_lag(t, seen, k, zone)
         assert lag.inflate_s == pytest.approx(0.033 + 0.16 + swing_s, rel=0.03)
         assert lag.deflate_s == pytest.approx(0.033 + 0.22 + swing_s, rel=0.03)
         assert max(lag.inflate_se_s, lag.deflate_se_s) < 0.01
@@ -154,7 +155,7 @@ def test_a_ramp_without_a_bend_has_no_lag():
     t = np.arange(0, 12, 0.02)
     zone = ZoneMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
     with pytest.raises(DataError, match="no bend to time"):
-        fit_lag(t, np.full(len(t), 3.0), np.zeros(len(t)), zone, "left")
+        fit_lag(t, np.full(len(t), 3.0), np.zeros(len(t)), zone)
 
 
 def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
@@ -170,17 +171,91 @@ def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
 
 
 def test_bends_of_a_lab_are_read_from_its_csv(tmp_path):
-    both = [bends(7, "left"), bends(8, "right")]
+    config = RobotConfig()
+    config.muscles[1].name = "starboard"
+    both = [bends(7, "left"), bends(8, "starboard")]
+    towards = {"left": 1.0, "starboard": -1.0}  # the camera's curvature is positive to the left
     columns = {
-        "side": [r.side for r in both for _ in r.trial],
+        "muscle": [r.muscle for r in both for _ in r.trial],
+        "curvature": [towards[r.muscle] * k for r in both for k in r.curvature],
         "body_pressure_psi": [r.body_pressure_psi for r in both for _ in r.trial],
         **{
             name: [value for r in both for value in getattr(r, name)]
-            for name in ("pressure_psi", "curvature", "curvature_se", "branch", "trial")
+            for name in ("pressure_psi", "curvature_se", "branch", "trial")
         },
     }
     write_table(tmp_path / "bends.csv", columns)
-    again = BendReadings.read_all(Table.read(tmp_path / "bends.csv"))
-    assert [r.side for r in again] == ["left", "right"]
+    again = BendReadings.read_all(Table.read(tmp_path / "bends.csv"), config)
+    assert [r.muscle for r in again] == ["left", "starboard"]
+    columns["side"] = [SIDES[name == "starboard"] for name in columns.pop("muscle")]
+    write_table(tmp_path / "older.csv", columns)
+    older = BendReadings.read_all(Table.read(tmp_path / "older.csv"), config)
+    assert [r.muscle for r in older] == ["left", "starboard"]
+    np.testing.assert_array_equal(older[1].curvature, again[1].curvature)
     one, two = fit_actuator(both[1]), fit_actuator(again[1])
     assert two.zone.inflate.amplitude == pytest.approx(one.zone.inflate.amplitude, rel=1e-5)
+
+
+def lifted(lies: float = 180.0) -> RobotConfig:
+    """Left, right, and one muscle out of the plane, with four sensors at a direction of theirs."""
+    config = RobotConfig()
+    config.muscles.append(Muscle(name="up", direction_deg=0.0))
+    config.sensors += [
+        FlexSensor(direction_deg=lies, center_cm=center) for center in (5.0, 15.0, 25.0, 35.0)
+    ]
+    return config
+
+
+def lifted_rows(config: RobotConfig, seed: int, gains: np.ndarray, noise: float = 5e-4):
+    """Bends of that muscle as the bench keeps them; its first sensor broke on the way."""
+    rng = np.random.default_rng(seed)
+    made, up = bends(seed, "up", sigma=0.0), config.muscles[2]
+    found = wiring.witnesses(config, up)
+    rows = []
+    for n, (k, psi) in enumerate(zip(made.curvature, made.pressure_psi, strict=True)):
+        ohm = rng.normal(0, 500, 16)
+        for one, gain in zip(found, gains, strict=True):
+            read = one.share * gain * k + rng.normal(0, noise)
+            ohm[one.number] = read / one.sensor.scale_per_ohm
+        ohm[found[0].number] = np.nan if n > 20 else ohm[found[0].number]
+        rows.append({"psi": psi, "ohm": ohm, "branch": made.branch[n], "trial": made.trial[n]})
+    return rows
+
+
+@pytest.mark.parametrize("lies", [180.0, 150.0])
+def test_a_muscle_out_of_the_plane_is_mapped_by_the_sensors_that_read_its_bend(lies):
+    config, scores = lifted(lies), []
+    up = config.muscles[2]
+    for seed in range(20):
+        gains = 1 + np.random.default_rng([seed, 2]).normal(0, 0.15, 4)
+        result = fit_actuator(readings_of(lifted_rows(config, seed, gains), config, up, 2))
+        assert result.verdict.good, result.verdict
+        assert "as 4 sensor(s) read it" in result.verdict.reason
+        off = result.zone.inflate.curvature(18.0) / INFLATE.curvature(18.0) - 1
+        assert result.zone.scale_se > 0.07
+        scores.append(off / result.zone.scale_se)
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
+    made = together([result]).apply(config)
+    assert made.muscles[2].maps[2] == result.zone
+    assert made.muscles[2].maps[2].calibrated
+    assert made.muscles[:2] == config.muscles[:2]
+    assert not any(zone.calibrated for muscle in made.muscles[:2] for zone in muscle.maps)
+
+
+def test_sensors_that_see_nothing_of_a_bend_do_not_make_a_map_of_it():
+    config = lifted()
+    up = config.muscles[2]
+    still = fit_actuator(readings_of(lifted_rows(config, 0, np.zeros(4)), config, up, 2))
+    assert not still.verdict.good
+    assert "does not bend when the up muscle" in still.verdict.reason
+    turned = fit_actuator(readings_of(lifted_rows(config, 0, -np.ones(4)), config, up, 2))
+    assert "scale_per_ohm of the sensors has the wrong sign" in turned.verdict.reason
+
+
+@pytest.mark.parametrize("lies", [0.0, 90.0, 60.0, 300.0, 110.0])
+def test_sensors_that_wrinkle_or_lie_across_are_no_witnesses(lies):
+    config = lifted(lies)
+    assert wiring.witnesses(config, config.muscles[2]) == []
+    left = [one.sensor.direction_deg for one in wiring.witnesses(config, config.muscles[0])]
+    assert left.count(270.0) == 5
+    assert set(left) <= {270.0, 300.0}
