@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 from thigmo.errors import RunFolderError
 from thigmo.record import (
     Entry,
+    Log,
     LogWriter,
     Note,
     RunDocument,
@@ -111,6 +112,18 @@ def test_a_record_damaged_in_its_middle_gives_up_only_what_is_damaged(
     if len(found) < 1000:
         assert log.gaps
         assert "damaged in" in log.missing
+
+
+@pytest.mark.parametrize("lost_s", [0.0, 0.3, 0.5, 20.0])
+def test_a_whole_file_says_when_it_lacks_frames(lost_s: float) -> None:
+    times = [0.1 * tick for tick in range(50)]
+    entries = [Entry(t_s + lost_s * (t_s > 2.0), "rx", b"") for t_s in times]
+    # Frames are kept in the order in which they came, which the two ends' clocks may turn round.
+    items: list[Entry | Note] = [*entries[25:30], *entries[:25], *entries[30:]]
+    log = Log(items, {})
+    assert not log.gaps
+    silent = f"the record is silent for {lost_s + 0.1:.1f} s at 2.0 s; what is whole was used"
+    assert log.missing == (silent if lost_s + 0.1 > 0.5 else "")
 
 
 def test_the_first_chunk_holds_what_the_others_need_and_may_be_lost_all_the_same(

@@ -86,5 +86,10 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
     draw_map(document, folder.path / "replay.png", radius_cm=radius, prior=prior)
     gaps = sum(each.gaps for each in logs)
     return ReplayResult(
-        document, len(recorded.sweeps), recorded.bad, log.truncated, gaps, log.missing
+        document,
+        len(recorded.sweeps),
+        recorded.bad,
+        log.truncated,
+        gaps,
+        "; ".join(each.missing for each in logs if each.missing),
     )

@@ -13,6 +13,7 @@ from __future__ import annotations
 import io
 import json
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any, Literal, cast
 
@@ -29,6 +30,7 @@ Direction = Literal["tx", "rx"]
 
 # About a third of a second of full-rate telemetry.
 _CHUNK_BYTES = 16_384
+_SILENCE_S = 0.5  # host and board hear of each other five times as often
 EPOCH = "epoch_ns"  # metadata: UTC nanoseconds at which the robot's time base was 0
 _TOPICS: dict[str, Direction] = {"/link/tx": "tx", "/link/rx": "rx"}
 _NOTES = "/run/notes"
@@ -88,6 +90,12 @@ class Log:
     def missing(self) -> str:
         """What to say to the operator of what is missing; empty if nothing is."""
         gaps = [f"damaged in {self.gaps} place{'s' if self.gaps > 1 else ''}"] if self.gaps else []
+        times = sorted(entry.t_s for entry in self.entries)
+        gaps += [
+            f"silent for {end - start:.1f} s at {start:.1f} s"
+            for start, end in pairwise(times)
+            if end - start > _SILENCE_S
+        ]
         gaps += ["cut short"] if self.truncated else []
         return f"the record is {' and '.join(gaps)}; what is whole was used" if gaps else ""
 
