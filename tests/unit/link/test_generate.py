@@ -90,7 +90,7 @@ LAYOUT: dict[str, Callable[[dict[str, Any]], object]] = {
     "a parameter's unit": lambda tree: tree["parameters"]["settle_ms"].update(unit="s"),
     "a parameter's count": lambda tree: tree["parameters"]["settle_ms"].update(count="muscles"),
     "a parameter's place": lambda tree: tree["parameters"].update(
-        flex_enabled=tree["parameters"].pop("flex_enabled")
+        imu_from=tree["parameters"].pop("imu_from")
     ),
     "the map's step": lambda tree: tree["map"].update(step_cpsi=100),
     "the frame": lambda tree: tree.update(max_wire_bytes=97),
