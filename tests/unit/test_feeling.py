@@ -15,13 +15,19 @@ from thigmo.exploration.measuring import (
     touch_curvature,
 )
 from thigmo.exploration.reference import FreeResponse
+from thigmo.exploration.sighting import bend_grid, touch_mass
 from thigmo.robot import ContactTrigger, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
 
 
-def _half(side: Side, slope: float, onset_psi: float, noise: float = 0.0) -> list[SweepFrame]:
-    """A half sine to 18 psi; beyond the onset the base's excess grows by `slope` per psi."""
+def _half(
+    side: Side, slope: float, onset_psi: float, noise: float = 0.0, bend: float = 1 / 600
+) -> list[SweepFrame]:
+    """A half sine to 18 psi, which bends by `bend` per psi.
+
+    Beyond the onset the base's excess grows by `slope` per psi.
+    """
     rng = np.random.default_rng(1)
     sign = SIGN[side]
     return [
@@ -29,7 +35,7 @@ def _half(side: Side, slope: float, onset_psi: float, noise: float = 0.0) -> lis
             side,
             n / 20,
             psi,
-            sign * psi / 600,
+            sign * psi * bend,
             slope * max(psi - onset_psi, 0.0) + noise * rng.standard_normal(),
         )
         for n, psi in enumerate(18 * np.sin(np.linspace(0, np.pi, 190)))
@@ -66,6 +72,21 @@ def test_only_what_holds_the_bend_back_is_a_touch(side: Side) -> None:
     assert held_sides(further) == set()
     assert touch_curvature(further.frames, side) is None
     assert held_sides(SweepResult(frames=held.frames)) == set()  # the board saw nothing
+
+
+@pytest.mark.parametrize(("length_cm", "bend"), [(30.0, 1 / 300), (53.0, 1 / 600), (120, 1 / 1200)])
+def test_a_touch_is_known_among_the_bends_of_a_body_of_any_length(
+    length_cm: float, bend: float
+) -> None:
+    bends = bend_grid(length_cm)
+    touched = touch_mass(_half("left", -1.2 * bend, 12.0, bend=bend), "left", bends)
+    assert touched @ bends == pytest.approx(12.0 * bend, abs=3e-4)
+
+
+def test_a_touch_beyond_all_bends_tells_nothing() -> None:
+    """Two obstacles would share the last of them."""
+    touched = touch_mass(_half("left", -0.004, 12.0, bend=1 / 300), "left", bend_grid(53.0))
+    assert np.ptp(touched) == 0.0
 
 
 def _free_sweep(gain: float, constant: float, rng: np.random.Generator) -> SweepResult:

@@ -9,7 +9,7 @@ from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.exploration import room as room_module
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.room import Found, Room, touch_point
-from thigmo.exploration.sighting import BENDS, Passed, Sighting, arc_grid, shortest
+from thigmo.exploration.sighting import Passed, Sighting, arc_grid, bend_grid, shortest
 from thigmo.exploration.workspace import Bend
 from thigmo.localization import Contact
 from thigmo.robot.curvature import Floats
@@ -17,6 +17,7 @@ from thigmo.robot.curvature import Floats
 CONFIG = RobotConfig()
 RADIUS = CONFIG.body.radius_cm
 ARCS = arc_grid(CONFIG.body.length_cm)
+BENDS = bend_grid(CONFIG.body.length_cm)
 
 
 def _touch(bend: float) -> Floats:

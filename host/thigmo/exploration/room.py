@@ -24,10 +24,10 @@ from thigmo.config import SIGN, Side
 from thigmo.exploration.sighting import (
     BEND_LEAST,
     BEND_SHARE,
-    BENDS,
     LEVEL,
     Passed,
     Sighting,
+    bend_grid,
     median,
     shortest,
 )
@@ -104,6 +104,7 @@ class Room:
     ) -> None:
         self._arcs, self._radius_cm = arcs, radius_cm
         self._full_cm = float(arcs[-1])
+        self._bends = bend_grid(self._full_cm)
         self._seen = sorted(seen, key=lambda each: each.length_cm)
         self._passed = passed
         slide_cm = _SLIDE * radius_cm
@@ -112,7 +113,7 @@ class Room:
         self._alone = [self._arc_likelihood(each, slides=False) for each in self._seen]
         self._shared = [self._arc_likelihood(each, slides=True) for each in self._seen]
         self._tip = [self._near_tip(each.length_cm) for each in self._seen]
-        self._touch = [_touch_likelihood(each) for each in self._seen]
+        self._touch = [_or_another(each, self._same_bend(each)) for each in self._seen]
         self._at_end = [self._end_likelihood(each) for each in self._seen]
         self._weighed_groups: dict[tuple[Group, str], tuple[float, Masses]] = {}
 
@@ -173,7 +174,7 @@ class Room:
         sure = vouched and narrow((low, high), self._full_cm) and real - lost >= LEVEL
         kinds = {each: share.get((group, each), 0.0) for each in ("peg", "wall")}
         touch = np.prod([self._touch[i] for i in group], axis=0)
-        same = float(touch @ BENDS / touch.sum()) if kind == "peg" else None
+        same = float(touch @ self._bends / touch.sum()) if kind == "peg" else None
         points = [self._point(i, median(self._arcs, mixed[i]), same) for i in group]
         return Found(
             kind, group, kinds, real, mass, median(self._arcs, mass), (low, high),
@@ -196,7 +197,7 @@ class Room:
             mass = np.convolve(mass, self._slide, mode="same") / np.maximum(inside, 1e-9) * body
         mass = ((1 - _WRONG_FRAME) * mass / mass.sum()) * body.sum() + _WRONG_FRAME * body
         other = _PASSED_UNFELT if s.alone else _OTHERS_OF_SEVERAL
-        touched = _same_bend(s)
+        touched = self._same_bend(s)
         for each in self._passed:
             if each.side == s.side and abs(each.length_cm - s.length_cm) > 0.5:
                 clear = (1 - other) * float(each.free @ touched)
@@ -211,12 +212,14 @@ class Room:
         There the end's corner touches a peg that stands beside a longer body: it bends farther, by
         what the peg's round leaves between the corner and the side.
         """
-        same, likelihood = _same_bend(s), {}
+        same, likelihood = self._same_bend(s), {}
         over = self._arcs - s.length_cm
         for n in np.flatnonzero((over > 1e-9) & (over <= _RADII_CM[-1])).tolist():
             late = [r - np.sqrt(r**2 - over[n] ** 2) for r in _RADII_CM if r >= over[n]]
-            bends = [BENDS + 2 * cm / s.length_cm**2 for cm in late]
-            density = np.sum([np.interp(each, BENDS, same, right=0.0) for each in bends], axis=0)
+            bends = [self._bends + 2 * cm / s.length_cm**2 for cm in late]
+            density = np.sum(
+                [np.interp(each, self._bends, same, right=0.0) for each in bends], axis=0
+            )
             likelihood[n] = _or_another(s, density / len(_RADII_CM))
         return likelihood
 
@@ -341,23 +344,18 @@ class Room:
 
     def _point(self, i: int, arc_cm: float, bend: float | None = None) -> tuple[float, float]:
         sighting = self._seen[i]
-        began = float(sighting.touch @ BENDS) if bend is None else bend
+        began = float(sighting.touch @ self._bends) if bend is None else bend
         return touch_point(arc_cm, began, sighting.side, self._radius_cm)
 
-
-def _same_bend(s: Sighting) -> Floats:
-    """Posterior of the bend at which another body touches the same place, (145,)."""
-    sigma = np.hypot(BEND_SHARE * BENDS, BEND_LEAST)
-    kernel = np.exp(-0.5 * ((BENDS[:, None] - BENDS) / sigma) ** 2)
-    return np.asarray((kernel / kernel.sum(0)) @ s.touch)
-
-
-def _touch_likelihood(s: Sighting) -> Floats:
-    """Likelihood of the bend at which its obstacle is touched, (145,); one if it tells nothing."""
-    return _or_another(s, _same_bend(s))
+    def _same_bend(self, s: Sighting) -> Floats:
+        """Posterior of the bend at which another body touches the same place, (145,)."""
+        bends = self._bends
+        sigma = np.hypot(BEND_SHARE * bends, BEND_LEAST)
+        kernel = np.exp(-0.5 * ((bends[:, None] - bends) / sigma) ** 2)
+        return np.asarray((kernel / kernel.sum(0)) @ s.touch)
 
 
 def _or_another(s: Sighting, bend: Floats) -> Floats:
     """Likelihood of a bend, (145,), from its density over the bends, of sum one at most."""
     other = _OTHERS_TOUCH if s.alone else _OTHERS_OF_SEVERAL
-    return np.asarray((1 - other) * bend * len(BENDS) + other)
+    return np.asarray((1 - other) * bend * len(bend) + other)

@@ -22,9 +22,9 @@ from thigmo.robot.curvature import Floats
 
 _GRID_CM = 0.25
 LEVEL = 0.95  # of the set that an interval spans, and of what is called sure
-BENDS: Floats = np.linspace(5e-4, 0.0365, 145)
-# From a touch to the moment at which the base is held back by the trigger's threshold, a touched
-# body bends on by this much: 0.005 1/cm over the slope of held-back over free curvature.
+# These belong to the trigger and to the base's reading, and so to bodies of all lengths. From a
+# touch to the moment at which the base is held back by the trigger's threshold, a touched body
+# bends on by this much: 0.005 1/cm over the slope of held-back over free curvature.
 TRIGGER_LATE = 0.0042
 # One sigma of where a touch began. Over 344 pairs of emulated stages that touched one peg, the two
 # differ by 1.7e-4 in half of them and by 5e-4 in one of ten.
@@ -44,7 +44,7 @@ class Sighting:
     bend: Bend
     contact: Contact  # the localizer's
     mass: Floats  # (n,) its posterior over `arc_grid`, of sum one
-    touch: Floats  # (145,) posterior over `BENDS` of where the sweep's first touch began
+    touch: Floats  # (145,) posterior over `bend_grid` of where the sweep's first touch began
     hypothesis: str
     readings: int  # number of sensors used
     alone: bool = True  # the sweep felt no other
@@ -63,12 +63,17 @@ class Passed:
 
     side: Side
     length_cm: float
-    free: Floats  # (145,) probability that it passed each of `BENDS` untouched
+    free: Floats  # (145,) probability that it passed each of `bend_grid` untouched
 
 
 def arc_grid(full_cm: float) -> Floats:
     """Arcs at which posteriors of different stages are compared, cm."""
     return np.linspace(0.0, full_cm, round(full_cm / _GRID_CM) + 1)
+
+
+def bend_grid(full_cm: float) -> Floats:
+    """(145,) bends at which touches are compared: those that turn the tip by 1.5 to 111 degrees."""
+    return np.linspace(5e-4, 0.0365, 145) * (53.0 / full_cm)
 
 
 def contact_mass(marginal: Marginal | None, arcs: Floats) -> Floats:
@@ -88,13 +93,16 @@ def contact_mass(marginal: Marginal | None, arcs: Floats) -> Floats:
     return normalised
 
 
-def touch_mass(frames: Sequence[SweepFrame], side: Side) -> Floats:
-    """(145,) posterior of the bend at which a side's first touch began; flat without a trigger."""
+def touch_mass(frames: Sequence[SweepFrame], side: Side, bends: Floats) -> Floats:
+    """Posterior of which of `bends` a side's first touch began at.
+
+    Flat without a trigger, and where it began beyond them all.
+    """
     triggered = _triggered_at(frames, side)
-    if triggered is None:
-        return np.full(len(BENDS), 1 / len(BENDS))
-    began = float(np.clip(triggered - TRIGGER_LATE, BENDS[0], BENDS[-1]))
-    mass = np.exp(-0.5 * ((BENDS - began) / _TOUCH_STD) ** 2)
+    if triggered is None or triggered - TRIGGER_LATE > bends[-1]:
+        return np.full(len(bends), 1 / len(bends))
+    began = max(triggered - TRIGGER_LATE, float(bends[0]))
+    mass = np.exp(-0.5 * ((bends - began) / _TOUCH_STD) ** 2)
     normalised: Floats = mass / mass.sum()
     return normalised
 
@@ -124,19 +132,19 @@ def _triggered_at(frames: Sequence[SweepFrame], side: Side) -> float | None:
     return float(np.clip(slope * TRIGGER_PER_CM + intercept, bend[first], bend[last]))
 
 
-def passed_before(touch: Floats, peak: Peak) -> Passed:
-    """What a sweep passed until its touch, of which the posterior (145,) is known."""
+def passed_before(touch: Floats, bends: Floats, peak: Peak) -> Passed:
+    """What a sweep passed until its touch, of which the posterior over `bends` is known."""
     # What another sweep touched no clearly earlier, this one may have touched.
     free = 1 - np.cumsum(touch)
-    clearly = BENDS * (1 + 2 * BEND_SHARE) + 2 * BEND_LEAST
-    return Passed(peak.side, peak.length_cm, np.clip(np.interp(clearly, BENDS, free), 0.0, 1.0))
+    clearly = bends * (1 + 2 * BEND_SHARE) + 2 * BEND_LEAST
+    return Passed(peak.side, peak.length_cm, np.clip(np.interp(clearly, bends, free), 0.0, 1.0))
 
 
-def passed_freely(peak: Peak) -> Passed:
+def passed_freely(bends: Floats, peak: Peak) -> Passed:
     """What a sweep passed that felt nothing up to its peak."""
     # Of what it touched just before, the trigger does not know.
     top = abs(peak.free_curvature) - TRIGGER_LATE
-    return Passed(peak.side, peak.length_cm, np.where(top >= BENDS, 1.0, 0.0))
+    return Passed(peak.side, peak.length_cm, np.where(top >= bends, 1.0, 0.0))
 
 
 def median(arcs: Floats, mass: Floats) -> float:

@@ -24,7 +24,13 @@ from thigmo.exploration.measuring import (
 from thigmo.exploration.peak import LIKELY, PeakAnswer, localize_peak
 from thigmo.exploration.reference import FreeResponse, gain_errors
 from thigmo.exploration.scoring import judged
-from thigmo.exploration.sighting import LEVEL, passed_before, passed_freely, touch_mass
+from thigmo.exploration.sighting import (
+    LEVEL,
+    bend_grid,
+    passed_before,
+    passed_freely,
+    touch_mass,
+)
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
 from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult, mean_peak
@@ -55,6 +61,7 @@ class Interpreter:
         self._prior = prior
         self._table = SensorTable.of(config)
         self._response = FreeResponse(config)
+        self._bends = bend_grid(config.body.length_cm)
         self.map = ContactMap(config, prior)  # contacts so far
 
     def localize(
@@ -80,7 +87,7 @@ class Interpreter:
             for each in (sweep, measuring) if measuring else (sweep,):
                 _learn(self._response, each, side, zone, touch_curvature(sweep.frames, side))
             final = mean_peak(again[side] or [peak])
-            touch = touch_mass(sweep.frames, side)
+            touch = touch_mass(sweep.frames, side, self._bends)
             answer = self._localize(final, zone, self._response, touch)
             certain = any(sighting.contact.probability > _CERTAIN for sighting in answer.sightings)
             if side in fired or certain:
@@ -88,9 +95,9 @@ class Interpreter:
             elif not any(sighting.contact.probability > LIKELY for sighting in answer.sightings):
                 self._response.learn(sweep, side, zone)
             if side in fired:
-                self.map.add_passed(passed_before(touch, peak))
+                self.map.add_passed(passed_before(touch, self._bends, peak))
             elif answer.result.status == "no contact":
-                self.map.add_passed(passed_freely(peak))
+                self.map.add_passed(passed_freely(self._bends, peak))
         return answers
 
     def so_far(self, so_far: SweepResult, zone: int) -> PeakAnswer | None:
@@ -100,7 +107,7 @@ class Interpreter:
             return None
         response = deepcopy(self._response)
         _learn(response, so_far, peak.side, zone, touch_curvature(so_far.frames, peak.side))
-        touch = touch_mass(so_far.frames, peak.side)
+        touch = touch_mass(so_far.frames, peak.side, self._bends)
         return self._localize(peak, zone, response, touch)
 
     def _localize(self, peak: Peak, zone: int, response: FreeResponse, touch: Floats) -> PeakAnswer:
