@@ -35,7 +35,7 @@ static_assert(kImus <= 16, "imus");
 // The supervisor's states.
 enum class State : uint8_t {
   kBoot = 0,    // Starting: outputs off, waiting for the host's hello.
-  kSafe = 1,    // Valves at 0 mA, motor braked. `arm` leads on.
+  kSafe = 1,    // Valves at 0 mA, motor braked. `arm` leads to ready.
   kReady = 2,   // Outputs may be energised; nothing moves.
   kMoving = 3,  // An activity runs.
   kFault = 4,   // A fault is latched: outputs are safe until it is cleared.
@@ -53,7 +53,7 @@ enum class Activity : uint8_t {
   kZeroing = 6,   // Sensor zeros are being averaged.
   kHolding = 7,   // A contact stopped the sweep; its pressure is held.
   kSaving = 8,    // The configuration is being written.
-  kTesting = 9,   // One output is driven as it is, for a moment, within small limits.
+  kTesting = 9,   // One output is driven directly, for a moment, within small limits.
 };
 constexpr uint8_t kActivityCount = 10;
 
@@ -97,7 +97,7 @@ constexpr uint8_t kResetCauseCount = 5;
 // First field of every reply.
 enum class Status : uint8_t {
   kOk = 0,          // Done, or started if the command starts an activity.
-  kInProgress = 1,  // Still at work on this command: ask again.
+  kInProgress = 1,  // The command is still being carried out; ask again.
   kRefused = 2,     // Not done; `reason` says why.
 };
 constexpr uint8_t kStatusCount = 3;
@@ -120,25 +120,25 @@ enum class Reason : uint8_t {
                         // it and confirm it.
   kHalfEverted = 11,  // A sensor lies in the tip's fold and a bend would crease it; grow or retract
                       // to a whole sensor pitch.
-  kZoneUnknown = 12,  // The board has not been told which body pressure holds; set the regulator
-                      // and select its map.
+  kZoneUnknown = 12,  // The board does not know the body pressure; set the regulator and select the
+                      // pressure's map.
   kNotVented = 13,    // A muscle still holds pressure; vent and wait.
   kNotSettled = 14,   // A sensor everted too recently; wait for its settling time.
   kDrifting = 15,     // Readings still drift; wait, and look for a touch or a loose wire.
   kOverLimit = 16,    // The pressure, length or speed exceeds its configured maximum; ask for less,
                       // or raise the limit in robot.toml.
-  kNoSnapshot = 17,   // No such reading was captured; sweep first, past the peak.
+  kNoSnapshot = 17,   // No such reading was captured; sweep past the peak first.
   kEstop = 18,        // The emergency stop is pressed; release it first.
   kBadConfig = 19,  // The stored configuration is damaged; load defaults, configure and save again.
   kNotZeroed = 20,  // Sensors have no valid zero; vent, wait for settling, and zero.
-  kContradiction = 23,  // Parameters contradict each other, and none of those that were set runs;
-                        // correct the one that is named.
+  kContradiction = 23,  // Parameters contradict each other, so none of the new values is in use;
+                        // correct the parameter that is named.
   kNoBaseSensor = 22,  // No base sensor can feel a contact while a muscle is driven (trigger_when);
-                       // grow past them, and mend, enable or zero one.
-  kHostSilent = 21,    // No heartbeat has arrived lately; keep the host beating, then arm again.
-  kOtherHost = 25,     // Another program has taken the robot over; close one of the two.
-  kStoppedAgain =
-      24,  // The robot was stopped once more since; look at it again, then clear that stop.
+                       // grow until one is everted, then repair, enable or zero it.
+  kHostSilent = 21,    // No heartbeat has arrived lately; keep the host's program running and
+                       // connected, then arm again.
+  kOtherHost = 25,     // Another program has taken over the robot; close one of the two.
+  kStoppedAgain = 24,  // The robot has been stopped again since; look at it, then clear that stop.
 };
 constexpr uint8_t kReasonCount = 25;
 
@@ -157,49 +157,52 @@ enum class Fault : uint8_t {
                   // then clear.
   kFlexShort = 5,   // A flex sensor's circuit is shorted; check its wire, or mark it dead in
                     // robot.toml, then clear.
-  kSpoolStall = 6,  // The motor is driven, and the encoder stands still or shows less than it must;
+  kSpoolStall = 6,  // The motor is driven, but the encoder stands still or shows too little motion;
                     // free the spool and the tail, check the encoder (J5) and its coupling, then
                     // clear and confirm the length.
-  kSpoolSlip = 7,   // The spool turned while its motor was off, ran ahead of it, or the other way;
-                    // shut the body air, check brake and driver, then clear and confirm the length.
-  kBrownOut = 8,    // The supply sagged below its limit; check the power supply, then clear.
+  kSpoolSlip =
+      7,  // The spool turned while its motor was off, faster than the motor drives it, or the wrong
+          // way; shut the body air, check brake and driver, then clear and confirm the length.
+  kBrownOut = 8,  // The supply sagged below its limit; check the power supply, then clear.
   kWatchdog = 9,  // The firmware hung and was restarted; report it with the run folder, then clear.
-  kBadConfig = 10,  // No valid configuration is stored, or one of a firmware that knew no lists of
+  kBadConfig = 10,  // No valid configuration is stored, or it is from a firmware without lists of
                     // muscles; send robot.toml (any run does, or `thigmo params --robot PORT
                     // --load-defaults`), then clear.
   kEstop = 11,      // The emergency stop was pressed; release it, then clear.
-  kInterlock = 12,  // The length became unknown or a sensor half everted during a bend; vented.
-                    // Clear, confirm the length if unknown, and grow or retract to a whole pitch.
+  kInterlock = 12,  // During a bend the length became unknown, or a sensor came to lie in the tip's
+                    // fold; the muscles were vented. Clear, confirm the length if unknown, and grow
+                    // or retract to a whole pitch.
   kPressureMismatch =
       14,  // Muscle pressure and the transducer's current disagree; check that the muscles' plugs
            // are not swapped, the pressure sensor's zero and gain, the transducer and its map
            // (drive_4ma_cpsi, drive_20ma_cpsi), then clear.
   kLinkOverrun = 13,  // The board's receive buffer overran; lower the baud rate or the telemetry
                       // rate, then clear.
-  kStopped =
-      15,  // The robot was stopped: by a viewer, by Ctrl-C, by `thigmo stop`, or because its run
-           // hung or died; see that nobody is in its way, then let it go with `thigmo clear`.
+  kStopped = 15,  // The robot was stopped: by a viewer, by Ctrl-C, by `thigmo stop`, or because its
+                  // run hung or died; make sure that nobody is in its way, then clear the stop with
+                  // `thigmo clear`.
 };
 constexpr uint8_t kFaultCount = 16;
 
-// By what a spool_stall was noticed (value of its event).
+// How a spool_stall was noticed (value of its event).
 enum class StallCause : uint8_t {
   kStill = 0,    // The encoder stands still.
-  kSlow = 1,     // The encoder shows less speed than the motor must have at its duty.
+  kSlow = 1,     // The encoder shows less speed than the motor has at this duty.
   kJumps = 2,    // The encoder's signals jump: edges are lost, or there is noise.
-  kEverted = 3,  // Two sensors have passed the tip before the encoder has come so far.
+  kEverted = 3,  // Two sensors passed the tip before the encoder reached their place.
 };
 constexpr uint8_t kStallCauseCount = 4;
 
-// By what a spool_slip was noticed (value of its event).
+// How a spool_slip was noticed (value of its event).
 enum class SlipCause : uint8_t {
   kTurned = 0,  // The spool turned without a command.
   kBrake = 1,   // The brake did not hold the motor's proof at arming: it is worn, released by hand,
                 // or stuck open.
-  kSupply = 2,  // The motor has its supply where it must not: K2's contact is stuck, or its enable.
-  kUnpowered = 3,  // The motor has no supply where it must have it: check 12 V, F2, the emergency
+  kSupply = 2,  // The motor has its supply when it must not: K2's contact or its enable is stuck.
+  kUnpowered = 3,  // The motor has no supply when it must have one: check 12 V, F2, the emergency
                    // stop's contact S1C, K1 and K2.
-  kStop = 4,  // The emergency stop did not cut the motor's supply: K1's contact is stuck, or S1C.
+  kStop =
+      4,  // The emergency stop did not cut the motor's supply: the contact of K1 or S1C is stuck.
   kAgainst = 5,  // The session's first move went against its command: the motor's leads are swapped
                  // (J4.1 and J4.2), or the encoder's (J5.2 and J5.3).
 };
@@ -216,13 +219,13 @@ enum class Condition : uint8_t {
   kHostAlive = 6,    // A heartbeat arrived within the limit.
   kEnergised = 7,    // A valve carries current or the motor is driven.
   kEstop = 8,        // The emergency stop input is active.
-  kConfigValid =
-      9,  // The running configuration came whole from the store, or was set and checked since.
+  kConfigValid = 9,  // The running configuration was read whole from the store, or has been set and
+                     // checked since.
   kSupplyGood = 10,  // The supply is within limits.
   kContact = 11,     // The contact trigger is latched.
   kBaseUsable = 13,  // A base sensor that the trigger works on while a muscle is driven is everted,
                      // enabled and zeroed.
-  kTelemetryDropped = 12,  // Telemetry was dropped for want of room since the last report.
+  kTelemetryDropped = 12,  // Telemetry was dropped since the last report: there was no room for it.
   kBodyAir = 14,  // The body's enable is on: `body_air` was commanded since the robot was armed.
 };
 constexpr uint8_t kConditionCount = 15;
@@ -326,11 +329,12 @@ inline uint32_t get32(const uint8_t* in) {
 }
 }  // namespace detail
 
-// Opens a session and resets the sequence. With session 0, a host's first. Where another host holds
-// a session, that ends what moves, the robot is disarmed, and the other's session is over. With the
-// number of the session that a host lost, and its nonce, it is the same host that goes on: what
-// moves, moves on. Such a hello is refused (bad_session) where the board restarted or another host
-// came. A repeat gets the same reply; nonces of the last 8 hosts that come again are dropped.
+// Opens a session and resets the sequence. A host's first hello has session 0: if another host
+// holds a session, its motion ends, the robot is disarmed, and that session is over. A hello with
+// the number of a lost session and its nonce resumes that session, and motion goes on; it is
+// refused (bad_session) if the board has restarted or another host has connected. A repeat gets the
+// same reply. The board remembers the nonces of the last 8 hosts, and ignores a late hello of any
+// of them.
 struct Hello {
   static constexpr uint8_t kId = kHello;
   static constexpr uint8_t kSize = 9;
@@ -385,8 +389,8 @@ struct Vent {
   }
 };
 
-// The way back from `arm`: valves 0 mA, motor braked, activity aborted, state safe. Accepted in
-// every state. For emergencies there is `stop`, which needs no session and latches.
+// Undoes `arm`: valves 0 mA, motor braked, activity aborted, state safe. Accepted in every state.
+// For emergencies there is `stop`, which needs no session and latches.
 struct Disarm {
   static constexpr uint8_t kId = kDisarm;
   static constexpr uint8_t kSize = 0;
@@ -486,7 +490,7 @@ struct Home {
   }
 };
 
-// The operator vouches for the everted length (after a reset, a stall or a slip).
+// The operator states the everted length as measured (after a reset, a stall or a slip).
 struct ConfirmLength {
   static constexpr uint8_t kId = kConfirmLength;
   static constexpr uint8_t kSize = 5;
@@ -505,7 +509,7 @@ struct ConfirmLength {
   }
 };
 
-// Tells which body pressure holds, hence which maps and which critical moment.
+// States the body pressure, and with it which maps and which critical moment apply.
 struct SelectZone {
   static constexpr uint8_t kId = kSelectZone;
   static constexpr uint8_t kSize = 1;
@@ -518,7 +522,7 @@ struct SelectZone {
   }
 };
 
-// Half sines of pressure, one muscle after the other; a muscle with amplitude 0 is left out.
+// Half sines of pressure, one muscle after the other; a muscle with amplitude 0 is skipped.
 struct Sweep {
   static constexpr uint8_t kId = kSweep;
   static constexpr uint8_t kSize = 6 + 1 + 2 * kMuscles;
@@ -575,8 +579,8 @@ struct GetSensor {
   }
 };
 
-// Read a parameter, as set last; what was set runs once it is applied. Indices run over the
-// parameters in their order, arrays as long as the board's capacity.
+// Read a parameter as it was last set; a new value takes effect once it is applied. Indices count
+// the parameters in order; an array takes as many as the board's capacity.
 struct GetParameter {
   static constexpr uint8_t kId = kGetParameter;
   static constexpr uint8_t kSize = 2;
@@ -589,8 +593,8 @@ struct GetParameter {
   }
 };
 
-// Set a parameter, to be applied with apply_parameters; hello forgets what was not. Checked against
-// its limits. Refused while energised.
+// Set a parameter; apply_parameters puts it into effect, and a hello discards what was not applied.
+// Checked against its limits. Refused while energised.
 struct SetParameter {
   static constexpr uint8_t kId = kSetParameter;
   static constexpr uint8_t kSize = 6;
@@ -706,8 +710,8 @@ struct AckEvent {
   }
 };
 
-// Check the parameters that were set, together with those that stay, and let all of them run, or
-// none; detail of a contradiction = the parameter's index. save_config stores them. Refused while
+// Check the new values together with those that stay, and put all of them into effect, or none;
+// detail of a contradiction = the parameter's index. save_config stores them. Refused while
 // energised.
 struct ApplyParameters {
   static constexpr uint8_t kId = kApplyParameters;
@@ -719,8 +723,8 @@ struct ApplyParameters {
   }
 };
 
-// Let air into the body through its enable, or take it away. Accepted only while armed; the enable
-// drops when the robot is no longer armed, and comes back by this command alone.
+// Let air into the body through its enable, or shut it off. Accepted only while armed. The enable
+// drops when the robot is disarmed, and only this command raises it again.
 struct BodyAir {
   static constexpr uint8_t kId = kBodyAir;
   static constexpr uint8_t kSize = 1;
@@ -733,8 +737,9 @@ struct BodyAir {
   }
 };
 
-// Drive one output as it is for a moment (bring-up, jog). It ends by itself unless repeated. Needs
-// neither length nor zone nor zeros; the motor needs empty muscles. Limits are compiled in.
+// Drive one output directly for a moment (bring-up, jog). It ends by itself unless repeated.
+// Neither length, zone nor zeros need be known; the motor needs empty muscles. Limits are compiled
+// in.
 struct TestOutput {
   static constexpr uint8_t kId = kTestOutput;
   static constexpr uint8_t kSize = 6;
@@ -769,12 +774,12 @@ struct GetLinkStats {
   }
 };
 
-// An operator lets a stopped robot go. Names the stop that it clears, so that one which came
-// meanwhile stays latched. Nothing else clears a stop, but power-on.
+// An operator clears a stop. The command names the stop, so that a newer one stays latched.
+// Otherwise only power-on clears a stop.
 struct ClearStop {
   static constexpr uint8_t kId = kClearStop;
   static constexpr uint8_t kSize = 4;
-  uint32_t nonce;  // Of the latched stop, as status_report tells it.
+  uint32_t nonce;  // Of the latched stop, from status_report.
   void encode(uint8_t* out) const { detail::put32(out + 0, static_cast<uint32_t>(nonce)); }
   static bool decode(const uint8_t* in, uint8_t length, ClearStop* out) {
     if (length != kSize) return false;
@@ -783,7 +788,7 @@ struct ClearStop {
   }
 };
 
-// What the board holds; a host asks once after its hello, whose own layout is frozen.
+// What the board holds. A host asks once after its hello, because the hello's layout is frozen.
 struct GetCapacity {
   static constexpr uint8_t kId = kGetCapacity;
   static constexpr uint8_t kSize = 0;
@@ -830,7 +835,7 @@ struct Ack {
 struct HelloReply {
   static constexpr uint8_t kId = kHelloReply;
   static constexpr uint8_t kSize = 24;
-  Status status;         // refused when the schema differs, or there is no session to go on with.
+  Status status;         // refused when the schema differs, or there is no session to resume.
   Reason reason;         // wrong_schema, bad_session, or none.
   uint8_t protocol;      // Protocol version.
   uint32_t schema_hash;  // Hash of the board's schema.
@@ -1182,7 +1187,7 @@ struct ConfigReport {
   uint8_t kept;            // Stored parameters that this firmware has, the maps as one.
   uint8_t new_count;       // Parameters that were not stored, at their defaults.
   uint8_t new_ids[8];      // Their ids.
-  uint8_t unknown_count;   // Stored parameters that this firmware does not have, left out.
+  uint8_t unknown_count;   // Stored parameters that this firmware does not have; they are skipped.
   uint8_t unknown_ids[8];  // Their ids.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
@@ -1214,9 +1219,10 @@ struct ConfigReport {
   }
 };
 
-// At once, in every state, boot included: valves 0 mA, motor braked, activity aborted; fault
-// `stopped` latches. Whatever session, sequence number and schema. Repeated by its sender until
-// `stopped` echoes the nonce. Latches through resets; only clear_stop and power-on end it.
+// At once, in every state including boot: valves 0 mA, motor braked, activity aborted; fault
+// `stopped` latches. Accepted with any session, sequence number and schema. Repeated by its sender
+// until `stopped` echoes the nonce. It stays latched through resets; only clear_stop and power-on
+// end it.
 struct Stop {
   static constexpr uint8_t kId = kStop;
   static constexpr uint8_t kSize = 4;
@@ -1242,8 +1248,8 @@ struct Stopped {
   }
 };
 
-// Host is alive; the counter must rise, so that a replayed one keeps nobody alive. Answered by
-// pulse.
+// The host is alive. The counter must rise, so that a replayed heartbeat does not count. Answered
+// by pulse.
 struct Heartbeat {
   static constexpr uint8_t kId = kHeartbeat;
   static constexpr uint8_t kSize = 4;
@@ -1523,7 +1529,7 @@ enum class Param : uint16_t {
   kPressureKd = kPressureKi + 1,       // Derivative gain, on the measurement. (1/256 s)
   kPressureSlewCpsiS = kPressureKd + 1,  // Fastest set-point change. (0.01 psi/s)
   kStuckCpsi = kPressureSlewCpsiS + 1,   // Set-point error that counts as stuck. (0.01 psi)
-  kStuckMs = kStuckCpsi + 1,             // For so long. (ms)
+  kStuckMs = kStuckCpsi + 1,             // How long such an error must last. (ms)
   kDriveToleranceCpsi = kStuckMs +
       1,  // Difference between pressure and transducer output by its map that is a fault, when it
           // lasts stuck_ms. Default: the sensor's error band before zeroing (1.2 psi), 2 % of gain
@@ -1535,8 +1541,8 @@ enum class Param : uint16_t {
   kTriggerE5 = kReversalCpsi +
       kMuscles,  // Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back, or
                  // a vented one pushed. (1e-5/cm)
-  kTriggerDebounceMs = kTriggerE5 + 1,  // The threshold must be passed for so long, counted in
-                                        // samples of 1 ms. Default: see trigger_filter_log2. (ms)
+  kTriggerDebounceMs = kTriggerE5 + 1,  // How long the threshold must be passed, in samples of 1
+                                        // ms. Default: see trigger_filter_log2. (ms)
   kTriggerFilterLog2 = kTriggerDebounceMs +
       1,  // Samples of 1 ms averaged in the trigger's base reading, as a power of two. Default: by
           // the rule of `thigmo bench trigger`, at most 1 false alarm in 100 empty sweeps at twice
@@ -1554,8 +1560,8 @@ enum class Param : uint16_t {
   kSpoolDeadZone = kSpoolKff + 1,        // Duty at which the motor begins to turn. (1/800 of full)
   kSpoolToleranceUm = kSpoolDeadZone + 1,  // At the target within this. (um)
   kStallMs = kSpoolToleranceUm +
-      1,  // Driven and still for so long is a stall. In growth, so is 3 mm behind the profile
-          // without a count: the encoder may be what fails. (ms)
+      1,  // A driven motor that stands still for this long is a stall. In growth, so is a lag of 3
+          // mm behind the profile without a count: the encoder may have failed. (ms)
   kSlipUm = kStallMs + 1,       // Movement with the motor off that is a slip. (um)
   kHomeSpeedUmS = kSlipUm + 1,  // Tip speed of homing. (um/s)
   kLineSpeedUmS = kHomeSpeedUmS +
@@ -1577,7 +1583,7 @@ enum class Param : uint16_t {
       kBodyPressures,  // Pull on the line at which full duty stalls, by the motor's data (default:
                        // 15 kg cm on a spool of 2 cm). 1/8 is added for a high supply and a cold
                        // winding. (N)
-  kLineRatingN = kMotorStallN + 1,  // What line and tail may be pulled with. Bounds the duty, and
+  kLineRatingN = kMotorStallN + 1,  // Most pull that line and tail may bear. Bounds the duty, and
                                     // the speed of winding in. (N)
   kTouchNSM = kLineRatingN + 1,  // Pull that a line which is stopped at once adds for each m/s of
                                  // its speed: the root of its stiffness times the mass that the
@@ -1587,9 +1593,10 @@ enum class Param : uint16_t {
           // (docs/hardware/electronics.md). The board then proves at arming that the brake holds.
           // 0: a robot without them; its motor keeps its supply when it is stopped.
   kDirectionSeen = kBrakeFitted +
-      1,  // 1: somebody has seen the spool pay out when the motor was driven to, and the encoder
-          // agreed; `thigmo bringup` asks, and stores it. Motor leads and encoder that are both
-          // swapped look right to the board. 0: programs do not let the robot move by itself.
+      1,  // 1: an operator has seen the spool pay out when it was driven to, and the encoder
+          // agreed; `thigmo bringup` asks, and stores the answer. The board cannot notice motor
+          // leads and encoder that are both swapped. 0: programs do not let the robot move by
+          // itself.
   kHeartbeatMs = kDirectionSeen +
       1,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
           // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where the watchdog's
@@ -1606,9 +1613,9 @@ enum class Param : uint16_t {
           // neither driven nor read. [kMuscles]
   kTriggerWhen = kMuscleFitted +
       kMuscles,  // When a base sensor counts for the contact trigger, as bits: 0 to 6 while that
-                 // muscle bends the body, 7 while none does. A muscle that it does not lie under
-                 // leaves it at rest. Base sensors are the first input and the first of the upper
-                 // half: they are converted in every ms. [kSensors]
+                 // muscle bends the body, 7 while none does. A muscle leaves it at rest unless the
+                 // sensor lies under it. Base sensors are the first input and the first of the
+                 // upper half: they are converted in every ms. [kSensors]
   kImuFrom = kTriggerWhen +
       kSensors,  // IMU where the span on this input begins: 128 x its channel of the multiplexer +
                  // its I2C address. 0: the base, which does not turn. [kImus]

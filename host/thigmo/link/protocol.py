@@ -29,7 +29,7 @@ MOST_IMUS = 16
 
 class State(Documented):  # The supervisor's states.
     BOOT = 0  # Starting: outputs off, waiting for the host's hello.
-    SAFE = 1  # Valves at 0 mA, motor braked. `arm` leads on.
+    SAFE = 1  # Valves at 0 mA, motor braked. `arm` leads to ready.
     READY = 2  # Outputs may be energised; nothing moves.
     MOVING = 3  # An activity runs.
     FAULT = 4  # A fault is latched: outputs are safe until it is cleared.
@@ -45,7 +45,7 @@ class Activity(Documented):  # What the board is doing.
     ZEROING = 6  # Sensor zeros are being averaged.
     HOLDING = 7  # A contact stopped the sweep; its pressure is held.
     SAVING = 8  # The configuration is being written.
-    TESTING = 9  # One output is driven as it is, for a moment, within small limits.
+    TESTING = 9  # One output is driven directly, for a moment, within small limits.
 
 
 class Output(Documented):  # What `test_output` drives.
@@ -78,7 +78,7 @@ class ResetCause(Documented):  # Why the board last started.
 
 class Status(Documented):  # First field of every reply.
     OK = 0  # Done, or started if the command starts an activity.
-    IN_PROGRESS = 1  # Still at work on this command: ask again.
+    IN_PROGRESS = 1  # The command is still being carried out; ask again.
     REFUSED = 2  # Not done; `reason` says why.
 
 
@@ -94,20 +94,20 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     FAULT_LATCHED = 9  # A fault is latched; remove its cause and clear it.
     LENGTH_UNKNOWN = 10  # The everted length is unknown since a reset, a stall or a slip
     HALF_EVERTED = 11  # A sensor lies in the tip's fold and a bend would crease it
-    ZONE_UNKNOWN = 12  # The board has not been told which body pressure holds
+    ZONE_UNKNOWN = 12  # The board does not know the body pressure
     NOT_VENTED = 13  # A muscle still holds pressure; vent and wait.
     NOT_SETTLED = 14  # A sensor everted too recently; wait for its settling time.
     DRIFTING = 15  # Readings still drift; wait, and look for a touch or a loose wire.
     OVER_LIMIT = 16  # The pressure, length or speed exceeds its configured maximum
-    NO_SNAPSHOT = 17  # No such reading was captured; sweep first, past the peak.
+    NO_SNAPSHOT = 17  # No such reading was captured; sweep past the peak first.
     ESTOP = 18  # The emergency stop is pressed; release it first.
     BAD_CONFIG = 19  # The stored configuration is damaged; load defaults, configure and save again.
     NOT_ZEROED = 20  # Sensors have no valid zero; vent, wait for settling, and zero.
-    CONTRADICTION = 23  # Parameters contradict each other, and none of those that were set runs
+    CONTRADICTION = 23  # Parameters contradict each other, so none of the new values is in use
     NO_BASE_SENSOR = 22  # No base sensor can feel a contact while a muscle is driven (trigger_when)
-    HOST_SILENT = 21  # No heartbeat has arrived lately; keep the host beating, then arm again.
-    OTHER_HOST = 25  # Another program has taken the robot over; close one of the two.
-    STOPPED_AGAIN = 24  # The robot was stopped once more since
+    HOST_SILENT = 21  # No heartbeat has arrived lately
+    OTHER_HOST = 25  # Another program has taken over the robot; close one of the two.
+    STOPPED_AGAIN = 24  # The robot has been stopped again since; look at it, then clear that stop.
 
 
 class Fault(Documented):  # Latched faults, by bit number.
@@ -117,14 +117,16 @@ class Fault(Documented):  # Latched faults, by bit number.
     PRESSURE_STUCK = 3  # Muscle pressure does not follow its set point
     FLEX_OPEN = 4  # A flex sensor's circuit is open
     FLEX_SHORT = 5  # A flex sensor's circuit is shorted
-    SPOOL_STALL = 6  # The motor is driven, and the encoder stands still or shows less than it must
-    SPOOL_SLIP = 7  # The spool turned while its motor was off, ran ahead of it, or the other way
+    SPOOL_STALL = 6  # The motor is driven, but the encoder stands still or shows too little motion
+    # The spool turned while its motor was off, faster than the motor drives it, or the wrong way
+    SPOOL_SLIP = 7
     BROWN_OUT = 8  # The supply sagged below its limit; check the power supply, then clear.
     WATCHDOG = 9  # The firmware hung and was restarted; report it with the run folder, then clear.
-    # No valid configuration is stored, or one of a firmware that knew no lists of muscles
+    # No valid configuration is stored, or it is from a firmware without lists of muscles
     BAD_CONFIG = 10
     ESTOP = 11  # The emergency stop was pressed; release it, then clear.
-    INTERLOCK = 12  # The length became unknown or a sensor half everted during a bend; vented.
+    # During a bend the length became unknown, or a sensor came to lie in the tip's fold
+    INTERLOCK = 12
     PRESSURE_MISMATCH = 14  # Muscle pressure and the transducer's current disagree
     LINK_OVERRUN = 13  # The board's receive buffer overran
     # The robot was stopped: by a viewer, by Ctrl-C, by `thigmo stop`, or because its run hung or
@@ -132,23 +134,24 @@ class Fault(Documented):  # Latched faults, by bit number.
     STOPPED = 15
 
 
-class StallCause(Documented):  # By what a spool_stall was noticed (value of its event).
+class StallCause(Documented):  # How a spool_stall was noticed (value of its event).
     STILL = 0  # The encoder stands still.
-    SLOW = 1  # The encoder shows less speed than the motor must have at its duty.
+    SLOW = 1  # The encoder shows less speed than the motor has at this duty.
     JUMPS = 2  # The encoder's signals jump: edges are lost, or there is noise.
-    EVERTED = 3  # Two sensors have passed the tip before the encoder has come so far.
+    EVERTED = 3  # Two sensors passed the tip before the encoder reached their place.
 
 
-class SlipCause(Documented):  # By what a spool_slip was noticed (value of its event).
+class SlipCause(Documented):  # How a spool_slip was noticed (value of its event).
     TURNED = 0  # The spool turned without a command.
     # The brake did not hold the motor's proof at arming: it is worn, released by hand, or stuck
     # open.
     BRAKE = 1
-    SUPPLY = 2  # The motor has its supply where it must not: K2's contact is stuck, or its enable.
-    # The motor has no supply where it must have it: check 12 V, F2, the emergency stop's contact
+    SUPPLY = 2  # The motor has its supply when it must not: K2's contact or its enable is stuck.
+    # The motor has no supply when it must have one: check 12 V, F2, the emergency stop's contact
     # S1C, K1 and K2.
     UNPOWERED = 3
-    STOP = 4  # The emergency stop did not cut the motor's supply: K1's contact is stuck, or S1C.
+    # The emergency stop did not cut the motor's supply: the contact of K1 or S1C is stuck.
+    STOP = 4
     # The session's first move went against its command: the motor's leads are swapped (J4.1 and
     # J4.2), or the encoder's (J5.2 and J5.3).
     AGAINST = 5
@@ -165,14 +168,14 @@ class Condition(Documented):
     HOST_ALIVE = 6  # A heartbeat arrived within the limit.
     ENERGISED = 7  # A valve carries current or the motor is driven.
     ESTOP = 8  # The emergency stop input is active.
-    # The running configuration came whole from the store, or was set and checked since.
+    # The running configuration was read whole from the store, or has been set and checked since.
     CONFIG_VALID = 9
     SUPPLY_GOOD = 10  # The supply is within limits.
     CONTACT = 11  # The contact trigger is latched.
     # A base sensor that the trigger works on while a muscle is driven is everted, enabled and
     # zeroed.
     BASE_USABLE = 13
-    TELEMETRY_DROPPED = 12  # Telemetry was dropped for want of room since the last report.
+    TELEMETRY_DROPPED = 12  # Telemetry was dropped since the last report: there was no room for it.
     BODY_AIR = 14  # The body's enable is on: `body_air` was commanded since the robot was armed.
 
 
@@ -199,7 +202,7 @@ class Ack(Reply, number=0x80):  # Answer of commands that return nothing else, a
 
 
 class HelloReply(Reply, number=0x81):  # Who the board is. Commands carry this session from now on.
-    status: Status  # refused when the schema differs, or there is no session to go on with.
+    status: Status  # refused when the schema differs, or there is no session to resume.
     reason: Reason  # wrong_schema, bad_session, or none.
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of the board's schema.
@@ -302,11 +305,11 @@ class ConfigReport(Reply, number=0x88):
     kept: U8  # Stored parameters that this firmware has, the maps as one.
     new_count: U8  # Parameters that were not stored, at their defaults.
     new_ids: Annotated[tuple[int, ...], "8B"]  # Their ids.
-    unknown_count: U8  # Stored parameters that this firmware does not have, left out.
+    unknown_count: U8  # Stored parameters that this firmware does not have; they are skipped.
     unknown_ids: Annotated[tuple[int, ...], "8B"]  # Their ids.
 
 
-# At once, in every state, boot included: valves 0 mA, motor braked, activity aborted
+# At once, in every state including boot: valves 0 mA, motor braked, activity aborted
 class Stop(Message, number=0x21):
     nonce: U32  # Random; tells this stop from others, and its echo from a replayed one.
 
@@ -315,7 +318,7 @@ class Stopped(Message, number=0xA2):  # The robot is stopped, outputs are off.
     nonce: U32  # Echo.
 
 
-class Heartbeat(Message, number=0x20):  # Host is alive
+class Heartbeat(Message, number=0x20):  # The host is alive.
     counter: U32  # Rises by at least 1.
 
 
@@ -372,7 +375,7 @@ class Arm(Command[Ack], number=0x03): ...  # Leave safe for ready.
 class Vent(Command[Ack], number=0x04): ...  # All muscles to 0 mA; ends a sweep or a press
 
 
-# The way back from `arm`: valves 0 mA, motor braked, activity aborted, state safe.
+# Undoes `arm`: valves 0 mA, motor braked, activity aborted, state safe.
 class Disarm(Command[Ack], number=0x05): ...
 
 
@@ -399,13 +402,13 @@ class RetractTo(Command[Ack], number=0x09):  # Wind in to an everted length.
 class Home(Command[Ack], number=0x0A): ...
 
 
-# The operator vouches for the everted length (after a reset, a stall or a slip).
+# The operator states the everted length as measured (after a reset, a stall or a slip).
 class ConfirmLength(Command[Ack], number=0x0B):
     length_um: I32  # Measured everted length. [um]
     settled: U8  # 1: everted sensors have rested long enough already
 
 
-# Tells which body pressure holds, hence which maps and which critical moment.
+# States the body pressure, and with it which maps and which critical moment apply.
 class SelectZone(Command[Ack], number=0x0C):
     zone: U8  # Body pressure, from 0; 255 = unknown.
 
@@ -427,12 +430,11 @@ class GetSensor(Command[SensorReport], number=0x0F):  # One flex sensor's state.
     sensor: U8  # Its input, from 0.
 
 
-class GetParameter(Command[ParameterValue], number=0x10):  # Read a parameter, as set last
+class GetParameter(Command[ParameterValue], number=0x10):  # Read a parameter as it was last set
     index: U16  # Parameter index; array parameters take consecutive ones.
 
 
-# Set a parameter, to be applied with apply_parameters
-class SetParameter(Command[ParameterValue], number=0x11):
+class SetParameter(Command[ParameterValue], number=0x11):  # Set a parameter
     index: U16  # Parameter index.
     value: I32  # New value, in the parameter's wire unit.
 
@@ -468,17 +470,16 @@ class AckEvent(Command[Ack], number=0x17):  # Acknowledge events up to and inclu
     number: U16  # Event number.
 
 
-# Check the parameters that were set, together with those that stay, and let all of them run, or
-# none
+# Check the new values together with those that stay, and put all of them into effect, or none
 class ApplyParameters(Command[Ack], number=0x1B): ...
 
 
-# Let air into the body through its enable, or take it away.
+# Let air into the body through its enable, or shut it off.
 class BodyAir(Command[Ack], number=0x1C):
     open: U8  # 1: air in; 0: empty the body.
 
 
-# Drive one output as it is for a moment (bring-up, jog).
+# Drive one output directly for a moment (bring-up, jog).
 class TestOutput(Command[Ack], number=0x1D):
     output: Output  # Which.
     muscle: U8  # Whose transducer; 0 for the motor.
@@ -490,11 +491,11 @@ class TestOutput(Command[Ack], number=0x1D):
 class GetLinkStats(Command[LinkStats], number=0x18): ...
 
 
-class ClearStop(Command[Ack], number=0x1A):  # An operator lets a stopped robot go.
-    nonce: U32  # Of the latched stop, as status_report tells it.
+class ClearStop(Command[Ack], number=0x1A):  # An operator clears a stop.
+    nonce: U32  # Of the latched stop, from status_report.
 
 
-class GetCapacity(Command[Capacity], number=0x1E): ...  # What the board holds
+class GetCapacity(Command[Capacity], number=0x1E): ...  # What the board holds.
 
 
 # What the running firmware made of the stored configuration.
