@@ -295,6 +295,8 @@ def test_parameters_are_checked_before_they_are_sent() -> None:
     robot, board = _robot()
     with pytest.raises(ConfigError, match="no parameter 'nonsense'"):
         robot.parameter("nonsense")
+    with pytest.raises(ConfigError, match="this board has no parameter imu_from"):
+        robot.parameter("imu_from")
     with pytest.raises(ConfigError, match=r"must lie in 0\.\.600000 ms, not -1"):
         robot.set_parameter("settle_ms", [-1])
     with pytest.raises(ConfigError, match="holds 10 values, and 2"):

@@ -78,12 +78,11 @@ def params(
     as_json: JsonOption = False,
 ) -> None:
     """Show the board's parameters, or show or set one of them."""
-    from thigmo.link import protocol as wire
     from thigmo.robot import connect
-    from thigmo.robot.configuration import named
+    from thigmo.robot.configuration import check_name
 
     if name is not None:
-        named(name)
+        check_name(name)
     with connect(robot) as machine:
         if load_defaults:
             machine.load_defaults()
@@ -91,7 +90,8 @@ def params(
             machine.set_parameter(name, value)
         if save:
             machine.save()
-        names = [name] if name is not None else list(wire.PARAMETERS)
+        rows = machine.parameters
+        names = [name] if name is not None else list(rows)
         values = {each: machine.parameter(each) for each in names}
         stored = machine.stored_configuration()
     if stored.generation and stored.remark:
@@ -103,7 +103,7 @@ def params(
     if as_json:
         facts = {}
         for each, held in values.items():
-            entry = wire.PARAMETERS[each]
+            entry = rows[each]
             facts[each] = {
                 "value": held if entry.count > 1 else held[0],
                 "unit": entry.unit,
@@ -123,7 +123,7 @@ def params(
     table.add_column("range", max_width=14)
     table.add_column("meaning")
     for each, held in values.items():
-        entry = wire.PARAMETERS[each]
+        entry = rows[each]
         same = held[:1] if len(set(held)) == 1 and len(held) > 1 else held
         shown = " ".join(map(str, same)) + (f" (x{len(held)})" if same is not held else "")
         table.add_row(each, shown, f"{entry.low}.. {entry.high} {entry.unit}", entry.doc)

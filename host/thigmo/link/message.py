@@ -243,6 +243,8 @@ def parameters(**capacity: int) -> dict[str, Parameter]:
     return found
 
 
+# Of all parameters by their ids, also of those that a board may lack.
+PARAMETER_NAMES: dict[int, str] = {row["id"]: row["name"] for row in _DATA["parameters"]}
 # Of boards that are built for the thesis's robot.
 PARAMETERS = parameters(**_DATA["usual"])
 PARAMETER_COUNT = sum(row.count for row in PARAMETERS.values())

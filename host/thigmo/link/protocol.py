@@ -9,8 +9,8 @@ wire; the scale is in each name and unit.
 from typing import Annotated
 
 from thigmo.link.message import I16, I32, MESSAGES, PARAMETERS, U8, U16, U32
-from thigmo.link.message import PARAMETER_COUNT, Command, Documented, Message
-from thigmo.link.message import OpenDocumented, Parameter, Reply, parameters
+from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Documented
+from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
 SCHEMA_HASH = 0x6A713CB3

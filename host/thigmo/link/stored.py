@@ -11,7 +11,7 @@ from typing import Self
 
 from thigmo.link import protocol as wire
 
-_BY_ID = {**{p.id: p.name for p in wire.PARAMETERS.values()}, wire.MAP_ID: "maps"}
+_BY_ID = {**wire.PARAMETER_NAMES, wire.MAP_ID: "maps"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -165,22 +165,27 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
         )
         raise ConfigError(
             f"{name} contradicts other parameters, and nothing was changed",
-            f"see what bounds it: {wire.PARAMETERS[name].doc.rstrip('.')}",
+            f"see what bounds it: {client.parameters[name].doc.rstrip('.')}",
         ) from error
 
 
-def named(name: str) -> wire.Parameter:
-    """A parameter's row in the schema; ConfigError for an unknown name."""
-    if name not in wire.PARAMETERS:
+def check_name(name: str) -> None:
+    """Raise ConfigError unless some board has a parameter of that name."""
+    if name not in wire.PARAMETER_NAMES.values():
         raise ConfigError(
             f"no parameter {name!r}", "see `thigmo params --robot URL` for their names"
         )
-    return wire.PARAMETERS[name]
 
 
 def _row(client: Client, name: str) -> wire.Parameter:
-    """Its row in the board's table; raises as `named`."""
-    return client.parameters.get(name) or named(name)
+    """Its row in the board's table; ConfigError if this board has none of that name."""
+    check_name(name)
+    if name not in client.parameters:
+        raise ConfigError(
+            f"this board has no parameter {name}: it is built for a robot without that part",
+            "see `thigmo params --robot URL` for those that it has",
+        )
+    return client.parameters[name]
 
 
 def _verify(what: str, got: object, wanted: object) -> None:

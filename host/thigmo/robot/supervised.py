@@ -274,9 +274,15 @@ class Supervised(Connected):
             self.clear_faults(*sorted(cured & set(status.faults)))
         return changed
 
+    @property
+    def parameters(self) -> dict[str, wire.Parameter]:
+        """The parameters that the board has, by name."""
+        return self._client.parameters
+
     def parameter(self, name: str) -> list[int]:
-        """A parameter of the schema as the board holds it, in its wire unit; ConfigError if there
-        is none of that name."""
+        """A parameter as the board holds it, in its wire unit; ConfigError if it has none of that
+        name.
+        """
         return get_parameter(self._client, name)
 
     def set_parameter(self, name: str, values: list[int]) -> None:

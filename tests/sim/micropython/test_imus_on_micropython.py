@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command import Thigmo
 
 import thigmo
 from thigmo import wiring
@@ -24,6 +26,7 @@ from thigmo.exploration import explore
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.framing import check_sequence
+from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.robot import Robot
 
 LENGTH_CM = 100.0
@@ -279,6 +282,16 @@ def test_a_string_on_the_bus_explores_as_on_the_virtual_board(tmp_path: Path) ->
     assert len(bus.contacts) == len(virtual.contacts)
     for one, other in zip(bus.contacts, virtual.contacts, strict=True):
         assert one.arc_cm == pytest.approx(other.arc_cm, abs=3.0)
+
+
+def test_parameters_of_imus_are_shown_and_set_by_name(scene_path: Path, thigmo: Thigmo) -> None:
+    board = f"micropython://{scene_path}"
+    ran = thigmo("params", "--robot", board, "imu_from", 74, "--save", "--json")
+    assert json.loads(ran.out)["imu_from"]["value"] == [74] * 16
+    ran = thigmo("params", "--robot", board, "imu_to", 1024)
+    assert (ran.code, "imu_to must lie in 0..1023, not 1024" in ran.err) == (1, True)
+    report = wire.ConfigReport(wire.Status.OK, 1, 60, 2, (61, 62, *(0,) * 6), 0, (0,) * 8)
+    assert StoredConfiguration.of(report).new == ("imu_from", "imu_to")
 
 
 def test_connect_opens_a_string_by_its_address(scene_path: Path) -> None:
