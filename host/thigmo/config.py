@@ -283,6 +283,7 @@ class FibreSensor(_Sensor):
     twist_se_rad: NonNegative = 0.05  # by which the fibre lies turned about its axis
 
     valid_direction: ClassVar[int] = 0
+    warm_s: ClassVar[float] = 20.0  # from zeros to a reading, for which `temperature_se` holds
 
     @property
     def gain_error(self) -> float:
@@ -407,6 +408,8 @@ class RobotConfig(Model):
 
     version: Literal[2] = 2
     name: str = "vine-53"
+    # Where lines of a fibre's strains come from (`thigmo.link.interrogator`): host:port.
+    interrogator: Annotated[str, Field(pattern=r"^[^\s:]+:\d{1,5}$")] | None = None
     body: Body = Field(default_factory=Body)
     muscles: list[Muscle] = Field(
         default_factory=_default_muscles,

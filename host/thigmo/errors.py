@@ -79,6 +79,10 @@ class RobotFaultError(ThigmoError):
         super().__init__(what, next_step)
 
 
+class InterrogatorError(ThigmoError):
+    """A fibre's interrogator is gone, silent or late, or a grating is lost."""
+
+
 class StoppedByViewerError(ThigmoError):
     """Somebody who watches a run stopped the robot."""
 

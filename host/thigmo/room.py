@@ -73,5 +73,8 @@ class Simulated(Protocol):
     operator: Operator
     config: RobotConfig
 
+    def interrogator(self) -> Any:
+        """A source of its fibre's lines, as `thigmo.link.interrogator.Source` has it."""
+
     def truth(self) -> Any:
         """What the room knows: pegs, contacts and shapes."""

@@ -96,8 +96,9 @@ def unexplored(config: RobotConfig) -> Beyond | None:
         return Beyond(
             f"{len(config.gratings)} readings of a fibre reach no board, whose contact trigger "
             "must see them while a muscle bends the body",
-            "localize its readings (`thigmo localize FILE --config robot.toml`), or leave them out "
-            "of robot.toml and explore with the sensors on the board",
+            "localize its readings, live (`thigmo feel`) or of a file (`thigmo localize FILE "
+            "--config robot.toml`), or leave them out of robot.toml and explore with the sensors "
+            "on the board",
         )
     names = [f"muscle {muscle.name}" for muscle in config.muscles if muscle.side is None]
     count = sum(sensor.side is None for sensor in config.sensors)

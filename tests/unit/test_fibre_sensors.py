@@ -20,7 +20,8 @@ from thigmo.reading_errors import errors_of
 from thigmo.robot.configuration import parameter_settings
 from thigmo.robot.curvature import Floats
 
-CONFIG = draft(53, 10, 2, kind="fibre")
+DRAFT = draft(53, 10, 2, kind="fibre")
+CONFIG = DRAFT.model_copy(update={"sensors": DRAFT.gratings})  # and nothing on the board
 IN_PLANE = [sensor for sensor in CONFIG.gratings if sensor.side]
 
 

@@ -23,7 +23,6 @@ from thigmo.record.table import Table
 _FEWEST = 8  # bends
 _LEAST_BEND = 1e-3  # 1/cm, between the least and the most
 _CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
-_FROM_ZERO_S = 20.0  # a sweep's last peak comes so long after the zeros
 _MOST_SE = 0.1  # of a scale that is of use
 _SAME_CM = 0.05  # places that are nearer are one grating's
 
@@ -91,7 +90,7 @@ def fit_fibre(t_s: Array, curvature: Array, strain: Array, config: RobotConfig) 
             tuple(fits), np.nan, np.nan, Verdict(False, "no grating can be used", notes)
         )
     drift = np.median([fit.drift_ue_s * fit.scale_per_ue for fit in good])
-    temperature = float(abs(drift) * _FROM_ZERO_S)
+    temperature = float(abs(drift) * FibreSensor.warm_s)
     turned = np.array([fit.twist_rad for fit in good])
     turned = turned[np.isfinite(turned)]
     twist = float(np.sqrt(np.mean(turned**2))) if turned.size else np.nan

@@ -23,6 +23,7 @@ from thigmo.cli.calibrate import calibrate
 from thigmo.cli.design import design
 from thigmo.cli.experiment import experiment
 from thigmo.cli.explore import explore
+from thigmo.cli.feel import feel
 from thigmo.cli.flash import flash
 from thigmo.cli.localize import localize
 from thigmo.cli.robot import robot
@@ -76,7 +77,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 for function in (
-    explore, watch, localize, replay, info, export, stop, params, clear, retract, ros, flash,
+    explore, watch, localize, feel, replay, info, export, stop, params, clear, retract, ros, flash,
     bringup, jog, press, emulator.emulate, calibrate, experiment, bench, score, design,
 ):  # fmt: skip
     app.command()(function)

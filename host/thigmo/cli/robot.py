@@ -39,21 +39,26 @@ def new(
     """Draft a robot: its robot.toml, and a scene with a peg that it feels, to explore on."""
     from thigmo.design import draft
     from thigmo.errors import ConfigError
-    from thigmo.wiring import beyond_board, unexplored
+    from thigmo.wiring import beyond_board
 
     config = draft(length, sensors, muscles, diameter, kind=kind)
     with ConfigError.from_os(f"cannot make {out}", "choose another folder"):
         out.mkdir(parents=True, exist_ok=True)
     config.save(out / "robot.toml")
     written, said = [str(out / "robot.toml")], []
-    other = unexplored(config)
-    if beyond := [*beyond_board(config), *([other] if other else [])]:
+    if beyond := beyond_board(config):
         said = [f"no scene: {what}; {cure}" for what, cure in beyond]
     else:
         reach: Any = import_module(_REACH)
-        reach.room_for(config, seed).save(out / "scene.toml")
-        written.append(str(out / "scene.toml"))
+        room = reach.room_for(config, seed)
         said = [f"explore it: thigmo explore --scene {out / 'scene.toml'}"]
+        if config.gratings:
+            room.start_length_cm = config.body.length_cm
+            pressed = reach.pressed(config, room.peg_list())
+            at = f"emulator://{out / 'scene.toml'}"
+            said = [f"feel its peg: thigmo feel --robot {at} --press {pressed}"]
+        room.save(out / "scene.toml")
+        written.append(str(out / "scene.toml"))
     said = [f"wrote {' and '.join(written)}", f"check it: thigmo robot check {written[0]}", *said]
     show(as_json, {"files": written, "notes": said[1:]}, *said)
 

@@ -47,6 +47,7 @@ _IMU_ADDRESSES = (0x4A, 0x4B)  # of a BNO085, by its pin SA0
 _REST_S = 2.0  # IMUs do not creep after eversion
 _GRATING_CM = 1.0  # from one to the next, at least
 _POUCH_CM = 10.0
+_INTERROGATOR = "127.0.0.1:7400"
 Kind = Literal["flex", "heading", "fibre"]
 
 
@@ -64,7 +65,8 @@ def draft(
         length_cm: 30 to 300.
         sensors: in each column. Of flex sensors two muscles have two columns, and a single muscle
             has one opposite, which it leaves at rest. One string of IMUs, or one fibre with two
-            readings a grating, serves all muscles.
+            readings a grating, serves all muscles. A fibre has flex sensors at the base beside it,
+            by which the board's contact trigger works.
         muscles: 1 or 2.
         diameter_cm: of the tube.
         name: of the robot; by its length if empty.
@@ -92,17 +94,22 @@ def draft(
     sides = SIDES[:muscles]
     columns = SIDES if muscles == 2 and kind == "flex" else [opposite(sides[0])]
     made = {"flex": _flex, "heading": _imu, "fibre": _grating}[kind]
+    bases = (SIDES if muscles == 2 else columns) if kind == "fibre" else ()
     return RobotConfig(
         name=name or f"vine-{length_cm:g}",
+        interrogator=_INTERROGATOR if kind == "fibre" else None,
         body=body,
         muscles=[_muscle(side, body) for side in sides],
         sensors=[
-            sensor
-            for side in columns
-            for number in range(sensors)
-            for sensor in made(side, float(pitch), number)
+            *(sensor for side in bases for sensor in _flex(side, _POUCH_CM, 0)),
+            *(
+                sensor
+                for side in columns
+                for number in range(sensors)
+                for sensor in made(side, float(pitch), number)
+            ),
         ],
-        board=Board() if kind == "flex" else Board(settle_s=_REST_S),
+        board=Board(settle_s=_REST_S) if kind == "heading" else Board(),
     )
 
 

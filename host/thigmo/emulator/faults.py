@@ -2,8 +2,9 @@
 
 What `value` means stands beside its defaults below. pressure_stuck and over_pressure are faults of
 the air, the other ones of pressure are the sensor's. imu_hung is of the IMU at a span's far end:
-no span that begins or ends there is read. host_silent mutes the host: its bytes and
-heartbeats are lost. power_cut takes the board's power for `duration_s` (default 1 s).
+no span that begins or ends there is read. The `sensor` of a grating is its reading's number, base
+first. host_silent mutes the host: its bytes and heartbeats are lost. power_cut takes the board's
+power for `duration_s` (default 1 s).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ _DEFAULTS = {
     "pressure_offset": -3.0,  # psi
     "pressure_noisy": 1.0,  # psi, one sigma
     "flex_noisy": 40.0,  # counts, one sigma
+    "grating_noisy": 200.0,  # microstrain, one sigma
     "motor_shorted": 800.0,  # duty
     "encoder_share": 0.7,  # of the counts are seen
     "reference_off": 0.8,  # of the converter's reference remains
@@ -102,6 +104,12 @@ class FaultInjector:
             case "imu_hung":
                 end_cm = robot.column(fault.side)[fault.sensor].fold_cm[0]
                 (plant.imus.hung.add if on else plant.imus.hung.discard)(plant.imus.at(end_cm))
+            case "grating_lost":
+                (plant.fibre.lost.add if on else plant.fibre.lost.discard)(fault.sensor)
+            case "grating_noisy":
+                self._hold(plant.fibre.noisy, fault.sensor, value, on)
+            case "interrogator_silent":
+                plant.fibre.silent = on
             case "pressure_frozen":
                 here = plant.pressure_seen[muscle] if fault.value is None else value
                 plant.pressure_frozen[muscle] = here if on else math.nan

@@ -19,6 +19,7 @@ from thigmo import config, wiring
 from thigmo.emulator import _plant
 from thigmo.emulator._plant import FlexSensor, Muscle, Spool, Swing
 from thigmo.emulator.board import CHANNELS, DRIVE_FULL
+from thigmo.emulator.fibre import EmulatedFibre
 from thigmo.emulator.hand import hold
 from thigmo.emulator.imus import ImuString
 from thigmo.emulator.scene import Scene
@@ -148,13 +149,16 @@ class Plant:
         self.imus = ImuString(
             scene.imu, [*turns.values()], robot.board.divider_ohm, STEP_S, rng.spawn(1)[0]
         )
+        self.fibre = EmulatedFibre(scene.fibre, robot.gratings, STEP_S, rng.spawn(1)[0])
         self._sensors = self._make_sensors(wired)
         everts = np.array([[s.center_cm, s.span_cm] for s in self._sensors])
         self._ends = everts @ [1.0, 0.5]
         self._centers, self._spans = np.array(
             [(s.center_cm, s.span_cm) if s else none for s, none in zip(wired, everts, strict=True)]
+            + [(s.center_cm, s.span_cm) for s in robot.gratings]
         ).T
-        self._curvature = np.zeros(board.sensors)
+        # Of the board's inputs, and then of the fibre's gratings.
+        self._curvature = np.zeros(board.sensors + len(robot.gratings))
         self.body = Rod(
             Tube(robot.body.diameter_cm, self._critical()),
             self.pegs,
@@ -309,7 +313,7 @@ class Plant:
     @property
     def sensor_curvature(self) -> Floats:
         """True mean curvature at each sensor, by input; 0 where not everted."""
-        return self._curvature.copy()
+        return self._curvature[: len(self._sensors)].copy()
 
     def truth(self) -> Truth:
         """Pegs, contacts and shape, now."""
@@ -471,8 +475,10 @@ class Plant:
         analog[:, 0] = analog[:, 1]
         length, t_s = self.length_cm, self.t_s
         under = [0.0 if n is None else self._muscles[n].bend_psi for n in self._under]
-        each = zip(self._sensors, self._curvature.tolist(), under, strict=True)
-        analog[: len(self._sensors), 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in each]
+        inputs = len(self._sensors)
+        each = zip(self._sensors, self._curvature[:inputs].tolist(), under, strict=True)
+        analog[:inputs, 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in each]
+        self.fibre.step(self.steps, self._curvature[inputs:], length)
         if self._turning.size:
             analog[self._turning, 1] = self.imus.counts(self._curvature[self._turning], length)
         full = self.scene.transducer.sensor_full_psi

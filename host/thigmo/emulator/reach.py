@@ -18,6 +18,8 @@ from thigmo.mechanics import Peg, PegContact, Rod, Tube, critical_moment
 
 TRIGGER = 0.005  # 1/cm
 _STEP_PSI = 0.25
+_LEAST_PSI = 4.0  # well above a transducer's live zero
+_PRESSED = 1.2  # over the pressure at which a peg is felt
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,16 @@ def first_felt(robot: RobotConfig, pegs: Sequence[Peg]) -> Felt | None:
     """
     sweeps = (sweep_once(robot, pegs, at, side) for at in stages(robot) for side in robot.sides)
     return next((felt for felt in sweeps if felt is not None and felt.peak >= TRIGGER), None)
+
+
+def pressed(robot: RobotConfig, pegs: Sequence[Peg]) -> str:
+    """Muscle and pressure, as `left=6`, that press the whole robot against a peg where it can."""
+    full = robot.body.length_cm
+    felt = [one for side in robot.sides if (one := sweep_once(robot, pegs, full, side))]
+    best = max(felt, key=lambda one: one.peak, default=None)
+    muscle = robot.muscle(best.side if best else robot.sides[0])
+    psi = max(_PRESSED * best.pressure_psi, _LEAST_PSI) if best else np.inf
+    return f"{muscle.name}={min(psi, muscle.max_pressure_psi):g}"
 
 
 def sweep_once(

@@ -109,6 +109,19 @@ class Imu(Model):
     seat_deg: NonNegative = 1.0  # how it comes to lie at each eversion
 
 
+class Fibre(Model):
+    """What ails every fibre and its interrogator: guesses, but for the noise (about 1 pm)."""
+
+    lines_hz: Annotated[float, Field(ge=1, le=100, allow_inf_nan=False)] = 50.0
+    noise_ue: NonNegative = 0.8  # of one line
+    walk_ue_root_s: NonNegative = 0.05  # of each grating's zero
+    seat_ue: NonNegative = 5.0  # how a grating comes to lie at each eversion
+    warming_k_min: NonNegative = 0.5  # ramp of the temperature, one sigma over rooms, and
+    warm_k_root_s: NonNegative = 0.02  # its random walk; a kelvin is 1.1 microstrain in all alike
+    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.002  # share of peaks that a line lacks
+    twist_deg: NonNegative = 2.0  # one sigma over robots
+
+
 class SpoolMotor(Model):
     """The true motor behind the spool."""
 
@@ -177,6 +190,9 @@ FaultKind = Literal[
     "flex_frozen",
     "flex_noisy",
     "imu_hung",
+    "grating_lost",
+    "grating_noisy",
+    "interrogator_silent",
     "pressure_wire_cut",
     "pressure_short",
     "pressure_frozen",
@@ -220,7 +236,7 @@ class FaultTable(Model):
     while_motor_runs: bool = False
     duration_s: Positive | None = None  # none = for good
     side: Side = "left"  # of a pressure fault or sensor
-    sensor: Annotated[int, Field(ge=0, le=4)] = 0  # base first
+    sensor: Annotated[int, Field(ge=0, le=255)] = 0  # base first; of a fibre the reading's number
     value: Finite | None = None  # see faults.py
 
     @model_validator(mode="after")
@@ -250,6 +266,7 @@ class Scene(Model):
     body: BodyDynamics = Field(default_factory=BodyDynamics)
     flex: Flex = Field(default_factory=Flex)
     imu: Imu = Field(default_factory=Imu)
+    fibre: Fibre = Field(default_factory=Fibre)
     spool: SpoolMotor = Field(default_factory=SpoolMotor)
     brake: Brake = Field(default_factory=Brake)
     supply: Supply = Field(default_factory=Supply)
@@ -325,6 +342,9 @@ class Scene(Model):
                 zone.scale_se = spread.curvature_error
                 for curve in (zone.inflate, zone.deflate):
                     curve.amplitude *= factor
+        for grating in config.gratings:
+            grating.rescale(1 + spread.gain_spread * rng.standard_normal())
+            grating.scale_se = spread.gain_spread
         body = config.body
         body.critical_curvature_se = spread.critical_error * body.critical_curvature
         body.critical_curvature *= max(1 + spread.critical_error * rng.standard_normal(), 0.1)

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from thigmo.config import RobotConfig
 from thigmo.emulator.board import virtual_board
+from thigmo.emulator.fibre import LineServer
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
 from thigmo.emulator.scene import Scene
@@ -64,6 +65,10 @@ class PtyServer:
         self._out = bytearray()
         self._heard = Decoder()
         self._link = link
+        robot = lockstep.scene.robot
+        self._fibre = (
+            LineServer(robot.interrogator, lockstep.plant.fibre) if robot.interrogator else None
+        )
         if link is None:
             return
         try:
@@ -82,6 +87,8 @@ class PtyServer:
             return
         os.close(self._master)
         self._master = -1
+        if self._fibre is not None:
+            self._fibre.close()
         if self._link is not None and self._link.is_symlink():
             self._link.unlink()
 
@@ -114,6 +121,8 @@ class PtyServer:
                 board.write(data)
                 self._set_regulator(data)
         self.lockstep.advance()
+        if self._fibre is not None:
+            self._fibre.exchange()
         self._out += board.read()
         if not opened:
             self._out.clear()

@@ -17,6 +17,7 @@ import numpy as np
 
 from thigmo.config import RobotConfig
 from thigmo.emulator.board import Board, virtual_board
+from thigmo.emulator.fibre import EmulatedFibre
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_MS, Truth
 from thigmo.emulator.scene import FaultTable, Scene
@@ -224,6 +225,11 @@ class EmulatorTransport:
     def truth(self) -> Truth:
         """Pegs, contacts and shapes."""
         return self.lockstep.plant.truth()
+
+    def interrogator(self) -> EmulatedFibre:
+        """The interrogator of its fibre; nothing that was sent before is waiting."""
+        self.lockstep.plant.fibre.read()
+        return self.lockstep.plant.fibre
 
     def close(self) -> None:
         """Close; may be called twice."""

@@ -5,6 +5,7 @@ What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's intege
 
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import SensorTable, in_mask, mask_of
+from thigmo.robot.fibre import FibreReading
 from thigmo.robot.robot import JOG_CM, Robot, connect
 from thigmo.robot.state import (
     ContactTrigger,
@@ -26,6 +27,7 @@ __all__ = [
     "WITHOUT_BRAKE",
     "ContactTrigger",
     "CreepWatch",
+    "FibreReading",
     "GrowthWatcher",
     "Operator",
     "Peak",

@@ -23,6 +23,7 @@ from thigmo.link import protocol as wire
 from thigmo.record import TrueContact, TruePeg, Truth
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import SensorTable
+from thigmo.robot.fibre import Fibre
 from thigmo.robot.publishing import Publisher
 from thigmo.robot.state import Status
 from thigmo.room import Dowel, Operator, Simulated
@@ -88,6 +89,8 @@ class Connected(Closing):
         self._before = self._table  # the last zeroing
         self.aside = 0
         self._creep: CreepWatch | None = None
+        self._fibre: Fibre | None = None  # opened where it is needed first
+        self._guarded = False  # whether what the fibre guards is under way
         self._fault_channels: dict[wire.Fault, int] = {}  # which only their events tell
         self._interruptions: list[Callable[[], None]] = []
         self._started = client.now()
@@ -124,9 +127,12 @@ class Connected(Closing):
         finally:
             self._client.close()
             self.hub.close()
+            if self._fibre is not None:
+                self._fibre.close()
 
     def disarm(self) -> None:
         """Valves 0 mA, motor braked, activity aborted, state safe; `arm` leads back."""
+        self._guarded = False
         self._client.request(wire.Disarm())
 
     def stop(self) -> None:

@@ -20,6 +20,7 @@ from thigmo.link.transport import open_transport
 from thigmo.record import Truth
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import Floats, in_mask, mask_of
+from thigmo.robot.fibre import FibreReading
 from thigmo.robot.state import Reading, Recording, SweepFrame, SweepResult, together
 from thigmo.robot.supervised import OPEN, SHORT, Supervised
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
@@ -27,6 +28,7 @@ from thigmo.room import Operator
 
 JOG_CM = 5.0  # of tip that a jog turns the spool for, at most
 _VENTED_PSI = 0.5
+_FIBRE_ZERO_S = 1.0
 _SETTLE_EXTRA_S = 30.0
 _SWEEP_EXTRA_S = 15.0  # ramps at both ends, venting, retried commands
 
@@ -209,7 +211,8 @@ class Robot(Supervised):
     def zero(self) -> int:
         """Average the everted sensors' readings into their zeros; returns these sensors' mask.
 
-        Refused unless they are vented, settled and free of drift.
+        Refused unless they are vented, settled and free of drift. A fibre's strains are zeroed as
+        well, where an interrogator is given.
         """
         mask = self.status().everted & mask_of(self._table.healthy) & ~self.aside
         self._before = self._table
@@ -219,6 +222,12 @@ class Robot(Supervised):
         q8 = {n: self._client.request(wire.GetSensor(n)).zero_sum_q8 for n in in_mask(mask)}
         self._table = self._table.zeroed({sensor: zero / 256 for sensor, zero in q8.items()})
         self._publisher.use(self.config, self._table)
+        if self._has_fibre:
+            self._wait_vented()
+            self._require_fibre()
+            began_s = self.now()
+            self.wait(_FIBRE_ZERO_S)
+            self._require_fibre().zero(began_s, self.status().length_cm or 0.0)
         return mask
 
     def zeros(self) -> tuple[Floats, Floats]:
@@ -245,6 +254,18 @@ class Robot(Supervised):
             frames=len(frames),
             resistance=self._table.resistance(flex.mean(axis=0)),
         )
+
+    def read_fibre(self, seconds: float = 0.5) -> FibreReading:
+        """Average the fibre's strains over a while, as curvature since `zero`.
+
+        Raises InterrogatorError, with the robot made safe, if any healthy grating is not read now;
+        ConfigError for a robot without a fibre that is read live.
+        """
+        self._require_fibre()
+        began_s, heard = self.now(), list[TelemetryFrame]()
+        with self._telemetry_to(heard.append):
+            self.wait(seconds)
+        return self._require_fibre().reading(heard, began_s)
 
     def record(self, seconds: float) -> Recording:
         """Keep every telemetry frame of a while."""

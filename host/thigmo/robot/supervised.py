@@ -10,14 +10,17 @@ from thigmo.errors import (
     CommandRefusedError,
     CommandTimeoutError,
     ConfigError,
+    InterrogatorError,
     RobotFaultError,
 )
 from thigmo.link import protocol as wire
 from thigmo.link.heart import PERIOD_S
+from thigmo.link.interrogator import Interrogator, TcpSource
 from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
 from thigmo.robot.connected import Connected
 from thigmo.robot.curvature import SensorTable
+from thigmo.robot.fibre import Fibre
 from thigmo.wiring import muscle_outputs, sensor_name
 
 if TYPE_CHECKING:
@@ -27,12 +30,17 @@ R = TypeVar("R", bound=wire.Message)
 
 _SLICE_S = 0.25
 _PROMPT_S = 0.1  # where somebody asks meanwhile whether to go on
+_LINES_S = 2.0  # within which an interrogator sends its first lines
 _VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
 OPEN, SHORT, _ENABLED = 1 << 3, 1 << 4, 1 << 5  # of sensor_report.flags
 _OF_A_MUSCLE = (
     wire.Fault.OVER_PRESSURE, wire.Fault.PRESSURE_WIRE, wire.Fault.PRESSURE_STUCK,
     wire.Fault.PRESSURE_MISMATCH,
 )  # fmt: skip
+# What a fibre guards, where it is read live; what ends that; and what lays it otherwise.
+_GUARDED = (wire.GrowTo, wire.Sweep, wire.SetPressure)
+_UNGUARDED = (wire.Vent, wire.RetractTo, wire.Home)
+_MOTIONS = (wire.GrowTo, wire.RetractTo, wire.Home, wire.TestOutput)
 WITHOUT_BRAKE = "the emergency stop leaves the motor its supply; keep hands away and shut V1"
 _BAD_SENSOR = {wire.Fault.FLEX_OPEN: OPEN, wire.Fault.FLEX_SHORT: SHORT}
 
@@ -57,6 +65,8 @@ class Supervised(Connected):
         end = self.now() + seconds
         while (left := end - self.now()) > 0:
             self._client.poll(min(left, each_s))
+            if self._guarded:
+                self._require_fibre()
             for interrupt in self._interruptions:
                 interrupt()
             yield self._taken()
@@ -72,7 +82,17 @@ class Supervised(Connected):
             yield event
 
     def _request(self, command: Command[R]) -> R:
-        """Ask the board; a refusal because of a latched fault becomes that fault's error."""
+        """Ask the board; a refusal because of a latched fault becomes that fault's error.
+
+        What a fibre that is read live guards is refused unless it is read.
+        """
+        if isinstance(command, _MOTIONS) and self._fibre is not None:
+            self._fibre.void()
+        self._guarded = (isinstance(command, _GUARDED) and self._has_fibre) or (
+            self._guarded and not isinstance(command, _UNGUARDED)
+        )
+        if self._guarded:
+            self._require_fibre()
         try:
             return self._client.request(command)
         except CommandRefusedError as error:
@@ -117,6 +137,40 @@ class Supervised(Connected):
     def _finish(self, activity: wire.Activity, within_s: float) -> int:
         """Wait for an activity's end; returns the last event's value."""
         return [event.value for event in self._events(activity, within_s)][-1]
+
+    # The fibre.
+
+    @property
+    def _has_fibre(self) -> bool:
+        return bool(self.config.gratings) and self.config.interrogator is not None
+
+    def _require_fibre(self) -> Fibre:
+        """The fibre, opened, with all its strains of now.
+
+        Raises InterrogatorError if they are not, with the robot made safe: valves at 0 mA, motor
+        braked. ConfigError for a robot without a fibre that is read live.
+        """
+        try:
+            if self._fibre is None:
+                self._fibre = self._opened_fibre()
+            self._fibre.require()
+        except InterrogatorError as error:
+            if not self.make_safe():
+                error.add_note("the board does NOT confirm that it is safe")
+            raise
+        return self._fibre
+
+    def _opened_fibre(self) -> Fibre:
+        address, count = self.config.interrogator, len(self.config.gratings)
+        if address is None or not count:
+            raise ConfigError(
+                "the robot has no fibre that is read live",
+                'give `interrogator = "host:port"` and its gratings in robot.toml',
+            )
+        source = self._room.interrogator() if self._room else TcpSource(address)
+        interrogator = Interrogator(source, count, self.now)
+        self._client.wait_for(lambda: interrogator.heard, _LINES_S)
+        return Fibre(self.config, interrogator)
 
     # Faults.
 
@@ -262,6 +316,9 @@ class Supervised(Connected):
         """
         changed = send_config(self._client, config)
         self.config = config
+        if self._fibre is not None:
+            self._fibre.close()
+            self._fibre = None
         self._table = SensorTable.of(config, 1 << self.parameter("oversample_log2")[0])
         self.aside = 0
         self._publisher.use(config, self._table)

@@ -1,0 +1,135 @@
+"""A fibre with gratings and its interrogator: lines of strains, as a lab's come over TCP.
+
+Temperature strains all gratings alike and wanders; each grating scatters, wanders by itself, comes
+to lie otherwise at each eversion, and loses its peak now and then. The fibre lies turned about its
+axis. The format is that of `thigmo.link.interrogator`.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from math import radians
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.config import FibreSensor
+from thigmo.emulator.scene import Fibre
+from thigmo.errors import ConfigError
+
+Floats = npt.NDArray[np.float64]
+
+_KEPT = 500  # lines for a host that does not read
+_UE_PER_K = 1.1  # what a kelvin leaves in cores that are told apart (config.FibreSensor)
+_QUEUE = 65_536  # bytes for a program that does not read; beyond, it is cut off
+
+
+class EmulatedFibre:
+    """The gratings of a robot, read every few steps; random by `rng`.
+
+    Attributes:
+        lost: readings whose peak is lost, by number.
+        noisy: microstrain that a fault adds, one sigma, by number.
+        silent: whether the interrogator sends nothing.
+    """
+
+    name = "emulator"
+
+    def __init__(
+        self, known: Fibre, gratings: Sequence[FibreSensor], step_s: float,
+        rng: np.random.Generator,
+    ) -> None:  # fmt: skip
+        self._known, self._rng, self._step_s = known, rng, step_s
+        self._every = max(1, round(1.0 / (known.lines_hz * step_s)))
+        self._ends = np.array([one.center_cm + one.span_cm / 2 for one in gratings])
+        turned = radians(known.twist_deg) * rng.standard_normal()
+        lies = np.radians([one.direction_deg % 180.0 for one in gratings])
+        scale = np.array([one.scale_per_ue for one in gratings])
+        self._per_bend = np.sin(lies + turned) / scale  # microstrain for 1/cm in the plane
+        self._zero = np.array([one.zero_ue for one in gratings])
+        self._seat = np.zeros(len(gratings))
+        self._own = np.zeros(len(gratings))
+        self._out = np.zeros(len(gratings), dtype=np.bool_)
+        self._ramp_k_s = known.warming_k_min / 60 * rng.standard_normal()
+        self._warm_k = 0.0
+        self.lost: set[int] = set()
+        self.noisy: dict[int, float] = {}
+        self.silent = False
+        self._lines: deque[bytes] = deque(maxlen=_KEPT)
+
+    def step(self, number: int, curvature: Floats, length_cm: float) -> None:
+        """Go on to a step; (n,) mean curvatures of the gratings, 0 inside the tail."""
+        if not len(self._ends) or number % self._every:
+            return
+        known, rng, count = self._known, self._rng, len(self._ends)
+        dt_s = self._every * self._step_s
+        out = self._ends <= length_cm
+        came = out & ~self._out
+        self._out = out
+        self._seat[came] = known.seat_ue * rng.standard_normal(int(came.sum()))
+        self._own += known.walk_ue_root_s * dt_s**0.5 * rng.standard_normal(count)
+        walk = known.warm_k_root_s * dt_s**0.5 * rng.standard_normal()
+        self._warm_k += self._ramp_k_s * dt_s + walk
+        strain = self._zero + self._seat + self._own + _UE_PER_K * self._warm_k
+        strain += self._per_bend * np.where(out, curvature, 0.0)
+        strain += known.noise_ue * rng.standard_normal(count)
+        for grating, sigma in self.noisy.items():
+            strain[grating] += sigma * rng.standard_normal()
+        strain[rng.random(count) < known.dropout] = np.nan
+        strain[[*self.lost]] = np.nan
+        if not self.silent:
+            values = ",".join(f"{each:.2f}" for each in strain)
+            self._lines.append(f"{number * self._step_s:.3f},{values}\n".encode())
+
+    def read(self) -> bytes:
+        """Lines since the last reading."""
+        data = b"".join(self._lines)
+        self._lines.clear()
+        return data
+
+    def close(self) -> None:
+        """End nothing: the fibre is the robot's."""
+
+
+class LineServer:
+    """Serves a fibre's lines to all who connect to `host:port`; ConfigError if it cannot."""
+
+    def __init__(self, address: str, fibre: EmulatedFibre) -> None:
+        self._fibre = fibre
+        host, _, port = address.rpartition(":")
+        try:
+            self._listener = socket.create_server((host, int(port)))
+        except OSError as error:
+            raise ConfigError(
+                f"cannot serve the fibre at {address}: {error}",
+                "give the scene's robot another `interrogator`, such as 127.0.0.1:7400",
+            ) from error
+        self._listener.setblocking(False)
+        self._heard: dict[socket.socket, bytearray] = {}
+
+    def exchange(self) -> None:
+        """Take who connects, and send what there is; who does not read is cut off."""
+        with suppress(OSError):
+            joined, _ = self._listener.accept()
+            joined.setblocking(False)
+            self._heard[joined] = bytearray(b"# t_s, then microstrain\n")
+        data = self._fibre.read()
+        for each, left in [*self._heard.items()]:
+            left += data
+            try:
+                del left[: each.send(left)]
+            except BlockingIOError:
+                pass
+            except OSError:
+                left += bytes(_QUEUE + 1)
+            if len(left) > _QUEUE:
+                each.close()
+                del self._heard[each]
+
+    def close(self) -> None:
+        """Close all; may be called twice."""
+        for each in (self._listener, *self._heard):
+            each.close()

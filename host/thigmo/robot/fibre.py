@@ -1,0 +1,117 @@
+"""A robot's fibre, read live: strains beside the board's telemetry, since their zeros.
+
+A line of the interrogator goes with the telemetry that arrived nearest to it, at most
+`interrogator.MAX_AGE_S` apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from thigmo.config import RobotConfig, Side
+from thigmo.errors import CommandRefusedError, InterrogatorError
+from thigmo.link.inbox import TelemetryFrame
+from thigmo.link.interrogator import MAX_AGE_S, Interrogator
+from thigmo.robot.curvature import Floats
+
+_BENT_PSI = 0.1
+_FEWEST = 3  # lines of a reading
+_DRIFT = 5.0  # standard errors between the two halves of a zeroing
+
+
+@dataclass(frozen=True, slots=True)
+class FibreReading:
+    """Averaged strains over a while, one value for each reading of robot.toml's fibre."""
+
+    t_s: float  #: host time at its middle
+    curvature: Floats  #: shape (n,), 1/cm since the zeros; NaN without a zero, dead or lost
+    lines: int  #: number averaged
+    zero_age_s: float  #: since the zeros were taken
+    length_cm: float  #: everted length by the encoder
+    side: Side | None  #: to which a muscle bends the body
+    free_curvature: float  #: by the board's map, signed, 1/cm
+
+
+class Fibre:
+    """The gratings of a robot, and the interrogator that reads them."""
+
+    def __init__(self, config: RobotConfig, interrogator: Interrogator) -> None:
+        self.interrogator = interrogator
+        self._config, self._gratings = config, config.gratings
+        self._needed = np.array([one.healthy and one.side is not None for one in self._gratings])
+        self._ends = np.array([one.center_cm + one.span_cm / 2 for one in self._gratings])
+        self._zero_s = -np.inf
+        self.void()
+
+    def void(self) -> None:
+        """Forget the zeros: a grating lies otherwise after the body has moved through its tip."""
+        self._zero_ue = np.full(len(self._gratings), np.nan)
+
+    def require(self) -> None:
+        """Raise InterrogatorError unless the strains of all healthy gratings are of now."""
+        self.interrogator.require(self._needed)
+
+    def zero(self, since_s: float, length_cm: float) -> None:
+        """Take the strains from a host time on as those of the straight body.
+
+        Raises CommandRefusedError if they drift, as a body that still moves does.
+        """
+        lines = self._lines(since_s)
+        halves = lines[: len(lines) // 2], lines[len(lines) // 2 :]
+        per_ue = np.array([abs(one.scale_per_ue) for one in self._gratings])
+        apart = per_ue * abs(np.nanmedian(halves[0], axis=0) - np.nanmedian(halves[1], axis=0))
+        noise = np.array([one.noise for one in self._gratings])
+        if np.any(self._needed & (apart > _DRIFT * noise * (4 / len(lines)) ** 0.5)):
+            raise CommandRefusedError(
+                "the fibre's strains still drift", "wait until the body rests", reason="drifting"
+            )
+        out = self._needed & (self._ends <= length_cm + 1e-6)
+        self._zero_ue = np.where(out, np.nanmean(lines, axis=0), np.nan)
+        self._zero_s = since_s
+
+    def _lines(self, since_s: float) -> Floats:
+        lines = [strain for _, strain in self.interrogator.since(since_s)]
+        if len(lines) < 2 * _FEWEST:
+            raise InterrogatorError(
+                f"{len(lines)} lines of strains in the while of a zeroing",
+                "let the interrogator send 10 a second or more",
+            )
+        return np.array(lines)
+
+    def reading(self, frames: Sequence[TelemetryFrame], since_s: float) -> FibreReading:
+        """Average the lines from a host time on, each with the telemetry nearest to it."""
+        came = np.array([frame.t_s for frame in frames])
+        pairs = []
+        for t_s, strain in self.interrogator.since(since_s):
+            nearest = int(np.argmin(abs(came - t_s))) if len(came) else -1
+            if nearest >= 0 and abs(came[nearest] - t_s) <= MAX_AGE_S:
+                pairs.append((t_s, strain, frames[nearest].message))
+        if len(pairs) < _FEWEST:
+            raise InterrogatorError(
+                f"{len(pairs)} lines of strains came beside the board's telemetry",
+                "let the interrogator send 10 a second or more, and read for longer",
+            )
+        strain = np.array([each for _, each, _ in pairs])
+        known = np.isfinite(strain).sum(axis=0) >= _FEWEST
+        mean = np.full(len(known), np.nan)
+        mean[known] = np.nanmean(strain[:, known], axis=0)
+        scale = np.array([one.scale_per_ue for one in self._gratings])
+        muscles = len(self._config.muscles)
+        psi = np.mean([row.pressure_cpsi[:muscles] for *_, row in pairs], axis=0) / 100
+        bent = float(psi.max()) >= _BENT_PSI
+        return FibreReading(
+            t_s=float(np.mean([t_s for t_s, *_ in pairs])),
+            curvature=np.asarray(scale * (mean - self._zero_ue)),
+            lines=len(pairs),
+            zero_age_s=pairs[-1][0] - self._zero_s,
+            length_cm=pairs[-1][2].length_um / 1e4,
+            side=self._config.muscle_sides[int(psi.argmax())] if bent else None,
+            free_curvature=float(np.mean([row.free_e5 for *_, row in pairs]) * 1e-5 * bent),
+        )
+
+    def close(self) -> None:
+        """Close the interrogator."""
+        self.interrogator.close()

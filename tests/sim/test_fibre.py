@@ -1,0 +1,162 @@
+"""A robot with a fibre that an interrogator reads live: contacts, and what stops it."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import Thigmo
+from emulated import armed, at_each_step
+from served import ServedRobot, comes
+
+from thigmo.design import draft
+from thigmo.emulator.board import virtual_board
+from thigmo.emulator.fibre import LineServer
+from thigmo.emulator.lockstep import Lockstep
+from thigmo.emulator.reach import room_for
+from thigmo.emulator.scene import FaultTable, Scene
+from thigmo.emulator.transport import EmulatorTransport
+from thigmo.errors import InterrogatorError
+from thigmo.link.interrogator import Interrogator, TcpSource
+from thigmo.robot import Robot
+
+_LOOSE_S = 0.5  # from the last line to outputs off: 0.2 s of age, a look at it, and a command
+
+
+def _room(length_cm: float = 53.0) -> Scene:
+    scene = room_for(draft(53, 10, 2, kind="fibre"), 0, peg=False)
+    scene.start_length_cm = length_cm
+    scene.robot.board.settle_s = 0.2
+    return scene
+
+
+@pytest.fixture
+def pressing() -> tuple[Robot, EmulatorTransport]:
+    """Zeroed, and bent to the left by 6 psi."""
+    robot, transport = armed(_room())
+    robot.select_zone(2)
+    robot.wait_settled()
+    robot.zero()
+    robot.press("left", 6.0)
+    robot.wait(3.0)
+    return robot, transport
+
+
+def test_a_new_robot_feels_a_peg_with_its_fibre(thigmo: Thigmo, tmp_path: Path) -> None:
+    made = thigmo("robot", "new", "--kind", "fibre", "--sensors", "20", "--seed", "6",
+                  "--out", str(tmp_path))  # fmt: skip
+    command = made.out.partition("thigmo feel ")[2].split()
+    assert command, made.out
+    answers = json.loads(thigmo("feel", *command, "--count", "2", "--json").out)
+    for answer in answers:
+        (truth,) = [contact["arc_cm"] for contact in answer["truth"]]
+        (contact,) = answer["contacts"]
+        assert contact["interval"][0] < truth < contact["interval"][1]
+        assert answer["status"] == "localized"
+        assert answer["lines"] >= 20
+    scene = Scene.load(tmp_path / "scene.toml")
+    scene.pegs = []
+    scene.save(tmp_path / "scene.toml")
+    empty = json.loads(thigmo("feel", *command, "--count", "2", "--json").out)
+    assert all(answer["status"] == "no contact" for answer in empty)
+    refused = thigmo("explore", "--scene", str(tmp_path / "scene.toml"))
+    assert refused.code == 1
+    assert "reach no board" in refused.err
+
+
+def test_a_pressed_body_is_read_as_it_bends(pressing: tuple[Robot, EmulatorTransport]) -> None:
+    robot, transport = pressing
+    got = robot.read_fibre(1.0)
+    in_plane = [one.side is not None for one in robot.config.gratings]
+    true = transport.lockstep.plant.free_curvature
+    assert got.side == "left"
+    assert got.free_curvature == pytest.approx(true, rel=0.1)
+    assert got.curvature[in_plane] == pytest.approx(np.full(10, true), abs=1e-3)
+    assert np.isnan(got.curvature[np.logical_not(in_plane)]).all()
+    assert 45 <= got.lines <= 51
+    assert got.zero_age_s == pytest.approx(5.0, abs=1.5)
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [("interrogator_silent", "newest line is"), ("grating_lost", "has lost strain_4")],
+)
+def test_what_is_under_way_stops_when_the_fibre_is_not_read(
+    pressing: tuple[Robot, EmulatorTransport], fault: str, said: str
+) -> None:
+    robot, transport = pressing
+    begins_s = robot.now() + 1.0
+    transport.lockstep.faults.inject(FaultTable.model_validate(
+        {"kind": fault, "at_s": begins_s, "duration_s": 20.0, "sensor": 4}
+    ))  # fmt: skip
+    off: list[float] = []
+
+    def look() -> None:
+        board = transport.lockstep.board
+        if not any(board.drive_enabled) and not board.motor and not off:
+            off.append(robot.now())
+
+    at_each_step(transport, look)
+    with pytest.raises(InterrogatorError, match=said):
+        robot.wait(5.0)
+    assert begins_s < off[0] < begins_s + _LOOSE_S
+    assert robot.status().state == "safe"
+    robot.wait(5.0)  # nothing is guarded any longer
+    robot.arm()
+    with pytest.raises(InterrogatorError, match=said):
+        robot.read_fibre()
+    robot.arm()
+    with pytest.raises(InterrogatorError, match=said):
+        robot.press("left", 6.0)
+    robot.arm()
+    assert robot.retract_to(50.0) == pytest.approx(50.0, abs=0.3)  # winding in needs no fibre
+    robot.wait(15.0)
+    robot.zero()
+    assert np.isfinite(robot.read_fibre().curvature).any()
+
+
+def _free_address() -> str:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return f"127.0.0.1:{server.getsockname()[1]}"
+
+
+def test_a_served_robot_serves_its_fibre_on_a_socket() -> None:
+    scene = _room()
+    scene.robot.interrogator = _free_address()
+    served = ServedRobot(Lockstep(scene, virtual_board(scene.robot, 1), seed=1))
+    try:
+        with Interrogator(TcpSource(scene.robot.interrogator), 20, time.monotonic) as heard:
+            assert comes(lambda: heard.heard)
+            strains = np.array([strain for _, strain in heard.since(-np.inf)])
+            assert np.nanstd(strains, axis=0) == pytest.approx(0.8, abs=0.5)
+    finally:
+        served.close()
+
+
+def test_over_a_socket_a_robot_is_read_and_stops_when_it_is_cut() -> None:
+    address = _free_address()
+    robot, transport = armed(_room())
+    server = LineServer(address, transport.lockstep.plant.fibre)
+    at_each_step(transport, server.exchange)
+    transport.interrogator = lambda: TcpSource(address)  # type: ignore[method-assign, assignment, return-value]
+    robot.select_zone(2)
+    robot.wait_settled()
+    robot.zero()
+    robot.press("left", 6.0)
+    robot.wait(3.0)
+    assert robot.read_fibre().lines > 20
+    server.close()
+    with pytest.raises(InterrogatorError, match=f"{address} is lost: it closed the connection"):
+        robot.wait(1.0)
+    assert robot.status().state == "safe"
+    with pytest.raises(InterrogatorError, match="is lost"):
+        robot.read_fibre()
+    robot.configure(transport.config)
+    robot.arm()
+    with pytest.raises(InterrogatorError, match=f"no interrogator answers at {address}"):
+        robot.zero()
+    robot.close()
