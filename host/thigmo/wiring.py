@@ -13,6 +13,7 @@ from typing import NamedTuple
 from thigmo.config import (
     SAME_IMU_CM,
     SIDES,
+    SIGN,
     BoardSensor,
     HeadingSensor,
     Muscle,
@@ -104,13 +105,35 @@ def unexplored(config: RobotConfig) -> Beyond | None:
     count = sum(sensor.side is None for sensor in config.sensors)
     if count:
         names.append(f"{count} sensors")
-    if not names:
-        return None
-    return Beyond(
-        f"{' and '.join(names)} out of the plane",
-        "press its muscles by name (`Robot.press`), and localize its readings with a column "
-        "`direction` (`thigmo localize`)",
-    )
+    if names:
+        return Beyond(
+            f"{' and '.join(names)} out of the plane",
+            "press its muscles by name (`Robot.press`), and localize its readings with a column "
+            "`direction` (`thigmo localize`)",
+        )
+    if len(blind(config)) == len(config.muscles):
+        return Beyond(
+            "no healthy sensor at the base answers to the muscles, so no sweep feels a contact",
+            "repair a base sensor, or correct its `healthy` and `valid_direction` in robot.toml",
+        )
+    return None
+
+
+def blind(config: RobotConfig) -> list[Muscle]:
+    """Muscles of the plane during whose bends the contact trigger has no sensor to work on."""
+    return [m for m in config.muscles if m.side and not trigger_sensors(config, m.side)]
+
+
+def trigger_sensors(config: RobotConfig, side: Side) -> list[BoardSensor]:
+    """The healthy base sensors that answer while the muscle of a side bends the body."""
+    return [
+        sensor
+        for sensor in config.sensors_for(side)
+        if isinstance(sensor, BoardSensor)
+        and sensor.healthy
+        and sensor.valid_direction in (0, SIGN[side])
+        and _first(config, sensor)
+    ]
 
 
 def places(config: RobotConfig) -> list[tuple[Side, int] | None]:

@@ -10,13 +10,14 @@ from command import Thigmo
 
 from thigmo import wiring
 from thigmo.config import RobotConfig
-from thigmo.design import draft
+from thigmo.design import draft, judge
 from thigmo.emulator.board import virtual_board
 from thigmo.emulator.reach import room_for
-from thigmo.emulator.scene import FaultTable
+from thigmo.emulator.scene import FaultTable, PegTable
 from thigmo.emulator.serve import brought_up
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import ConfigError, RobotFaultError
+from thigmo.exploration import explore
 from thigmo.link.client import Client
 from thigmo.robot import Robot, connect
 from thigmo.stream import Telemetry
@@ -115,6 +116,34 @@ def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
             assert sum(psi) == pytest.approx(9.0, abs=1.0)
         with pytest.raises(ConfigError, match=r"no muscle four; use one \(90\)"):
             driven.press("four", 9.0)
+
+
+def test_a_side_without_a_base_sensor_is_not_swept_and_the_run_says_so(tmp_path: Path) -> None:
+    """Swept all the same, a peg there was missed for a reason that was not so."""
+    robot = draft(40, 3, 2)
+    robot.column("left")[0].healthy = False
+    scene = room_for(robot, 0, peg=False)
+    scene.pegs = [PegTable(x=28.0, y=-6.0, radius=0.8)]
+    scene.save(tmp_path / "blind.toml")
+    found = explore(f"emulator://{tmp_path / 'blind.toml'}", seed=1, out=tmp_path).document
+    assert "no sweeps towards right: no healthy sensor at the base" in found.skips
+    assert {shape.side for stage in found.stages for shape in stage.shapes} == {"left"}
+    assert (found.contacts, found.missed) == ([], [])
+    robot.column("right")[0].healthy = False
+    beyond = wiring.unexplored(robot)
+    assert beyond is not None
+    assert "so no sweep feels a contact" in beyond.what
+
+
+def test_either_base_sensor_of_two_kinds_is_enough_for_a_sweep() -> None:
+    """A flex sensor and a string of IMUs on opposite sides: both read bends to the right."""
+    robot = draft(120, 8, 2, kind="heading")
+    robot.sensors += draft(120, 5, 2).column("left")
+    assert len(wiring.trigger_sensors(robot, "right")) == 2
+    robot.column("left")[0].healthy = False
+    assert wiring.blind(robot) == []
+    swept = [each for each in judge(robot) if each.what == "sweep of right"]
+    assert [each.mark for each in swept] == ["ok", "ok"]
 
 
 def test_an_imu_that_hangs_is_a_fault_that_leaves_the_robot_safe(tmp_path: Path) -> None:

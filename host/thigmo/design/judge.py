@@ -26,7 +26,14 @@ from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
-from thigmo.wiring import beyond_board, board_of, columns, unexplored, witnesses
+from thigmo.wiring import (
+    beyond_board,
+    board_of,
+    columns,
+    trigger_sensors,
+    unexplored,
+    witnesses,
+)
 
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
@@ -171,8 +178,9 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
     sign = SIGN[side]
     sensors = config.sensors_for(side)
     column = [s for s in sensors if s.healthy and s.valid_direction in (0, sign)]
-    wired = [sensor for sensor in sensors if isinstance(sensor, BoardSensor)]
-    if not column or (wired and wired[0] not in column):
+    wired = any(isinstance(sensor, BoardSensor) for sensor in sensors)
+    bases = trigger_sensors(config, side)
+    if not column or (wired and not bases):
         yield Finding(
             what,
             "bad",
@@ -183,7 +191,7 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
     free = muscle.maps[-1].inflate.curvature(muscle.max_pressure_psi)
     moment = min(_PROPPED * free, _fold_moments(config)[-1])
     arcs = np.linspace(0.0, body.length_cm, _STEPS + 1)[1:]
-    base = wired[0] if wired else column[0]
+    base = bases[0] if wired else column[0]
     held_back = moment * phi(arcs, base.center_cm, base.span_cm) / arcs
     felt = arcs[held_back > TRIGGER_PER_CM]
     if not wired:

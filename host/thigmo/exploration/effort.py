@@ -16,6 +16,7 @@ from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import DataError
 from thigmo.exploration.plan import SAME_CM, stage_lengths
 from thigmo.robot import rising_period_s
+from thigmo.wiring import blind
 
 # What a step takes beside its motion, s: by the clock of emulated runs.
 _BEGINS_S = 5.0  # the operator measures the length
@@ -66,6 +67,11 @@ class Effort:
             said.append("no second, slower sweep of a contact: its place is known less well")
         elif self.rest_noise == inf:
             said.append("no rest for sensors that have just everted: places are known less well")
+        said += [
+            f"no sweeps towards {muscle.name}: no healthy sensor at the base answers to them, so "
+            "what stands there is not felt"
+            for muscle in blind(config)
+        ]
         return "; ".join(said)
 
     def expected_s(

@@ -38,7 +38,7 @@ from thigmo.robot import (
 )
 from thigmo.robot.state import together
 from thigmo.stream import Contacts, Grid, Log, Posterior, RunState
-from thigmo.wiring import base_inputs
+from thigmo.wiring import base_inputs, blind
 
 _MOST_ZERO_TRIES = 5
 
@@ -309,7 +309,11 @@ class Exploration:
         period_s = sweep_period_s if thesis else rising_period_s
         self._known, self._measured = set(), 0
         looked = self.robot.sweep(
-            {muscle.name: muscle.max_pressure_psi for muscle in self.config.muscles},
+            {
+                muscle.name: muscle.max_pressure_psi
+                for muscle in self.config.muscles
+                if muscle not in blind(self.config)
+            },
             period_s=period_s(self.config, self._zone),
             rising_only=not thesis,
             enough=None if thesis else self._enough,
