@@ -9,7 +9,7 @@ free response corrects it. What other sweeps and a given map say of the place is
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,8 @@ from thigmo.display import POINT_ESTIMATE
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
-from thigmo.exploration.sighting import Sighting, arc_grid, contact_mass
+from thigmo.exploration.room import touch_point
+from thigmo.exploration.sighting import Sighting, arc_grid, bend_grid, contact_mass, median
 from thigmo.exploration.workspace import Bend, centreline, common_error, excess_knots, skin_point
 from thigmo.localization import LocalizeResult, localize
 from thigmo.localization.priors import WIDTH_SHARE
@@ -100,6 +101,10 @@ def localize_peak(
         fold,
         common_error(last, centers, free.sensor_errors + added),
     )
+    seen = fold_share(centers, spans, body.diameter_cm).any()
+    if len(found) == 1 and "folded" in result.hypothesis and np.ptp(touch) > 0 and not seen:
+        began = median(bend_grid(body.length_cm), touch)
+        bend = replace(bend, fold_rad=_unseen_fold(bend, last, touch_point(last, began, peak.side)))
     curve, arcs = centreline(bend), arc_grid(body.length_cm)
     expected = None
     if prior:
@@ -116,3 +121,13 @@ def localize_peak(
         for contact, marginal in found
     ]  # fmt: skip
     return PeakAnswer(result, sightings, Shape(peak.side, peak.pressure_psi, curve.poses(1.0)))
+
+
+def _unseen_fold(bend: Bend, arc_cm: float, touched: tuple[float, float]) -> float:
+    """Angle (rad) of a fold at the base that no sensor lies on.
+
+    What the free body touched stands still, so the fold turns the measured shape back to it.
+    """
+    x, y, _ = centreline(bend).pose(arc_cm)
+    angle = float(np.arctan2(touched[1], touched[0]) - np.arctan2(y, x))
+    return angle if angle * bend.free_curvature < 0 else 0.0

@@ -85,8 +85,13 @@ class _Way:
     nothing: Group  # sightings behind which there is no obstacle
 
 
-def touch_point(arc_cm: float, bend: float, side: Side, radius_cm: float) -> tuple[float, float]:
-    """Point of the skin on the inner side of a free body: what its first touch touches."""
+def touch_point(
+    arc_cm: float, bend: float, side: Side, radius_cm: float = 0.0
+) -> tuple[float, float]:
+    """Point of the skin on the inner side of a free body: what its first touch touches.
+
+    Without a radius it is that of the centreline.
+    """
     turn = arc_cm * bend
     x = np.sin(turn) / bend - radius_cm * np.sin(turn)
     y = (1 - np.cos(turn)) / bend + radius_cm * np.cos(turn)
@@ -174,7 +179,7 @@ class Room:
         sure = vouched and narrow((low, high), self._full_cm) and real - lost >= LEVEL
         kinds = {each: share.get((group, each), 0.0) for each in ("peg", "wall")}
         touch = np.prod([self._touch[i] for i in group], axis=0)
-        same = float(touch @ self._bends / touch.sum()) if kind == "peg" else None
+        same = median(self._bends, touch) if kind == "peg" else None
         points = [self._point(i, median(self._arcs, mixed[i]), same) for i in group]
         return Found(
             kind, group, kinds, real, mass, median(self._arcs, mass), (low, high),
