@@ -30,7 +30,7 @@ from thigmo.record import MapContact, Obstacle, Stall, TrueContact
 # No place is known better than this: the peg's own size and the slide along it.
 _FLOOR_CM = 1.0
 _REACH = 3000.0 / 53**2  # of the length squared: where an obstacle may be, what a body sweeps
-_ANOTHER = 0.1  # prior odds of one more obstacle, as in the room
+_ANOTHER = 0.3  # prior odds of one more obstacle, as in the room
 _ASIDE = 5.0 / 53  # of the length: a body that leans so near a stall leans on what stopped it
 _SAME_LENGTH_CM = 0.5  # of two measurements at one stage
 

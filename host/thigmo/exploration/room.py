@@ -56,8 +56,10 @@ _WRONG_FRAME = 0.03  # probability that the readings were explained wrongly alto
 _WRONG_END = 0.2
 # One sigma of the distance of touched points from a line: of one wall's, of several things'.
 _STRAIGHT, _OFF = 1.2 / 53, 15.0 / 53
-_LOG_ANOTHER = np.log(0.1)  # prior odds of one more obstacle
-_LOG_WALL = np.log(0.05)  # of a wall against a peg
+# Prior odds of one more obstacle, and of a wall against a peg. With 0.1 and 0.05, 287 pairs of
+# touches in 200 emulated rooms of walls were one peg with over 90 %, of which 46 were of different
+# places; now 192 and 8.
+_LOG_ANOTHER, _LOG_WALL = np.log(0.3), np.log(0.2)
 _MOST_WAYS = 400  # kept after each sighting; up to six sightings have no more
 
 
