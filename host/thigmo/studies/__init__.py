@@ -18,7 +18,6 @@ STUDIES: dict[str, str] = {
     "number": "how many contacts, and where, against what can be known",
     "space": "contacts in space, against an independent rod",
     "scaling": "time of `localize` and of batches, over sensors and rows",
-    "cold": "the first commands of a new installation, nothing cached",
     "camera": "errors of the overhead camera over painted rooms",
     "exploration": "pegs found, empty rooms silent, maps true; calibrated or not",
     "robots": "other robots by description: 30 to 200 cm, one muscle",
