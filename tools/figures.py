@@ -390,7 +390,6 @@ SOURCES: dict[str, Source] = {
             },
             "scaling": {},
             "space": {},
-            "cold": {},
             "accuracy": {"accuracy-stated.png": "stated.png", "accuracy-odds.png": "odds.png"},
             "loads": {},
             "number": {"number-number.png": "number.png", "number-trade.png": "trade.png"},

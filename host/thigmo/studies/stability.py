@@ -49,7 +49,7 @@ Draw = Callable[[np.random.Generator, float, float], tuple[Case, float]]
 
 DEFAULT = METHODS[0]
 # Methods quick enough to map; the rest stand in the speed-accuracy chart.
-MAPPED = (*METHODS, "l2", "alternating", "coordinate", "grid", "slsqp", "pwlf")
+MAPPED = (*METHODS, "l2", "coordinate", "grid", "slsqp", "pwlf")
 # Methods that start somewhere, beside two that do not.
 STARTLESS = (DEFAULT, "l1")
 STARTED = (*STARTLESS, "alternating", "clamped", "coupled", "slsqp", "nelder-mead")
@@ -100,7 +100,7 @@ def _start_place(rng: np.random.Generator, _start: float, arc: float) -> tuple[C
 
 
 def _against_wall(rng: np.random.Generator, share: float, _: float) -> tuple[Case, float]:
-    """A body bent into a smooth wall, by so many times the free curvature at which it touched.
+    """A body bent into a smooth wall, by a multiple of the free curvature at which it touched.
 
     The wall is a row of thin dowels at any angle; its place is that of the contact that bears most.
     """
