@@ -259,14 +259,14 @@ def brake() -> schemdraw.Drawing:
     _wire(d, (11.8, y), (17.6, y))
     _text(d, (17.8, y + 0.2), "+12 V MOTOR, to A2 POWER +")
     _text(d, (17.8, y - 0.4), "and BR1 (J16.1)")
-    _part(d, elm.Resistor, (13.0, y), (13.0, y - 2.2), "R44 150R 2 W", "bottom")
-    _ground(d, (13.0, y - 2.2))
+    _part(d, elm.Resistor, (12.6, y), (12.6, y - 2.2), "R44 150R 2 W", "bottom")
+    _ground(d, (12.6, y - 2.2))
     _part(d, elm.Resistor, (16.2, y), (16.2, y - 2.0), "R45 10k", "bottom")
     _part(d, elm.Resistor, (16.2, y - 2.0), (16.2, y - 4.0), "R46 4.7k", "bottom")
     _ground(d, (16.2, y - 4.0))
     _wire(d, (16.2, y - 2.0), (18.4, y - 2.0))
     d.add(elm.Tag(width=2.4).right().at((18.4, y - 2.0)).label("Mega 27"))
-    _dot(d, (4.0, y), (13.0, y), (16.2, y), (16.2, y - 2.0))
+    _dot(d, (4.0, y), (12.6, y), (16.2, y), (16.2, y - 2.0))
 
     top, low = y - 1.6, y - 4.6
     _wire(d, (4.0, y), (4.0, top), (4.6, top))
@@ -287,19 +287,19 @@ def brake() -> schemdraw.Drawing:
          "BR1", "J16.2", "+12 V MOTOR"),
     ):  # fmt: skip
         pull, pump, up, over, hold, leak, gate, fet_name, diode, zener = names
-        d.add(elm.Tag(width=1.8).left().at((x + 1.8, y)).label(pin))
+        d.add(elm.Tag(width=2.2).left().at((x + 1.8, y)).label(pin))
         _wire(d, (x + 1.8, y), (x + 2.2, y))
         _part(d, elm.Resistor, (x + 2.2, y), (x + 2.2, y - 2.2), f"{pull} 10k", "bottom")
         _part(d, elm.Capacitor, (x + 2.2, y), (x + 4.4, y), f"{pump} 220 nF")
         _part(d, elm.Schottky, (x + 4.4, y - 2.2), (x + 4.4, y), up, "bottom")
-        _part(d, elm.Schottky, (x + 4.4, y), (x + 6.4, y), over)
-        _part(d, elm.Capacitor, (x + 6.4, y), (x + 6.4, y - 2.2), f"{hold} 470 nF", "bottom")
+        _part(d, elm.Schottky, (x + 4.4, y), (x + 6.2, y), over)
+        _part(d, elm.Capacitor, (x + 6.2, y), (x + 6.2, y - 2.2), f"{hold} 470 nF", "bottom")
         _part(d, elm.Resistor, (x + 8.8, y), (x + 8.8, y - 2.2), f"{leak} 47k", "bottom")
-        _wire(d, (x + 6.4, y), (x + 8.8, y))
+        _wire(d, (x + 6.2, y), (x + 8.8, y))
         _part(d, elm.Resistor, (x + 8.8, y), (x + 10.6, y), f"{gate} 1k")
-        for at in (2.2, 4.4, 6.4, 8.8):
+        for at in (2.2, 4.4, 6.2, 8.8):
             _ground(d, (x + at, y - 2.2))
-        _dot(d, (x + 2.2, y), (x + 4.4, y), (x + 6.4, y), (x + 8.8, y))
+        _dot(d, (x + 2.2, y), (x + 4.4, y), (x + 6.2, y), (x + 8.8, y))
         drain = (x + 12.0, y + 0.75)
         fet = d.add(elm.NFet().theta(0).reverse().at(drain))
         _wire(d, (x + 10.6, y), (fet.gate.x, fet.gate.y))

@@ -40,7 +40,7 @@ from thigmo.studies.engine import Claim, Context, Outcome, Record, share
 from thigmo.studies.rooms import explored
 from thigmo.studies.scenes import RADIUS
 
-ROUNDS = 10  # parts of all rooms, after each of which all that is known is written
+ROUNDS = 10  # parts of all rooms; the results so far are written after each
 LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
 _RADII_CM = (0.25, 2.5)
 _MOST_PEGS = 3
@@ -55,7 +55,7 @@ class Kind:
     rooms: int  # of the published figures
     scene: str = "default"  # built-in scene of the robot
     bend: float = 1.0  # how much the body bends, over what the host's maps say
-    # relative standard deviation of the sensors' gains, of which robot.toml knows nothing
+    # relative standard deviation of the sensors' gains, which robot.toml does not state
     gains: float = 0.0
     noise: float = 1.0  # multiple of the scene's noise and calibration errors
     peg: bool = True  # whether a peg stands in the room
@@ -213,7 +213,7 @@ def judge_map(document: RunDocument) -> Mapped:
 
 
 def random_pegs(seed: int) -> list[PegTable]:
-    """One to three pegs, each of which alone would be felt."""
+    """One to three pegs; each alone would be felt."""
     robot, rng = Scene.load("default").robot, np.random.default_rng([seed, 0x3A9])
     pegs: list[PegTable] = []
     for _ in range(rng.integers(1, _MOST_PEGS + 1)):
@@ -530,7 +530,7 @@ def dial_figure(rows: Sequence[Record]) -> Figure:
             thesis = row["setting"] == "thesis"
             upper.scatter(row["time_s"], row["error_cm"], 40, marker="s" if thesis else "D",
                           color="0.4" if thesis else GREEN)  # fmt: skip
-        named.append((upper, mine))
+        named.append((upper, mine, budgets))
         upper.set_title(kind, fontsize=9)
         upper.set(xlim=(0, None), ylim=(0, 1.15 * most_cm))
         lower.set(xlabel="robot time (s)", xlim=(0, None), ylim=(-2, 115 * most + 2))
@@ -539,9 +539,15 @@ def dial_figure(rows: Sequence[Record]) -> Figure:
     axes[0].legend(fontsize=7)
     axes[len(DIALLED)].legend(fontsize=7)
     figure.draw_without_rendering()
-    for axis, mine in named:
-        points = [(float(row["time_s"]), float(row["error_cm"])) for row in mine]
-        charts.named(axis, points, [str(row["setting"]) for row in mine], [])
+    for axis, mine, budgets in named:
+        points, line = (
+            [(float(row["time_s"]), float(row["error_cm"])) for row in rows]
+            for rows in (mine, budgets)
+        )
+        x, y = np.array(line).T
+        fine = np.linspace(x[0], x[-1], 200)  # steps so fine that they are the line
+        steps = list(zip(fine, np.interp(fine, x, y), strict=True))
+        charts.named(axis, points, [str(row["setting"]) for row in mine], steps)
     return figure
 
 
