@@ -757,6 +757,14 @@ def _cell(text: str) -> str:
     return text.replace("|", "\\|")
 
 
+def _amounts(schema: Schema, of: str) -> str:
+    """Capacities in words."""
+    return ", ".join(
+        f"{getattr(one, of)} {'IMUs' if name == 'imus' else name.replace('_', ' ')}"
+        for name, one in schema.capacity.items()
+    )
+
+
 def markdown(schema: Schema) -> str:
     """The protocol's document."""
     out = [
@@ -775,62 +783,67 @@ def markdown(schema: Schema) -> str:
         f"Integers are little-endian. A frame takes at most {schema.max_wire} bytes on the wire, "
         f"delimiter included, an event at most {EVENT_WIRE_BYTES}. The check sequence is "
         f"`{schema.crc}` (polynomial 0x1021, start 0xFFFF, unreflected) over id, seq, session and "
-        "payload. A receiver drops, and counts, what is not a whole good frame, and finds the "
-        "next one at the next 0x00.",
+        "payload. A receiver drops and counts bytes that form no valid frame. The next frame "
+        "begins after the next 0x00.",
         "",
-        "An array of muscles or sensors is as long as the board's capacity, which `capacity` tells "
-        "after the hello: "
-        + ", ".join(
-            f"{of.usual} {name.replace('_', ' ')} on boards built for the thesis's robot, "
-            f"{of.most} at most"
-            for name, of in schema.capacity.items()
-        )
-        + ". The first array of a message that counts muscles (or sensors) comes after their "
-        "number; a command with another number than the board's is refused (`bad_value`).",
+        "An array has as many elements as the board has capacity for; the host asks for the "
+        "`capacity` after the hello. Boards built for the thesis's robot hold "
+        + _amounts(schema, "usual")
+        + "; no board holds more than "
+        + _amounts(schema, "most")
+        + ". In a message the number of muscles (or sensors) precedes their first array. A command "
+        "with another number than the board's is refused (`bad_value`).",
         "",
         "## Rules",
         "",
-        "- **Hello** opens a session: header session 0, any seq. The board issues a session number "
-        "and sets the last seq to the hello's. A hello repeated with the nonce of the running "
-        "session gets the same reply and changes nothing. A host's nonces count up, and the board "
-        "drops one of the 8 before the running session's, and those of its last 8 sessions, so "
-        "that a replayed hello ends no conversation. Any other nonce is another host's: motion "
-        "ends, the robot is disarmed, events say so (`other_host`), and the former session is "
-        "over. A host whose session was spoilt "
-        "goes on by a hello that carries that session in its header, and its nonce as proof: it "
-        "gets another session, and what moves moves on. Without that session the board refuses "
-        "it (`bad_session`): it restarted, which its boot nonce shows, or another host came. "
-        "A hello with another schema hash is refused, with the board's hash, and "
-        "changes nothing. The hash covers the wire's layout and what its numbers mean; texts, "
-        "defaults, ranges and deadlines may differ. The layouts of hello, hello_reply, announce "
-        "and ack never change, so that boards and hosts of different schemas can tell each other "
-        "so.",
-        "- **Stop** stands outside all of this: any session, any seq, any schema, in every state, "
-        "also before the first hello. The board obeys it before it looks at anything else and "
-        "answers each copy with `stopped`; the sender repeats it, with a zero byte before it to "
-        "end whatever was cut off, until the nonce comes back. The layouts of both never change. "
-        "A stop latches, through resets too, until an operator has `clear_stop` sent, which names "
-        "the stop by its nonce and is sequenced: a stale copy of a stop may stop the robot, a "
-        "stale copy of a clear does nothing.",
-        "- **Commands** carry the session, and a seq one above the last. One is outstanding at a "
-        "time. The same seq again gets the stored reply, or `in_progress` while the work lasts. "
-        "Any other seq is stale: dropped and counted. Another session: dropped, counted, and "
-        "answered by an ack `bad_session`.",
-        "- **Replies** carry the seq and session of the frame that they answer. Every refusal is "
-        "an `ack`, except hello's.",
-        "- The host repeats a command after a time-out measured from past round trips, until the "
-        "command's deadline. A command that found no answer ends its session: the host says hello "
-        "again, which makes late copies of the command stale.",
-        "- **Telemetry** counts its frames in seq, from each hello on, and is never repeated. "
-        "It starts with the first hello.",
-        "- **Events** are sent at once, before waiting telemetry, and repeated until acknowledged. "
-        "`ack_event` covers all numbers up to its own, so a host acknowledges only up to a number "
-        "below which it misses none. Their header's seq is 0, their session the current one.",
-        "- **Heartbeats** keep energised outputs alive: current session, counter above the last "
-        "one of the session. Others are dropped and counted.",
-        "- After a reset the board announces itself twice a second until the first hello. A host "
-        "that opens a port stays silent for at least 1 s (boot loader) unless it hears an "
-        "announce.",
+        "- **Hello** opens a session. Its header carries session 0 and any seq. The board "
+        "replies with a session number and takes the hello's seq as the last one.",
+        "  - A repeated hello, with the nonce of the running session, gets the same reply and "
+        "changes nothing.",
+        "  - Any other nonce belongs to another host: motion ends, the robot is disarmed, an "
+        "event reports it (`other_host`), and the former session is over.",
+        "  - A host's nonces count up. The board ignores a hello whose nonce is less "
+        "than 8 below the running session's, or is that of one of its last 8 sessions. A replayed "
+        "hello therefore cannot end a session.",
+        "  - A host that lost its session resumes it with a hello that carries the old session "
+        "number in its header and the old nonce. It gets a new session, and the activity "
+        "continues. The board refuses this (`bad_session`) if it has restarted, which its boot "
+        "nonce shows, or if another host has connected.",
+        "  - A hello with another schema hash is refused and changes nothing; the reply holds "
+        "the board's hash. The hash covers the layout of the messages and what their numbers "
+        "mean; texts, defaults, ranges and deadlines may differ. The layouts of hello, "
+        "hello_reply, announce and ack never change, so that a board and a host of different "
+        "schemas can report the mismatch to each other.",
+        "- **Stop** needs no session: the board obeys it with any session, seq and schema, in "
+        "every state, also before the first hello. The board obeys it before it processes "
+        "anything else, and answers each copy with `stopped`. The sender repeats it until "
+        "`stopped` returns its nonce. It sends a zero byte before each copy, which ends a frame"
+        " that was cut off. The layouts of both messages never change. A stop stays latched "
+        "through resets until an operator clears it with `clear_stop`. This command is numbered"
+        " like all others and names the stop by its nonce. A late copy of a stop may therefore "
+        "stop the robot, but a late copy of `clear_stop` does nothing.",
+        "- **Commands** carry the session, and the seq after the last one. Only one may wait "
+        "for its reply at a time. A command repeated with the same seq gets the stored reply, "
+        "or `in_progress` while the board still works on it. A command with any other seq is "
+        "stale: the board drops and counts it. A command of another session is dropped, "
+        "counted, and answered by an ack `bad_session`.",
+        "- **Replies** carry the seq and session of the frame that they answer. Every refusal "
+        "is an `ack`, except that of a hello.",
+        "- **Repeats.** The host repeats a command until its deadline, after a time-out that it"
+        " measures from past round trips. A command that gets no answer ends its session: the "
+        "host says hello again, which makes late copies of the command stale.",
+        "- **Telemetry** starts with the first hello and is never repeated. Its seq counts "
+        "frames, from 1 after each hello.",
+        "- **Events** are sent at once, before waiting telemetry, and repeated until the host "
+        "acknowledges them. `ack_event` acknowledges all numbers up to its own. A host "
+        "therefore acknowledges a number only if it has received all events before it. The "
+        "header of an event has seq 0 and the current session.",
+        "- **Heartbeats** keep energised outputs on. A heartbeat counts if it is of the current"
+        " session and its counter is above the last one of that session. Others are dropped and"
+        " counted.",
+        "- **After a reset** the board announces itself twice a second until the first hello. A"
+        " host that opens a port sends nothing for at least 1 s (the boot loader would take "
+        "it), unless it receives an announce.",
         "",
         "## Messages",
         "",

@@ -96,7 +96,7 @@ class SoakRig(Rig):
         self.worst = dict.fromkeys(WORST, 0)
 
     def step(self, ticks: int) -> None:
-        """Run for so many milliseconds."""
+        """Run for a number of milliseconds."""
         SimulatedMega.step(self, ticks)
 
     def _run(self, cycle: int) -> bool:

@@ -18,7 +18,7 @@ class Analog {
  public:
   static constexpr int kChannels = kSensors + kMuscles > 16 ? kSensors + kMuscles : 16;
 
-  // A converter of so many bits, whose frame is complete so long after its tick began.
+  // A converter's bits, and how long after its tick began a frame is complete.
   Analog(uint64_t seed, uint8_t bits, uint16_t frame_us)
       : seed_(seed), bits_(bits), conversion_us_(frame_us / kAdcSlots) {}
 

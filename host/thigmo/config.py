@@ -454,7 +454,7 @@ class RobotConfig(Model):
 
     @property
     def muscle_sides(self) -> tuple[Side, ...]:
-        """The side towards which each muscle bends the body, in their order, which is the board's.
+        """The side towards which each muscle bends the body, in the order of the board.
 
         Raises ConfigError for a muscle that bends it out of the plane.
         """
@@ -494,7 +494,7 @@ class RobotConfig(Model):
 
     @property
     def board_sensors(self) -> list[BoardSensor]:
-        """The sensors that hang on the board."""
+        """The sensors that are wired to the board."""
         return [sensor for sensor in self.sensors if isinstance(sensor, BoardSensor)]
 
     @property

@@ -26,7 +26,7 @@ class ThigmoError(Exception):
     @classmethod
     @contextmanager
     def from_os(cls, what: str, next_step: str) -> Iterator[None]:
-        """Raise this error, with its reason, where the operating system refuses something."""
+        """Raise this error, with the system's reason, if the operating system refuses something."""
         try:
             yield
         except OSError as error:

@@ -73,7 +73,7 @@ def calibrate(
 
     `thigmo calibrate all --robot /dev/ttyACM0 --config robot.toml`
 
-    or step by step, each of which needs those before it:
+    or step by step; each step needs those before it:
 
     pressure: zeros of the pressure sensors, vented.
 

@@ -94,7 +94,7 @@ class ImuBus:
     Attributes:
         chips: IMUs by the multiplexer's channel and their address.
         inputs: Of the board; nothing is wired to their converter.
-        held_clocks: So many clocks until a part that holds SDA low lets it go.
+        held_clocks: Clocks until a part that holds SDA low releases it.
         mux_answers: Whether the multiplexer acknowledges.
         mux_stuck: Whether it keeps its channel whatever is written.
         bits: That the bus has carried.

@@ -291,7 +291,7 @@ class MicroPythonBoard:
         self._encoder = (self._encoder[1], self._encoder[1])
 
     def _exchange(self, begun: int, count: int, ticks: int) -> None:
-        """So many milliseconds of the program, from the `begun`-th of a step of `ticks`."""
+        """Run the program for `milliseconds`, from the `begun`-th of a step of `ticks`."""
         counts = self._analog.frames(self._ticks, count, begun, 1.0 / ticks)
         at, to = self._encoder
         shares = (begun + np.arange(count)[:, None] + self._passes) * (1.0 / ticks)

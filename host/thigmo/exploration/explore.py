@@ -55,12 +55,12 @@ def explore(
 ) -> ExplorationResult:
     """Explore with a robot: grow, sweep, feel, localize and map, to the full length.
 
-    Gives the contacts in the room, and where the record is.
+    Returns the contacts in the room and the run folder.
 
     Args:
         url: where the robot is (`thigmo.connect`); None: where that of the run to be resumed is,
             else `emulator://default`.
-        config: robot.toml; an emulated robot's may be omitted: it is what its lab would know.
+        config: robot.toml. It may be omitted for an emulated robot, whose scene supplies it.
         seed: of the emulator's noise.
         out: folder in which the run folder is made.
         name: of the run.
@@ -69,7 +69,7 @@ def explore(
             for young sensors, and sweeps a side with a contact again, to the pressure at which the
             contact is felt best; "thesis" waits, and takes the readings at the full sweep's peak.
             A run that is resumed keeps its own.
-        effort: "quick", "default" or "careful": how much robot time goes into how good a map
+        effort: "quick", "default" or "careful": how much robot time the map may cost
             (`figures.md` charts it). The thesis's protocol has no such choice.
         time_s: instead of an effort, a budget of robot time in seconds, within which the run does
             as much as it can; time spent waiting for a person counts.
@@ -77,15 +77,15 @@ def explore(
             is a contact of its own: nothing shows whether two are the same.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. Readings can overrule it.
-        resume: folder of a run that was cut short, to go on from what it had learnt, swept and
-            felt, with its constants, map, protocol and method. An emulated robot starts again at
-            its first length.
-        operator: answers what the board cannot know; the emulator brings its own.
+        resume: folder of a run that was cut short. The new run continues with what it had learnt,
+            swept and found, and with its constants, map, protocol and method. An emulated robot
+            starts again at its first length.
+        operator: answers what the board cannot know; the emulator has its own.
         progress: called with what the robot is doing.
 
     Raises:
         ThigmoError: with the next step for the operator. The robot is vented and braked, and the
-            run folder says how far it came.
+            run folder says how far the run came.
     """
     reached = 0.0
 

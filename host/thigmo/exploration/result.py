@@ -91,7 +91,7 @@ class ExplorationResult:
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the map: the robot's bends, the swept space, the contacts, the truth if known.
 
-        On the axes given, or on a new figure of matplotlib's pyplot. Raises ConfigError or
+        On the given axes, or on a new figure of matplotlib's pyplot. Raises ConfigError or
         RunFolderError if the folder's robot.toml or prior.json cannot be read.
         """
         radius, prior = self.config.body.radius_cm, kept_prior(RunFolder(self.folder))
@@ -120,7 +120,7 @@ class ExplorationResult:
 
 
 def open_run(path: str | os.PathLike[str]) -> ExplorationResult:
-    """Open a run folder: what `explore` returned when it was made.
+    """Open a run folder, as the result that `explore` returned.
 
     Raises RunFolderError: it holds no contacts.json, or a malformed one.
     """

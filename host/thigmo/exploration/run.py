@@ -48,7 +48,7 @@ _PAUSE_S = 0.1
 # "measure" sweeps a side with a contact again, to the pressure at which it is felt best; "thesis"
 # takes the readings at the full sweep's peak.
 Protocol = Literal["measure", "thesis"]
-# Told what the robot does, in words, and the share of the run that is done.
+# Called with what the robot does, in words, and the share of the run that is done.
 Progress = Callable[[str, float], None]
 
 

@@ -56,8 +56,12 @@ def nobody(
 ) -> LinkError:
     """No hello was answered.
 
-    There came an announce or not, so many whole frames with a good check sequence, which only a
-    thigmo board sends, some of them `strange` to this host, and bytes that were no frames.
+    Args:
+        transport: what was listened to.
+        announced: whether an announce came.
+        frames: whole frames with a good check sequence, which only a thigmo board sends.
+        strange: frames of a layout that this host cannot read.
+        garbage: bytes that were no frames.
     """
     if strange:
         return SchemaMismatchError(

@@ -1,7 +1,7 @@
 """How a board's stored configuration fits the firmware that runs: what was kept, new, left out.
 
 A board stores each parameter under an id that never changes its meaning, so its configuration
-survives an update of the firmware. Told after `thigmo flash`, and by `thigmo params`.
+survives an update of the firmware. `thigmo flash` and `thigmo params` print it.
 """
 
 from __future__ import annotations

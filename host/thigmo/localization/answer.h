@@ -31,7 +31,7 @@ struct Answer {
   Problem problem = Problem::none;
   double shows = 0.0;  // a number that shows the problem
   std::vector<FeltContact> contacts;
-  std::array<double, 4> number{};  // probability that so many contacts are felt
+  std::array<double, 4> number{};  // probability of each number of felt contacts
   double touched = 0.0;            // of any contact
   std::vector<Hypothesis> hypotheses;
   Row probability;  // of each

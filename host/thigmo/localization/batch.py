@@ -74,7 +74,7 @@ class BatchResult:
 
     @classmethod
     def of(cls, of_row: Array, of_contact: Array, length: float) -> BatchResult:
-        """From the compiled code's arrays of rows and of their contacts.
+        """From the arrays of rows and contacts that the compiled code returns.
 
         Raises:
             DataError: a row that cannot be used, by its number.

@@ -48,7 +48,7 @@ _PART_OF = {each.name: name for name, part in _PARTS.items() for each in fields(
 class Localizer:
     """Finds the contacts that a body feels; immutable, checked when it is made.
 
-    An error that is stated widens the answers by its share; one that is omitted makes them wrong.
+    A stated error widens the intervals by its share; an omitted one makes them too narrow.
 
     Args:
         body: the body.
@@ -95,7 +95,7 @@ class Localizer:
         """The localizer of options by name: the fields of its four parts.
 
         Raises:
-            TypeError: an option that is none, or `position` or `length` is missing.
+            TypeError: an unknown option, or `position` or `length` is missing.
             DataError: as the constructor.
         """
         given: dict[str, dict[str, Any]] = {name: {} for name in _PARTS}

@@ -33,7 +33,7 @@ class Body:
         tube_radius: radius of the body; 1.75/53 of the length if not given.
         critical_curvature: contact moment over EI at which the base folds, at this body pressure
             (it is proportional to it: `thigmo.mechanics.critical_moment`); infinity for a base
-            that does not fold. If not given, a fold at any moment is weighed. In space none is.
+            that does not fold. If not given, a fold at any moment is considered. In space none is.
         critical_curvature_error: its relative standard error.
         stiffness: bending stiffness EI, in newtons times the unit of length squared, and its
             relative standard error; contacts of a frame then have `newtons`.
@@ -81,7 +81,7 @@ class Sensors:
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Standard errors of the readings. One that is omitted makes answers wrong, not wide.
+    """Standard errors of the readings. If you omit one that they have, answers are overconfident.
 
     Attributes:
         noise: white noise of a reading, scalar or (N,), 1/length; None if it is not known.
@@ -115,8 +115,8 @@ class Priors:
             the prior odds of that against a contact on the side. If not given, it is weighed.
         end_face_odds: prior odds of a contact on the face of the end, against one on the side: 0 if
             it cannot be touched there, the usual ones if not given.
-        within: arcs between which a single contact is known to lie, by whatever else is known
-            (a sweep that felt nothing, say). It does not decide how many contacts there are.
+        within: arcs between which a single contact is known to lie from other sources (a sweep that
+            met nothing, for instance). It does not decide how many contacts there are.
         bad_reading_odds: prior odds that a given reading is bad, scalar or (N,).
         width_limit: widest 95 % interval that counts as localized; 10/53 of the length (10 cm of
             the 53 cm body) if not given.

@@ -207,9 +207,9 @@ class LocalizeResult:
     def of_point_estimate(
         cls, arcs: Array, forces: Array, method: str, objective: float, length: float
     ) -> LocalizeResult:
-        """Places and forces (k,) without errors, as a result that nobody takes for one with errors.
+        """Places and forces (k,) without errors, as a result that shows that it has no errors.
 
-        The interval of such a contact is the whole body: nothing narrower would hold.
+        Each contact's interval is the whole body, because the method gives no error.
         """
         bend = np.maximum(arcs - np.linspace(0.0, length, _BEND_POINTS)[:, None], 0.0) @ forces
         return cls(

@@ -71,21 +71,21 @@ def connect(
 
 
 class Robot(Supervised):
-    """A connected robot, with all that it can be made to do; what `connect` returns.
+    """A connected robot and its commands, as `connect` returns it.
 
-    Every command raises CommandRefusedError where the board says no (`reason` holds the schema's
-    name for why), RobotFaultError where a fault is latched, and LinkError where the link fails.
+    Every command raises CommandRefusedError if the board refuses it (`reason` is the schema's
+    name of the reason), RobotFaultError if a fault is latched, and LinkError if the link fails.
     """
 
     # The everted length.
 
     def confirm_length(self, length_cm: float, *, settled: bool = False) -> None:
-        """Vouch for the everted length; `settled`: its sensors have rested long enough already."""
+        """Confirm the everted length; `settled`: its sensors have rested long enough already."""
         self._wait_vented()
         self._request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
 
     def known_length_cm(self) -> float:
-        """Everted length; where the board does not know it, the operator measures it."""
+        """Everted length; if the board does not know it, the operator measures it."""
         length_cm = self.status().length_cm
         if length_cm is None:
             length_cm = self.operator.everted_length_cm()
@@ -99,7 +99,7 @@ class Robot(Supervised):
     def grow_to(self, length_cm: float, watcher: GrowthWatcher | None = None) -> float:
         """Pay out to an everted length and wait for it; returns the length reached, cm.
 
-        A watcher is given the telemetry meanwhile. Refused while the length is unknown or a muscle
+        A watcher receives the telemetry meanwhile. Refused while the length is unknown or a muscle
         is under pressure.
         """
         with self._telemetry_to(watcher.telemetry) if watcher else nullcontext():
@@ -127,8 +127,8 @@ class Robot(Supervised):
     def home(self) -> None:
         """Vent, then wind in slowly until the spool stalls at the base, twice: length zero.
 
-        After a reset the operator confirms the length, for a jam stalls like the base; without one
-        that is a DataError.
+        After a reset the operator must confirm the length, because a jam stalls the spool as the
+        base does. Without an operator, DataError is raised.
         """
         self.vent()
         self._start(wire.Home())
@@ -148,20 +148,20 @@ class Robot(Supervised):
         return self._table.oversample
 
     def follow_settling(self) -> None:
-        """Watch young sensors from now on, so that sweeps can use those that are set aside."""
+        """Follow how young sensors settle, so that sweeps can use sensors that are set aside."""
         if self._creep is None:
             self._creep = CreepWatch(self.config, self.oversample)
             self._client.on_telemetry.append(self._creep.telemetry)
 
     def young_noise(self) -> Floats:
-        """Standard error of what sensors set aside rest at, by input, 1/cm; infinite if unknown."""
+        """Standard error of the rest of sensors set aside, by input, 1/cm; infinite if unknown."""
         if self._creep is None:
             return np.full(len(self._table.healthy), np.inf)
         _, sigma = self._creep.rest(self.status().t_s, self.aside)
         return np.where(np.isnan(sigma), np.inf, sigma)
 
     def set_aside(self, mask: int) -> None:
-        """Have the board leave out everted sensors of a mask, as if they were dead; 0 takes all in.
+        """Have the board exclude the everted sensors of a mask, as if dead; 0 excludes none.
 
         Outputs must be off. Sensors that have not everted stay in use: the board refuses to bend
         the body while one lies in the tip's fold.
@@ -181,7 +181,7 @@ class Robot(Supervised):
     ) -> None:
         """Wait until everted sensors of a mask (all of them) are past their settling time.
 
-        `progress` is called with the seconds that are left, about once a second. Raises
+        `progress` is called about once a second with the seconds that remain. Raises
         CommandTimeoutError if they do not settle.
         """
         end = self.now() + self.config.board.settle_s + _SETTLE_EXTRA_S
@@ -199,7 +199,7 @@ class Robot(Supervised):
             self.wait(0.02)
 
     def settles_s(self, sensors: int = -1) -> float:
-        """How long (s) everted sensors of a mask settle yet; 0 where they have."""
+        """Seconds until the everted sensors of a mask have settled; 0 once they have."""
         waiting = in_mask(self._settling(sensors))
         left = [self._client.request(wire.GetSensor(n)).settle_left_ms for n in waiting]
         return max(left, default=0) / 1e3
@@ -322,15 +322,16 @@ class Robot(Supervised):
         rising_only: bool = False,
         enough: Callable[[SweepResult], bool] | None = None,
     ) -> SweepResult:
-        """Bend towards one muscle after the other along a sine of pressure, and feel.
+        """Bend towards each muscle in turn along a half sine of pressure, and look for contacts.
 
         Args:
             tops_psi: amplitudes by muscle: its name, or the direction (degrees) it bends towards.
             period_s: of the whole sine (`sweep_period_s` says how slow it must be).
-            rising_only: vent each muscle after its peak: what the way back would feel, the way up
-                has felt.
-            enough: with `rising_only`, shown what a bend gave so far, twenty times a second once
-                its trigger has fired, with its last half second as its peak; true vents it at once.
+            rising_only: vent each muscle after its peak: the way back meets no contact that the
+                way up did not.
+            enough: with `rising_only`, called with the readings of a bend so far, twenty times a
+                second once its trigger has fired; the last half second stands in for the peak.
+                If it returns true, the muscle is vented at once.
 
         Refused while a sensor is half everted, or the length or the zone is unknown.
         """

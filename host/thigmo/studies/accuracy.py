@@ -56,7 +56,7 @@ class Error:
     tell: Callable[[Frame], dict[str, Any]] | None = None
     # what it does to a frame without noise
     clean: Callable[[np.random.Generator, Frame], Frame] = lambda rng, frame: frame
-    noise: Callable[[np.random.Generator, int], Floats] = _noise  # on so many readings
+    noise: Callable[[np.random.Generator, int], Floats] = _noise  # of a number of readings
     # what it does to readings with noise
     read: Callable[[np.random.Generator, Floats], Floats] = lambda rng, readings: readings
     groups: tuple[str, ...] = (*TOUCHED, "free", "free, bent")  # of scenes that it is tried on

@@ -23,7 +23,7 @@ FAILURE_CM = 10.0
 # The default method as robots run it: nobody says how many contacts there are, and the fold is
 # stated as calibrated.
 ON_A_ROBOT = "posterior on a robot"
-_CALLS, _CALLS_US = 5, 5_000.0  # of which the quickest counts, and for how long they are repeated
+_CALLS, _CALLS_US = 5, 5_000.0  # calls (the quickest counts), and for how long they are repeated
 
 
 def attempt(

@@ -252,7 +252,7 @@ def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) 
 
 
 def _of_muscles(command: wire.Command[Any], muscles: int, outputs: int) -> wire.Command[Any]:
-    """A command of two muscles, of so many on a board with so many outputs."""
+    """A command of two muscles, for a board with a number of outputs."""
     key = {wire.Sweep: "amplitude_cpsi", wire.SetPressure: "set_cpsi"}.get(type(command))
     if key is None:
         return command

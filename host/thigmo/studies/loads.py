@@ -46,7 +46,7 @@ BENT, MOST_TURN = np.deg2rad(45.0), np.deg2rad(100.0)
 class Group:
     """Scenes that are counted together."""
 
-    draw: Draw  # so many scenes
+    draw: Draw  # a number of scenes
     count: int = 1500  # of scenes, at full scale
     # of `localize`, beside those of all groups
     options: dict[str, Any] = field(default_factory=dict)

@@ -142,7 +142,7 @@ def rooms(
 ) -> Rooms:
     """Pegs even over the room, each felt at the end of an inflation to a random free curvature.
 
-    Free curvatures reach at most `most`, in so many even `frames`. `radius` is the range of the
+    Free curvatures reach at most `most`, in `frames` even steps. `radius` is the range of the
     pegs', `moment` that of the contact's moment at the base at the end, over the critical one.
     `part` is that of the outline which bears then.
     """

@@ -25,7 +25,7 @@ from thigmo.studies.scenes import BOTH, LENGTH, SIGMA, SPAN, Case, one_contact, 
 SENSORS = (5, 10, 20, 50, 100, 200, 500, 1000)
 ROWS = 10_000
 BATCHES = (1, 10, 100, 1000, ROWS)
-BATCH = 100  # of which the time of a row is promised
+BATCH = 100  # rows; the promise is the time of one of them
 # What is drawn, and what is promised (microseconds); with the noise unknown three times that.
 KINDS: dict[str, tuple[Callable[[np.random.Generator], Case], float]] = {
     "one contact, straight": (one_contact, 100.0),

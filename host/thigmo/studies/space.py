@@ -36,7 +36,7 @@ READ: dict[str, Any] = {
     "twist": TWIST,
 }  # fmt: skip
 TURNED = 1.234  # rad
-TIMES_PLANE = 3.0  # promised: so many times the time in a plane
+TIMES_PLANE = 3.0  # promised: at most this multiple of the time in a plane
 
 
 @dataclass(frozen=True)

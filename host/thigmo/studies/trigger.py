@@ -91,7 +91,7 @@ def sweep_empty(task: tuple[str, float, int]) -> Floats:
 
 
 def touch(task: tuple[float, int]) -> Floats:
-    """Latencies (ms), (settings, touches), of steps of so many thresholds or a sweep into a peg."""
+    """Latencies (ms), (settings, touches), of steps of `step` thresholds, or a sweep into a peg."""
     step, seed = task
     rng = np.random.default_rng([seed, 0x7016])
     scene = room("all three", 1.0)

@@ -235,7 +235,7 @@ def record(
         excess[now // STEP_MS + 1] = bend * (plant.free_curvature - base)
 
     converse(board, script, end_ms, advance)
-    # By the firmware's clock, 1 ms of which was over when the host began.
+    # By the firmware's clock, which had run for 1 ms when the host began.
     timed = tuple(
         Half(h.side, h.start_ms + 1, (h.touch_ms if step else _passed(h, excess, threshold)) + 1)
         for h in halves

@@ -32,7 +32,7 @@ _DEAD = 500  # viewers that never read
 _RATE_HZ = 200
 _PROMISED_S = {"p50": 0.1, "p95": 0.25}
 EVER_MS = 120_000
-# Streams a robot's telemetry for so many seconds, as an exploration does, and moves nothing.
+# Streams a robot's telemetry for some seconds, as an exploration does, and moves nothing.
 _STREAM = """
 import sys
 from thigmo.config import RobotConfig
@@ -173,7 +173,7 @@ def _stopped_s(start: Start) -> float:
 
 
 def _explored(start: Start, pages: int) -> dict[str, Any]:
-    """The default exploration, with so many pages open."""
+    """The default exploration, with a number of pages open."""
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         if pages:

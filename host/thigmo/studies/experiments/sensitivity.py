@@ -26,7 +26,7 @@ METHODS = {
     "l2": "exact 2-norm",
     DEFAULT: _OURS,
 }
-# The thesis "is able to perform minimization" from so many sensors on: here, a mean error below.
+# The thesis "is able to perform minimization" from this number of sensors on: mean error below.
 _WORKS_CM = 2.0
 
 
@@ -51,7 +51,7 @@ STUDY = Stress(
 
 
 def run(trials: int, context: Context) -> Outcome:
-    """So many trials a cell; what the study shows: the limit is the solver's, not the norm's."""
+    """Trials in each cell; the study shows that the limit is the solver's, not the norm's."""
     errors = errors_of(context, STUDY, trials)
     means = {
         name: np.array([[mean_and_failures(cell)[0] for cell in row] for row in errors[..., m]])

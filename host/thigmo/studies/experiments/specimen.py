@@ -106,7 +106,7 @@ class Specimen:
         self._rng = rng
 
     def trials(self, experiment: str, count: int) -> list[Trial]:
-        """So many trials of each place and condition of a static experiment."""
+        """The trials of each place and condition of a static experiment."""
         planned = plan(experiment, count)
         return self._bent(planned) if experiment == "actuated" else [*map(self.press, planned)]
 
