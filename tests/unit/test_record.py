@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import subprocess
 import sys
@@ -15,11 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
+from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.record import (
     Entry,
     Log,
     LogWriter,
+    NamedMuscle,
     Note,
     RunDocument,
     RunFolder,
@@ -185,6 +188,20 @@ def test_an_unwritable_place_is_named(tmp_path: Path) -> None:
     for place in (tmp_path / "file", tmp_path / "file" / "deeper"):
         with pytest.raises(RunFolderError, match="--out"):
             RunFolder.create(place, "x", NOON)
+
+
+def test_a_document_of_version_1_is_read_without_its_muscles_names(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    document = RunDocument("0", "n", "u", "s", "full length", None, [CONTACT])
+    muscles = NamedMuscle.all_of(RobotConfig())
+    assert [(each.side, each.direction_deg) for each in muscles] == [("left", 90), ("right", 270)]
+    folder.write_document(replace(document, muscles=muscles))
+    file = tmp_path / "contacts.json"
+    new = json.loads(file.read_text())
+    assert (new["version"], new["muscles"][1]["name"]) == (2, "right")
+    del new["muscles"]
+    file.write_text(json.dumps(new | {"version": 1}))
+    assert folder.read_document() == replace(document, version=1)
 
 
 def test_the_document_survives_a_round_trip(tmp_path: Path) -> None:

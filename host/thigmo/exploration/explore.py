@@ -23,7 +23,14 @@ from thigmo.exploration.resume import interrupted
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.exploration.run_control import Questions, RunControl
 from thigmo.localization import check_method
-from thigmo.record import PRIOR_FILE, ObstacleMap, RunDocument, RunFolder, write_obstacles
+from thigmo.record import (
+    PRIOR_FILE,
+    NamedMuscle,
+    ObstacleMap,
+    RunDocument,
+    RunFolder,
+    write_obstacles,
+)
 from thigmo.report import draw_map
 from thigmo.robot import Operator, connect
 from thigmo.room import Reachable
@@ -149,7 +156,12 @@ def explore(
             )
         if time_s is not None:
             chosen = within(time_s, used)
-        document = replace(document, effort=chosen.name, skips=chosen.skips(used))
+        document = replace(
+            document,
+            effort=chosen.name,
+            skips=chosen.skips(used),
+            muscles=NamedMuscle.all_of(used),
+        )
         folder = RunFolder.create(out, label, started.astimezone())
         afterwards.enter_context(folder.hold())
         used.save(folder.path / "robot.toml")

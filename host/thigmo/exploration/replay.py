@@ -18,7 +18,7 @@ from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
 from thigmo.exploration.recorded import RecordedRun
 from thigmo.localization import check_method
-from thigmo.record import RunDocument, RunFolder
+from thigmo.record import NamedMuscle, RunDocument, RunFolder
 from thigmo.report import draw_map
 
 
@@ -78,6 +78,8 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
         robot_time_s=log.entries[-1].t_s - log.entries[0].t_s if log.entries else 0.0,
         wall_time_s=0.0,
         method=used,
+        muscles=NamedMuscle.all_of(config),
+        version=2,
     )
     document = recorded.known.found.judged(document)
     radius = config.body.radius_cm

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import nan
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import BeforeValidator
 
+from thigmo.config import RobotConfig
 from thigmo.display import POINT_ESTIMATE, interval_text
 
 RUNNING, KILLED = "running", "killed"
@@ -229,6 +230,20 @@ class Stall:
 
 
 @dataclass(frozen=True, slots=True)
+class NamedMuscle:
+    """A muscle as robot.toml names it; `side` is what entries of this file call it by."""
+
+    side: str  # of the plane, to which it bends the body
+    name: str
+    direction_deg: float  # around the body
+
+    @classmethod
+    def all_of(cls, config: RobotConfig) -> list[Self]:
+        """The robot's muscles in the plane."""
+        return [cls(m.side, m.name, m.direction_deg) for m in config.muscles if m.side]
+
+
+@dataclass(frozen=True, slots=True)
 class RunDocument:
     """Contents of contacts.json."""
 
@@ -259,4 +274,5 @@ class RunDocument:
     effort: str = ""
     skips: str = ""  #: what that effort omitted, and what it costs; empty if it was nothing
     resumes: str = ""  #: folder of the run that was cut short, from which this one goes on
-    version: int = 1
+    muscles: list[NamedMuscle] = field(default_factory=list)  #: empty in version 1
+    version: int = 2

@@ -44,7 +44,7 @@ from thigmo.wiring import board_of, columns, muscle_outputs
 Row = dict[str, Any]
 Named = dict[int, list[tuple[int, str]]]  # place in a message's tuple and name
 # What of a message becomes a row for each entry, and what no table has.
-_APART = {"contacts", "places_cm", "probability", "poses", "radius_cm"}
+_APART = {"contacts", "places_cm", "probability", "poses", "radius_cm", "side"}
 
 
 @contextmanager
@@ -181,10 +181,14 @@ def _named(config: RobotConfig) -> Named:
 def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Callable[[], list[str]], list[Any]]]:
     """Rows of all tables: the channel, what names its columns, and the values."""
     path = Path(run)
-    named = _named(config_in(path if path.is_dir() else path.parent))
+    config = config_in(path if path.is_dir() else path.parent)
+    named = _named(config)
+    muscles: dict[str | None, str] = {muscle.side: muscle.name for muscle in config.muscles}
     for message in read_messages(run, set(RECORDED) - {Grid.CHANNEL}):
         own = _values(message, named)
         for entry in _entries(message):
+            if "muscle" in entry:
+                entry["muscle"] = muscles.get(entry["muscle"], entry["muscle"])
             names = partial(_columns, message, named, entry)
             yield message.CHANNEL, names, [*own, *entry.values()]
 
@@ -233,10 +237,11 @@ def _entries(message: Message) -> Iterator[Row]:
         case Posterior():
             cells = zip(message.places_cm or [None], message.probability or [None], strict=True)
             for place_cm, probability in cells:
-                yield {"place_cm": place_cm, "probability": probability}
+                yield {"muscle": message.side, "place_cm": place_cm, "probability": probability}
         case Contacts():
             for index, contact in enumerate(message.contacts):
-                row = {"contact": index} | asdict(contact)
+                row: Row = {"contact": index} | asdict(contact)
+                row["muscle"] = row.pop("side")
                 row["interval_low_cm"], row["interval_high_cm"] = row.pop("interval_cm")
                 (row["variance_x_cm2"], row["covariance_xy_cm2"]), (_, row["variance_y_cm2"]) = (
                     row.pop("covariance_cm2")

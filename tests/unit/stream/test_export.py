@@ -7,6 +7,7 @@ from math import nan
 from pathlib import Path
 
 import pytest
+from contacts import CONTACT
 from test_hub import ONE_OF_EACH, a_block, a_telemetry
 from typer.testing import CliRunner
 
@@ -67,6 +68,18 @@ def test_a_list_becomes_rows(run: Path, tmp_path: Path) -> None:
     assert (contact["interval_low_cm"], contact["interval_high_cm"]) == ("29.8", "32.7")
     assert (contact["variance_x_cm2"], contact["variance_y_cm2"]) == ("0.7", "0.4")
     assert contact["known"] == ""
+
+
+def test_tables_call_muscles_by_their_names(run: Path, tmp_path: Path) -> None:
+    robot = draft(53, 5, 2)
+    for muscle, name in zip(robot.muscles, ("upper", "lower"), strict=True):
+        muscle.name = name
+    (tmp_path / "run.mcap").write_bytes((run / "run.mcap").read_bytes())
+    robot.save(tmp_path / "robot.toml")
+    export_csv(tmp_path, tmp_path)
+    assert {row["muscle"] for row in _table(tmp_path / "posterior.csv")} == {"upper"}
+    (contact,) = _table(tmp_path / "contacts.csv")
+    assert contact["muscle"] == {"left": "upper", "right": "lower"}[CONTACT.side]
 
 
 def test_parquet_holds_the_same_tables_with_nulls(run: Path, tmp_path: Path) -> None:
