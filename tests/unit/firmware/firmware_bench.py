@@ -42,14 +42,14 @@ def pressure_count(psi: float) -> float:
 class FlowingAir:
     """Transducers and muscles: each a lag from the current to the pressure."""
 
-    def __init__(self, lag_s: float = 0.25) -> None:
+    def __init__(self, muscles: int = 2, lag_s: float = 0.25) -> None:
         self.lag_s = lag_s
         self.gain = 1.0  # of the transducers
-        self.psi = [0.0, 0.0]
-        self.stuck = [False, False]
+        self.psi = [0.0] * muscles
+        self.stuck = [False] * muscles
 
     def step(self, board: VirtualBoard, dt: float) -> None:
-        for side in range(2):
+        for side in range(len(self.psi)):
             milliampere = 20 * board.drive[side] / 1599 if board.drive_enabled[side] else 0.0
             mapped = 2 + 58 * (milliampere - 4) / 16 if milliampere >= 4 else 0.0
             wanted = self.gain * mapped
@@ -110,13 +110,10 @@ class Bench:
     override: dict[int, float] = field(default_factory=dict)  # channel -> ideal count
 
     def __post_init__(self) -> None:
-        self.board: Board = (
-            SimulatedMega(self.seed, self.eeprom, boot_loader=False)
-            if self.mega
-            else VirtualBoard(self.seed, self.eeprom)
-        )
-        self.board.set_adc_noise(np.full(16, self.noise))
-        self.air = FlowingAir()
+        self.board: Board = self.made()
+        if self.noise:
+            self.board.set_adc_noise(np.full(16, self.noise))
+        self.air = FlowingAir(len(self.board.drive))
         self.spool = TurningSpool()
         self.heard: list[Heard] = []
         self.events: dict[int, wire.Event] = {}
@@ -126,11 +123,18 @@ class Bench:
         self.seq = 0
         self.beats = 0
         self.nonce = 0
-        self.counts = self._inputs()
+        self.counts = self.inputs()
+
+    def made(self) -> Board:
+        """The board."""
+        if self.mega:
+            return SimulatedMega(self.seed, self.eeprom, boot_loader=False)
+        return VirtualBoard(self.seed, self.eeprom)
 
     # --- time ------------------------------------------------------------------------------------
 
-    def _inputs(self) -> np.ndarray:
+    def inputs(self) -> np.ndarray:
+        """Ideal counts of the channels now."""
         counts = np.zeros(16)
         bend = self.curvature + self.body(*self.air.psi)
         counts[:10] = [flex_count(k) for k in bend]
@@ -148,7 +152,7 @@ class Bench:
             before = self.spool.seen
             self.air.step(self.board, STEP_MS * 1e-3)
             self.spool.step(self.board, STEP_MS * 1e-3)
-            now = self._inputs()
+            now = self.inputs()
             self.board.set_analog(np.ascontiguousarray(np.stack([self.counts, now], axis=1)))
             self.board.set_encoder(before, self.spool.seen)
             self.counts = now

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from firmware_bench import Bench, Heard, flex_count, pressure_count
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator._large_board import VirtualBoard as LargeBoard
 from thigmo.link import protocol as wire
-from thigmo.link.framing import Decoder, encode
+from thigmo.link.framing import encode
 
-FLAT_COUNT, EMPTY_COUNT, STEP_MS = 660.0, 102.4, 5
 CONVERTER = (12, 320)  # bits, us a frame: 13 conversions of the Mega's would not fit a tick
 R, F = wire.Reason, wire.Fault
 
@@ -43,36 +43,51 @@ class Built:
 USUAL, LARGE = Built(2, 10, 3), Built(4, 16, 8, 16)
 
 
-class Lab:
-    """A board whose muscles follow their transducers, and a host that speaks by hand."""
+class Lab(Bench):
+    """A bench for a board of any build, on which so many muscles are fitted."""
 
-    def __init__(self, built: Built, fitted: int) -> None:
+    def __init__(self, built: Built, fitted: int, eeprom: bytes = b"") -> None:
         self.built, self.fitted = built, fitted
-        self.board = LargeBoard(1, b"", *CONVERTER) if built is LARGE else VirtualBoard(1)
-        self.psi = np.zeros(built.muscles)
-        self.stuck: dict[int, float] = {}  # counts, by channel
-        self.host_beats = True
-        self.decoder, self.frames = Decoder(), [wire.Telemetry(0, (), (), (), (), 0, 0, 0, 0, 0, 0)]
-        self.seq = self.session = self.beats = 0
-        self.events: list[wire.Event] = []
-        self.most_above_zero = 0
-        self.board.step(1000)
-        reply = self.ask(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 1))
-        assert isinstance(reply, wire.HelloReply)
-        self.session = reply.session
-        self.step(200)
+        self.most_above_zero = 0  # of the set points, at once
+        super().__init__(eeprom=eeprom, noise=0.0)
+        self.hello()
+
+    def made(self) -> VirtualBoard:
+        if self.built is USUAL:
+            return VirtualBoard(self.seed, self.eeprom)
+        return LargeBoard(self.seed, self.eeprom, *CONVERTER)
+
+    def inputs(self) -> np.ndarray:
+        """Flat sensors; nothing hangs on a muscle's input that is not fitted."""
+        first, count = self.built.sensors, self.built.muscles
+        levels = np.full(max(16, first + count), flex_count(0.0))
+        levels[first : first + self.fitted] = [pressure_count(p) for p in self.psi[: self.fitted]]
+        levels[first + self.fitted : first + count] = 0.0
+        for channel, value in self.override.items():
+            levels[channel] = value
+        return levels
+
+    def listen(self) -> list[Heard]:
+        fresh = super().listen()
+        for one in fresh:
+            if isinstance(one.message, wire.Telemetry):
+                above = sum(each > 0 for each in one.message.set_cpsi)
+                self.most_above_zero = max(self.most_above_zero, above)
+        return fresh
+
+    def fit(self) -> None:
+        """Store which muscles there are."""
         for name, values in {
-            "muscle_fitted": [int(n < fitted) for n in range(built.muscles)],
-            "trigger_when": [0x8F] * built.sensors,  # beside the body: no muscle wrinkles them
+            "muscle_fitted": [int(n < self.fitted) for n in range(self.built.muscles)],
+            "trigger_when": [0x8F] * self.built.sensors,  # beside the body: no muscle wrinkles them
             "settle_ms": [0],
             "zero_ms": [100],
             "drift_limit_e5": [10_000],
         }.items():
             for element, value in enumerate(values):
-                self.do(wire.SetParameter(built.table[name].index + element, value))
+                self.do(wire.SetParameter(self.built.table[name].index + element, value))
         self.do(wire.ApplyParameters())
-        self.do(wire.SaveConfig())
-        self.ready()
+        self.do(wire.SaveConfig(), 20_000)
 
     def ready(self) -> None:
         """Armed, of a known length, in a zone, zeroed."""
@@ -80,64 +95,15 @@ class Lab:
         self.do(wire.Arm())
         self.do(wire.ConfirmLength(100_000, 1))
         self.do(wire.SelectZone(0))
-        status = self.ask(wire.GetStatus())
-        assert isinstance(status, wire.StatusReport)
         self.step(4500)
-        self.do(wire.ZeroSensors(status.everted_mask & 0x3FF))
-        for _ in range(200):
-            self.step(50)
-            if self.frames[-1].state_activity & 0xF == wire.Activity.IDLE:
-                return
-        raise AssertionError("the zeroing does not end")
+        self.do(wire.ZeroSensors(self.status().everted_mask & 0x3FF))
+        self.until(lambda: self.status().activity is wire.Activity.IDLE)
 
-    def step(self, ms: int) -> None:
-        """Let time pass; no two muscles may be driven at once."""
-        count = self.built.muscles
-        for _ in range(ms // STEP_MS):
-            drive = np.array(self.board.drive) * np.array(self.board.drive_enabled)
-            wanted = np.where(drive > 320, 2 + 58 * (20 * drive / 1599 - 4) / 16, 0.0)
-            self.psi += (wanted - self.psi) * STEP_MS / 250
-            levels = np.full(max(16, self.built.sensors + count), FLAT_COUNT)
-            levels[self.built.sensors : self.built.sensors + count] = 1024 * (
-                0.1 + 0.8 * self.psi / 60
-            )
-            # Nothing hangs on the others: an open input.
-            levels[self.built.sensors + self.fitted : self.built.sensors + count] = 0.0
-            for channel, value in self.stuck.items():
-                levels[channel] = value
-            self.board.set_analog(np.column_stack([levels, levels]))
-            if self.session and self.host_beats and self.board.now_us // 1000 % 100 == 0:
-                self.beats += 1
-                self.board.write(encode(wire.Heartbeat(self.beats), 0, self.session))
-            self.board.step(STEP_MS)
-            for frame in self.decoder.feed(self.board.read()):
-                message = frame.message()
-                if isinstance(message, wire.Telemetry):
-                    self.frames.append(message)
-                    above = sum(each > 0 for each in message.set_cpsi)
-                    self.most_above_zero = max(self.most_above_zero, above)
-                elif isinstance(message, wire.Event):
-                    self.events.append(message)
-                elif isinstance(message, wire.Reply) and frame.seq == self.seq:
-                    self.reply = message
+    @property
+    def psi(self) -> np.ndarray:
+        return np.array(self.air.psi)
 
-    def ask(self, command: wire.Command[wire.Message]) -> wire.Message:
-        """Send a command; its reply."""
-        self.seq += 1
-        self.reply: wire.Message | None = None
-        self.board.write(encode(command, self.seq, self.session))
-        for _ in range(4000):
-            self.step(STEP_MS)
-            if self.reply is not None:
-                return self.reply
-        raise AssertionError(f"no reply to {command}")
-
-    def do(self, command: wire.Command[wire.Message]) -> None:
-        """A command that must be accepted."""
-        reply = self.ask(command)
-        assert getattr(reply, "status", None) is wire.Status.OK, (command, reply)
-
-    def reason(self, command: wire.Command[wire.Message]) -> wire.Reason:
+    def reason(self, command: wire.Message) -> wire.Reason:
         """Why a command is refused; none if it is not."""
         reply = self.ask(command)
         return reply.reason if isinstance(reply, wire.Ack) else R.NONE
@@ -153,12 +119,14 @@ IDS = [f"{fitted} of {built.muscles}" for built, fitted in CASES]
 
 @pytest.fixture(params=CASES, ids=IDS)
 def lab(request: pytest.FixtureRequest) -> Lab:
-    return Lab(*request.param)
+    lab = Lab(*request.param)
+    lab.fit()
+    lab.ready()
+    return lab
 
 
 def test_the_board_says_what_it_holds(lab: Lab) -> None:
-    told = lab.ask(wire.GetCapacity())
-    assert isinstance(told, wire.Capacity)
+    told = lab.get(wire.GetCapacity(), wire.Capacity)
     assert Built(told.muscles, told.sensors, told.body_pressures, told.imus) == lab.built
 
 
@@ -176,7 +144,7 @@ def test_a_sweep_takes_the_muscles_in_turn(lab: Lab) -> None:
     top = tuple(1000 if n < lab.fitted else 0 for n in range(lab.built.muscles))
     lab.do(wire.Sweep(top, 4000, 1, 0))
     lab.step(2000 * lab.fitted + 1000)
-    peaks = [e.arg for e in lab.events if e.code is wire.EventCode.PEAK]
+    peaks = [event.arg for event in lab.event(wire.EventCode.PEAK)]
     assert list(dict.fromkeys(peaks)) == list(range(lab.fitted))
     assert lab.most_above_zero == 1
 
@@ -223,22 +191,22 @@ def test_a_fault_of_any_muscle_empties_all(lab: Lab, failure: str) -> None:
         lab.step(2500)
         match failure:
             case "pressure wire":
-                lab.stuck[channel] = 0.0
+                lab.override[channel] = 0.0
             case "over pressure":
-                lab.stuck[channel] = 1024 * (0.1 + 0.8 * 25 / 60)
+                lab.override[channel] = pressure_count(25.0)
             case "host":
-                lab.host_beats = False
+                lab.beating = False
             case "stop":
                 lab.board.write(encode(wire.Stop(7), 0, 0))
             case "estop":
                 lab.board.set_estop(True)
         lab.step(1000)
         assert not any(lab.board.drive_enabled), (failure, muscle)
-        lab.stuck.clear()
-        lab.host_beats = True
+        lab.override.clear()
+        lab.beating = True
         lab.board.set_estop(False)
         lab.step(2500)
-        assert lab.frames[-1].faults or failure == "host"
+        assert lab.status().faults or failure == "host"
         if failure == "stop":
             lab.do(wire.ClearStop(7))
         lab.ready()
@@ -247,29 +215,20 @@ def test_a_fault_of_any_muscle_empties_all(lab: Lab, failure: str) -> None:
 def test_an_input_without_a_muscle_is_no_fault(lab: Lab) -> None:
     """It is open: of a muscle that is fitted that would be a broken wire."""
     lab.step(1000)
-    assert lab.frames[-1].faults == 0
+    assert lab.status().faults == 0
     if lab.fitted < lab.built.muscles:
         lab.do(wire.Disarm())
         index = lab.built.table["muscle_fitted"].index + lab.fitted
         lab.do(wire.SetParameter(index, 1))
         lab.do(wire.ApplyParameters())
         lab.step(200)
-        assert lab.frames[-1].faults & F.PRESSURE_WIRE.mask
+        assert lab.status().faults & F.PRESSURE_WIRE.mask
 
 
 def test_a_large_configuration_survives_a_restart() -> None:
     lab = Lab(LARGE, 4)
-    lab.do(wire.Disarm())
     curve = tuple(range(0, 1100, 100))
     lab.do(wire.SetMap(7, 3, wire.Branch.DEFLATE, curve))
-    lab.do(wire.SaveConfig())
-    again = LargeBoard(1, lab.board.eeprom, *CONVERTER)
-    other = object.__new__(Lab)
-    other.__dict__ |= lab.__dict__ | {"board": again, "session": 0, "seq": 0, "decoder": Decoder()}
-    again.step(1000)
-    reply = other.ask(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 2))
-    assert isinstance(reply, wire.HelloReply)
-    other.session = reply.session
-    got = other.ask(wire.GetMap(7, 3, wire.Branch.DEFLATE))
-    assert isinstance(got, wire.MapValues)
-    assert got.curvature_e5 == curve
+    lab.do(wire.SaveConfig(), 20_000)
+    again = Lab(LARGE, 4, lab.board.eeprom)
+    assert again.get(wire.GetMap(7, 3, wire.Branch.DEFLATE), wire.MapValues).curvature_e5 == curve

@@ -417,7 +417,7 @@ def _latency_ticks(**parameters: int) -> float:
     assert not bench.event(wire.EventCode.CONTACT)
     tick = bench.board.now_us // 1000
     bench.curvature[:] = 0.02
-    bench.counts = bench._inputs()  # a step, not a ramp
+    bench.counts = bench.inputs()  # a step, not a ramp
     bench.until(lambda: bool(bench.event(wire.EventCode.CONTACT)), 2000)
     contact = bench.event(wire.EventCode.CONTACT)[0]
     boot = 840  # the firmware's tick 0
