@@ -7,14 +7,19 @@
 
 namespace thigmo {
 
-// Constants of priors.py, passed with every call.
+// The constants of priors.py, by their names there in small letters; passed with every call.
+// clang-format off
+#define THIGMO_PRIORS(X) \
+  X(least_lever) X(contact) X(end) X(end_straight) X(held) X(held_straight) X(another) X(hinge) \
+  X(base_fold) X(bad_deviation) X(angle) X(near_fold) X(straight) X(end_turn) X(shape_rests) \
+  X(level) X(excluded) X(held_excluded) X(five_sigma) X(noise_factor) X(noise_odds) X(hopeless) \
+  X(trust) X(end_cell) X(misfit_deviate) X(noise_deviate) X(contact_unsure) X(felt) X(swept)
+// clang-format on
 struct Priors {
   Row moments, noise_levels;
-  double least_lever, contact, end, end_straight, held, held_straight, another, hinge, base_fold,
-      bad_deviation, angle;
-  double near_fold, straight, end_turn, shape_rests, level, excluded, held_excluded, five_sigma,
-      noise_factor, noise_odds;
-  double hopeless, trust, end_cell, misfit_deviate, noise_deviate, contact_unsure, felt, swept;
+#define THIGMO_PRIOR(name) double name;
+  THIGMO_PRIORS(THIGMO_PRIOR)
+#undef THIGMO_PRIOR
 };
 
 // What the caller gives: arrays of N numbers, or of one for all sensors.

@@ -702,24 +702,10 @@ class Grid {
   // Calls `run` for as many numbers as a set has.
   template <class Run>
   [[gnu::always_inline]] void numbers(const Run& run) const {
-    switch (number_.size()) {
-      case 1:
-        return run.template operator()<1>();
-      case 2:
-        return run.template operator()<2>();
-      case 3:
-        return run.template operator()<3>();
-      case 4:
-        return run.template operator()<4>();
-      case 5:
-        return run.template operator()<5>();
-      case 6:
-        return run.template operator()<6>();
-      case 7:
-        return run.template operator()<7>();
-      default:
-        return run.template operator()<8>();
-    }
+    [&]<int... K>(std::integer_sequence<int, K...>) __attribute__((always_inline)) {
+      const int count = static_cast<int>(number_.size());
+      ((K + 1 == count ? run.template operator()<K + 1>() : void()), ...);
+    }(std::make_integer_sequence<int, 8>{});
   }
 
   // Normal equations of four sets from `s` on.

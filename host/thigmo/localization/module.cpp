@@ -63,39 +63,6 @@ void write(const Answer& from, double length, double* row, double* contact) {
   }
 }
 
-// The numbers among the constants of priors.py, by their names there.
-constexpr std::pair<const char*, double Priors::*> kPriors[] = {
-    {"LEAST_LEVER", &Priors::least_lever},
-    {"CONTACT", &Priors::contact},
-    {"END", &Priors::end},
-    {"END_STRAIGHT", &Priors::end_straight},
-    {"HELD", &Priors::held},
-    {"HELD_STRAIGHT", &Priors::held_straight},
-    {"ANOTHER", &Priors::another},
-    {"HINGE", &Priors::hinge},
-    {"BASE_FOLD", &Priors::base_fold},
-    {"BAD_DEVIATION", &Priors::bad_deviation},
-    {"ANGLE", &Priors::angle},
-    {"NEAR_FOLD", &Priors::near_fold},
-    {"STRAIGHT", &Priors::straight},
-    {"END_TURN", &Priors::end_turn},
-    {"SHAPE_RESTS", &Priors::shape_rests},
-    {"LEVEL", &Priors::level},
-    {"EXCLUDED", &Priors::excluded},
-    {"HELD_EXCLUDED", &Priors::held_excluded},
-    {"FIVE_SIGMA", &Priors::five_sigma},
-    {"NOISE_FACTOR", &Priors::noise_factor},
-    {"NOISE_ODDS", &Priors::noise_odds},
-    {"HOPELESS", &Priors::hopeless},
-    {"TRUST", &Priors::trust},
-    {"END_CELL", &Priors::end_cell},
-    {"MISFIT_DEVIATE", &Priors::misfit_deviate},
-    {"NOISE_DEVIATE", &Priors::noise_deviate},
-    {"CONTACT_UNSURE", &Priors::contact_unsure},
-    {"FELT", &Priors::felt},
-    {"SWEPT", &Priors::swept},
-};
-
 // What holds for all frames of the same sensors.
 struct Localizer {
   Input sensors;
@@ -109,9 +76,13 @@ struct Localizer {
 NB_MODULE(_posterior, m) {
   nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
     auto* priors = new (self) Priors{};
-    priors->moments = nb::cast<Row>(values["MOMENTS"]);
-    priors->noise_levels = nb::cast<Row>(values["NOISE_LEVELS"]);
-    for (const auto& [name, member] : kPriors) priors->*member = nb::cast<double>(values[name]);
+    const auto take = [&](const char* name, auto& to) {
+      to = nb::cast<std::decay_t<decltype(to)>>(values[name]);
+    };
+    take("moments", priors->moments), take("noise_levels", priors->noise_levels);
+#define THIGMO_PRIOR(name) take(#name, priors->name);
+    THIGMO_PRIORS(THIGMO_PRIOR)
+#undef THIGMO_PRIOR
   });
 
   nb::class_<Answer>(m, "Answer")

@@ -112,7 +112,7 @@ def narrow(interval: tuple[float, float], length: float) -> bool:
 
 def compiled() -> _posterior.Priors:
     """All of them, as the compiled code takes them."""
-    return _posterior.Priors({name: globals()[name] for name in _NAMES})
+    return _posterior.Priors({name.lower(): globals()[name] for name in _NAMES})
 
 
 _NAMES = tuple(name for name in globals() if name.isupper())
