@@ -155,11 +155,12 @@ constexpr Interlock kInterlocks[] THIGMO_PROGMEM = {
      mask(Condition::kVented), 0},
 };
 constexpr uint8_t kPermits = sizeof(kInterlocks) / sizeof(kInterlocks[0]);
-constexpr bool in_order(uint8_t row) {
-  return row == kPermits ||
-         (static_cast<uint8_t>(kInterlocks[row].permit) == row && in_order(row + 1));
+constexpr uint8_t in_order() {
+  uint8_t row = 0;
+  while (row < kPermits && static_cast<uint8_t>(kInterlocks[row].permit) == row) ++row;
+  return row;
 }
-static_assert(in_order(0) && kPermits == static_cast<uint8_t>(Permit::kTestMotor) + 1,
+static_assert(in_order() == static_cast<uint8_t>(Permit::kTestMotor) + 1 && in_order() == kPermits,
               "each permit has its row");
 
 // Conditions in the order in which they are named to the operator: first what takes longest to put

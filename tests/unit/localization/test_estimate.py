@@ -301,6 +301,14 @@ def test_every_contact_has_its_mass_and_two_have_a_joint_one():
     assert find(felt(40.0, 2e-4)).joint is None
 
 
+def test_a_marginal_has_every_cell_of_the_grid_and_nothing_beyond():
+    only = {"contacts": 1, "end_face_odds": 0.0, "held_end": False, "critical_curvature": math.inf}
+    edges, mass, *_ = find(felt(30.0, 9e-4), bad_reading_odds=1e-12, **only).marginals[0]
+    assert (mass > 0.0).sum() == 60
+    assert mass[0] == mass[-1] == 0.0
+    assert np.ptp(np.diff(edges)[mass > 0.0]) < 1e-9
+
+
 def test_what_a_contact_explains_is_listed_even_if_sensors_are_said_to_be_bad():
     free = 0.03
     reading = felt(10.0, -8e-4, COLUMN, free_curvature=free)  # 7 deviations at the first sensor

@@ -100,6 +100,18 @@ def test_turned_about_its_axis_two_contacts_stay():
     assert pairs > 40
 
 
+def test_on_a_body_bent_by_150_degrees_exact_readings_give_the_place():
+    for arc, force in ((0.5, 3.0), (0.9, -2.0)):
+        rods = pressed(arc, force, force, free=np.array([[0.0, 0.4, 2.6]]))
+        free = np.where(DIRECTION == 0.0, 2.6, -0.4)
+        (contact,) = thigmo.localize(
+            rods.readings(POSITION, AXIS, SPAN)[0], **(READ | {"noise": 1e-4}), contacts=1,
+            free_curvature=free,
+        ).contacts  # fmt: skip
+        assert contact.arc == pytest.approx(arc, abs=1e-3)
+        assert contact.vector == pytest.approx(rods.forces[0, 0], abs=5e-3)
+
+
 def test_weight_that_is_stated_is_no_contact():
     rods = solve(np.ones((1, 1)), np.zeros((1, 1, 3)), weight=np.array([[0.4, -1.5, 0.3]]))
     curvature = noisy(rods.readings(POSITION, AXIS, SPAN)[0], 4)
