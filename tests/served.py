@@ -10,16 +10,12 @@ import threading
 import time
 from collections.abc import Callable
 
+from emulated import armed, scene_at
 from port_holder import PortHolder
 
-from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator import serve
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
-from thigmo.emulator.scene import Scene
-from thigmo.emulator.serve import PtyServer, brought_up
-from thigmo.emulator.transport import EmulatorTransport
-from thigmo.link import protocol as wire
-from thigmo.link.client import Client
 from thigmo.link.heart import PERIOD_S
 
 # A host that arms the robot on the port that it is given, sweeps and says so; and one that then
@@ -51,7 +47,7 @@ def comes(condition: Callable[[], bool], seconds: float = EVER_S) -> bool:
     return True
 
 
-class _PatientServer(PtyServer):
+class _PatientServer(serve.PtyServer):
     """Lets the robot's time stand still while this computer keeps the host's port process from
     running.
 
@@ -91,48 +87,24 @@ class _PatientServer(PtyServer):
         return data
 
 
-class ServedRobot:
+class ServedRobot(serve.ServedRobot):
     """A robot served by a thread.
 
     Args:
         lockstep: board and body.
         reset_on_open: as opening a port with DTR does.
-
-    Attributes:
-        port: to be opened.
     """
 
+    _server: _PatientServer
+
     def __init__(self, lockstep: Lockstep, *, reset_on_open: bool = True) -> None:
-        self.lockstep = lockstep
-        self.board = lockstep.board
         self.plant = lockstep.plant
-        self._server = _PatientServer(lockstep, reset_on_open=reset_on_open)
-        self.port = self._server.path
-        self._on = True
-        self._live_until_s = 0.0
-        self._thread = threading.Thread(target=lambda: self._server.run(self._keep_on))
-        self._thread.start()
-
-    def _keep_on(self) -> bool:
-        """Asked before each step."""
-        if not self.off:
-            self._live_until_s = self.lockstep.t_s
-        return self._on
-
-    @property
-    def energised(self) -> bool:
-        """Whether a valve is driven."""
-        return any(self.board.drive_enabled)
-
-    @property
-    def off(self) -> bool:
-        """Whether no valve is driven and the motor is braked."""
-        return not self.energised and self.board.motor == 0 and self.board.braked
+        super().__init__(_PatientServer(lockstep, reset_on_open=reset_on_open))
 
     @property
     def off_for_s(self) -> float:
         """For how long it has been off, of its own time."""
-        return self.lockstep.t_s - self._live_until_s
+        return self.lockstep.t_s - self.live_s
 
     def alone(self) -> None:
         """From now on its hosts may fall silent."""
@@ -146,36 +118,19 @@ class ServedRobot:
         """Wait until it is off; whether it was within so many seconds of its own time."""
         since = self.lockstep.t_s
         self.alone()
-        return comes(lambda: self.off) and self._live_until_s - since <= seconds + 2 * STEP_S
+        return comes(lambda: self.off) and self.live_s - since <= seconds + 2 * STEP_S
 
     def close(self) -> None:
         """Pull the cable: the port is gone, and time stands still for the robot."""
         self.alone()
-        self._on = False
-        self._thread.join()
-        self._server.close()
+        super().close()
 
 
 def ready_to_sweep() -> ServedRobot:
     """An emulated robot, zeroed in virtual time, then on a port in real time."""
-    scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
-    transport = EmulatorTransport(scene, VirtualBoard(3, brought_up()), seed=3)
-    client = Client(transport)
-    vented = wire.Condition.VENTED.mask
-    while not client.request(wire.GetStatus()).conditions & vented:
-        client.poll(0.01)
-    client.request(wire.ConfirmLength(200_000, 1))
-    client.request(wire.SelectZone(0))
-    client.request(wire.ClearFaults(0xFFFF))
-    client.request(wire.Arm())
-    client.request(wire.ZeroSensors(0b00011_00011))
-    report = client.request(wire.GetStatus())
-    assert client.wait_for(lambda: any(_done(e.message) for e in client.events), 30.0), report
-    client.request(wire.AckEvent(client.request(wire.GetStatus()).event_number))
-    client.request(wire.Disarm())  # armed, it would miss this host: the next one arms it
+    robot, transport = armed(scene_at(20.0), seed=3)
+    with robot:  # which disarms it: armed, it would miss this host, and the next one arms it
+        robot.select_zone(0)
+        robot.zero()
     # A board that keeps running while hosts come and go: opening does not reset it.
     return ServedRobot(transport.lockstep, reset_on_open=False)
-
-
-def _done(event: wire.Event) -> bool:
-    return event.code == wire.EventCode.ACTIVITY_DONE and event.arg == wire.Activity.ZEROING

@@ -23,7 +23,6 @@ from __future__ import annotations
 import os
 import shutil
 import tomllib
-from collections.abc import Sequence
 from math import cos, hypot, pi, tanh
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
@@ -510,15 +509,6 @@ class RobotConfig(Model):
         """The sensors that read right while the muscle of a side bends the body, base first."""
         found = [s for s in self.sensors if s.side and not (s.wrinkles and s.side == side)]
         return sorted(found, key=lambda sensor: sensor.center_cm)
-
-    def set_column(self, side: Side, sensors: Sequence[BoardSensor]) -> None:
-        """Replace the board's sensors of a side."""
-        by_side = {one: self.column(one) for one in SIDES} | {side: list(sensors)}
-        for sensor in sensors:
-            sensor.direction_deg = DEGREES[side]
-        others: list[Sensor] = [s for s in self.board_sensors if s.side is None]
-        others += self.gratings
-        self.sensors = [*(s for one in SIDES for s in by_side[one]), *others]
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from test_experiment_trials import Terminal
 
-from thigmo.config import SIDES
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError
@@ -30,9 +29,7 @@ def scene() -> Scene:
     """Half of a robot, two sensors a side, and a peg in its reach."""
     made = Scene.load("default")
     robot = made.robot
-    for side in SIDES:
-        column = [s for s in robot.column(side) if s.center_cm < LENGTH_CM - 5]
-        robot.set_column(side, column)
+    robot.sensors = [s for s in robot.sensors if s.center_cm < LENGTH_CM - 5]
     robot.body.length_cm = LENGTH_CM
     for zone, until in zip(robot.body.zones, (10.0, 20.0, LENGTH_CM), strict=True):
         zone.until_cm = until

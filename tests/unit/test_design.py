@@ -51,7 +51,7 @@ def test_growth_that_the_tails_friction_stops_is_said_with_what_it_needs() -> No
 
 def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
     config = draft(53, 5, 2)
-    config.set_column("right", [])
+    config.sensors = list(config.column("left"))
     (said,) = _bad(judge(config))
     assert said.startswith("sweep of left: feels nothing")
 
@@ -110,8 +110,7 @@ def test_every_sensor_has_an_input_and_base_sensors_those_of_the_trigger(
     left: int, right: int
 ) -> None:
     config = draft(200, 16, 2)
-    for side, count in zip(SIDES, (left, right), strict=True):
-        config.set_column(side, config.column(side)[:count])
+    config.sensors = [*config.column("left")[:left], *config.column("right")[:right]]
     inputs = wiring.input_of(config)
     assert len(inputs) == len(set(inputs.values())) == left + right
     half = 5 if left + right <= 10 else 8

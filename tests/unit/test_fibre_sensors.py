@@ -13,7 +13,7 @@ from thigmo import wiring
 from thigmo.calibrate.fibre import fit_fibre
 from thigmo.calibrate.steps import fit_csv
 from thigmo.cli.main import app
-from thigmo.config import FlexSensor, RobotConfig
+from thigmo.config import RobotConfig
 from thigmo.design import draft, judge
 from thigmo.errors import DataError
 from thigmo.reading_errors import errors_of
@@ -48,8 +48,6 @@ def test_a_fibre_takes_no_input_of_the_board_and_is_not_explored(tmp_path: Path)
     # The flex sensors keep their inputs, and the trigger works on them.
     assert wiring.sensors(both) == wiring.sensors(RobotConfig())
     assert ("sweep of left", "warning") not in {(one.what, one.mark) for one in judge(both)}
-    both.set_column("left", [FlexSensor(center_cm=5.0)])
-    assert both.gratings == IN_PLANE
 
 
 def _bends(seed: int = 1) -> tuple[Floats, Floats, Floats, Floats]:

@@ -62,6 +62,53 @@ class Plan:
     zones: tuple[int, ...] | None = None  # body pressures whose maps are measured; None = all
 
 
+def set_zone(robot: Robot, config: RobotConfig, zone: int) -> None:
+    """Set the body pressure of a zone, and say so to the board."""
+    robot.operator.set_body_pressure(config.body.zones[zone].pressure_psi)
+    robot.select_zone(zone)
+
+
+def grow_to(
+    robot: Robot,
+    config: RobotConfig,
+    length_cm: float,
+    say: Callable[[str], None],
+    at_stop: Callable[[float], None] | None = None,
+) -> None:
+    """Grow, pitch by pitch and with the body pressure of each zone; never retracts."""
+    now, body = robot.known_length_cm(), config.body
+    if now > length_cm + SAME_CM:
+        raise DataError(
+            f"the robot is {now:.1f} cm long, {length_cm:.1f} cm are needed",
+            "retract it with `thigmo retract`, then run this again",
+        )
+    stops = {*np.arange(body.pitch_cm, length_cm, body.pitch_cm).tolist(), length_cm}
+    boundaries = {z.until_cm for z in body.zones if z.until_cm < length_cm}
+    robot.vent()
+    for stop in sorted(stops | boundaries):
+        if stop <= now + SAME_CM:
+            continue
+        set_zone(robot, config, body.zone_at(min(now + SAME_CM, stop)))
+        say(f"growing to {stop:.1f} cm")
+        robot.grow_to(stop)
+        now = stop
+        if at_stop is not None and stop in stops:
+            at_stop(stop)
+
+
+def zero(robot: Robot, say: Callable[[str], None]) -> None:
+    """Zero the straight, vented robot; again if its readings still drift."""
+    for attempt in range(_TRIES):
+        robot.wait(_QUIET_S)
+        try:
+            robot.zero()
+            break
+        except CommandRefusedError as error:
+            if error.reason != "drifting" or attempt + 1 == _TRIES:
+                raise
+            say("readings still drift; waiting")
+
+
 class Hand(Operator, Protocol):
     """The person beside the robot, who can push its tip."""
 
@@ -123,30 +170,11 @@ class Bench:
 
     def set_zone(self, zone: int) -> None:
         """Set the body pressure of a zone, and say so to the board."""
-        self.hand.set_body_pressure(self.config.body.zones[zone].pressure_psi)
-        self.robot.select_zone(zone)
+        set_zone(self.robot, self.config, zone)
 
     def bring_to(self, length_cm: float, at_stop: Callable[[float], None] | None = None) -> None:
-        """Grow, pitch by pitch and with the body pressure of each zone; never retracts."""
-        now = self.robot.known_length_cm()
-        if now > length_cm + SAME_CM:
-            raise DataError(
-                f"the robot is {now:.1f} cm long, {length_cm:.1f} cm are needed",
-                "retract it with `thigmo retract`, then run this again",
-            )
-        pitch, body = self.config.body.pitch_cm, self.config.body
-        stops = {*np.arange(pitch, length_cm, pitch).tolist(), length_cm}
-        boundaries = {z.until_cm for z in body.zones if z.until_cm < length_cm}
-        self.robot.vent()
-        for stop in sorted(stops | boundaries):
-            if stop <= now + SAME_CM:
-                continue
-            self.set_zone(body.zone_at(min(now + SAME_CM, stop)))
-            self.say(f"growing to {stop:.1f} cm")
-            self.robot.grow_to(stop)
-            now = stop
-            if at_stop is not None and stop in stops:
-                at_stop(stop)
+        """`grow_to` a length, for this bench."""
+        grow_to(self.robot, self.config, length_cm, self.say, at_stop)
 
     def ready_to_bend(self, zone: int | None = None) -> None:
         """Full length, sensors settled and zeroed; then a zone's body pressure (None: its own)."""
@@ -155,15 +183,7 @@ class Bench:
         self.robot.vent()
         self.say("waiting for the sensors to settle")
         self.robot.wait_settled()
-        for attempt in range(_TRIES):
-            self.robot.wait(_QUIET_S)
-            try:
-                self.robot.zero()
-                break
-            except CommandRefusedError as error:
-                if error.reason != "drifting" or attempt + 1 == _TRIES:
-                    raise
-                self.say("readings still drift; waiting")
+        zero(self.robot, self.say)
         self.rest = self.ohm(self.robot.read(2.0)).tolist()
         if zone is not None:
             self.set_zone(zone)
@@ -295,6 +315,16 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
         rows.extend(bench.rows("bends", planned, take, partial(bench.ready_to_bend, zone)))
         bench.robot.vent()
     return rows
+
+
+def last_bends(bench: Bench) -> list[Row]:
+    """The free bends of the last body pressure, which are taken if there are none yet."""
+    last = len(bench.config.body.zones) - 1
+    bends = [row for row in bench.session.rows("bends").values() if row["zone"] == last]
+    muscles = [muscle for muscle in bench.config.muscles if muscle.side]
+    if len(bends) < sum(len(bend_set_points(bench, muscle)) for muscle in muscles):
+        return bend_rows(bench, [last])
+    return bends
 
 
 def _bent(bench: Bench, muscle: Muscle, psi: float) -> tuple[Reading, float]:

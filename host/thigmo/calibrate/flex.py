@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
-from thigmo.calibrate.bench import Bench, bend_rows, bend_set_points, tip_rows
+from thigmo.calibrate.bench import Bench, last_bends, tip_rows
 from thigmo.calibrate.columns import places_of
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import (
@@ -132,13 +132,9 @@ Fit = Callable[[FlexReadings, RobotConfig], FlexResult]
 
 def guided(bench: Bench, fit: Fit | None = None) -> FlexResult:
     """From tip places and free bends (which it takes if there are none yet)."""
-    last = len(bench.config.body.zones) - 1
-    tips = tip_rows(bench)
-    bends = [r for r in bench.session.rows("bends").values() if r["zone"] == last]
-    muscles = [muscle for muscle in bench.config.muscles if muscle.side]
-    if len(bends) < sum(len(bend_set_points(bench, muscle)) for muscle in muscles):
-        bends = bend_rows(bench, [last])
-    readings = FlexReadings.of_rows([*tips, *bends], bench.config.body.length_cm)
+    readings = FlexReadings.of_rows(
+        [*tip_rows(bench), *last_bends(bench)], bench.config.body.length_cm
+    )
     result = (fit or fit_flex)(readings, bench.config)
     readings.write(bench.session.folder / "flex.csv", bench.config)
     return result

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.calibrate.bench import Bench, bend_rows, bend_set_points
+from thigmo.calibrate.bench import Bench, last_bends
 from thigmo.calibrate.columns import Array, column, of_sensors, places_of, sensors_of
 from thigmo.calibrate.regression import outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
@@ -72,11 +72,7 @@ class HeadingResult(StepResult):
 
 def guided(bench: Bench) -> HeadingResult:
     """From the free bends of the last body pressure (which it takes if there are none yet)."""
-    last = len(bench.config.body.zones) - 1
-    bends = [r for r in bench.session.rows("bends").values() if r["zone"] == last]
-    muscles = [muscle for muscle in bench.config.muscles if muscle.side]
-    if len(bends) < sum(len(bend_set_points(bench, muscle)) for muscle in muscles):
-        bends = bend_rows(bench, [last])
+    bends = last_bends(bench)
     return fit_heading(column(bends, "t_s"), column(bends, "k"), column(bends, "ohm"), bench.config)
 
 

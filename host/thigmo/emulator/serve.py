@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import os
 import select
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from thigmo.closing import Closing
 from thigmo.config import RobotConfig
 from thigmo.emulator.board import virtual_board
 from thigmo.emulator.fibre import LineServer
@@ -149,6 +151,55 @@ class PtyServer:
             del self._out[: os.write(self._master, self._out)]
         if len(self._out) > _QUEUE:
             del self._out[: len(self._out) - _QUEUE]
+
+
+class ServedRobot(Closing):
+    """A robot on a server's port, served by a thread; it lives on when its cable is pulled.
+
+    Attributes:
+        port: to be opened.
+        plugged: whether the cable is; to be set.
+        live_s: when it was last energised, by its own clock.
+    """
+
+    def __init__(self, server: PtyServer) -> None:
+        self.lockstep = server.lockstep
+        self.board = server.lockstep.board
+        self.port = server.path
+        self.plugged = True
+        self.live_s = 0.0
+        self._server = server
+        self._closed = False
+        self._thread = threading.Thread(target=self._live)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Take it off the port; its time ends."""
+        self._closed = True
+        self._thread.join()
+
+    @property
+    def energised(self) -> bool:
+        """Whether a transducer is driven."""
+        return any(self.board.drive_enabled)
+
+    @property
+    def off(self) -> bool:
+        """Whether no transducer is driven and the motor is braked."""
+        return not self.energised and self.board.motor == 0 and self.board.braked
+
+    def _live(self) -> None:
+        """Thread: the robot's time passes, on the port and then off it."""
+        self._server.run(lambda: self._look() and self.plugged)
+        self._server.close()
+        while self._look():
+            self.lockstep.advance()
+            time.sleep(STEP_S)
+
+    def _look(self) -> bool:
+        if not self.off:
+            self.live_s = self.lockstep.t_s
+        return not self._closed
 
 
 def brought_up(robot: RobotConfig | None = None) -> bytes:

@@ -15,7 +15,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -23,7 +22,7 @@ from functools import partial
 
 import numpy as np
 
-from thigmo.closing import Closing
+from thigmo.emulator import serve
 from thigmo.emulator.plant import STEP_S
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
@@ -49,49 +48,24 @@ with connect(sys.argv[1]) as robot:
 """
 
 
-class ServedRobot(Closing):
-    """A robot on a port, ready to be pressed; it lives on when its cable is pulled.
-
-    Attributes:
-        port: to be opened.
-        plugged: whether the cable is; to be set.
-    """
+class ServedRobot(serve.ServedRobot):
+    """A robot on a port, ready to be pressed."""
 
     def __init__(self, seed: int) -> None:
         from thigmo.emulator._board import VirtualBoard
-        from thigmo.emulator.serve import PtyServer, brought_up
         from thigmo.emulator.transport import EmulatorTransport
         from thigmo.link.client import Client
         from thigmo.robot import Robot
 
         scene = Scene.load("empty").model_copy(update={"start_length_cm": _LENGTH_CM})
-        transport = EmulatorTransport(scene, VirtualBoard(seed, brought_up()), seed=seed)
+        transport = EmulatorTransport(scene, VirtualBoard(seed, serve.brought_up()), seed=seed)
         with Robot(Client(transport)) as robot:  # in virtual time
             robot.configure(scene.believed(seed))
             robot.confirm_length(_LENGTH_CM, settled=True)
             robot.select_zone(0)
             robot.arm()
             robot.zero()
-        self.lockstep = transport.lockstep
-        self.board = transport.lockstep.board
-        self.plugged = True
-        self._server = PtyServer(self.lockstep, reset_on_open=False)
-        self.port = self._server.path
-        self._closed = False
-        self._live_s = 0.0  # when it was last energised
-        self._thread = threading.Thread(target=self._live)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Take it off the port."""
-        self._closed = True
-        self._thread.join()
-
-    @property
-    def off(self) -> bool:
-        """Whether no transducer is driven and the motor is braked."""
-        board = self.board
-        return not any(board.drive_enabled) and board.motor == 0 and board.braked
+        super().__init__(serve.PtyServer(transport.lockstep, reset_on_open=False))
 
     def off_ms(self, press: Callable[[], object]) -> float:
         """From a press to outputs that are off and stay so.
@@ -102,24 +76,11 @@ class ServedRobot(Closing):
             raise DataError("the robot was off before it was stopped", "see `thigmo watch`")
         until, pressed_s = time.monotonic() + _EVER_S, self.lockstep.t_s
         press()
-        while self.lockstep.t_s - max(self._live_s, pressed_s) < _LASTS_S:
+        while self.lockstep.t_s - max(self.live_s, pressed_s) < _LASTS_S:
             if time.monotonic() > until:
                 raise DataError("the robot was not stopped", "see `thigmo watch`")
             time.sleep(STEP_S)
-        return 1e3 * (self._live_s + STEP_S - pressed_s)
-
-    def _live(self) -> None:
-        """Thread: the robot's time passes, on the port and then off it."""
-        self._server.run(lambda: self._look() and self.plugged)
-        self._server.close()
-        while self._look():
-            self.lockstep.advance()
-            time.sleep(STEP_S)
-
-    def _look(self) -> bool:
-        if not self.off:
-            self._live_s = self.lockstep.t_s
-        return not self._closed
+        return 1e3 * (self.live_s + STEP_S - pressed_s)
 
 
 Press = Callable[[ServedRobot, int], object]

@@ -16,9 +16,9 @@ from itertools import pairwise
 import numpy as np
 
 from thigmo import __version__
-from thigmo.calibrate.bench import READ_S, SAME_CM, STEADY_S
+from thigmo.calibrate.bench import READ_S, STEADY_S, grow_to, set_zone, zero
 from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Side
-from thigmo.errors import CommandRefusedError, DataError
+from thigmo.errors import DataError
 from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
 from thigmo.robot import Reading, Robot, SensorTable
@@ -28,9 +28,7 @@ from thigmo.studies.experiments.specimen import frozen, pushed
 from thigmo.studies.experiments.trial import Planned, Trial, arc_bound_cm, plan
 from thigmo.studies.rod import Floats
 
-_QUIET_S = 5.0  # after venting, before zeros are taken
 _RAMP_PSI_S = 1.0  # slow: an overshoot would turn the muscle over to its other branch
-_ZERO_TRIES = 3
 _LEAST_GAIN_SE = 1e-3
 
 
@@ -73,23 +71,11 @@ def run_trials(
 def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
     """Configure, arm, grow to the full length stage by stage, and let every sensor settle."""
     robot.configure(config)
-    length = robot.known_length_cm()
+    robot.known_length_cm()
     if robot.status().state == "safe":
         robot.arm()
-    robot.vent()
-    body, pitch = config.body, config.body.pitch_cm
-    stops = {*np.arange(pitch, body.length_cm, pitch).tolist(), body.length_cm}
-    stops |= {zone.until_cm for zone in body.zones if zone.until_cm < body.length_cm}
-    way = [(stop, body.zone_at(stop)) for stop in sorted(stops) if stop > length + SAME_CM]
-    pressed = -1
-    for stop, zone in (*way, (None, len(body.zones) - 1)):
-        if zone != pressed:
-            robot.operator.set_body_pressure(body.zones[zone].pressure_psi)
-            robot.select_zone(zone)
-            pressed = zone
-        if stop is not None:
-            say(f"growing to {stop:.1f} cm")
-            robot.grow_to(stop)
+    grow_to(robot, config, config.body.length_cm, say)
+    set_zone(robot, config, len(config.body.zones) - 1)
     say("waiting for the sensors to settle")
     robot.wait_settled()
 
@@ -97,7 +83,8 @@ def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
 def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planned) -> Row:
     """Take one trial, vent the robot, and return what is kept of it beside its plan."""
     attendant.clear()
-    _zero(robot)
+    robot.vent()
+    zero(robot, lambda text: None)
     passed: list[Reading] = []
     if trial.pressure_psi > 0:
         for since, psi in pairwise((0.0, thesis.TOUCH_PSI, trial.pressure_psi)):
@@ -132,20 +119,6 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
         "passed_psi": [r.pressure_psi[config.muscle_number(DEGREES[trial.side])] for r in passed],
         "passed_curvature": [r.curvature.tolist() for r in passed],
     }
-
-
-def _zero(robot: Robot) -> None:
-    """Zero the straight, vented robot; once more if its readings still drift."""
-    robot.vent()
-    for attempt in range(1, _ZERO_TRIES + 1):
-        robot.wait(_QUIET_S)
-        try:
-            robot.zero()
-        except CommandRefusedError as error:
-            if error.reason != "drifting" or attempt == _ZERO_TRIES:
-                raise
-        else:
-            return
 
 
 def trials(folder: Folder) -> list[Trial]:
