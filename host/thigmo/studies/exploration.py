@@ -337,7 +337,10 @@ def run(context: Context) -> Outcome:
     outcome = Outcome()
     rounds = rooms(context)
     for number, some in enumerate(rounds, 1):
-        runs += context.map(visit, some, f"rooms, part {number} of {len(rounds)}")
+        part = f"rooms, part {number} of {len(rounds)}"
+        runs += context.map(visit, some, part)
+        del context.samples[part]
+        context.samples["rooms"] = len(runs)
         outcome = _outcome(runs)
         context.save(outcome)
     return outcome

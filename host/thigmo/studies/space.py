@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.localization import Localizer, LocalizeResult
-from thigmo.studies.engine import Claim, Context, Outcome, Record, parts, share
+from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, share
 from thigmo.studies.rod import Floats
 from thigmo.studies.rod_in_space import RodsInSpace, solve
 from thigmo.studies.scaling import KINDS, least_us, one_core
@@ -159,7 +159,7 @@ def run(context: Context) -> Outcome:
     columns: dict[str, dict[str, Floats]] = {}
     for number, group in enumerate(GROUPS):
         tasks = [(group, (context.seed, 24, number, k), size) for k, size in parts(count, BATCH)]
-        found = [each for part in context.map(answers, tasks, group) for each in part]
+        found = [each for part in context.map(answers, tasks, group, last) for each in part]
         of = {
             f.name: np.array([getattr(a, f.name) for a in found], float) for f in fields(Answered)
         }

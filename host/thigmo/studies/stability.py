@@ -223,7 +223,7 @@ def errors_of(context: Context, stress: Stress, cases: int) -> Floats:
     """Errors (cm) of every method on every case: (rows, columns, cases, methods)."""
     shape = len(stress.rows), len(stress.columns)
     tasks = [(stress, r, c, cases, context.seed) for r, c in np.ndindex(shape)]
-    found = np.array(context.map(_cell, tasks, stress.name))
+    found = np.array(context.map(_cell, tasks, stress.name, lambda task: cases))
     return found.reshape(*shape, cases, len(stress.methods))
 
 

@@ -84,7 +84,7 @@ def room(part: str, level: float) -> Scene:
 
 
 def sweep_empty(task: tuple[str, float, int]) -> Floats:
-    """False alarms (settings,) in empty sweeps under so much of a part of the noise."""
+    """False alarms (settings,) in empty sweeps under a multiple of one part of the noise."""
     part, level, seed = task
     session = record(room(part, level), seed, halves_of([0, 1] * _SWEEPS), threshold=THRESHOLD)
     return np.array([false_alarms(session, replay(session, one)) for one in SETTINGS], dtype=float)
@@ -112,14 +112,15 @@ def run(context: Context) -> Outcome:
     few, many = context.count(1, 2), context.count(2, 15)
     sessions = {(p, k): many if (p, k) == DECIDING else few for p in PARTS for k in LEVELS}
     tasks = [(*noise, seed) for noise, count in sessions.items() for seed in range(1, 1 + count)]
-    counted = iter(context.map(sweep_empty, tasks, "empty sweeps"))
+    counted = iter(context.map(sweep_empty, tasks, "empty sweeps", lambda task: 2 * _SWEEPS))
     alarms = {
         noise: 100 * np.mean([next(counted) for _ in range(count)], axis=0) / _SWEEPS
         for noise, count in sessions.items()
     }
     touches = {**dict.fromkeys(STEPS, context.count(1, 4)), PEGS: context.count(3, 30)}
     touched = [(step, seed) for step, count in touches.items() for seed in range(1, 1 + count)]
-    timed = iter(context.map(touch, touched, "touches"))
+    sizes = {**dict.fromkeys(STEPS, 2 * _SWEEPS), PEGS: 1}
+    timed = iter(context.map(touch, touched, "touches", lambda task: sizes[task[0]]))
     late = {
         step: np.concatenate([next(timed) for _ in range(count)], axis=1)
         for step, count in touches.items()
