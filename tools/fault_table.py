@@ -25,39 +25,40 @@ virtual board in the emulated body, at the body pressure that pulls hardest at t
 4.9 N). The failure begins in the middle of the motion and lasts 12 s. Muscles may be pressed to
 18.5 psi (`max_pressure_cpsi`).
 
-The first table is of the thesis's robot, whose muscles 0 mA alone empties. In the second one valves
-empty muscles and body as soon as the board stops ([air](hardware/air.md)). In the third one a brake
-holds the spool besides, and contacts cut the motor's supply
-([electronics](hardware/electronics.md)). The last two are of robots with one muscle (on the Mega's
-firmware, whose second output stays free) and with four (on the large virtual board), while they
-bend.
+The first table is of the thesis's robot: its muscles empty only through the transducers, at 0 mA.
+In the second one, valves empty muscles and body as soon as the board stops
+([air](hardware/air.md)). In the third one, a brake also holds the spool, and contacts cut the
+motor's supply ([electronics](hardware/electronics.md)). The last two are of robots with one muscle
+(on the Mega's firmware; its second output stays free) and with four (on the large virtual board),
+while they bend.
 
 - *noticed as*: the faults by which the board stopped; `reset`: the board restarted, outputs off.
 - *safe*: seconds from the failure until both valves carry 0 mA and the motor is braked.
 - *peak*, *steady*: highest true muscle pressure, and that of the last two seconds.
-- *grown*: how far the tip grew from where the failure found it. Growth that nothing stops goes on.
-- *pull*: most on the line, in newtons.
+- *grown*: how far the tip grew after the failure. Growth that nothing stops goes on.
+- *pull*: highest pull on the line, in newtons.
 - *covered by*: the hardware that must act where no signal shows the failure, or where no output of
   the board can end it.
 
 The friction of motor and gearbox holds a pull of 11 N on the line [G: `dead_zone`, `holding_n`];
 a stronger one is slowed by the shorted windings, not held, and becomes `spool_slip`.
 
-A line that snaps lets go of the body, which nothing at the spool holds then: the sensors that pass
-the tip too early show it, and the valve that empties the body ends it. A shorted driver that winds
-in pulls with 254 N where no brake is: no duty bounds that, so a line for it holds 300 N.
+A line that snaps no longer holds the body, and nothing at the spool does. Sensors that pass the tip
+too early reveal it, and the valve that empties the body ends the growth. A shorted driver that
+winds in pulls with 254 N if there is no brake. No duty limits that, so a line for such a robot must
+hold 300 N.
 
-The board alone judges an encoder that loses counts, by three things: the motor's speed at its duty,
-jumps of the encoder's signals, and two sensors that pass the tip before they may, by the length or
-by the place where the two before them passed. The host only teaches it: `thigmo calibrate encoder`
-learns how much duty the body's pull saves at each body pressure (`pull_duty`). While a sensor's
-swing shows that the tip moves, it judges with that.
+The board alone detects an encoder that loses counts, by three signs: the motor's speed at its duty,
+jumps of the encoder's signals, and two sensors that pass the tip before they may, judged by the
+length or by the place where the two before them passed. The host only provides a calibration:
+`thigmo calibrate encoder` measures how much duty the body's pull saves at each body pressure
+(`pull_duty`). The board judges the speed with it while a sensor's swing shows that the tip moves.
 `tests/sim/test_lost_counts.py` holds the tip to 2.2 cm beyond what was counted with 9, 8, 7, 5 and
 3 counts of 10. Without that calibration, 8 of 10 reach 3.2 cm; with it, 82 to 87 of 100 reach 3 cm.
 
-What fails beside the encoder or a flex sensor does no more harm than the two alone
-(`tests/sim/test_fault_campaign.py`). But two failures at once are beyond the firmware where a
-sensor that lies hides what it ought to show. Hardware alone covers these:
+A further failure beside that of the encoder or of a flex sensor does no more harm than the two
+alone (`tests/sim/test_fault_campaign.py`). But the firmware cannot handle two failures at once if
+one of them is a sensor whose wrong reading hides the other. Only hardware covers these:
 
 - A pressure sensor that is frozen, and a valve that sticks open: the supply regulator and the
   relief valve bound the pressure.
