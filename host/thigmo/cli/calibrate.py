@@ -175,11 +175,11 @@ def calibrate(
 
 
 def _status(session: Session, as_json: bool) -> None:
-    from thigmo.calibrate.steps import STEPS
+    from thigmo.calibrate.steps import STEPS, steps_of
 
     facts, lines = {}, []
-    for name, step in STEPS.items():
-        rows = sum(len(session.rows(procedure)) for procedure in step.rows)
+    for name in steps_of(session.config):
+        rows = sum(len(session.rows(procedure)) for procedure in STEPS[name].rows)
         done = session.done(name)
         reason = done["verdict"]["reason"] if done else ""
         facts[name] = {"done": done is not None, "readings": rows, "reason": reason}

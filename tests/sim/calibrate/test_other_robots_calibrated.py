@@ -59,6 +59,8 @@ def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
             "--places", 4, "--zone", len(truth.body.zones) - 1,
         )  # fmt: skip
         assert ran.code == 0, ran.out + ran.err
+    steps = json.loads(thigmo("calibrate", "status", "--folder", folder, "--json").out)
+    assert steps.keys() & {"flex", "heading", "fibre"} == {kind}
     found = RobotConfig.load(folder / "robot.toml")
     for made, true in zip(found.sensors, truth.sensors, strict=True):
         assert made.healthy
