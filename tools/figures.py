@@ -481,10 +481,12 @@ def table(name: str) -> str:
     if not rows:
         return "\n".join([*lines, "Not run yet.", "", ""])
     found = json.loads((RESULTS / f"{name}.json").read_text())
-    for study in found if isinstance(found, list) else []:
+    studies = found if isinstance(found, list) else []
+    for study in studies:
         if samples := study.get("samples"):
-            cases = "; ".join(f"{part} {count}" for part, count in samples.items())
-            lines += [f"Cases: {cases}.", ""]
+            of = f" of {study['study']}" if len(studies) > 1 else ""
+            cases = "; ".join(f"{part}: {count}" for part, count in samples.items())
+            lines += [f"Cases{of}: {cases}.", ""]
     lines += ["| what | value | |", "| --- | --- | --- |"]
     return "\n".join([*lines, *(f"| {a} | {b} | {c} |" for a, b, c in rows), "", ""])
 
