@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,17 @@ def test_the_bend_at_which_a_touch_begins_tells_one_peg_from_two() -> None:
     # One in twenty touches is another's, so that two differ is not proof, and nothing is sure.
     assert other[0].kinds.get("peg", 0.0) < 0.7
     assert all(each.status == "ambiguous" for each in other)
+
+
+def test_touches_of_the_straight_body_tell_less_of_what_they_touched() -> None:
+    """Whatever stands beside the path touches a body that is hardly bent, anywhere along it."""
+    odds = []
+    for bend in (5e-4, 0.015):
+        mass = np.exp(-0.5 * ((BENDS - bend) / 2.5e-4) ** 2)
+        seen = _sighting(40.0, 36.0, 3.5, bend), _sighting(53.0, 43.0, 3.5, bend)
+        (both,) = _explained(*(replace(each, touch=mass / mass.sum()) for each in seen))
+        odds.append(both.kinds["peg"] / (1 - both.kinds["peg"]))
+    assert odds[0] < 0.7 * odds[1]
 
 
 def test_tips_that_slide_along_a_line_are_a_wall_with_its_surface() -> None:
