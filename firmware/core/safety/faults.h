@@ -25,7 +25,6 @@ class Faults {
   }
 
   uint16_t latched() const { return latched_; }
-  bool has(Fault fault) const { return (latched_ & mask(fault)) != 0; }
 
  private:
   uint16_t latched_ = 0;

@@ -73,7 +73,6 @@ class MuscleState {
   }
 
   int16_t lagged_cpsi() const { return lagged_cpsi_; }
-  uint16_t inflating_q8() const { return inflating_q8_; }  // 256 = the inflate map alone
   protocol::Branch branch() const {
     return inflating_q8_ >= 128 ? protocol::Branch::kInflate : protocol::Branch::kDeflate;
   }
@@ -90,7 +89,7 @@ class MuscleState {
   int32_t lagged_q12_ = 0;
   int16_t lagged_cpsi_ = 0;
   int16_t floor_ = 0;
-  uint16_t inflating_q8_ = 0;
+  uint16_t inflating_q8_ = 0;  // 256 = the inflate map alone
   bool started_ = false;
 };
 

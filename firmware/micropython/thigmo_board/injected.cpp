@@ -29,7 +29,6 @@ namespace {
 using namespace thigmo;
 
 constexpr uint16_t kFlashSize = 2 * kFlashSector;
-constexpr uint8_t kMostTicks = 10;
 constexpr uint16_t kTickBytes = 2 * kAdcSlots + 4 * kPasses;
 constexpr uint16_t kStepHeader = 9;
 constexpr uint16_t kMostLine = 4096;

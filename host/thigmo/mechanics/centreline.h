@@ -31,8 +31,6 @@ static_assert(sizeof(Node) == 5 * sizeof(double), "Python reads the table as (n,
 
 enum class Kind { kRightSide, kRightCorner, kFace, kLeftCorner, kLeftSide };
 
-inline bool is_side(Kind kind) { return kind == Kind::kRightSide || kind == Kind::kLeftSide; }
-
 // A place on the skin: its arc, its offset along the left normal, and the outward normal there as
 // (tangential, normal) components.
 struct Skin {
