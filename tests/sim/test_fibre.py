@@ -20,7 +20,7 @@ from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.reach import room_for
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
-from thigmo.errors import InterrogatorError
+from thigmo.errors import CommandRefusedError, InterrogatorError
 from thigmo.link.interrogator import Interrogator, TcpSource
 from thigmo.robot import Robot
 
@@ -79,6 +79,20 @@ def test_a_pressed_body_is_read_as_it_bends(pressing: tuple[Robot, EmulatorTrans
     assert np.isnan(got.curvature[np.logical_not(in_plane)]).all()
     assert 45 <= got.lines <= 51
     assert got.zero_age_s == pytest.approx(5.0, abs=1.5)
+
+
+def test_only_a_body_at_rest_is_zeroed_and_only_what_is_out_of_it() -> None:
+    robot, transport = armed(_room(30.0))
+    robot.select_zone(1)
+    robot.wait_settled()
+    transport.lockstep.faults.inject(FaultTable(kind="grating_lost", at_s=0.0, sensor=0))
+    robot.config.gratings[0].healthy = False  # and its peak is lost
+    robot.zero()
+    known = np.isfinite(robot.read_fibre().curvature)
+    assert np.flatnonzero(known).tolist() == [2, 4, 6, 8, 10]  # in the plane, to 27.5 cm
+    transport.lockstep.plant.fibre._ramp_k_s = 5.0  # an oven
+    with pytest.raises(CommandRefusedError, match="strains still drift"):
+        robot.zero()
 
 
 @pytest.mark.parametrize(

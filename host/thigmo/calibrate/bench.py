@@ -297,7 +297,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
         seen = bench.seen(shot, {"k": None, "k_se": None})
         return {
             **asked, "psi": psi, "ohm": bench.ohm(reading),
-            "rest": bench.rest, "t_s": reading.t_s, **seen,
+            "rest": bench.rest, "t_s": reading.t_s, **_strain(bench), **seen,
         }  # fmt: skip
 
     rows: list[Row] = []
@@ -336,6 +336,13 @@ def _bent(bench: Bench, muscle: Muscle, psi: float) -> tuple[Reading, float]:
     bench.robot.wait(STEADY_S + bench.plan.step_psi / _RAMP_PSI_S)
     reading = bench.robot.read(READ_S)
     return reading, reading.pressure_psi[bench.config.muscle_number(muscle.name)]
+
+
+def _strain(bench: Bench) -> Row:
+    """A fibre's strains, where the robot has one that is read live."""
+    if not (bench.config.gratings and bench.config.interrogator):
+        return {}
+    return {"strain": bench.robot.read_fibre(READ_S).strain_ue.tolist()}
 
 
 def unseen_bend_rows(bench: Bench, zones: Iterable[int], muscle: Muscle) -> list[Row]:

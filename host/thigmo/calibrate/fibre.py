@@ -1,7 +1,7 @@
 """A fibre: scale, zero, twist and drift of each grating's strains, by free bends.
 
-Its readings come from an interrogator, so they come here as a CSV: at each free bend the curvature
-by camera, and the strain of each reading. A line in curvature and time is fitted to each. Its
+Its readings come from an interrogator, live or as a CSV: at each free bend the curvature by camera,
+and the strain of each reading. A line in curvature and time is fitted to each. Its
 slope gives `scale_per_ue`. The drift that all gratings share is the temperature's. A reading
 across the plane that moves with bends in it says by how much the fibre is twisted.
 """
@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.calibrate.columns import Array
+from thigmo.calibrate.bench import Bench, last_bends
+from thigmo.calibrate.columns import Array, column
 from thigmo.calibrate.regression import outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import FibreSensor, RobotConfig
@@ -63,6 +64,24 @@ class FibreResult(StepResult):
             sensor.noise = abs(fit.scale_per_ue) * fit.noise_ue
             if np.isfinite(self.twist_se_rad):
                 sensor.twist_se_rad = self.twist_se_rad
+
+
+def guided(bench: Bench) -> FibreResult:
+    """From the free bends of the last body pressure (which it takes if there are none yet)."""
+    if not bench.config.interrogator:
+        raise DataError(
+            "nothing reads the fibre live",
+            "give `interrogator` in robot.toml, or strains as a file: `thigmo calibrate fibre "
+            "--csv FILE`",
+        )
+    bends = last_bends(bench)
+    if not all("strain" in row for row in bends):
+        raise DataError(
+            "the free bends were taken without the fibre", "run `thigmo calibrate actuator --again`"
+        )
+    return fit_fibre(
+        column(bends, "t_s"), column(bends, "k"), column(bends, "strain"), bench.config
+    )
 
 
 def of_csv(table: Table, config: RobotConfig) -> FibreResult:

@@ -40,8 +40,7 @@ from thigmo.record.table import MissingColumnError, Table
 class Step:
     """One step of the calibration."""
 
-    # of a Bench, and of another fit than its own; None where readings come as a CSV only
-    guided: Callable[..., StepResult] | None
+    guided: Callable[..., StepResult]  # of a Bench, and of another fit than its own
     of_csv: Callable[..., StepResult] | None = None  # of a Table and a RobotConfig, and the same
     columns: str = ""  # of its CSV; those in brackets may be omitted
     rows: tuple[str, ...] = ()  # names of the tables of readings that are its own
@@ -80,7 +79,8 @@ STEPS = {
         needed=True, kind="heading",
     ),
     "fibre": Step(
-        None, fibre.of_csv, "t_s, curvature, strain_0 .. strain_N (microstrain)", kind="fibre"
+        fibre.guided, fibre.of_csv, "t_s, curvature, strain_0 .. strain_N (microstrain)",
+        needed=True, kind="fibre",
     ),
     "hysteresis": Step(
         hysteresis.guided, hysteresis.of_csv, "side, index, t_s, curvature [eversion]", ("growth",)
@@ -113,12 +113,6 @@ def _require(step: str, config: RobotConfig) -> None:
 def run(bench: Bench, step: str, *, again: bool = False, method: str | None = None) -> StepResult:
     """One guided step of `STEPS`; `again` takes its readings again. `method`: of `fit_csv`."""
     _require(step, bench.config)
-    guided = STEPS[step].guided
-    if guided is None:
-        raise DataError(
-            f"the readings of a {STEPS[step].kind} do not come over the board",
-            f"give them as a file: `thigmo calibrate {step} --csv FILE`",
-        )
     if step != "pressure" and not bench.config.board_sensors:
         raise DataError(
             "no sensor is on the board, which bends no body whose base it does not feel",
@@ -131,7 +125,7 @@ def run(bench: Bench, step: str, *, again: bool = False, method: str | None = No
         bench.configure()  # no length is taken from a robot that does not look vented
     else:
         bench.start()
-    result = guided(bench, *STEPS[step].other_fit(method))
+    result = STEPS[step].guided(bench, *STEPS[step].other_fit(method))
     bench.finish(step, result)
     return result
 

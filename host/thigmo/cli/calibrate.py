@@ -86,7 +86,7 @@ def calibrate(
 
     heading: of IMUs instead: the turn from each to the next at the free bends; scale, zero, drift.
 
-    fibre: with `--csv`: strains at free bends; scales, zeros, twist, and the drift that all share.
+    fibre: strains at the free bends; scales, zeros, twist, and the drift that all share.
 
     hysteresis: how each sensor creeps after it was everted (from the encoder's stops).
 
@@ -150,8 +150,7 @@ def calibrate(
     with console.interruptible(), connect(robot, seed=seed, operator=console) as machine:
         known = machine.known_config
         session = Session(folder, start or (blank(known) if known else None))
-        guided = [name for name in steps_of(session.config) if STEPS[name].guided]
-        steps = guided if step == "all" else [step]
+        steps = steps_of(session.config) if step == "all" else [step]
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
         overhead = _overhead_camera(machine, session, camera, sheet_file, camera_file, seed)

@@ -20,6 +20,7 @@ from thigmo.robot.curvature import Floats
 _BENT_PSI = 0.1
 _FEWEST = 3  # lines of a reading
 _DRIFT = 5.0  # standard errors between the two halves of a zeroing
+_MEDIAN_STEP = 0.954  # median step of normal noise from one reading to the next, over its sigma
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,7 @@ class FibreReading:
     """Averaged strains over a while, one value for each reading of robot.toml's fibre."""
 
     t_s: float  #: host time at its middle
+    strain_ue: Floats  #: shape (n,), as the interrogator says; NaN where lost
     curvature: Floats  #: shape (n,), 1/cm since the zeros; NaN without a zero, dead or lost
     lines: int  #: number averaged
     zero_age_s: float  #: since the zeros were taken
@@ -59,17 +61,19 @@ class Fibre:
 
         Raises CommandRefusedError if they drift, as a body that still moves does.
         """
-        lines = self._lines(since_s)
+        lines = self._lines(since_s)[:, self._needed]
         halves = lines[: len(lines) // 2], lines[len(lines) // 2 :]
-        per_ue = np.array([abs(one.scale_per_ue) for one in self._gratings])
-        apart = per_ue * abs(np.nanmedian(halves[0], axis=0) - np.nanmedian(halves[1], axis=0))
-        noise = np.array([one.noise for one in self._gratings])
-        if np.any(self._needed & (apart > _DRIFT * noise * (4 / len(lines)) ** 0.5)):
+        apart = abs(np.nanmedian(halves[0], axis=0) - np.nanmedian(halves[1], axis=0))
+        # From line to line, which drift does not raise; and what any reading may be off by.
+        scatter = np.nanmedian(abs(np.diff(lines, axis=0)), axis=0) / _MEDIAN_STEP
+        noise = np.array([one.noise / abs(one.scale_per_ue) for one in self._gratings])
+        if np.any(apart > noise[self._needed] + _DRIFT * scatter * (4 / len(lines)) ** 0.5):
             raise CommandRefusedError(
                 "the fibre's strains still drift", "wait until the body rests", reason="drifting"
             )
-        out = self._needed & (self._ends <= length_cm + 1e-6)
-        self._zero_ue = np.where(out, np.nanmean(lines, axis=0), np.nan)
+        self.void()
+        self._zero_ue[self._needed] = np.nanmean(lines, axis=0)
+        self._zero_ue[self._ends > length_cm + 1e-6] = np.nan
         self._zero_s = since_s
 
     def _lines(self, since_s: float) -> Floats:
@@ -104,6 +108,7 @@ class Fibre:
         bent = float(psi.max()) >= _BENT_PSI
         return FibreReading(
             t_s=float(np.mean([t_s for t_s, *_ in pairs])),
+            strain_ue=mean,
             curvature=np.asarray(scale * (mean - self._zero_ue)),
             lines=len(pairs),
             zero_age_s=pairs[-1][0] - self._zero_s,

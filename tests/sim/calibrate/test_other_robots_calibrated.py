@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,27 @@ def unknown(seed: int, length_cm: float, sensors: int, muscles: int, kind: Kind)
     return scene
 
 
+def _calibrated(thigmo: Thigmo, tmp_path: Path, steps: Sequence[str]) -> RobotConfig:
+    """What steps make of the robot in bare.toml, whose maps but the last are known before; here
+    they would take a camera's time. It is saved as made.toml."""
+    truth = Scene.load(tmp_path / "bare.toml").robot
+    begun = blank(truth)
+    for muscle, true in zip(begun.muscles, truth.muscles, strict=True):
+        muscle.maps[:-1] = true.maps[:-1]
+    begun.save(tmp_path / "begun.toml")
+    folder = tmp_path / "calibration"
+    for step in steps:
+        ran = thigmo(
+            "calibrate", step, "--robot", f"emulator://{tmp_path / 'bare.toml'}", "--config",
+            tmp_path / "begun.toml", "--folder", folder, "--trials", 1, "--step-psi", 4.5,
+            "--places", 4, "--zone", len(truth.body.zones) - 1,
+        )  # fmt: skip
+        assert ran.code == 0, ran.out + ran.err
+    found = RobotConfig.load(folder / "robot.toml")
+    found.save(tmp_path / "made.toml")
+    return found
+
+
 @pytest.mark.parametrize(
     ("length_cm", "sensors", "muscles", "kind"),
     [
@@ -46,22 +68,9 @@ def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
     scene = unknown(3, length_cm, sensors, muscles, kind)
     truth = scene.robot
     scene.save(tmp_path / "bare.toml")
-    # Body pressures but the last were calibrated before; here that takes a camera's time.
-    begun = blank(truth)
-    for muscle, true in zip(begun.muscles, truth.muscles, strict=True):
-        muscle.maps[:-1] = true.maps[:-1]
-    begun.save(tmp_path / "begun.toml")
-    folder = tmp_path / "calibration"
-    for step in ("pressure", "actuator", kind):
-        ran = thigmo(
-            "calibrate", step, "--robot", f"emulator://{tmp_path / 'bare.toml'}", "--config",
-            tmp_path / "begun.toml", "--folder", folder, "--trials", 1, "--step-psi", 4.5,
-            "--places", 4, "--zone", len(truth.body.zones) - 1,
-        )  # fmt: skip
-        assert ran.code == 0, ran.out + ran.err
-    steps = json.loads(thigmo("calibrate", "status", "--folder", folder, "--json").out)
-    assert steps.keys() & {"flex", "heading", "fibre"} == {kind}
-    found = RobotConfig.load(folder / "robot.toml")
+    found = _calibrated(thigmo, tmp_path, ("pressure", "actuator", kind))
+    status = thigmo("calibrate", "status", "--folder", tmp_path / "calibration", "--json")
+    assert json.loads(status.out).keys() & {"flex", "heading", "fibre"} == {kind}
     for made, true in zip(found.sensors, truth.sensors, strict=True):
         assert made.healthy
         off = made.scale_per_ohm / true.scale_per_ohm - 1
@@ -75,10 +84,38 @@ def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
     scene.start_length_cm, scene.pegs = 0.0, [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
     scene.save(tmp_path / "room.toml")
     ran = thigmo(
-        "explore", "--scene", tmp_path / "room.toml", "--config", folder / "robot.toml",
+        "explore", "--scene", tmp_path / "room.toml", "--config", tmp_path / "made.toml",
         "--seed", 5, "--out", tmp_path, "--json",
     )  # fmt: skip
     assert ran.code == 0, ran.err
     contacts = json.loads(ran.out)["contacts"]
     away = [np.hypot(each["x_cm"] - peg.x, each["y_cm"] - peg.y) for each in contacts]
     assert min(away) < 0.06 * length_cm
+
+
+def test_a_fibre_is_calibrated_and_feels_with_what_was_found(
+    thigmo: Thigmo, tmp_path: Path
+) -> None:
+    scene = unknown(3, 53.0, 10, 2, "fibre")
+    scene.save(tmp_path / "bare.toml")
+    found = _calibrated(thigmo, tmp_path, ("pressure", "actuator", "fibre"))
+    for made, true in zip(found.gratings, scene.robot.gratings, strict=True):
+        if made.side:
+            assert made.healthy
+            off = made.scale_per_ue / true.scale_per_ue - 1
+            assert abs(off) < max(0.01, 3 * made.scale_se)
+            assert made.scale_se < 0.02
+            assert 0.0 < made.temperature_se < 3e-4
+    scene.pegs = [PegTable(x=35.0, y=-6.0, radius=0.6)]
+    scene.save(tmp_path / "room.toml")
+    ran = thigmo(
+        "feel", "--robot", f"emulator://{tmp_path / 'room.toml'}", "--config",
+        tmp_path / "made.toml", "--press", "right=8", "--count", 2, "--json",
+    )  # fmt: skip
+    assert ran.code == 0, ran.err
+    for answer in json.loads(ran.out):
+        (truth,) = [contact["arc_cm"] for contact in answer["truth"]]
+        (contact,) = answer["contacts"]
+        assert answer["status"] == "localized"
+        assert contact["interval"][0] < truth < contact["interval"][1]
+        assert contact["arc"] == pytest.approx(truth, abs=1.5)
