@@ -18,7 +18,8 @@ from thigmo.mechanics.closed_forms import critical_moment
 from thigmo.robot import TRIGGER_PER_CM, SweepFrame, SweepResult
 from thigmo.robot.curvature import Floats
 
-# Of the moment that folds the base: close to it for the signal, below it for the errors of both.
+# Of the moment that folds the base. The slow sweep holds the base back farther than the fast one
+# did at that pressure, so most measurements end past the fold: the larger signal is worth it.
 _SHARE = 0.65
 _SMOOTH = 5  # frames, a quarter of a second
 # Since a touch, the base has given up at least this share of what the map has gone on.
