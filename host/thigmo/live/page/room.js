@@ -261,6 +261,7 @@ function label(layer, contact, words, x, y, placed) {
 
 $("room-legend").innerHTML = `
   <span><i class="area" style="background:var(--free)"></i>free</span>
+  <span><i class="area" style="background:var(--trail);opacity:.55"></i>swept at this stage</span>
   <span><i class="area" style="background:var(--contact);opacity:.45"></i>where a contact may be</span>
   <span><i class="dot" style="background:var(--contact)"></i>contact</span>
   <span><i style="border-top-width:3px;color:var(--ink)"></i>wall, dashed: likely</span>
