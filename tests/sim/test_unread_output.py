@@ -45,6 +45,45 @@ def went_on(tmp_path: Path) -> Callable[[], bool]:
 
 Went = Callable[[], bool]
 
+# Prints numbers while a timer interrupts it every 0.2 ms.
+INTERRUPTED = """
+import signal, sys
+from thigmo.cli import unread
+
+def interrupt(*_):
+    global printing
+    if printing:
+        printing = False
+        raise KeyboardInterrupt
+
+unread.be_lossy()
+printing = False
+signal.signal(signal.SIGALRM, interrupt)
+signal.setitimer(signal.ITIMER_REAL, 2e-4, 2e-4)
+number = 0
+while number < 20_000:
+    try:
+        printing = True
+        while number < 20_000:
+            number += 1
+            sys.{stream}.write(f"{number}\\n")
+            sys.{stream}.flush()
+    except KeyboardInterrupt:
+        pass
+printing = False
+signal.setitimer(signal.ITIMER_REAL, 0)
+"""
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_an_interrupt_prints_nothing_twice(stream: str) -> None:
+    code = INTERRUPTED.replace("{stream}", stream)
+    run = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    numbers = (run.stdout or run.stderr).split()
+    assert run.returncode == 0, run.stderr[-300:]
+    assert len(numbers) > 15_000, "too much was lost"
+    assert len(numbers) == len(set(numbers))
+
 
 def test_a_reader_that_leaves(words: list[str], went_on: Went) -> None:
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as run:

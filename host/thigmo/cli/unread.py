@@ -14,53 +14,65 @@ import os
 import select
 import sys
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import Any, TextIO
 
 # The reader went, or the terminal was closed.
 _LEFT = (errno.EPIPE, errno.EIO, errno.ENXIO, errno.EBADF)
 # A reader of stderr that takes nothing, such as a terminal that is held (Ctrl-S), is waited for.
 _PATIENCE_S = 1.0
-_PIECE_BYTES = 512  # what a pipe or terminal that is ready takes without making its writer wait
+_PIECE = 128  # characters, at most 512 bytes: a pipe or terminal that is ready takes them at once
 
 
-class Unread(io.RawIOBase):
-    """A raw stream that loses what it cannot write.
+class Unread(io.TextIOWrapper):
+    """A stream that loses what it cannot write.
+
+    The stream below stays the standard library's own, whose writes a signal does not leave half
+    counted: with one in Python, Ctrl-C at the wrong moment printed a text twice.
 
     Args:
-        raw: where to.
+        stream: where to.
         patient: wait for a reader who takes nothing, however long.
     """
 
-    def __init__(self, raw: io.RawIOBase, *, patient: bool) -> None:
-        self._raw = raw
+    def __init__(self, stream: TextIO, *, patient: bool) -> None:
+        raw: Any = getattr(stream.buffer, "raw", stream.buffer)
+        super().__init__(
+            io.BufferedWriter(raw),
+            encoding=stream.encoding,
+            errors=stream.errors,
+            line_buffering=stream.isatty() or not patient,
+        )
         self._patient = patient
         self._stalled = False
         self.lost: OSError | None = None  # why, once something was
 
-    def writable(self) -> bool:
-        """It is."""
-        return True
-
-    def fileno(self) -> int:
-        """The file's number, as of the stream below."""
-        return self._raw.fileno()
-
-    def isatty(self) -> bool:
-        """Whether it is a terminal that is still there."""
-        return self._raw.isatty()
-
-    def write(self, data: bytes, /) -> int:  # type: ignore[override]
+    def write(self, text: str, /) -> int:
         """Write what can be written; all of it counts as written."""
-        if self.lost is not None:
-            return len(data)
         try:
-            if not self._patient and not self._taken():
-                return len(data)
-            piece = data if self._patient else memoryview(data)[:_PIECE_BYTES]
-            return self._raw.write(piece) or 0
+            if self._patient:
+                super().write(text)
+            else:
+                for start in range(0, len(text), _PIECE):
+                    if self._taken():
+                        super().write(text[start : start + _PIECE])
+                        super().flush()
         except OSError as error:
-            self.lost = error
-            return len(data)
+            self._lose(error)
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what was kept back."""
+        try:
+            super().flush()
+        except OSError as error:
+            self._lose(error)
+
+    def _lose(self, error: OSError) -> None:
+        """Whatever is still to be written goes nowhere from now on."""
+        self.lost = error
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        os.dup2(nowhere, self.fileno())
+        os.close(nowhere)
 
     def _taken(self) -> bool:
         """Whether the reader takes something, now or soon; one that has stalled gets no time."""
@@ -85,21 +97,16 @@ def be_lossy() -> None:
 def _lossy(stream: TextIO | None, *, patient: bool) -> TextIO:
     if stream is None:  # it was closed
         return Path(os.devnull).open("w")
-    buffer: Any = stream.buffer
-    raw = Unread(getattr(buffer, "raw", buffer), patient=patient)
-    return io.TextIOWrapper(
-        io.BufferedWriter(cast("io.RawIOBase", raw)),
-        encoding=stream.encoding,
-        errors=stream.errors,
-        line_buffering=stream.isatty() or not patient,
-    )
+    return Unread(stream, patient=patient)
 
 
 def lost() -> bool:
     """Say in one line if a part of the result was lost that somebody may want; whether so."""
     sys.stdout.flush()
-    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
-    if not isinstance(raw, Unread) or raw.lost is None or raw.lost.errno in _LEFT:
+    if not isinstance(sys.stdout, Unread) or sys.stdout.lost is None:
         return False
-    sys.stderr.write(f"thigmo: the output was lost: {raw.lost.strerror}; write it elsewhere\n")
+    why = sys.stdout.lost
+    if why.errno in _LEFT:
+        return False
+    sys.stderr.write(f"thigmo: the output was lost: {why.strerror}; write it elsewhere\n")
     return True
