@@ -52,6 +52,7 @@ class Unread(io.TextIOWrapper):
             if self._patient:
                 super().write(text)
             else:
+                super().write(text[:0])  # raises at bytes: typer tells by it what a stream takes
                 for start in range(0, len(text), _PIECE):
                     if self._taken():
                         super().write(text[start : start + _PIECE])
