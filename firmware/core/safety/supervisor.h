@@ -182,7 +182,6 @@ constexpr Complaint kComplaints[] THIGMO_PROGMEM = {
     {mask(Condition::kBaseUsable), Reason::kNoBaseSensor},
     {mask(Condition::kEnergised), Reason::kBusy},
 };
-constexpr uint8_t kComplaintCount = sizeof(kComplaints) / sizeof(kComplaints[0]);
 
 // Why a command is refused now, or none.
 inline Reason refusal(Permit permit, State state, Activity activity, uint16_t conditions) {
@@ -194,10 +193,10 @@ inline Reason refusal(Permit permit, State state, Activity activity, uint16_t co
   const uint16_t wrong = static_cast<uint16_t>((THIGMO_FLASH_U16(&row->required) & ~conditions) |
                                                (THIGMO_FLASH_U16(&row->forbidden) & conditions));
   if (wrong == 0) return Reason::kNone;
-  for (uint8_t i = 0; i < kComplaintCount; ++i) {
-    if ((wrong & THIGMO_FLASH_U16(&kComplaints[i].condition)) != 0) {
+  for (const Complaint& complaint : kComplaints) {
+    if ((wrong & THIGMO_FLASH_U16(&complaint.condition)) != 0) {
       return static_cast<Reason>(
-          THIGMO_FLASH_U8(reinterpret_cast<const uint8_t*>(&kComplaints[i].reason)));
+          THIGMO_FLASH_U8(reinterpret_cast<const uint8_t*>(&complaint.reason)));
     }
   }
   return Reason::kWrongState;
