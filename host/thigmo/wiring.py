@@ -18,6 +18,7 @@ from thigmo.config import (
     HeadingSensor,
     Muscle,
     RobotConfig,
+    Sensor,
     Side,
 )
 from thigmo.errors import ConfigError
@@ -92,17 +93,14 @@ def beyond_board(config: RobotConfig) -> list[Beyond]:
 
 
 def unexplored(config: RobotConfig) -> Beyond | None:
-    """What of the robot `explore` cannot do: readings from elsewhere, or bends out of the plane."""
-    if config.gratings:
+    """What of the robot `explore` cannot do: bends out of the plane, or that no trigger guards."""
+    if config.gratings and config.interrogator is None:
         return Beyond(
-            f"{len(config.gratings)} readings of a fibre reach no board, whose contact trigger "
-            "must see them while a muscle bends the body",
-            "localize its readings, live (`thigmo feel`) or of a file (`thigmo localize FILE "
-            "--config robot.toml`), or leave them out of robot.toml and explore with the sensors "
-            "on the board",
+            f"{len(config.gratings)} readings of a fibre that no interrogator sends",
+            'give `interrogator = "host:port"` in robot.toml, or leave the gratings out of it',
         )
     names = [f"muscle {muscle.name}" for muscle in config.muscles if muscle.side is None]
-    count = sum(sensor.side is None for sensor in config.sensors)
+    count = sum(sensor.side is None for sensor in config.board_sensors)
     if count:
         names.append(f"{count} sensors")
     if names:
@@ -114,7 +112,8 @@ def unexplored(config: RobotConfig) -> Beyond | None:
     if len(blind(config)) == len(config.muscles):
         return Beyond(
             "no healthy sensor at the base answers to the muscles, so no sweep feels a contact",
-            "repair a base sensor, or correct its `healthy` and `valid_direction` in robot.toml",
+            "repair a base sensor, or correct its `healthy` and `valid_direction` in robot.toml"
+            + (", or wire one to the board: its trigger sees no fibre" if config.gratings else ""),
         )
     return None
 
@@ -182,6 +181,11 @@ def sensors(config: RobotConfig) -> list[BoardSensor | None]:
     for number, sensor in zip(free, others, strict=False):
         found[number] = sensor
     return found
+
+
+def rows(config: RobotConfig) -> list[Sensor | None]:
+    """The sensor behind each reading of a sweep: on each input, and then the fibre's gratings."""
+    return [*sensors(config), *config.gratings]
 
 
 class Witness(NamedTuple):

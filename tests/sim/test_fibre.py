@@ -21,7 +21,12 @@ from thigmo.emulator.reach import room_for
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import CommandRefusedError, InterrogatorError
+from thigmo.exploration import ExplorationResult, explore, replay
+from thigmo.exploration.recorded import recorded_sweeps
+from thigmo.link import protocol as wire
+from thigmo.link.framing import decode
 from thigmo.link.interrogator import Interrogator, TcpSource
+from thigmo.record import RunFolder, read_log
 from thigmo.robot import Robot
 
 _LOOSE_S = 0.5  # from the last line to outputs off: 0.2 s of age, a look at it, and a command
@@ -58,14 +63,66 @@ def test_a_new_robot_feels_a_peg_with_its_fibre(thigmo: Thigmo, tmp_path: Path) 
         assert contact["interval"][0] < truth < contact["interval"][1]
         assert answer["status"] == "localized"
         assert answer["lines"] >= 20
-    scene = Scene.load(tmp_path / "scene.toml")
+    scene = Scene.load(tmp_path / "grown.toml")
     scene.pegs = []
-    scene.save(tmp_path / "scene.toml")
+    scene.save(tmp_path / "grown.toml")
     empty = json.loads(thigmo("feel", *command, "--count", "2", "--json").out)
     assert all(answer["status"] == "no contact" for answer in empty)
-    refused = thigmo("explore", "--scene", str(tmp_path / "scene.toml"))
-    assert refused.code == 1
-    assert "reach no board" in refused.err
+
+
+@pytest.fixture(scope="module")
+def explored(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExplorationResult]:
+    """A room with a peg, and its exploration by a fibre and two base sensors."""
+    folder = tmp_path_factory.mktemp("explored")
+    room_for(draft(53, 20, 2, kind="fibre"), 6).save(folder / "room.toml")
+    return folder / "room.toml", explore(f"emulator://{folder / 'room.toml'}", seed=1, out=folder)
+
+
+def test_a_robot_with_a_fibre_explores_and_its_record_says_the_same(
+    explored: tuple[Path, ExplorationResult],
+) -> None:
+    _, run = explored
+    (contact,) = run.document.contacts
+    arcs = [c.arc_cm for c in run.document.truth.contacts if c.everted_length_cm > 52]
+    assert contact.status == "localized"
+    assert any(contact.interval_cm[0] < arc < contact.interval_cm[1] for arc in arcs)
+    again = replay(run.folder)
+    assert again.document.contacts == run.document.contacts
+    assert again.document.stages == run.document.stages
+    (sweep, *_) = recorded_sweeps(run.folder)
+    assert bin(sweep.sensors >> 10).count("1") == 12  # in the plane, out at 30 cm
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [("interrogator_silent", "newest line is"), ("grating_lost", "has lost strain_4")],
+)
+def test_an_exploration_ends_safely_when_its_fibre_is_not_read(
+    explored: tuple[Path, ExplorationResult], tmp_path: Path, fault: str, said: str
+) -> None:
+    room, whole = explored
+    zeroed = [
+        n.t_s for n in read_log(whole.folder / "run.mcap").notes if n.facts["state"] == "ZERO"
+    ]
+    scene = Scene.load(room)
+    scene.faults = [FaultTable.model_validate(
+        {"kind": fault, "at_s": zeroed[1] + 2.5, "duration_s": 1e3, "sensor": 4}
+    )]  # fmt: skip
+    scene.save(tmp_path / "room.toml")
+    with pytest.raises(InterrogatorError, match=said):
+        explore(f"emulator://{tmp_path / 'room.toml'}", seed=1, out=tmp_path)
+    (folder,) = (each for each in tmp_path.iterdir() if each.is_dir())
+    assert said in RunFolder(folder).read_document().outcome
+    log = read_log(folder / "run.mcap")
+    assert not log.missing
+    frames = [decode(entry.frame).message() for entry in log.entries]
+    heard = [frame for frame in frames if isinstance(frame, wire.Telemetry)]
+    bent = [n for n, frame in enumerate(heard) if max(frame.pressure_cpsi) > 500]
+    assert bent  # in the middle of a sweep
+    assert max(heard[-1].drive) == heard[-1].motor == 0
+    again = replay(folder)
+    assert again.document.stages == whole.document.stages[: len(again.document.stages)]
+    assert len(again.document.stages) == 1
 
 
 def test_a_pressed_body_is_read_as_it_bends(pressing: tuple[Robot, EmulatorTransport]) -> None:

@@ -18,7 +18,7 @@ YOUNG = 1 << 4 | 1 << 9  # the last sensor of each side
 
 
 def _sums(curvature: Floats, rng: np.random.Generator) -> tuple[int, ...]:
-    ohm = 12_000.0 + curvature / TABLE.scale_per_ohm
+    ohm = 12_000.0 + curvature / TABLE.scale
     mean = 1024.0 * CONFIG.board.divider_ohm / (CONFIG.board.divider_ohm + ohm) - 0.5
     conversions = mean[:, None] + rng.normal(0, 1.0, (10, OVERSAMPLE))
     return tuple(int(v) for v in np.round(conversions.sum(axis=1)))

@@ -16,6 +16,7 @@ from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.exploration.states import State
 from thigmo.record import LogWriter, RunDocument, RunFolder
 from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
+from thigmo.robot.strains import Strains
 from thigmo.stream import Hub
 
 
@@ -37,6 +38,7 @@ class Script:
         self.clear = False  # ask whether the sweep is enough already
         self.doubt = 0.0  # about what young sensors rest at, 1/cm
         self.hub = Hub()
+        self.strains = Strains()
         self.epoch_s = 1.7e9
         self.virtual = False
 

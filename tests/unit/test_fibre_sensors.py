@@ -33,18 +33,23 @@ def test_gratings_share_the_temperature_and_lose_by_twist() -> None:
     assert errors_of(CONFIG, "left", 0, [twisted]).gain_error == pytest.approx(1 - np.cos(0.6))
 
 
-def test_a_fibre_takes_no_input_of_the_board_and_is_not_explored(tmp_path: Path) -> None:
+def test_a_fibre_takes_no_input_of_the_board_and_alone_is_not_explored(tmp_path: Path) -> None:
     CONFIG.save(tmp_path / "robot.toml")
     assert RobotConfig.load(tmp_path / "robot.toml") == CONFIG
     assert len(CONFIG.gratings) == 20  # two a grating
     assert wiring.board_of(CONFIG).name == "mega"
     assert not any(wiring.sensors(CONFIG))
     assert not any(parameter_settings(CONFIG)["flex_enabled"])
-    assert "reach no board" in (wiring.unexplored(CONFIG) or ("",))[0]
+    alone = CONFIG.model_copy(update={"interrogator": "127.0.0.1:7400"})
+    assert "no healthy sensor at the base" in (wiring.unexplored(alone) or ("",))[0]
+    assert "its trigger sees no fibre" in (wiring.unexplored(alone) or ("", ""))[1]
     said = {(one.what, one.mark) for one in judge(CONFIG)}
     assert {("explore", "warning"), ("fibre", "ok"), ("sweep of left", "warning")} <= said
     both = RobotConfig()
     both.sensors = [*both.sensors, *IN_PLANE]
+    assert "no interrogator" in (wiring.unexplored(both) or ("",))[0]
+    both.interrogator = "127.0.0.1:7400"
+    assert wiring.unexplored(both) is None
     # The flex sensors keep their inputs, and the trigger works on them.
     assert wiring.sensors(both) == wiring.sensors(RobotConfig())
     assert ("sweep of left", "warning") not in {(one.what, one.mark) for one in judge(both)}

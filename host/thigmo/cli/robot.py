@@ -52,13 +52,14 @@ def new(
         reach: Any = import_module(_REACH)
         room = reach.room_for(config, seed)
         said = [f"explore it: thigmo explore --scene {out / 'scene.toml'}"]
-        if config.gratings:
-            room.start_length_cm = config.body.length_cm
-            pressed = reach.pressed(config, room.peg_list())
-            at = f"emulator://{out / 'scene.toml'}"
-            said = [f"feel its peg: thigmo feel --robot {at} --press {pressed}"]
         room.save(out / "scene.toml")
         written.append(str(out / "scene.toml"))
+        if config.gratings:
+            room.start_length_cm = config.body.length_cm
+            room.save(out / "grown.toml")
+            pressed = reach.pressed(config, room.peg_list())
+            at = f"emulator://{out / 'grown.toml'}"
+            said.append(f"feel its peg, grown: thigmo feel --robot {at} --press {pressed}")
     said = [f"wrote {' and '.join(written)}", f"check it: thigmo robot check {written[0]}", *said]
     show(as_json, {"files": written, "notes": said[1:]}, *said)
 

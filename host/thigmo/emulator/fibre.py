@@ -1,8 +1,8 @@
 """A fibre with gratings and its interrogator: lines of strains, as a lab's come over TCP.
 
-Temperature strains all gratings alike and wanders; each grating scatters, wanders by itself, comes
-to lie otherwise at each eversion, and loses its peak now and then. The fibre lies turned about its
-axis. The format is that of `thigmo.link.interrogator`.
+Temperature strains all gratings alike and wanders; each grating scatters, wanders by itself, is
+bent by the tip's fold as it everts, comes to lie otherwise each time, and loses its peak now and
+then. The fibre lies turned about its axis. The format is that of `thigmo.link.interrogator`.
 """
 
 from __future__ import annotations
@@ -40,11 +40,13 @@ class EmulatedFibre:
 
     def __init__(
         self, known: Fibre, gratings: Sequence[FibreSensor], step_s: float,
-        rng: np.random.Generator,
+        rng: np.random.Generator, fold_bend: float = 0.0,
     ) -> None:  # fmt: skip
         self._known, self._rng, self._step_s = known, rng, step_s
         self._every = max(1, round(1.0 / (known.lines_hz * step_s)))
         self._ends = np.array([one.center_cm + one.span_cm / 2 for one in gratings])
+        self._spans = np.array([max(one.span_cm, 1e-9) for one in gratings])
+        self._fold_bend = fold_bend  # 1/cm, which a grating sees while the tip's fold passes
         turned = radians(known.twist_deg) * rng.standard_normal()
         lies = np.radians([one.direction_deg % 180.0 for one in gratings])
         scale = np.array([one.scale_per_ue for one in gratings])
@@ -74,7 +76,9 @@ class EmulatedFibre:
         walk = known.warm_k_root_s * dt_s**0.5 * rng.standard_normal()
         self._warm_k += self._ramp_k_s * dt_s + walk
         strain = self._zero + self._seat + self._own + _UE_PER_K * self._warm_k
-        strain += self._per_bend * np.where(out, curvature, 0.0)
+        passed = np.clip(1.0 + (length_cm - self._ends) / self._spans, 0.0, 1.0)
+        fold = 0.5 * self._fold_bend * (1.0 - np.cos(2.0 * np.pi * passed))
+        strain += self._per_bend * np.where(out, curvature, fold)
         strain += known.noise_ue * rng.standard_normal(count)
         for grating, sigma in self.noisy.items():
             strain[grating] += sigma * rng.standard_normal()

@@ -149,7 +149,11 @@ class Plant:
         self.imus = ImuString(
             scene.imu, [*turns.values()], robot.board.divider_ohm, STEP_S, rng.spawn(1)[0]
         )
-        self.fibre = EmulatedFibre(scene.fibre, robot.gratings, STEP_S, rng.spawn(1)[0])
+        # A thicker tube folds more gently.
+        self._fold_bend = scene.flex.fold_bend * config.Body().radius_cm / robot.body.radius_cm
+        self.fibre = EmulatedFibre(
+            scene.fibre, robot.gratings, STEP_S, rng.spawn(1)[0], self._fold_bend
+        )
         self._sensors = self._make_sensors(wired)
         everts = np.array([[s.center_cm, s.span_cm] for s in self._sensors])
         self._ends = everts @ [1.0, 0.5]
@@ -185,8 +189,6 @@ class Plant:
         self._under = [at.get(s.direction_deg) if s else None for s in wired]
         draws = self._rng.standard_normal((len(wired), 2))
         phases = self._rng.uniform(0, 2 * pi, (len(wired), 2))
-        # A thicker tube folds more gently.
-        folds = config.Body().radius_cm / scene.robot.body.radius_cm
         sensors = []
         for i, found in enumerate(wired):
             sensor = found if isinstance(found, config.FlexSensor) else _NO_SENSOR
@@ -194,7 +196,7 @@ class Plant:
                 loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
                 wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
                 wrinkle_full_psi=max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
-                fold_bend=f.fold_bend * folds, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
+                fold_bend=self._fold_bend, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
                 scale_per_ohm=sensor.scale_per_ohm, zero_ohm=sensor.zero_ohm,
                 divider_ohm=scene.robot.board.divider_ohm, direction=sensor.valid_direction,
                 loop=scene.noise.hysteresis * draws[i, 0], creep_tau_s=sensor.settle_tau_s,

@@ -202,6 +202,7 @@ def explore(
             recording(robot.hub, log),
         ):
             robot.record_frames(log.frame)
+            robot.record_fibre(log.fibre)
             robot.while_waiting(log.check)
             run = Exploration(
                 robot, used, folder, log, document, tell, protocol, chosen, given, control,

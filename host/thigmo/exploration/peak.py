@@ -57,7 +57,7 @@ def localize_peak(
     `touch` (145,) says where the sweep's first touch began; `prior` are obstacles that are
     expected; `method` is that of `localize`. Raises DataError if no sensor is usable.
     """
-    table = SensorTable.of(config)
+    table = SensorTable.of(config).warmed(peak.warmth)
     use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
     body = config.body
     free = response.expected(peak.side, zone, peak.free_curvature, peak.curvature, use)

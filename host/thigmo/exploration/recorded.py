@@ -18,12 +18,13 @@ from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import FrameError, decode
 from thigmo.link.inbox import TelemetryFrame
-from thigmo.record import OLDER_SCHEMAS, Entry, Log, Note, Obstacle, RunFolder
+from thigmo.record import OLDER_SCHEMAS, Entry, FibreLine, Log, Note, Obstacle, RunFolder
 from thigmo.robot import (
     CreepWatch,
     GrowthWatcher,
     Profile,
     SensorTable,
+    Strains,
     SweepFrame,
     SweepResult,
     SweepWatcher,
@@ -53,7 +54,7 @@ class _Frames:
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
         self.table = SensorTable.of(config)
-        self._enabled = self.table.healthy.copy()
+        self._enabled = self.table.board.healthy.copy()
         rows = wire.parameters(**board_of(config).capacity)
         self._first, self._oversample = (rows[n].index for n in ("flex_enabled", "oversample_log2"))
         self._creep: CreepWatch | None = None
@@ -66,9 +67,21 @@ class _Frames:
         self._last_sweep = (0, 0)
         self._swept = True  # the last sweep came to its end
         self._growing = self._peaked = False
-        self.growth = GrowthWatcher()  # of the stage
+        self._strains = Strains()
+        self.grows()
         self.sweeps: list[RecordedSweep] = []
         self.bad = 0
+
+    def grows(self) -> None:
+        """A stage begins, or is tried again."""
+        self.growth = GrowthWatcher(strains=self._strains)
+
+    def strained(self, line: FibreLine) -> None:
+        """Take a line of a fibre's strains, or their zeros."""
+        if line.zero:
+            self.table = self.table.strained(line.t_s, line.strain_ue)
+        else:
+            self._strains.take(line)
 
     def take(self, entry: Entry) -> None:
         """Take one frame of the record, in its order."""
@@ -121,6 +134,7 @@ class _Frames:
             case wire.Vent() if watcher and not self._swept:
                 watcher.rising = True  # cut short after its peak, or on the way up
                 watcher.stopped |= not self._peaked
+                watcher.end()
                 self._swept = True
             case wire.Snapshot() if watcher and message.index < message.count:
                 self._snapshot(message, watcher)
@@ -131,7 +145,7 @@ class _Frames:
 
     def zeros(self) -> tuple[Floats, Floats]:
         """The zeros before the last zeroing and after it, as `Robot.zeros`."""
-        return self._before.zeros, self.table.zeros
+        return self._before.board.zeros, self.table.board.zeros
 
     def _device_s(self, t_us: int) -> float:
         return self._clock.unwrap(t_us) * 1e-6
@@ -141,11 +155,13 @@ class _Frames:
         status = self._status
         mask, young, length = 0, 0, 0.0
         if status:
-            young = status.everted_mask & mask_of(self.table.healthy & ~self._enabled)
+            young = status.everted_mask & mask_of(self.table.board.healthy & ~self._enabled)
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
         muscles = self._config.muscle_sides
-        watcher = SweepWatcher(self.table, mask, length, young, self._creep, sides=muscles)
+        watcher = SweepWatcher(
+            self.table, mask, length, young, self._creep, sides=muscles, strains=self._strains
+        )
         pressed = zip(muscles, command.amplitude_cpsi, strict=False)
         sides = {side for side, top in pressed if top > 0}
         self.sweeps.append(RecordedSweep(self.zone, sides, t_s, watcher))
@@ -201,6 +217,8 @@ class RecordedRun:
         for item in log.items:
             if isinstance(item, Entry):
                 frames.take(item)
+            elif isinstance(item, FibreLine):
+                frames.strained(item)
             elif item.facts["topic"] == "state":
                 new = _last_length(frames.sweeps[taken:])
                 taken = len(frames.sweeps) if self._step(item, frames, new) else taken
@@ -212,7 +230,7 @@ class RecordedRun:
         known = self.known
         match note.facts["state"], note.facts["outcome"]:
             case "PLAN", _:
-                frames.growth = GrowthWatcher()
+                frames.grows()
             case "GROW", "no eversion":
                 known.grown(frames.profile())
             case "ZERO", "held bent":
@@ -224,7 +242,7 @@ class RecordedRun:
             case "BACK_OFF", "stalled: more pressure":
                 higher = trial_zone(self._config, frames.zone)
                 known.tries_more_pressure(frames.zone if higher is None else higher)
-                frames.growth = GrowthWatcher()
+                frames.grows()
             case "PRESSURIZE", "stalled, nobody to ask":
                 known.gives_up_trial()
                 known.ended_at_obstruction()
@@ -276,6 +294,9 @@ def recorded_sweeps(run: str | os.PathLike[str]) -> list[SweepResult]:
     folder = RunFolder(run)
     frames, log = _Frames(folder.read_config()), folder.read_log()
     _check(folder, log)
-    for entry in log.entries:
-        frames.take(entry)
+    for item in log.items:
+        if isinstance(item, Entry):
+            frames.take(item)
+        elif isinstance(item, FibreLine):
+            frames.strained(item)
     return [sweep.watcher.result() for sweep in frames.sweeps]

@@ -42,6 +42,7 @@ class Reducer:
         self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
     ) -> None:
         self._table = SensorTable.of(config)
+        self._board = self._table.board  # whose zeros last from stage to stage
         self._zone = 0
         self.found = Interpreter(config, prior, method)
         self.stages: list[Stage] = []
@@ -62,16 +63,19 @@ class Reducer:
 
     def leans(self, profile: Profile) -> bool:
         """Whether a growth whose sensors have no zero yet looks as if the body were held bent."""
-        unknown = np.full(profile.bend.shape[1], np.nan)
-        return lean(profile, unknown, unknown, self._table) is not None
+        unknown = np.full(self._board.inputs, np.nan)
+        return lean(self._by_board(profile), unknown, unknown, self._board) is not None
 
     def zeroed(self, profile: Profile, zeros: tuple[Floats, Floats]) -> Obstruction | None:
         """The stage has grown, and its sensors are zeroed: what holds the body bent, if anything.
 
         `zeros`: before and after.
         """
-        self.obstruction = lean(profile, *zeros, self._table)
+        self.obstruction = lean(self._by_board(profile), *zeros, self._board)
         return self.obstruction
+
+    def _by_board(self, profile: Profile) -> Profile:
+        return profile._replace(bend=profile.bend[:, : self._board.inputs])
 
     def let_go(self, zeros: tuple[Floats, Floats]) -> bool:
         """The tip was wound in from what held the body bent, and the sensors were zeroed again.

@@ -59,7 +59,7 @@ class FreeReading(NamedTuple):
 
 def scale_errors(config: RobotConfig) -> Floats:
     """Relative standard error of each sensor's scale, (10,); 0 where there is no sensor."""
-    return np.array([sensor.scale_se if sensor else 0.0 for sensor in wiring.sensors(config)])
+    return np.array([sensor.gain_error if sensor else 0.0 for sensor in wiring.rows(config)])
 
 
 def gain_errors(config: RobotConfig) -> Floats:
@@ -72,8 +72,7 @@ class FreeResponse:
 
     def __init__(self, config: RobotConfig) -> None:
         self._table = SensorTable.of(config)
-        self._errors = self._table.covariance
-        self._count = len(self._errors)
+        self._count = len(self._table.noise)
         zones = len(config.body.zones)
         gain = gain_errors(config)
         # Normal equations of (c, e, s, o) for each side.
@@ -92,7 +91,7 @@ class FreeResponse:
             offset = max(config.muscle(name).offset_se, _LEAST_OFFSET)
             deviation = np.concatenate([self._table.noise, gain, scale, np.full(zones, offset)])
             covariance = np.diag(deviation**2)
-            covariance[: self._count, : self._count] = self._errors
+            covariance[: self._count, : self._count] = self._table.covariance
             covariance[self._scale : self._offset, self._scale : self._offset] += _MAP_DRIFT**2
             self._prior[row] = np.linalg.inv(covariance)
 
@@ -111,6 +110,8 @@ class FreeResponse:
         rising &= t_s >= t_s[0] + _SWINGS_S
         rising &= np.abs(free) <= below
         row = SIDES.index(side)
+        warmth = max((peak.warmth for peak in sweep.peaks if peak.side == side), default=1.0)
+        errors = self._table.warmed(warmth).covariance
         for part in np.array_split(np.flatnonzero(rising), _BINS):
             if not part.size:
                 continue
@@ -120,7 +121,7 @@ class FreeResponse:
             effect = self._effect(use, zone, g, np.full(use.size, g))
             # What this sweep differs by from others is in all of its readings.
             own = _SWEEP_OFFSET**2 + (_SWEEP_SCALE * g) ** 2
-            weight = _INDEPENDENT / _BINS * np.linalg.inv(self._errors[np.ix_(use, use)] + own)
+            weight = _INDEPENDENT / _BINS * np.linalg.inv(errors[np.ix_(use, use)] + own)
             self._matrix[row] += effect.T @ weight @ effect
             self._vector[row] += effect.T @ weight @ departure[use]
             self._squared += float(departure[use] @ weight @ departure[use])

@@ -180,7 +180,8 @@ class Exploration:
             self._note(outcome="peg ahead")
             return "peg ahead"
         self._stage_cm, self._zero_tries = stage, 0
-        self._start_cm, self._growth = self.length_cm, GrowthWatcher()
+        self._start_cm = self.length_cm
+        self._growth = GrowthWatcher(strains=self.robot.strains)
         return "grow" if grows else "sweep here"
 
     def _pressurize(self) -> str:
@@ -248,7 +249,7 @@ class Exploration:
         higher = trial_zone(self.config, self._zone)
         if self._knows.tried is None and higher is not None:
             self._knows.tries_more_pressure(higher)
-            self._growth = GrowthWatcher()
+            self._growth = GrowthWatcher(strains=self.robot.strains)
             self.live.tell(Log, "info", "growth stalled: it is tried at a higher body pressure")
             return "stalled: more pressure"
         self._end_at_obstruction()

@@ -95,6 +95,7 @@ class Interrogator(Closing):
 
     def __init__(self, source: Source, count: int, now: Callable[[], float]) -> None:
         self._source, self._count, self._now = source, count, now
+        self.on_line: list[Callable[[float, Floats], None]] = []  # host time and strains of each
         self._lines: deque[Line] = deque()  # of the last ten seconds
         self._rest = b""
         self._offset_s = np.inf  # from the interrogator's clock to ours
@@ -159,6 +160,8 @@ class Interrogator(Closing):
             self._changed_s = stamp_s
         self._seen_s[np.isfinite(strains)] = stamp_s
         self._lines.append(Line(stamp_s, strains))
+        for callback in self.on_line:
+            callback(stamp_s + self._offset_s, strains)
 
     def require(self, needed: npt.NDArray[np.bool_]) -> None:
         """Raise InterrogatorError unless all needed readings (n,) are of now."""

@@ -23,7 +23,7 @@ from thigmo.record.document import (
     Truth,
 )
 from thigmo.record.folder import RunFolder, write_whole
-from thigmo.record.log import Entry, Log, LogWriter, Note, read_log
+from thigmo.record.log import Entry, FibreLine, Log, LogWriter, Note, read_log
 from thigmo.record.obstacles import (
     OBSTACLES_FILE,
     PRIOR_FILE,
@@ -47,6 +47,7 @@ __all__ = [
     "Ellipse",
     "Entry",
     "FalseContact",
+    "FibreLine",
     "FramesTable",
     "FreeArea",
     "Log",

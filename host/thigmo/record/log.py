@@ -14,6 +14,7 @@ import io
 import json
 from dataclasses import dataclass
 from itertools import pairwise
+from math import isfinite, nan
 from pathlib import Path
 from typing import IO, Any, Literal, cast
 
@@ -33,7 +34,7 @@ _CHUNK_BYTES = 16_384
 _SILENCE_S = 0.5  # host and board hear of each other five times as often
 EPOCH = "epoch_ns"  # metadata: UTC nanoseconds at which the robot's time base was 0
 _TOPICS: dict[str, Direction] = {"/link/tx": "tx", "/link/rx": "rx"}
-_NOTES = "/run/notes"
+_NOTES, _FIBRE = "/run/notes", "/fibre/strains"
 _FRAME_SCHEMA = (
     "One frame as it was on the wire, without its closing zero byte: COBS(id u8, seq u16, "
     "session u16, payload, crc u16). The payloads are little-endian; their fields are given as "
@@ -47,6 +48,19 @@ _NOTE_SCHEMA = {
     "type": "object",
     "properties": {"topic": {"type": "string"}},
     "required": ["topic"],
+}
+_FIBRE_SCHEMA = {
+    "title": "thigmo.FibreLine",
+    "type": "object",
+    "properties": {
+        "t_s": {"type": "number", "description": "board's clock, s"},
+        "strain_ue": {
+            "type": "array",
+            "items": {"type": ["number", "null"]},
+            "description": "microstrain, in the order of robot.toml; null where unknown",
+        },
+        "zero": {"type": "boolean", "description": "these are the straight body's from now on"},
+    },
 }
 
 
@@ -68,10 +82,19 @@ class Note:
 
 
 @dataclass(frozen=True, slots=True)
+class FibreLine:
+    """Strains of a fibre: a line of its interrogator, or the zeros that count from now on."""
+
+    t_s: float  # by the board's clock, unwrapped
+    strain_ue: tuple[float, ...]  # NaN where a peak was lost, or there is no zero
+    zero: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Log:
     """A record that was read."""
 
-    items: list[Entry | Note]  # in the order in which they were kept
+    items: list[Entry | Note | FibreLine]  # in the order in which they were kept
     metadata: dict[str, str]  # facts of the run, as they were given to the writer
     truncated: bool = False  # the end is missing: the writer was killed
     gaps: int = 0  # places before the end at which something is missing: the file is damaged
@@ -134,6 +157,7 @@ class LogWriter(Closing):
             for topic, direction in _TOPICS.items()
         }
         self._note = self.add_channel(_NOTES, "json", "thigmo.Note", "jsonschema", note)
+        self._fibre = 0  # no channel yet
         self._writer.metadata("run", {**metadata, EPOCH: str(self._epoch_ns)})
         self._end_piece()
 
@@ -144,6 +168,15 @@ class LogWriter(Closing):
     def note(self, topic: str, t_s: float, **facts: Any) -> None:
         """Keep a fact of the run (a state entered, a sweep's measurement) as JSON."""
         self.message(self._note, json.dumps({"topic": topic, **facts}).encode(), t_s)
+
+    def fibre(self, line: FibreLine, t_s: float) -> None:
+        """Keep strains of a fibre that came at a time."""
+        if not self._fibre:
+            schema = json.dumps(_FIBRE_SCHEMA).encode()
+            self._fibre = self.add_channel(_FIBRE, "json", "thigmo.FibreLine", "jsonschema", schema)
+        strains = [each if isfinite(each) else None for each in line.strain_ue]
+        data = {"t_s": line.t_s, "strain_ue": strains, "zero": line.zero}
+        self.message(self._fibre, json.dumps(data).encode(), t_s)
 
     def add_channel(
         self, topic: str, encoding: str, schema: str, schema_encoding: str, data: bytes
@@ -242,15 +275,19 @@ def read_log(path: Path) -> Log:
 
     Raises RunFolderError if there is no such file, or it is no MCAP file.
     """
-    found = read_mcap(path, {*_TOPICS, _NOTES})
+    found = read_mcap(path, {*_TOPICS, _NOTES, _FIBRE})
     epoch = found.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(epoch) if epoch.isdecimal() else 0
     schema = found.metadata.get("schema_hash", "")
-    items: list[Entry | Note] = []
+    items: list[Entry | Note | FibreLine] = []
     for topic, log_ns, data in found.messages:
         t_s = (log_ns - epoch_ns) / 1e9
         if topic == _NOTES:
             items.append(Note(t_s, json.loads(data)))
+        elif topic == _FIBRE:
+            kept = json.loads(data)
+            strains = (nan if each is None else each for each in kept["strain_ue"])
+            items.append(FibreLine(kept["t_s"], tuple(strains), kept["zero"]))
         else:
             frame = in_todays_layout(data, schema) if schema in OLDER_SCHEMAS else data
             items.append(Entry(t_s, _TOPICS[topic], frame))

@@ -16,6 +16,7 @@ from thigmo.robot.state import (
     SweepResult,
     mean_peak,
 )
+from thigmo.robot.strains import Strains
 from thigmo.robot.supervised import WITHOUT_BRAKE
 from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.watchers import GrowthWatcher, Profile, SweepWatcher, peak_frame
@@ -36,6 +37,7 @@ __all__ = [
     "Robot",
     "SensorTable",
     "Status",
+    "Strains",
     "SweepFrame",
     "SweepResult",
     "SweepWatcher",

@@ -20,12 +20,13 @@ from thigmo.closing import Closing
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError, LinkError
 from thigmo.link import protocol as wire
-from thigmo.record import TrueContact, TruePeg, Truth
+from thigmo.record import FibreLine, TrueContact, TruePeg, Truth
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import SensorTable
 from thigmo.robot.fibre import Fibre
 from thigmo.robot.publishing import Publisher
 from thigmo.robot.state import Status
+from thigmo.robot.strains import Strains
 from thigmo.room import Dowel, Operator, Simulated
 from thigmo.stream import Command, Hello, Message, Server, Telemetry
 from thigmo.stream.hub import QUEUE
@@ -71,6 +72,7 @@ class Connected(Closing):
         known_config: the robot.toml that an emulated robot's lab would have; None on hardware.
         hub: where it publishes telemetry, events and shape; an exploration does as well.
         aside: mask of the sensors that `set_aside` made the board leave out.
+        strains: of a fibre that is read live.
         epoch_s: UTC seconds since 1970 at which the link's clock (`now`) was 0.
     """
 
@@ -84,12 +86,14 @@ class Connected(Closing):
         self.known_config: RobotConfig | None = self._room.config if self._room else None
         self.config = self.known_config or RobotConfig()
         self._table = SensorTable.of(self.config)
-        self._publisher = Publisher(client, self.config, self._table)
+        self._publisher = Publisher(client, self.config, self._table.board)
         self.hub, self.epoch_s = self._publisher.hub, self._publisher.epoch_s
         self._before = self._table  # the last zeroing
         self.aside = 0
         self._creep: CreepWatch | None = None
         self._fibre: Fibre | None = None  # opened where it is needed first
+        self.strains = Strains()
+        self._on_fibre: list[Callable[[FibreLine, float], None]] = []
         self._guarded = False  # whether what the fibre guards is under way
         self._fault_channels: dict[wire.Fault, int] = {}  # which only their events tell
         self._interruptions: list[Callable[[], None]] = []
@@ -127,8 +131,7 @@ class Connected(Closing):
         finally:
             self._client.close()
             self.hub.close()
-            if self._fibre is not None:
-                self._fibre.close()
+            self._close_fibre()
 
     def disarm(self) -> None:
         """Valves 0 mA, motor braked, activity aborted, state safe; `arm` leads back."""
@@ -160,6 +163,25 @@ class Connected(Closing):
     def record_frames(self, tap: Tap) -> None:
         """Call `tap(direction, frame, host time)` with every frame of the link from now on."""
         self._client.taps.append(tap)
+
+    def record_fibre(self, take: Callable[[FibreLine, float], None]) -> None:
+        """Call `take(line, host time)` with each line and zeroing of a fibre from now on."""
+        self._on_fibre.append(take)
+
+    def _take_strains(self, line: FibreLine) -> None:
+        if line.zero:
+            self._table = self._table.strained(line.t_s, line.strain_ue)
+        else:
+            self.strains.take(line)
+        for take in self._on_fibre:
+            take(line, self.now())
+
+    def _close_fibre(self) -> None:
+        if self._fibre is not None:
+            self._client.taps.remove(self._fibre.tap)
+            self._client.on_telemetry.remove(self._fibre.telemetry)
+            self._fibre.close()
+            self._fibre = None
 
     def on_telemetry(self, callback: Callable[[Telemetry], None]) -> Callable[[], None]:
         """Call `callback` with each telemetry frame, decoded, while the link is read.

@@ -32,7 +32,7 @@ class CreepWatch:
     """Follows telemetry through a run; a raw reading sums `oversample` conversions."""
 
     def __init__(self, config: RobotConfig, oversample: int) -> None:
-        self._table = SensorTable.of(config, oversample)
+        self._table = SensorTable.of(config, oversample).board
         self._laws = {
             number: Settling(
                 s.settle_tau_s, _TAU_SE * s.settle_tau_s, s.settle_amplitude, _AMPLITUDE_SD

@@ -1,4 +1,4 @@
-"""From the board's sums of ADC counts to curvature.
+"""From the board's sums of ADC counts, and a fibre's strains beside them, to curvature.
 
 The divider is 5 V - sensor - pin - R_d - ground, so a mean count m (of 1024) means a resistance
 R_d (1024 - m) / m; curvature is the sensor's calibrated scale times the change of resistance since
@@ -7,13 +7,14 @@ its last zeroing (thesis, equation 2.4).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo import wiring
-from thigmo.config import SIGN, RobotConfig, Side
+from thigmo.config import SIGN, FibreSensor, RobotConfig, Side
 from thigmo.reading_errors import shared_errors
 
 Floats = NDArray[np.float64]
@@ -38,11 +39,16 @@ def resistance_ohm(mean_count: Floats, divider_ohm: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class SensorTable:
-    """robot.toml's sensors as arrays, by the board's input; absent ones are unhealthy."""
+    """robot.toml's sensors as arrays: by the board's input, and then a fibre's gratings.
 
+    Inputs without a sensor, and gratings that read bends out of the plane, are unhealthy. A raw
+    reading is a sum of conversions, or microstrain.
+    """
+
+    inputs: int  # of the board
     center_cm: Floats
     span_cm: Floats
-    scale_per_ohm: Floats
+    scale: Floats  # 1/cm per ohm, or per microstrain
     noise: Floats  # one sigma of an averaged reading, all included, 1/cm
     white: Floats  # the part of it that is the sensor's own: noise and its zero
     shared: Floats  # (n, k) the rest: columns of one standard error, as `shared_errors` has them
@@ -54,15 +60,26 @@ class SensorTable:
     divider_ohm: float  # the divider's fixed resistor
     oversample: int  # conversions that a raw reading sums
     zero_sum: Floats  # raw readings at the last zeroing; NaN where there is none
+    strained_s: float = -np.inf  # device time at which the gratings were zeroed
 
     @classmethod
     def of(cls, config: RobotConfig, oversample: int = 16) -> SensorTable:
         """Lay out the configuration's sensors in the board's order, without zeros."""
-        sensors = wiring.sensors(config)
+        sensors = wiring.rows(config)
         return cls(
+            inputs=len(sensors) - len(config.gratings),
             center_cm=np.array([s.center_cm if s else 0.0 for s in sensors]),
             span_cm=np.array([s.span_cm if s else 0.0 for s in sensors]),
-            scale_per_ohm=np.array([s.scale_per_ohm if s else 0.0 for s in sensors]),
+            scale=np.array(
+                [
+                    0.0
+                    if s is None
+                    else s.scale_per_ue
+                    if isinstance(s, FibreSensor)
+                    else s.scale_per_ohm
+                    for s in sensors
+                ]
+            ),
             noise=np.array([s.reading_se if s else 1.0 for s in sensors]),
             white=np.array([np.hypot(s.noise, s.zero_error) if s else 1.0 for s in sensors]),
             shared=shared_errors(sensors),
@@ -70,12 +87,49 @@ class SensorTable:
                 [int(SIGN[s.side]) if s and s.side and s.wrinkles else 0 for s in sensors]
             ),
             direction=np.array([s.valid_direction if s else 0 for s in sensors]),
-            healthy=np.array([s is not None and s.healthy for s in sensors]),
+            healthy=np.array(
+                [
+                    s is not None and s.healthy and not (isinstance(s, FibreSensor) and not s.side)
+                    for s in sensors
+                ]
+            ),
             radius_cm=config.body.radius_cm,
             divider_ohm=config.board.divider_ohm,
             oversample=oversample,
             zero_sum=np.full(len(sensors), np.nan),
         )
+
+    @property
+    def board(self) -> SensorTable:
+        """The same, of the board's inputs alone."""
+        if self.inputs == len(self.healthy):
+            return self
+        arrays = (
+            each.name for each in fields(self) if isinstance(getattr(self, each.name), np.ndarray)
+        )
+        return replace(self, **{name: getattr(self, name)[: self.inputs] for name in arrays})
+
+    @property
+    def gratings(self) -> int:
+        """The mask of the gratings that have a zero."""
+        return mask_of(self.healthy & np.isfinite(self.zero_sum)) >> self.inputs << self.inputs
+
+    def strained(self, t_s: float, strain_ue: Sequence[float]) -> SensorTable:
+        """The same with the gratings' zeros of a device time; NaN for none."""
+        zeros = dict(enumerate(strain_ue, self.inputs))
+        return replace(self.zeroed(zeros), strained_s=t_s)
+
+    def warmth(self, t_s: float) -> float:
+        """By how much more than stated the temperature may have changed at a device time."""
+        if self.inputs == len(self.healthy):
+            return 1.0
+        return max(1.0, (t_s - self.strained_s) / FibreSensor.warm_s)
+
+    def warmed(self, warmth: float) -> SensorTable:
+        """The same where the temperature's error is so many times as large."""
+        shared = self.shared.copy()
+        shared[self.inputs :] *= warmth
+        return replace(self, shared=shared)
 
     @property
     def covariance(self) -> Floats:
@@ -94,18 +148,20 @@ class SensorTable:
         return self.unzeroed(self.zero_sum)
 
     def resistance(self, flex_sum: Floats) -> Floats:
-        """Resistance (ohm) of each sensor from raw readings (..., n)."""
+        """Resistance (ohm) on each input from raw readings (..., n); gratings keep their strain."""
         # A conversion floors, so a count stands for the half above it.
-        return resistance_ohm(flex_sum / self.oversample + 0.5, self.divider_ohm)
+        counts = flex_sum[..., : self.inputs] / self.oversample + 0.5
+        ohm = resistance_ohm(counts, self.divider_ohm)
+        return np.concatenate([ohm, flex_sum[..., self.inputs :]], axis=-1)
 
     def curvature(self, flex_sum: Floats) -> Floats:
         """Curvature (1/cm) since the zeroing from raw readings (..., n), positive to the left."""
         change = self.resistance(flex_sum) - self.resistance(self.zero_sum)
-        return np.asarray(self.scale_per_ohm * change)
+        return np.asarray(self.scale * change)
 
     def unzeroed(self, flex_sum: Floats) -> Floats:
         """Raw readings (..., n) in 1/cm from no resistance on: only differences mean something."""
-        return np.asarray(self.scale_per_ohm * self.resistance(flex_sum))
+        return np.asarray(self.scale * self.resistance(flex_sum))
 
     def usable(self, active: Side, masks: int) -> NDArray[np.bool_]:
         """Sensors to localize with while a muscle is inflated.
@@ -113,8 +169,7 @@ class SensorTable:
         The inactive side only (the active side wrinkles), healthy, answering to this bending
         direction, and set in `masks` (the board's everted & settled & zeroed bits).
         """
-        sensor = np.arange(len(self.healthy))
         inactive = self.lies != SIGN[active]
         answers = np.isin(self.direction, (0, SIGN[active]))
-        named = (masks >> sensor & 1).astype(np.bool_)
+        named = np.array([masks >> n & 1 for n in range(len(self.healthy))], dtype=np.bool_)
         return np.asarray(self.healthy & inactive & answers & named)

@@ -1,12 +1,13 @@
 """A robot's fibre, read live: strains beside the board's telemetry, since their zeros.
 
 A line of the interrogator goes with the telemetry that arrived nearest to it, at most
-`interrogator.MAX_AGE_S` apart.
+`interrogator.MAX_AGE_S` apart. For a record and for sweeps each line is stamped by the board's
+clock, as the newest telemetry has it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +16,12 @@ from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, InterrogatorError
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.link.interrogator import MAX_AGE_S, Interrogator
+from thigmo.record import FibreLine
 from thigmo.robot.curvature import Floats
 
 _BENT_PSI = 0.1
 _FEWEST = 3  # lines of a reading
+_LEAST_S = 1e-6  # between two stamps
 _DRIFT = 5.0  # standard errors between the two halves of a zeroing
 _MEDIAN_STEP = 0.954  # median step of normal noise from one reading to the next, over its sigma
 
@@ -40,17 +43,42 @@ class FibreReading:
 class Fibre:
     """The gratings of a robot, and the interrogator that reads them."""
 
-    def __init__(self, config: RobotConfig, interrogator: Interrogator) -> None:
+    def __init__(
+        self, config: RobotConfig, interrogator: Interrogator, take: Callable[[FibreLine], None]
+    ) -> None:
         self.interrogator = interrogator
+        interrogator.on_line.append(self._stamp)
+        self._take = take  # called with each line, and with the zeros
+        self._newest: TelemetryFrame | None = None
+        self._t_s = -np.inf  # device time of the last line
         self._config, self._gratings = config, config.gratings
         self._needed = np.array([one.healthy and one.side is not None for one in self._gratings])
         self._ends = np.array([one.center_cm + one.span_cm / 2 for one in self._gratings])
         self._zero_s = -np.inf
-        self.void()
+        self._zero_ue = np.full(len(self._gratings), np.nan)
 
     def void(self) -> None:
         """Forget the zeros: a grating lies otherwise after the body has moved through its tip."""
         self._zero_ue = np.full(len(self._gratings), np.nan)
+        self._tell_zeros()
+
+    def _tell_zeros(self) -> None:
+        self._take(FibreLine(self._t_s, tuple(self._zero_ue.tolist()), zero=True))
+
+    def telemetry(self, frame: TelemetryFrame) -> None:
+        """Take telemetry, by whose times the lines after it are stamped."""
+        self._newest = frame
+
+    def tap(self, direction: str, frame: bytes, t_s: float) -> None:
+        """Read the lines that came before a frame of the board. Signature of the link's tap."""
+        if direction == "rx":
+            self.interrogator.take()
+
+    def _stamp(self, host_s: float, strain_ue: Floats) -> None:
+        if self._newest is not None:
+            device_s = host_s - self._newest.t_s + self._newest.device_s
+            self._t_s = max(device_s, self._t_s + _LEAST_S)
+            self._take(FibreLine(self._t_s, tuple(strain_ue.tolist())))
 
     def require(self) -> None:
         """Raise InterrogatorError unless the strains of all healthy gratings are of now."""
@@ -71,10 +99,11 @@ class Fibre:
             raise CommandRefusedError(
                 "the fibre's strains still drift", "wait until the body rests", reason="drifting"
             )
-        self.void()
+        self._zero_ue = np.full(len(self._gratings), np.nan)
         self._zero_ue[self._needed] = np.nanmean(lines, axis=0)
         self._zero_ue[self._ends > length_cm + 1e-6] = np.nan
         self._zero_s = since_s
+        self._tell_zeros()
 
     def _lines(self, since_s: float) -> Floats:
         lines = [strain for _, strain in self.interrogator.since(since_s)]

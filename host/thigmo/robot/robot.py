@@ -156,7 +156,7 @@ class Robot(Supervised):
     def young_noise(self) -> Floats:
         """Standard error of the rest of sensors set aside, by input, 1/cm; infinite if unknown."""
         if self._creep is None:
-            return np.full(len(self._table.healthy), np.inf)
+            return np.full(self._table.inputs, np.inf)
         _, sigma = self._creep.rest(self.status().t_s, self.aside)
         return np.where(np.isnan(sigma), np.inf, sigma)
 
@@ -170,7 +170,7 @@ class Robot(Supervised):
         if mask == self.aside:
             return
         healthy = self._table.healthy
-        enabled = [int(healthy[n] and not mask >> n & 1) for n in range(len(healthy))]
+        enabled = [int(healthy[n] and not mask >> n & 1) for n in range(self._table.inputs)]
         self.set_parameter("flex_enabled", enabled)
         self.aside = mask
 
@@ -214,14 +214,14 @@ class Robot(Supervised):
         Refused unless they are vented, settled and free of drift. A fibre's strains are zeroed as
         well, where an interrogator is given.
         """
-        mask = self.status().everted & mask_of(self._table.healthy) & ~self.aside
+        mask = self.status().everted & mask_of(self._table.board.healthy) & ~self.aside
         self._before = self._table
         if mask:
             self._start(wire.ZeroSensors(mask))
             self._finish(wire.Activity.ZEROING, 20.0)
         q8 = {n: self._client.request(wire.GetSensor(n)).zero_sum_q8 for n in in_mask(mask)}
         self._table = self._table.zeroed({sensor: zero / 256 for sensor, zero in q8.items()})
-        self._publisher.use(self.config, self._table)
+        self._publisher.use(self.config, self._table.board)
         if self._has_fibre:
             self._wait_vented()
             self._require_fibre()
@@ -235,7 +235,7 @@ class Robot(Supervised):
 
         In 1/cm, from where `GrowthWatcher.profile` counts.
         """
-        return self._before.zeros, self._table.zeros
+        return self._before.board.zeros, self._table.board.zeros
 
     def flex_circuit(self, sensor: int) -> tuple[bool, bool]:
         """Whether a flex sensor's circuit is open, and whether it is shorted, now."""
@@ -245,14 +245,15 @@ class Robot(Supervised):
     def read(self, seconds: float = 0.5, *, despite_faults: bool = False) -> Reading:
         """Average telemetry over a while; `despite_faults` as for `wait`."""
         frames, flex = self._frames(seconds, despite_faults)
+        table = self._table.board
         return Reading(
             t_s=float(np.mean([self._client.device_s(f.t_us) for f in frames])),
-            curvature=self._table.curvature(flex.mean(axis=0)),
-            spread=self._table.curvature(flex).std(axis=0),
+            curvature=table.curvature(flex.mean(axis=0)),
+            spread=table.curvature(flex).std(axis=0),
             pressure_psi=self._psi(np.mean([f.pressure_cpsi for f in frames], axis=0).tolist()),
             length_cm=frames[-1].length_um / 1e4,
             frames=len(frames),
-            resistance=self._table.resistance(flex.mean(axis=0)),
+            resistance=table.resistance(flex.mean(axis=0)),
         )
 
     def read_fibre(self, seconds: float = 0.5) -> FibreReading:
@@ -289,7 +290,7 @@ class Robot(Supervised):
         if not heard:
             raise LinkError("no telemetry came", "check the parameter telemetry_ms")
         frames = [frame.message for frame in heard]
-        if (count := len(frames[0].flex_sum)) != len(self._table.healthy):
+        if (count := len(frames[0].flex_sum)) != self._table.inputs:
             raise ConfigError(
                 f"the board has {count} sensors' inputs, and nobody has described its robot",
                 "send its robot.toml: `configure`",
@@ -360,6 +361,7 @@ class Robot(Supervised):
             self._creep,
             rising,
             sides=self.config.muscle_sides,
+            strains=self.strains,
         )
         truths: list[Truth | None] = []
         shown = 0
@@ -386,8 +388,10 @@ class Robot(Supervised):
                     # Before the next half overwrites them.
                     watcher.peaks.append(self.snapshots())
                     if rising:
+                        watcher.end()
                         self._request(wire.Vent())
                         break
+            watcher.end()
             if watcher.stopped:
                 truths.append(self.truth(watcher.frames[-1].side))
                 self._request(wire.Vent())

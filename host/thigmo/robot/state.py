@@ -70,6 +70,7 @@ class Peak:
     count: int  # readings averaged
     # of young sensors, the standard error of that rest; 0 for others; (10,), 1/cm
     added_noise: Floats = field(default_factory=lambda: np.zeros(10))
+    warmth: float = 1.0  # by how much more than stated temperature may have strained a fibre
 
 
 def mean_peak(peaks: Sequence[Peak]) -> Peak:
@@ -88,6 +89,7 @@ def mean_peak(peaks: Sequence[Peak]) -> Peak:
         sensors=reduce(and_, (peak.sensors for peak in peaks)),
         count=sum(peak.count for peak in peaks),
         added_noise=np.mean([peak.added_noise for peak in peaks], axis=0),
+        warmth=max(peak.warmth for peak in peaks),
     )
 
 

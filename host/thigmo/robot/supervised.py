@@ -170,7 +170,11 @@ class Supervised(Connected):
         source = self._room.interrogator() if self._room else TcpSource(address)
         interrogator = Interrogator(source, count, self.now)
         self._client.wait_for(lambda: interrogator.heard, _LINES_S)
-        return Fibre(self.config, interrogator)
+        fibre = Fibre(self.config, interrogator, self._take_strains)
+        # Its lines are read before the frame that comes after them is kept and handed on.
+        self._client.taps.insert(0, fibre.tap)
+        self._client.on_telemetry.insert(0, fibre.telemetry)
+        return fibre
 
     # Faults.
 
@@ -316,12 +320,10 @@ class Supervised(Connected):
         """
         changed = send_config(self._client, config)
         self.config = config
-        if self._fibre is not None:
-            self._fibre.close()
-            self._fibre = None
+        self._close_fibre()
         self._table = SensorTable.of(config, 1 << self.parameter("oversample_log2")[0])
         self.aside = 0
-        self._publisher.use(config, self._table)
+        self._publisher.use(config, self._table.board)
         status = self.status()
         if changed or status.config_generation == 0 or "bad_config" in status.faults:
             self.save()

@@ -18,6 +18,7 @@ from thigmo.record import Truth
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import Floats, SensorTable, mask_of
 from thigmo.robot.state import ContactTrigger, Peak, SweepFrame, SweepResult
+from thigmo.robot.strains import Strains
 
 _FRAME_SPACING_S = 0.05
 _IDLE_CPSI = 10
@@ -34,12 +35,14 @@ class Profile(NamedTuple):
 
 @dataclass
 class GrowthWatcher:
-    """What the flex sensors say while the tip's fold passes through them: thinned telemetry of one
+    """What the sensors say while the tip's fold passes through them: thinned telemetry of one
     growth or several in a row."""
 
     t_s: list[float] = field(default_factory=list)  # device time
     length_cm: list[float] = field(default_factory=list)  # everted, by the spool's encoder
     flex_sum: list[tuple[int, ...]] = field(default_factory=list)  # raw readings
+    strains: Strains = field(default_factory=Strains)  # beside it
+    _lines: int = 0  # of strains, that came before the last frame
     _next_s: float = 0.0
 
     def telemetry(self, frame: TelemetryFrame) -> None:
@@ -49,12 +52,14 @@ class GrowthWatcher:
             self.t_s.append(frame.device_s)
             self.length_cm.append(frame.message.length_um / 1e4)
             self.flex_sum.append(frame.message.flex_sum)
+            self._lines = self.strains.count
 
     def profile(self, table: SensorTable) -> Profile:
         """Times, lengths and readings so far."""
         sums: Floats = np.asarray(self.flex_sum, dtype=np.float64)
-        bend = table.unzeroed(sums.reshape(-1, len(table.healthy)))
-        return Profile(np.asarray(self.t_s), np.asarray(self.length_cm), bend)
+        t_s = np.asarray(self.t_s)
+        raw = self.strains.beside(table, sums.reshape(-1, table.inputs), t_s, self._lines)
+        return Profile(t_s, np.asarray(self.length_cm), table.unzeroed(raw))
 
 
 def peak_frame(reply: wire.Snapshot, t_s: float, sides: Sequence[Side]) -> SweepFrame:
@@ -73,7 +78,7 @@ class SweepWatcher:
     """Collects what a sweep tells."""
 
     table: SensorTable
-    sensors: int  # mask of those everted, settled and zeroed when it began
+    sensors: int  # mask of the board's that were everted, settled and zeroed when it began
     length_cm: float  # everted length
     # mask of those everted and not settled, to be used as far as `creep` knows them
     young: int = 0
@@ -81,11 +86,21 @@ class SweepWatcher:
     # the sweep is cut short after its first peak; what comes later does not count
     rising: bool = False
     sides: Sequence[Side] = ()  # to which the muscles bend the body
+    strains: Strains = field(default_factory=Strains)  # beside it
     stopped: bool = False  # the sweep was stopped on the way up; its last half second is its peak
     triggers: list[ContactTrigger] = field(default_factory=list)
     peaks: list[list[SweepFrame]] = field(default_factory=list)  # captured readings of each
     frames: list[SweepFrame] = field(default_factory=list)  # thinned telemetry
     _next_s: float = 0.0
+    _lines: int | None = None  # of strains, at the sweep's end
+
+    def __post_init__(self) -> None:
+        self.sensors |= self.table.gratings
+
+    def end(self) -> None:
+        """The sweep is over: later lines of strains do not count."""
+        if self._lines is None:
+            self._lines = self.strains.count
 
     def triggered(self, event: wire.Event, t_s: float) -> None:
         """Take the event of a contact, of device time `t_s`."""
@@ -113,23 +128,21 @@ class SweepWatcher:
         triggers = [trigger for trigger in self.triggers if trigger.t_s <= end_s]
         last = [self.frames[-_PEAK_READINGS:]] if so_far or self.stopped else []
         peaks = [self.average(readings) for readings in self.peaks or last if readings]
-        sums: Floats = np.array([f.flex_sum for f in frames], dtype=np.float64)
-        curvature = self.table.curvature(sums.reshape(-1, len(self.table.healthy)))
+        curvature = self.table.curvature(self._raw(frames))
         return SweepResult(triggers, peaks, frames, curvature, self.sensors, truth)
 
     def average(self, readings: Sequence[SweepFrame]) -> Peak:
         """The average of a peak's readings."""
-        sums: Floats = np.asarray([s.flex_sum for s in readings], dtype=np.float64).mean(axis=0)
+        raw = self._raw(readings).mean(axis=0)
         at_s = float(np.mean([s.t_s for s in readings]))
-        curvature = self.table.curvature(sums)
+        curvature = self.table.curvature(raw)
         added = np.zeros(len(curvature))
         sensors = self.sensors
         if self.creep is not None and self.young:
-            late, sigma = self.creep.curvature(sums, at_s, self.young)
-            settled = np.isfinite(late)
-            curvature = np.where(settled, late, curvature)
-            added = np.where(settled, sigma, added)
-            sensors |= mask_of(settled)
+            late, sigma = self.creep.curvature(raw[: self.table.inputs], at_s, self.young)
+            settled = np.flatnonzero(np.isfinite(late))
+            curvature[settled], added[settled] = late[settled], sigma[settled]
+            sensors |= mask_of(np.isfinite(late))
         return Peak(
             side=readings[0].side,
             t_s=at_s,
@@ -140,4 +153,12 @@ class SweepWatcher:
             sensors=sensors,
             count=len(readings),
             added_noise=added,
+            warmth=self.table.warmth(at_s),
         )
+
+    def _raw(self, frames: Sequence[SweepFrame]) -> Floats:
+        """Raw readings of frames (n, rows)."""
+        sums: Floats = np.array([f.flex_sum for f in frames], dtype=np.float64)
+        t_s = np.array([f.t_s for f in frames])
+        sums = sums.reshape(-1, self.table.inputs)
+        return self.strains.beside(self.table, sums, t_s, self._lines)
