@@ -12,13 +12,14 @@ from thigmo import wiring
 from thigmo.config import RobotConfig
 from thigmo.design import draft, judge
 from thigmo.emulator.board import virtual_board
-from thigmo.emulator.reach import room_for
+from thigmo.emulator.reach import room_for, sweep_once
 from thigmo.emulator.scene import FaultTable, PegTable
 from thigmo.emulator.serve import brought_up
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import ConfigError, RobotFaultError
 from thigmo.exploration import explore
 from thigmo.link.client import Client
+from thigmo.mechanics import Peg
 from thigmo.robot import Robot, connect
 from thigmo.stream import Telemetry
 from thigmo.studies.robots import ROBOTS, THESIS, visit
@@ -149,6 +150,23 @@ def test_either_base_sensor_of_two_kinds_is_enough_for_a_sweep() -> None:
     assert wiring.blind(robot) == []
     swept = [each for each in judge(robot) if each.what == "sweep of right"]
     assert [each.mark for each in swept] == ["ok", "ok"]
+
+
+def test_a_sweep_that_nothing_at_the_base_can_feel_is_refused() -> None:
+    with connect("emulator://empty") as robot:
+        config = robot.config
+        for sensor in wiring.trigger_sensors(config, "left"):
+            sensor.healthy = False
+        robot.configure(config)
+        with pytest.raises(ConfigError, match=r"no healthy sensor .* to muscle left"):
+            robot.sweep({"right": 5.0, "left": 5.0}, period_s=10.0)
+
+
+def test_a_muscle_whose_bends_no_sensor_reads_feels_no_peg() -> None:
+    robot = draft(53, 5, 2)
+    robot.sensors = [sensor for sensor in robot.sensors if sensor.side == "left"]
+    assert robot.sensors_for("left") == []
+    assert sweep_once(robot, [Peg(30.0, 6.0, 0.5)], 53.0, "left") is None
 
 
 def test_an_imu_that_hangs_is_a_fault_that_leaves_the_robot_safe(tmp_path: Path) -> None:

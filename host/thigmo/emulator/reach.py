@@ -63,7 +63,10 @@ def pressed(robot: RobotConfig, pegs: Sequence[Peg]) -> str:
 def sweep_once(
     robot: RobotConfig, pegs: Sequence[Peg], length_cm: float, side: Side
 ) -> Felt | None:
-    """Inflate one muscle from zero to its highest pressure; None if nothing is touched."""
+    """Inflate one muscle from zero to its highest pressure; None if nothing is felt.
+
+    That is, where no peg is touched, or no sensor answers to the muscle.
+    """
     body = robot.body
     zone = body.zone_at(length_cm)
     muscle = robot.muscle(side)
@@ -72,7 +75,9 @@ def sweep_once(
     )
     model = Rod(Tube(body.diameter_cm, crit), pegs, model="auto")
     model.step(0.0, length_cm)
-    base = robot.sensors_for(side)[0]
+    if not (sensors := robot.sensors_for(side)):
+        return None
+    base = sensors[0]
     center, span, mean = np.array([base.center_cm]), np.array([base.span_cm]), np.zeros(1)
     sign = SIGN[side]
     felt: list[tuple[float, float]] = []  # pressure and base contact curvature while it touches

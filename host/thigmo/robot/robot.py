@@ -25,6 +25,7 @@ from thigmo.robot.state import Reading, Recording, SweepFrame, SweepResult, toge
 from thigmo.robot.supervised import OPEN, SHORT, Supervised
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
 from thigmo.room import Operator
+from thigmo.wiring import blind
 
 JOG_CM = 5.0  # of tip that a jog turns the spool for, at most
 _VENTED_PSI = 0.5
@@ -335,7 +336,18 @@ class Robot(Supervised):
                 If it returns true, the muscle is vented at once.
 
         Refused while a sensor is half everted, or the length or the zone is unknown.
+
+        Raises:
+            ConfigError: the contact trigger has no sensor to work on while a muscle bends the body.
         """
+        for muscle in (self.config.muscles[self.config.muscle_number(at)] for at in tops_psi):
+            if muscle in blind(self.config):
+                raise ConfigError(
+                    f"no healthy sensor at the base answers to muscle {muscle.name}: a sweep "
+                    "towards it would feel no contact",
+                    "repair a base sensor, or correct its `healthy` and `valid_direction` in "
+                    "robot.toml; `Robot.press` bends the body without a trigger",
+                )
         if not rising_only:
             return self._sweep(tops_psi, period_s)
         found = []
