@@ -135,7 +135,7 @@ def test_a_pressed_body_is_read_as_it_bends(pressing: tuple[Robot, EmulatorTrans
     assert got.curvature[in_plane] == pytest.approx(np.full(10, true), abs=1e-3)
     assert np.isnan(got.curvature[np.logical_not(in_plane)]).all()
     assert 45 <= got.lines <= 51
-    assert got.zero_age_s == pytest.approx(5.0, abs=1.5)
+    assert got.zero_age_s == pytest.approx(8.0, abs=1.5)
 
 
 def test_only_a_body_at_rest_is_zeroed_and_only_what_is_out_of_it() -> None:

@@ -272,7 +272,7 @@ def _imus(config: RobotConfig) -> Iterator[Finding]:
 
 
 def _fibre(config: RobotConfig) -> Iterator[Finding]:
-    """What a fibre's readings are known to, beside what the contact trigger would need."""
+    """What a fibre's readings are known to, beside what the contact trigger feels."""
     if not config.gratings:
         return
     worst = max(config.gratings, key=lambda sensor: sensor.reading_se)

@@ -103,6 +103,8 @@ class Robot(Supervised):
         A watcher receives the telemetry meanwhile. Refused while the length is unknown or a muscle
         is under pressure.
         """
+        if self._has_fibre:
+            self._require_fibre()  # opening it takes time, whose telemetry is no growth's
         with self._telemetry_to(watcher.telemetry) if watcher else nullcontext():
             self._start(wire.GrowTo(round(length_cm * 1e4), 0))
             return self._finish(wire.Activity.GROWING, self._travel_s()) / 1e4
@@ -215,6 +217,12 @@ class Robot(Supervised):
         Refused unless they are vented, settled and free of drift. A fibre's strains are zeroed as
         well, where an interrogator is given.
         """
+        if self._has_fibre:  # first: where it drifts, the board keeps its zeros
+            self._wait_vented()
+            self._require_fibre()
+            began_s = self.now()
+            self.wait(_FIBRE_ZERO_S)
+            self._require_fibre().zero(began_s, self.status().length_cm or 0.0)
         mask = self.status().everted & mask_of(self._table.board.healthy) & ~self.aside
         self._before = self._table
         if mask:
@@ -223,12 +231,6 @@ class Robot(Supervised):
         q8 = {n: self._client.request(wire.GetSensor(n)).zero_sum_q8 for n in in_mask(mask)}
         self._table = self._table.zeroed({sensor: zero / 256 for sensor, zero in q8.items()})
         self._publisher.use(self.config, self._table.board)
-        if self._has_fibre:
-            self._wait_vented()
-            self._require_fibre()
-            began_s = self.now()
-            self.wait(_FIBRE_ZERO_S)
-            self._require_fibre().zero(began_s, self.status().length_cm or 0.0)
         return mask
 
     def zeros(self) -> tuple[Floats, Floats]:
