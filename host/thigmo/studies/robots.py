@@ -46,6 +46,7 @@ ROBOTS: dict[str, _Draft | None] = {
     "30 cm, 1 muscle, 3 sensors": _Draft(30.0, 3, 1),
     "200 cm, 1 muscle, 16 sensors": _Draft(200.0, 16, 1),
     "100 cm, string of 12 IMUs": _Draft(100.0, 12, 2, "heading"),
+    "53 cm, fibre of 20 gratings": _Draft(53.0, 20, 2, "fibre"),
 }
 
 
