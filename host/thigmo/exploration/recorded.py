@@ -66,7 +66,7 @@ class _Frames:
         self._events: set[int] = set()
         self._last_sweep = (0, 0)
         self._swept = True  # the last sweep came to its end
-        self._growing = self._peaked = False
+        self.growing = self._peaked = False
         self._strains = Strains()
         self.grows()
         self.sweeps: list[RecordedSweep] = []
@@ -98,12 +98,12 @@ class _Frames:
                 telemetry = TelemetryFrame(frame.seq, entry.t_s, device_us, frame.payload)
                 if self._creep is not None:
                     self._creep.telemetry(telemetry)
-                if self._growing:
+                if self.growing:
                     self.growth.telemetry(telemetry)
                 elif watcher:
                     watcher.telemetry(telemetry)
             case wire.GrowTo():
-                self._growing = True
+                self.growing = True
             case wire.Hello():
                 self._events.clear()
             case wire.SelectZone():
@@ -129,8 +129,7 @@ class _Frames:
                 if message.code == wire.EventCode.CONTACT and watcher:
                     watcher.triggered(message, self._device_s(message.t_us))
                 self._peaked |= message.code == wire.EventCode.PEAK
-                if message.code == wire.EventCode.ACTIVITY_DONE:
-                    self._swept, self._growing = True, False
+                self._swept |= message.code == wire.EventCode.ACTIVITY_DONE
             case wire.Vent() if watcher and not self._swept:
                 watcher.rising = True  # cut short after its peak, or on the way up
                 watcher.stopped |= not self._peaked
@@ -151,7 +150,7 @@ class _Frames:
         return self._clock.unwrap(t_us) * 1e-6
 
     def _begin(self, command: wire.Sweep, t_s: float) -> None:
-        self._swept = self._growing = self._peaked = False
+        self._swept = self.growing = self._peaked = False
         status = self._status
         mask, young, length = 0, 0, 0.0
         if status:
@@ -220,6 +219,7 @@ class RecordedRun:
             elif isinstance(item, FibreLine):
                 frames.strained(item)
             elif item.facts["topic"] == "state":
+                frames.growing = False  # the run took what came with the end of a growth, too
                 new = _last_length(frames.sweeps[taken:])
                 taken = len(frames.sweeps) if self._step(item, frames, new) else taken
         self.sweeps += frames.sweeps
