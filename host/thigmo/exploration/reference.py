@@ -11,8 +11,9 @@ with a constant c_i of each sensor (its zero; hysteresis keeps to one side while
 rises), the map's offset o and scale s at a body pressure, and each sensor's own gain e_i. All start
 at zero with the standard errors that calibration states, widened by what a robot may have changed
 since, and each untouched frame sharpens them (Bayesian linear regression). How well sweeps repeat
-is learnt as well, from what the model leaves of them. What is still unknown goes to the localizer
-as errors that readings share. The thesis compared with the map alone.
+is learnt as well, from what the model leaves of them; and so is how far a robot has drifted from
+its calibration, from how well that explains them. What is still unknown goes to the localizer as
+errors that readings share. The thesis compared with the map alone.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ _STATED = 12.0
 # One sigma by which map and gains may have changed since the calibration: a body regulator is set
 # by hand, muscles age. The map drifts almost alike in all zones.
 _MAP_DRIFT, _ZONE_DRIFT, _GAIN_DRIFT = 0.08, 0.01, 0.04
+# Multiples of the drift of map and gains that are weighed by their evidence, alike beforehand.
+_DRIFTS = (0.25, 0.5, 1.0, 2.0)
 # One sigma by which scale and offset differ between sweeps: lag and hysteresis. Peaks of untouched
 # sweeps on the emulator depart by a third of this from what the sweeps before them say.
 _SWEEP_SCALE, _SWEEP_OFFSET = 0.01, 3e-4
@@ -74,26 +77,30 @@ class FreeResponse:
         self._table = SensorTable.of(config)
         self._count = len(self._table.noise)
         zones = len(config.body.zones)
-        gain = gain_errors(config)
         # Normal equations of (c, e, s, o) for each side.
         size = 2 * (self._count + zones)
         self._scale = 2 * self._count
         self._offset = self._scale + zones
-        self._prior = np.zeros((len(SIDES), size, size))  # inverse covariance
+        # Inverse covariance, of each drift.
+        self._prior = np.zeros((len(_DRIFTS), len(SIDES), size, size))
         self._matrix = np.zeros((len(SIDES), size, size))
         self._vector = np.zeros((len(SIDES), size))
         self._squared = 0.0  # of the departures, over the stated noise's
         self._readings = 0.0
-        for name in config.sides:
-            row = SIDES.index(name)
-            maps = config.muscle(name).maps
-            scale = [np.hypot(each.scale_se, _ZONE_DRIFT) for each in maps]
-            offset = max(config.muscle(name).offset_se, _LEAST_OFFSET)
-            deviation = np.concatenate([self._table.noise, gain, scale, np.full(zones, offset)])
-            covariance = np.diag(deviation**2)
-            covariance[: self._count, : self._count] = self._table.covariance
-            covariance[self._scale : self._offset, self._scale : self._offset] += _MAP_DRIFT**2
-            self._prior[row] = np.linalg.inv(covariance)
+        self._rows = [SIDES.index(side) for side in config.sides]
+        for drift, prior in zip(_DRIFTS, self._prior, strict=True):
+            gain = np.hypot(scale_errors(config), drift * _GAIN_DRIFT)
+            for row, side in zip(self._rows, config.sides, strict=True):
+                muscle = config.muscle(side)
+                scale = [np.hypot(each.scale_se, _ZONE_DRIFT) for each in muscle.maps]
+                offset = [max(muscle.offset_se, _LEAST_OFFSET)] * zones
+                deviation = np.concatenate([self._table.noise, gain, scale, offset])
+                covariance = np.diag(deviation**2)
+                covariance[: self._count, : self._count] = self._table.covariance
+                covariance[self._scale : self._offset, self._scale : self._offset] += (
+                    drift * _MAP_DRIFT
+                ) ** 2
+                prior[row] = np.linalg.inv(covariance)
 
     def learn(self, sweep: SweepResult, side: Side, zone: int, below: float = np.inf) -> None:
         """Take the rising half of a sweep's side, as far as nothing was touched.
@@ -127,14 +134,29 @@ class FreeResponse:
             self._squared += float(departure[use] @ weight @ departure[use])
             self._readings += _INDEPENDENT / _BINS * use.size
 
-    def _repeats(self) -> float:
-        """Variance of what sweeps scatter by, over the stated noise's."""
-        explained = sum(
-            vector @ np.linalg.solve(prior + matrix, vector)
-            for prior, matrix, vector in zip(self._prior, self._matrix, self._vector, strict=True)
-            if prior.any()
-        )
-        return float((_STATED + self._squared - explained) / (_STATED + self._readings))
+    def _posterior(self, side: int) -> tuple[Floats, Floats]:
+        """Mean (size,) and covariance of a side's unknowns, mixed over the drifts."""
+        logs, means, covariances = [], [], []
+        for prior in self._prior[:, self._rows]:
+            matrix, vector = self._matrix[self._rows], self._vector[self._rows]
+            explained = np.sum(vector * np.linalg.solve(prior + matrix, vector[..., None])[..., 0])
+            # Variance of what sweeps scatter by, over the stated noise's.
+            left, readings = _STATED + self._squared - explained, _STATED + self._readings
+            scatter = float(left / readings)
+            precision = prior + matrix / scatter
+            covariance = np.linalg.inv(precision)
+            mean = np.einsum("rij,rj->ri", covariance, vector / scatter)
+            gain = np.sum(mean * vector) / scatter - (_STATED + self._squared) / scatter
+            volume = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(precision)[1]
+            logs.append(0.5 * (gain + volume.sum() - readings * np.log(scatter)))
+            means.append(mean[self._rows.index(side)])
+            covariances.append(covariance[self._rows.index(side)])
+        weight = np.exp(np.array(logs) - max(logs))
+        weight /= weight.sum()
+        mean = weight @ np.array(means)
+        apart = np.array(means) - mean
+        spread = np.einsum("d,di,dj->ij", weight, apart, apart)
+        return mean, np.einsum("d,dij->ij", weight, np.array(covariances)) + spread
 
     def _effect(self, sensors: Indices, zone: int, free: float, reading: Floats) -> Floats:
         """(n, size) what each unknown adds to the readings of some sensors."""
@@ -154,10 +176,7 @@ class FreeResponse:
         The free curvature (1/cm) is the map's; of what they read now, `curvature` (10,), a gain's
         error is a share.
         """
-        row = SIDES.index(side)
-        scatter = self._repeats()
-        covariance = np.linalg.inv(self._prior[row] + self._matrix[row] / scatter)
-        mean = covariance @ self._vector[row] / scatter
+        mean, covariance = self._posterior(SIDES.index(side))
         covariance[self._scale + zone, self._scale + zone] += _SWEEP_SCALE**2
         covariance[self._offset + zone, self._offset + zone] += _SWEEP_OFFSET**2
         sensors = np.flatnonzero(use)
