@@ -53,7 +53,7 @@ def calibrate(
     method: Annotated[
         Literal["thesis"] | None,
         typer.Option(
-            help="For flex and buckling: fit them as the thesis did, without errors.",
+            help="For flex and buckling: fit as the thesis did, without stating errors.",
             show_default=False,
         ),
     ] = None,

@@ -24,16 +24,18 @@ _FileArgument = Annotated[Path, typer.Argument(help="robot.toml.")]
 def new(
     length: Annotated[float, typer.Option(help="Length of the body, cm (30 to 300).")] = 53.0,
     sensors: Annotated[int, typer.Option(help="Sensors in each column.")] = 5,
-    muscles: Annotated[int, typer.Option(help="1 (one column, opposite) or 2.")] = 2,
+    muscles: Annotated[
+        int, typer.Option(help="1 (with one column of sensors, opposite it) or 2.")
+    ] = 2,
     kind: Annotated[
         Literal["flex", "heading", "fibre"],
-        typer.Option(help="Of the sensors: flex, heading for one string of IMUs, or fibre."),
+        typer.Option(help="Kind of the sensors: flex, heading (one string of IMUs) or fibre."),
     ] = "flex",
     diameter: Annotated[float, typer.Option(help="Diameter of the tube, cm.")] = 3.5,
     out: Annotated[Path, typer.Option(help="Folder for robot.toml and scene.toml.")] = Path(
         "robot"
     ),
-    seed: Annotated[int, typer.Option(help="Of the peg's place in the scene.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the peg's place in the scene.", min=0)] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Draft a robot: its robot.toml, and a scene with a peg that it feels, to explore on."""
