@@ -94,11 +94,11 @@ class ScriptedRun(Closing):
             )
         )  # fmt: skip
 
-    def feel(self, **told: Any) -> None:
-        """Tell the bent body, and a contact with its place; `told` are other fields of it."""
+    def feel(self, **said: Any) -> None:
+        """Tell the bent body, and a contact with its place; `said` are other fields of it."""
         self.bend(0.014)
         self.believe(sweeping=False)
-        self.hub.publish(Contacts(*self._now(), (replace(CONTACT, **told),)))
+        self.hub.publish(Contacts(*self._now(), (replace(CONTACT, **said),)))
 
     def read(self, count: int, *, faults: tuple[str, ...] = ()) -> None:
         """Publish so many readings, 5 ms of robot time apart."""

@@ -143,7 +143,7 @@ def truth_of(path: Path) -> dict[str, list[float]]:
     except OSError as error:
         raise AnswersError(f"cannot read {path}: {error.strerror}") from error
     except (KeyError, ValueError) as error:
-        raise AnswersError(f"{path} is no truth of the benchmark: {error}") from error
+        raise AnswersError(f"{path} is not a truth file of the benchmark: {error}") from error
     return {frame: sorted(arcs) for frame, arcs in found.items()}
 
 

@@ -1,8 +1,8 @@
 """A board on the bench: hand-made analog inputs, and the protocol spoken by hand.
 
 `Bench` is what the firmware's tests drive. It wires a virtual board, or the Mega's image, to inputs
-that a test sets, steps both in 5 ms, beats the heart unless told not to, and sends one command at a
-time.
+that a test sets, steps both in 5 ms, beats the heart unless the test stops it, and sends one
+command at a time.
 `FlowingAir` and `TurningSpool` close the two loops that the firmware expects closed, as simply as
 they can be.
 """

@@ -126,8 +126,8 @@ def lab(request: pytest.FixtureRequest) -> Lab:
 
 
 def test_the_board_says_what_it_holds(lab: Lab) -> None:
-    told = lab.get(wire.GetCapacity(), wire.Capacity)
-    assert Built(told.muscles, told.sensors, told.body_pressures, told.imus) == lab.built
+    said = lab.get(wire.GetCapacity(), wire.Capacity)
+    assert Built(said.muscles, said.sensors, said.body_pressures, said.imus) == lab.built
 
 
 def test_every_muscle_reaches_its_pressure_and_the_others_stay_empty(lab: Lab) -> None:

@@ -36,14 +36,14 @@ def _reading(t_s: float) -> Telemetry:
 
 
 def test_row_has_every_column_in_its_place() -> None:
-    told = dict(zip(COLUMNS, json.loads(row_text(_reading(1.5))), strict=True))
-    assert told["t_s"] == 1.5
-    assert (told["pressure_0"], told["demand_1"], told["drive_1"]) == (1.0, 4.0, 6.0)
-    assert told["curvature_3"] == 0.03
-    assert told["curvature_9"] is None
-    assert told["expected_9"] == 0.18
-    assert told["expected_10"] is None  # of a larger board
-    assert (told["length_cm"], told["motor"]) == (40.0, -0.5)
+    said = dict(zip(COLUMNS, json.loads(row_text(_reading(1.5))), strict=True))
+    assert said["t_s"] == 1.5
+    assert (said["pressure_0"], said["demand_1"], said["drive_1"]) == (1.0, 4.0, 6.0)
+    assert said["curvature_3"] == 0.03
+    assert said["curvature_9"] is None
+    assert said["expected_9"] == 0.18
+    assert said["expected_10"] is None  # of a larger board
+    assert (said["length_cm"], said["motor"]) == (40.0, -0.5)
 
 
 def test_the_pages_script_has_the_same_columns() -> None:

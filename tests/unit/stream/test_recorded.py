@@ -107,11 +107,11 @@ def test_mcaps_own_tools_decode_every_channel(path: Path) -> None:
     decoded = {}
     with path.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        for _, channel, message, told in reader.iter_decoded_messages(
+        for _, channel, message, said in reader.iter_decoded_messages(
             topics=[f"/{channel}" for channel in RECORDED] + list(VIEWS)
         ):
             assert message.log_time == pytest.approx(1.700000001e18, abs=2)
-            decoded[channel.topic] = told
+            decoded[channel.topic] = said
         summary = reader.get_summary()
     assert set(decoded) == {f"/{channel}" for channel in RECORDED} | set(VIEWS)
     telemetry = a_telemetry()
