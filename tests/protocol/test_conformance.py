@@ -29,7 +29,6 @@ UNKNOWN_ZONE = 255
 
 @pytest.fixture
 def host(desk: Desk) -> RawHost:
-    """A fresh conversation with a calm board."""
     return desk.calm()
 
 

@@ -66,7 +66,6 @@ class Program(Closing):
         return found
 
     def of(self, topic: str) -> list[Told]:
-        """Objects of a topic so far."""
         return [each for each in self.said if each["topic"] == topic]
 
     def close(self) -> None:
@@ -94,7 +93,6 @@ class Ros:
         }
 
     def bridge(self, *arguments: str | Path) -> Program:
-        """`thigmo ros`, with the same domain as its neighbours by their environment."""
         return self._start([sys.executable, "-m", "thigmo", "ros", *map(str, arguments)])
 
     def planner(self, namespace: str = "thigmo") -> Program:

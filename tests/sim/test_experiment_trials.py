@@ -184,17 +184,14 @@ class Terminal:
         self._seen = at + len(text)
 
     def answer(self, text: str, prompt: str) -> None:
-        """Wait for a prompt and type."""
         self.wait_for(prompt)
         os.write(self._master, f"{text}\n".encode())
 
     def interrupt(self, prompt: str) -> None:
-        """Wait for a prompt and press Ctrl-C."""
         self.wait_for(prompt)
         os.write(self._master, b"\x03")
 
     def end(self) -> int:
-        """Read to the end; the exit status."""
         while self._read():
             pass
         os.close(self._master)

@@ -84,7 +84,6 @@ class Watched:
                 await socket.send_str('{"ack":1}')
 
     def close(self) -> None:
-        """End the command and the page."""
         self.process.kill()
         self.process.communicate()
         with suppress(ProcessLookupError):

@@ -108,7 +108,6 @@ def test_telemetry_and_snapshots_are_those_of_before() -> None:
 
 
 def record() -> None:
-    """Keep a session of today."""
     from test_same_trace import MEGA, session  # run from this folder
 
     scene = Scene.load("default").model_copy(update={"start_length_cm": 51.5})

@@ -241,7 +241,6 @@ def _clicks(
 
 
 def _facts(seen: Detection) -> dict[str, Any]:
-    """A sighting as plain data."""
     tip, axis = seen.tip, seen.axis
     return {
         "tip": tip and {key: getattr(tip, key) for key in ("x_cm", "y_cm", "heading", "clicked")},
@@ -257,7 +256,6 @@ def _facts(seen: Detection) -> dict[str, Any]:
 
 
 def _lines(seen: Detection) -> Iterator[str]:
-    """A sighting in words."""
     from thigmo.camera import MarkerMissingError
 
     if seen.tip is not None:

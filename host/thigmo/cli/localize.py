@@ -251,7 +251,6 @@ def _calibrated(
 
 
 def _facts(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:
-    """A localizer's result as plain data, its bad readings by their lines."""
     return result.to_dict() | {
         "discarded": [
             {"line": table.lines[reading], "position": float(table.position[reading])}

@@ -190,7 +190,6 @@ def open_page(url: str, out: Path, config: Path | None) -> None:
 
 
 def _draw_code(address: str) -> None:
-    """Draw an address for a phone's camera, in the terminal."""
     import io
 
     import segno

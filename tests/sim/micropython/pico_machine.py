@@ -68,12 +68,10 @@ class Pico:
         self._advance(0)
 
     def close(self) -> None:
-        """Switch it off."""
         self._process.kill()
         self._process.communicate()
 
     def step(self, ticks: int) -> None:
-        """Let so many milliseconds pass."""
         self._advance(ticks)
 
     def _advance(self, milliseconds: float, **answer: object) -> None:
@@ -131,11 +129,9 @@ class Pico:
         return round(self._now_ms * 1000)
 
     def write(self, data: bytes) -> None:
-        """Bytes from the host."""
         self._sent += data
 
     def read(self) -> bytes:
-        """Bytes that have reached the host."""
         data = bytes(self._received)
         self._received.clear()
         return data
@@ -148,7 +144,6 @@ class Pico:
         """Not simulated: these converters have none."""
 
     def set_encoder(self, start: float, end: float) -> None:
-        """Encoder position at the next step's start and end."""
         if self._origin is None:
             self._origin = start
         self._answers["encoder"] = int(end - self._origin)
@@ -157,28 +152,23 @@ class Pico:
         """Not simulated: 5 V."""
 
     def set_estop(self, pressed: bool) -> None:
-        """Emergency stop: the input is high when it is pressed."""
         self._answers["estop"] = pressed
 
     def set_motor_power(self, on: bool) -> None:
-        """The motor's supply, behind its contacts."""
         self._answers["motor_power"] = on
 
     @property
     def drive(self) -> tuple[int, int]:
-        """Transducer duties."""
         left, right = (max(round(1600 * pin), 0) for pin in self.said["pins"][2:4])
         return left, right
 
     @property
     def drive_enabled(self) -> tuple[bool, bool]:
-        """Whether each transducer's output is on."""
         left, right = self.drive
         return left > 0, right > 0
 
     @property
     def motor(self) -> int:
-        """Motor duty, positive pays out."""
         share, direction = self.said["pins"][4:6]
         duty = round(FULL * max(float(share), 0.0))
         return duty if direction > 0 else -duty

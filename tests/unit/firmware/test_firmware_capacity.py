@@ -33,7 +33,6 @@ class Built:
 
     @property
     def table(self) -> dict[str, wire.Parameter]:
-        """Its parameters."""
         return wire.parameters(
             muscles=self.muscles, sensors=self.sensors, body_pressures=self.body_pressures,
             imus=self.imus,
@@ -104,7 +103,6 @@ class Lab(Bench):
         return np.array(self.air.psi)
 
     def reason(self, command: wire.Message) -> wire.Reason:
-        """Why a command is refused; none if it is not."""
         reply = self.ask(command)
         return reply.reason if isinstance(reply, wire.Ack) else R.NONE
 

@@ -7,12 +7,13 @@ from math import isnan, nan
 from pathlib import Path
 
 import pytest
+from contacts import a_telemetry
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from test_hub import ONE_OF_EACH, a_block, a_telemetry
+from test_hub import ONE_OF_EACH, a_block
 
 from thigmo.errors import RunFolderError
 from thigmo.record import LogWriter, read_log
