@@ -6,6 +6,8 @@ import tomllib
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import TextWrapper
 from typing import Annotated, Any, Literal
 
 import typer
@@ -76,7 +78,9 @@ def check(file: _FileArgument, as_json: JsonOption = False) -> None:
     from thigmo.design import judge
 
     found = judge(RobotConfig.load(file))
-    lines = [f"{one.mark:8}{one.what}: {one.text}" for one in found]
+    words = TextWrapper(get_terminal_size().columns, subsequent_indent=" " * 8)
+    words.break_long_words = words.break_on_hyphens = False  # names and paths stay whole
+    lines = [words.fill(f"{one.mark:8}{one.what}: {one.text}") for one in found]
     show(as_json, {"findings": [asdict(one) for one in found]}, *lines)
     if any(one.mark == "bad" for one in found):
         raise typer.Exit(1)
