@@ -119,6 +119,12 @@ def test_answers_that_cannot_be_scored_are_refused(
         CliRunner().invoke(app, ["score", str(file)], catch_exceptions=False)
 
 
+def test_semicolons_between_columns_are_named(tmp_path: Path) -> None:
+    (tmp_path / "answers.csv").write_text("frame;arc_cm\n0001;26,5\n")
+    with pytest.raises(scorer.AnswersError, match="semicolons between its columns"):
+        scorer.score(tmp_path / "answers.csv")
+
+
 def test_a_missing_truth_is_named(answers: Path, tmp_path: Path) -> None:
     with pytest.raises(scorer.AnswersError, match=r"cannot read .*none\.csv: No such file"):
         scorer.score(answers, tmp_path / "none.csv")

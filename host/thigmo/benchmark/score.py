@@ -92,6 +92,8 @@ def _answers(
     rows: csv.DictReader[str], path: Path, frames: Mapping[str, str]
 ) -> dict[str, list[Claim]]:
     names = rows.fieldnames or ()
+    if len(names) == 1 and ";" in names[0]:
+        raise AnswersError(f"{path} has semicolons between its columns, where commas belong")
     if not {"frame", "arc_cm"} <= set(names):
         raise AnswersError(f"{path} needs the columns {', '.join(_COLUMNS[:2])}")
     found: dict[str, list[Claim]] = {}
