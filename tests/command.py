@@ -42,7 +42,6 @@ def thigmo_command(patch: pytest.MonkeyPatch, captured: pytest.CaptureFixture[st
 
 
 def run_python(script: str, *words: str) -> Ran:
-    """Run a script to its end."""
     done = subprocess.run(
         [sys.executable, "-c", script, *words], capture_output=True, text=True, check=False
     )

@@ -115,7 +115,6 @@ def late_url(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture
 def thigmo(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Thigmo:
-    """The command line."""
     return thigmo_command(monkeypatch, capsys)
 
 

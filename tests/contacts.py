@@ -1,8 +1,9 @@
-"""A contact on a map, from which tests make theirs by `dataclasses.replace`."""
+"""A contact on a map and a reading, from which tests make theirs by `dataclasses.replace`."""
 
 from __future__ import annotations
 
 from thigmo.record import MapContact
+from thigmo.stream import Telemetry
 
 CONTACT = MapContact(
     arc_cm=31.2,
@@ -19,3 +20,10 @@ CONTACT = MapContact(
     model="side",
     readings=7,
 )
+
+
+def a_telemetry(t_s: float = 1.0, supply_v: float = 5.0) -> Telemetry:
+    return Telemetry(
+        t_s, 1.7e9 + t_s, t_s, (1.5, 0.0), (1.5, 0.0), (12.0, 0.0), (0.01,) * 10, (0.011,) * 10,
+        0.01, 0.011, 30.0, -0.25, supply_v, "ready", "sweeping", ("stopped",), tuple(range(10)),
+    )  # fmt: skip

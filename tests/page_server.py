@@ -39,7 +39,6 @@ class Served:
             self._loop.close()
 
     def close(self) -> None:
-        """End it; may be called twice."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._task.cancel)
             self._thread.join()

@@ -1,6 +1,6 @@
 """An emulated robot on a port in real time, which outlives its hosts.
 
-Limits are told in the robot's own time. Where the computer is busy, that time slips against the
+Limits are in the robot's own time. Where the computer is busy, that time slips against the
 wall clock, and a promise such as "off within half a second" can still be checked exactly.
 """
 

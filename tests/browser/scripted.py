@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from contacts import CONTACT
+from contacts import CONTACT, a_telemetry
 
 from thigmo.closing import Closing
 from thigmo.stream import (
@@ -23,7 +23,6 @@ from thigmo.stream import (
     Question,
     RunState,
     Server,
-    Telemetry,
 )
 
 
@@ -53,7 +52,6 @@ class ScriptedRun(Closing):
         self._server = Server(self.hub, hello, self._command)
 
     def close(self) -> None:
-        """End it; may be called twice."""
         self._server.close()
         self.hub.close()
 
@@ -70,7 +68,6 @@ class ScriptedRun(Closing):
         self.hub.publish(replace(state, **changes))  # type: ignore[arg-type]
 
     def event(self, name: str, severity: str, message: str, what_next: str = "") -> None:
-        """Tell an event."""
         self.hub.publish(Event(*self._now(), name, severity, message, what_next))  # type: ignore[arg-type]
 
     def bend(self, curvature_per_cm: float) -> None:
@@ -80,11 +77,9 @@ class ScriptedRun(Closing):
         self.hub.publish(BodyShape(*self._now(), poses, 1.75))
 
     def ask(self, question: str) -> None:
-        """Ask the operator."""
         self.hub.publish(Question(*self._now(), question))
 
     def believe(self, *, sweeping: bool, status: str = "localized", message: str = "") -> None:
-        """Tell where along the body a contact is believed to be."""
         places = tuple(0.5 * n for n in range(81))
         weights = [math.exp(-0.5 * ((place - 31.2) / 1.1) ** 2) for place in places]
         self.hub.publish(
@@ -94,35 +89,24 @@ class ScriptedRun(Closing):
             )
         )  # fmt: skip
 
-    def feel(self, **told: Any) -> None:
-        """Tell the bent body, and a contact with its place; `told` are other fields of it."""
+    def feel(self, **said: Any) -> None:
+        """Tell the bent body, and a contact with its place; `said` are other fields of it."""
         self.bend(0.014)
         self.believe(sweeping=False)
-        self.hub.publish(Contacts(*self._now(), (replace(CONTACT, **told),)))
+        self.hub.publish(Contacts(*self._now(), (replace(CONTACT, **said),)))
 
     def read(self, count: int, *, faults: tuple[str, ...] = ()) -> None:
-        """Publish so many readings, 5 ms of robot time apart."""
         for _ in range(count):
             self.t_s += 0.005
             pressure = 9.0 * math.sin(self.t_s) ** 2
             bend = 0.03 * math.tanh(pressure / 9.0)
-            self.hub.publish(
-                Telemetry(
-                    *self._now(),
-                    device_s=self.t_s,
-                    pressure_psi=(pressure, 0.0),
-                    demand_psi=(pressure, 0.0),
-                    drive_ma=(4.0 + pressure, 0.0),
-                    curvature_per_cm=(bend,) * 4 + (math.nan,) + (bend,) * 4 + (math.nan,),
-                    expected_per_cm=(math.nan,) * 5 + (bend,) * 4 + (math.nan,),
-                    base_per_cm=bend,
-                    free_per_cm=bend,
-                    length_cm=40.0,
-                    motor=0.0,
-                    supply_v=5.0,
-                    state="fault" if faults else "moving",
-                    activity="sweep",
-                    faults=faults,
-                    flex_sum=(0,) * 10,
-                )
-            )
+            known = (bend,) * 4 + (math.nan,)
+            reading = replace(
+                a_telemetry(), pressure_psi=(pressure, 0.0), demand_psi=(pressure, 0.0),
+                drive_ma=(4.0 + pressure, 0.0), curvature_per_cm=known + known,
+                expected_per_cm=(math.nan,) * 5 + known, base_per_cm=bend, free_per_cm=bend,
+                length_cm=40.0, motor=0.0, state="fault" if faults else "moving",
+                activity="sweep", faults=faults,
+            )  # fmt: skip
+            t_s, epoch_s = self._now()
+            self.hub.publish(replace(reading, t_s=t_s, epoch_s=epoch_s, device_s=self.t_s))

@@ -210,7 +210,7 @@ def _expect_connected(page: Page) -> None:
 async def _stall(
     address: str, stalls: threading.Event, may_go_on: threading.Event, missed: list[int]
 ) -> None:
-    """A viewer that answers nothing until it may, and then reads on until it is told what it
+    """A viewer that answers nothing until it may, and then reads on until it hears what it
     missed."""
     origin = address.partition("/?")[0]
     async with (

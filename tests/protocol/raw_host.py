@@ -74,7 +74,6 @@ class RawHost:
             self._frames += self.decoder.feed(self.transport.read(left))
 
     def beat(self) -> None:
-        """A heartbeat, if one is due."""
         now = self.transport.now()
         if now >= self._beat_s:
             self._beat_s = now + BEAT_S
@@ -88,7 +87,6 @@ class RawHost:
         return found
 
     def drop_pending(self) -> None:
-        """Forget what has come so far."""
         self._frames.clear()
         self._frames += self.decoder.feed(self.transport.read(0.0))
         self._frames.clear()
@@ -156,7 +154,6 @@ class RawHost:
         return reply.reason, reply.detail
 
     def save(self) -> int:
-        """Store the configuration; its generation."""
         self.seq = (self.seq + 1) & 0xFFFF
         self.send(wire.SaveConfig())
         frame = self.next_frame(

@@ -29,7 +29,6 @@ UNKNOWN_ZONE = 255
 
 @pytest.fixture
 def host(desk: Desk) -> RawHost:
-    """A fresh conversation with a calm board."""
     return desk.calm()
 
 
@@ -118,8 +117,8 @@ def test_another_host_ends_what_moves_and_the_first_cannot_go_on(ready: RawHost)
     nonce, first = zeroing(ready)
     ready.hello(random.getrandbits(32))
     ended = (wire.EventCode.ACTIVITY_ABORTED, wire.Activity.ZEROING, R.OTHER_HOST)
-    told = ready.next_frame(lambda f: ended in {(e.code, e.arg, e.value) for e in events([f])}, 1.0)
-    assert told is not None
+    said = ready.next_frame(lambda f: ended in {(e.code, e.arg, e.value) for e in events([f])}, 1.0)
+    assert said is not None
     report = ready.get(wire.GetStatus())
     assert (report.state, report.activity) == (wire.State.SAFE, wire.Activity.IDLE)
     refused = ready.hello(nonce=nonce, resumes=first.session)
@@ -326,15 +325,15 @@ def test_an_unknown_id_is_refused(host: RawHost, message_id: int) -> None:
 
 
 def test_messages_are_as_long_as_the_capacity_says(host: RawHost) -> None:
-    told = host.get(wire.GetCapacity())
+    said = host.get(wire.GetCapacity())
     status = host.get(wire.GetStatus())
-    assert len(status.pressure_cpsi) == told.muscles
+    assert len(status.pressure_cpsi) == said.muscles
     frame = host.next_frame(lambda f: f.id == wire.Telemetry.ID, 1.0)
     assert frame is not None
     row = wire.Telemetry.unpack(frame.payload)
-    assert len(row.flex_sum) == told.sensors
-    assert len(row.set_cpsi) == len(row.drive) == told.muscles
-    assert (told.adc_bits, told.drive_full, told.motor_full, told.tick_us) == (10, 1599, 800, 1000)
+    assert len(row.flex_sum) == said.sensors
+    assert len(row.set_cpsi) == len(row.drive) == said.muscles
+    assert (said.adc_bits, said.drive_full, said.motor_full, said.tick_us) == (10, 1599, 800, 1000)
 
 
 @pytest.mark.parametrize("command", [wire.SetPressure, wire.Sweep])
@@ -829,9 +828,9 @@ def test_a_stop_ends_an_activity_and_is_told_in_an_event(ready: RawHost) -> None
     ready.get(wire.ConfirmLength(100_000, 1))
     ready.get(wire.ZeroSensors(0b00001_00001))
     ready.stop(0x1234)
-    told = {(e.code, e.arg): e.value for e in events(ready.listen(0.5))}
-    assert told[wire.EventCode.FAULT, wire.Fault.STOPPED] == 0x1234
-    assert told[wire.EventCode.ACTIVITY_ABORTED, wire.Activity.ZEROING] == R.FAULT_LATCHED
+    said = {(e.code, e.arg): e.value for e in events(ready.listen(0.5))}
+    assert said[wire.EventCode.FAULT, wire.Fault.STOPPED] == 0x1234
+    assert said[wire.EventCode.ACTIVITY_ABORTED, wire.Activity.ZEROING] == R.FAULT_LATCHED
     assert ready.get(wire.GetStatus()).activity is wire.Activity.IDLE
 
 

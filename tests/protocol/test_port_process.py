@@ -305,10 +305,10 @@ def test_thigmo_stop_names_the_program_that_has_the_port(board: PtyDevice) -> No
         other.stdout.readline()
         result = CliRunner().invoke(app, ["stop", "--robot", board.port])
         assert result.exit_code == 1
-        told = str(result.exception)
-        assert told.startswith(f"NOT stopped: {board.port} is in use by process ")
-        assert f"process {other.pid} (" in told
-        assert "; use the emergency stop, or close the program" in told
+        said = str(result.exception)
+        assert said.startswith(f"NOT stopped: {board.port} is in use by process ")
+        assert f"process {other.pid} (" in said
+        assert "; use the emergency stop, or close the program" in said
         other.communicate()
     assert not board.device.stops
 
@@ -390,7 +390,7 @@ def test_a_server_that_does_not_listen() -> None:
 
 
 def test_a_baud_rate_that_is_none() -> None:
-    with pytest.raises(PortError, match="fast is no baud rate"):
+    with pytest.raises(PortError, match="fast is not a baud rate"):
         open_transport("/dev/ttyNONE?baud=fast")
 
 

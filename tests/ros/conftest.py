@@ -31,11 +31,11 @@ class Program(Closing):
     """A program that prints one JSON object a line, or words. A context manager.
 
     Attributes:
-        told: all that it has printed; words have the topic "line".
+        said: all that it has printed; words have the topic "line".
     """
 
     def __init__(self, command: list[str], env: dict[str, str]) -> None:
-        self.told: list[Told] = []
+        self.said: list[Told] = []
         self._changed = threading.Condition()
         self._process = subprocess.Popen(
             command, env=os.environ | env, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -49,7 +49,7 @@ class Program(Closing):
         for line in self._process.stdout:
             with self._changed:
                 is_object = line.startswith("{")
-                self.told.append(json.loads(line) if is_object else {"topic": "line", "text": line})
+                self.said.append(json.loads(line) if is_object else {"topic": "line", "text": line})
                 self._changed.notify_all()
 
     def say(self, line: str) -> None:
@@ -61,13 +61,12 @@ class Program(Closing):
     def hears(self, wanted: Callable[[Told], bool]) -> Told:
         """The first object of a kind; waits for it."""
         with self._changed:
-            found = self._changed.wait_for(lambda: next(filter(wanted, self.told), None), 60.0)
-        assert found, f"never came; the last were {self.told[-5:]}"
+            found = self._changed.wait_for(lambda: next(filter(wanted, self.said), None), 60.0)
+        assert found, f"never came; the last were {self.said[-5:]}"
         return found
 
     def of(self, topic: str) -> list[Told]:
-        """Objects of a topic so far."""
-        return [each for each in self.told if each["topic"] == topic]
+        return [each for each in self.said if each["topic"] == topic]
 
     def close(self) -> None:
         self._process.kill()
@@ -94,14 +93,13 @@ class Ros:
         }
 
     def bridge(self, *arguments: str | Path) -> Program:
-        """`thigmo ros`, with the same domain as its neighbours by their environment."""
         return self._start([sys.executable, "-m", "thigmo", "ros", *map(str, arguments)])
 
     def planner(self, namespace: str = "thigmo") -> Program:
         """A node of rclpy, once it is ready."""
         assert ROS_PYTHON.exists(), "`make .stamps/ros` installs ROS for the tests"
         planner = self._start([str(ROS_PYTHON), str(HERE / "planner.py"), namespace])
-        planner.hears(lambda told: told["topic"] == "ready")
+        planner.hears(lambda said: said["topic"] == "ready")
         return planner
 
     def launch(self, **given: str | Path) -> list[Program]:

@@ -170,7 +170,6 @@ class Exploration:
 
 
 def obey(node: Node, namespace: str, stops: dict[str, Any]) -> None:
-    """Thread: stops."""
     explorations: list[Exploration] = []
     for line in sys.stdin:
         command, _, argument = line.strip().partition(" ")

@@ -28,11 +28,11 @@ STOPPED = (StoppedByViewerError, RobotFaultError)
 def _map_is_the_run_s(planner: Any, run: thigmo.ExplorationResult) -> None:
     grid = run.map
     cells = grid.cells.ravel().tolist()
-    told = planner.hears(lambda told: told["topic"] == "map" and told["cells"] == cells)
-    assert told["frame"] == "map"
-    assert told["size"] == list(grid.cells.shape[::-1])
-    assert told["resolution"] == pytest.approx(grid.resolution_cm / 100)
-    assert told["origin"] == pytest.approx(
+    said = planner.hears(lambda said: said["topic"] == "map" and said["cells"] == cells)
+    assert said["frame"] == "map"
+    assert said["size"] == list(grid.cells.shape[::-1])
+    assert said["resolution"] == pytest.approx(grid.resolution_cm / 100)
+    assert said["origin"] == pytest.approx(
         [grid.origin[0] / 100, grid.origin[1] / 100, 0, 0, 0, 0, 1], abs=1e-6
     )
 
@@ -41,9 +41,9 @@ def _contacts_are_the_run_s(planner: Any, run: thigmo.ExplorationResult) -> None
     """Those with the newest stamp, as docs/ros.md tells planners to read them."""
 
     def newest() -> list[dict[str, Any]]:
-        told = planner.of("contact")
-        last = max((each["stamp"] for each in told), default=None)
-        return [each for each in told if each["stamp"] == last]
+        said = planner.of("contact")
+        last = max((each["stamp"] for each in said), default=None)
+        return [each for each in said if each["stamp"] == last]
 
     assert run.contacts
     expected = [
@@ -55,9 +55,9 @@ def _contacts_are_the_run_s(planner: Any, run: thigmo.ExplorationResult) -> None
         )
         for contact in run.contacts
     ]
-    planner.hears(lambda told: [each["pose"] for each in newest()] == expected)
-    for told, contact in zip(newest(), run.contacts, strict=True):
-        covariance = np.reshape(told["covariance"], (6, 6))
+    planner.hears(lambda said: [each["pose"] for each in newest()] == expected)
+    for said, contact in zip(newest(), run.contacts, strict=True):
+        covariance = np.reshape(said["covariance"], (6, 6))
         assert covariance[:2, :2] == pytest.approx(np.array(contact.covariance_cm2) * 1e-4)
         assert np.linalg.eigvalsh(covariance).min() >= 0
 
@@ -68,31 +68,31 @@ def test_planner_receives_map_contacts_and_body_of_a_live_run(
     planner, transforms = ros.planner(), ros.transforms()
     ros.bridge(late_url)
     # The bridge is there before the run: what it says of it then is that it knows of none.
-    planner.hears(lambda told: told.get("name") == "thigmo: run" and told["level"] == 3)
+    planner.hears(lambda said: said.get("name") == "thigmo: run" and said["level"] == 3)
     run = thigmo.explore(late_url, seed=1, out=tmp_path)
-    planner.hears(lambda told: told.get("message") == "full length")
+    planner.hears(lambda said: said.get("message") == "full length")
     _map_is_the_run_s(planner, run)
     _contacts_are_the_run_s(planner, run)
-    joints = [told for told in planner.of("joints") if told["positions"][0] > 0]
+    joints = [said for said in planner.of("joints") if said["positions"][0] > 0]
     tenths = range(1, 11)
     assert joints[0]["names"] == [
         "everted_length", *(f"bend_{n}" for n in tenths), *(f"grow_{n}" for n in tenths)
     ]  # fmt: skip
-    assert max(told["positions"][0] for told in joints) == pytest.approx(0.53, abs=0.005)
-    turns = [sum(told["positions"][1:11]) for told in joints]
+    assert max(said["positions"][0] for said in joints) == pytest.approx(0.53, abs=0.005)
+    turns = [sum(said["positions"][1:11]) for said in joints]
     assert min(turns) < -0.5 < 0.5 < max(turns)
     assert planner.of("body")[-1]["poses"][0] == pytest.approx([0, 0, 0, 0, 0, 0, 1])
     board = planner.hears(
-        lambda told: (
-            told.get("name") == "thigmo: board"
-            and float(told["values"]["everted length (m)"]) > 0.4
+        lambda said: (
+            said.get("name") == "thigmo: board"
+            and float(said["values"]["everted length (m)"]) > 0.4
         )
     )
     assert board["hardware"] == late_url
-    base = transforms.hears(lambda told: told["topic"] == "tf_static")
+    base = transforms.hears(lambda said: said["topic"] == "tf_static")
     assert (base["frame"], base["child"]) == ("map", "thigmo_base")
     assert base["pose"] == [0, 0, 0, 0, 0, 0, 1]
-    tips = [told["pose"] for told in transforms.of("tf") if told["child"] == "thigmo_tip"]
+    tips = [said["pose"] for said in transforms.of("tf") if said["child"] == "thigmo_tip"]
     assert max(tip[0] for tip in tips) == pytest.approx(0.53, abs=0.01)
     assert min(tip[1] for tip in tips) < -0.1 < 0.1 < max(tip[1] for tip in tips)
 
@@ -102,21 +102,21 @@ def test_description_s_joints_and_the_transforms_end_at_the_tip(
 ) -> None:
     planner, transforms = ros.planner(), ros.transforms()
     ros.bridge(late_url)
-    planner.hears(lambda told: told.get("name") == "thigmo: run")
+    planner.hears(lambda said: said.get("name") == "thigmo: run")
     thigmo.explore(late_url, seed=1, out=tmp_path)
-    planner.hears(lambda told: told.get("message") == "full length")
-    described = planner.hears(lambda told: told["topic"] == "description")
+    planner.hears(lambda said: said.get("message") == "full length")
+    described = planner.hears(lambda said: said["topic"] == "description")
     urdf = ElementTree.fromstring(described["urdf"])
-    bodies = {tuple(told["stamp"]): told["poses"][-1] for told in planner.of("body")}
+    bodies = {tuple(said["stamp"]): said["poses"][-1] for said in planner.of("body")}
     sent: dict[tuple[int, int], dict[str, Any]] = {}
-    for told in transforms.of("tf"):
-        sent.setdefault(tuple(told["stamp"]), {})[told["child"]] = told
+    for said in transforms.of("tf"):
+        sent.setdefault(tuple(said["stamp"]), {})[said["child"]] = said
     compared = 0
-    for told in planner.of("joints"):
-        stamp = tuple(told["stamp"])
+    for said in planner.of("joints"):
+        stamp = tuple(said["stamp"])
         if stamp not in bodies or len(sent.get(stamp, {})) < 21:
             continue
-        values = dict(zip(told["names"], told["positions"], strict=True))
+        values = dict(zip(said["names"], said["positions"], strict=True))
         x = y = heading = 0.0
         link = "thigmo_base"
         while (joint := urdf.find(f"joint/parent[@link='{link}']/..")) is not None:
@@ -139,7 +139,7 @@ def test_description_s_joints_and_the_transforms_end_at_the_tip(
 
 def _service(planner: Any, name: str) -> dict[str, Any]:
     planner.say(f"call {name}")
-    answer: dict[str, Any] = planner.hears(lambda told: told.get("name") == f"/thigmo/{name}")
+    answer: dict[str, Any] = planner.hears(lambda said: said.get("name") == f"/thigmo/{name}")
     return answer
 
 
@@ -149,7 +149,7 @@ def test_launch_file_s_action_explores_with_feedback_and_returns_the_run(
     planner = ros.planner()
     ros.launch(robot=late_url, options=f"--seed 1 --out {tmp_path}")
     planner.say("explore 0")
-    result = planner.hears(lambda told: told["topic"] == "result")
+    result = planner.hears(lambda said: said["topic"] == "result")
     assert (result["status"], result["outcome"]) == ("succeeded", "full length")
     run = thigmo.open_run(result["folder"])
     assert result["folder"].endswith("-by-action")
@@ -165,18 +165,18 @@ def test_action_says_how_far_it_is_ends_when_cancelled_and_is_stopped_by_the_ser
     ros.launch(robot=late_url, options=f"--realtime --out {tmp_path}")
     assert not _service(planner, "stop")["success"]  # nothing is to be stopped
     for ending, status in (("cancel", "canceled"), ("call stop", "aborted")):
-        planner.told.clear()
+        planner.said.clear()
         planner.say("explore 0")
-        told = planner.hears(lambda told: told["topic"] == "feedback" and told["done"] > 0)
-        assert told["done"] < 1
-        assert told["stage"] >= 0.5
-        assert told["doing"]
+        said = planner.hears(lambda said: said["topic"] == "feedback" and said["done"] > 0)
+        assert said["done"] < 1
+        assert said["stage"] >= 0.5
+        assert said["doing"]
         planner.say("explore 0")
-        planner.hears(lambda told: told["topic"] == "goal" and not told["accepted"])
+        planner.hears(lambda said: said["topic"] == "goal" and not said["accepted"])
         planner.say(ending)
-        result = planner.hears(lambda told: told["topic"] == "result")
+        result = planner.hears(lambda said: said["topic"] == "result")
         assert result["status"] == status
-    answer = planner.hears(lambda told: told["topic"] == "answer")
+    answer = planner.hears(lambda said: said["topic"] == "answer")
     assert answer["success"], answer["message"]
     assert "stopped" in result["outcome"]
 
@@ -208,12 +208,12 @@ def test_planner_receives_walls_as_lines_with_their_probability(ros: Any, tmp_pa
     run = thigmo.explore("emulator://wall", seed=1, out=tmp_path)
     (wall,) = (contact for contact in run.contacts if contact.surface)
     ros.bridge(run.folder)
-    told = ros.planner().hears(lambda told: told["topic"] == "walls" and told["lines"])
-    assert told["removed"] == 1
-    assert told["kinds"] == [4]  # a line strip
-    assert np.allclose(told["lines"], [[[x / 100, y / 100, 0.0] for x, y in wall.surface]])
-    assert told["solid"] == pytest.approx([wall.wall_probability])
-    assert told["texts"] == [f"wall, probability {wall.wall_probability:.2f}"]
+    said = ros.planner().hears(lambda said: said["topic"] == "walls" and said["lines"])
+    assert said["removed"] == 1
+    assert said["kinds"] == [4]  # a line strip
+    assert np.allclose(said["lines"], [[[x / 100, y / 100, 0.0] for x, y in wall.surface]])
+    assert said["solid"] == pytest.approx([wall.wall_probability])
+    assert said["texts"] == [f"wall, probability {wall.wall_probability:.2f}"]
 
 
 @pytest.mark.realtime
@@ -226,7 +226,7 @@ def test_planner_s_stop_stops_a_run(ros: Any, late_url: str, tmp_path: Path, sto
     hello = Hello(0.0, time.time() + 3600.0, late_url, "another", "", 1, "0", True)
 
     def ask() -> None:
-        planner.hears(lambda told: abs(sum(told.get("positions", [0])[1:11])) > 0.1)
+        planner.hears(lambda said: abs(sum(said.get("positions", [0])[1:11])) > 0.1)
         bent.set()
         planner.say(stop)
 
@@ -240,11 +240,11 @@ def test_planner_s_stop_stops_a_run(ros: Any, late_url: str, tmp_path: Path, sto
     asking.join()
     assert bent.is_set()
     assert asked == []
-    bridge.hears(lambda told: told.get("text") == f"Stop from ROS: stopped {late_url}\n")
-    told = planner.hears(
-        lambda told: told.get("name") == "thigmo: run" and told["message"].startswith("aborted")
+    bridge.hears(lambda said: said.get("text") == f"Stop from ROS: stopped {late_url}\n")
+    said = planner.hears(
+        lambda said: said.get("name") == "thigmo: run" and said["message"].startswith("aborted")
     )
-    assert told["level"] == 2
+    assert said["level"] == 2
 
 
 @pytest.mark.realtime
@@ -253,7 +253,7 @@ def test_planner_s_latched_stop_is_heard_that_was_said_once_before_anybody_liste
 ) -> None:
     planner = ros.planner()
     planner.say("stop, latched")
-    planner.hears(lambda told: told["topic"] == "said")
+    planner.hears(lambda said: said["topic"] == "said")
     bridges: list[Any] = []
 
     def progress(doing: str, done: float) -> None:
@@ -276,7 +276,7 @@ def test_planner_s_stop_reaches_the_board_while_the_program_on_its_port_hangs(ro
         host.send_signal(signal.SIGSTOP)
         planner.say("stop")
         # The port's process says so once the board has echoed the stop.
-        bridge.hears(lambda told: told.get("text") == f"Stop from ROS: stopped {robot.port}\n")
+        bridge.hears(lambda said: said.get("text") == f"Stop from ROS: stopped {robot.port}\n")
         assert robot.off
     finally:
         host.kill()

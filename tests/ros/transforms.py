@@ -88,11 +88,11 @@ while True:
         for message in reader.take(100):
             for each in message.transforms if isinstance(message, TFMessage) else ():
                 at, turn = each.transform.translation, each.transform.rotation
-                told = {
+                said = {
                     "topic": topic,
                     "stamp": [each.header.stamp.sec, each.header.stamp.nanosec],
                     "frame": each.header.frame_id,
                     "child": each.child_frame_id,
                     "pose": [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w],
                 }
-                print(json.dumps(told), flush=True)
+                print(json.dumps(said), flush=True)

@@ -36,7 +36,7 @@ process = "import thigmo.link.port_process as p; p.LEASE_S = 1.0; p.main()"
 real = subprocess.Popen
 subprocess.Popen = lambda command, **o: real([command[0], "-c", process, *command[3:]], **o)
 """
-# Wakes up as if nothing had happened, and is told why it may not.
+# Wakes up as if nothing had happened, and learns why it may not.
 CARRIES_ON = (
     SWEEP
     + """

@@ -124,5 +124,5 @@ def test_an_operator_explores_through_a_port_stops_and_evaluates(
     assert again.end() == 0
     with (tmp_path / "exploration" / "exploration-each.csv").open(newline="") as file:
         (each,) = csv.DictReader(file)
-    # Only two sensors feel it, in real time: the middle of a wide interval is told.
+    # Only two sensors feel it, in real time: the answer is the middle of a wide interval.
     assert float(each["error_x_cm"]) < 8.0

@@ -174,27 +174,24 @@ class Terminal:
         )  # fmt: skip
         os.close(slave)
         self.seen = ""
-        self._told = 0
+        self._seen = 0
 
     def wait_for(self, text: str) -> None:
         """Read until the text comes, after what was waited for before."""
-        while (at := self.seen.find(text, self._told)) < 0:
+        while (at := self.seen.find(text, self._seen)) < 0:
             if not self._read():
                 raise AssertionError(f"ended before {text!r}:\n{self.seen[-3000:]}")
-        self._told = at + len(text)
+        self._seen = at + len(text)
 
     def answer(self, text: str, prompt: str) -> None:
-        """Wait for a prompt and type."""
         self.wait_for(prompt)
         os.write(self._master, f"{text}\n".encode())
 
     def interrupt(self, prompt: str) -> None:
-        """Wait for a prompt and press Ctrl-C."""
         self.wait_for(prompt)
         os.write(self._master, b"\x03")
 
     def end(self) -> int:
-        """Read to the end; the exit status."""
         while self._read():
             pass
         os.close(self._master)

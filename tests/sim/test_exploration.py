@@ -14,6 +14,7 @@ from command import Thigmo
 from emulated import last_stages, room_file, scene_at
 from PIL import Image
 
+from thigmo.cli.console import Console
 from thigmo.cli.main import main
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import FaultTable, PegTable, Scene
@@ -65,6 +66,19 @@ def test_the_same_seed_gives_the_same_run_and_studies_explore_as_users_do(
         assert document.contacts == default.document.contacts
         assert document.truth == default.document.truth
         assert document.robot_time_s == pytest.approx(default.document.robot_time_s, abs=0.1)
+
+
+def test_the_terminal_shows_a_contact_on_one_line_of_80_columns(
+    default: ExplorationResult, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    Console(quiet=True).result(default)
+    head, row, after = capsys.readouterr().out.splitlines()[:3]
+    (contact,) = default.contacts
+    assert head.split()[:2] == ["x,", "cm"]
+    assert row.rstrip().endswith(contact.certainty_text)
+    assert after.startswith("Against the room's truth")
+    assert len(row.rstrip()) <= 80
 
 
 def test_the_run_folder_is_whole(default: ExplorationResult) -> None:

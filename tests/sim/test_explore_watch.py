@@ -24,8 +24,8 @@ BROWSER = """
 import os, sys
 with open(f"/proc/{os.getppid()}/stat") as stat:
     server = stat.read().rpartition(")")[2].split()[1]
-with open(sys.argv[1], "w") as told:
-    told.write(f"{server} {sys.argv[2]}")
+with open(sys.argv[1], "w") as file:
+    file.write(f"{server} {sys.argv[2]}")
 """
 
 
@@ -33,12 +33,12 @@ class Watched:
     """`thigmo explore --watch`, and the page that it has opened."""
 
     def __init__(self, folder: Path, *options: str) -> None:
-        told = folder / "told"
-        os.mkfifo(told)
+        said = folder / "page"
+        os.mkfifo(said)
         (folder / "browser.py").write_text(BROWSER)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "thigmo", "explore", "--watch", *options],
-            env=os.environ | {"BROWSER": f"{sys.executable} {folder / 'browser.py'} {told} %s"},
+            env=os.environ | {"BROWSER": f"{sys.executable} {folder / 'browser.py'} {said} %s"},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -47,7 +47,7 @@ class Watched:
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         assert comes(lambda: bool(children.read_text()))
         self.process.send_signal(signal.SIGSTOP)
-        server, self.address = told.read_text().split()
+        server, self.address = said.read_text().split()
         self._server = int(server)
         self.process.send_signal(signal.SIGCONT)
 
@@ -84,7 +84,6 @@ class Watched:
                 await socket.send_str('{"ack":1}')
 
     def close(self) -> None:
-        """End the command and the page."""
         self.process.kill()
         self.process.communicate()
         with suppress(ProcessLookupError):

@@ -38,9 +38,9 @@ class Client:
     async def advertised(self) -> None:
         """Wait until channels and services are known."""
         while not (self.channels and self.services):
-            told = await self._socket.receive()
-            assert told.type is aiohttp.WSMsgType.TEXT, told
-            said = json.loads(told.data)
+            answer = await self._socket.receive()
+            assert answer.type is aiohttp.WSMsgType.TEXT, answer
+            said = json.loads(answer.data)
             if said["op"] == "advertise":
                 self.channels |= {each["topic"]: each for each in said["channels"]}
             if said["op"] == "advertiseServices":
@@ -56,21 +56,21 @@ class Client:
         """The next message of a channel."""
         names = {channel["id"]: topic for topic, channel in self.channels.items()}
         while True:
-            told = await self._socket.receive()
-            if told.type is aiohttp.WSMsgType.BINARY and told.data[0] == 1:
-                number, at_ns = struct.unpack_from("<IQ", told.data, 1)
-                return names[number], at_ns, told.data[13:]
+            answer = await self._socket.receive()
+            if answer.type is aiohttp.WSMsgType.BINARY and answer.data[0] == 1:
+                number, at_ns = struct.unpack_from("<IQ", answer.data, 1)
+                return names[number], at_ns, answer.data[13:]
 
     async def call(self, service: str) -> Any:
         """Call a service with an empty request."""
         head = struct.pack("<BIII4s", 2, self.services[service], 7, 4, b"json")
         await self._socket.send_bytes(head + b"{}")
         while True:
-            told = await self._socket.receive()
-            if told.type is aiohttp.WSMsgType.BINARY and told.data[0] == 3:
-                _, call, size = struct.unpack_from("<III", told.data, 1)
+            answer = await self._socket.receive()
+            if answer.type is aiohttp.WSMsgType.BINARY and answer.data[0] == 3:
+                _, call, size = struct.unpack_from("<III", answer.data, 1)
                 assert call == 7
-                return json.loads(told.data[13 + size :])
+                return json.loads(answer.data[13 + size :])
 
 
 @contextmanager

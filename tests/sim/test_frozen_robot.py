@@ -70,10 +70,10 @@ def numbers(messages: list[Message], kind: type[Message]) -> Trace:
 
 def _today(fields: dict[str, Any]) -> dict[str, Any]:
     """A command's fields; when the session was kept, a sweep had one for each side."""
-    told = {k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()}
-    if "left_cpsi" in told:
-        told["amplitude_cpsi"] = (told.pop("left_cpsi"), told.pop("right_cpsi"))
-    return told
+    answer = {k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()}
+    if "left_cpsi" in answer:
+        answer["amplitude_cpsi"] = (answer.pop("left_cpsi"), answer.pop("right_cpsi"))
+    return answer
 
 
 def stored_anew(store: bytes) -> bytes:
@@ -108,7 +108,6 @@ def test_telemetry_and_snapshots_are_those_of_before() -> None:
 
 
 def record() -> None:
-    """Keep a session of today."""
     from test_same_trace import MEGA, session  # run from this folder
 
     scene = Scene.load("default").model_copy(update={"start_length_cm": 51.5})

@@ -101,7 +101,7 @@ def test_a_full_disk_makes_the_robot_safe_first(explore: Explore, tmp_path: Path
             timeout=EVER_S,
         )
         assert "run.mcap: File too large" in run.stderr
-        assert wire.Disarm.ID in heard()  # it was told, its host did not just fall silent
+        assert wire.Disarm.ID in heard()  # it got the command, its host did not just fall silent
         assert comes(lambda: served.off, 5.0)
     finally:
         served.close()

@@ -103,7 +103,7 @@ def test_a_run_cut_short_in_mid_sweep_leaves_a_safe_robot_and_a_readable_folder(
     killed = number == signal.SIGKILL
     assert host.returncode == (-number if killed else 128 + number)
     if not killed:
-        assert "cut-short" in _told(said, "thigmo: interrupted; the robot is vented")
+        assert "cut-short" in _last_line(said, "thigmo: interrupted; the robot is vented")
     folder = _folder(tmp_path, outcome)
     if not killed:
         assert read_obstacles(folder.path / OBSTACLES_FILE).outcome == outcome
@@ -112,7 +112,7 @@ def test_a_run_cut_short_in_mid_sweep_leaves_a_safe_robot_and_a_readable_folder(
     log = folder.read_log()
     assert log.truncated == killed
     sent = {decode(entry.frame).id for entry in log.entries if entry.direction == "tx"}
-    assert (wire.Stop.ID in sent) != killed  # it was told, it did not just fall silent
+    assert (wire.Stop.ID in sent) != killed  # it got the command, it did not just fall silent
     facts = json.loads(thigmo("info", folder.path, "--json").out)
     assert facts["outcome"].startswith(outcome)
     assert facts["truncated"] == killed
@@ -132,7 +132,7 @@ def test_an_interrupt_during_growth_stops_the_motor_and_leaves_a_readable_folder
         assert served.off_within(LIMIT_S), "the motor still runs"
         _, said = host.communicate()
     assert host.returncode == 128 + signal.SIGINT
-    _told(said, "thigmo: interrupted; the robot is vented")
+    _last_line(said, "thigmo: interrupted; the robot is vented")
     assert served.lockstep.plant.length_cm < 19.9
     folder = _folder(tmp_path, "aborted: interrupted by the operator")
     assert not folder.read_log().truncated
@@ -151,11 +151,11 @@ def test_a_cable_pulled_in_mid_sweep_vents_the_robot_and_leaves_a_readable_folde
         assert served.off
         _, said = host.communicate()
     assert host.returncode not in (0, -signal.SIGKILL)
-    assert "cable" in _told(said, "thigmo: ")
+    assert "cable" in _last_line(said, "thigmo: ")
     _folder(tmp_path, "aborted")
 
 
-def _told(said: str, begins: str) -> str:
+def _last_line(said: str, begins: str) -> str:
     """What ends the progress: one line."""
     *progress, line = said.splitlines()
     assert line.startswith(begins), said

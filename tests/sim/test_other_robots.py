@@ -190,12 +190,12 @@ def test_a_large_board_on_a_port_is_read_once_its_robot_is_described() -> None:
     board = virtual_board(scene.robot, 1, brought_up(scene.robot))
     port = EmulatorTransport(scene, board, seed=1)
     del port.config
-    told: list[Telemetry] = []
+    said: list[Telemetry] = []
     with Robot(Client(port)) as robot:
-        robot.on_telemetry(told.append)
+        robot.on_telemetry(said.append)
         with pytest.raises(ConfigError, match="16 sensors' inputs, and nobody has described"):
             robot.read(0.2)
-        assert told == []
+        assert said == []
         robot.configure(scene.robot)
         assert robot.read(0.2).resistance.shape == (16,)
-    assert {len(each.pressure_psi) for each in told} == {4}
+    assert {len(each.pressure_psi) for each in said} == {4}

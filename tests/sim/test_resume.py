@@ -77,8 +77,8 @@ def test_a_killed_run_says_so_with_its_length_and_times(killed: RunFolder, thigm
     log = killed.read_log()
     assert document.robot_time_s == pytest.approx(log.entries[-1].t_s - log.entries[0].t_s)
     assert document.wall_time_s > 0.0
-    told = json.loads(thigmo("info", killed.path, "--json").out)
-    assert (told["outcome"], told["length_cm"]) == ("killed", document.length_cm)
+    said = json.loads(thigmo("info", killed.path, "--json").out)
+    assert (said["outcome"], said["length_cm"]) == ("killed", document.length_cm)
 
 
 def test_it_goes_on_from_what_was_swept_and_felt(

@@ -46,7 +46,7 @@ class Step:
 
 
 class Recorder:
-    """A virtual board that keeps what it is told."""
+    """A virtual board that keeps what it is sent."""
 
     def __init__(self, board: VirtualBoard) -> None:
         self.board = board

@@ -56,9 +56,9 @@ def test_an_emulated_run_is_stopped_and_its_board_has_confirmed_it(
 ) -> None:
     run = explore()
     assert comes(lambda: any(tmp_path.glob("*/run.mcap")))
-    told = thigmo("stop", *(("--robot", URL) if named else ()))
-    assert (told.code, told.err) == (0, "")
-    assert told.out == f"Stopped: {URL}.\n"
+    answer = thigmo("stop", *(("--robot", URL) if named else ()))
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out == f"Stopped: {URL}.\n"
     _, said = run.communicate()
     assert run.returncode == 1
     assert "stopped" in said
@@ -74,10 +74,10 @@ def test_all_runs_of_an_emulated_robot_are_stopped(explore: Explore, thigmo: Thi
 
 
 def test_nothing_that_runs_is_nothing_that_was_stopped(thigmo: Thigmo) -> None:
-    told = thigmo("stop", "--robot", URL)
-    assert told.code == 1
-    assert told.out == ""
-    assert told.err.startswith(
+    answer = thigmo("stop", "--robot", URL)
+    assert answer.code == 1
+    assert answer.out == ""
+    assert answer.err.startswith(
         f"thigmo: NOT stopped: no program of yours runs {URL}; use the emergency stop"
     )
 
@@ -85,8 +85,8 @@ def test_nothing_that_runs_is_nothing_that_was_stopped(thigmo: Thigmo) -> None:
 def test_a_run_that_hangs_is_told(explore: Explore, thigmo: Thigmo) -> None:
     run = explore()
     os.kill(run.pid, signal.SIGSTOP)
-    told = thigmo("stop", "--robot", URL)
+    answer = thigmo("stop", "--robot", URL)
     os.kill(run.pid, signal.SIGCONT)
-    assert told.code == 1
-    assert told.err.startswith("thigmo: NOT stopped: the program behind ")
-    assert told.err.count("\n") == 1
+    assert answer.code == 1
+    assert answer.err.startswith("thigmo: NOT stopped: the program behind ")
+    assert answer.err.count("\n") == 1

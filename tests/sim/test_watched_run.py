@@ -195,20 +195,20 @@ def test_every_typed_value_equals_the_raw_frames(run: Watched) -> None:
     raw = [(t_s, f.message()) for t_s, f in frames if f.id == wire.Telemetry.ID]
     typed = list(read_messages(run.watched.folder, {"telemetry"}))
     assert len(typed) == len(raw)
-    for told, (t_s, frame) in zip(typed, raw, strict=True):
-        assert isinstance(told, Telemetry)
+    for said, (t_s, frame) in zip(typed, raw, strict=True):
+        assert isinstance(said, Telemetry)
         assert isinstance(frame, wire.Telemetry)
-        assert told.t_s == pytest.approx(t_s, abs=2e-9)
-        assert told.device_s == pytest.approx(frame.t_us / 1e6, abs=1e-9)
-        assert told.flex_sum == frame.flex_sum
-        assert told.pressure_psi == tuple(each / 100 for each in frame.pressure_cpsi)
-        assert told.demand_psi == tuple(each / 100 for each in frame.set_cpsi)
-        assert told.drive_ma == tuple(each * 20 / 1599 for each in frame.drive)
-        assert told.length_cm == frame.length_um / 1e4
-        assert told.motor == frame.motor / 800
-        assert (told.base_per_cm, told.free_per_cm) == (frame.base_e5 / 1e5, frame.free_e5 / 1e5)
-        assert len(told.faults) == frame.faults.bit_count()
-        assert told.activity == wire.Activity(frame.state_activity & 0xF).key
+        assert said.t_s == pytest.approx(t_s, abs=2e-9)
+        assert said.device_s == pytest.approx(frame.t_us / 1e6, abs=1e-9)
+        assert said.flex_sum == frame.flex_sum
+        assert said.pressure_psi == tuple(each / 100 for each in frame.pressure_cpsi)
+        assert said.demand_psi == tuple(each / 100 for each in frame.set_cpsi)
+        assert said.drive_ma == tuple(each * 20 / 1599 for each in frame.drive)
+        assert said.length_cm == frame.length_um / 1e4
+        assert said.motor == frame.motor / 800
+        assert (said.base_per_cm, said.free_per_cm) == (frame.base_e5 / 1e5, frame.free_e5 / 1e5)
+        assert len(said.faults) == frame.faults.bit_count()
+        assert said.activity == wire.Activity(frame.state_activity & 0xF).key
 
 
 def test_epoch_and_robot_time_go_together(run: Watched) -> None:

@@ -106,7 +106,8 @@ def test_what_is_counted(tmp_path: Path) -> None:
     [
         (["9999", 1, "", "", ""], "no frame '9999'"),
         (["0001", "x", "", "", ""], "line 2: arc_cm is 'x', not a number"),
-        (["0001", 5, 6, 4, 0], "no interval"),
+        (["0001", 5, 6, 4, 0], "not an interval"),
+        (["0001", 5, 0, "inf", 0], "line 2: high_cm is infinite"),
         (["0001", 5, "", "", 1], "a localized contact has an interval"),
     ],
 )
@@ -116,6 +117,17 @@ def test_answers_that_cannot_be_scored_are_refused(
     file = _write(tmp_path / "answers.csv", row)
     with pytest.raises(DataError, match=said):
         CliRunner().invoke(app, ["score", str(file)], catch_exceptions=False)
+
+
+def test_semicolons_between_columns_are_named(tmp_path: Path) -> None:
+    (tmp_path / "answers.csv").write_text("frame;arc_cm\n0001;26,5\n")
+    with pytest.raises(scorer.AnswersError, match="semicolons between its columns"):
+        scorer.score(tmp_path / "answers.csv")
+
+
+def test_a_missing_truth_is_named(answers: Path, tmp_path: Path) -> None:
+    with pytest.raises(scorer.AnswersError, match=r"cannot read .*none\.csv: No such file"):
+        scorer.score(answers, tmp_path / "none.csv")
 
 
 def test_the_frames_are_those_of_the_tool_and_small(tmp_path: Path) -> None:

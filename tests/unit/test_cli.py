@@ -56,11 +56,11 @@ def test_every_error_can_be_told_by_a_flag_and_widens_the_answer(
     tmp_path: Path, thigmo: Thigmo
 ) -> None:
     (tmp_path / "r.csv").write_text(BENT)
-    told = ["localize", tmp_path / "r.csv", "--length", 53, "--span", 5.5, "--json"]
-    told += ["--free-curvature", 0.03, "--noise", 6e-4]
+    stated = ["localize", tmp_path / "r.csv", "--length", 53, "--span", 5.5, "--json"]
+    stated += ["--free-curvature", 0.03, "--noise", 6e-4]
 
     def width(*flags: object) -> float:
-        result = json.loads(thigmo(*told, *flags).out)
+        result = json.loads(thigmo(*stated, *flags).out)
         low, high = result["contacts"][-1]["interval"]
         return float(high - low)
 
@@ -85,12 +85,12 @@ def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(
         sensor.scale_se = 0.03
     robot.save(tmp_path / "robot.toml")
     (tmp_path / "r.csv").write_text(BENT)
-    told = ["localize", tmp_path / "r.csv", "--length", 53, "--span", 5.5, "--json"]
-    told += ["--free-curvature", 0.03]
-    known = json.loads(thigmo(*told, "--config", tmp_path / "robot.toml", "--side", "left").out)
+    stated = ["localize", tmp_path / "r.csv", "--length", 53, "--span", 5.5, "--json"]
+    stated += ["--free-curvature", 0.03]
+    known = json.loads(thigmo(*stated, "--config", tmp_path / "robot.toml", "--side", "left").out)
     spelt = json.loads(
         thigmo(
-            *told, "--noise", 6e-4, "--gain-error", 0.03, "--offset-error", 2e-4, "--map-error",
+            *stated, "--noise", 6e-4, "--gain-error", 0.03, "--offset-error", 2e-4, "--map-error",
             0.01, "--critical-curvature", 0.01108, "--tube-radius", 1.75,
         ).out
     )  # fmt: skip
@@ -98,13 +98,13 @@ def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(
     assert known["contacts"][0]["interval"] == pytest.approx(spelt["contacts"][0]["interval"])
     assert known["noise"] == pytest.approx(6e-4)
     sure = json.loads(
-        thigmo(*told, "--config", tmp_path / "robot.toml", "--side", "left", "--noise", 1e-4).out
+        thigmo(*stated, "--config", tmp_path / "robot.toml", "--side", "left", "--noise", 1e-4).out
     )
     assert sure["noise"] == pytest.approx(1e-4)
-    wrong = thigmo(*told, "--config", tmp_path / "robot.toml", "--side", "up")
+    wrong = thigmo(*stated, "--config", tmp_path / "robot.toml", "--side", "up")
     assert "--side is 'up'" in wrong.err
     (tmp_path / "r.csv").write_text(BENT.replace("25,", "28,"))
-    off = thigmo(*told, "--config", tmp_path / "robot.toml", "--side", "left")
+    off = thigmo(*stated, "--config", tmp_path / "robot.toml", "--side", "left")
     assert "no sensor at 28 cm" in off.err
 
 
@@ -112,12 +112,12 @@ def test_a_discarded_reading_is_named_with_its_line(tmp_path: Path, thigmo: Thig
     rows = [(x, 2.2e-4 * (50 - x) * (x < 50)) for x in range(2, 50, 4)]
     rows[5] = (rows[5][0], -0.05)
     (tmp_path / "r.csv").write_text("position,curvature\n" + "".join(f"{x},{k}\n" for x, k in rows))
-    told = ["localize", tmp_path / "r.csv", "--length", 53, "--noise", 2e-4]
-    result = json.loads(thigmo(*told, "--json").out)
+    stated = ["localize", tmp_path / "r.csv", "--length", 53, "--noise", 2e-4]
+    result = json.loads(thigmo(*stated, "--json").out)
     assert result["discarded"] == [{"line": 7, "position": 22.0}]
     assert result["hypotheses"][result["hypothesis"]] > 0.5
     assert 0.9 < result["contacts"][0]["probability"] <= 1.0
-    shown = thigmo(*told).out
+    shown = thigmo(*stated).out
     assert "taken for bad: line 7" in shown
     assert result["hypothesis"] in shown
 
@@ -205,7 +205,7 @@ def test_a_bad_csv_is_one_line_and_status_1(
         (["watch", "none"], "no such run folder or port: none; check its path"),
         (["ros", "runs/none"], "no such run folder or port: runs/none; check its path"),
         (["ros", "none"], "no such run folder or port: none; check its path"),
-        (["ros", "--namespace", "my robot"], "no ROS namespace"),
+        (["ros", "--namespace", "my robot"], "not a ROS namespace"),
         (["stop"], "no program of yours drives a robot"),
         (["stop", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (["clear", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
@@ -213,8 +213,8 @@ def test_a_bad_csv_is_one_line_and_status_1(
         (["flash", "--robot", "emulator://default"], "cannot be flashed"),
         (["calibrate", "magic"], "no step 'magic'"),
         (["calibrate", "magic", "--csv", "r.csv"], "no step 'magic'"),
-        (["calibrate", "status"], "calibration is no calibration folder"),
-        (["calibrate", "status", "--folder", "empty"], "empty is no calibration folder"),
+        (["calibrate", "status"], "calibration is not a calibration folder"),
+        (["calibrate", "status", "--folder", "empty"], "empty is not a calibration folder"),
         (["calibrate", "flex"], "no robot is named"),
         (["calibrate", "flex", "--csv", "none.csv"], "none.csv"),
         (["calibrate", "flex", "--csv", "r.csv"], "no column"),
@@ -322,19 +322,23 @@ def test_the_version_is_said(thigmo: Thigmo) -> None:
 
 def test_frames_in_rows_get_an_answer_each(tmp_path: Path, thigmo: Thigmo) -> None:
     frames = tmp_path / "frames.csv"
-    frames.write_text("t_s;k0;k1;k2;k3;k4\n0;0;0;0;0;0,0001\n1;0,0107;0,0073;0,0043;0,0012;0\n")
+    frames.write_text(
+        "t_s;k0;k1;k2;k3;k4\n0;0;0;0;0;0,0001\n1;0,0107;0,0073;0,0043;0,0012;0\n2;;;nan;;\n"
+    )
     columns = "k0=5,k1=15,k2=25,k3=35,k4=45"
     call = ["localize", str(frames), "--length", "53", "--span", "5.5", "--noise", "0.0006"]
     ran = thigmo(*call, "--columns", columns, "--plot", str(tmp_path / "arcs.png"))
     assert ran.code == 0, ran.err
-    head, free, touched = ran.out.splitlines()
+    head, free, touched, unread = ran.out.splitlines()
     assert head == "line,t_s,status,contacts,arc,low,high,force,probability"
     assert free == "2,0,no contact,0,,,,,"
     assert touched.startswith("3,1,")
     assert float(touched.split(",")[4]) == pytest.approx(38.0, abs=3.0)
+    assert unread == "4,2,no reading,0,,,,,"
     assert (tmp_path / "arcs.png").stat().st_size > 5000
-    told = json.loads(thigmo(*call, "--columns", columns, "--json").out)
-    assert [answer["line"] for answer in told] == [2, 3]
+    answers = json.loads(thigmo(*call, "--columns", columns, "--json").out)
+    assert [answer["line"] for answer in answers] == [2, 3, 4]
+    assert (answers[2]["status"], answers[2]["contacts"]) == ("no reading", [])
     assert "NAME=POSITION" in thigmo(*call, "--columns", "k0").err
 
 
@@ -345,46 +349,46 @@ def test_columns_with_directions_are_localized_in_space(tmp_path: Path, thigmo: 
     rows = [f"{a},{k},{d}" for a, both in zip(arcs, bends, strict=True)
             for k, d in zip(both, (0, 90), strict=True)]  # fmt: skip
     table.write_text("position,curvature,direction\n" + "\n".join(rows) + "\n")
-    told = ["--length", "53", "--noise", "0.0003", "--twist", "1.3", "--held-end", "no"]
-    one = json.loads(thigmo("localize", table, *told, "--json").out)
+    stated = ["--length", "53", "--noise", "0.0003", "--twist", "1.3", "--held-end", "no"]
+    one = json.loads(thigmo("localize", table, *stated, "--json").out)
     _, toward_0, toward_90 = one["contacts"][0]["vector"]
     assert abs(one["contacts"][0]["arc"] - 45) < 2
     assert toward_0 == pytest.approx(2e-4, rel=0.2)
     assert toward_90 == pytest.approx(-1e-4, rel=0.2)
-    assert "vector" in thigmo("localize", table, *told).out
+    assert "vector" in thigmo("localize", table, *stated).out
     names = [f"k{n}" for n in range(10)]
     frames.write_text(",".join(names) + "\n" + ",".join(str(k) for b in bends for k in b) + "\n")
     places = [f"{n}={a}@{d}" for n, (a, d) in zip(
         names, ((a, d) for a in arcs for d in (0, 90)), strict=True)]  # fmt: skip
-    row = thigmo("localize", frames, *told, "--columns", ",".join(places))
+    row = thigmo("localize", frames, *stated, "--columns", ",".join(places))
     assert float(row.out.splitlines()[1].split(",")[4]) == pytest.approx(
         one["contacts"][0]["arc"], rel=1e-5
     )
-    some = thigmo("localize", frames, *told, "--columns", "k0=10@0,k1=10")
+    some = thigmo("localize", frames, *stated, "--columns", "k0=10@0,k1=10")
     assert "DEGREES" in some.err
-    heavy = thigmo("localize", table, *told, "--weight", "0,1")
+    heavy = thigmo("localize", table, *stated, "--weight", "0,1")
     assert "three numbers" in heavy.err
 
 
 def test_what_holds_the_end_the_levels_and_the_stiffness_are_flags(
     tmp_path: Path, thigmo: Thigmo
 ) -> None:
-    told = ["localize", "example", "--length", 53, "--span", 5.5, "--noise", 6e-4]
-    plain = json.loads(thigmo(*told, "--json").out)
+    stated = ["localize", "example", "--length", 53, "--span", 5.5, "--noise", 6e-4]
+    plain = json.loads(thigmo(*stated, "--json").out)
     assert plain["contacts"][0]["newtons"] is None
-    known = json.loads(thigmo(*told, "--stiffness", "400,0.1", "--json").out)
+    known = json.loads(thigmo(*stated, "--stiffness", "400,0.1", "--json").out)
     low, high = known["contacts"][0]["newtons"]["across"]["interval"]
     assert low < 400 * plain["contacts"][0]["force"] < high
-    assert " N " in thigmo(*told, "--stiffness", "400,0.1").out
-    strict = json.loads(thigmo(*told, "--number-level", 0.999, "--json").out)
-    narrow = json.loads(thigmo(*told, "--width-limit", 1, "--json").out)
+    assert " N " in thigmo(*stated, "--stiffness", "400,0.1").out
+    strict = json.loads(thigmo(*stated, "--number-level", 0.999, "--json").out)
+    narrow = json.loads(thigmo(*stated, "--width-limit", 1, "--json").out)
     assert (strict["status"], narrow["status"]) == ("ambiguous", "ambiguous")
-    held = json.loads(thigmo(*told, "--held-end", "yes", "--json").out)
-    free = json.loads(thigmo(*told, "--held-end", "no", "--end-face-odds", 0, "--json").out)
+    held = json.loads(thigmo(*stated, "--held-end", "yes", "--json").out)
+    free = json.loads(thigmo(*stated, "--held-end", "no", "--end-face-odds", 0, "--json").out)
     assert not any("end wrench" in name for name in free["hypotheses"])
     assert any("end wrench" in name for name in held["hypotheses"])
-    assert "--held-end is 'maybe'" in thigmo(*told, "--held-end", "maybe").err
-    assert "--stiffness is 'EI'" in thigmo(*told, "--stiffness", "EI").err
+    assert "--held-end is 'maybe'" in thigmo(*stated, "--held-end", "maybe").err
+    assert "--stiffness is 'EI'" in thigmo(*stated, "--stiffness", "EI").err
     (tmp_path / "rows.csv").write_text("k0,k1,k2\n0.0107,0.0073,0.0043\n")
     rows = thigmo(
         "localize", tmp_path / "rows.csv", "--length", 53, "--columns", "k0=5,k1=15,k2=25",

@@ -45,7 +45,7 @@ def _publisher(table: SensorTable, epoch_s: float) -> Publisher:
     return publisher
 
 
-def _told(
+def _decoded(
     frame: TelemetryFrame, table: SensorTable = TABLE, epoch_s: float = 0.0, supply_v: float = nan
 ) -> Telemetry:
     publisher = _publisher(table, epoch_s)
@@ -55,19 +55,19 @@ def _told(
 
 @given(st.lists(st.integers(0, 16 * 1023), min_size=10, max_size=10))
 def test_curvature_is_that_of_the_sensor_table(flex: list[int]) -> None:
-    told = _told(_frame(flex))
+    said = _decoded(_frame(flex))
     by_table = TABLE.curvature(np.array(flex, dtype=np.float64))
-    assert told.curvature_per_cm == pytest.approx(by_table.tolist(), rel=1e-12, nan_ok=True)
+    assert said.curvature_per_cm == pytest.approx(by_table.tolist(), rel=1e-12, nan_ok=True)
 
 
 def test_units_and_names() -> None:
-    told = _told(_frame([10_000] * 10, 950, 3), epoch_s=1.7e9, supply_v=11.9)
-    assert (told.t_s, told.epoch_s, told.device_s) == (6.0, 1.7e9 + 6.0, 5.0)
-    assert (told.pressure_psi, told.demand_psi) == ((9.5, 0.03), (10.0, 0.0))
-    assert told.drive_ma == (20.0, 0.0)
-    assert (told.length_cm, told.motor, told.supply_v) == (53.0, -0.5, 11.9)
-    assert (told.base_per_cm, told.free_per_cm) == (0.01234, 0.012)
-    assert (told.state, told.activity, told.faults) == ("moving", "sweeping", ("stopped",))
+    said = _decoded(_frame([10_000] * 10, 950, 3), epoch_s=1.7e9, supply_v=11.9)
+    assert (said.t_s, said.epoch_s, said.device_s) == (6.0, 1.7e9 + 6.0, 5.0)
+    assert (said.pressure_psi, said.demand_psi) == ((9.5, 0.03), (10.0, 0.0))
+    assert said.drive_ma == (20.0, 0.0)
+    assert (said.length_cm, said.motor, said.supply_v) == (53.0, -0.5, 11.9)
+    assert (said.base_per_cm, said.free_per_cm) == (0.01234, 0.012)
+    assert (said.state, said.activity, said.faults) == ("moving", "sweeping", ("stopped",))
 
 
 def _frames(count: int, *, moves: bool = True) -> list[TelemetryFrame]:
@@ -120,8 +120,8 @@ def test_a_robot_at_rest_tells_its_shape_once_a_second(
 
 
 def test_only_sensors_that_are_out_and_zeroed_tell_something() -> None:
-    told = _told(_frame([10_000] * 10, length_um=200_000), TABLE.zeroed({0: nan}))
-    known = [not isnan(value) for value in told.curvature_per_cm]
+    said = _decoded(_frame([10_000] * 10, length_um=200_000), TABLE.zeroed({0: nan}))
+    known = [not isnan(value) for value in said.curvature_per_cm]
     assert known == [False, True, False, False, False, True, True, False, False, False]
 
 
@@ -129,8 +129,8 @@ def test_only_sensors_that_are_out_and_zeroed_tell_something() -> None:
 def test_the_inflated_side_wrinkles_and_is_not_compared(
     pressures: tuple[int, int], free: str
 ) -> None:
-    told = _told(_frame([10_000] * 10, *pressures))
-    expected = {"left": told.expected_per_cm[:5], "right": told.expected_per_cm[5:]}
+    said = _decoded(_frame([10_000] * 10, *pressures))
+    expected = {"left": said.expected_per_cm[:5], "right": said.expected_per_cm[5:]}
     assert expected.pop(free) == (0.012,) * 5
     assert all(isnan(value) for value in expected.popitem()[1])
 
@@ -138,18 +138,18 @@ def test_the_inflated_side_wrinkles_and_is_not_compared(
 @pytest.mark.parametrize("fault", list(wire.Fault))
 def test_a_fault_says_what_happened_and_what_to_do(fault: wire.Fault) -> None:
     received = ReceivedEvent(wire.Event(1, wire.EventCode.FAULT, 0, fault, 0), 2.0, 0)
-    told = _publisher(TABLE, 10.0).event(received)
-    assert (told.name, told.severity, told.epoch_s) == (fault.key, "fault", 12.0)
-    assert told.message
-    assert told.next
+    said = _publisher(TABLE, 10.0).event(received)
+    assert (said.name, said.severity, said.epoch_s) == (fault.key, "fault", 12.0)
+    assert said.message
+    assert said.next
 
 
 @pytest.mark.parametrize("code", [c for c in wire.EventCode if c is not wire.EventCode.FAULT])
 def test_every_event_has_words(code: wire.EventCode) -> None:
     received = ReceivedEvent(wire.Event(1, code, 0, 1, 7), 2.0, 0)
-    told = _publisher(TABLE, 0.0).event(received)
-    assert told.name == code.key
-    assert told.message
+    said = _publisher(TABLE, 0.0).event(received)
+    assert said.name == code.key
+    assert said.message
 
 
 def test_a_quarter_circle_ends_beside_its_start() -> None:

@@ -130,6 +130,9 @@ def test_the_commands_write_check_and_convert(tmp_path: Path, thigmo: Thigmo) ->
     assert scene["robot"]["body"]["length_cm"] == 120
     found = json.loads(thigmo("robot", "check", folder / "robot.toml", "--json").out)
     assert {one["mark"] for one in found["findings"] if one["what"] in ("board", "rates")} == {"ok"}
+    shown = thigmo("robot", "check", folder / "robot.toml").out.splitlines()
+    assert max(map(len, shown)) <= 80
+    assert {line[:8].strip() for line in shown} <= {"ok", "warning", "bad", ""}
     old = tmp_path / "robot.toml"
     old.write_text("version = 1\n[sensors]\nsettle_s = 12.0\n")
     thigmo("robot", "convert", old)

@@ -96,5 +96,5 @@ def test_what_the_operating_system_refuses_is_on_the_errors_page(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
-    told = {(what, step) for _, _, what, step in import_module("generated").messages()}
-    assert ("cannot write <path>: <reason>", "choose a folder that you may write to") in told
+    said = {(what, step) for _, _, what, step in import_module("generated").messages()}
+    assert ("cannot write <path>: <reason>", "choose a folder that you may write to") in said

@@ -156,8 +156,8 @@ def test_sweeps_that_repeat_leave_less_doubt_than_sweeps_that_scatter() -> None:
             sweep = _free_sweep(1.0, 0.0, rng)
             sweep.curvature[:] += scatter * rng.standard_normal(10)
             response.learn(sweep, "left", 2)
-        told = response.expected("left", 2, 0.025, np.full(10, 0.025), use)
-        doubt.append(np.hypot.reduce(told.shared_errors, axis=1).mean())
+        said = response.expected("left", 2, 0.025, np.full(10, 0.025), use)
+        doubt.append(np.hypot.reduce(said.shared_errors, axis=1).mean())
     assert doubt[0] < 0.8 * doubt[1]
 
 

@@ -1,4 +1,4 @@
-"""IMUs as sensors: what neighbours share, what the board is told, and calibration by free bends."""
+"""IMUs as sensors: what neighbours share, what the board gets, and calibration by free bends."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ def test_what_neighbours_share_is_what_from_headings_says() -> None:
 def test_a_string_serves_both_muscles_and_its_base_counts_while_either_bends() -> None:
     every = (1 << len(TABLE.healthy)) - 1
     assert TABLE.usable("left", every).sum() == TABLE.usable("right", every).sum() == 12
-    told = parameter_settings(CONFIG)
-    assert [when for when in told["trigger_when"] if when] == [0b10000011]
+    answer = parameter_settings(CONFIG)
+    assert [when for when in answer["trigger_when"] if when] == [0b10000011]
     # The fold must not lie on an IMU; between two of them it may.
     first = wiring.base_inputs(CONFIG)[0]
-    assert told["flex_center_um"][first] == round(STRING[0].ends_cm[1] * 1e4)
-    assert told["flex_span_um"][first] == 12_000
+    assert answer["flex_center_um"][first] == round(STRING[0].ends_cm[1] * 1e4)
+    assert answer["flex_span_um"][first] == 12_000
 
 
 def test_a_file_without_kinds_has_flex_sensors_and_an_unknown_kind_is_named(

@@ -14,7 +14,7 @@ from thigmo.link.framing import decode
 from thigmo.record import OLDER_SCHEMAS, RunFolder
 
 # Sessions on the emulator, and `recorded_sweeps` of them, by the code that wrote the record: before
-# messages counted their arrays, and before a capacity told of IMUs.
+# messages counted their arrays, and before a capacity counted IMUs.
 KEPT = sorted((Path(__file__).parent.parent / "data").glob("record_*"))
 KINDS = {wire.Telemetry, wire.Snapshot, wire.StatusReport, wire.Sweep}
 
@@ -31,8 +31,8 @@ def test_sweeps_are_those_of_before(folder: Path) -> None:
     for peak, (side, psi, free, sensors, count, curvature) in zip(sweep.peaks, kept, strict=True):
         assert (peak.side, peak.pressure_psi, peak.free_curvature) == (side, psi, free)
         assert (peak.sensors, peak.count) == (sensors, count)
-        told = [np.nan if value is None else value for value in curvature]
-        np.testing.assert_array_equal(peak.curvature, told)
+        said = [np.nan if value is None else value for value in curvature]
+        np.testing.assert_array_equal(peak.curvature, said)
 
 
 @pytest.mark.parametrize("folder", KEPT, ids=lambda folder: folder.name)

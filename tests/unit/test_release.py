@@ -57,6 +57,7 @@ def test_an_installation_without_sources_flashes_the_image_that_came_with_it(
         ("watch --foxglove", "foxglove", r"thigmo\[foxglove\]"),
         ("camera sheet", "cv2", r"thigmo\[camera\]"),
         ("calibrate status", "cv2", r"thigmo\[camera\]"),
+        ("ros", "cyclonedds", r"thigmo\[ros\]"),
         ("design", "matplotlib", r"thigmo\[plot\]"),
         ("bench list", "thigmo.studies", "make install"),
         ("experiment all", "thigmo.studies", "make install"),
@@ -68,6 +69,8 @@ def test_a_command_names_what_its_installation_lacks(
     command: str, absent: str, cure: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, absent, None)
+    for name in [each for each in sys.modules if each.startswith((f"{absent}.", "thigmo.live"))]:
+        monkeypatch.delitem(sys.modules, name)
     error = CliRunner().invoke(app, command.split()).exception
     assert isinstance(error, NotInstalledError)
     assert re.search(cure, str(error))

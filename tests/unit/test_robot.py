@@ -204,12 +204,12 @@ def test_a_pressure_fault_names_its_muscle_as_often_as_it_is_told_and_how_to_cle
     robot = Robot(board, url="/dev/ttyACM0")  # type: ignore[arg-type]
     board.latch_at_poll = wire.Fault.PRESSURE_WIRE.mask
     board.coming = [_event(wire.EventCode.FAULT, wire.Fault.PRESSURE_WIRE, SIDES.index("right"))]
-    told = (
+    said = (
         r"of its supply \(right muscle\); check its wire, then clear "
         r"\(`thigmo clear --robot /dev/ttyACM0`\)$"
     )
     for command in (lambda: robot.grow_to(10.0), robot.arm):
-        with pytest.raises(RobotFaultError, match=told):
+        with pytest.raises(RobotFaultError, match=said):
             command()
 
 

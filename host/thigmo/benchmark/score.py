@@ -1,6 +1,7 @@
 """Scores of answers to the benchmark: errors, coverage and overclaiming, by group of frames.
 
-Imports the standard library alone, so that anyone can read what is counted, and run it on its own:
+Imports the standard library alone, so that anyone can read what is counted, and run it beside the
+benchmark's files without an installation:
 
     python score.py answers.csv
 
@@ -91,6 +92,8 @@ def _answers(
     rows: csv.DictReader[str], path: Path, frames: Mapping[str, str]
 ) -> dict[str, list[Claim]]:
     names = rows.fieldnames or ()
+    if len(names) == 1 and ";" in names[0]:
+        raise AnswersError(f"{path} has semicolons between its columns, where commas belong")
     if not {"frame", "arc_cm"} <= set(names):
         raise AnswersError(f"{path} needs the columns {', '.join(_COLUMNS[:2])}")
     found: dict[str, list[Claim]] = {}
@@ -104,6 +107,8 @@ def _answers(
                 numbers[name] = float((row.get(name) or "").strip() or "nan")
             except ValueError as error:
                 raise AnswersError(f"{where}: {name} is {row[name]!r}, not a number") from error
+            if math.isinf(numbers[name]):
+                raise AnswersError(f"{where}: {name} is infinite")
         arc, low, high, sure = numbers.values()
         claims = found.setdefault(frame, [])
         if math.isnan(arc):
@@ -111,7 +116,7 @@ def _answers(
                 raise AnswersError(f"{where}: an empty arc_cm says that nothing is touched")
             continue
         if math.isnan(low) != math.isnan(high) or low > high:
-            raise AnswersError(f"{where}: low_cm and high_cm are no interval")
+            raise AnswersError(f"{where}: low_cm and high_cm are not an interval")
         interval = None if math.isnan(low) else (low, high)
         if sure == 1 and interval is None:
             raise AnswersError(f"{where}: a localized contact has an interval")
@@ -137,8 +142,10 @@ def truth_of(path: Path) -> dict[str, list[float]]:
                 arcs = found.setdefault(row["frame"], [])
                 if row["arc_cm"]:
                     arcs.append(float(row["arc_cm"]))
-    except (OSError, KeyError, ValueError) as error:
-        raise AnswersError(f"{path} is no truth of the benchmark: {error}") from error
+    except OSError as error:
+        raise AnswersError(f"cannot read {path}: {error.strerror}") from error
+    except (KeyError, ValueError) as error:
+        raise AnswersError(f"{path} is not a truth file of the benchmark: {error}") from error
     return {frame: sorted(arcs) for frame, arcs in found.items()}
 
 

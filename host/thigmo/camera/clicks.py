@@ -30,7 +30,7 @@ def parse_pixel(text: str) -> Pixel:
     try:
         x, y = map(float, text.split(","))
     except ValueError as error:
-        raise CameraError(f"'{text}' is no pixel", "write it as 812,440") from error
+        raise CameraError(f"'{text}' is not a pixel", "write it as 812,440") from error
     return x, y
 
 

@@ -63,9 +63,11 @@ class Kept:
             return TypeAdapter(cls).validate_python({"lens": data, **data})
         except ValidationError as error:
             entry = invalid_entry(cls.what, error)
-            raise CameraError(f"{path} is no {entry}", f"{cls.cure} again") from error
+            raise CameraError(f"{path} is not a {entry}", f"{cls.cure} again") from error
         except (ValueError, TypeError) as error:
-            raise CameraError(f"{path} is no {cls.what}: {error}", f"{cls.cure} again") from error
+            raise CameraError(
+                f"{path} is not a {cls.what}: {error}", f"{cls.cure} again"
+            ) from error
 
 
 @dataclass(frozen=True)

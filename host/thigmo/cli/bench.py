@@ -17,9 +17,9 @@ def bench(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for tables and figures.")] = Path("bench-out"),
     scale: Annotated[
-        str, typer.Option(help="quick (a look) or full (the published figures).")
+        str, typer.Option(help="quick (small, for a first look) or full (the published figures).")
     ] = "full",
-    seed: Annotated[int, typer.Option(help="Every random number comes from it.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     jobs: Annotated[int, typer.Option(help="Processes on this machine.")] = 1,
     backend: Annotated[
         str, typer.Option(help="loky (processes here) or dask (a cluster; all its workers).")

@@ -66,11 +66,14 @@ def stop(
 
 def params(
     robot: RobotOption,
-    name: Annotated[str | None, typer.Argument(help="One parameter.")] = None,
+    name: Annotated[str | None, typer.Argument(help="Name of one parameter.")] = None,
     value: Annotated[
-        list[int] | None, typer.Argument(help="New value in the parameter's wire unit, or values.")
+        list[int] | None,
+        typer.Argument(help="New value, or values, in the parameter's unit on the wire."),
     ] = None,
-    save: Annotated[bool, typer.Option("--save", help="Store it in the board.")] = False,
+    save: Annotated[
+        bool, typer.Option("--save", help="Store it in the board, so that it survives a power cut.")
+    ] = False,
     load_defaults: Annotated[
         bool,
         typer.Option("--load-defaults", help="Give the board all defaults and store them first."),
@@ -153,7 +156,9 @@ def retract(
     to: Annotated[float, typer.Option(help="Everted length to keep, cm.", min=0.0)] = 0.0,
     length: Annotated[
         float | None,
-        typer.Option(help="Everted length now, cm, as measured; asked for when unknown."),
+        typer.Option(
+            help="Everted length now, cm, as measured; asked for if the board does not know it."
+        ),
     ] = None,
     config: SentConfigOption = None,
     by_page: HeldOption = False,

@@ -53,7 +53,7 @@ def calibrate(
     method: Annotated[
         Literal["thesis"] | None,
         typer.Option(
-            help="For flex and buckling: fit them as the thesis did, without errors.",
+            help="For flex and buckling: fit as the thesis did, without stating errors.",
             show_default=False,
         ),
     ] = None,
@@ -132,7 +132,7 @@ def calibrate(
     if step == "status":
         if not (folder / "robot.toml").exists():
             raise DataError(
-                f"{folder} is no calibration folder",
+                f"{folder} is not a calibration folder",
                 "name one with --folder, or begin: `thigmo calibrate all --robot URL`",
             )
         _status(Session(folder, start), as_json)

@@ -182,15 +182,17 @@ def check(
     diameter: Annotated[float, typer.Option(help="Tube diameter, cm.")] = 3.5,
     peg_height: Annotated[float, typer.Option(help="Height of the dowels, cm.")] = 6.0,
     peg_radius: Annotated[
-        float | None, typer.Option(help="Radius of the dowels, cm, if known: fewer mistakes.")
+        float | None, typer.Option(help="Radius of the dowels, cm, if known; it prevents mistakes.")
     ] = None,
     length: Annotated[
         float | None,
-        typer.Option(help="Everted length, cm, if known: an axis unlike it is doubted."),
+        typer.Option(help="Everted length, cm, if known; an axis of another length is doubted."),
     ] = None,
-    free_bend: Annotated[bool, typer.Option(help="The body is a free bend.")] = False,
+    free_bend: Annotated[
+        bool, typer.Option(help="The body touches nothing, so its bend is an arc.")
+    ] = False,
     background: Annotated[
-        Path | None, typer.Option(help="Picture of the empty table, same camera.")
+        Path | None, typer.Option(help="Picture of the empty table from the same camera.")
     ] = None,
     tip: Annotated[str | None, typer.Option(help="The tip, clicked by hand: X,Y px.")] = None,
     points: Annotated[
@@ -239,7 +241,6 @@ def _clicks(
 
 
 def _facts(seen: Detection) -> dict[str, Any]:
-    """A sighting as plain data."""
     tip, axis = seen.tip, seen.axis
     return {
         "tip": tip and {key: getattr(tip, key) for key in ("x_cm", "y_cm", "heading", "clicked")},
@@ -255,7 +256,6 @@ def _facts(seen: Detection) -> dict[str, Any]:
 
 
 def _lines(seen: Detection) -> Iterator[str]:
-    """A sighting in words."""
     from thigmo.camera import MarkerMissingError
 
     if seen.tip is not None:

@@ -144,13 +144,16 @@ class Console:
             swept = ", ".join(f"{stage.everted_length_cm:.0f}" for stage in document.stages)
             say(f"[bold]No contact[/bold]{f' in sweeps at {swept} cm' if swept else ', no sweep'}.")
         else:
-            table = Table("x", "y", "arc", "95 % interval", "force", "status", box=None)
+            known = any(c.force_n is not None for c in document.contacts)
+            force = "force, N" if known else "force / EI"
+            heads = ("x, cm", "y, cm", "arc, cm", "95 %, cm", force, "status")
+            table = Table(*heads, box=None, padding=(0, 1, 0, 0))  # a contact a line, in 80 columns
             for c in document.contacts:
                 table.add_row(
-                    f"{c.x_cm:.1f} cm", f"{c.y_cm:.1f} cm",
-                    c.along_text,
-                    c.interval_text,
-                    c.force_text, c.certainty_text,
+                    f"{c.x_cm:.1f}", f"{c.y_cm:.1f}", c.along_text.removesuffix(" cm"),
+                    c.interval_text.removesuffix(" cm"),
+                    c.force_text.removesuffix(" N").removesuffix(" 1/cm² (over EI)"),
+                    c.certainty_text,
                 )  # fmt: skip
             say(table)
         if document.error_x_cm is not None:

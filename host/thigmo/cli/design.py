@@ -20,9 +20,9 @@ def design(
     columns: Annotated[int, typer.Option(help="Columns of such sensors (2: both sides).")] = 2,
     length: Annotated[float, typer.Option(help="Length of the body, cm.")] = 53.0,
     span: Annotated[float, typer.Option(help="Active length of a sensor, cm.")] = 5.5,
-    noise: Annotated[float, typer.Option(help="One sigma of a reading, 1/cm.")] = 6e-4,
+    noise: Annotated[float, typer.Option(help="Standard deviation of a reading, 1/cm.")] = 6e-4,
     offset: Annotated[
-        float, typer.Option(help="One sigma of an error that all readings share, 1/cm.")
+        float, typer.Option(help="Standard deviation of an error that all readings share, 1/cm.")
     ] = 0.0,
     out: Annotated[Path, typer.Option(help="Folder for the table and the figure.")] = Path(
         "design-out"

@@ -28,7 +28,7 @@ def emulate(
     config: Annotated[
         Path | None,
         typer.Option(
-            help="Write this robot's constants, as its lab knows them, here; else SCENE-robot.toml."
+            help="File for this robot's constants, as its lab knows them; else SCENE-robot.toml."
         ),
     ] = None,
 ) -> None:

@@ -36,7 +36,7 @@ def experiment(
     trials: Annotated[
         int, typer.Option(help="Trials of each condition and robot; the thesis has 5.")
     ] = 5,
-    seed: Annotated[int, typer.Option(help="Every random number comes from it.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 1,
     jobs: Annotated[
         int, typer.Option(help="Processes on this machine; the results do not depend on it.", min=1)
     ] = 1,
@@ -60,10 +60,13 @@ def experiment(
     sheet_file: SheetOption = SHEET_FILE,
     camera_file: CameraFileOption = CAMERA_FILE,
     rehearse: Annotated[
-        bool, typer.Option("--rehearse", help="On the emulator: ask as on a real robot.")
+        bool,
+        typer.Option(
+            "--rehearse", help="On the emulator, ask for everything that a real robot needs."
+        ),
     ] = False,
     recorded: Annotated[
-        Path | None, typer.Option(help="Evaluate the trials of this folder again; no robot.")
+        Path | None, typer.Option(help="Evaluate the trials of this folder again, without a robot.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -23,34 +23,35 @@ def explore(
         str | None, typer.Option(help="Scene file, or the name of a built-in scene, to emulate.")
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(help="Of the emulator's noise; same seed, same run.", min=0)
+        int | None,
+        typer.Option(help="Seed of the emulator's noise. The same seed gives the same run.", min=0),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for run folders.")] = Path("runs"),
+    out: Annotated[Path, typer.Option(help="Folder in which each run gets a folder.")] = Path(
+        "runs"
+    ),
     config: KnownConfigOption = None,
     name: Annotated[str | None, typer.Option(help="Name of the run.")] = None,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="Let the emulator run at the clock's pace.")
+        bool, typer.Option("--realtime", help="Let the emulator keep to the wall clock.")
     ] = False,
     protocol: Annotated[
         Literal["measure", "thesis"] | None,
         typer.Option(
-            help="How a contact is measured: by a second sweep to the pressure at which it is felt "
-            "best (measure, the default; that of the run for one that is resumed), or at the full "
-            "sweep's peak, as in the thesis."
+            help="How a contact is measured. measure: by a second sweep, to the pressure at which "
+            "it is felt best. thesis: at the peak of the full sweep. Default: measure, or the "
+            "protocol of the run that is resumed."
         ),
     ] = None,
     effort: Annotated[
         Literal["quick", "default", "careful"] | None,
         typer.Option(
-            help="How much robot time to spend on the map. The run says at its start and end "
-            "what it omits."
+            help="How much robot time the map may cost. The run says at its start and end what "
+            "it omits."
         ),
     ] = None,
     time_s: Annotated[
         float | None,
-        typer.Option(
-            "--time", min=0, help="Instead of --effort: a budget of robot time, in seconds."
-        ),
+        typer.Option("--time", min=0, help="Budget of robot time, in seconds; replaces --effort."),
     ] = None,
     method: MethodOption = None,
     prior: Annotated[
@@ -64,12 +65,13 @@ def explore(
     resume: Annotated[
         Path | None,
         typer.Option(
-            help="Run folder of an exploration that was cut short: goes on from what it had "
-            "learnt, swept and felt, on the same robot, whose everted length is measured again."
+            help="Run folder of an exploration that was cut short. The new run continues from what "
+            "that one had learnt, swept and felt, on the same robot. You measure the everted "
+            "length again."
         ),
     ] = None,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Open the page on which the run is seen and stopped.")
+        bool, typer.Option("--watch", help="Open the page that shows the run and can stop it.")
     ] = False,
     asks_viewers: Annotated[
         bool, typer.Option("--asks-viewers", hidden=True)  # for the page, which starts runs
@@ -86,7 +88,7 @@ def explore(
         raise ConfigError("--robot and --scene are both given", "give one of them")
     url = f"emulator://{scene}" if scene else robot
     if resume is not None and method is not None:
-        raise ConfigError("a run that is resumed keeps its method", "leave --method out")
+        raise ConfigError("a resumed run keeps its method", "leave --method out")
     if resume is None:
         url = url or "emulator://default"
     if watch:

@@ -24,11 +24,14 @@ _TRIES = 3  # of zeroing a body that still drifts
 def feel(
     robot: RobotOption,
     press: Annotated[
-        str | None, typer.Option(help="Hold a muscle under pressure (psi) meanwhile: left=6.")
+        str | None,
+        typer.Option(
+            help="Muscle to hold under pressure meanwhile, and the pressure in psi: left=6."
+        ),
     ] = None,
-    count: Annotated[int, typer.Option(help="How many answers, one every 0.5 s.", min=1)] = 10,
+    count: Annotated[int, typer.Option(help="Number of answers, one every 0.5 s.", min=1)] = 10,
     config: KnownConfigOption = None,
-    seed: Annotated[int | None, typer.Option(help="Of the emulator's noise.", min=0)] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the emulator's noise.", min=0)] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say where the body is touched now, by the fibre that robot.toml's `interrogator` reads.

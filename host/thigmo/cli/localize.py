@@ -31,19 +31,20 @@ def localize(
         float, typer.Option(help="Active length of the sensors, if there is no column span.")
     ] = 0.0,
     free_curvature: Annotated[
-        float, typer.Option("--free-curvature", help="Curvature from actuation alone.")
+        float, typer.Option("--free-curvature", help="Curvature that the muscles alone give.")
     ] = 0.0,
     noise: Annotated[
-        float | None, typer.Option(help="One sigma of a reading; estimated when omitted.")
+        float | None, typer.Option(help="Standard deviation of a reading; estimated if omitted.")
     ] = None,
     gain_error: Annotated[
-        float | None, typer.Option(help="One sigma of each sensor's gain, relative.")
+        float | None, typer.Option(help="Relative standard deviation of each sensor's gain.")
     ] = None,
     offset_error: Annotated[
-        float | None, typer.Option(help="One sigma of an offset that all readings share.")
+        float | None, typer.Option(help="Standard deviation of an offset that all readings share.")
     ] = None,
     map_error: Annotated[
-        float | None, typer.Option(help="One sigma of the free curvature's scale, relative.")
+        float | None,
+        typer.Option(help="Relative standard deviation of the free curvature's scale."),
     ] = None,
     critical_curvature: Annotated[
         float | None, typer.Option(help="Contact moment over EI at which the base folds.")
@@ -59,7 +60,8 @@ def localize(
         typer.Option(help="Whether something holds the end: yes, no, or the prior odds of that."),
     ] = None,
     end_face_odds: Annotated[
-        float | None, typer.Option(help="Prior odds of a contact on the end's face; 0: none.")
+        float | None,
+        typer.Option(help="Prior odds of a contact on the end's face; 0 rules it out."),
     ] = None,
     stiffness: Annotated[
         str | None,
@@ -87,7 +89,9 @@ def localize(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="robot.toml: all these errors, as calibrated; flags override it."),
+        typer.Option(
+            help="robot.toml that has all these errors, as calibrated; flags override it."
+        ),
     ] = None,
     side: Annotated[
         str | None, typer.Option(help="Inflated muscle, for --config: left or right.")
@@ -97,13 +101,14 @@ def localize(
     columns: Annotated[
         str | None,
         typer.Option(
-            help="For a frame in each row: its columns with their sensors' positions, k0=5,k1=15, "
-            "in space with their directions, k0=5@0,k1=5@90. Prints one answer a row, as CSV; a "
-            "column t_s is kept."
+            help="For a file with a frame in each row: the columns and the positions of their "
+            "sensors, k0=5,k1=15; in space also their directions, k0=5@0,k1=5@90. The answer is "
+            "CSV, a row for each contact or for a frame without any. A column t_s is kept."
         ),
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option(help="With --columns: a figure of the answers over time.")
+        Path | None,
+        typer.Option(help="With --columns: file for a figure of the answers over time."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -246,7 +251,6 @@ def _calibrated(
 
 
 def _facts(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:
-    """A localizer's result as plain data, its bad readings by their lines."""
     return result.to_dict() | {
         "discarded": [
             {"line": table.lines[reading], "position": float(table.position[reading])}
@@ -278,15 +282,18 @@ def _answer_rows(
     table: FramesTable, plot: Path | None, length: float, as_json: bool, options: dict[str, Any]
 ) -> None:
     """One answer for each frame, and a figure over time."""
+    import numpy as np
+
     import thigmo
     from thigmo.errors import DataError
 
-    results = []
     free = options.pop("free_curvature")
     localizer = thigmo.Localizer.of(position=table.position, length=length, **options)
+    results: list[LocalizeResult | None] = []  # None: no sensor was read
     for line, row in zip(table.lines, table.curvature, strict=True):
         try:
-            results.append(localizer.localize(row, free_curvature=free))
+            unread = np.isnan(row).all()
+            results.append(None if unread else localizer.localize(row, free_curvature=free))
         except DataError as error:
             raise DataError(f"line {line}: {error.what}", error.next_step) from error
     times = table.time_s.tolist() if table.time_s is not None else [None] * len(results)
@@ -295,22 +302,26 @@ def _answer_rows(
 
         with DataError.from_os(f"cannot write {plot}", "choose another folder"):
             when = table.lines if table.time_s is None else table.time_s.tolist()
-            if (figure := draw_series(when, results).get_figure(root=True)) is not None:
+            read = [(t, result) for t, result in zip(when, results, strict=True) if result]
+            if (figure := draw_series(read).get_figure(root=True)) is not None:
                 figure.savefig(plot)
+    frames = list(zip(table.lines, times, results, strict=True))
     if as_json:
+        unread_answer = {"status": "no reading", "contacts": []}
         print_json([
-            {"line": line, "t_s": time, **result.to_dict()}
-            for line, time, result in zip(table.lines, times, results, strict=True)
+            {"line": line, "t_s": time, **(result.to_dict() if result else unread_answer)}
+            for line, time, result in frames
         ])  # fmt: skip
         return
     newtons = "stiffness" in options
     head = "line,t_s,status,contacts,arc,low,high,force,probability"
     typer.echo(head + (",newtons,newtons_low,newtons_high" if newtons else ""))
-    for line, time, result in zip(table.lines, times, results, strict=True):
-        head = f"{line},{'' if time is None else f'{time:.9g}'},{result.status}"
-        if not result.contacts:
+    for line, time, result in frames:
+        status, contacts = (result.status, result.contacts) if result else ("no reading", [])
+        head = f"{line},{'' if time is None else f'{time:.9g}'},{status}"
+        if not contacts:
             typer.echo(f"{head},0,,,,," + ",,," * newtons)
-        for number, contact in enumerate(result.contacts, start=1):
+        for number, contact in enumerate(contacts, start=1):
             values = [contact.arc, *contact.interval, contact.force, contact.probability]
             if contact.newtons is not None:
                 values += [contact.newtons.across.value, *contact.newtons.across.interval]

@@ -17,7 +17,7 @@ def named(address: str | None) -> str | None:
 
 
 def robot_option(
-    text: str = "Its address: /dev/ttyACM0, COM3, socket://HOST:PORT, emulator://SCENE.",
+    text: str = "Address of the robot: /dev/ttyACM0, COM3, socket://HOST:PORT, emulator://SCENE.",
 ) -> Any:
     """The option that names a robot; `text` is its help."""
     return typer.Option("--robot", help=text, callback=named)
@@ -26,7 +26,7 @@ def robot_option(
 RobotOption = Annotated[str, robot_option()]
 AnyRobotOption = Annotated[str | None, robot_option()]
 SentConfigOption = Annotated[
-    Path | None, typer.Option(help="robot.toml to send first; else the board's own is used.")
+    Path | None, typer.Option(help="robot.toml to send first; if omitted, the board keeps its own.")
 ]
 KnownConfigOption = Annotated[
     Path | None, typer.Option(help="robot.toml; not needed for the emulator's robot.")
@@ -34,15 +34,16 @@ KnownConfigOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
-MethodOption = Annotated[
-    str | None,
-    typer.Option(
-        help="How contacts are localized: posterior (the default), or without intervals: thesis "
-        "(its alternating fit) or l1 (the minimum that this fit searches for). A replay's default "
-        "is the method of its run.",
+def method_option(default: str) -> Any:
+    """The option that names a localizer's method; `default` says what an omitted one means."""
+    return typer.Option(
+        help=f"How contacts are localized: posterior, thesis (the thesis's alternating fit) or l1 "
+        f"(the minimum that this fit searches for). The last two give no intervals. {default}",
         show_default=False,
-    ),
-]
+    )
+
+
+MethodOption = Annotated[str | None, method_option("Default: posterior.")]
 
 
 def print_json(value: Any) -> None:

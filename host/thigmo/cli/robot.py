@@ -6,6 +6,8 @@ import tomllib
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import TextWrapper
 from typing import Annotated, Any, Literal
 
 import typer
@@ -24,16 +26,18 @@ _FileArgument = Annotated[Path, typer.Argument(help="robot.toml.")]
 def new(
     length: Annotated[float, typer.Option(help="Length of the body, cm (30 to 300).")] = 53.0,
     sensors: Annotated[int, typer.Option(help="Sensors in each column.")] = 5,
-    muscles: Annotated[int, typer.Option(help="1 (one column, opposite) or 2.")] = 2,
+    muscles: Annotated[
+        int, typer.Option(help="1 (with one column of sensors, opposite it) or 2.")
+    ] = 2,
     kind: Annotated[
         Literal["flex", "heading", "fibre"],
-        typer.Option(help="Of the sensors: flex, heading for one string of IMUs, or fibre."),
+        typer.Option(help="Kind of the sensors: flex, heading (one string of IMUs) or fibre."),
     ] = "flex",
     diameter: Annotated[float, typer.Option(help="Diameter of the tube, cm.")] = 3.5,
     out: Annotated[Path, typer.Option(help="Folder for robot.toml and scene.toml.")] = Path(
         "robot"
     ),
-    seed: Annotated[int, typer.Option(help="Of the peg's place in the scene.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the peg's place in the scene.", min=0)] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Draft a robot: its robot.toml, and a scene with a peg that it feels, to explore on."""
@@ -74,7 +78,9 @@ def check(file: _FileArgument, as_json: JsonOption = False) -> None:
     from thigmo.design import judge
 
     found = judge(RobotConfig.load(file))
-    lines = [f"{one.mark:8}{one.what}: {one.text}" for one in found]
+    words = TextWrapper(get_terminal_size().columns, subsequent_indent=" " * 8)
+    words.break_long_words = words.break_on_hyphens = False  # names and paths stay whole
+    lines = [words.fill(f"{one.mark:8}{one.what}: {one.text}") for one in found]
     show(as_json, {"findings": [asdict(one) for one in found]}, *lines)
     if any(one.mark == "bad" for one in found):
         raise typer.Exit(1)

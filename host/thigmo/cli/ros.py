@@ -38,11 +38,11 @@ def ros(
         int, typer.Option(envvar="ROS_DOMAIN_ID", help="ROS domain.", min=0, max=232)
     ] = 0,
     run: Annotated[
-        int | None, typer.Option(help="Process of the run to follow, where several are under way.")
+        int | None, typer.Option(help="Process id of the run to follow, if several are under way.")
     ] = None,
     interface: Annotated[
         str | None,
-        typer.Option(help="Network interface, by name or address; else this machine alone."),
+        typer.Option(help="Network interface, by name or address; this machine alone if omitted."),
     ] = None,
 ) -> None:
     """Publish maps, contacts and the body on ROS 2, and stop the robot when asked there."""

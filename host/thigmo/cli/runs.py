@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, MethodOption, print_json, robot_option, show
+from thigmo.cli.output import JsonOption, method_option, print_json, robot_option, show
 
 _OF_THE_RUN = ("name", "url", "started", "thigmo", "outcome")
 _OF_THE_HOST = (
@@ -23,10 +23,10 @@ _OF_THE_HOST = (
 
 def replay(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
-    method: MethodOption = None,
+    method: Annotated[str | None, method_option("Default: the method of the run.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run the localizer again over a run's raw record; writes replay.json and its maps."""
+    """Localize a run's contacts again from its raw record; write replay.json and its maps."""
     from thigmo.exploration import replay as again
 
     result = again(run, method=method)
@@ -45,7 +45,8 @@ def replay(
 def info(
     run: Annotated[Path | None, typer.Argument(help="Run folder.")] = None,
     robot: Annotated[
-        str | None, robot_option("Where a robot is, instead: /dev/ttyACM0, emulator://SCENE.")
+        str | None,
+        robot_option("Address of a robot, instead of a run: /dev/ttyACM0, emulator://SCENE."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -73,9 +74,11 @@ def info(
 
 def export(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
-    csv: Annotated[Path | None, typer.Option(help="Folder for CSV files, one a channel.")] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="Folder for CSV files, one for each channel.")
+    ] = None,
     parquet: Annotated[
-        Path | None, typer.Option(help="Folder for Parquet files, the same tables.")
+        Path | None, typer.Option(help="Folder for the same tables as Parquet files.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

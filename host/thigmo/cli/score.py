@@ -15,7 +15,7 @@ def score(
         Path, typer.Argument(help="CSV: frame, arc_cm, low_cm, high_cm, localized.")
     ],
     truth: Annotated[
-        Path | None, typer.Option(help="Truth of the held-back frames; else the published one.")
+        Path | None, typer.Option(help="File of true contacts; the published one if omitted.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

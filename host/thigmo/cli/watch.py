@@ -45,7 +45,7 @@ def watch(
     ] = None,
     browser: Annotated[bool, typer.Option(help="Open a browser.")] = True,
     config: Annotated[
-        Path | None, typer.Option(help="robot.toml for explorations that Start begins.")
+        Path | None, typer.Option(help="robot.toml for the explorations that Start begins.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for their run folders.")] = Path("runs"),
     foxglove: Annotated[
@@ -190,7 +190,6 @@ def open_page(url: str, out: Path, config: Path | None) -> None:
 
 
 def _draw_code(address: str) -> None:
-    """Draw an address for a phone's camera, in the terminal."""
     import io
 
     import segno

@@ -123,7 +123,6 @@ class Exploration:
         )  # fmt: skip
 
     def _note(self, **known: Any) -> None:
-        """Keep in the document what is known now."""
         self.document = replace(self.document, **known)
 
     def _pause(self) -> None:

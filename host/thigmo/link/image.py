@@ -43,7 +43,7 @@ def read_hex(path: Path) -> list[tuple[int, bytes]]:
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}", "check the path") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path} is no Intel HEX file", "give the .hex of a build") from error
+        raise ConfigError(f"{path} is not an Intel HEX file", "give the .hex of a build") from error
     blocks: list[tuple[int, bytearray]] = []
     base = 0
     for number, line in enumerate(lines, 1):

@@ -5,7 +5,7 @@ of robot.toml, in its order, with commas or spaces between them; `nan` is a peak
 a line that begins with # is skipped. The time must rise from line to line. It is what tells old
 lines from new ones: a line's age counts from the least delay between its time and its arrival that
 was seen so far, so that lines which waited in a buffer are as old as they are. A delay that all
-lines had from the beginning cannot be told.
+lines had from the beginning cannot be detected.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Line:
 
 
 class Interrogator(Closing):
-    """Lines of a source, of so many readings each, by the host's clock `now`.
+    """Lines of a source, each with that number of readings, by the host's clock `now`.
 
     Call `take` often: it does not wait.
     """

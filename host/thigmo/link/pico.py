@@ -79,7 +79,7 @@ def read_uf2(path: Path) -> PicoImage:
         raise ConfigError(f"cannot read {path}: {error.strerror}", "check the path") from error
     again = "build it again: `make -C firmware/micropython pico`"
     if len(content) < 2 * _BLOCK.size or content[:8] != struct.pack("<2I", *_STARTS):
-        raise ConfigError(f"{path} is no UF2 file", "give the .uf2 of a build")
+        raise ConfigError(f"{path} is not a UF2 file", "give the .uf2 of a build")
     if len(content) % _BLOCK.size:
         raise ConfigError(f"{path} is cut off", again)
     pages: dict[int, bytes] = {}

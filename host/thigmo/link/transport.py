@@ -83,6 +83,6 @@ def open_transport(url: str, *, seed: int | None = None, realtime: bool = False)
     if "://" not in url and "?baud=" in url:
         url, _, text = url.partition("?baud=")
         if not text.isdecimal() or int(text) == 0:
-            raise PortError(f"?baud={text} is no baud rate", "give a number, as in ?baud=500000")
+            raise PortError(f"?baud={text} is not a baud rate", "give a number, as in ?baud=500000")
         baud = int(text)
     return SerialTransport(url, baud)

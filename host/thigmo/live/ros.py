@@ -70,7 +70,7 @@ class RosNode(Closing):
         interface: str | None = None,
     ) -> None:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*", namespace):
-            raise DataError(f"{namespace!r} is no ROS namespace", "use letters, digits and /")
+            raise DataError(f"{namespace!r} is not a ROS namespace", "use letters, digits and /")
         self._frame = frame
         self._described = False
         try:

@@ -263,7 +263,6 @@ class PageServer:
             viewer.add("page", json.dumps(self._page(viewer)))
 
     def _page(self, viewer: Viewer) -> dict[str, Any]:
-        """What a page gets of the server, the run and its own part."""
         if self.options.past is not None:
             assert self._run.past is not None
             return {"channel": "page", "mode": "record", "stop": "none", **self._run.past.page()}

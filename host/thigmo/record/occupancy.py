@@ -142,7 +142,7 @@ def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
     picture = _grey(data)
     if picture is None:
         raise RunFolderError(
-            f"{described.image}, named by {path}, is no picture", "give the map's own picture"
+            f"{described.image}, named by {path}, is not a picture", "give the map's own picture"
         )
     level = picture[::-1].astype(np.float64) / 255.0
     occupancy = level if described.negate else 1.0 - level

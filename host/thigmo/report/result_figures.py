@@ -120,14 +120,14 @@ def draw_grid(grid: OccupancyGrid, axes: Axes | None = None) -> Axes:
     return axes
 
 
-def draw_series(moments: Sequence[float], results: Sequence[LocalizeResult]) -> Axes:
+def draw_series(results: Sequence[tuple[float, LocalizeResult]]) -> Axes:
     """Each answer's contacts over time (or line): places with their 95 % intervals.
 
     A place without an interval is drawn alone; answers without a contact leave a gap.
     """
     axes = new_axes(7.6, 3.6)
     named: set[str] = set()
-    for moment, result in zip(moments, results, strict=True):
+    for moment, result in results:
         for contact in result.contacts:
             color = COLORS.get(contact.status, OTHER_COLOR)
             label = None if contact.status in named else contact.status
@@ -135,7 +135,7 @@ def draw_series(moments: Sequence[float], results: Sequence[LocalizeResult]) -> 
             if contact.status != POINT_ESTIMATE:
                 axes.plot([moment, moment], contact.interval, color=color, lw=1.4, alpha=0.4)
             axes.plot(moment, contact.arc, "o", color=color, ms=3.5, label=label)
-    length = max((result.length for result in results), default=1.0)
+    length = max((result.length for _, result in results), default=1.0)
     axes.set(xlabel="time (s), or line of the file", ylabel="arc along the body", ylim=(0, length))
     plain(axes)
     if named:

@@ -126,7 +126,7 @@ class SensorTable:
         return max(1.0, (t_s - self.strained_s) / FibreSensor.warm_s)
 
     def warmed(self, warmth: float) -> SensorTable:
-        """The same where the temperature's error is so many times as large."""
+        """The same with the temperature's error scaled by this factor."""
         shared = self.shared.copy()
         shared[self.inputs :] *= warmth
         return replace(self, shared=shared)

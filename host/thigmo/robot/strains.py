@@ -38,7 +38,7 @@ class Strains:
         """Raw readings (n, rows) of a table: the board's (n, inputs) at device times (n,), and
         strains, interpolated; NaN where none came within 0.2 s.
 
-        `count`: without the lines that came after so many.
+        `count`: only the first lines up to that number.
         """
         gratings = len(table.healthy) - table.inputs
         if not gratings:

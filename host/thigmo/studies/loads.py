@@ -2,7 +2,7 @@
 
 How many contacts there are (none, read by few sensors or of unknown noise; one; two, opposed or on
 one side or anywhere; three), touches near the base that one or two sensors see, rods that are held
-at their end, folds of which nothing is said, and bodies with a kink. Truth is the large-deflection
+at their end, folds that nobody states, and bodies with a kink. Truth is the large-deflection
 rod. What a frame can tell is decided by that rod too
 (`misfit_of_one_contact`), so that a promise counts only the frames that it speaks of.
 """
@@ -360,7 +360,7 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
                  min(map(_coverage, both)), 0.93),
         at_least("two on one side that one explains: others said not to be excluded",
                  share([f.open for f in explained]), 1.0),
-        at_least("told apart at 18.5 cm, least share",
+        at_least("separated at 18.5 cm, least share",
                  min(share([f.found == 2 for f in frames]) for frames in some("18.5")), 0.9),
         at_least("13 cm apart: ambiguous, or localized where they are, least share",
                  min(share([not f.wrong for f in frames]) for frames in some("13 cm")), 0.95),
@@ -384,7 +384,7 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
                   if name.endswith("number 0.9")), 0.075),
         Claim("three anywhere, straight, 20 readings: localized and wrong",
               share([f.wrong for f in seen["three anywhere, straight, 20 readings"]]), 0.15),
-        Claim("folds of which nothing is said: localized and wrong, most",
+        Claim("folds that nobody states: localized and wrong, most",
               most(some("folded"), lambda f: f.wrong), 0.05),
         at_least("nothing said: least share of the localized contacts that are with all said",
                  min(share([f.localized for f in seen[f"{name}, nothing said"]])

@@ -85,18 +85,18 @@ class Robot(Node):
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             )  # fmt: skip
             self._goal = goal
-            told = self._wait(run, goal)
+            said = self._wait(run, goal)
         finally:
             self._goal = None
             self._busy.release()
         if run.returncode == 0:
-            found = json.loads(told[0])
+            found = json.loads(said[0])
             result.outcome, result.folder = found["outcome"], found["run"]
             result.contacts = len(found["contacts"])
             result.length = found["length_cm"] * _M_PER_CM
             goal.succeed()
             return result
-        result.outcome = told[1].strip()
+        result.outcome = said[1].strip()
         if goal.is_cancel_requested:
             goal.canceled()
         else:

@@ -18,7 +18,6 @@ RUNS = {"decoder": 30_000, "commands": 3_000}  # many times that in `make nightl
 
 
 def missing() -> str:
-    """Why the targets cannot be built here; empty if they can."""
     if shutil.which("clang++") is None or shutil.which("make") is None:
         return "clang or make is not installed"
     probe = subprocess.run(

@@ -39,7 +39,7 @@ class Lab:
             self.robot, sheet, seed=3, spoil=self._spoil
         )
         self.camera = OverheadCamera(source, locate(source.read(), sheet), sheet)
-        self.told: list[str] = []
+        self.answer: list[str] = []
         self.session = Session(tmp_path / "calibration", self.robot.known_config)
 
     def _spoil(self, camera):
@@ -49,7 +49,7 @@ class Lab:
         return camera
 
     def bench(self, *, start: bool = True) -> Bench:
-        bench = Bench(self.robot, self.camera, self.session, PLAN, self.told.append)
+        bench = Bench(self.robot, self.camera, self.session, PLAN, self.answer.append)
         if start:
             bench.start()
         return bench
@@ -73,7 +73,7 @@ def test_moved_camera_stops_the_step_and_the_rest_is_taken_after_it_is_located_a
     rows = tip_rows(lab.bench())
     assert len(rows) == 5
     assert {key: lab.session.rows("tips")[key] for key in taken} == taken
-    assert any("going on after" in text for text in lab.told)
+    assert any("going on after" in text for text in lab.answer)
     assert rows[1]["tip"][1] == pytest.approx(rows[1]["asked"], abs=0.2)
 
 
@@ -95,9 +95,9 @@ def test_lost_marker_leaves_a_blank_row_that_the_fit_leaves_out(lab, monkeypatch
     assert rows[2]["tip"] == [None, None]
     readings = FlexReadings.of_rows(rows, 53.0)
     assert np.isnan(readings.tip_cm[2]).all()
-    assert any("is not seen" in text for text in lab.told)
+    assert any("is not seen" in text for text in lab.answer)
     lost = rows[2]["key"]
-    assert any(f"{lost} is omitted" in text for text in lab.told)
+    assert any(f"{lost} is omitted" in text for text in lab.answer)
     assert lost in readings.name
     # Run once more, the step takes that one and no other.
     again = tip_rows(bench)
@@ -118,9 +118,9 @@ def test_tip_pushed_to_the_wrong_side_is_said_and_pushed_again(lab, monkeypatch)
 
     monkeypatch.setattr(bench.hand, "push_tip", mistaken)
     rows = tip_rows(bench)
-    told = [text for text in lab.told if "to the right: push it to the left" in text]
-    assert len(told) == 2
-    assert "tip 0: the tip stands" in told[0]
+    answer = [text for text in lab.answer if "to the right: push it to the left" in text]
+    assert len(answer) == 2
+    assert "tip 0: the tip stands" in answer[0]
     assert all(row["asked"] is None or row["asked"] * row["tip"][1] > 0 for row in rows)
 
 

@@ -42,8 +42,8 @@ def test_a_muscle_that_no_sensor_reads_is_named_and_keeps_its_default(
     assert up == robot.muscles[2]
     status = thigmo("calibrate", "status", "--folder", tmp_path / "made").out
     assert "not calibrated: up" in status
-    told = json.loads((tmp_path / "made" / "actuator.json").read_text())
-    assert told["not_calibrated"] == ["up"]
+    said = json.loads((tmp_path / "made" / "actuator.json").read_text())
+    assert said["not_calibrated"] == ["up"]
     checked = " ".join(thigmo("robot", "check", tmp_path / "made" / "robot.toml").out.split())
     assert "cannot be calibrated: no healthy sensor reads a bend towards 0 degrees" in checked
     ran = calibrate(thigmo, tmp_path, robot, "check")

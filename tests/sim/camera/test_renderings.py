@@ -158,8 +158,8 @@ def test_missing_tip_marker_is_a_problem_with_a_way_out(room, model, tmp_path):
     SHEET.save(tmp_path / "sheet.toml")
     asked = ["check", str(tmp_path / "bare.png"), "--out", str(tmp_path / "check.png")]
     asked += ["--camera", str(tmp_path / "camera.json"), "--sheet", str(tmp_path / "sheet.toml")]
-    told = CliRunner().invoke(group, asked)
-    assert "clear the view, or give the tip with `--tip X,Y`" in told.output
+    said = CliRunner().invoke(group, asked)
+    assert "clear the view, or give the tip with `--tip X,Y`" in said.output
     end = room.camera.project(np.array([[room.x[-1], room.y[-1], 1.75]]))[0]
     clicked = detect(bare, model, SHEET, clicks=Clicks(tip=(end[0] + 1.0, end[1] - 1.0)))
     assert clicked.tip.clicked
@@ -285,8 +285,8 @@ def test_markers_may_be_of_any_dictionary(room, name):
     picture = render(room.camera, view, Look(), np.random.default_rng(5))
     seen = detect(picture, locate(picture, other), other, Wanted(constant=True))
     assert (seen.tip.x_cm, seen.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.1)
-    told = "DICT_6X6_1000" if "6X6" in name else name
-    with pytest.raises(SheetHiddenError, match=f'write dictionary = "{told}"'):
+    said = "DICT_6X6_1000" if "6X6" in name else name
+    with pytest.raises(SheetHiddenError, match=f'write dictionary = "{said}"'):
         locate(picture, SHEET)
 
 

@@ -89,11 +89,11 @@ def test_loads_on_the_end_are_told_apart(sensors: int) -> None:
 
 def test_newtons_scale_with_the_unit_of_length() -> None:
     curvature = 3e-4 * np.clip(38.0 - COLUMN, 0.0, None)
-    told = {"noise": SIGMA, "held_end": False}
-    cm = thigmo.localize(curvature, COLUMN, length=53.0, stiffness=(EI, ERROR), **told)
-    told["noise"] = SIGMA / 10.0
+    said = {"noise": SIGMA, "held_end": False}
+    cm = thigmo.localize(curvature, COLUMN, length=53.0, stiffness=(EI, ERROR), **said)
+    said["noise"] = SIGMA / 10.0
     mm = thigmo.localize(
-        curvature / 10.0, 10.0 * COLUMN, length=530.0, stiffness=(100.0 * EI, ERROR), **told
+        curvature / 10.0, 10.0 * COLUMN, length=530.0, stiffness=(100.0 * EI, ERROR), **said
     )
     assert cm.contacts[0].newtons is not None
     assert mm.contacts[0].newtons is not None

@@ -67,9 +67,9 @@ def test_flashing_writes_verifies_and_meets_the_new_firmware(image: Path) -> Non
             app, ["flash", "--robot", mega.path, "--image", str(image), "--json"]
         )
         assert result.exit_code == 0, result.output
-        told = json.loads(result.stdout)
-        assert told["bytes"] == read_image(image).size
-        assert told["schema_hash"] == f"{wire.SCHEMA_HASH:08x}"
+        said = json.loads(result.stdout)
+        assert said["bytes"] == read_image(image).size
+        assert said["schema_hash"] == f"{wire.SCHEMA_HASH:08x}"
         assert mega.opened == 3, "by avrdude for all but page 0, for page 0, and for the hello"
         for start, data in read_hex(image):
             assert mega.chip.read("flash", start, len(data)) == data

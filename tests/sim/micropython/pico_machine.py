@@ -56,7 +56,7 @@ class Pico:
             stderr=subprocess.PIPE,
             text=True,
         )
-        self._told: dict[str, Any] = {"estop": False, "counts": [0] * 12}
+        self._answers: dict[str, Any] = {"estop": False, "counts": [0] * 12}
         self._sent = bytearray()
         self._received = bytearray()
         self._toggled = [0.0] * 30  # when each pin last moved, ms
@@ -68,16 +68,14 @@ class Pico:
         self._advance(0)
 
     def close(self) -> None:
-        """Switch it off."""
         self._process.kill()
         self._process.communicate()
 
     def step(self, ticks: int) -> None:
-        """Let so many milliseconds pass."""
         self._advance(ticks)
 
-    def _advance(self, milliseconds: float, **told: object) -> None:
-        message = self._told | told | {"link": self._sent.hex(), "run_us": milliseconds * 1000}
+    def _advance(self, milliseconds: float, **answer: object) -> None:
+        message = self._answers | answer | {"link": self._sent.hex(), "run_us": milliseconds * 1000}
         self._sent.clear()
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -131,54 +129,46 @@ class Pico:
         return round(self._now_ms * 1000)
 
     def write(self, data: bytes) -> None:
-        """Bytes from the host."""
         self._sent += data
 
     def read(self) -> bytes:
-        """Bytes that have reached the host."""
         data = bytes(self._received)
         self._received.clear()
         return data
 
     def set_analog(self, counts: npt.NDArray[np.float64]) -> None:
         """Ideal counts in 1/1024 of the reference, shape (16, 2)."""
-        self._told["counts"] = [int(4 * c) for c in counts[:12, 1]]
+        self._answers["counts"] = [int(4 * c) for c in counts[:12, 1]]
 
     def set_adc_noise(self, sigma: npt.NDArray[np.float64]) -> None:
         """Not simulated: these converters have none."""
 
     def set_encoder(self, start: float, end: float) -> None:
-        """Encoder position at the next step's start and end."""
         if self._origin is None:
             self._origin = start
-        self._told["encoder"] = int(end - self._origin)
+        self._answers["encoder"] = int(end - self._origin)
 
     def set_supply_mv(self, millivolt: int) -> None:
         """Not simulated: 5 V."""
 
     def set_estop(self, pressed: bool) -> None:
-        """Emergency stop: the input is high when it is pressed."""
-        self._told["estop"] = pressed
+        self._answers["estop"] = pressed
 
     def set_motor_power(self, on: bool) -> None:
-        """The motor's supply, behind its contacts."""
-        self._told["motor_power"] = on
+        self._answers["motor_power"] = on
 
     @property
     def drive(self) -> tuple[int, int]:
-        """Transducer duties."""
         left, right = (max(round(1600 * pin), 0) for pin in self.said["pins"][2:4])
         return left, right
 
     @property
     def drive_enabled(self) -> tuple[bool, bool]:
-        """Whether each transducer's output is on."""
         left, right = self.drive
         return left > 0, right > 0
 
     @property
     def motor(self) -> int:
-        """Motor duty, positive pays out."""
         share, direction = self.said["pins"][4:6]
         duty = round(FULL * max(float(share), 0.0))
         return duty if direction > 0 else -duty

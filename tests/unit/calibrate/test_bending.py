@@ -74,9 +74,9 @@ def test_a_file_of_pulls_puts_newtons_into_robot_toml(tmp_path: Path) -> None:
     session.keep("stiffness", fit_csv("stiffness", tmp_path / "pulls.csv", config))
     known = RobotConfig.load(tmp_path / "calibration" / "robot.toml")
     assert known.body.stiffness_n_cm2 == pytest.approx(EI, rel=0.1)
-    told = reading_errors(known, "left", 2, [("right", 0)]).arguments()["stiffness"]
-    assert told[0] == known.body.stiffness_n_cm2
-    assert told[1] == pytest.approx(0.05, abs=0.02)  # the balance is not told: 5 %
+    said = reading_errors(known, "left", 2, [("right", 0)]).arguments()["stiffness"]
+    assert said[0] == known.body.stiffness_n_cm2
+    assert said[1] == pytest.approx(0.05, abs=0.02)  # the balance is not stated: 5 %
 
 
 def test_the_fold_states_it_to_about_a_quarter() -> None:

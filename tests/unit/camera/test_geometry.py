@@ -84,10 +84,10 @@ def test_misplaced_card_is_named():
     rng = np.random.default_rng(2)
     camera = overhead_camera(rng)
     seen = corners_seen(camera, Sheet(), rng)
-    told = Sheet()
-    told.cards[3].x_cm += 5.0
+    said = Sheet()
+    said.cards[3].x_cm += 5.0
     with pytest.raises(PlaneFitError, match="sheet file"):
-        fit_pose(seen, told, camera.lens.size)
+        fit_pose(seen, said, camera.lens.size)
 
 
 def test_moved_camera_and_hidden_cards_are_told_apart():
@@ -101,8 +101,8 @@ def test_moved_camera_and_hidden_cards_are_told_apart():
     with pytest.raises(SheetHiddenError, match="base left, base right"):
         judge_still({}, model, sheet)
     moved = {k: v + np.array([9.0, -4.0]) for k, v in seen.items()}
-    told = r"cards stand 9\.\d px .* from where it was calibrated; .*locate` again"
-    with pytest.raises(CameraMovedError, match=told):
+    said = r"cards stand 9\.\d px .* from where it was calibrated; .*locate` again"
+    with pytest.raises(CameraMovedError, match=said):
         judge_still(moved, model, sheet)
 
 
@@ -116,7 +116,7 @@ def test_camera_file_round_trip_and_damage(tmp_path):
     assert again.corners.keys() == model.corners.keys()
     assert Lens.load(tmp_path / "camera.json").matrix == pytest.approx(model.lens.matrix)
     (tmp_path / "camera.json").write_text(json.dumps({"version": 1}))
-    with pytest.raises(CameraError, match="no camera calibration"):
+    with pytest.raises(CameraError, match="not a camera calibration"):
         CameraModel.load(tmp_path / "camera.json")
     with pytest.raises(CameraError, match="locate` first"):
         CameraModel.load(tmp_path / "none.json")

@@ -159,11 +159,11 @@ def test_belief_differs_from_truth_by_what_the_scene_says() -> None:
     for seed in range(200):
         config = scene.believed(seed)
         for side in SIDES:
-            for told, true in zip(config.column(side), scene.robot.column(side), strict=True):
-                gains.append(told.scale_per_ohm / true.scale_per_ohm - 1)
-                places.append(told.center_cm - true.center_cm)
-                assert told.scale_se == 0.05
-                assert told.zero_se >= scene.noise.hysteresis
+            for said, true in zip(config.column(side), scene.robot.column(side), strict=True):
+                gains.append(said.scale_per_ohm / true.scale_per_ohm - 1)
+                places.append(said.center_cm - true.center_cm)
+                assert said.scale_se == 0.05
+                assert said.zero_se >= scene.noise.hysteresis
             for zone, right in zip(
                 config.muscle(side).maps, scene.robot.muscle(side).maps, strict=True
             ):

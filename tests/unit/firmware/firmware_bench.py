@@ -1,8 +1,8 @@
 """A board on the bench: hand-made analog inputs, and the protocol spoken by hand.
 
 `Bench` is what the firmware's tests drive. It wires a virtual board, or the Mega's image, to inputs
-that a test sets, steps both in 5 ms, beats the heart unless told not to, and sends one command at a
-time.
+that a test sets, steps both in 5 ms, beats the heart unless the test stops it, and sends one
+command at a time.
 `FlowingAir` and `TurningSpool` close the two loops that the firmware expects closed, as simply as
 they can be.
 """
@@ -126,7 +126,6 @@ class Bench:
         self.counts = self.inputs()
 
     def made(self) -> Board:
-        """The board."""
         if self.mega:
             return SimulatedMega(self.seed, self.eeprom, boot_loader=False)
         return VirtualBoard(self.seed, self.eeprom)
@@ -144,7 +143,6 @@ class Bench:
         return counts
 
     def step(self, ms: int = STEP_MS) -> list[Heard]:
-        """Let time pass, a multiple of 5 ms; returns what the board said."""
         fresh: list[Heard] = []
         for _ in range(ms // STEP_MS):
             if self.beating and self.session and self.board.now_us // 1000 % 100 == 0:
@@ -171,7 +169,6 @@ class Bench:
         return fresh
 
     def until(self, condition: Callable[[], bool], ms: int = 20_000) -> None:
-        """Let time pass until something holds."""
         for _ in range(ms // STEP_MS):
             if condition():
                 return
@@ -188,7 +185,6 @@ class Bench:
         self.send(wire.Heartbeat(self.beats), 0, self.session)
 
     def ask(self, message: wire.Message, ms: int = 6000) -> wire.Message:
-        """Send a command and wait for its reply."""
         self.seq = (self.seq + 1) & 0xFFFF
         self.send(message, self.seq, self.session)
         for _ in range(ms // STEP_MS):
@@ -204,7 +200,6 @@ class Bench:
         return reply
 
     def do(self, message: wire.Message, ms: int = 6000) -> int:
-        """A command that must be accepted; returns the ack's detail."""
         reply = self.ask(message, ms)
         assert isinstance(reply, wire.Ack | wire.ParameterValue), reply
         assert reply.status == wire.Status.OK, reply
@@ -239,7 +234,6 @@ class Bench:
         self.do(wire.SetParameter(wire.PARAMETERS[name].index + element, value))
 
     def event(self, code: wire.EventCode, arg: int | None = None) -> list[wire.Event]:
-        """Events of a kind, in order, each once."""
         return [
             e
             for _, e in sorted(self.events.items())
@@ -275,6 +269,16 @@ class Bench:
         mask = self.status().everted_mask
         self.do(wire.ZeroSensors(mask))
         self.until(lambda: bool(self.event(wire.EventCode.ZEROED)))
+
+    def grow(self, length_um: int = 200_000) -> None:
+        """Begin to grow; the motor turns."""
+        self.do(wire.GrowTo(length_um, 0))
+        self.until(lambda: self.board.motor > 200)
+
+    def bend(self) -> None:
+        """Begin a sweep; the left muscle holds 10 psi."""
+        self.do(wire.Sweep((1500, 1500), 20_000, 1, 0))
+        self.until(lambda: self.air.psi[0] > 10)
 
     def safe(self) -> bool:
         """Whether valves carry true zero and the motor is braked."""

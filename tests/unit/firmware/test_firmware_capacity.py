@@ -33,7 +33,6 @@ class Built:
 
     @property
     def table(self) -> dict[str, wire.Parameter]:
-        """Its parameters."""
         return wire.parameters(
             muscles=self.muscles, sensors=self.sensors, body_pressures=self.body_pressures,
             imus=self.imus,
@@ -104,7 +103,6 @@ class Lab(Bench):
         return np.array(self.air.psi)
 
     def reason(self, command: wire.Message) -> wire.Reason:
-        """Why a command is refused; none if it is not."""
         reply = self.ask(command)
         return reply.reason if isinstance(reply, wire.Ack) else R.NONE
 
@@ -126,8 +124,8 @@ def lab(request: pytest.FixtureRequest) -> Lab:
 
 
 def test_the_board_says_what_it_holds(lab: Lab) -> None:
-    told = lab.get(wire.GetCapacity(), wire.Capacity)
-    assert Built(told.muscles, told.sensors, told.body_pressures, told.imus) == lab.built
+    said = lab.get(wire.GetCapacity(), wire.Capacity)
+    assert Built(said.muscles, said.sensors, said.body_pressures, said.imus) == lab.built
 
 
 def test_every_muscle_reaches_its_pressure_and_the_others_stay_empty(lab: Lab) -> None:

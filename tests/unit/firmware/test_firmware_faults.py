@@ -23,8 +23,7 @@ def bending() -> Bench:
     """A robot in the middle of a sweep, 10 psi in the left muscle."""
     bench = Bench()
     bench.zeroed(trigger_e5=10_000)
-    bench.do(wire.Sweep((1500, 1500), 20_000, 1, 0))
-    bench.until(lambda: bench.air.psi[0] > 10)
+    bench.bend()
     assert bench.board.drive_enabled == (True, False)
     return bench
 
@@ -33,8 +32,7 @@ def growing() -> Bench:
     """A robot in the middle of growth."""
     bench = Bench()
     bench.zeroed()
-    bench.do(wire.GrowTo(200_000, 0))
-    bench.until(lambda: bench.board.motor > 200)
+    bench.grow()
     return bench
 
 

@@ -14,23 +14,13 @@ F = wire.Fault
 Provoke = Callable[[Bench], None]
 
 
-def growing(bench: Bench) -> None:
-    bench.do(wire.GrowTo(200_000, 0))
-    bench.until(lambda: bench.board.motor > 200)
-
-
-def bending(bench: Bench) -> None:
-    bench.do(wire.Sweep((1500, 1500), 20_000, 1, 0))
-    bench.until(lambda: bench.air.psi[0] > 10)
-
-
 def host_silent(bench: Bench) -> None:
-    growing(bench)
+    bench.grow()
     bench.beating = False
 
 
 def over_pressure(bench: Bench) -> None:
-    bending(bench)
+    bench.bend()
     bench.override[10] = pressure_count(25.0)
 
 
@@ -39,7 +29,7 @@ def pressure_wire(bench: Bench) -> None:
 
 
 def pressure_stuck(bench: Bench) -> None:
-    bending(bench)
+    bench.bend()
     bench.air.stuck[0] = True
 
 
@@ -57,7 +47,7 @@ def flex_short(bench: Bench) -> None:
 
 
 def spool_stall(bench: Bench) -> None:
-    growing(bench)
+    bench.grow()
     bench.spool.jammed = True
 
 
@@ -70,7 +60,7 @@ def brown_out(bench: Bench) -> None:
 
 
 def watchdog(bench: Bench) -> None:
-    growing(bench)
+    bench.grow()
     bench.board.hang()
     bench.until(lambda: bench.board.boots == 2)
     bench.heard.clear()
@@ -87,12 +77,12 @@ def bad_config(bench: Bench) -> None:
 
 
 def estop(bench: Bench) -> None:
-    growing(bench)
+    bench.grow()
     bench.board.set_estop(True)
 
 
 def interlock(bench: Bench) -> None:
-    bending(bench)
+    bench.bend()
     bench.spool.pull = 400.0
 
 
@@ -103,14 +93,14 @@ def link_overrun(bench: Bench) -> None:
 
 
 def stopped(bench: Bench) -> None:
-    growing(bench)
+    bench.grow()
     bench.send(wire.Stop(7), 0, 0)
 
 
 PROVOKE: dict[wire.Fault, Provoke] = {fault: globals()[fault.key] for fault in F}
 
 
-def mend(bench: Bench) -> None:
+def restore(bench: Bench) -> None:
     """The causes go."""
     bench.beating = True
     bench.override.clear()
@@ -146,7 +136,7 @@ def test_every_fault_is_left_by_commands_alone(fault: wire.Fault) -> None:
     bench.until(lambda: bool(bench.status().faults & fault.mask))
     assert bench.safe()
     boots = bench.board.boots
-    mend(bench)
+    restore(bench)
     grows_again(bench)
     assert bench.board.boots == boots
 
@@ -163,6 +153,6 @@ def test_many_faults_at_once_are_left_by_commands_alone() -> None:
     bench.beating = False
     bench.step(1000)
     assert len(bench.faults()) >= 8
-    mend(bench)
+    restore(bench)
     grows_again(bench)
     assert bench.board.boots == 1

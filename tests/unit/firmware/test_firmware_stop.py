@@ -28,8 +28,7 @@ def safe(bench: Bench) -> None:
 
 def growing(bench: Bench) -> None:
     bench.grown()
-    bench.do(wire.GrowTo(300_000, 0))
-    bench.until(lambda: bench.board.motor > 200)
+    bench.grow(300_000)
 
 
 def retracting(bench: Bench) -> None:
@@ -46,8 +45,7 @@ def homing(bench: Bench) -> None:
 
 def sweeping(bench: Bench) -> None:
     bench.zeroed(trigger_e5=10_000)
-    bench.do(wire.Sweep((1500, 1500), 20_000, 1, 0))
-    bench.until(lambda: bench.air.psi[0] > 10)
+    bench.bend()
 
 
 def pressing(bench: Bench) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from contacts import a_telemetry
 
 from thigmo.link.protocol import MOST_SENSORS
 from thigmo.live.page_data import COLUMNS, block, row_text, thinned
@@ -14,36 +16,23 @@ from thigmo.stream import Telemetry
 
 
 def _reading(t_s: float) -> Telemetry:
-    return Telemetry(
-        t_s=t_s,
-        epoch_s=0.0,
-        device_s=t_s,
-        pressure_psi=(1.0, 2.0),
-        demand_psi=(3.0, 4.0),
-        drive_ma=(5.0, 6.0),
-        curvature_per_cm=(*(0.01 * n for n in range(9)), math.nan),
-        expected_per_cm=tuple(0.02 * n for n in range(10)),
-        base_per_cm=0.0,
-        free_per_cm=0.0,
-        length_cm=40.0,
-        motor=-0.5,
-        supply_v=5.0,
-        state="ready",
-        activity="none",
-        faults=(),
-        flex_sum=(0,) * 10,
-    )
+    curvature = (*(0.01 * n for n in range(9)), math.nan)
+    expected = tuple(0.02 * n for n in range(10))
+    return replace(
+        a_telemetry(t_s), pressure_psi=(1.0, 2.0), demand_psi=(3.0, 4.0), drive_ma=(5.0, 6.0),
+        curvature_per_cm=curvature, expected_per_cm=expected,
+    )  # fmt: skip
 
 
 def test_row_has_every_column_in_its_place() -> None:
-    told = dict(zip(COLUMNS, json.loads(row_text(_reading(1.5))), strict=True))
-    assert told["t_s"] == 1.5
-    assert (told["pressure_0"], told["demand_1"], told["drive_1"]) == (1.0, 4.0, 6.0)
-    assert told["curvature_3"] == 0.03
-    assert told["curvature_9"] is None
-    assert told["expected_9"] == 0.18
-    assert told["expected_10"] is None  # of a larger board
-    assert (told["length_cm"], told["motor"]) == (40.0, -0.5)
+    said = dict(zip(COLUMNS, json.loads(row_text(_reading(1.5))), strict=True))
+    assert said["t_s"] == 1.5
+    assert (said["pressure_0"], said["demand_1"], said["drive_1"]) == (1.0, 4.0, 6.0)
+    assert said["curvature_3"] == 0.03
+    assert said["curvature_9"] is None
+    assert said["expected_9"] == 0.18
+    assert said["expected_10"] is None  # of a larger board
+    assert (said["length_cm"], said["motor"]) == (30.0, -0.25)
 
 
 def test_the_pages_script_has_the_same_columns() -> None:

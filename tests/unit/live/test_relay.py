@@ -1,4 +1,4 @@
-"""What the views of ROS 2 and Foxglove are told when one run follows another."""
+"""What the views of ROS 2 and Foxglove get when one run follows another."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ class FakeWatched:
 
 
 class Log:
-    """A view that keeps what it is told, in order."""
+    """A view that keeps what it gets, in order."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[str, str]] = []
+        self.said: list[tuple[str, str]] = []
 
     def publish(self, message: Message) -> None:
-        self.told.append((message.CHANNEL, ""))
+        self.said.append((message.CHANNEL, ""))
 
     def tell(self, facts: Facts) -> None:
-        self.told.append((facts.run.name if facts.run else "", facts.stopped))
+        self.said.append((facts.run.name if facts.run else "", facts.stopped))
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def _passed(
     view = Log()
     watched.waiting += messages
     passing.pass_on(view)
-    return view.told
+    return view.said
 
 
 def test_view_is_told_of_a_new_run_before_its_messages_and_of_the_last_stop(
@@ -72,9 +72,9 @@ def test_view_is_told_of_a_new_run_before_its_messages_and_of_the_last_stop(
     assert _passed(watched, passing, RUN, STATE)[:2] == [("n", ""), ("state", "")]
     assert passing.stop() == f"stopped {RUN.url}"
     assert ("n", f"stopped {RUN.url}") in _passed(watched, passing, STATE)
-    told = _passed(watched, passing, None, NEXT, STATE)
+    said = _passed(watched, passing, None, NEXT, STATE)
     stopped = f"stopped {RUN.url}"
-    assert told[:2] == [("n", stopped), ("next", stopped)]  # the last stop stays told
+    assert said[:2] == [("n", stopped), ("next", stopped)]  # the last stop stays known
 
 
 def test_stop_that_comes_before_a_run_under_way_is_known_stops_it(

@@ -7,8 +7,8 @@ from math import nan
 from pathlib import Path
 
 import pytest
-from contacts import CONTACT
-from test_hub import ONE_OF_EACH, a_block, a_telemetry
+from contacts import CONTACT, a_telemetry
+from test_hub import ONE_OF_EACH, a_block
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app

@@ -7,7 +7,7 @@ from math import isnan, nan
 
 import numpy as np
 import pytest
-from contacts import CONTACT
+from contacts import CONTACT, a_telemetry
 
 from thigmo.errors import DataError
 from thigmo.stream import (
@@ -29,13 +29,6 @@ from thigmo.stream import (
     to_json,
 )
 from thigmo.stream.blocks import TelemetryBlock
-
-
-def a_telemetry(t_s: float = 1.0, supply_v: float = 5.0) -> Telemetry:
-    return Telemetry(
-        t_s, 1.7e9 + t_s, t_s, (1.5, 0.0), (1.5, 0.0), (12.0, 0.0), (0.01,) * 10, (0.011,) * 10,
-        0.01, 0.011, 30.0, -0.25, supply_v, "ready", "sweeping", ("stopped",), tuple(range(10)),
-    )  # fmt: skip
 
 
 def a_block(readings: list[Telemetry]) -> TelemetryBlock:

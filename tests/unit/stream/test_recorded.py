@@ -7,12 +7,13 @@ from math import isnan, nan
 from pathlib import Path
 
 import pytest
+from contacts import a_telemetry
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from test_hub import ONE_OF_EACH, a_block, a_telemetry
+from test_hub import ONE_OF_EACH, a_block
 
 from thigmo.errors import RunFolderError
 from thigmo.record import LogWriter, read_log
@@ -107,11 +108,11 @@ def test_mcaps_own_tools_decode_every_channel(path: Path) -> None:
     decoded = {}
     with path.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        for _, channel, message, told in reader.iter_decoded_messages(
+        for _, channel, message, said in reader.iter_decoded_messages(
             topics=[f"/{channel}" for channel in RECORDED] + list(VIEWS)
         ):
             assert message.log_time == pytest.approx(1.700000001e18, abs=2)
-            decoded[channel.topic] = told
+            decoded[channel.topic] = said
         summary = reader.get_summary()
     assert set(decoded) == {f"/{channel}" for channel in RECORDED} | set(VIEWS)
     telemetry = a_telemetry()

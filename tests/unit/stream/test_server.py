@@ -11,7 +11,8 @@ from multiprocessing.connection import Client
 from pathlib import Path
 
 import pytest
-from test_hub import a_state, a_telemetry, an_event
+from contacts import a_telemetry
+from test_hub import a_state, an_event
 
 from thigmo.errors import LinkError
 from thigmo.link import stop_socket
