@@ -31,6 +31,7 @@ struct Load {
   bool critical = false;  // its moment at the base is that which folds it
   bool is_contact() const { return across; }
   bool holds() const { return couples == Couples::any; }
+  bool operator==(const Load&) const = default;
 };
 constexpr Load kTouch{.where = Load::Where::anywhere, .across = true};
 constexpr Load kFolding{.where = Load::Where::anywhere, .across = true, .critical = true};
@@ -98,8 +99,8 @@ inline Four& four(double* from) { return *reinterpret_cast<Four*>(from); }
 
 // Roots, of zero where a number is less.
 [[gnu::always_inline]] inline Four root(Four of) {
-  for (int lane = 0; lane < 4; ++lane) of[lane] = std::sqrt(of[lane] > 0.0 ? of[lane] : 0.0);
-  return of;
+  of = of > 0.0 ? of : Four{};
+  return Four{std::sqrt(of[0]), std::sqrt(of[1]), std::sqrt(of[2]), std::sqrt(of[3])};
 }
 
 inline double largest(const Four& of) {
@@ -217,12 +218,15 @@ template <int K>
 struct Eliminated {
   Four lower[K][K], inverse[K], left[K], gain{}, volume = 1.0 + Four{};
   [[gnu::always_inline]] explicit Eliminated(const Normal<K>& of) {
+#pragma GCC unroll 8
     for (int j = 0; j < K; ++j) {
       Four raw[K];
       left[j] = of.told[j];
       Four own = of.prior[j] + of.lower[j][j];
+#pragma GCC unroll 8
       for (int l = 0; l < j; ++l) {
         raw[l] = of.lower[j][l];
+#pragma GCC unroll 8
         for (int k = 0; k < l; ++k) raw[l] -= raw[k] * lower[l][k];
         lower[j][l] = raw[l] * inverse[l];
         left[j] -= lower[j][l] * left[l];
@@ -236,11 +240,14 @@ struct Eliminated {
   // Means and variances.
   [[gnu::always_inline]] void solve(Four* mean, Four* variance) const {
     Four up[K][K];  // transposed inverse of the lower triangle
-    for (int j = K; j-- > 0;) {
+#pragma GCC unroll 8
+    for (int j = K - 1; j >= 0; --j) {
       mean[j] = left[j] * inverse[j], variance[j] = inverse[j];
+#pragma GCC unroll 8
       for (int k = j + 1; k < K; ++k) {
         mean[j] -= lower[k][j] * mean[k];
         up[j][k] = -lower[k][j];
+#pragma GCC unroll 8
         for (int l = j + 1; l < k; ++l) up[j][k] -= lower[l][j] * up[l][k];
         variance[j] += up[j][k] * up[j][k] * inverse[k];
       }
@@ -249,7 +256,9 @@ struct Eliminated {
   // Variance of a sum of the numbers, whose shares are overwritten.
   [[gnu::always_inline]] void variance(Four* of, Four& out) const {
     out = Four{};
+#pragma GCC unroll 8
     for (int k = 0; k < K; ++k) {
+#pragma GCC unroll 8
       for (int l = 0; l < k; ++l) of[k] -= lower[k][l] * of[l];
       out += of[k] * of[k] * inverse[k];
     }
@@ -342,11 +351,14 @@ class Grid {
   void take(const Whitened& readings, int only = -1) {
     int wide = 0;
     first_.clear();
-    for (const Placed& p : placed) first_.push_back(wide), wide += p.column.columns;
+    for (std::size_t j = 0; j < placed.size(); ++j) {
+      first_.push_back(twin(j) ? first_.back() : wide);
+      if (!twin(j)) wide += placed[j].column.columns;
+    }
     column_.resize(readings.frame->size(), wide);
     for (std::size_t j = 0; j < placed.size(); ++j) {
       const Matrix& from = placed[j].column;
-      for (int i = 0; i < from.rows; ++i) {
+      for (int i = 0; !twin(j) && i < from.rows; ++i) {
         std::copy_n(from[i], from.columns, column_[i] + first_[j]);
       }
     }
@@ -404,15 +416,27 @@ class Grid {
     return total > 0.0;
   }
 
+  // Share of the mass such that the sets with less of it hold no more than `rest` of it together.
+  double share_below(double rest) const {
+    double share = rest > 0.0 ? 1.0 / sets_ : 0.0;
+    while (share > 0.0) {
+      double below = 0.0;
+      for (const double each : mass) below += each < share * total ? each : 0.0;
+      if (below <= rest * total) break;
+      share = share > 1e-9 ? 0.5 * share : 0.0;
+    }
+    return share;
+  }
+
   // Of sets that hold a share of `least` or more: forces over levels and scales, and the
   // probability that each contact counts. Contacts of other sets are taken to count.
   THIGMO_WIDE void solve(double least) {
     const int contacts = count();
     for (Matrix* each : {&mean, &spread, &felt}) each->resize(contacts, padded());
     const int scales = static_cast<int>(prior_->scales.size());
-    numbers([&]<int K>() __attribute__((always_inline)) {
+    // `Single`: whether each contact has one number, and nothing else has any.
+    const auto run = [&]<int K, bool Single>() __attribute__((always_inline)) {
       constexpr int kContacts = std::min<int>(K, kMostContacts);
-      const bool single = contacts == K;  // number of each
       for (int s = 0; s < sets_; s += 4) {
         const Four& whole = four(&mass[s]);
         if (largest(whole) < least * total) {
@@ -426,10 +450,14 @@ class Grid {
           Four force[K], variance[K];
           found.solve(force, variance);
           const Four own = share * four(weight_[r] + s);
-          for (int j = 0; single && j < kContacts; ++j) {
-            first[j] += own * force[j], second[j] += own * (force[j] * force[j] + variance[j]);
+          if constexpr (Single) {
+#pragma GCC unroll 3
+            for (int j = 0; j < K; ++j) {
+              first[j] += own * force[j], second[j] += own * (force[j] * force[j] + variance[j]);
+            }
+            continue;
           }
-          for (int j = 0, from = 0; !single && j < contacts; from += placed[j++].size()) {
+          for (int j = 0, from = 0; j < contacts; from += placed[j++].size()) {
             const int beyond = from + placed[j].size(), across = placed[j].across;
             Four ways[K]{}, moves[K]{}, length{}, standard{}, size, loose, told;
             for (int k = from; k < beyond; ++k) {
@@ -448,10 +476,12 @@ class Grid {
           }
         }
         const Four part = 1.0 / (whole > 1e-300 ? whole : 1e-300 + Four{});
-        for (int j = 0; j < kContacts && j < contacts; ++j) {
+#pragma GCC unroll 3
+        for (int j = 0; j < kContacts; ++j) {
+          if (!Single && j == contacts) break;
           const Four one = first[j] * part, loose = root(second[j] * part - one * one);
           Four moved, told, unit;
-          if (single) {  // how far a force moves the readings is that times its size
+          if (Single) {  // how far a force moves the readings is that times its size
             const Four moves = root(product(levels_[level], j, j, s));
             moved = (one > 0.0 ? one : -one) * moves, told = loose * moves;
           } else {
@@ -462,6 +492,12 @@ class Grid {
           four(mean[j] + s) = one * unit, four(spread[j] + s) = loose * (unit > 0.0 ? unit : -unit);
         }
       }
+    };
+    numbers([&]<int K>() __attribute__((always_inline)) {
+      if constexpr (K <= kMostContacts) {
+        if (contacts == K) return run.template operator()<K, true>();
+      }
+      run.template operator()<K, false>();
     });
   }
 
@@ -603,6 +639,12 @@ class Grid {
   const Four& product(const Products& of, int k, int l, int s) const {
     return four(of.of[gram(static_cast<int>(number_.size()), k, l)] + s);
   }
+  // Whether a load has the same columns as the one before it.
+  bool twin(std::size_t j) const {
+    if (j == 0) return false;
+    const Placed &one = placed[j - 1], &two = placed[j];
+    return *one.load == *two.load && one.window == two.window && one.cells == two.cells;
+  }
   void list(std::size_t load, std::vector<int>& at) {
     if (load == placed.size()) {
       for (std::size_t j = 0; j < load; ++j) cell_[j].push_back(at[j]);
@@ -629,6 +671,7 @@ class Grid {
       const double *row = out.white[i], own = at.read[i];
       for (int c = 0; c < wide; ++c) told[c] += own * row[c];
     }
+    blocks_.clear();
     for (int k = 0; k < count; ++k) {
       const auto [b, d] = at_[k];
       const int *right = cell_[b].data(), cells = placed[b].cells, from = first_[b] + d * cells;
@@ -639,34 +682,52 @@ class Grid {
         const int *left = cell_[a].data(), rows = placed[a].cells, beside = first_[a] + c * rows;
         to = out.of[gram(count, k, l)];
         if (a == b) {
-          both_.assign(cells, 0.0);
-          for (int i = 0; i < n; ++i) {
-            const double *one = out.white[i] + from, *two = out.white[i] + beside;
-            for (int m = 0; m < cells; ++m) both_[m] += one[m] * two[m];
-          }
-          for (int s = 0; s < padded(); ++s) to[s] = both_[right[s]];
-          continue;
+          const double* own = block(out.white, from, cells, beside, 0);
+          for (int s = 0; s < padded(); ++s) to[s] = own[right[s]];
+        } else {
+          const double* both = block(out.white, from, cells, beside, rows);
+          for (int s = 0; s < padded(); ++s) to[s] = both[left[s] * cells + right[s]];
         }
-        both_.resize(static_cast<std::size_t>(rows) * cells);
-        for (int r = 0; r < rows; ++r) {
-          double* __restrict row = &both_[static_cast<std::size_t>(r) * cells];
-          int m = 0;
-          for (; m + 12 <= cells; m += 12) {
-            Four sum[3]{};
-            for (int i = 0; i < n; ++i) {
-              const double *one = out.white[i] + from + m, own = out.white[i][beside + r];
-              for (int part = 0; part < 3; ++part) sum[part] += own * four(one + 4 * part);
-            }
-            for (int part = 0; part < 3; ++part) four(row + m + 4 * part) = sum[part];
-          }
-          for (; m < cells; ++m) {
-            row[m] = 0.0;
-            for (int i = 0; i < n; ++i) row[m] += out.white[i][from + m] * out.white[i][beside + r];
-          }
-        }
-        for (int s = 0; s < padded(); ++s) to[s] = both_[left[s] * cells + right[s]];
       }
     }
+  }
+
+  // Products of whitened columns from `beside` on, one in each row, with those from `from` on; of
+  // no rows, of those at the same cells. Contacts on the same cells share them.
+  [[gnu::always_inline]] const double* block(const Matrix& white, int from, int cells, int beside,
+                                             int rows) {
+    const std::array key{from, beside, rows};
+    for (const auto& [of, at] : blocks_) {
+      if (of == key) return &both_[at];
+    }
+    const std::size_t at = blocks_.empty() ? 0 : ends_;
+    ends_ = at + static_cast<std::size_t>(std::max(rows, 1)) * cells;
+    if (both_.size() < ends_) both_.resize(ends_);
+    blocks_.push_back({key, at});
+    const int n = white.rows;
+    if (rows == 0) std::fill_n(&both_[at], cells, 0.0);
+    for (int i = 0; rows == 0 && i < n; ++i) {
+      const double *one = white[i] + from, *two = white[i] + beside;
+      double* __restrict to = &both_[at];
+      for (int m = 0; m < cells; ++m) to[m] += one[m] * two[m];
+    }
+    for (int r = 0; r < rows; ++r) {
+      double* __restrict row = &both_[at + static_cast<std::size_t>(r) * cells];
+      int m = 0;
+      for (; m + 12 <= cells; m += 12) {
+        Four sum[3]{};
+        for (int i = 0; i < n; ++i) {
+          const double *one = white[i] + from + m, own = white[i][beside + r];
+          for (int part = 0; part < 3; ++part) sum[part] += own * four(one + 4 * part);
+        }
+        for (int part = 0; part < 3; ++part) four(row + m + 4 * part) = sum[part];
+      }
+      for (; m < cells; ++m) {
+        row[m] = 0.0;
+        for (int i = 0; i < n; ++i) row[m] += white[i][from + m] * white[i][beside + r];
+      }
+    }
+    return &both_[at];
   }
 
   // Products of a column, times its scale, with those of each set, whose levels are raised.
@@ -770,6 +831,9 @@ class Grid {
   Matrix column_, weight_, along_;
   std::vector<Products> levels_;
   std::vector<Way> ways_;
+  // Blocks of products of columns, by where they are taken: their first one.
+  std::vector<std::pair<std::array<int, 3>, std::size_t>> blocks_;
+  std::size_t ends_ = 0;
   Row both_, density_;
   const ForcePrior* prior_ = nullptr;
   double scale_ = 0.0;  // of the forces, and index, of the likeliest set
@@ -790,29 +854,32 @@ inline Shares share_out(const Grid& sets, bool all, double nothing) {
   const double least = nothing * sets.total;
   double kept = 0.0;
   for (const double mass : sets.mass) kept += mass < least ? 0.0 : mass;
-  std::array<std::array<double, 2>, kMostContacts> odds{};  // that each is not felt, and that it is
-  FeltSet set;
   if (count > 1) out.sets.reserve(sets.size());
   for (int s = 0; s < sets.size(); ++s) {
     if (sets.mass[s] < least) continue;
+    // Of each way in which some are felt, a bit each: its share of the set.
+    std::array<double, 1 << kMostContacts> share{1.0};
     int strongest = 0;
+    double most = 0.0;
     for (int j = 0; j < count; ++j) {
       const double likely = all ? 1.0 : sets.felt[j][s];
-      odds[j] = {1.0 - likely, likely};
-      if (likely > odds[strongest][1]) strongest = j;
+      if (likely > most) most = likely, strongest = j;
+      for (int way = 0; way < 1 << j; ++way) {
+        share[way | 1 << j] = share[way] * likely, share[way] *= 1.0 - likely;
+      }
     }
+    const double whole = sets.mass[s] / kept;
     for (unsigned way = 0; way < 1u << count; ++way) {
-      double share = odds[0][way & 1];
-      for (int j = 1; j < count; ++j) share *= odds[j][way >> j & 1];
-      if (share < kUnlikely) continue;
-      share *= sets.mass[s] / kept;
+      if (share[way] < kUnlikely) continue;
+      const double mass = share[way] * whole;
       if ((way & (way - 1)) == 0) {  // one at most
         const int only = way ? std::countr_zero(way) : strongest, cell = sets.cell(only, s);
-        out.contacts[only].add(cell, share, sets.mean[only][s], sets.spread[only][s]);
-        if (way) out.contacts[only].felt[cell] += share;
+        out.contacts[only].add(cell, mass, sets.mean[only][s], sets.spread[only][s]);
+        if (way) out.contacts[only].felt[cell] += mass;
         continue;
       }
-      set.mass = share, set.count = 0;
+      FeltSet& set = out.sets.emplace_back();
+      set.mass = mass;
       for (int j = 0; j < count; ++j) {
         if (!(way >> j & 1)) continue;
         const int cell = sets.cell(j, s);
@@ -820,7 +887,6 @@ inline Shares share_out(const Grid& sets, bool all, double nothing) {
         set.arc[set.count] = out.contacts[j].place[cell];
         set.force[set.count] = sets.mean[j][s], set.spread[set.count++] = sets.spread[j][s];
       }
-      out.sets.push_back(set);
     }
   }
   for (Marginal& contact : out.contacts) contact.average();
