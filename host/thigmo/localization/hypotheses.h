@@ -501,10 +501,9 @@ class Explanations {
       Placed& p = grid.placed[j];
       if (p.load->where != Load::Where::anywhere || p.width < 1e-6) continue;
       Row each(p.cells);
-      for (int s = 0; s < grid.size(); ++s)
-        each[grid.cell(static_cast<int>(j), s)] += grid.mass[s] / grid.total;
-      if (*std::max_element(each.begin(), each.end()) < coarse) continue;
-      const Window part = support(each.data(), p.cells, p.window, kOutside, 2);
+      for (int s = 0; s < grid.size(); ++s) each[grid.cell(static_cast<int>(j), s)] += grid.mass[s];
+      if (*std::max_element(each.begin(), each.end()) < coarse * grid.total) continue;
+      const Window part = support(each.data(), p.cells, p.window, kOutside * grid.total, 2);
       if (part.far - part.near >= 0.75 * (p.window.far - p.window.near)) continue;
       p.window = part, finer = true;
     }

@@ -131,6 +131,16 @@ THIGMO_WIDE inline double largest(const double* value, int count) {
   return largest(top);
 }
 
+// Sum of what is `least` or more, of a whole number of fours.
+THIGMO_WIDE inline double sum_from(double least, const Row& value) {
+  Four sum{};
+  for (std::size_t s = 0; s < value.size(); s += 4) {
+    const Four& own = four(&value[s]);
+    sum += own >= least ? own : Four{};
+  }
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
 // Probability that a normal number lies within plus and minus a limit.
 inline double probability_within(double mean, double variance, double limit) {
   const double scale = 1.0 / std::sqrt(2.0 * std::max(variance, 1e-300));
@@ -411,7 +421,7 @@ class Grid {
       peak = most, level = r / scales, scale_ = prior.scales[r % scales];
       best_ = static_cast<int>(std::max_element(weight, weight + sets_) - weight);
     }
-    for (const double each : mass) total += each;
+    total = sum_from(0.0, mass);
     prior_ = &prior;
     return total > 0.0;
   }
@@ -420,9 +430,7 @@ class Grid {
   double share_below(double rest) const {
     double share = rest > 0.0 ? 1.0 / sets_ : 0.0;
     while (share > 0.0) {
-      double below = 0.0;
-      for (const double each : mass) below += each < share * total ? each : 0.0;
-      if (below <= rest * total) break;
+      if (total - sum_from(share * total, mass) <= rest * total) break;
       share = share > 1e-9 ? 0.5 * share : 0.0;
     }
     return share;
@@ -852,8 +860,7 @@ inline Shares share_out(const Grid& sets, bool all, double nothing) {
     out.contacts.push_back({std::move(places), sets.width(j), none, none, none, none});
   }
   const double least = nothing * sets.total;
-  double kept = 0.0;
-  for (const double mass : sets.mass) kept += mass < least ? 0.0 : mass;
+  const double kept = sum_from(least, sets.mass);
   if (count > 1) out.sets.reserve(sets.size());
   for (int s = 0; s < sets.size(); ++s) {
     if (sets.mass[s] < least) continue;
