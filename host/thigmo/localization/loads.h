@@ -92,15 +92,39 @@ constexpr double kNothing = 25.0;           // nats below the likeliest set that
 constexpr double kNearlyNothing = 1.4e-11;  // the same as a weight
 constexpr std::size_t kMostContacts = 3;
 
-// Numbers of four sets of places, as a processor takes them.
-using Four [[gnu::vector_size(32), gnu::aligned(8)]] = double;
-inline const Four& four(const double* from) { return *reinterpret_cast<const Four*>(from); }
-inline Four& four(double* from) { return *reinterpret_cast<Four*>(from); }
+// Numbers of four sets of places, or of eight, as processors take them.
+template <int>
+struct Lanes;
+template <>
+struct Lanes<4> {
+  using Type [[gnu::vector_size(32), gnu::aligned(8)]] = double;
+};
+template <>
+struct Lanes<8> {
+  using Type [[gnu::vector_size(64), gnu::aligned(8)]] = double;
+};
+using Four = Lanes<4>::Type;
+using Eight = Lanes<8>::Type;
+template <int N>
+[[gnu::always_inline]] inline const typename Lanes<N>::Type& lanes(const double* from) {
+  return *reinterpret_cast<const typename Lanes<N>::Type*>(from);
+}
+template <int N>
+[[gnu::always_inline]] inline typename Lanes<N>::Type& lanes(double* from) {
+  return *reinterpret_cast<typename Lanes<N>::Type*>(from);
+}
+inline const Four& four(const double* from) { return lanes<4>(from); }
+inline Four& four(double* from) { return lanes<4>(from); }
 
 // Roots, of zero where a number is less.
 [[gnu::always_inline]] inline Four root(Four of) {
   of = of > 0.0 ? of : Four{};
   return Four{std::sqrt(of[0]), std::sqrt(of[1]), std::sqrt(of[2]), std::sqrt(of[3])};
+}
+[[gnu::always_inline]] inline Eight root(Eight of) {
+  of = of > 0.0 ? of : Eight{};
+  return Eight{std::sqrt(of[0]), std::sqrt(of[1]), std::sqrt(of[2]), std::sqrt(of[3]),
+               std::sqrt(of[4]), std::sqrt(of[5]), std::sqrt(of[6]), std::sqrt(of[7])};
 }
 
 inline double largest(const Four& of) {
@@ -109,19 +133,20 @@ inline double largest(const Four& of) {
 
 // e^x for x up to 700, to 11 digits; what is below e^-200 counts as that. Without branches or
 // calls, and the same on every machine.
-[[gnu::always_inline]] inline Four exponential(Four x) {
-  using Bits [[gnu::vector_size(32)]] = std::uint64_t;
+template <class Numbers>
+[[gnu::always_inline]] inline Numbers exponential(Numbers x) {
+  using Bits = decltype(x > x);
   constexpr double kShift = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to a whole number
-  x = x > -200.0 ? x : -200.0 + Four{};
-  const Four shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
+  x = x > -200.0 ? x : -200.0 + Numbers{};
+  const Numbers shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
   // The rest, at most ln(2) / 2, by Taylor's series.
-  const Four r = (x - whole * 0x1.62e42fefa0000p-1) - whole * 0x1.cf79abc9e3b3ap-40;
+  const Numbers r = (x - whole * 0x1.62e42fefa0000p-1) - whole * 0x1.cf79abc9e3b3ap-40;
   constexpr std::array kTerms{1.0,           1.0,           1.0 / 2.0,   1.0 / 6.0,
                               1.0 / 24.0,    1.0 / 120.0,   1.0 / 720.0, 1.0 / 5040.0,
                               1.0 / 40320.0, 1.0 / 362880.0};
-  Four sum = kTerms.back() + Four{};
+  Numbers sum = kTerms.back() + Numbers{};
   for (int k = 8; k >= 0; --k) sum = sum * r + kTerms[k];
-  return sum * Four((Bits(shifted) + 1023) << 52);
+  return sum * Numbers((Bits(shifted) + 1023) << 52);
 }
 
 // Of a whole number of fours.
@@ -150,14 +175,16 @@ inline double probability_within(double mean, double variance, double limit) {
 // Probability that a load which moves the readings by `moved` standard errors, give or take
 // `deviation` of them, moves them by `least` or more: the normal integral to 2e-7 (Abramowitz and
 // Stegun, 7.1.26).
-[[gnu::always_inline]] inline Four probability_felt(Four moved, Four deviation, double least) {
-  const Four deviate = (moved - least) / (deviation > 1e-12 ? deviation : 1e-12 + Four{});
-  const Four size = deviate > 0.0 ? deviate : -deviate;
-  const Four t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * size);
-  const Four series =
+template <class Numbers>
+[[gnu::always_inline]] inline Numbers probability_felt(Numbers moved, Numbers deviation,
+                                                       double least) {
+  const Numbers deviate = (moved - least) / (deviation > 1e-12 ? deviation : 1e-12 + Numbers{});
+  const Numbers size = deviate > 0.0 ? deviate : -deviate;
+  const Numbers t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * size);
+  const Numbers series =
       ((((1.061405429 * t - 1.453152027) * t + 1.421413741) * t - 0.284496736) * t + 0.254829592) *
       t;
-  const Four beyond = 0.5 * series * exponential(-0.5 * deviate * deviate);
+  const Numbers beyond = 0.5 * series * exponential(-0.5 * deviate * deviate);
   return deviate > 0.0 ? 1.0 - beyond : beyond;
 }
 
@@ -218,21 +245,23 @@ struct Shares {
 
 // Normal equations of K numbers: products with the readings and, lower half, with each other;
 // precision of the prior.
-template <int K>
+template <int K, int N = 4>
 struct Normal {
-  Four told[K], lower[K][K], prior[K];
+  using Numbers = typename Lanes<N>::Type;
+  Numbers told[K], lower[K][K], prior[K];
 };
 
 // The same, one number eliminated after another (Gauss).
-template <int K>
+template <int K, int N = 4>
 struct Eliminated {
-  Four lower[K][K], inverse[K], left[K], gain{}, volume = 1.0 + Four{};
-  [[gnu::always_inline]] explicit Eliminated(const Normal<K>& of) {
+  using Numbers = typename Lanes<N>::Type;
+  Numbers lower[K][K], inverse[K], left[K], gain{}, volume = 1.0 + Numbers{};
+  [[gnu::always_inline]] explicit Eliminated(const Normal<K, N>& of) {
 #pragma GCC unroll 8
     for (int j = 0; j < K; ++j) {
-      Four raw[K];
+      Numbers raw[K];
       left[j] = of.told[j];
-      Four own = of.prior[j] + of.lower[j][j];
+      Numbers own = of.prior[j] + of.lower[j][j];
 #pragma GCC unroll 8
       for (int l = 0; l < j; ++l) {
         raw[l] = of.lower[j][l];
@@ -248,8 +277,8 @@ struct Eliminated {
     }
   }
   // Means and variances.
-  [[gnu::always_inline]] void solve(Four* mean, Four* variance) const {
-    Four up[K][K];  // transposed inverse of the lower triangle
+  [[gnu::always_inline]] void solve(Numbers* mean, Numbers* variance) const {
+    Numbers up[K][K];  // transposed inverse of the lower triangle
 #pragma GCC unroll 8
     for (int j = K - 1; j >= 0; --j) {
       mean[j] = left[j] * inverse[j], variance[j] = inverse[j];
@@ -264,8 +293,8 @@ struct Eliminated {
     }
   }
   // Variance of a sum of the numbers, whose shares are overwritten.
-  [[gnu::always_inline]] void variance(Four* of, Four& out) const {
-    out = Four{};
+  [[gnu::always_inline]] void variance(Numbers* of, Numbers& out) const {
+    out = Numbers{};
 #pragma GCC unroll 8
     for (int k = 0; k < K; ++k) {
 #pragma GCC unroll 8
@@ -381,7 +410,9 @@ class Grid {
 
   // Weighs all sets, over levels of the noise and scales of the forces. Returns whether any of them
   // is possible.
-  THIGMO_WIDE bool weigh(const ForcePrior& prior) {
+  THIGMO_WIDEST(bool, weigh, const ForcePrior& prior, prior)
+  template <int N>
+  [[gnu::always_inline]] bool weigh_by(const ForcePrior& prior) {
     const std::size_t scales = prior.scales.size();
     weight_.resize(static_cast<int>(levels_.size() * scales), padded());
     ways_.clear();
@@ -395,18 +426,18 @@ class Grid {
       const Scaled by = scaled(prior.scales[r % scales]);
       double* __restrict weight = weight_[r], * __restrict volume = volumes.data();
       numbers([&]<int K>() __attribute__((always_inline)) {
-        for (int s = 0; s < sets_; s += 4) {
-          const Eliminated<K> found(normal<K>(of, by, s));
-          four(weight + s) = 0.5 * found.gain, four(volume + s) = found.volume * by.wider;
+        for (int s = 0; s < padded(); s += N) {
+          const Eliminated<K, N> found(normal<K, N>(of, by, s));
+          lanes<N>(weight + s) = 0.5 * found.gain, lanes<N>(volume + s) = found.volume * by.wider;
         }
       });
       const double most = largest(weight, padded()) + of.constant + by.constant;
       if (!(most > -INFINITY) || most < top - kNothing) continue;
       ways_.push_back({r, by, most}), top = std::max(top, most);
       const double shift = of.constant + by.constant - most;
-      for (int s = 0; s < sets_; s += 4) {
-        four(weight + s) =
-            four(&density_[s]) * exponential(four(weight + s) + shift) / root(four(volume + s));
+      for (int s = 0; s < padded(); s += N) {
+        lanes<N>(weight + s) = lanes<N>(&density_[s]) * exponential(lanes<N>(weight + s) + shift) /
+                               root(lanes<N>(volume + s));
       }
       if (bounded) bound(prior.critical, folds, of, by, weight);
     }
@@ -438,26 +469,29 @@ class Grid {
 
   // Of sets that hold a share of `least` or more: forces over levels and scales, and the
   // probability that each contact counts. Contacts of other sets are taken to count.
-  THIGMO_WIDE void solve(double least) {
+  THIGMO_WIDEST(void, solve, double least, least)
+  template <int N>
+  [[gnu::always_inline]] void solve_by(double least) {
+    using Numbers = typename Lanes<N>::Type;
     const int contacts = count();
     for (Matrix* each : {&mean, &spread, &felt}) each->resize(contacts, padded());
     const int scales = static_cast<int>(prior_->scales.size());
     // `Single`: whether each contact has one number, and nothing else has any.
     const auto run = [&]<int K, bool Single>() __attribute__((always_inline)) {
       constexpr int kContacts = std::min<int>(K, kMostContacts);
-      for (int s = 0; s < sets_; s += 4) {
-        const Four& whole = four(&mass[s]);
-        if (largest(whole) < least * total) {
-          for (int j = 0; j < contacts; ++j) four(felt[j] + s) = 1.0 + Four{};
+      for (int s = 0; s < padded(); s += N) {
+        const Numbers& whole = lanes<N>(&mass[s]);
+        if (largest(&mass[s], N) < least * total) {
+          for (int j = 0; j < contacts; ++j) lanes<N>(felt[j] + s) = 1.0 + Numbers{};
           continue;
         }
-        Four first[kContacts]{}, second[kContacts]{}, times[kContacts]{}, likely[kContacts]{};
+        Numbers first[kContacts]{}, second[kContacts]{}, times[kContacts]{}, likely[kContacts]{};
         for (const auto& [r, by, share] : ways_) {
-          const Normal<K> normal = this->normal<K>(levels_[r / scales], by, s);
-          const Eliminated<K> found(normal);
-          Four force[K], variance[K];
+          const Normal<K, N> normal = this->normal<K, N>(levels_[r / scales], by, s);
+          const Eliminated<K, N> found(normal);
+          Numbers force[K], variance[K];
           found.solve(force, variance);
-          const Four own = share * four(weight_[r] + s);
+          const Numbers own = share * lanes<N>(weight_[r] + s);
           if constexpr (Single) {
 #pragma GCC unroll 3
             for (int j = 0; j < K; ++j) {
@@ -467,7 +501,7 @@ class Grid {
           }
           for (int j = 0, from = 0; j < contacts; from += placed[j++].size()) {
             const int beyond = from + placed[j].size(), across = placed[j].across;
-            Four ways[K]{}, moves[K]{}, length{}, standard{}, size, loose, told;
+            Numbers ways[K]{}, moves[K]{}, length{}, standard{}, size, loose, told;
             for (int k = from; k < beyond; ++k) {
               if (k < from + across) ways[k] = force[k], length += force[k] * force[k];
               for (int l = from; l < beyond; ++l) {
@@ -476,28 +510,29 @@ class Grid {
               standard += moves[k] * force[k];
             }
             found.variance(ways, loose), found.variance(moves, told);
-            loose /= length > 1e-300 ? length : 1e-300 + Four{};
-            told /= standard > 1e-300 ? standard : 1e-300 + Four{};
+            loose /= length > 1e-300 ? length : 1e-300 + Numbers{};
+            told /= standard > 1e-300 ? standard : 1e-300 + Numbers{};
             size = across == 1 ? force[from] : root(length), standard = root(standard);
             first[j] += own * size, second[j] += own * (size * size + loose);
             times[j] += own * standard, likely[j] += own * (standard * standard + told);
           }
         }
-        const Four part = 1.0 / (whole > 1e-300 ? whole : 1e-300 + Four{});
+        const Numbers part = 1.0 / (whole > 1e-300 ? whole : 1e-300 + Numbers{});
 #pragma GCC unroll 3
         for (int j = 0; j < kContacts; ++j) {
           if (!Single && j == contacts) break;
-          const Four one = first[j] * part, loose = root(second[j] * part - one * one);
-          Four moved, told, unit;
+          const Numbers one = first[j] * part, loose = root(second[j] * part - one * one);
+          Numbers moved, told, unit;
           if (Single) {  // how far a force moves the readings is that times its size
-            const Four moves = root(product(levels_[level], j, j, s));
+            const Numbers moves = root(product<N>(levels_[level], j, j, s));
             moved = (one > 0.0 ? one : -one) * moves, told = loose * moves;
           } else {
             moved = times[j] * part, told = root(likely[j] * part - moved * moved);
           }
-          four(felt[j] + s) = probability_felt(moved, told, prior_->felt);
-          for (int lane = 0; lane < 4; ++lane) unit[lane] = placed[j].unit[cell_[j][s + lane]];
-          four(mean[j] + s) = one * unit, four(spread[j] + s) = loose * (unit > 0.0 ? unit : -unit);
+          lanes<N>(felt[j] + s) = probability_felt(moved, told, prior_->felt);
+          for (int lane = 0; lane < N; ++lane) unit[lane] = placed[j].unit[cell_[j][s + lane]];
+          lanes<N>(mean[j] + s) = one * unit,
+                             lanes<N>(spread[j] + s) = loose * (unit > 0.0 ? unit : -unit);
         }
       }
     };
@@ -642,10 +677,11 @@ class Grid {
     double share;
   };
 
-  int padded() const { return (sets_ + 3) / 4 * 4; }  // to whole vectors of four
+  int padded() const { return (sets_ + 7) / 8 * 8; }  // to whole vectors of eight
   static int gram(int count, int k, int l) { return count + k * (k + 1) / 2 + l; }
-  const Four& product(const Products& of, int k, int l, int s) const {
-    return four(of.of[gram(static_cast<int>(number_.size()), k, l)] + s);
+  template <int N = 4>
+  const typename Lanes<N>::Type& product(const Products& of, int k, int l, int s) const {
+    return lanes<N>(of.of[gram(static_cast<int>(number_.size()), k, l)] + s);
   }
   // Whether a load has the same columns as the one before it.
   bool twin(std::size_t j) const {
@@ -777,14 +813,14 @@ class Grid {
     }(std::make_integer_sequence<int, 8>{});
   }
 
-  // Normal equations of four sets from `s` on.
-  template <int K>
-  [[gnu::always_inline]] Normal<K> normal(const Products& of, const Scaled& by, int s) const {
-    Normal<K> out;
+  // Normal equations of N sets from `s` on.
+  template <int K, int N = 4>
+  [[gnu::always_inline]] Normal<K, N> normal(const Products& of, const Scaled& by, int s) const {
+    Normal<K, N> out;
     for (int k = 0; k < K; ++k) {
-      out.prior[k] = by.tight[k] + Four{};
-      out.told[k] = four(of.of[k] + s) + by.tight[k] * number_[k].mean;
-      for (int l = 0; l <= k; ++l) out.lower[k][l] = four(of.of[gram(K, k, l)] + s);
+      out.prior[k] = by.tight[k] + typename Lanes<N>::Type{};
+      out.told[k] = lanes<N>(of.of[k] + s) + by.tight[k] * number_[k].mean;
+      for (int l = 0; l <= k; ++l) out.lower[k][l] = lanes<N>(of.of[gram(K, k, l)] + s);
     }
     return out;
   }
