@@ -395,8 +395,8 @@ class Explanations {
       if (turn == 0 && count > 2 && !all) {
         const double least = best() - odds + kNegligible;
         if (log_evidence < least) return kNone;
-        for (const double part : {0.25, 0.0}) {  // mostly the likelier sets decide
-          grid.solve(part / grid.size());
+        for (const double part : {0.85, 0.0}) {  // mostly the likelier sets decide
+          grid.solve(grid.share_below(part * std::exp(least - log_evidence)));
           if (log_evidence + std::log(grid.all_felt()) < least) return kNone;
         }
       }
@@ -501,10 +501,9 @@ class Explanations {
       Placed& p = grid.placed[j];
       if (p.load->where != Load::Where::anywhere || p.width < 1e-6) continue;
       Row each(p.cells);
-      for (int s = 0; s < grid.size(); ++s)
-        each[grid.cell(static_cast<int>(j), s)] += grid.mass[s] / grid.total;
-      if (*std::max_element(each.begin(), each.end()) < coarse) continue;
-      const Window part = support(each.data(), p.cells, p.window, kOutside, 2);
+      for (int s = 0; s < grid.size(); ++s) each[grid.cell(static_cast<int>(j), s)] += grid.mass[s];
+      if (*std::max_element(each.begin(), each.end()) < coarse * grid.total) continue;
+      const Window part = support(each.data(), p.cells, p.window, kOutside * grid.total, 2);
       if (part.far - part.near >= 0.75 * (p.window.far - p.window.near)) continue;
       p.window = part, finer = true;
     }

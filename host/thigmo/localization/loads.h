@@ -31,6 +31,7 @@ struct Load {
   bool critical = false;  // its moment at the base is that which folds it
   bool is_contact() const { return across; }
   bool holds() const { return couples == Couples::any; }
+  bool operator==(const Load&) const = default;
 };
 constexpr Load kTouch{.where = Load::Where::anywhere, .across = true};
 constexpr Load kFolding{.where = Load::Where::anywhere, .across = true, .critical = true};
@@ -91,15 +92,39 @@ constexpr double kNothing = 25.0;           // nats below the likeliest set that
 constexpr double kNearlyNothing = 1.4e-11;  // the same as a weight
 constexpr std::size_t kMostContacts = 3;
 
-// Numbers of four sets of places, as a processor takes them.
-using Four [[gnu::vector_size(32), gnu::aligned(8)]] = double;
-inline const Four& four(const double* from) { return *reinterpret_cast<const Four*>(from); }
-inline Four& four(double* from) { return *reinterpret_cast<Four*>(from); }
+// Numbers of four sets of places, or of eight, as processors take them.
+template <int>
+struct Lanes;
+template <>
+struct Lanes<4> {
+  using Type [[gnu::vector_size(32), gnu::aligned(8)]] = double;
+};
+template <>
+struct Lanes<8> {
+  using Type [[gnu::vector_size(64), gnu::aligned(8)]] = double;
+};
+using Four = Lanes<4>::Type;
+using Eight = Lanes<8>::Type;
+template <int N>
+[[gnu::always_inline]] inline const typename Lanes<N>::Type& lanes(const double* from) {
+  return *reinterpret_cast<const typename Lanes<N>::Type*>(from);
+}
+template <int N>
+[[gnu::always_inline]] inline typename Lanes<N>::Type& lanes(double* from) {
+  return *reinterpret_cast<typename Lanes<N>::Type*>(from);
+}
+inline const Four& four(const double* from) { return lanes<4>(from); }
+inline Four& four(double* from) { return lanes<4>(from); }
 
 // Roots, of zero where a number is less.
 [[gnu::always_inline]] inline Four root(Four of) {
-  for (int lane = 0; lane < 4; ++lane) of[lane] = std::sqrt(of[lane] > 0.0 ? of[lane] : 0.0);
-  return of;
+  of = of > 0.0 ? of : Four{};
+  return Four{std::sqrt(of[0]), std::sqrt(of[1]), std::sqrt(of[2]), std::sqrt(of[3])};
+}
+[[gnu::always_inline]] inline Eight root(Eight of) {
+  of = of > 0.0 ? of : Eight{};
+  return Eight{std::sqrt(of[0]), std::sqrt(of[1]), std::sqrt(of[2]), std::sqrt(of[3]),
+               std::sqrt(of[4]), std::sqrt(of[5]), std::sqrt(of[6]), std::sqrt(of[7])};
 }
 
 inline double largest(const Four& of) {
@@ -108,19 +133,20 @@ inline double largest(const Four& of) {
 
 // e^x for x up to 700, to 11 digits; what is below e^-200 counts as that. Without branches or
 // calls, and the same on every machine.
-[[gnu::always_inline]] inline Four exponential(Four x) {
-  using Bits [[gnu::vector_size(32)]] = std::uint64_t;
+template <class Numbers>
+[[gnu::always_inline]] inline Numbers exponential(Numbers x) {
+  using Bits = decltype(x > x);
   constexpr double kShift = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to a whole number
-  x = x > -200.0 ? x : -200.0 + Four{};
-  const Four shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
+  x = x > -200.0 ? x : -200.0 + Numbers{};
+  const Numbers shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
   // The rest, at most ln(2) / 2, by Taylor's series.
-  const Four r = (x - whole * 0x1.62e42fefa0000p-1) - whole * 0x1.cf79abc9e3b3ap-40;
+  const Numbers r = (x - whole * 0x1.62e42fefa0000p-1) - whole * 0x1.cf79abc9e3b3ap-40;
   constexpr std::array kTerms{1.0,           1.0,           1.0 / 2.0,   1.0 / 6.0,
                               1.0 / 24.0,    1.0 / 120.0,   1.0 / 720.0, 1.0 / 5040.0,
                               1.0 / 40320.0, 1.0 / 362880.0};
-  Four sum = kTerms.back() + Four{};
+  Numbers sum = kTerms.back() + Numbers{};
   for (int k = 8; k >= 0; --k) sum = sum * r + kTerms[k];
-  return sum * Four((Bits(shifted) + 1023) << 52);
+  return sum * Numbers((Bits(shifted) + 1023) << 52);
 }
 
 // Of a whole number of fours.
@@ -128,6 +154,16 @@ THIGMO_WIDE inline double largest(const double* value, int count) {
   Four top = four(value);
   for (int s = 4; s < count; s += 4) top = four(value + s) > top ? four(value + s) : top;
   return largest(top);
+}
+
+// Sum of what is `least` or more, of a whole number of fours.
+THIGMO_WIDE inline double sum_from(double least, const Row& value) {
+  Four sum{};
+  for (std::size_t s = 0; s < value.size(); s += 4) {
+    const Four& own = four(&value[s]);
+    sum += own >= least ? own : Four{};
+  }
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
 // Probability that a normal number lies within plus and minus a limit.
@@ -139,14 +175,16 @@ inline double probability_within(double mean, double variance, double limit) {
 // Probability that a load which moves the readings by `moved` standard errors, give or take
 // `deviation` of them, moves them by `least` or more: the normal integral to 2e-7 (Abramowitz and
 // Stegun, 7.1.26).
-[[gnu::always_inline]] inline Four probability_felt(Four moved, Four deviation, double least) {
-  const Four deviate = (moved - least) / (deviation > 1e-12 ? deviation : 1e-12 + Four{});
-  const Four size = deviate > 0.0 ? deviate : -deviate;
-  const Four t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * size);
-  const Four series =
+template <class Numbers>
+[[gnu::always_inline]] inline Numbers probability_felt(Numbers moved, Numbers deviation,
+                                                       double least) {
+  const Numbers deviate = (moved - least) / (deviation > 1e-12 ? deviation : 1e-12 + Numbers{});
+  const Numbers size = deviate > 0.0 ? deviate : -deviate;
+  const Numbers t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * size);
+  const Numbers series =
       ((((1.061405429 * t - 1.453152027) * t + 1.421413741) * t - 0.284496736) * t + 0.254829592) *
       t;
-  const Four beyond = 0.5 * series * exponential(-0.5 * deviate * deviate);
+  const Numbers beyond = 0.5 * series * exponential(-0.5 * deviate * deviate);
   return deviate > 0.0 ? 1.0 - beyond : beyond;
 }
 
@@ -207,22 +245,27 @@ struct Shares {
 
 // Normal equations of K numbers: products with the readings and, lower half, with each other;
 // precision of the prior.
-template <int K>
+template <int K, int N = 4>
 struct Normal {
-  Four told[K], lower[K][K], prior[K];
+  using Numbers = typename Lanes<N>::Type;
+  Numbers told[K], lower[K][K], prior[K];
 };
 
 // The same, one number eliminated after another (Gauss).
-template <int K>
+template <int K, int N = 4>
 struct Eliminated {
-  Four lower[K][K], inverse[K], left[K], gain{}, volume = 1.0 + Four{};
-  [[gnu::always_inline]] explicit Eliminated(const Normal<K>& of) {
+  using Numbers = typename Lanes<N>::Type;
+  Numbers lower[K][K], inverse[K], left[K], gain{}, volume = 1.0 + Numbers{};
+  [[gnu::always_inline]] explicit Eliminated(const Normal<K, N>& of) {
+#pragma GCC unroll 8
     for (int j = 0; j < K; ++j) {
-      Four raw[K];
+      Numbers raw[K];
       left[j] = of.told[j];
-      Four own = of.prior[j] + of.lower[j][j];
+      Numbers own = of.prior[j] + of.lower[j][j];
+#pragma GCC unroll 8
       for (int l = 0; l < j; ++l) {
         raw[l] = of.lower[j][l];
+#pragma GCC unroll 8
         for (int k = 0; k < l; ++k) raw[l] -= raw[k] * lower[l][k];
         lower[j][l] = raw[l] * inverse[l];
         left[j] -= lower[j][l] * left[l];
@@ -234,22 +277,27 @@ struct Eliminated {
     }
   }
   // Means and variances.
-  [[gnu::always_inline]] void solve(Four* mean, Four* variance) const {
-    Four up[K][K];  // transposed inverse of the lower triangle
-    for (int j = K; j-- > 0;) {
+  [[gnu::always_inline]] void solve(Numbers* mean, Numbers* variance) const {
+    Numbers up[K][K];  // transposed inverse of the lower triangle
+#pragma GCC unroll 8
+    for (int j = K - 1; j >= 0; --j) {
       mean[j] = left[j] * inverse[j], variance[j] = inverse[j];
+#pragma GCC unroll 8
       for (int k = j + 1; k < K; ++k) {
         mean[j] -= lower[k][j] * mean[k];
         up[j][k] = -lower[k][j];
+#pragma GCC unroll 8
         for (int l = j + 1; l < k; ++l) up[j][k] -= lower[l][j] * up[l][k];
         variance[j] += up[j][k] * up[j][k] * inverse[k];
       }
     }
   }
   // Variance of a sum of the numbers, whose shares are overwritten.
-  [[gnu::always_inline]] void variance(Four* of, Four& out) const {
-    out = Four{};
+  [[gnu::always_inline]] void variance(Numbers* of, Numbers& out) const {
+    out = Numbers{};
+#pragma GCC unroll 8
     for (int k = 0; k < K; ++k) {
+#pragma GCC unroll 8
       for (int l = 0; l < k; ++l) of[k] -= lower[k][l] * of[l];
       out += of[k] * of[k] * inverse[k];
     }
@@ -342,11 +390,14 @@ class Grid {
   void take(const Whitened& readings, int only = -1) {
     int wide = 0;
     first_.clear();
-    for (const Placed& p : placed) first_.push_back(wide), wide += p.column.columns;
+    for (std::size_t j = 0; j < placed.size(); ++j) {
+      first_.push_back(twin(j) ? first_.back() : wide);
+      if (!twin(j)) wide += placed[j].column.columns;
+    }
     column_.resize(readings.frame->size(), wide);
     for (std::size_t j = 0; j < placed.size(); ++j) {
       const Matrix& from = placed[j].column;
-      for (int i = 0; i < from.rows; ++i) {
+      for (int i = 0; !twin(j) && i < from.rows; ++i) {
         std::copy_n(from[i], from.columns, column_[i] + first_[j]);
       }
     }
@@ -359,7 +410,9 @@ class Grid {
 
   // Weighs all sets, over levels of the noise and scales of the forces. Returns whether any of them
   // is possible.
-  THIGMO_WIDE bool weigh(const ForcePrior& prior) {
+  THIGMO_WIDEST(bool, weigh, const ForcePrior& prior, prior)
+  template <int N>
+  [[gnu::always_inline]] bool weigh_by(const ForcePrior& prior) {
     const std::size_t scales = prior.scales.size();
     weight_.resize(static_cast<int>(levels_.size() * scales), padded());
     ways_.clear();
@@ -373,18 +426,18 @@ class Grid {
       const Scaled by = scaled(prior.scales[r % scales]);
       double* __restrict weight = weight_[r], * __restrict volume = volumes.data();
       numbers([&]<int K>() __attribute__((always_inline)) {
-        for (int s = 0; s < sets_; s += 4) {
-          const Eliminated<K> found(normal<K>(of, by, s));
-          four(weight + s) = 0.5 * found.gain, four(volume + s) = found.volume * by.wider;
+        for (int s = 0; s < padded(); s += N) {
+          const Eliminated<K, N> found(normal<K, N>(of, by, s));
+          lanes<N>(weight + s) = 0.5 * found.gain, lanes<N>(volume + s) = found.volume * by.wider;
         }
       });
       const double most = largest(weight, padded()) + of.constant + by.constant;
       if (!(most > -INFINITY) || most < top - kNothing) continue;
       ways_.push_back({r, by, most}), top = std::max(top, most);
       const double shift = of.constant + by.constant - most;
-      for (int s = 0; s < sets_; s += 4) {
-        four(weight + s) =
-            four(&density_[s]) * exponential(four(weight + s) + shift) / root(four(volume + s));
+      for (int s = 0; s < padded(); s += N) {
+        lanes<N>(weight + s) = lanes<N>(&density_[s]) * exponential(lanes<N>(weight + s) + shift) /
+                               root(lanes<N>(volume + s));
       }
       if (bounded) bound(prior.critical, folds, of, by, weight);
     }
@@ -399,39 +452,56 @@ class Grid {
       peak = most, level = r / scales, scale_ = prior.scales[r % scales];
       best_ = static_cast<int>(std::max_element(weight, weight + sets_) - weight);
     }
-    for (const double each : mass) total += each;
+    total = sum_from(0.0, mass);
     prior_ = &prior;
     return total > 0.0;
   }
 
+  // Share of the mass such that the sets with less of it hold no more than `rest` of it together.
+  double share_below(double rest) const {
+    double share = rest > 0.0 ? 1.0 / sets_ : 0.0;
+    while (share > 0.0) {
+      if (total - sum_from(share * total, mass) <= rest * total) break;
+      share = share > 1e-9 ? 0.5 * share : 0.0;
+    }
+    return share;
+  }
+
   // Of sets that hold a share of `least` or more: forces over levels and scales, and the
   // probability that each contact counts. Contacts of other sets are taken to count.
-  THIGMO_WIDE void solve(double least) {
+  THIGMO_WIDEST(void, solve, double least, least)
+  template <int N>
+  [[gnu::always_inline]] void solve_by(double least) {
+    using Numbers = typename Lanes<N>::Type;
     const int contacts = count();
     for (Matrix* each : {&mean, &spread, &felt}) each->resize(contacts, padded());
     const int scales = static_cast<int>(prior_->scales.size());
-    numbers([&]<int K>() __attribute__((always_inline)) {
+    // `Single`: whether each contact has one number, and nothing else has any.
+    const auto run = [&]<int K, bool Single>() __attribute__((always_inline)) {
       constexpr int kContacts = std::min<int>(K, kMostContacts);
-      const bool single = contacts == K;  // number of each
-      for (int s = 0; s < sets_; s += 4) {
-        const Four& whole = four(&mass[s]);
-        if (largest(whole) < least * total) {
-          for (int j = 0; j < contacts; ++j) four(felt[j] + s) = 1.0 + Four{};
+      for (int s = 0; s < padded(); s += N) {
+        const Numbers& whole = lanes<N>(&mass[s]);
+        if (largest(&mass[s], N) < least * total) {
+          for (int j = 0; j < contacts; ++j) lanes<N>(felt[j] + s) = 1.0 + Numbers{};
           continue;
         }
-        Four first[kContacts]{}, second[kContacts]{}, times[kContacts]{}, likely[kContacts]{};
+        Numbers first[kContacts]{}, second[kContacts]{}, times[kContacts]{}, likely[kContacts]{};
         for (const auto& [r, by, share] : ways_) {
-          const Normal<K> normal = this->normal<K>(levels_[r / scales], by, s);
-          const Eliminated<K> found(normal);
-          Four force[K], variance[K];
+          const Normal<K, N> normal = this->normal<K, N>(levels_[r / scales], by, s);
+          const Eliminated<K, N> found(normal);
+          Numbers force[K], variance[K];
           found.solve(force, variance);
-          const Four own = share * four(weight_[r] + s);
-          for (int j = 0; single && j < kContacts; ++j) {
-            first[j] += own * force[j], second[j] += own * (force[j] * force[j] + variance[j]);
+          const Numbers own = share * lanes<N>(weight_[r] + s);
+          if constexpr (Single) {
+#pragma GCC unroll 3
+            for (int j = 0; j < K; ++j) {
+              first[j] += own * force[j], second[j] += own * (force[j] * force[j] + variance[j]);
+            }
+            continue;
           }
-          for (int j = 0, from = 0; !single && j < contacts; from += placed[j++].size()) {
+          for (int j = 0, from = 0; j < contacts; from += placed[j++].size()) {
             const int beyond = from + placed[j].size(), across = placed[j].across;
-            Four ways[K]{}, moves[K]{}, length{}, standard{}, size, loose, told;
+            Numbers ways[K]{}, moves[K]{}, length{}, standard{}, size, loose, told;
             for (int k = from; k < beyond; ++k) {
               if (k < from + across) ways[k] = force[k], length += force[k] * force[k];
               for (int l = from; l < beyond; ++l) {
@@ -440,28 +510,37 @@ class Grid {
               standard += moves[k] * force[k];
             }
             found.variance(ways, loose), found.variance(moves, told);
-            loose /= length > 1e-300 ? length : 1e-300 + Four{};
-            told /= standard > 1e-300 ? standard : 1e-300 + Four{};
+            loose /= length > 1e-300 ? length : 1e-300 + Numbers{};
+            told /= standard > 1e-300 ? standard : 1e-300 + Numbers{};
             size = across == 1 ? force[from] : root(length), standard = root(standard);
             first[j] += own * size, second[j] += own * (size * size + loose);
             times[j] += own * standard, likely[j] += own * (standard * standard + told);
           }
         }
-        const Four part = 1.0 / (whole > 1e-300 ? whole : 1e-300 + Four{});
-        for (int j = 0; j < kContacts && j < contacts; ++j) {
-          const Four one = first[j] * part, loose = root(second[j] * part - one * one);
-          Four moved, told, unit;
-          if (single) {  // how far a force moves the readings is that times its size
-            const Four moves = root(product(levels_[level], j, j, s));
+        const Numbers part = 1.0 / (whole > 1e-300 ? whole : 1e-300 + Numbers{});
+#pragma GCC unroll 3
+        for (int j = 0; j < kContacts; ++j) {
+          if (!Single && j == contacts) break;
+          const Numbers one = first[j] * part, loose = root(second[j] * part - one * one);
+          Numbers moved, told, unit;
+          if (Single) {  // how far a force moves the readings is that times its size
+            const Numbers moves = root(product<N>(levels_[level], j, j, s));
             moved = (one > 0.0 ? one : -one) * moves, told = loose * moves;
           } else {
             moved = times[j] * part, told = root(likely[j] * part - moved * moved);
           }
-          four(felt[j] + s) = probability_felt(moved, told, prior_->felt);
-          for (int lane = 0; lane < 4; ++lane) unit[lane] = placed[j].unit[cell_[j][s + lane]];
-          four(mean[j] + s) = one * unit, four(spread[j] + s) = loose * (unit > 0.0 ? unit : -unit);
+          lanes<N>(felt[j] + s) = probability_felt(moved, told, prior_->felt);
+          for (int lane = 0; lane < N; ++lane) unit[lane] = placed[j].unit[cell_[j][s + lane]];
+          lanes<N>(mean[j] + s) = one * unit,
+                             lanes<N>(spread[j] + s) = loose * (unit > 0.0 ? unit : -unit);
         }
       }
+    };
+    numbers([&]<int K>() __attribute__((always_inline)) {
+      if constexpr (K <= kMostContacts) {
+        if (contacts == K) return run.template operator()<K, true>();
+      }
+      run.template operator()<K, false>();
     });
   }
 
@@ -598,10 +677,17 @@ class Grid {
     double share;
   };
 
-  int padded() const { return (sets_ + 3) / 4 * 4; }  // to whole vectors of four
+  int padded() const { return (sets_ + 7) / 8 * 8; }  // to whole vectors of eight
   static int gram(int count, int k, int l) { return count + k * (k + 1) / 2 + l; }
-  const Four& product(const Products& of, int k, int l, int s) const {
-    return four(of.of[gram(static_cast<int>(number_.size()), k, l)] + s);
+  template <int N = 4>
+  const typename Lanes<N>::Type& product(const Products& of, int k, int l, int s) const {
+    return lanes<N>(of.of[gram(static_cast<int>(number_.size()), k, l)] + s);
+  }
+  // Whether a load has the same columns as the one before it.
+  bool twin(std::size_t j) const {
+    if (j == 0) return false;
+    const Placed &one = placed[j - 1], &two = placed[j];
+    return *one.load == *two.load && one.window == two.window && one.cells == two.cells;
   }
   void list(std::size_t load, std::vector<int>& at) {
     if (load == placed.size()) {
@@ -629,6 +715,7 @@ class Grid {
       const double *row = out.white[i], own = at.read[i];
       for (int c = 0; c < wide; ++c) told[c] += own * row[c];
     }
+    blocks_.clear();
     for (int k = 0; k < count; ++k) {
       const auto [b, d] = at_[k];
       const int *right = cell_[b].data(), cells = placed[b].cells, from = first_[b] + d * cells;
@@ -639,34 +726,52 @@ class Grid {
         const int *left = cell_[a].data(), rows = placed[a].cells, beside = first_[a] + c * rows;
         to = out.of[gram(count, k, l)];
         if (a == b) {
-          both_.assign(cells, 0.0);
-          for (int i = 0; i < n; ++i) {
-            const double *one = out.white[i] + from, *two = out.white[i] + beside;
-            for (int m = 0; m < cells; ++m) both_[m] += one[m] * two[m];
-          }
-          for (int s = 0; s < padded(); ++s) to[s] = both_[right[s]];
-          continue;
+          const double* own = block(out.white, from, cells, beside, 0);
+          for (int s = 0; s < padded(); ++s) to[s] = own[right[s]];
+        } else {
+          const double* both = block(out.white, from, cells, beside, rows);
+          for (int s = 0; s < padded(); ++s) to[s] = both[left[s] * cells + right[s]];
         }
-        both_.resize(static_cast<std::size_t>(rows) * cells);
-        for (int r = 0; r < rows; ++r) {
-          double* __restrict row = &both_[static_cast<std::size_t>(r) * cells];
-          int m = 0;
-          for (; m + 12 <= cells; m += 12) {
-            Four sum[3]{};
-            for (int i = 0; i < n; ++i) {
-              const double *one = out.white[i] + from + m, own = out.white[i][beside + r];
-              for (int part = 0; part < 3; ++part) sum[part] += own * four(one + 4 * part);
-            }
-            for (int part = 0; part < 3; ++part) four(row + m + 4 * part) = sum[part];
-          }
-          for (; m < cells; ++m) {
-            row[m] = 0.0;
-            for (int i = 0; i < n; ++i) row[m] += out.white[i][from + m] * out.white[i][beside + r];
-          }
-        }
-        for (int s = 0; s < padded(); ++s) to[s] = both_[left[s] * cells + right[s]];
       }
     }
+  }
+
+  // Products of whitened columns from `beside` on, one in each row, with those from `from` on; of
+  // no rows, of those at the same cells. Contacts on the same cells share them.
+  [[gnu::always_inline]] const double* block(const Matrix& white, int from, int cells, int beside,
+                                             int rows) {
+    const std::array key{from, beside, rows};
+    for (const auto& [of, at] : blocks_) {
+      if (of == key) return &both_[at];
+    }
+    const std::size_t at = blocks_.empty() ? 0 : ends_;
+    ends_ = at + static_cast<std::size_t>(std::max(rows, 1)) * cells;
+    if (both_.size() < ends_) both_.resize(ends_);
+    blocks_.push_back({key, at});
+    const int n = white.rows;
+    if (rows == 0) std::fill_n(&both_[at], cells, 0.0);
+    for (int i = 0; rows == 0 && i < n; ++i) {
+      const double *one = white[i] + from, *two = white[i] + beside;
+      double* __restrict to = &both_[at];
+      for (int m = 0; m < cells; ++m) to[m] += one[m] * two[m];
+    }
+    for (int r = 0; r < rows; ++r) {
+      double* __restrict row = &both_[at + static_cast<std::size_t>(r) * cells];
+      int m = 0;
+      for (; m + 12 <= cells; m += 12) {
+        Four sum[3]{};
+        for (int i = 0; i < n; ++i) {
+          const double *one = white[i] + from + m, own = white[i][beside + r];
+          for (int part = 0; part < 3; ++part) sum[part] += own * four(one + 4 * part);
+        }
+        for (int part = 0; part < 3; ++part) four(row + m + 4 * part) = sum[part];
+      }
+      for (; m < cells; ++m) {
+        row[m] = 0.0;
+        for (int i = 0; i < n; ++i) row[m] += white[i][from + m] * white[i][beside + r];
+      }
+    }
+    return &both_[at];
   }
 
   // Products of a column, times its scale, with those of each set, whose levels are raised.
@@ -708,14 +813,14 @@ class Grid {
     }(std::make_integer_sequence<int, 8>{});
   }
 
-  // Normal equations of four sets from `s` on.
-  template <int K>
-  [[gnu::always_inline]] Normal<K> normal(const Products& of, const Scaled& by, int s) const {
-    Normal<K> out;
+  // Normal equations of N sets from `s` on.
+  template <int K, int N = 4>
+  [[gnu::always_inline]] Normal<K, N> normal(const Products& of, const Scaled& by, int s) const {
+    Normal<K, N> out;
     for (int k = 0; k < K; ++k) {
-      out.prior[k] = by.tight[k] + Four{};
-      out.told[k] = four(of.of[k] + s) + by.tight[k] * number_[k].mean;
-      for (int l = 0; l <= k; ++l) out.lower[k][l] = four(of.of[gram(K, k, l)] + s);
+      out.prior[k] = by.tight[k] + typename Lanes<N>::Type{};
+      out.told[k] = lanes<N>(of.of[k] + s) + by.tight[k] * number_[k].mean;
+      for (int l = 0; l <= k; ++l) out.lower[k][l] = lanes<N>(of.of[gram(K, k, l)] + s);
     }
     return out;
   }
@@ -770,6 +875,9 @@ class Grid {
   Matrix column_, weight_, along_;
   std::vector<Products> levels_;
   std::vector<Way> ways_;
+  // Blocks of products of columns, by where they are taken: their first one.
+  std::vector<std::pair<std::array<int, 3>, std::size_t>> blocks_;
+  std::size_t ends_ = 0;
   Row both_, density_;
   const ForcePrior* prior_ = nullptr;
   double scale_ = 0.0;  // of the forces, and index, of the likeliest set
@@ -788,31 +896,33 @@ inline Shares share_out(const Grid& sets, bool all, double nothing) {
     out.contacts.push_back({std::move(places), sets.width(j), none, none, none, none});
   }
   const double least = nothing * sets.total;
-  double kept = 0.0;
-  for (const double mass : sets.mass) kept += mass < least ? 0.0 : mass;
-  std::array<std::array<double, 2>, kMostContacts> odds{};  // that each is not felt, and that it is
-  FeltSet set;
+  const double kept = sum_from(least, sets.mass);
   if (count > 1) out.sets.reserve(sets.size());
   for (int s = 0; s < sets.size(); ++s) {
     if (sets.mass[s] < least) continue;
+    // Of each way in which some are felt, a bit each: its share of the set.
+    std::array<double, 1 << kMostContacts> share{1.0};
     int strongest = 0;
+    double most = 0.0;
     for (int j = 0; j < count; ++j) {
       const double likely = all ? 1.0 : sets.felt[j][s];
-      odds[j] = {1.0 - likely, likely};
-      if (likely > odds[strongest][1]) strongest = j;
+      if (likely > most) most = likely, strongest = j;
+      for (int way = 0; way < 1 << j; ++way) {
+        share[way | 1 << j] = share[way] * likely, share[way] *= 1.0 - likely;
+      }
     }
+    const double whole = sets.mass[s] / kept;
     for (unsigned way = 0; way < 1u << count; ++way) {
-      double share = odds[0][way & 1];
-      for (int j = 1; j < count; ++j) share *= odds[j][way >> j & 1];
-      if (share < kUnlikely) continue;
-      share *= sets.mass[s] / kept;
+      if (share[way] < kUnlikely) continue;
+      const double mass = share[way] * whole;
       if ((way & (way - 1)) == 0) {  // one at most
         const int only = way ? std::countr_zero(way) : strongest, cell = sets.cell(only, s);
-        out.contacts[only].add(cell, share, sets.mean[only][s], sets.spread[only][s]);
-        if (way) out.contacts[only].felt[cell] += share;
+        out.contacts[only].add(cell, mass, sets.mean[only][s], sets.spread[only][s]);
+        if (way) out.contacts[only].felt[cell] += mass;
         continue;
       }
-      set.mass = share, set.count = 0;
+      FeltSet& set = out.sets.emplace_back();
+      set.mass = mass;
       for (int j = 0; j < count; ++j) {
         if (!(way >> j & 1)) continue;
         const int cell = sets.cell(j, s);
@@ -820,7 +930,6 @@ inline Shares share_out(const Grid& sets, bool all, double nothing) {
         set.arc[set.count] = out.contacts[j].place[cell];
         set.force[set.count] = sets.mean[j][s], set.spread[set.count++] = sets.spread[j][s];
       }
-      out.sets.push_back(set);
     }
   }
   for (Marginal& contact : out.contacts) contact.average();

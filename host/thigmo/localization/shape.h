@@ -16,8 +16,20 @@
 #if defined(__x86_64__) && defined(__GLIBC__)
 // Compiled for wide vectors too, and chosen when the library is loaded: the same numbers, sooner.
 #define THIGMO_WIDE __attribute__((target_clones("avx2", "default")))
+// A function of whose template `name`_by<N> takes as many numbers at once as the processor can.
+#define THIGMO_WIDEST(result, name, parameter, argument)                          \
+  __attribute__((target("avx512f"))) result name##_by_eight(parameter) {          \
+    return name##_by<8>(argument);                                                \
+  }                                                                               \
+  THIGMO_WIDE result name##_by_four(parameter) { return name##_by<4>(argument); } \
+  result name(parameter) {                                                        \
+    static const bool eight = __builtin_cpu_supports("avx512f");                  \
+    return eight ? name##_by_eight(argument) : name##_by_four(argument);          \
+  }
 #else
 #define THIGMO_WIDE
+#define THIGMO_WIDEST(result, name, parameter, argument) \
+  result name(parameter) { return name##_by<4>(argument); }
 #endif
 
 namespace thigmo {
