@@ -29,6 +29,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import tomlkit
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -49,10 +50,20 @@ _TOWARDS: dict[float, Side] = {90.0: "left", 270.0: "right"}
 DEGREES: dict[Side, float] = {side: degrees for degrees, side in _TOWARDS.items()}
 IMU_CM = 1.2  # length of an IMU's board along the body
 SAME_IMU_CM = 0.05  # places that are nearer are one IMU's
+SAME_PRESSURE = 0.1  # body pressures that differ by less, relative, have one map
 RAD_PER_OHM = 1e-4  # by which the board's reader of IMUs says a turn
+
+
+def _not_zero(value: float) -> float:
+    if not value:
+        raise ValueError("0 would make every reading 0: give its scale, or leave it out where healthy = false")
+    return value
+
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+NonZero = Annotated[Finite, AfterValidator(_not_zero)]
 
 
 Direction = Annotated[float, Field(ge=0, lt=360, allow_inf_nan=False)]  # around the body, degrees
@@ -161,7 +172,7 @@ class _Sensor(_Placed):
     center_cm: Positive
     span_cm: NonNegative
     scale_se: NonNegative  # relative
-    noise: NonNegative  # 1/cm, white, of an averaged reading
+    noise: Positive  # 1/cm, white, of an averaged reading
     settle_tau_s: Positive = 8.0  # decay after eversion
     settle_amplitude: Finite = 0.0  # 1/cm at eversion
     healthy: bool = True  # false: dead, never used
@@ -193,12 +204,12 @@ class FlexSensor(_Sensor):
     wrinkles = True
     kind: Literal["flex"] = "flex"
     span_cm: NonNegative = 5.5
-    scale_per_ohm: Finite = 3.5e-5  # 1/cm per ohm; sign included, so that left bends read positive
+    scale_per_ohm: NonZero = 3.5e-5  # 1/cm per ohm; sign included, so that left bends read positive
     scale_se: NonNegative = 0.15  # resistances differ by 30 % from part to part
     zero_ohm: Positive = 12_000.0  # flat resistance, a start value: zeroing re-measures it
     zero_se: NonNegative = 3.6e-4  # 1/cm, what zeroing and averaging leave: its loop, slow drift
     valid_direction: Literal[-1, 0, 1] = 0  # the bending direction it answers to; 0 = both
-    noise: NonNegative = 4.8e-4  # 6e-4 with `zero_se`
+    noise: Positive = 4.8e-4  # 6e-4 with `zero_se`
 
     @property
     def zero_error(self) -> float:
@@ -223,7 +234,7 @@ class HeadingSensor(_Sensor):
     scale_se: NonNegative = 0.05
     zero_rad: Finite = 0.0  # turn that they say of the straight body
     heading_se_rad: NonNegative = 3e-3  # of either IMU: what it drifts by from zeroing to reading
-    noise: NonNegative = 1e-4
+    noise: Positive = 1e-4
     # Of the IMU at the span's far end: the multiplexer's channel, and its address; 0 = not stated.
     mux_channel: Annotated[int, Field(ge=0, le=7)] = 0
     i2c_address: Annotated[int, Field(ge=0, le=127)] = 0
@@ -272,10 +283,10 @@ class FibreSensor(_Sensor):
     wrinkles = False
     kind: Literal["fibre"]
     span_cm: NonNegative = 0.5  # length of the grating
-    scale_per_ue: Finite = 2.7e-4  # 1/cm per microstrain; sign included
+    scale_per_ue: NonZero = 2.7e-4  # 1/cm per microstrain; sign included
     scale_se: NonNegative = 0.05
     zero_ue: Finite = 0.0  # of the straight body
-    noise: NonNegative = 2.7e-4  # a microstrain
+    noise: Positive = 2.7e-4  # a microstrain
     # What temperature adds to all gratings alike, 1/cm. A kelvin strains a core by 11 microstrain
     # [a typical grating at 1550 nm]; cores that are told apart leave a tenth of that [assumed].
     temperature_se: NonNegative = 3e-4
@@ -308,8 +319,9 @@ BoardSensor = FlexSensor | HeadingSensor
 
 def _kind(data: Any) -> str:
     """Kind of a sensor's entry; files from before there were kinds have flex sensors."""
-    kind = data.get("kind", "flex") if isinstance(data, dict) else data.kind
-    return str(kind)
+    if isinstance(data, dict):
+        return str(data.get("kind", "flex"))
+    return data.kind if isinstance(data, _Sensor) else ""
 
 
 Sensor = Annotated[
@@ -319,7 +331,7 @@ Sensor = Annotated[
     Discriminator(
         _kind,
         custom_error_type="kind",
-        custom_error_message="kind is none of flex, heading and fibre",
+        custom_error_message="a sensor is a table whose kind is flex, heading or fibre",
     ),
 ]
 
@@ -363,10 +375,17 @@ def _default_zone_maps() -> list[ZoneMap]:
     return [ZoneMap(body_pressure_psi=p) for p in (1.47, 1.01, 0.49)]
 
 
+def _word(name: str) -> str:
+    """A name that fits a command (`left=6`) and a line of text."""
+    if not name or not name.isprintable() or "=" in name or name != name.strip():
+        raise ValueError("give a name on one line, without = and without spaces around it")
+    return name
+
+
 class Muscle(_Placed):
     """One pneumatic muscle with its transducer and pressure sensor."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, AfterValidator(_word)]
     max_pressure_psi: Positive = 18.0
     lag_s: NonNegative = 0.2  # measured pressure to bend
     reversal_psi: Positive = 1.0  # pressure change over which the branch moves inflate <-> deflate
@@ -432,15 +451,29 @@ class RobotConfig(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        nearest: dict[tuple[bool, float], float] = {}  # of what follows in each column
         for number, sensor in enumerate(self.sensors):
             if sensor.center_cm + sensor.span_cm / 2 > self.body.length_cm + 1e-6:
                 raise ValueError(f"sensor[{number}] ends beyond body.length_cm")
+            if sensor.center_cm - sensor.span_cm / 2 < -1e-6:
+                raise ValueError(f"sensor[{number}] begins before the base: see its span_cm")
+            column = isinstance(sensor, FibreSensor), sensor.direction_deg
+            if sensor.center_cm < nearest.get(column, 0.0):
+                raise ValueError(
+                    f"sensor[{number}] lies before another one of its column: list them base first"
+                )
+            nearest[column] = sensor.center_cm
         directions = [muscle.direction_deg for muscle in self.muscles]
         if len(set(directions)) < len(directions):
             raise ValueError("muscle: two of them have the same direction_deg")
         if len({muscle.name for muscle in self.muscles}) < len(directions):
             raise ValueError("muscle: two of them have the same name")
         for number, muscle in enumerate(self.muscles):
+            if muscle.name in SIDES and muscle.name != muscle.side:
+                raise ValueError(
+                    f"muscle[{number}] is named {muscle.name}, which is {DEGREES[muscle.name]:g} "
+                    "degrees: give it another name or direction_deg"
+                )
             if len(muscle.maps) != len(self.body.zones):
                 raise ValueError(f"muscle[{number}].map: one for each of body.pressure is needed")
         return self

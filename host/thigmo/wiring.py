@@ -99,13 +99,16 @@ def unexplored(config: RobotConfig) -> Beyond | None:
             f"{len(config.gratings)} readings of a fibre that no interrogator sends",
             'give `interrogator = "host:port"` in robot.toml, or leave the gratings out of it',
         )
-    names = [f"muscle {muscle.name}" for muscle in config.muscles if muscle.side is None]
-    count = sum(sensor.side is None for sensor in config.board_sensors)
-    if count:
-        names.append(f"{count} sensors")
+    names = [
+        f"muscle {muscle.name} ({muscle.direction_deg:g} degrees)"
+        for muscle in config.muscles
+        if muscle.side is None
+    ]
+    if count := sum(sensor.side is None for sensor in config.board_sensors):
+        names.append(f"{count} sensor{'s'[: count > 1]}")
     if names:
         return Beyond(
-            f"{' and '.join(names)} out of the plane",
+            f"{' and '.join(names)} out of the plane, which is 90 and 270 degrees",
             "press its muscles by name (`Robot.press`), and localize its readings with a column "
             "`direction` (`thigmo localize`)",
         )

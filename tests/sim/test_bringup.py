@@ -199,3 +199,5 @@ def test_a_press_shows_the_pressure_and_vents() -> None:
     assert robot.status().pressure_psi[1] < 0.5
     with pytest.raises(ConfigError, match="at most 5 psi"):
         press(robot, "left", 6.0, 1.0)
+    with pytest.raises(ConfigError, match="no muscle port; use left"):
+        press(robot, "port", 3.0, 1.0)

@@ -93,13 +93,16 @@ def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
     scene.save(tmp_path / "space.toml")
     robot.save(tmp_path / "robot.toml")
     ran = thigmo("robot", "check", tmp_path / "robot.toml")
-    assert "muscle two and muscle three and 6 sensors out of the plane" in " ".join(ran.out.split())
+    apart = " and ".join(
+        f"muscle {m.name} ({m.direction_deg:g} degrees)" for m in robot.muscles[1:]
+    )
+    assert f"{apart} and 6 sensors out of the plane" in " ".join(ran.out.split())
     url = f"emulator://{tmp_path / 'space.toml'}"
     ran = thigmo("explore", "--robot", url, "--out", tmp_path / "runs")
     assert ran.code == 1
     (line,) = ran.err.splitlines()
     assert line.startswith(
-        "thigmo: an exploration is in the plane, by sensors on the board: muscle two and"
+        f"thigmo: an exploration is in the plane, by sensors on the board: {apart} and"
     )
     assert not list((tmp_path / "runs").glob("*"))
     with connect(url) as driven:

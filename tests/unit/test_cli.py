@@ -102,7 +102,11 @@ def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(
     )
     assert sure["noise"] == pytest.approx(1e-4)
     wrong = thigmo(*stated, "--config", tmp_path / "robot.toml", "--side", "up")
-    assert "--side is 'up'" in wrong.err
+    assert "the robot has no muscle up; use left (90) or right (270)" in wrong.err
+    robot.muscles[0].name = "port"
+    robot.save(tmp_path / "named.toml")
+    named = json.loads(thigmo(*stated, "--config", tmp_path / "named.toml", "--muscle", "port").out)
+    assert named["contacts"] == known["contacts"]
     (tmp_path / "r.csv").write_text(BENT.replace("25,", "28,"))
     off = thigmo(*stated, "--config", tmp_path / "robot.toml", "--side", "left")
     assert "no sensor at 28 cm" in off.err
@@ -172,7 +176,7 @@ def test_a_bad_csv_is_one_line_and_status_1(
         (["localize", "r.csv", "--length", "53", "--config", "none.toml"], "none.toml"),
         (["explore", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (["explore", "--robot", "nonsense://x"], "nonsense"),
-        (["localize", "r.csv", "--length", "53", "--side", "left"], "--config is not given"),
+        (["localize", "r.csv", "--length", "53", "--muscle", "left"], "--config is not given"),
         (["explore", "--robot", "a", "--scene", "b"], "both given"),
         (["explore", "--config", "none.toml"], "cannot read none.toml"),
         (["explore", "--config", "bad.toml"], "pegs"),

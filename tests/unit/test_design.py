@@ -49,6 +49,21 @@ def test_growth_that_the_tails_friction_stops_is_said_with_what_it_needs() -> No
     assert "does not grow to its end, which needs 0.92 psi" in said
 
 
+def test_what_the_boards_parameters_cannot_hold_is_said_before_there_is_a_board() -> None:
+    config = draft(120, 8, 1)
+    config.spool.max_speed_cm_s = 1000.0
+    (said,) = _bad(judge(config))
+    assert said.startswith("board: spool_speed_um_s must lie in 100..200000 um/s, not 10000000")
+
+
+def test_a_map_of_another_body_pressure_is_named() -> None:
+    config = draft(120, 8, 1)
+    config.muscles[0].maps.reverse()
+    first, last = _bad(judge(config))
+    assert first.startswith("muscle left: its map for 1.47 psi is of 0.76 psi")
+    assert last.startswith("muscle left: its map for 0.76 psi is of 1.47 psi")
+
+
 def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
     config = draft(53, 5, 2)
     config.sensors = list(config.column("left"))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from thigmo.config import Side
 from thigmo.errors import ConfigError, RobotFaultError
 from thigmo.link.protocol import Output
 from thigmo.robot import JOG_CM, Robot
@@ -77,7 +76,7 @@ def jog(robot: Robot, cm: float) -> float:
 
 def press(
     robot: Robot,
-    side: Side,
+    name: str,
     psi: float,
     seconds: float,
     progress: Callable[[float], None] = lambda psi: None,
@@ -88,7 +87,7 @@ def press(
     used. Returns the pressure at the end, psi.
 
     Raises:
-        ConfigError: more than `PRESS_PSI`, or for longer than `PRESS_S`.
+        ConfigError: more than `PRESS_PSI`, for longer than `PRESS_S`, or no muscle of that name.
         CommandRefusedError: not armed.
         RobotFaultError: the board latched a fault.
     """
@@ -97,7 +96,7 @@ def press(
             f"a press of {psi:g} psi for {seconds:g} s",
             f"give more than 0, and at most {PRESS_PSI:g} psi and {PRESS_S:g} s",
         )
-    muscle = robot.config.muscles.index(robot.config.muscle(side))
+    muscle = robot.config.muscle_number(name)
     low, high = (robot.parameter(f"drive_{n}ma_cpsi")[0] / 100 for n in (4, 20))
     level = duty_of(max(4.0 + 16.0 * (psi - low) / (high - low), 0.0))
     reached, end = 0.0, robot.now() + seconds

@@ -28,7 +28,7 @@ from thigmo.calibrate.columns import Array, column, grouped, sides_of
 from thigmo.calibrate.lag import Lag, fit_lag, ramp, tanh_curve
 from thigmo.calibrate.regression import Mask
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
-from thigmo.config import SIGN, Muscle, RobotConfig, TanhMap, ZoneMap
+from thigmo.config import SAME_PRESSURE, SIGN, Muscle, RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -121,7 +121,7 @@ class ActuatorResult(StepResult):
         actuator = config.muscles[config.muscle_number(self.readings.muscle)]
         gaps = [abs(z.pressure_psi / self.zone.body_pressure_psi - 1) for z in config.body.zones]
         zone = int(np.argmin(gaps))
-        if gaps[zone] > 0.1:
+        if gaps[zone] > SAME_PRESSURE:
             raise DataError(
                 f"no zone has a body pressure of {self.zone.body_pressure_psi:g} psi",
                 "correct body.pressure in robot.toml",

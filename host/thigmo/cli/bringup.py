@@ -149,7 +149,7 @@ def jog(
 
 def press(
     robot: RobotOption,
-    side: Annotated[str, typer.Argument(help="left or right.")],
+    muscle: Annotated[str, typer.Argument(help="Its name in robot.toml: left.")],
     psi: Annotated[float, typer.Argument(help="Pressure, at most 5 psi.")],
     seconds: Annotated[float, typer.Option(help="Duration, at most 60 s.")] = 5.0,
     as_json: JsonOption = False,
@@ -160,20 +160,18 @@ def press(
     ends each push within half a second, so the muscle empties when this program stops.
     """
     from thigmo.bringup import press as hold
-    from thigmo.config import SIDES
 
-    if side not in SIDES:
-        raise ConfigError(f"there is no side {side!r}", f"give {' or '.join(SIDES)}")
     console = Console(quiet=as_json)
     with _robot(robot, console) as machine, console.progress() as tell:
+        machine.config.muscle_number(muscle)  # that there is one, before anything is armed
         machine.arm(body_air=False)
         began = machine.now()
         reached = hold(
-            machine, side, psi, seconds,
-            lambda now: tell(f"{side} {now:.2f} psi", (machine.now() - began) / seconds),
+            machine, muscle, psi, seconds,
+            lambda now: tell(f"{muscle} {now:.2f} psi", (machine.now() - began) / seconds),
         )  # fmt: skip
-    said = f"The {side} muscle reached {reached:.2f} psi."
-    show(as_json, {"side": side, "pressure_psi": reached}, said)
+    said = f"The {muscle} muscle reached {reached:.2f} psi."
+    show(as_json, {"muscle": muscle, "pressure_psi": reached}, said)
 
 
 @contextmanager

@@ -93,8 +93,9 @@ def localize(
             help="robot.toml that has all these errors, as calibrated; flags override it."
         ),
     ] = None,
-    side: Annotated[
-        str | None, typer.Option(help="Inflated muscle, for --config: left or right.")
+    muscle: Annotated[
+        str | None,
+        typer.Option("--muscle", "--side", help="Inflated muscle, by its name in --config."),
     ] = None,
     contacts: Annotated[str, typer.Option(help='"auto", or a number of contacts.')] = "auto",
     method: MethodOption = None,
@@ -123,8 +124,8 @@ def localize(
         raise DataError(f"--length is {length:g}", "give the body's length, above 0")
     if contacts != "auto" and not contacts.isdecimal():
         raise DataError(f"--contacts is {contacts!r}", "give `auto` or a number")
-    if side is not None and config is None:
-        raise DataError("--side is given, and --config is not given", "give the robot.toml too")
+    if muscle is not None and config is None:
+        raise DataError("--muscle is given, and --config is not given", "give the robot.toml too")
     if file == Path("example") and not file.exists():
         file = EXAMPLE
     if plot is not None and columns is None:
@@ -146,7 +147,7 @@ def localize(
         raise DataError("the readings are strains", "give the robot's file: --config robot.toml")
     stated: dict[str, Any] = {}
     if config is not None:
-        stated, table = _calibrated(config, side, table, length)
+        stated, table = _calibrated(config, muscle, table, length)
     flags = {
         "noise": noise,
         "gain_error": gain_error,
@@ -212,7 +213,7 @@ def _numbers(text: str | None, option: str, such_as: str) -> tuple[float, ...] |
 
 
 def _calibrated(
-    path: Path, side: str | None, table: ReadingsTable, length_cm: float
+    path: Path, muscle: str | None, table: ReadingsTable, length_cm: float
 ) -> tuple[dict[str, Any], ReadingsTable]:
     """The errors of robot.toml, reading by reading: each is that of the sensor at its place.
 
@@ -220,14 +221,16 @@ def _calibrated(
     """
     import numpy as np
 
-    from thigmo.config import SIDES, FibreSensor, RobotConfig, Sensor
+    from thigmo.config import FibreSensor, RobotConfig, Sensor
     from thigmo.errors import DataError
     from thigmo.reading_errors import errors_of
 
     robot = RobotConfig.load(path)
-    inflated = next((name for name in SIDES if name == side), None)
-    if side is not None and inflated is None:
-        raise DataError(f"--side is {side!r}", f"give {' or '.join(SIDES)}")
+    inflated = None
+    if muscle is not None:
+        pressed = robot.muscles[robot.muscle_number(muscle)]
+        if (inflated := pressed.side) is None:
+            raise DataError(f"{muscle} bends the body out of the plane", "leave --muscle out")
     # Flex sensors on the inflated side wrinkle and are not read.
     free = [s for s in robot.sensors if s.side and not (s.wrinkles and s.side == inflated)]
     found: list[Sensor] = []
@@ -236,7 +239,7 @@ def _calibrated(
         if near is None or abs(near.center_cm - position) > max(near.span_cm / 2, 0.5):
             raise DataError(
                 f"{path} has no sensor at {position:g} cm that is not taken",
-                "give positions in cm, and --side where a muscle is inflated",
+                "give positions in cm, and --muscle where a muscle is inflated",
             )
         free.remove(near)
         found.append(near)

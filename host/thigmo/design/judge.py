@@ -18,14 +18,24 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import SIGN, BoardSensor, HeadingSensor, RobotConfig, Sensor, Side
+from thigmo.config import (
+    SAME_PRESSURE,
+    SIGN,
+    BoardSensor,
+    HeadingSensor,
+    Muscle,
+    RobotConfig,
+    Sensor,
+    Side,
+)
 from thigmo.errors import ConfigError
 from thigmo.exploration.plan import stage_lengths
-from thigmo.link.protocol import PARAMETERS
+from thigmo.link.protocol import PARAMETERS, parameters
 from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
+from thigmo.robot.configuration import out_of_range, parameter_settings
 from thigmo.wiring import (
     beyond_board,
     board_of,
@@ -65,7 +75,10 @@ def judge(config: RobotConfig) -> list[Finding]:
     """All findings, the board's first."""
     found = [Finding("board", "bad", f"{what}; {cure}") for what, cure in beyond_board(config)]
     if not found:
-        found.append(Finding("board", "ok", _board(config)))
+        found = [
+            Finding("board", "bad", f"{problem}: correct what it comes from in robot.toml")
+            for problem in _not_held(config)
+        ] or [Finding("board", "ok", _board(config))]
     try:
         stages = stage_lengths(config)
         found.append(Finding("stages", "ok", ", ".join(f"{each:g}" for each in stages) + " cm"))
@@ -78,6 +91,13 @@ def judge(config: RobotConfig) -> list[Finding]:
     for side in config.sides:
         found += _feels(config, side)
     return [*found, *_inputs(config), *_rates(config), *_imus(config), *_fibre(config)]
+
+
+def _not_held(config: RobotConfig) -> list[str]:
+    """Values that no parameter of its board can hold."""
+    held = parameters(**board_of(config).capacity)
+    settings = parameter_settings(config).items()
+    return [problem for name, values in settings for problem in out_of_range(held[name], values)]
 
 
 def _board(config: RobotConfig) -> str:
@@ -142,6 +162,7 @@ def _bends(config: RobotConfig) -> Iterator[Finding]:
                 "bad",
                 f"{text}: it runs into itself; lower max_pressure_psi until g is {most:.4f}",
             )
+        yield from _maps(config, muscle)
         if muscle.side is None and not beyond_board(config):
             read = [one for one in witnesses(config, muscle) if one.sound]
             if not read:
@@ -161,6 +182,17 @@ def _bends(config: RobotConfig) -> Iterator[Finding]:
                 f"the base folds at {moment:.4f} 1/cm, before the trigger's {TRIGGER_PER_CM:g}: "
                 "raise this pressure",
             )
+
+
+def _maps(config: RobotConfig, muscle: Muscle) -> Iterator[Finding]:
+    """Maps of a muscle that are of another body pressure than the one that they are used at."""
+    for zone, known in zip(config.body.zones, muscle.maps, strict=True):
+        if abs(known.body_pressure_psi / zone.pressure_psi - 1) > SAME_PRESSURE:
+            text = (
+                f"its map for {zone.pressure_psi:g} psi is of {known.body_pressure_psi:g} psi: "
+                "correct body_pressure_psi, or measure it (`thigmo calibrate actuator`)"
+            )
+            yield Finding(f"muscle {muscle.name}", "bad", text)
 
 
 def _fold_moments(config: RobotConfig) -> list[float]:

@@ -145,13 +145,11 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
                 f"{name} holds {entry.count} values, and {len(values)} were given",
                 "give one for all, or all of them",
             )
-        for value in values:
-            if not entry.low <= value <= entry.high:
-                limits = f"{entry.low}..{entry.high} {entry.unit}".rstrip()
-                raise ConfigError(
-                    f"{name} must lie in {limits}, not {value}",
-                    "correct the value that it comes from, in robot.toml or on the command line",
-                )
+        for problem in out_of_range(entry, values):
+            raise ConfigError(
+                problem,
+                "correct the value that it comes from, in robot.toml or on the command line",
+            )
         for element in range(entry.count):
             value = values[element % len(values)]
             client.request(wire.SetParameter(entry.index + element, value))
@@ -167,6 +165,16 @@ def set_parameters(client: Client, wanted: dict[str, list[int]]) -> None:
             f"{name} contradicts other parameters, and nothing was changed",
             f"see what bounds it: {client.parameters[name].doc.rstrip('.')}",
         ) from error
+
+
+def out_of_range(entry: wire.Parameter, values: Sequence[int]) -> list[str]:
+    """What a parameter of the board cannot hold of these values, which are in its wire unit."""
+    limits = f"{entry.low}..{entry.high} {entry.unit}".rstrip()
+    return [
+        f"{entry.name} must lie in {limits}, not {value}"
+        for value in values
+        if not entry.low <= value <= entry.high
+    ]
 
 
 def check_name(name: str) -> None:
