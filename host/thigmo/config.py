@@ -56,7 +56,7 @@ RAD_PER_OHM = 1e-4  # by which the board's reader of IMUs says a turn
 
 def _not_zero(value: float) -> float:
     if not value:
-        raise ValueError("0 would make every reading 0: give its scale, or leave it out where healthy = false")
+        raise ValueError("0 would make every reading 0: give its scale, or leave the entry out")
     return value
 
 
