@@ -56,7 +56,7 @@ RAD_PER_OHM = 1e-4  # by which the board's reader of IMUs says a turn
 
 def _not_zero(value: float) -> float:
     if not value:
-        raise ValueError("0 would make every reading 0: give its scale, or leave the entry out")
+        raise ValueError("0 would make every reading 0: give its scale")
     return value
 
 
@@ -469,7 +469,7 @@ class RobotConfig(Model):
         if len({muscle.name for muscle in self.muscles}) < len(directions):
             raise ValueError("muscle: two of them have the same name")
         for number, muscle in enumerate(self.muscles):
-            if muscle.name in SIDES and muscle.name != muscle.side:
+            if muscle.name in SIDES and muscle.side not in (None, muscle.name):
                 raise ValueError(
                     f"muscle[{number}] is named {muscle.name}, which is {DEGREES[muscle.name]:g} "
                     "degrees: give it another name or direction_deg"
