@@ -451,18 +451,17 @@ class RobotConfig(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        nearest: dict[tuple[bool, float], float] = {}  # of what follows in each column
+        first: dict[tuple[bool, float], float] = {}  # of each column: the board's base sensor
         for number, sensor in enumerate(self.sensors):
             if sensor.center_cm + sensor.span_cm / 2 > self.body.length_cm + 1e-6:
                 raise ValueError(f"sensor[{number}] ends beyond body.length_cm")
             if sensor.center_cm - sensor.span_cm / 2 < -1e-6:
                 raise ValueError(f"sensor[{number}] begins before the base: see its span_cm")
             column = isinstance(sensor, FibreSensor), sensor.direction_deg
-            if sensor.center_cm < nearest.get(column, 0.0):
+            if sensor.center_cm < first.setdefault(column, sensor.center_cm):
                 raise ValueError(
-                    f"sensor[{number}] lies before another one of its column: list them base first"
+                    f"sensor[{number}] lies before the first of its column: list them base first"
                 )
-            nearest[column] = sensor.center_cm
         directions = [muscle.direction_deg for muscle in self.muscles]
         if len(set(directions)) < len(directions):
             raise ValueError("muscle: two of them have the same direction_deg")

@@ -38,7 +38,7 @@ def test_an_existing_file_is_kept_aside_each_time(tmp_path: Path) -> None:
         ("= nonsense", "not valid TOML"),
         ("sensor = ['flex', 5]", "sensor.0: a sensor is a table"),
         ("[[sensor]]\ncenter_cm = 2", "sensor[0] begins before the base"),
-        ("[[sensor]]\ncenter_cm = 15\n[[sensor]]\ncenter_cm = 5", "sensor[1] lies before another"),
+        ("[[sensor]]\ncenter_cm = 15\n[[sensor]]\ncenter_cm = 5", "sensor[1] lies before"),
         ("[[sensor]]\ncenter_cm = 5\nscale_per_ohm = 0", "every reading 0"),
         ("[[sensor]]\ncenter_cm = 5\nnoise = 0", "noise: Input should be greater than 0"),
         ("[[muscle]]\nname = 'a=b'", "muscle.0.name: give a name on one line"),
