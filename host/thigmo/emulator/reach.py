@@ -125,6 +125,7 @@ def room_for(robot: RobotConfig, seed: int, *, peg: bool = True) -> Scene:
     scene.name, scene.extends, scene.robot = robot.name, None, robot
     scene.body.growth_force *= usual / robot.body.radius_cm
     if peg:
+        scene.about = "A room with one peg that the robot feels."
         made, _ = random_peg(robot, np.random.default_rng([seed, 0x9E6]))
         scene.pegs = [PegTable(x=made.x, y=made.y, radius=made.radius)]
     return scene

@@ -21,6 +21,7 @@ from thigmo.record import Pose
 
 Floats = NDArray[np.float64]
 _STEP_CM = 0.25
+_ONE_PLACE_CM = 1.0  # sensors so near each other read one bend: their difference is noise
 # One sigma of the skin across the body, over the length: between two sensors, and at the fold, the
 # bend is interpolated. Over random rooms of the large-deflection plant 0.1 to 0.6 of 53 cm remain.
 _SHAPE_SHARE = 0.5 / 53
@@ -91,10 +92,19 @@ def excess_knots(
     x, y = centers[before], excess[before]
     if not x.size:
         return ()
-    after_x, after_y = (x[1], y[1]) if x.size > 1 else (last_contact_cm, 0.0)
-    at_base = y[0] + (y[0] - after_y) * x[0] / (after_x - x[0])
     inner = zip(x.tolist(), y.tolist(), strict=True)
-    return ((0.0, float(at_base)), *inner, (last_contact_cm, 0.0))
+    return ((0.0, _at_base(x, y, (last_contact_cm, 0.0))), *inner, (last_contact_cm, 0.0))
+
+
+def _at_base(x: Floats, y: Floats, end: tuple[float, float]) -> float:
+    """Curvature at the base, on the line through the first place with sensors and the next.
+
+    Sensors at `x`, base first, read `y`; without a next place the line goes through `end`.
+    """
+    first = x < x[0] + _ONE_PLACE_CM
+    after_x, after_y = end if first.all() else (x[~first][0], y[~first][0])
+    here, own = x[first].mean(), y[first].mean()
+    return float(own + (own - after_y) * here / (after_x - here))
 
 
 def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
@@ -104,12 +114,10 @@ def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
     """
     along = np.argsort(centers)
     centers, curvature = centers[along], curvature[along]
-    slope = 0.0
-    if len(centers) > 1:
-        slope = float((curvature[1] - curvature[0]) / (centers[1] - centers[0]))
-    at_base = float(curvature[0]) - slope * float(centers[0])
+    end = length_cm, float(curvature[-1])
+    at_base = _at_base(centers, curvature, end)
     inner = zip(centers.tolist(), curvature.tolist(), strict=True)
-    return Bend(length_cm, 0.0, ((0.0, at_base), *inner, (length_cm, float(curvature[-1]))))
+    return Bend(length_cm, 0.0, ((0.0, at_base), *inner, end))
 
 
 def common_error(arc_cm: float, centers: Floats, covariance: Floats) -> float:
