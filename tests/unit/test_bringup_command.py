@@ -91,7 +91,10 @@ def test_what_is_wrong_ends_with_1_and_the_way_on(thigmo: Thigmo, tmp_path: Path
         ),
         (("jog", "--robot", "emulator://empty"), "needs one direction; give --out CM or --in CM"),
         (("jog", "--robot", "emulator://empty", "--out", "6"), "give more than 0 and at most 5 cm"),
-        (("press", "--robot", "emulator://empty", "up", "3"), "no side 'up'; give left or right"),
+        (
+            ("press", "--robot", "emulator://empty", "up", "3"),
+            "no muscle up; use left (90) or right (270)",
+        ),
         (("press", "--robot", "emulator://empty", "left", "6"), "at most 5 psi and 60 s"),
     ],
 )

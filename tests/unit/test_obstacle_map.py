@@ -228,7 +228,7 @@ def test_a_grid_is_read_with_its_orientation_and_yaw(tmp_path: Path) -> None:
         ("m.yaml", "image: [", "not valid YAML"),
         ("m.yaml", "resolution: 0.1", "image"),
         ("m.yaml", "image: no.pgm\nresolution: 0.1\norigin: [0, 0, 0]", "no.pgm"),
-        ("m.yaml", "image: m.yaml\nresolution: 0.1\norigin: [0, 0, 0]", "no picture"),
+        ("m.yaml", "image: m.yaml\nresolution: 0.1\norigin: [0, 0, 0]", "is not a picture"),
         ("m.yaml", "image: m.yaml\nresolution: -1\norigin: [0, 0, 0]", "resolution"),
         ("m.yaml", "image: m.yaml\nresolution: 1\norigin: [0, .nan, 0]", "origin"),
         ("m.yaml", "just words", "ROS map"),

@@ -84,7 +84,7 @@ def damaged(change: Callable[[bytearray], object]) -> Callable[[Path], None]:
         (damaged(lambda c: c.__setitem__(slice(BLOCK, BLOCK + 4), b"abcd")), "block 1 is damaged"),
         (damaged(lambda c: c.__setitem__(slice(28, 32), b"abcd")), "another chip"),
         (damaged(lambda c: c.__setitem__(slice(12, 16), bytes(4))), "where it belongs"),
-        (damaged(lambda c: c.__setitem__(slice(0, 8), b":0000000")), "no UF2 file"),
+        (damaged(lambda c: c.__setitem__(slice(0, 8), b":0000000")), "is not a UF2 file"),
         (damaged(lambda c: c.__setitem__(len(c) - BLOCK + 40, 77)), "boot stage"),
         (lambda path: pico.write_uf2(path, program(stack=0x10000000)), "vectors"),
         (lambda path: pico.write_uf2(path, program(reset=0x20000001)), "vectors"),
