@@ -53,11 +53,11 @@ def flash(
     facts = {
         "port": robot,
         "image": str(done.image.path),
-        "bytes": done.image.size,
+        "bytes": len(done.image.program),
         "firmware": version,
         "schema_hash": f"{done.hello.schema_hash:08x}",
         "reset_cause": done.hello.reset_cause.name.lower(),
         "stored": asdict(done.stored),
     }
-    runs = f"firmware {version} ({done.image.size} bytes) runs on {robot}"
+    runs = f"firmware {version} ({len(done.image.program)} bytes) runs on {robot}"
     show(as_json, facts, *filter(None, (runs, kept, done.stored.remark)))

@@ -6,14 +6,12 @@ The sources come from Debian's packages and the images go to build/micropython, 
 
 from __future__ import annotations
 
-import fcntl
 import shutil
-import subprocess
 from functools import cache
 from pathlib import Path
 
 from thigmo.errors import PortError
-from thigmo.link.image import ROOT
+from thigmo.link.image import ROOT, make
 
 SOURCES = ROOT / "firmware" / "micropython"
 BUILD = ROOT / "build" / "micropython"
@@ -41,27 +39,9 @@ def missing(kind: str) -> str:
 @cache
 def image(kind: str) -> Path:
     """The image of a kind: unix, unix-large or cortex-m3; PortError if it cannot be built here."""
-    build = f"`make -C firmware/micropython {kind}`"
     if reason := missing(kind):
+        build = f"`make -C firmware/micropython {kind}`"
         raise PortError(
             reason, f"install that, run {build} in a source checkout, or use emulator://"
         )
-    BUILD.mkdir(parents=True, exist_ok=True)
-    with (BUILD / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        done = subprocess.run(
-            ["make", "--silent", "-C", str(SOURCES), kind],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            check=False,
-        )
-    if done.returncode:
-        lines = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
-        problem = next((line for line in lines if "rror" in line), "no message")
-        raise PortError(
-            f"MicroPython for {kind} cannot be built: {problem.strip()}",
-            f"run {build} to see why",
-        )
-    return IMAGES[kind]
+    return make(SOURCES, IMAGES[kind], f"BUILD={BUILD}", kind)

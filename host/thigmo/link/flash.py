@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from thigmo.errors import ConfigError, LinkError, NotARobotError, PortError, SchemaMismatchError
+from thigmo.errors import ConfigError, LinkError, NotARobotError, PortError
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.image import PAGE, Image, build_image, read_hex, read_image, write_hex
@@ -89,13 +89,7 @@ def flash(
     if image is None:
         tell("looking for the image")
     content = read_image(build_image() if image is None else image)
-    if content.schema_hash != wire.SCHEMA_HASH or content.protocol != wire.PROTOCOL:
-        raise SchemaMismatchError(
-            f"{content.path.name} speaks schema {content.schema_hash:08x} and this host"
-            f" {wire.SCHEMA_HASH:08x}",
-            "build the image from this host's sources (`make firmware`), or install the host"
-            " that came with it",
-        )
+    content.require_own_schema()
     program = shutil.which(avrdude)
     if program is None:
         raise PortError(
@@ -103,7 +97,7 @@ def flash(
         )
     if port.startswith("/") and not Path(port).exists():  # avrdude would try for minutes
         raise PortError(f"there is no port {port}", "plug the board in and look which port appears")
-    tell(f"writing and verifying {content.size} bytes")
+    tell(f"writing and verifying {len(content.program)} bytes")
     with TemporaryDirectory() as folder:
         for step, blocks in enumerate(in_safe_order(read_hex(content.path))):
             _run(program, port, write_hex(Path(folder) / f"step-{step}.hex", blocks))

@@ -14,7 +14,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from thigmo.errors import ConfigError, PortError
+from thigmo.errors import ConfigError, PortError, SchemaMismatchError
+from thigmo.link import protocol as wire
 
 ROOT = Path(__file__).resolve().parents[3]
 BUILD = ROOT / "build" / "mega"
@@ -30,10 +31,27 @@ WATCHDOG_ENTRY = 0x20000  # firmware/mega/restart.h
 class Image:
     """A firmware image and what its signature says."""
 
-    path: Path  # the Intel HEX file
-    size: int  # bytes of program
+    path: Path  # the Intel HEX file, or for a Pico the UF2 file
+    program: bytes
     schema_hash: int  # of the messages that it speaks
     protocol: int  # their version
+
+    @classmethod
+    def of(cls, path: Path, program: bytes, cure: str) -> Image:
+        """An image by the signature in its program; ConfigError, with a cure, if there is none."""
+        found = program.partition(MAGIC)[2]
+        if len(found) < _SIGNATURE.size:
+            raise ConfigError(f"{path} is not a thigmo image", cure)
+        return cls(path, program, *_SIGNATURE.unpack_from(found))
+
+    def require_own_schema(self) -> None:
+        """Raise SchemaMismatchError if this host could not talk to it."""
+        if (self.schema_hash, self.protocol) != (wire.SCHEMA_HASH, wire.PROTOCOL):
+            raise SchemaMismatchError(
+                f"{self.path.name} speaks schema {self.schema_hash:08x} and this host"
+                f" {wire.SCHEMA_HASH:08x}",
+                "build the image from this host's sources, or install the host that came with it",
+            )
 
 
 def read_hex(path: Path) -> list[tuple[int, bytes]]:
@@ -87,6 +105,16 @@ def write_hex(path: Path, blocks: list[tuple[int, bytes]]) -> Path:
     return path
 
 
+def crc32(data: bytes, polynomial: int) -> int:
+    """CRC-32 of bytes, the most significant bit first, begun with ones."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte << 24
+        for _ in range(8):
+            crc = (crc << 1 ^ (polynomial if crc >> 31 else 0)) & 0xFFFFFFFF
+    return crc
+
+
 def seal(blocks: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
     """Put guard.h's CRC-32 behind a program: over its entry, then itself.
 
@@ -99,11 +127,7 @@ def seal(blocks: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
             f" {WATCHDOG_ENTRY:#x}",
             "link it as firmware/mega/Makefile does",
         )
-    crc = 0xFFFFFFFF
-    for byte in parts[WATCHDOG_ENTRY] + parts[0]:
-        crc ^= byte << 24
-        for _ in range(8):
-            crc = crc << 1 ^ (0x1000000AF if crc >> 31 else 0)
+    crc = crc32(parts[WATCHDOG_ENTRY] + parts[0], 0xAF)
     return [(0, parts[0] + crc.to_bytes(4, "big")), (WATCHDOG_ENTRY, parts[WATCHDOG_ENTRY])]
 
 
@@ -111,16 +135,13 @@ def read_image(path: Path) -> Image:
     """Read an image's signature; ConfigError if it is none, or too large for the board."""
     blocks = read_hex(path)
     end = max((start + len(data) for start, data in blocks), default=0)
-    found = b"".join(data for _, data in blocks).partition(MAGIC)[2]
-    if len(found) < _SIGNATURE.size:
-        raise ConfigError(
-            f"{path} is not a thigmo image", "build one with `make firmware` and flash that"
-        )
+    program = b"".join(data for _, data in blocks)
+    image = Image.of(path, program, "build one with `make firmware` and flash that")
     if end > LARGEST:
         raise ConfigError(
             f"{path} needs {end} bytes and the board has {LARGEST}", "build it with the Makefile"
         )
-    return Image(path, sum(len(data) for _, data in blocks), *_SIGNATURE.unpack_from(found))
+    return image
 
 
 def build_image(baud: int = 250_000) -> Path:
@@ -143,31 +164,23 @@ def build_image(baud: int = 250_000) -> Path:
 
 
 def make(folder: Path, target: Path, *settings: str) -> Path:
-    """Run a Makefile of the firmware; raises PortError with the first line of its failure."""
+    """Run a Makefile of the firmware; raises PortError with the first error that it prints."""
     BUILD.mkdir(parents=True, exist_ok=True)
+    command = ["make", "-s", "-C", str(folder), f"BUILD={BUILD}", f"PYTHON={sys.executable}"]
     with (BUILD / ".lock").open("w") as lock:  # tests run beside each other
         with suppress(ImportError):  # not on Windows, where nobody builds twice at once
             import fcntl
 
             fcntl.flock(lock, fcntl.LOCK_EX)
         result = subprocess.run(
-            [
-                "make",
-                "-s",
-                "-C",
-                str(folder),
-                f"BUILD={BUILD}",
-                f"PYTHON={sys.executable}",
-                *settings,
-            ],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+            [*command, *settings], capture_output=True, text=True, errors="replace", check=False,
+            stdin=subprocess.DEVNULL,
+        )  # fmt: skip
     if result.returncode or not target.exists():
-        lines = (result.stderr or result.stdout).strip().splitlines() or ["no message"]
+        said = [line for line in (result.stderr + result.stdout).splitlines() if line.strip()]
+        problem = next((line for line in said if "rror" in line), "no message")
         raise PortError(
-            f"building {target.name} failed: {lines[0]}",
+            f"building {target.name} failed: {problem.strip()}",
             f"run `make -C {folder.relative_to(ROOT)}` and correct what it names",
         )
     return target

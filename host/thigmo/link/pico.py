@@ -12,12 +12,10 @@ import os
 import string
 import struct
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
-from thigmo.errors import ConfigError, LinkError, NotARobotError, PortError, SchemaMismatchError
-from thigmo.link import protocol as wire
-from thigmo.link.image import MAGIC, ROOT, make
+from thigmo.errors import ConfigError, LinkError, NotARobotError, PortError
+from thigmo.link.image import ROOT, Image, crc32, make
 
 PICO = "pico"  # in place of a port: the drive is looked for
 PACKAGED = Path(__file__).parents[1] / "firmware" / "thigmo-pico.uf2"  # in a wheel
@@ -29,28 +27,12 @@ _FAMILY_GIVEN = 0x2000
 _BLOCK = struct.Struct("<8I476sI")
 _STARTS, _ENDS = (0x0A324655, 0x9E5D5157), 0x0AB16F30
 _RAM = range(0x20000000, 0x20042000)
-_SIGNATURE = struct.Struct("<IB")
 _INFO = "INFO_UF2.TXT"
-
-
-@dataclass(frozen=True, slots=True)
-class PicoImage:
-    """A Pico's firmware and what its signature says."""
-
-    path: Path  # the UF2 file
-    program: bytes  # from the start of the flash
-    schema_hash: int  # of the messages that it speaks
-    protocol: int  # their version
 
 
 def boot_check(program: bytes) -> int:
     """The check sequence that the boot ROM wants behind the first 252 bytes (RP2040, 2.8.1.3.1)."""
-    crc = 0xFFFFFFFF
-    for byte in program[: PAGE - 4]:
-        crc ^= byte << 24
-        for _ in range(8):
-            crc = (crc << 1 ^ (0x04C11DB7 if crc & 0x80000000 else 0)) & 0xFFFFFFFF
-    return crc
+    return crc32(program[: PAGE - 4], 0x04C11DB7)
 
 
 def write_uf2(path: Path, program: bytes) -> Path:
@@ -67,8 +49,10 @@ def write_uf2(path: Path, program: bytes) -> Path:
     return path
 
 
-def read_uf2(path: Path) -> PicoImage:
+def read_uf2(path: Path) -> Image:
     """Read and check a UF2 file: its blocks, boot stage, vectors and signature.
+
+    The program is that from the start of the flash.
 
     Raises:
         ConfigError: it cannot be read, is no image for a Pico, or is damaged.
@@ -103,10 +87,7 @@ def read_uf2(path: Path) -> PicoImage:
         raise ConfigError(f"{path}: its vectors point nowhere", again)
     if len(program) > STORE_AT:
         raise ConfigError(f"{path} needs {len(program)} of {STORE_AT} bytes", again)
-    found = program.partition(MAGIC)[2]
-    if len(found) < _SIGNATURE.size:
-        raise ConfigError(f"{path} is not a thigmo image", again)
-    return PicoImage(path, program, *_SIGNATURE.unpack_from(found))
+    return Image.of(path, program, again)
 
 
 def build_uf2() -> Path:
@@ -192,7 +173,7 @@ def check_drive(folder: Path) -> None:
         )
 
 
-def flash_pico(robot: str, image: Path | None) -> PicoImage:
+def flash_pico(robot: str, image: Path | None) -> Image:
     """Write an image to the drive of a Pico, which then starts it.
 
     `robot` is the drive's folder, or `PICO` to look for it; `image` None takes this source tree's.
@@ -203,12 +184,7 @@ def flash_pico(robot: str, image: Path | None) -> PicoImage:
         LinkError: the drive is missing, is another's, or went away too early.
     """
     content = read_uf2(build_uf2() if image is None else image)
-    if content.schema_hash != wire.SCHEMA_HASH or content.protocol != wire.PROTOCOL:
-        raise SchemaMismatchError(
-            f"{content.path.name} speaks schema {content.schema_hash:08x} and this host"
-            f" {wire.SCHEMA_HASH:08x}",
-            "build the image from this host's sources, or install the host that came with it",
-        )
+    content.require_own_schema()
     drive = find_drive() if robot == PICO else Path(robot)
     check_drive(drive)
     _copy(content.path.read_bytes(), drive)
