@@ -157,19 +157,6 @@ TEST(a_set_point_waits_at_the_proof_until_its_own_sensor_follows) {
   CHECK(loop.stuck() && loop.mismatched(s.d));
 }
 
-TEST(below_the_live_zero_the_output_is_a_true_zero) {
-  Settings s;
-  PressureLoop loop;
-  loop.set_target(219, Derived::slew_step_q8(10000));
-  for (int i = 0; i < 400; ++i) CHECK_EQUAL(loop.step(0, s.c, s.d), PressureLoop::kOff);
-  loop.set_target(220, Derived::slew_step_q8(10000));
-  int16_t duty = loop.step(0, s.c, s.d);
-  for (int i = 0; i < 5; ++i) duty = loop.step(0, s.c, s.d);
-  CHECK(duty >= 320);  // 4 mA at least
-  loop.cut();
-  CHECK_EQUAL(loop.step(500, s.c, s.d), PressureLoop::kOff);
-}
-
 TEST(the_integrator_is_frozen_below_the_live_zero_and_re_enters_without_a_bump) {
   Settings s;
   // Pressure 0.6 s after the set point comes back, before the integral has had time to learn.
@@ -358,20 +345,6 @@ TEST(the_spool_arrives_within_its_tolerance) {
   }
 }
 
-TEST(the_spool_is_on_its_profile_while_it_grows) {
-  Settings s;
-  SpoolLoop spool;
-  Motor motor;
-  spool.start(0, s.d.counts(100000), s.d.speed_q16(20000), s.d.accel_q16, kMotorFull);
-  for (int i = 0; i < 800; ++i) {
-    if (spool.step(motor.read(), s.c, s.d) != SpoolLoop::Outcome::kMoving) break;
-    motor.step(spool.duty());
-    if (i == 500) {  // 2.5 s: 4.5 cm minus half the ramp
-      CHECK_NEAR(s.d.um(motor.read()), 45000, 3000);
-    }
-  }
-}
-
 TEST(a_jammed_spool_is_a_stall_and_a_pulled_one_is_braked) {
   Settings s;
   SpoolLoop spool;
@@ -451,19 +424,6 @@ TEST(a_tail_that_no_brake_holds_slips_while_the_spool_pays_out) {
   }
   CHECK(ahead > s.d.lead_counts + s.d.slip_counts);
   CHECK(ahead < 2 * (s.d.lead_counts + s.d.slip_counts));
-}
-
-TEST(a_spool_that_turns_the_wrong_way_is_a_stall) {
-  Settings s;
-  SpoolLoop spool;
-  spool.start(0, 1000, s.d.speed_q16(20000), s.d.accel_q16, kMotorFull);
-  int32_t counts = 0;
-  int steps = 0;
-  while (spool.step(counts, s.c, s.d) == SpoolLoop::Outcome::kMoving && steps < 1000) {
-    counts -= 2;
-    ++steps;
-  }
-  CHECK(steps < 200);
 }
 
 TEST(movement_with_the_motor_off_is_a_slip_after_coasting) {

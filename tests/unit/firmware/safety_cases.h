@@ -126,19 +126,6 @@ TEST(every_refusal_has_its_reason) {
   }
 }
 
-TEST(a_fault_is_reported_once_and_cleared_only_without_its_cause) {
-  Faults faults;
-  EventQueue events;
-  for (int i = 0; i < 5; ++i) faults.raise(Fault::kFlexOpen, 3, 10, &events);
-  faults.raise(Fault::kEstop, 0, 11, &events);
-  CHECK_EQUAL(events.count(), 2);
-  CHECK_EQUAL(faults.clear(0xFFFF, mask(Fault::kEstop)), mask(Fault::kEstop));
-  CHECK_EQUAL(faults.clear(mask(Fault::kFlexOpen), 0), mask(Fault::kEstop));
-  CHECK_EQUAL(faults.clear(0xFFFF, 0), 0);
-  faults.raise(Fault::kFlexOpen, 3, 20, &events);
-  CHECK_EQUAL(events.count(), 3);
-}
-
 TEST(outputs_that_something_disturbs_are_written_anew_within_three_periods) {
   VirtualBoard board(1, "");
   while (!board.running()) board.step(1);
