@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from thigmo.calibrate.bench import Bench, last_bends
 from thigmo.calibrate.columns import Array, column
-from thigmo.calibrate.regression import outlying
+from thigmo.calibrate.regression import LinearFit, Mask, fit_linear
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import FibreSensor, RobotConfig
 from thigmo.errors import DataError
@@ -123,40 +122,22 @@ def fit_fibre(t_s: Array, curvature: Array, strain: Array, config: RobotConfig) 
     return FibreResult(tuple(fits), temperature, twist, Verdict(True, reason, notes))
 
 
-@dataclass(frozen=True)
-class _Line:
-    """A strain's line in time and curvature."""
-
-    zero: float
-    drift: float
-    slope: float  # microstrain per 1/cm
-    slope_se: float
-    spread: float
-
-
-def _line(t_s: Array, curvature: Array, strain: Array, seen: NDArray[np.bool_]) -> _Line | None:
+def _line(t_s: Array, curvature: Array, strain: Array, seen: Mask) -> LinearFit | None:
+    """Zero, drift and slope (microstrain per 1/cm); None of a reading that too few bends have."""
     own = seen & np.isfinite(strain)
     if own.sum() < _FEWEST or np.ptp(curvature[own]) < _LEAST_BEND:
         return None
     since = t_s[own] - t_s[own].mean()
-    design = np.column_stack([np.ones(len(since)), since, curvature[own]])
-    keep = np.ones(len(since), dtype=np.bool_)
-    for _ in range(2):
-        fit = np.linalg.lstsq(design[keep], strain[own][keep])[0]
-        rest = strain[own] - design @ fit
-        keep = ~outlying(rest, 6, 1e-3)
-    spread = float(np.sqrt(rest[keep] @ rest[keep] / max(1, keep.sum() - 3)))
-    error = spread * float(np.linalg.inv(design[keep].T @ design[keep])[2, 2]) ** 0.5
-    zero, drift, slope = fit.tolist()
-    return _Line(zero, drift, slope, error, spread)
+    return fit_linear(np.column_stack([np.ones_like(since), since, curvature[own]]), strain[own])
 
 
-def _fit(index: int, gratings: list[FibreSensor], lines: list[_Line | None]) -> FibreFit:
+def _fit(index: int, gratings: list[FibreSensor], lines: list[LinearFit | None]) -> FibreFit:
     """One reading in the plane, and its grating's twist by the reading across."""
     line = lines[index]
     if line is None:
         return FibreFit(index, False, f"is read at fewer than {_FEWEST} bends: its peak is lost")
-    se = float(np.hypot(line.slope_se / max(abs(line.slope), 1e-9), _CAMERA_SCALE_SE))
+    zero, drift, slope = line.coefficients.tolist()
+    se = float(np.hypot(line.se(2) / max(abs(slope), 1e-9), _CAMERA_SCALE_SE))
     if se > _MOST_SE:
         return FibreFit(index, False, "does not follow the bends; check which grating it is")
     across = [
@@ -166,8 +147,8 @@ def _fit(index: int, gratings: list[FibreSensor], lines: list[_Line | None]) -> 
     ]
     twist = np.nan
     if across and (beside := across[0]) is not None:
-        twist = float(np.arctan2(abs(beside.slope), abs(line.slope)))
+        twist = float(np.arctan2(abs(beside.coefficients[2]), abs(slope)))
     return FibreFit(
-        index, True, f"scale known to {100 * se:.1f} %", 1.0 / line.slope, se, line.zero,
-        line.drift, line.spread, twist,
+        index, True, f"scale known to {100 * se:.1f} %", 1.0 / slope, se, zero, drift, line.sigma,
+        twist,
     )  # fmt: skip

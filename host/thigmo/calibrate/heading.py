@@ -15,7 +15,7 @@ import numpy as np
 
 from thigmo.calibrate.bench import Bench, last_bends
 from thigmo.calibrate.columns import Array, column, of_sensors, places_of, sensors_of
-from thigmo.calibrate.regression import outlying
+from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RAD_PER_OHM, HeadingSensor, RobotConfig, Side
 from thigmo.errors import DataError
@@ -120,22 +120,15 @@ def _fit(side: Side, index: int, t_s: Array, bent: Array, turn: Array) -> Headin
     if len(turn) < _FEWEST:
         return HeadingFit(side, index, False, "is not read: an IMU of it does not answer")
     since = t_s - t_s.mean()
-    design = np.column_stack([np.ones_like(bent), since, bent])
-    keep = np.ones(len(turn), dtype=np.bool_)
-    for _ in range(2):
-        fit = np.linalg.lstsq(design[keep], turn[keep])[0]
-        rest = turn - design @ fit
-        keep = ~outlying(rest, 6, 1e-4)
-    spread = float(np.sqrt(rest[keep] @ rest[keep] / max(1, keep.sum() - 3)))
-    zero, drift, slope = fit.tolist()
-    slope_se = spread * float(np.linalg.inv(design[keep].T @ design[keep])[2, 2]) ** 0.5
+    line = fit_linear(np.column_stack([np.ones_like(bent), since, bent]), turn)
+    zero, drift, slope = line.coefficients.tolist()
     if slope < 0.5:
         said = "turns the other way: turn it round" if slope < -0.5 else "does not turn with bends"
         return HeadingFit(side, index, False, f"{said}; check how its IMUs lie")
-    se = float(np.hypot(slope_se / slope, _CAMERA_SCALE_SE))
+    se = float(np.hypot(line.se(2) / slope, _CAMERA_SCALE_SE))
     if se > 0.1:
         return HeadingFit(side, index, False, f"has a scale known to {100 * se:.0f} % only")
     return HeadingFit(
         side, index, True, f"scale known to {100 * se:.1f} %",
-        1.0 / slope, se, zero, drift, spread, np.array([bent, turn - zero - drift * since]),
+        1.0 / slope, se, zero, drift, line.sigma, np.array([bent, turn - zero - drift * since]),
     )  # fmt: skip
