@@ -22,6 +22,7 @@ _MODULES = {
     "foxglove": ("foxglove",),
     "ros": ("cyclonedds",),
     "tables": ("pandas", "pyarrow"),
+    "bench": ("distributed", "pwlf", "ruptures", "sklearn"),
 }
 
 

@@ -12,7 +12,6 @@ import math
 import signal
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.errors import DataError, RunFolderError
+from thigmo.extras import require
 from thigmo.files import write_whole
 from thigmo.report.files import write_files
 
@@ -167,29 +167,18 @@ def _ignore_interrupts() -> None:
 Study = Callable[[Context], Outcome]
 
 
-def extra(module: str) -> Any:
-    """A module of one of the packages that only studies need.
-
-    Raises:
-        DataError: it is not installed.
-    """
-    try:
-        return import_module(module)
-    except ImportError as error:
-        package = module.partition(".")[0]
-        raise DataError(
-            f"the package {package} is not installed", "run `pip install 'thigmo[bench]'`"
-        ) from error
-
-
 def connect_cluster(address: str) -> Any:
     """Connect joblib's "dask" backend to a scheduler's address, e.g. "tcp://127.0.0.1:8786".
 
     Raises:
-        DataError: dask is not installed, nobody answers at the address, or nobody works for it.
+        NotInstalledError: dask is not installed.
+        DataError: nobody answers at the address, or nobody works for it.
     """
+    require("bench", "a cluster")
+    from distributed import Client
+
     try:
-        client = extra("distributed").Client(address, timeout="5s")
+        client = Client(address, timeout="5s")
     except (OSError, TimeoutError, ValueError) as error:
         raise DataError(
             f"no Dask scheduler answers at {address}", "start one with `dask scheduler`"

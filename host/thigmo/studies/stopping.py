@@ -26,6 +26,7 @@ from thigmo.emulator import serve
 from thigmo.emulator.plant import STEP_S
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
+from thigmo.extras import require
 from thigmo.link.stop_socket import OTHER_PLACE
 from thigmo.studies.engine import Claim, Context, Outcome
 from thigmo.studies.watch import EVER_MS, Start, opened_page, running
@@ -129,15 +130,14 @@ def _phone(start: Start) -> Iterator[Press]:
 
 @contextmanager
 def _ros(start: Start) -> Iterator[Press]:
-    try:
-        from cyclonedds.domain import Domain, DomainParticipant
-        from cyclonedds.pub import DataWriter
-        from cyclonedds.topic import Topic
+    require("ros", "a stop over ROS 2")
+    from cyclonedds.domain import Domain, DomainParticipant
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.topic import Topic
 
-        from thigmo.live.ros import configuration
-        from thigmo.live.ros_types import Empty
-    except ImportError as error:
-        raise DataError("cyclonedds is not installed", "pip install 'thigmo[ros]'") from error
+    from thigmo.live.ros import configuration
+    from thigmo.live.ros_types import Empty
+
     name = f"stopping{os.getpid()}"  # of no other robot
     with running(start, "ros", "--namespace", name, says="ROS topics"):
         _domain, participant = Domain(0, configuration(None)), DomainParticipant(0)

@@ -12,7 +12,7 @@ from functools import partial
 from thigmo.localization import thesis
 from thigmo.localization.thesis import Array
 from thigmo.studies.baselines import general
-from thigmo.studies.baselines.problem import Problem
+from thigmo.studies.baselines.general import Problem
 
 Baseline = Callable[[Problem], tuple[Array, Array]]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import combinations
 from typing import Any
@@ -19,6 +19,8 @@ import numpy as np
 from scipy.optimize import Bounds, differential_evolution, dual_annealing, minimize
 
 from thigmo.errors import DataError
+from thigmo.extras import require
+from thigmo.localization import thesis
 from thigmo.localization.thesis import (
     Array,
     alternate,
@@ -30,13 +32,23 @@ from thigmo.localization.thesis import (
     single_forces,
     starting_arcs,
 )
-from thigmo.studies.baselines.problem import Problem
-from thigmo.studies.engine import extra
 
 _GRID_CM = 0.1
 _PAIR_GRID_CM = 1.0
 _SEGMENT = 3  # the least that ruptures' continuous linear cost takes
 _EXAMPLES = 6000
+
+
+@dataclass(frozen=True, slots=True)
+class Problem(thesis.Problem):
+    """Readings of one frame above the free curvature, in cm and 1/cm, on the thesis's model.
+
+    A baseline answers the arcs and forces of its contacts, base first. The model is averaged over
+    each sensor's span; the thesis's own solvers take it at the sensors' centres.
+    """
+
+    noise: float = 6e-4  # standard deviation of a reading, 1/cm, for the trained baselines
+
 
 # Kraft 1988 (SLSQP); Byrd, Hribar and Nocedal 1999 (trust-constr); Nelder and Mead 1965; Storn and
 # Price 1997, with SciPy's defaults; Xiang et al. 1997, of 200 iterations. Seeds are fixed.
@@ -120,9 +132,12 @@ def pwlf(problem: Problem) -> tuple[Array, Array]:
     Venter, pwlf: A Python Library for Fitting 1D Continuous Piecewise Linear Functions, 2019.
 
     Raises:
-        DataError: the package is missing, or there are too few places for its free parameters.
+        NotInstalledError: the package is missing.
+        DataError: there are too few places for its free parameters.
     """
-    fitter = extra("pwlf")
+    require("bench", "this baseline")
+    from pwlf import PiecewiseLinFit
+
     places = np.unique(problem.position)
     least = 2 * problem.contacts + 2
     if places.size < least:
@@ -130,7 +145,7 @@ def pwlf(problem: Problem) -> tuple[Array, Array]:
             f"pwlf needs readings at {least} places, there are {places.size}", "use the localizer"
         )
     means = np.array([problem.curvature[problem.position == x].mean() for x in places])
-    fit = fitter.PiecewiseLinFit(places, means, seed=0)
+    fit = PiecewiseLinFit(places, means, seed=0)
     breaks = np.asarray(fit.fit(problem.contacts + 1), dtype=np.float64)
     arcs = np.clip(np.sort(breaks[1:-1]), 0.0, problem.length)
     return arcs, best_forces(problem, arcs)
@@ -145,16 +160,19 @@ def ruptures(problem: Problem) -> tuple[Array, Array]:
     point detection methods, Signal Processing 167, 2020.
 
     Raises:
-        DataError: the package is missing, or there are too few places for its segments.
+        NotInstalledError: the package is missing.
+        DataError: there are too few places for its segments.
     """
-    finder = extra("ruptures")
+    require("bench", "this baseline")
+    from ruptures import Dynp
+
     order = np.argsort(problem.position, kind="stable")
     least = _SEGMENT * (problem.contacts + 1)
     if order.size < least:
         raise DataError(
             f"ruptures needs {least} readings, there are {order.size}", "use the localizer"
         )
-    fit = finder.Dynp(model="clinear", min_size=_SEGMENT, jump=1)
+    fit = Dynp(model="clinear", min_size=_SEGMENT, jump=1)
     fit.fit(problem.curvature[order][:, None])
     ends = np.asarray(fit.predict(n_bkps=problem.contacts)[:-1], dtype=int)
     arcs = problem.position[order][ends]
@@ -184,6 +202,9 @@ def _ensemble(
     mechanics: bool,
 ) -> Any:
     """Trees trained on the beam model with random contacts, and kept for the process."""
+    require("bench", "this baseline")
+    from sklearn.ensemble import ExtraTreesRegressor
+
     layout = Problem(
         np.zeros(len(position)), np.array(position), np.array(span), length, contacts,
         noise=noise,
@@ -192,9 +213,7 @@ def _ensemble(
     examples = [_example(layout, rng) for _ in range(_EXAMPLES)]
     inputs = np.array([_features(problem, mechanics) for problem, _ in examples])
     arcs = np.array([target for _, target in examples])
-    forest = extra("sklearn.ensemble").ExtraTreesRegressor(
-        n_estimators=100, min_samples_leaf=3, random_state=0
-    )
+    forest = ExtraTreesRegressor(n_estimators=100, min_samples_leaf=3, random_state=0)
     return forest.fit(inputs, arcs if contacts > 1 else arcs[:, 0])
 
 
