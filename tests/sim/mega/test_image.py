@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from rig import open_rig, prepare
+from rig import open_rig
 
 from thigmo.emulator.chip import CYCLES_PER_MS, SRAM_END
 from thigmo.emulator.mega_build import firmware_elf
@@ -88,8 +88,8 @@ def test_interrupts_are_short() -> None:
 
 def test_pwm_stops_before_the_direction_changes(full_length: Scene, stored_config: bytes) -> None:
     rig = open_rig(full_length, stored_config)
-    prepare(rig)
-    mega, chip = rig.mega, rig.mega.chip
+    rig.prepare()
+    mega, chip = rig.board, rig.board.chip
     seen: list[tuple[int, bool]] = []
     run = chip.run
 
@@ -113,29 +113,29 @@ def test_a_vented_valve_is_disconnected_not_at_duty_zero(
     full_length: Scene, stored_config: bytes
 ) -> None:
     rig = open_rig(full_length, stored_config)
-    prepare(rig)
+    rig.prepare()
     rig.client.request(wire.SetPressure((800, 0), 0))
     rig.robot.wait(1.0)
-    pwm = rig.mega.chip.pwm(5)
+    pwm = rig.board.chip.pwm(5)
     assert pwm.top == 1599
     assert pwm.period_cycles == 1600
     assert pwm.connected[:] == [True, False, False]
-    assert rig.mega.drive[0] > 300
+    assert rig.board.drive[0] > 300
     rig.robot.vent()
-    assert rig.mega.chip.pwm(5).connected[:] == [False, False, False]
+    assert rig.board.chip.pwm(5).connected[:] == [False, False, False]
     for port, bit in (*DRIVES, MOTOR_PWM):
-        assert rig.mega.chip.output(port, bit) is False
+        assert rig.board.chip.output(port, bit) is False
 
 
 def test_the_emergency_stop_acts_within_two_ticks(full_length: Scene, stored_config: bytes) -> None:
     rig = open_rig(full_length, stored_config)
-    prepare(rig)
+    rig.prepare()
     rig.client.request(wire.SetPressure((800, 0), 0))
     rig.robot.wait(1.0)
-    assert rig.mega.drive_enabled[0]
-    rig.mega.set_estop(True)
+    assert rig.board.drive_enabled[0]
+    rig.board.set_estop(True)
     for _ in range(12):  # debounced
-        rig.mega.step(1)
+        rig.board.step(1)
     assert rig.off
     rig.pass_ms(50)
     assert "estop" in rig.robot.status().faults
@@ -160,7 +160,7 @@ def test_every_encoder_edge_is_counted_at_full_speed(
     rig.robot.wait(0.2)
     start = rig.robot.status()
     assert start.length_cm is None
-    mega = rig.mega
+    mega = rig.board
     place = 0.5
     mega.set_encoder(place, place)
     before = encoder(mega)
@@ -175,7 +175,7 @@ def test_transitions_that_no_encoder_makes_are_counted_and_no_others(
     full_length: Scene, stored_config: bytes
 ) -> None:
     rig = open_rig(full_length, stored_config)
-    mega = rig.mega
+    mega = rig.board
     place = 0.0
     for step, errors in ((3.0, False), (400.0, True)):  # 3 kHz, and more than the interrupt takes
         for _ in range(20):

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from rig import Rig, open_rig, prepare
+from rig import Rig, open_rig
 
 from thigmo.emulator.chip import Cause
 from thigmo.emulator.mega_sim import SimulatedMega
@@ -119,18 +119,18 @@ def test_power_that_fails_in_a_save_comes_back_to_the_old_configuration(
 
 
 # --- hangs and resets -----------------------------------------------------------------------------
-def sweeping(scene: Scene, eeprom: bytes) -> Rig:
+def sweeping(scene: Scene, eeprom: bytes) -> Rig[SimulatedMega]:
     """A robot in the middle of a sweep, its left muscle under pressure."""
     rig = open_rig(scene, eeprom)
-    prepare(rig)
+    rig.prepare()
     rig.client.request(wire.Sweep((1200, 0), 8000, 1, 0))
     rig.robot.wait(1.5)
-    assert rig.mega.drive_enabled[0]
-    assert rig.mega.drive[0] > 300
+    assert rig.board.drive_enabled[0]
+    assert rig.board.drive[0] > 300
     return rig
 
 
-def notice_reset(rig: Rig, within_ms: int = 8000) -> None:
+def notice_reset(rig: Rig[SimulatedMega], within_ms: int = 8000) -> None:
     """The board starts again, and the client says so, its heart beating all the while.
 
     The heart holds itself once the board is mute; the beats that were on their way keep the boot
@@ -145,9 +145,9 @@ def test_a_hung_loop_is_ended_by_the_watchdog(
     full_length: Scene, stored_config: bytes, interrupts: bool
 ) -> None:
     rig = sweeping(full_length, stored_config)
-    rig.mega.hang(interrupts=interrupts)
+    rig.board.hang(interrupts=interrupts)
     assert rig.until_off(400) <= 280
-    assert rig.mega.chip.resets(Cause.WATCHDOG) == 1
+    assert rig.board.chip.resets(Cause.WATCHDOG) == 1
     notice_reset(rig, 700)  # without the boot loader's wait: to the first announcement
     assert rig.client.connect().reset_cause is wire.ResetCause.WATCHDOG
     rig.pass_ms(300)
@@ -156,7 +156,7 @@ def test_a_hung_loop_is_ended_by_the_watchdog(
     assert not status.conditions & wire.Condition.LENGTH_KNOWN.mask
     assert rig.off
     # The next start is no watchdog's.
-    rig.mega.reset(wire.ResetCause.EXTERNAL)
+    rig.board.reset(wire.ResetCause.EXTERNAL)
     notice_reset(rig)
     assert rig.client.connect().reset_cause is wire.ResetCause.EXTERNAL
 
@@ -166,7 +166,7 @@ def test_the_port_opened_or_the_power_cycled_in_a_sweep_is_safe_and_noticed(
     full_length: Scene, stored_config: bytes, cause: wire.ResetCause
 ) -> None:
     rig = sweeping(full_length, stored_config)
-    rig.mega.reset(cause)
+    rig.board.reset(cause)
     assert rig.off, "pins float, and are pulled down"
     notice_reset(rig)
     assert rig.client.connect().reset_cause is cause
@@ -181,9 +181,9 @@ def test_a_pulled_cable_vents_within_the_heartbeat_limit(
     full_length: Scene, stored_config: bytes
 ) -> None:
     rig = sweeping(full_length, stored_config)
-    rig.mega.plug(False)
+    rig.board.plug(False)
     assert 300 <= rig.until_off(1000) <= 520
-    rig.mega.plug(True)
+    rig.board.plug(True)
     rig.pass_ms(100)
     with pytest.raises(RobotFaultError, match="host_silent"):
         rig.robot.wait(1.0)
@@ -193,12 +193,12 @@ def test_a_sagging_supply_is_a_fault_and_a_failing_one_a_brown_out(
     full_length: Scene, stored_config: bytes
 ) -> None:
     rig = sweeping(full_length, stored_config)
-    rig.mega.set_supply_mv(4200)
+    rig.board.set_supply_mv(4200)
     assert rig.until_off(200) <= 60
     with pytest.raises(RobotFaultError, match="brown_out"):
         rig.robot.wait(1.0)
-    rig.mega.set_supply_mv(5000)
-    rig.mega.reset(wire.ResetCause.BROWN_OUT)
+    rig.board.set_supply_mv(5000)
+    rig.board.reset(wire.ResetCause.BROWN_OUT)
     notice_reset(rig)
     assert rig.client.connect().reset_cause is wire.ResetCause.BROWN_OUT
 

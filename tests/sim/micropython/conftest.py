@@ -1,11 +1,11 @@
-"""Benches for each processor that runs MicroPython."""
+"""Robots on each processor that runs MicroPython."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import pytest
-from python_bench import Bench
+from rig import Rig
 
 from thigmo.emulator.micropython import MicroPythonBoard, Processor
 from thigmo.emulator.micropython_build import missing
@@ -13,12 +13,13 @@ from thigmo.emulator.scene import Scene
 
 
 @pytest.fixture
-def bench(stored_config: bytes, full_length: Scene) -> Callable[..., Bench]:
-    """Makes a bench: (processor, Python's program)."""
+def bench(stored_config: bytes, full_length: Scene) -> Callable[..., Rig[MicroPythonBoard]]:
+    """Makes a robot on a board: (processor, Python's program)."""
 
-    def make(on: Processor = "unix", program: str | None = None) -> Bench:
+    def make(on: Processor = "unix", program: str | None = None) -> Rig[MicroPythonBoard]:
         if reason := missing(on):
             pytest.skip(reason)
-        return Bench(MicroPythonBoard(5, stored_config, on=on, program=program), full_length)
+        board = MicroPythonBoard(5, stored_config, on=on, program=program)
+        return Rig(board, full_length, seed=5)
 
     return make

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from python_bench import Bench
+from rig import Rig
 
 from thigmo.emulator.micropython import MicroPythonBoard, Processor
 from thigmo.errors import LinkError, PortError
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 
-Make = Callable[..., Bench]
+Make = Callable[..., Rig[MicroPythonBoard]]
 ON: list[Processor] = ["unix", "cortex-m3"]
 
 # Programs that never give the interrupt to anybody: only the module can put outputs off.
@@ -48,7 +48,7 @@ def test_ctrl_c_puts_outputs_off(bench: Make, on: Processor) -> None:
     robot.press()
     robot.board.interrupt()
     robot.until(lambda: not robot.board.running)
-    assert robot.off
+    assert robot.airless
     robot.until(lambda: "KeyboardInterrupt" in robot.board.console())
 
 
@@ -58,7 +58,7 @@ def test_outputs_are_off_though_the_program_swallows_ctrl_c(bench: Make) -> None
     robot.board.interrupt()
     robot.until(lambda: "swallowed" in robot.board.console())
     robot.transport.pass_time(0.01)
-    assert robot.off
+    assert robot.airless
     assert not robot.board.running
 
 
@@ -72,7 +72,7 @@ def test_an_error_beside_the_controller_puts_outputs_off(
     robot.press()
     robot.until(lambda: error in robot.board.console())
     robot.transport.pass_time(0.01)
-    assert robot.off
+    assert robot.airless
     assert not robot.board.running
 
 
@@ -90,12 +90,12 @@ def test_mpremote_that_comes_in_finds_outputs_off_and_a_raw_prompt(bench: Make) 
     robot.press()
     robot.board.type(b"\r\x03\x03")  # as mpremote enters the raw prompt
     robot.until(lambda: not robot.board.running)
-    assert robot.off
+    assert robot.airless
     robot.board.type(b"\r\x01")
     robot.until(lambda: "raw REPL; CTRL-B to exit" in robot.board.console())
     robot.board.type(b"print(6 * 7)\x04")
     robot.until(lambda: "OK42" in robot.board.console())
-    assert robot.off
+    assert robot.airless
 
 
 def test_after_a_soft_reset_the_program_begins_again_and_a_stop_stays(bench: Make) -> None:
@@ -115,7 +115,7 @@ def test_after_a_soft_reset_the_program_begins_again_and_a_stop_stays(bench: Mak
     assert client.hello.reset_cause is wire.ResetCause.EXTERNAL
     status = client.request(wire.GetStatus())
     assert status.stop_nonce == stop_nonce
-    assert robot.off
+    assert robot.airless
 
 
 @pytest.mark.parametrize("on", ON)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from python_bench import Bench
+from rig import Rig
 
 import thigmo
 from thigmo.emulator.micropython import STORE_SIZE, MicroPythonBoard
@@ -19,7 +19,7 @@ from thigmo.link.client import Client
 from thigmo.link.protocol import ResetCause
 from thigmo.studies.faults import FAILURES, QUICK, Case, visit
 
-Make = Callable[..., Bench]
+Make = Callable[..., Rig[MicroPythonBoard]]
 
 
 @pytest.fixture(autouse=True)
@@ -77,7 +77,7 @@ def test_hello_telemetry_a_sweep_and_a_stop_on_the_cortex_m3(bench: Make) -> Non
     robot.robot.sweep({"left": 12.0, "right": 8.0}, period_s=2.0)
     robot.client.stop()
     robot.transport.pass_time(0.1)  # the air enables' longest hold is 60 ms
-    assert robot.off
+    assert robot.airless
     assert robot.board.running
 
 
@@ -101,7 +101,7 @@ def test_a_loop_that_hangs_is_restarted_by_the_watchdog(bench: Make) -> None:
     robot.press()
     robot.board.hang()
     robot.transport.pass_time(0.3)
-    assert robot.off
+    assert robot.airless
     robot.transport.pass_time(1.0)
     assert robot.board.boots == 2
 
@@ -137,7 +137,7 @@ def test_a_power_cut_in_a_save_keeps_a_whole_configuration_and_the_stop(
     with suppress(LinkError):  # nobody answers
         client.request(wire.SaveConfig())
     assert board.powered == (cut == 10**6)
-    assert robot.off
+    assert robot.airless
     # The supply sags for so short that RAM holds: the stop must hold as well.
     board.reset(ResetCause.BROWN_OUT)
     robot.transport.pass_time(1.5)
