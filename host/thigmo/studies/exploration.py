@@ -13,11 +13,9 @@ robot time and by the thesis's protocol: what seconds buy.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, nan
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,7 +35,7 @@ from thigmo.record.occupancy import FREE, OCCUPIED
 from thigmo.report.axes import BLUE, GREEN, ORANGE, RED
 from thigmo.studies import charts
 from thigmo.studies.engine import Claim, Context, Outcome, Record, share
-from thigmo.studies.rooms import explored
+from thigmo.studies.rooms import explored_scene
 from thigmo.studies.scenes import RADIUS
 
 ROUNDS = 10  # parts of all rooms; the results so far are written after each
@@ -289,21 +287,14 @@ def visit(room: tuple[str, int, str]) -> Run:
         peg, _ = random_peg(scene.robot, rng, radius=_RADII_CM)
         found.x_cm, found.y_cm, found.radius_cm = peg.x, peg.y, peg.radius
         scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "room.toml"
-        scene.save(file)
-        try:
-            document = explored(
-                f"emulator://{file}",
-                folder,
-                seed,
-                config=known,
-                protocol="thesis" if setting == "thesis" else "measure",
-                effort=_effort(setting, known),
-            ).document
-        except ThigmoError as error:
-            found.status = f"aborted: {error.what}"
-            return found, None
+    protocol = "thesis" if setting == "thesis" else "measure"
+    try:
+        document = explored_scene(
+            scene, seed, config=known, protocol=protocol, effort=_effort(setting, known)
+        )
+    except ThigmoError as error:
+        found.status = f"aborted: {error.what}"
+        return found, None
     found.judge(document)
     return found, judge_map(document) if kind.peg else None
 

@@ -7,10 +7,8 @@ default scene's errors of calibration. What is promised is pooled over the robot
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import asdict, dataclass
 from math import nan
-from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +21,7 @@ from thigmo.exploration.map import best_contact, of_stage
 from thigmo.record import RunDocument, Truth
 from thigmo.studies.engine import Claim, Context, Outcome, Record, share
 from thigmo.studies.exploration import LENGTH_CM, Explored
-from thigmo.studies.rooms import explored
+from thigmo.studies.rooms import explored_scene
 
 _ELLIPSE = 5.991  # 95 % of chi-squared of two degrees of freedom
 
@@ -93,15 +91,13 @@ def visit(room: tuple[str, int, bool]) -> Visited:
     name, seed, peg = room
     scene = room_for(robot_named(name), seed, peg=peg)
     found = Visited(name, seed, peg=peg, length_cm=scene.robot.body.length_cm)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "room.toml"
-        scene.save(file)
-        try:
-            document = explored(f"emulator://{file}", folder, seed).document
-            found.judge(document)
-            found.judge_place(document)
-        except ThigmoError as error:
-            found.status = f"aborted: {error.what}"
+    try:
+        document = explored_scene(scene, seed)
+    except ThigmoError as error:
+        found.status = f"aborted: {error.what}"
+        return found
+    found.judge(document)
+    found.judge_place(document)
     return found
 
 

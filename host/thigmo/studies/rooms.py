@@ -7,12 +7,15 @@ same.
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from thigmo import __version__
 from thigmo.config import RobotConfig
+from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult
 from thigmo.exploration.effort import EFFORTS, Effort
 from thigmo.exploration.run import Exploration, Protocol
@@ -53,3 +56,11 @@ def explored(
         time = round(robot.elapsed_s, 3)
         document = replace(run.document, length_cm=run.length_cm, robot_time_s=time)
         return ExplorationResult(document, folder.path)
+
+
+def explored_scene(scene: Scene, seed: int, **how: Any) -> RunDocument:
+    """Explore a scene as `explored` does, with its options; only the run's document is kept."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "room.toml"
+        scene.save(file)
+        return explored(f"emulator://{file}", folder, seed, **how).document
