@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from command import Thigmo, thigmo_command
-from emulated import last_stages, room_file
+from emulated import Serve, last_stages, room_file
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
@@ -119,15 +119,15 @@ def thigmo(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.fixture
-def serve() -> Iterator[Callable[[Scene], str]]:
-    """Puts an emulated robot behind a serial port, in real time, and tells the port."""
+def serve() -> Iterator[Serve]:
+    """Puts an emulated robot behind a serial port, in real time, until the test is over."""
     from served import ServedRobot  # has no import where there are no terminals
 
     with ExitStack() as stack:
 
-        def served(scene: Scene) -> str:
+        def served(scene: Scene) -> ServedRobot:
             robot = ServedRobot(Lockstep(scene, VirtualBoard(1, brought_up()), seed=1))
             stack.callback(robot.close)
-            return robot.port
+            return robot
 
         yield served

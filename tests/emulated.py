@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link.client import Client
 from thigmo.robot import Robot
+
+if TYPE_CHECKING:
+    from served import ServedRobot  # has no import where there are no terminals
+
+Serve = Callable[[Scene], "ServedRobot"]  # the fixture `serve`
 
 
 def scene_at(length_cm: float, name: str = "empty") -> Scene:

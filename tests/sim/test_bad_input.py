@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 from command import Ran, Thigmo
+from emulated import Serve
 
 from thigmo.config import RobotConfig
 from thigmo.emulator.scene import Scene
@@ -116,11 +117,11 @@ def test_a_port_that_is_no_robot_of_ours(
 
 
 def test_a_robot_whose_constants_nobody_gave_is_not_explored(
-    thigmo: Thigmo, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, serve: Callable[[Scene], str]
+    thigmo: Thigmo, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, serve: Serve
 ) -> None:
     """With the defaults it would report contacts that are none."""
     monkeypatch.chdir(tmp_path)
-    port = serve(Scene.load("empty"))
+    port = serve(Scene.load("empty")).port
     one_line(thigmo("explore", "--robot", port), f"calibrate all --robot {port}")
     Path("calibration").mkdir()
     Path("calibration/actuator.json").touch()

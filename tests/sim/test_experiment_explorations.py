@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from emulated import Serve
 from test_experiment_trials import Terminal
 
 from thigmo.emulator.reach import random_peg
@@ -93,9 +93,9 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
 
 
 @pytest.fixture
-def port(scene: Scene, serve: Callable[[Scene], str]) -> str:
+def port(scene: Scene, serve: Serve) -> str:
     """The same robot behind a serial port, in real time."""
-    return serve(scene)
+    return serve(scene).port
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")

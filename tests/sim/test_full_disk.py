@@ -14,12 +14,9 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from emulated import last_stages
+from emulated import Serve, last_stages
 from served import EVER_S, ServedRobot, comes
 
-from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.lockstep import Lockstep
-from thigmo.emulator.serve import brought_up
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder
 from thigmo.record import RunFolder
@@ -80,10 +77,10 @@ def test_a_folder_that_takes_nothing_is_told_before_the_robot_moves(
 
 
 @pytest.mark.realtime
-def test_a_full_disk_makes_the_robot_safe_first(explore: Explore, tmp_path: Path) -> None:
+def test_a_full_disk_makes_the_robot_safe_first(serve: Serve, tmp_path: Path) -> None:
     room = last_stages(20.0, "empty")
     room.robot.save(tmp_path / "robot.toml")
-    served = ServedRobot(Lockstep(room, VirtualBoard(1, brought_up()), seed=1))
+    served = serve(room)
     operator, terminal = os.openpty()
     try:
         heard = _heard(served)
@@ -104,7 +101,6 @@ def test_a_full_disk_makes_the_robot_safe_first(explore: Explore, tmp_path: Path
         assert wire.Disarm.ID in heard()  # it got the command, its host did not just fall silent
         assert comes(lambda: served.off, 5.0)
     finally:
-        served.close()
         os.close(operator)
         os.close(terminal)
 

@@ -18,13 +18,10 @@ from pathlib import Path
 
 import pytest
 from command import Thigmo
-from emulated import last_stages
+from emulated import Serve, last_stages
 from served import ServedRobot, comes
 
-from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
-from thigmo.emulator.serve import brought_up
 from thigmo.exploration import replay
 from thigmo.link import protocol as wire
 from thigmo.link.framing import decode
@@ -41,23 +38,6 @@ LIMIT_S = 0.6  # of silence, and one period of the heart
 def room() -> Scene:
     """The robot 20 cm out, with sensors that settle at once: real time is dear."""
     return last_stages(20.0, "empty")
-
-
-Serve = Callable[[Scene], ServedRobot]
-
-
-@pytest.fixture
-def serve() -> Iterator[Serve]:
-    """Serves a room until the test is over."""
-    running: list[ServedRobot] = []
-
-    def start(room: Scene) -> ServedRobot:
-        running.append(ServedRobot(Lockstep(room, VirtualBoard(1, brought_up()), seed=1)))
-        return running[-1]
-
-    yield start
-    for served in running:
-        served.close()
 
 
 @contextmanager

@@ -5,15 +5,13 @@ Both together look right to the board; which way the spool turns, somebody must 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from command import Thigmo
-from emulated import armed, at_each_step, scene_at
+from emulated import Serve, armed, at_each_step, scene_at
 
 from thigmo.bringup import BringUp
-from thigmo.emulator.scene import Scene
 from thigmo.errors import RobotFaultError
 from thigmo.robot import Robot
 
@@ -73,10 +71,10 @@ def test_both_swapped_look_right_to_the_board_and_are_seen_at_bringup() -> None:
 
 @pytest.mark.realtime
 def test_a_robot_whose_direction_nobody_has_seen_does_not_move(
-    thigmo: Thigmo, serve: Callable[[Scene], str], tmp_path: Path
+    thigmo: Thigmo, serve: Serve, tmp_path: Path
 ) -> None:
     scene = scene_at(START_CM)
-    port, config = serve(scene), tmp_path / "robot.toml"
+    port, config = serve(scene).port, tmp_path / "robot.toml"
     scene.robot.save(config)
     retract = ("retract", "--robot", port, "--config", config, "--length", START_CM, "--to", 19.0)
     assert thigmo("params", "--robot", port, "direction_seen", 0, "--save").code == 0
