@@ -111,7 +111,9 @@ class Mixture {
     return static_cast<std::size_t>(after - edges.begin()) - 1;
   }
 
-  // Pieces of the highest-density set that holds a share of the mass, ascending.
+  // Pieces of the highest-density set that holds a share of the mass, ascending: all cells at least
+  // as dense as the one that completes the share (Hyndman, Am. Stat. 50 (1996)). Cells that another
+  // grid's edge cuts in two are equally dense but for rounding.
   std::vector<std::pair<double, double>> densest(double share) const {
     // What is less dense holds less than the rest of the mass together, so it is in no such set.
     const double least = 0.99 * (1.0 - share) / (edges.back() - edges.front());
@@ -125,9 +127,11 @@ class Mixture {
     const auto less = [&](int a, int b) { return density[a] < density[b]; };
     std::make_heap(order.begin(), order.end(), less);
     auto rest = order.end();  // the densest are behind it
-    for (double held = 0.0; rest != order.begin() && held < share * (1.0 - 1e-12);) {
+    double held = 0.0, as_dense = 0.0;
+    const double enough = share * (1.0 - 1e-12);
+    while (rest != order.begin() && (held < enough || density[order.front()] >= as_dense)) {
       std::pop_heap(order.begin(), rest--, less);
-      held += mass[*rest];
+      held += mass[*rest], as_dense = (1.0 - 1e-9) * density[*rest];
     }
     order.erase(order.begin(), rest);
     std::sort(order.begin(), order.end());
