@@ -115,28 +115,19 @@ class Mixture {
   // as dense as the one that completes the share (Hyndman, Am. Stat. 50 (1996)). Cells that another
   // grid's edge cuts in two are equally dense but for rounding.
   std::vector<std::pair<double, double>> densest(double share) const {
-    // What is less dense holds less than the rest of the mass together, so it is in no such set.
-    const double least = 0.99 * (1.0 - share) / (edges.back() - edges.front());
-    std::vector<int> order;
+    const int cells = static_cast<int>(mass.size());
     Row density = mass;
-    order.reserve(mass.size());
-    for (int c = 0; c < static_cast<int>(mass.size()); ++c) {
-      density[c] /= edges[c + 1] - edges[c];
-      if (density[c] > least) order.push_back(c);
+    for (int c = 0; c < cells; ++c) density[c] /= edges[c + 1] - edges[c];
+    std::vector<int> order(cells);
+    std::iota(order.begin(), order.end(), 0);
+    std::sort(order.begin(), order.end(), [&](int a, int b) { return density[a] > density[b]; });
+    double held = 0.0, least = 0.0;
+    for (int k = 0; k < cells && held < share * (1.0 - 1e-12); ++k) {
+      held += mass[order[k]], least = (1.0 - 1e-9) * density[order[k]];
     }
-    const auto less = [&](int a, int b) { return density[a] < density[b]; };
-    std::make_heap(order.begin(), order.end(), less);
-    auto rest = order.end();  // the densest are behind it
-    double held = 0.0, as_dense = 0.0;
-    const double enough = share * (1.0 - 1e-12);
-    while (rest != order.begin() && (held < enough || density[order.front()] >= as_dense)) {
-      std::pop_heap(order.begin(), rest--, less);
-      held += mass[*rest], as_dense = (1.0 - 1e-9) * density[*rest];
-    }
-    order.erase(order.begin(), rest);
-    std::sort(order.begin(), order.end());
     std::vector<std::pair<double, double>> pieces;
-    for (const int c : order) {
+    for (int c = 0; c < cells; ++c) {
+      if (density[c] < least) continue;
       if (!pieces.empty() && pieces.back().second == edges[c]) {
         pieces.back().second = edges[c + 1];
       } else {

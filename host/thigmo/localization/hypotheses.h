@@ -375,10 +375,8 @@ class Explanations {
       if (turn == 0 && count > 2 && !all) {
         const double least = best() - odds + kNegligible;
         if (log_evidence < least) return kNone;
-        for (const double part : {0.85, 0.0}) {  // mostly the likelier sets decide
-          grid.solve(grid.share_below(part * std::exp(least - log_evidence)));
-          if (log_evidence + std::log(grid.all_felt()) < least) return kNone;
-        }
+        grid.solve(0.0);
+        if (log_evidence + std::log(grid.all_felt()) < least) return kNone;
       }
       Row bent = body_->bent(now.loads);
       Row next = body_->shown(bent, now.left, bad);

@@ -454,16 +454,6 @@ class Grid {
     return total > 0.0;
   }
 
-  // Share of the mass such that the sets with less of it hold no more than `rest` of it together.
-  double share_below(double rest) const {
-    double share = rest > 0.0 ? 1.0 / sets_ : 0.0;
-    while (share > 0.0) {
-      if (total - sum_from(share * total, mass) <= rest * total) break;
-      share = share > 1e-9 ? 0.5 * share : 0.0;
-    }
-    return share;
-  }
-
   // Of sets that hold a share of `least` or more: forces over levels and scales, and the
   // probability that each contact counts. Contacts of other sets are taken to count.
   THIGMO_WIDEST(void, solve, double least, least)
