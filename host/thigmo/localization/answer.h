@@ -45,9 +45,11 @@ struct Answer {
   double radius = 0.0;  // of the tube, over the length
 };
 
+// A contact's places over hypotheses, whose grids cut the body into cells between `edges`.
 class Mixture {
  public:
-  Row edges, mass, force, variance;
+  Row edges;
+  Marginal cells;
 
   Mixture(const std::vector<std::pair<double, const Marginal*>>& parts, Window within) {
     edges.reserve(parts.empty() ? 2 : parts[0].second->place.size() + 3);
@@ -66,36 +68,31 @@ class Mixture {
         std::unique(edges.begin(), edges.end(), [](double a, double b) { return b - a < 1e-9; }),
         edges.end());
     edges.back() = within.far;
-    const std::size_t cells = edges.size() - 1;
-    mass = force = variance = Row(cells);
+    const std::size_t count = edges.size() - 1;
+    cells.mass = cells.force = cells.spread = cells.felt = Row(count);
     double total = 0.0;
     for (const auto& [weight, part] : parts) {
       const double near = part->place.front() - 0.5 * part->width;
       const int last = static_cast<int>(part->place.size()) - 1;
-      for (std::size_t c = 0; c < cells; ++c) {
+      for (std::size_t c = 0; c < count; ++c) {
         const double middle = 0.5 * (edges[c] + edges[c + 1]);
         const int m = middle < near ? -1 : static_cast<int>((middle - near) / part->width);
         if (m < 0 || m > last) continue;
         const double share = weight * part->mass[m] * (edges[c + 1] - edges[c]) / part->width;
-        mass[c] += share;
-        force[c] += share * part->force[m];
-        variance[c] +=
-            share * (part->force[m] * part->force[m] + part->spread[m] * part->spread[m]);
+        cells.add(c, share, part->force[m], part->spread[m]);
         total += share;
       }
     }
-    for (std::size_t c = 0; c < cells; ++c) {
-      if (mass[c] > 0.0) {
-        force[c] /= mass[c];
-        variance[c] = std::max(variance[c] / mass[c] - force[c] * force[c], 0.0);
-      }
+    cells.average();
+    for (std::size_t c = 0; c < count; ++c) {
       // Where nothing of the posterior is within, that is all that is known.
-      mass[c] =
-          total > 0.0 ? mass[c] / total : (edges[c + 1] - edges[c]) / (within.far - within.near);
+      double& mass = cells.mass[c];
+      mass = total > 0.0 ? mass / total : (edges[c + 1] - edges[c]) / (within.far - within.near);
     }
   }
 
   double quantile(double share) const {
+    const Row& mass = cells.mass;
     double below = 0.0;
     for (std::size_t c = 0; c < mass.size(); ++c) {
       if (below + mass[c] >= share && mass[c] > 0.0) {
@@ -111,28 +108,23 @@ class Mixture {
     return static_cast<std::size_t>(after - edges.begin()) - 1;
   }
 
-  // Pieces of the highest-density set that holds a share of the mass, ascending.
+  // Pieces of the highest-density set that holds a share of the mass, ascending: all cells at least
+  // as dense as the one that completes the share (Hyndman, Am. Stat. 50 (1996)). Cells that another
+  // grid's edge cuts in two are equally dense but for rounding.
   std::vector<std::pair<double, double>> densest(double share) const {
-    // What is less dense holds less than the rest of the mass together, so it is in no such set.
-    const double least = 0.99 * (1.0 - share) / (edges.back() - edges.front());
-    std::vector<int> order;
-    Row density = mass;
-    order.reserve(mass.size());
-    for (int c = 0; c < static_cast<int>(mass.size()); ++c) {
-      density[c] /= edges[c + 1] - edges[c];
-      if (density[c] > least) order.push_back(c);
+    Row density = cells.mass;
+    const int count = static_cast<int>(density.size());
+    for (int c = 0; c < count; ++c) density[c] /= edges[c + 1] - edges[c];
+    std::vector<int> order(count);
+    std::iota(order.begin(), order.end(), 0);
+    std::sort(order.begin(), order.end(), [&](int a, int b) { return density[a] > density[b]; });
+    double held = 0.0, least = 0.0;
+    for (int k = 0; k < count && held < share * (1.0 - 1e-12); ++k) {
+      held += cells.mass[order[k]], least = (1.0 - 1e-9) * density[order[k]];
     }
-    const auto less = [&](int a, int b) { return density[a] < density[b]; };
-    std::make_heap(order.begin(), order.end(), less);
-    auto rest = order.end();  // the densest are behind it
-    for (double held = 0.0; rest != order.begin() && held < share * (1.0 - 1e-12);) {
-      std::pop_heap(order.begin(), rest--, less);
-      held += mass[*rest];
-    }
-    order.erase(order.begin(), rest);
-    std::sort(order.begin(), order.end());
     std::vector<std::pair<double, double>> pieces;
-    for (const int c : order) {
+    for (int c = 0; c < count; ++c) {
+      if (density[c] < least) continue;
       if (!pieces.empty() && pieces.back().second == edges[c]) {
         pieces.back().second = edges[c + 1];
       } else {
@@ -146,9 +138,9 @@ class Mixture {
   double departure(double value, const std::vector<std::pair<double, double>>& pieces) const {
     double total = 0.0, square = 0.0;
     for (const auto& [near, far] : pieces) {
-      for (std::size_t c = cell(near); c < mass.size() && edges[c] < far; ++c) {
-        const double off = force[c] - value;
-        total += mass[c], square += mass[c] * (off * off + variance[c]);
+      for (std::size_t c = cell(near); c + 1 < edges.size() && edges[c] < far; ++c) {
+        const double mass = cells.mass[c], off = cells.force[c] - value, own = cells.spread[c];
+        total += mass, square += mass * (off * off + own * own);
       }
     }
     return std::sqrt(square / total);
@@ -341,7 +333,7 @@ inline void conclude(Explanations& weighing, const Priors& priors, const Setting
     felt.pieces = mixture.densest(priors.level);
     felt.low = felt.pieces.front().first;
     felt.high = felt.pieces.back().second;
-    felt.force = mixture.force[mixture.cell(felt.arc)];
+    felt.force = mixture.cells.force[mixture.cell(felt.arc)];
     const bool placed = sure && (asked || felt.probability > 1.0 - priors.excluded) &&
                         felt.high - felt.low <= settings.width_limit;
     felt.localized = placed && (!perhaps || felt.arc >= kNearEnd);
@@ -363,9 +355,8 @@ inline void conclude(Explanations& weighing, const Priors& priors, const Setting
       const double size = std::sqrt(std::max(dot(best.forces[j], best.forces[j]), 1e-300));
       felt.vector = plus({}, felt.force / size, best.forces[j]);
     }
-    felt.edges = std::move(mixture.edges), felt.mass = std::move(mixture.mass);
-    felt.force_at = std::move(mixture.force), felt.spread = std::move(mixture.variance);
-    for (double& value : felt.spread) value = std::sqrt(value);
+    felt.edges = std::move(mixture.edges), felt.mass = std::move(mixture.cells.mass);
+    felt.force_at = std::move(mixture.cells.force), felt.spread = std::move(mixture.cells.spread);
     out.contacts.push_back(std::move(felt));
   }
   if (count == 0 || (asked && out.touched < 0.5)) {

@@ -319,8 +319,7 @@ class Explanations {
   }
 
   // Lays the grid on the body's shape; returns the readings as that leaves them.
-  const Whitened& lay(Grid& grid, const Whitened& white, const Matrix& shared, Left& room,
-                      int level) const {
+  const Whitened& lay(Grid& grid, const Whitened& white, const Matrix& shared, Left& room) const {
     for (Placed& p : grid.placed) {
       const bool anywhere = p.load->where == Load::Where::anywhere;
       p.width = anywhere ? (p.window.far - p.window.near) / p.cells : priors_.end_cell;
@@ -328,27 +327,8 @@ class Explanations {
     }
     grid.list();
     const Whitened& read = left(white, shared, room);
-    grid.take(read, level);
+    grid.take(read);
     return read;
-  }
-
-  // Curvature of the body at rest under the likeliest loads of a grid, from a shape near it.
-  Row settled(const Grid& grid, const Whitened& white, const Matrix& shared, Row shape, int bad,
-              int& passes) const {
-    Grid only = grid.alone();
-    Left room;
-    double last = INFINITY, step = 1.0;
-    while (++passes < kMostPasses) {
-      body_->take(shape, step);
-      const Whitened& read = lay(only, white, shared, room, static_cast<int>(grid.level));
-      const Grid::Likeliest now = only.likeliest(*read.frame);
-      Row next = body_->shown(body_->bent(now.loads), now.left, bad);
-      const double change = apart(next, shape);
-      if (change < priors_.shape_rests || body_->keeps(next)) return next;
-      step = stride(change, last);
-      towards(next, step, shape);
-    }
-    return shape;
   }
 
   // Weighs an explanation from a shape on, beside a mark or none, and beside marks that may matter.
@@ -378,7 +358,7 @@ class Explanations {
     double last = INFINITY, step = 1.0;
     for (int turn = 0, passes = 0; turn < kMostTurns; ++turn) {
       body_->take(shape, std::exchange(step, 1.0));
-      const Whitened& read = lay(grid, white, shared, room, -1);
+      const Whitened& read = lay(grid, white, shared, room);
       if (!grid.weigh(prior_)) return kNone;
       const double log_evidence = evidence(grid, whole);
       // The first shape may be far from that of the loads.
@@ -395,10 +375,8 @@ class Explanations {
       if (turn == 0 && count > 2 && !all) {
         const double least = best() - odds + kNegligible;
         if (log_evidence < least) return kNone;
-        for (const double part : {0.85, 0.0}) {  // mostly the likelier sets decide
-          grid.solve(grid.share_below(part * std::exp(least - log_evidence)));
-          if (log_evidence + std::log(grid.all_felt()) < least) return kNone;
-        }
+        grid.solve(0.0);
+        if (log_evidence + std::log(grid.all_felt()) < least) return kNone;
       }
       Row bent = body_->bent(now.loads);
       Row next = body_->shown(bent, now.left, bad);
@@ -406,12 +384,8 @@ class Explanations {
       const bool rests = change < priors_.shape_rests || body_->keeps(next);
       const bool last_turn = turn + 1 == kMostTurns;
       if (!rests && !last_turn && ++passes < kMostPasses) {
-        if (turn > 0 && grid.size() > 1) {
-          shape = settled(grid, white, shared, std::move(next), bad, passes);
-        } else {
-          step = stride(change, last);
-          towards(next, step, shape);
-        }
+        step = stride(change, last);
+        towards(next, step, shape);
         continue;
       }
       const double coarse = all || log_evidence > matters ? kResolved : kCoarse;
@@ -445,7 +419,7 @@ class Explanations {
       if (marks == 0) return index;
       if (!whole) {  // beside another mark the contacts may lie anywhere
         for (Placed& p : grid.placed) p.window = {0.0, 1.0};
-        lay(grid, white, frame_.shared, room, -1);
+        lay(grid, white, frame_.shared, room);
         grid.weigh(prior_);
       }
       const double plain = evidence(grid, true) + weight, matter = best() + kMatters;

@@ -386,8 +386,8 @@ class Grid {
     }
   }
 
-  // Takes columns and readings at one level of the noise, or at all of them.
-  void take(const Whitened& readings, int only = -1) {
+  // Takes columns and readings.
+  void take(const Whitened& readings) {
     int wide = 0;
     first_.clear();
     for (std::size_t j = 0; j < placed.size(); ++j) {
@@ -401,11 +401,8 @@ class Grid {
         std::copy_n(from[i], from.columns, column_[i] + first_[j]);
       }
     }
-    const std::size_t from = only < 0 ? 0 : only,
-                      beyond = only < 0 ? readings.levels.size() : from + 1;
-    levels_.resize(beyond - from);
-    for (std::size_t s = from; s < beyond; ++s) take(readings.levels[s], levels_[s - from]);
-    if (only >= 0) level = 0;
+    levels_.resize(readings.levels.size());
+    for (std::size_t s = 0; s < levels_.size(); ++s) take(readings.levels[s], levels_[s]);
   }
 
   // Weighs all sets, over levels of the noise and scales of the forces. Returns whether any of them
@@ -455,16 +452,6 @@ class Grid {
     total = sum_from(0.0, mass);
     prior_ = &prior;
     return total > 0.0;
-  }
-
-  // Share of the mass such that the sets with less of it hold no more than `rest` of it together.
-  double share_below(double rest) const {
-    double share = rest > 0.0 ? 1.0 / sets_ : 0.0;
-    while (share > 0.0) {
-      if (total - sum_from(share * total, mass) <= rest * total) break;
-      share = share > 1e-9 ? 0.5 * share : 0.0;
-    }
-    return share;
   }
 
   // Of sets that hold a share of `least` or more: forces over levels and scales, and the
@@ -585,17 +572,6 @@ class Grid {
         out.misfit += number[k][lane] * moves;
       }
     });
-    return out;
-  }
-
-  // The likeliest set alone, to be placed on another shape.
-  Grid alone() const {
-    Grid out;
-    for (std::size_t j = 0; j < placed.size(); ++j) {
-      const double arc = placed[j].place[cell_[j][best_]];
-      out.placed.push_back({placed[j].load, 1, placed[j].number, placed[j].across, {arc, arc}});
-    }
-    out.scale_ = scale_;
     return out;
   }
 

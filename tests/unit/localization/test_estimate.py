@@ -54,6 +54,26 @@ def test_what_was_localized_before_changes_no_answer():
     assert answers([0, 1, 2, 3]) == answers([3, 1, 0, 2])
 
 
+def test_no_end_of_a_set_moves_by_more_than_rounding_does():
+    # Grids of several explanations cut each other's cells into equally dense parts, one of which
+    # may complete a set: that all enter leaves no choice to the last digit of a sum.
+    rng = np.random.default_rng(18)
+    for _ in range(100):
+        arcs = np.array([rng.uniform(18.0, 30.0), rng.uniform(45.0, LENGTH)])
+        forces = rng.choice([-1.0, 1.0]) * np.array([-1.0, 1.5]) * rng.uniform(0.003, 0.011) / arcs
+        frame = felt(arcs, forces) + SIGMA * rng.standard_normal(10)
+
+        def ends(frame: np.ndarray, odds: float) -> list[float]:
+            found = find(frame, bad_reading_odds=odds)
+            return [end for c in found.contacts for piece in c.intervals for end in piece]
+
+        before = ends(frame, 1e-3)
+        for _ in range(4):
+            frame_off, odds_off = 1e-13 * rng.uniform(-1.0, 1.0, (2, 10))
+            after = ends(frame * (1.0 + frame_off), 1e-3 * (1.0 + odds_off[0]))
+            assert after == pytest.approx(before, abs=1e-6)
+
+
 def test_clean_and_fine_readings_fix_the_place():
     result = find(felt(37.0, 2e-4), noise=1e-7)
     assert result.status == "localized"
