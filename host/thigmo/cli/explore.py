@@ -117,6 +117,6 @@ def explore(
             progress=show,
         )
     if as_json:
-        print_json(result.as_json())
+        print_json(result.to_dict())
     else:
         console.result(result)

@@ -39,7 +39,7 @@ def replay(
     if not result.document.contacts:
         lines.append("no contact in what remains" if result.missing else "no contact")
     lines.append(f"{result.sweeps} sweeps; {run / 'replay.json'}")
-    show(as_json, result.as_json(), *lines)
+    show(as_json, result.to_dict(), *lines)
 
 
 def info(

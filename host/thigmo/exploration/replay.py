@@ -33,8 +33,8 @@ class ReplayResult:
     gaps: int  # places at which the record is damaged
     missing: str  # the same in words, for the operator; empty if the record is whole
 
-    def as_json(self) -> dict[str, Any]:
-        """The object that `thigmo replay --json` prints."""
+    def to_dict(self) -> dict[str, Any]:
+        """The document without its shapes, as plain data: what `thigmo replay --json` prints."""
         facts = asdict(self)
         document = facts.pop("document")
         del facts["missing"]

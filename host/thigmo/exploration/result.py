@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from thigmo.config import RobotConfig
 from thigmo.display import html_card, html_table
 from thigmo.exploration.prior import kept_prior
+from thigmo.extras import data_frame
 from thigmo.record import (
     OBSTACLES_FILE,
     MapContact,
@@ -24,6 +25,7 @@ from thigmo.report import plot_map
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,26 +99,36 @@ class ExplorationResult:
         radius, prior = self.config.body.radius_cm, kept_prior(RunFolder(self.folder))
         return plot_map(self.document, axes, radius_cm=radius, prior=prior)
 
-    def as_json(self) -> dict[str, Any]:
-        """The object that `thigmo explore --json` prints: the document without its shapes.
+    def to_dict(self) -> dict[str, Any]:
+        """The document as plain data, for JSON: what `thigmo explore --json` prints.
 
-        A contact's `everted_length_cm` is the length at which it was first felt, its
-        `measured_length_cm` the one at which it was last measured.
+        As contacts.json has it, without the stages' `shapes` and the contacts' `track`, and with
+        three entries more: `run`, the folder; `robot_per_wall_time`, robot time over wall time; and
+        each contact's `first_felt_cm`, the everted length at which it was felt first. Its
+        `everted_length_cm` is the one at which it was measured last.
         """
         plain = asdict(self.document)
         for stage in plain["stages"]:
             del stage["shapes"]
         for contact in plain["contacts"]:
             del contact["track"]
-            measured = contact["everted_length_cm"]
-            contact["measured_length_cm"] = measured
-            contact["everted_length_cm"] = min([measured, *contact["merged"]])
+            contact["first_felt_cm"] = min([contact["everted_length_cm"], *contact["merged"]])
         wall = max(self.document.wall_time_s, 1e-9)
         return {
             **plain,
             "robot_per_wall_time": self.document.robot_time_s / wall,
             "run": str(self.folder),
         }
+
+    def to_frame(self) -> DataFrame:
+        """A pandas data frame with a row for each contact, in the order of their discovery.
+
+        Its columns are those of the `contacts.csv` that `thigmo export` writes, without the times;
+        `everted_length_cm` is the length at which the contact was measured last. Raises
+        NotInstalledError without the extra: `thigmo[tables]`.
+        """
+        muscles = {muscle.side: muscle.name for muscle in self.document.muscles}
+        return data_frame([contact.to_row(muscles) for contact in self.contacts])
 
 
 def open_run(path: str | os.PathLike[str]) -> ExplorationResult:

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, fields
+from dataclasses import fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -183,12 +183,10 @@ def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Callable[[], list[
     path = Path(run)
     config = config_in(path if path.is_dir() else path.parent)
     named = _named(config)
-    muscles: dict[str | None, str] = {muscle.side: muscle.name for muscle in config.muscles}
+    muscles: dict[str, str] = {m.side: m.name for m in config.muscles if m.side}
     for message in read_messages(run, set(RECORDED) - {Grid.CHANNEL}):
         own = _values(message, named)
-        for entry in _entries(message):
-            if "muscle" in entry:
-                entry["muscle"] = muscles.get(entry["muscle"], entry["muscle"])
+        for entry in _entries(message, muscles):
             names = partial(_columns, message, named, entry)
             yield message.CHANNEL, names, [*own, *entry.values()]
 
@@ -229,7 +227,7 @@ def _values(message: Message, named: Named) -> list[Any]:
     return values
 
 
-def _entries(message: Message) -> Iterator[Row]:
+def _entries(message: Message, muscles: Mapping[str, str]) -> Iterator[Row]:
     match message:
         case BodyShape():
             for index, (x_cm, y_cm, heading) in enumerate(message.poses):
@@ -237,17 +235,13 @@ def _entries(message: Message) -> Iterator[Row]:
         case Posterior():
             cells = zip(message.places_cm or [None], message.probability or [None], strict=True)
             for place_cm, probability in cells:
-                yield {"muscle": message.side, "place_cm": place_cm, "probability": probability}
+                yield {
+                    "muscle": muscles.get(message.side, message.side),
+                    "place_cm": place_cm,
+                    "probability": probability,
+                }
         case Contacts():
             for index, contact in enumerate(message.contacts):
-                row: Row = {"contact": index} | asdict(contact)
-                row["muscle"] = row.pop("side")
-                row["interval_low_cm"], row["interval_high_cm"] = row.pop("interval_cm")
-                (row["variance_x_cm2"], row["covariance_xy_cm2"]), (_, row["variance_y_cm2"]) = (
-                    row.pop("covariance_cm2")
-                )
-                row["merged_cm"] = " ".join(f"{length:g}" for length in row.pop("merged"))
-                del row["track"]
-                yield row
+                yield {"contact": index} | contact.to_row(muscles)
         case _:
             yield {}
