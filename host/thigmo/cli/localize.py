@@ -22,8 +22,9 @@ def localize(
     file: Annotated[
         Path,
         typer.Argument(
-            help="CSV with columns position, curvature[, span][, direction: degrees about the "
-            "body, in space]; `-` for the standard input; or `example`."
+            help="CSV with columns position and curvature, and optionally span and (in space) "
+            "direction, in degrees around the body. `-` is the standard input; `example` is a file "
+            "to try the command on."
         ),
     ],
     length: Annotated[float, typer.Option(help="Length of the body, in the CSV's length unit.")],
@@ -66,12 +67,12 @@ def localize(
     stiffness: Annotated[
         str | None,
         typer.Option(
-            help="EI and its relative error, 500,0.1, in N times the length's unit squared: forces "
-            "are then in newtons."
+            help="EI, in N times the length's unit squared, and its relative error: 500,0.1. "
+            "Forces are then in newtons."
         ),
     ] = None,
     twist: Annotated[
-        float | None, typer.Option(help="In space: bending over torsional stiffness, EI/GJ.")
+        float | None, typer.Option(help="In space: ratio of bending to torsional stiffness, EI/GJ.")
     ] = None,
     weight: Annotated[
         str | None,
@@ -90,7 +91,7 @@ def localize(
     config: Annotated[
         Path | None,
         typer.Option(
-            help="robot.toml that has all these errors, as calibrated; flags override it."
+            help="Calibrated robot.toml, which has all these errors; other options override it."
         ),
     ] = None,
     muscle: Annotated[
@@ -102,9 +103,9 @@ def localize(
     columns: Annotated[
         str | None,
         typer.Option(
-            help="For a file with a frame in each row: the columns and the positions of their "
-            "sensors, k0=5,k1=15; in space also their directions, k0=5@0,k1=5@90. The answer is "
-            "CSV, a row for each contact or for a frame without any. A column t_s is kept."
+            help="For a file with a frame in each row: its columns, and the positions of their "
+            "sensors, k0=5,k1=15; in space also their directions, k0=5@0,k1=5@90. Prints CSV with "
+            "a row for each contact, and for each frame without one. A column t_s is copied."
         ),
     ] = None,
     plot: Annotated[
