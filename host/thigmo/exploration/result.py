@@ -30,7 +30,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ExplorationResult:
-    """What an exploration found: `document`, as in contacts.json, and its run folder."""
+    """What an exploration found.
+
+    Attributes:
+        document: the contents of contacts.json.
+        folder: the run folder.
+    """
 
     document: RunDocument
     folder: Path
@@ -79,21 +84,21 @@ class ExplorationResult:
 
     @property
     def map(self) -> OccupancyGrid:
-        """The map as a grid of free, occupied and unknown. Raises RunFolderError without one."""
+        """The map as a grid of cells: free, occupied or unknown. RunFolderError without one."""
         return read_ros_map(self.folder / "map.yaml")
 
     @property
     def obstacles(self) -> ObstacleMap:
-        """The map as obstacles with their ellipses, and the outlines of what was swept freely.
+        """The map as obstacles with their ellipses, and outlines of the space swept freely.
 
         Raises RunFolderError without one.
         """
         return read_obstacles(self.folder / OBSTACLES_FILE)
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the map: the robot's bends, the swept space, the contacts, the truth if known.
+        """Draw the map: the robot's bends, the swept space, the contacts, and the truth if known.
 
-        On the given axes, or on a new figure of matplotlib's pyplot. Raises ConfigError or
+        Draws on `axes`, or on a new figure of matplotlib's pyplot. Raises ConfigError or
         RunFolderError if the folder's robot.toml or prior.json cannot be read.
         """
         radius, prior = self.config.body.radius_cm, kept_prior(RunFolder(self.folder))
@@ -134,7 +139,7 @@ class ExplorationResult:
 def open_run(path: str | os.PathLike[str]) -> ExplorationResult:
     """Open a run folder, as the result that `explore` returned.
 
-    Raises RunFolderError: it holds no contacts.json, or a malformed one.
+    Raises RunFolderError if it holds no contacts.json, or a malformed one.
     """
     folder = RunFolder(path)
     return ExplorationResult(folder.read_document(), folder.path)

@@ -57,7 +57,7 @@ def _percent(share: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class MapContact:
-    """A contact in the room."""
+    """A contact in the room; lengths in cm, x along the straight robot, y to its left."""
 
     arc_cm: float  #: along the body, from the base
     x_cm: float  #: of the point of the skin that touches

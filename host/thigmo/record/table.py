@@ -144,11 +144,14 @@ class ReadingsTable:
 def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
     """Read a CSV of readings: columns `position`, `curvature` and optionally `span`, `direction`.
 
-    A fibre's table may have `strain` (microstrain) in place of `curvature`.
-    `direction` is in degrees about the body, as `Sensors` has it in rad.
-    The localizer checks whether they can belong to a body (places, units). Raises DataError,
-    which names file, line and column: unreadable, empty, too long, a missing or empty column, or a
-    value that is no finite number. An empty curvature, or NaN, is a sensor that was not read.
+    `direction` is in degrees around the body; the result has it in rad, as `Sensors` takes it. The
+    table of a fibre may have `strain` (microstrain) in place of `curvature`. An empty curvature, or
+    NaN, is a sensor that was not read. Whether the values can belong to a body, only the localizer
+    checks.
+
+    Raises:
+        DataError: the file is unreadable, empty or too long, a column is missing or empty, or a
+            value is no finite number. The message names file, line and column.
     """
     table = Table.read(path, most_rows=_MOST_READINGS)
     position, strain = _readings(table, "position"), None
