@@ -196,7 +196,7 @@ def test_a_large_board_on_a_port_is_read_once_its_robot_is_described() -> None:
     said: list[Telemetry] = []
     with Robot(Client(port)) as robot:
         robot.on_telemetry(said.append)
-        with pytest.raises(ConfigError, match="16 sensors' inputs, and nobody has described"):
+        with pytest.raises(ConfigError, match="16 sensor inputs is not known"):
             robot.read(0.2)
         assert said == []
         robot.configure(scene.robot)

@@ -822,10 +822,9 @@ struct GetConfigReport {
 struct Ack {
   static constexpr uint8_t kId = kAck;
   static constexpr uint8_t kSize = 6;
-  Status status;  // Outcome.
-  Reason reason;  // Why refused.
-  int32_t
-      detail;  // As described at the command; of a refusal, the index, sensor or bit that is wrong.
+  Status status;   // Outcome.
+  Reason reason;   // Why refused.
+  int32_t detail;  // As the command says; in a refusal, the wrong index, sensor or bit.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(reason));

@@ -119,10 +119,10 @@ def calibrate(
     if step not in (*STEPS, "all", "status"):
         raise DataError(f"there is no step {step!r}", f"use all, status, {', '.join(STEPS)}")
     if method and step not in ("all", "status") and STEPS[step].thesis is None:
-        raise DataError(f"{step} has one method only", "give --method with flex or buckling")
+        raise DataError(f"{step} has only one method", "give --method only with flex or buckling")
     start = RobotConfig.load(config) if config else None
     if from_fold and (step != "stiffness" or csv is not None):
-        raise DataError("--from-fold is of stiffness alone", "`thigmo calibrate stiffness`")
+        raise DataError("--from-fold is for stiffness only", "run `thigmo calibrate stiffness`")
     if csv is not None or from_fold:
         held = folder / "robot.toml"
         base = RobotConfig.load(held) if held.exists() else start or RobotConfig()

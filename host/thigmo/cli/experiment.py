@@ -96,8 +96,8 @@ def experiment(
     if robot is not None or recorded is not None:
         if name not in (*STATIC, "exploration"):
             raise DataError(
-                f"{name!r} is not taken with a robot, as {', '.join(STATIC)} and exploration are",
-                "name one of these",
+                f"{name!r} cannot be done with a robot",
+                f"choose from {', '.join(STATIC)}, exploration",
             )
         folder = recorded or out / name
         if robot is not None:

@@ -121,7 +121,7 @@ def _localized(config: RobotConfig, reading: FibreReading) -> LocalizeResult:
 
     used = np.flatnonzero(np.isfinite(reading.curvature))
     if not used.size:
-        raise DataError("no grating of the fibre is out and healthy", "grow the robot first")
+        raise DataError("no healthy grating of the fibre has everted", "grow the robot first")
     used = used[np.argsort([config.gratings[n].center_cm for n in used], kind="stable")]
     sensors: list[Any] = []
     for number in used:

@@ -126,11 +126,11 @@ def localize(
     if contacts != "auto" and not contacts.isdecimal():
         raise DataError(f"--contacts is {contacts!r}", "give `auto` or a number")
     if muscle is not None and config is None:
-        raise DataError("--muscle is given, and --config is not given", "give the robot.toml too")
+        raise DataError("--muscle needs the robot's file", "give --config robot.toml")
     if file == Path("example") and not file.exists():
         file = EXAMPLE
     if plot is not None and columns is None:
-        raise DataError("--plot draws answers over time", "give --columns, too")
+        raise DataError("--plot draws answers over time", "give --columns as well")
     named = {} if columns is None else _frames(columns)
     places = {name: place for name, (place, _) in named.items()}
     frames = None if columns is None else read_frames(file, places)
@@ -139,7 +139,9 @@ def localize(
     else:  # the sensors are the same in every row
         directions = [direction for _, direction in named.values() if direction is not None]
         if len(directions) not in (0, len(named)):
-            raise DataError("--columns has directions for some", "give each NAME=POSITION@DEGREES")
+            raise DataError(
+                "--columns has directions for some sensors", "give NAME=POSITION@DEGREES for all"
+            )
         table = ReadingsTable(
             frames.position, frames.curvature[0], None, frames.lines[:1],
             np.deg2rad(directions) if directions else None,
@@ -239,15 +241,17 @@ def _calibrated(
         near = min(free, key=lambda one: abs(one.center_cm - position), default=None)
         if near is None or abs(near.center_cm - position) > max(near.span_cm / 2, 0.5):
             raise DataError(
-                f"{path} has no sensor at {position:g} cm that is not taken",
-                "give positions in cm, and --muscle where a muscle is inflated",
+                f"{path} has no sensor for the reading at {position:g} cm",
+                "give each position once, in cm, and --muscle if a muscle is inflated",
             )
         free.remove(near)
         found.append(near)
     zone = robot.body.zone_at(length_cm)
     if table.strain is not None:
         if not all(isinstance(sensor, FibreSensor) for sensor in found):
-            raise DataError("a strain of what is no fibre", f"correct {path}, or give curvatures")
+            raise DataError(
+                "strains, but not only of a fibre", f"correct {path}, or give curvatures"
+            )
         pairs = zip(found, table.strain.tolist(), strict=True)
         bent = [each.curvature(ue) for each, ue in pairs if isinstance(each, FibreSensor)]
         table = replace(table, curvature=np.array(bent))

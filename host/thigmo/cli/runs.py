@@ -54,7 +54,7 @@ def info(
     from thigmo.errors import DataError
 
     if (run is None) == (robot is None):
-        raise DataError("info describes one thing", "give a run folder, or --robot URL")
+        raise DataError("info describes a run or a robot", "give a run folder, or --robot URL")
     facts = _robot_info(robot) if robot is not None else _run_info(Path(run or "."))
     if as_json:
         print_json(facts)

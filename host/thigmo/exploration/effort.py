@@ -181,7 +181,7 @@ def chosen_effort(protocol: str, effort: str | None, time_s: float | None) -> Ef
     if protocol == "thesis":
         if effort is not None or time_s is not None:
             raise DataError(
-                "the thesis's protocol has one effort, its own", "leave --effort and --time out"
+                "the protocol `thesis` has no other effort", "leave --effort and --time out"
             )
         return THESIS
     if effort is not None and time_s is not None:
@@ -204,7 +204,7 @@ def within(time_s: float, config: RobotConfig) -> Effort:
     if not effort.stops_after(config, 0.0, _BEGINS_S, swept=False):
         least = _BEGINS_S + effort.expected_s(config, stage_lengths(config)[:1])
         raise DataError(
-            f"{time_s:g} s of robot time are too few for a sweep",
+            f"{time_s:g} s of robot time is too little for a sweep",
             f"give --time {least + 1:.0f} or more",
         )
     return effort

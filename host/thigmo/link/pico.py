@@ -137,12 +137,12 @@ def find_drive() -> Path:
     found = [folder for folder in _mounted() if _is_drive(folder)]
     if len(found) > 1:
         raise PortError(
-            f"{len(found)} drives of boards are there: {', '.join(map(str, found))}",
+            f"{len(found)} boards' drives are mounted: {', '.join(map(str, found))}",
             "give one of them as --robot",
         )
     if not found:
         raise PortError(
-            "no drive RPI-RP2 is there",
+            "no drive RPI-RP2 is mounted",
             "hold BOOTSEL while you plug the Pico in and mount its drive, or give its folder as"
             " --robot",
         )
@@ -207,7 +207,7 @@ def flash_pico(robot: str, image: Path | None) -> PicoImage:
         raise SchemaMismatchError(
             f"{content.path.name} speaks schema {content.schema_hash:08x} and this host"
             f" {wire.SCHEMA_HASH:08x}",
-            "build the image from this host's sources, or install the host that came with it",
+            "build the image from this host's sources, or install the thigmo that it came with",
         )
     drive = find_drive() if robot == PICO else Path(robot)
     check_drive(drive)

@@ -201,7 +201,7 @@ class SweepOption(Documented):  # Bits of the sweep command's options.
 class Ack(Reply, number=0x80):  # Answer to commands that return nothing else, and every refusal.
     status: Status  # Outcome.
     reason: Reason  # Why refused.
-    detail: I32  # As described at the command
+    detail: I32  # As the command says; in a refusal, the wrong index, sensor or bit.
 
 
 class HelloReply(Reply, number=0x81):  # Who the board is. Commands carry this session from now on.

@@ -79,9 +79,9 @@ class Table:
         except (UnicodeDecodeError, csv.Error) as error:
             raise DataError(f"{path} is not a text file", "export it as CSV in UTF-8") from error
         if not header:
-            raise DataError(f"{path} is empty", "give a header line and one line a reading")
+            raise DataError(f"{path} is empty", "give a header line, and a line for each reading")
         if not rows:
-            raise DataError(f"{path} has a header and no rows", "add a row, or delete the file")
+            raise DataError(f"{path} has a header but no rows", "add a row, or delete the file")
         columns = {key: [row[k] for row in rows] for k, key in enumerate(header)}
         return cls(columns, str(path), lines, mark != ",")
 
@@ -261,5 +261,5 @@ def _ragged(
 ) -> DataError:
     where = f"{path}, line {line}: {len(cells)} cells for {len(header)} columns"
     if len(cells) > len(header) and all(cell.lstrip("+-").isdecimal() for cell in cells):
-        return DataError(f"{where}: decimal commas?", "export it with points in numbers")
+        return DataError(f"{where}: are these decimal commas?", "export it with points in numbers")
     return DataError(where, "complete that line, or leave it out")

@@ -295,8 +295,8 @@ class Robot(Supervised):
         frames = [frame.message for frame in heard]
         if (count := len(frames[0].flex_sum)) != self._table.inputs:
             raise ConfigError(
-                f"the board has {count} sensors' inputs, and nobody has described its robot",
-                "send its robot.toml: `configure`",
+                f"the robot of this board of {count} sensor inputs is not known",
+                "send its robot.toml with `configure`",
             )
         return frames, np.array([frame.flex_sum for frame in frames], dtype=np.float64)
 

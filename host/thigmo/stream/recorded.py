@@ -88,7 +88,7 @@ def read_messages(
     found = read_mcap(path, wanted)
     if found.topics.isdisjoint(f"/{channel}" for channel in RECORDED):
         raise RunFolderError(
-            f"{path} holds raw frames alone", "record the run again with this version of thigmo"
+            f"{path} holds only raw frames", "record the run again with this version of thigmo"
         )
     from thigmo.stream.protobuf import from_protobuf
 
