@@ -143,7 +143,7 @@ def test_a_discarded_reading_is_named_with_its_line(tmp_path: Path, thigmo: Thig
         (re.sub(r",0\..*", ",0.01", GOOD), "all readings are 0.01"),
         (re.sub(r"(?m)^\d+,", "5,", GOOD), "all positions are 5"),
         (re.sub(r",0\..*", ",", GOOD), "the column `curvature` is empty"),
-        (GOOD.replace("0.", "0,"), "are these decimal commas?"),
+        (GOOD.replace("0.", "0,"), "as decimal commas would give"),
         (GOOD + GOOD.partition("\n")[2] * 1000, "more than 2000 rows"),
     ],
 )

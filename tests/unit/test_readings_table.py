@@ -41,7 +41,7 @@ def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
         ("position,curvature\n5\n", "line 2: 1 cells for 2 columns"),
         ("position;curvature\n5;0,01,2\n", "'0,01,2', not a number"),
         ('position,curvature\n5,"0,01"\n', "points in numbers, not commas"),
-        ("position,curvature\n5,0,01\n", "are these decimal commas?"),
+        ("position,curvature\n5,0,01\n", "as decimal commas would give"),
         ("position,curvature\n5,\n15,\n", "`curvature` is empty"),
         ("position,curvature\n5,0.01\n,0.02\n", "line 3: position is nan"),
         ("position,curvature\n" + "5,0.01\n" * 3000, "more than 2000 rows"),

@@ -261,5 +261,8 @@ def _ragged(
 ) -> DataError:
     where = f"{path}, line {line}: {len(cells)} cells for {len(header)} columns"
     if len(cells) > len(header) and all(cell.lstrip("+-").isdecimal() for cell in cells):
-        return DataError(f"{where}: are these decimal commas?", "export it with points in numbers")
+        return DataError(
+            f"{where}, as decimal commas would give",
+            "export it with points in numbers, or with semicolons between columns",
+        )
     return DataError(where, "complete that line, or leave it out")
