@@ -61,7 +61,7 @@ def test_a_robot_of_many_sensors_is_refused_by_the_usual_board(tmp_path: Path) -
     ):
         robot.configure(large)
     room_for(large, 0, peg=False).save(tmp_path / "large.toml")
-    with pytest.raises(ConfigError, match="needs the large board"):
+    with pytest.raises(ConfigError, match=r"needs another board \(large"):
         connect(f"mega-sim://{tmp_path / 'large.toml'}")
     with connect(f"emulator://{tmp_path / 'large.toml'}") as robot:
         assert robot.read(0.2, despite_faults=True).curvature.shape == (16,)

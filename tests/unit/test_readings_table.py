@@ -112,6 +112,9 @@ def test_a_sensor_that_was_not_read_is_nan(tmp_path: Path) -> None:
 def test_the_standard_input_is_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("position,curvature\n5,0.01\n15,0.02\n"))
     assert read_readings("-").curvature.tolist() == [0.01, 0.02]
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    with pytest.raises(DataError, match="the standard input is empty"):
+        read_readings("-")
 
 
 def test_frames_stand_in_rows(tmp_path: Path) -> None:

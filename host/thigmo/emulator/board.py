@@ -114,5 +114,5 @@ def require_usual(robot: RobotConfig) -> None:
     needed = wiring.board_of(robot)
     if needed is not wiring.BOARDS[0]:
         raise ConfigError(
-            f"this robot needs the {needed.name} board", "open it by emulator://SCENE"
+            f"this robot needs another board ({needed.name})", "open it by emulator://SCENE"
         )
