@@ -131,7 +131,7 @@ def test_a_side_without_a_base_sensor_is_not_swept_and_the_run_says_so(tmp_path:
     scene.pegs = [PegTable(x=28.0, y=-6.0, radius=0.8)]
     scene.save(tmp_path / "blind.toml")
     found = explore(f"emulator://{tmp_path / 'blind.toml'}", seed=1, out=tmp_path).document
-    assert "no sweeps towards lower: no healthy sensor at the base" in found.skips
+    assert "no sweeps towards lower, because no healthy sensor at the base" in found.skips
     assert {shape.side for stage in found.stages for shape in stage.shapes} == {"left"}
     assert (found.contacts, found.missed) == ([], [])
     assert [(each.side, each.name) for each in found.muscles] == [

@@ -54,22 +54,22 @@ class Effort:
         return sorted(kept[: self.stops])
 
     def skips(self, config: RobotConfig) -> str:
-        """What it leaves out, and what that costs, for the operator; empty if that is nothing."""
+        """What this effort omits and what that costs, for the operator; empty if nothing."""
         said = []
         stops = self.stops_after(config, 0.0, _BEGINS_S, swept=False)
         last = stops[-1]
         if short := [each for each in stage_lengths(config) if each < last and each not in stops]:
             where = ", ".join(f"{length:g}" for length in short)
-            said.append(f"no sweeps at {where} cm: what only so short a body reaches is missed")
+            said.append(f"no sweeps at {where} cm, so obstacles that only they reach are missed")
         if last < config.body.length_cm - SAME_CM:
-            said.append(f"it ends at {last:g} cm: what stands farther is not felt")
+            said.append(f"it ends at {last:g} cm, so obstacles farther out are not felt")
         if self.measurements == 0:
-            said.append("no second, slower sweep of a contact: its place is known less well")
+            said.append("no second, slower sweep of a contact, so its place is less certain")
         elif self.rest_noise == inf:
-            said.append("no rest for sensors that have just everted: places are known less well")
+            said.append("no wait until new sensors have settled, so places are less certain")
         said += [
-            f"no sweeps towards {muscle.name}: no healthy sensor at the base answers to them, so "
-            "what stands there is not felt"
+            f"no sweeps towards {muscle.name}, because no healthy sensor at the base responds to "
+            "them, so obstacles there are not felt"
             for muscle in blind(config)
         ]
         return "; ".join(said)
