@@ -786,13 +786,13 @@ def markdown(schema: Schema) -> str:
         "payload. A receiver drops and counts bytes that form no valid frame. The next frame "
         "begins after the next 0x00.",
         "",
-        "An array has as many elements as the board has capacity for; the host asks for the "
-        "`capacity` after the hello. Boards built for the thesis's robot hold "
+        "An array is as long as the board's capacity, which the host asks for after the hello "
+        "(`get_capacity`). Boards built for the thesis's robot hold "
         + _amounts(schema, "usual")
         + "; no board holds more than "
         + _amounts(schema, "most")
         + ". In a message the number of muscles (or sensors) precedes their first array. A command "
-        "with another number than the board's is refused (`bad_value`).",
+        "whose number differs from the board's is refused (`bad_value`).",
         "",
         "## Rules",
         "",
@@ -822,11 +822,11 @@ def markdown(schema: Schema) -> str:
         "through resets until an operator clears it with `clear_stop`. This command is numbered"
         " like all others and names the stop by its nonce. A late copy of a stop may therefore "
         "stop the robot, but a late copy of `clear_stop` does nothing.",
-        "- **Commands** carry the session, and the seq after the last one. Only one may wait "
-        "for its reply at a time. A command repeated with the same seq gets the stored reply, "
-        "or `in_progress` while the board still works on it. A command with any other seq is "
-        "stale: the board drops and counts it. A command of another session is dropped, "
-        "counted, and answered by an ack `bad_session`.",
+        "- **Commands** carry the session, and the seq that follows the last one. Only one "
+        "command may wait for its reply at a time. A command repeated with the same seq gets the "
+        "stored reply, or `in_progress` while the board still works on it. A command with any "
+        "other seq is stale: the board drops and counts it. A command of another session is "
+        "dropped, counted, and answered by an ack `bad_session`.",
         "- **Replies** carry the seq and session of the frame that they answer. Every refusal "
         "is an `ack`, except that of a hello.",
         "- **Repeats.** The host repeats a command until its deadline, after a time-out that it"
@@ -874,9 +874,9 @@ def markdown(schema: Schema) -> str:
     out += [
         "## Parameters",
         "",
-        "Each value is an i32. Indices count the elements in this order, arrays as long as the "
-        "board's capacity. Defaults that are listed are of the first elements; the rest is 0. The "
-        "store keeps each parameter under its id, through updates of the firmware.",
+        "Each value is an i32. Indices number the elements in this order; an array has as many as "
+        "the board's capacity. A list of defaults sets the first elements; the rest are 0. The "
+        "store keeps each parameter under its id, also when the firmware is updated.",
         "",
         "| elements | id | name | unit | range | default | meaning |",
         "| --- | --- | --- | --- | --- | --- | --- |",

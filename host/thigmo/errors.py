@@ -14,8 +14,8 @@ class ThigmoError(Exception):
     """Base of all errors that an operator can act on.
 
     Args:
-        what: what happened, without a final stop.
-        next_step: what to do now, as an imperative clause.
+        what: what happened, without a full stop.
+        next_step: what to do next, as an imperative.
     """
 
     def __init__(self, what: str, next_step: str = "") -> None:
@@ -26,7 +26,7 @@ class ThigmoError(Exception):
     @classmethod
     @contextmanager
     def from_os(cls, what: str, next_step: str) -> Iterator[None]:
-        """Raise this error, with the system's reason, if the operating system refuses something."""
+        """Turn an OSError in the block into this error, with the system's reason."""
         try:
             yield
         except OSError as error:
@@ -42,7 +42,7 @@ class PortError(LinkError):
 
 
 class NotARobotError(LinkError):
-    """Something answers on the port, or nothing, but no thigmo board."""
+    """No thigmo board answers on the port."""
 
 
 class SchemaMismatchError(LinkError):
@@ -50,17 +50,17 @@ class SchemaMismatchError(LinkError):
 
 
 class CommandTimeoutError(LinkError):
-    """A command found no answer before its deadline."""
+    """A command got no answer before its deadline."""
 
 
 class BoardResetError(LinkError):
-    """The board restarted in the middle of a conversation: its state and length are gone."""
+    """The board restarted during a session; its state and the everted length are lost."""
 
 
 class CommandRefusedError(ThigmoError):
-    """The board answered, and refused: `reason` is the schema's name for why.
+    """The board refused a command; `reason` is the schema's name of the reason.
 
-    `detail` is what the board's answer adds: a limit, or the parameter that is at fault.
+    `detail` is a number that the board adds: a limit, or the index of the wrong parameter.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class CommandRefusedError(ThigmoError):
 
 
 class RobotFaultError(ThigmoError):
-    """The board's supervisor latched a fault: `faults` holds the schema's names."""
+    """The board latched faults; `faults` holds their names in the schema."""
 
     def __init__(self, what: str, next_step: str = "", *, faults: tuple[str, ...] = ()) -> None:
         self.faults = faults
@@ -80,11 +80,11 @@ class RobotFaultError(ThigmoError):
 
 
 class InterrogatorError(ThigmoError):
-    """A fibre's interrogator is gone, silent or late, or a grating is lost."""
+    """A fibre's interrogator is disconnected, silent or late, or a grating is lost."""
 
 
 class StoppedByViewerError(ThigmoError):
-    """Somebody who watches a run stopped the robot."""
+    """A viewer of the run stopped the robot."""
 
 
 class ConfigError(ThigmoError):
@@ -92,7 +92,7 @@ class ConfigError(ThigmoError):
 
 
 class DataError(ThigmoError, ValueError):
-    """Input data (arrays, CSV) that cannot be used as given."""
+    """Input data (arrays, CSV) cannot be used as given."""
 
 
 class RunFolderError(ThigmoError):

@@ -329,7 +329,7 @@ def test_a_stop_that_the_board_does_not_hear_is_repeated_and_told(
 def test_a_folder_that_others_can_enter_takes_no_stops(sockets: Path, board: PtyDevice) -> None:
     sockets.mkdir(mode=0o755)
     sockets.chmod(0o755)
-    with pytest.raises(LinkError, match=r"others can enter .*; remove it"):
+    with pytest.raises(LinkError, match=r"other users can enter .*; remove it"):
         Client(open_transport(board.port))
 
 
@@ -440,7 +440,7 @@ def test_a_port_that_is_not_a_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wire.Hello, "DEADLINE_S", 0.5)
     with (
         PtyDevice(Babble()) as board,
-        pytest.raises(NotARobotError, match="bytes that are no robot's"),
+        pytest.raises(NotARobotError, match="bytes that are not from a robot"),
         Client(open_transport(board.port)),
     ):
         pass

@@ -89,8 +89,8 @@ def another_schema() -> bytes:
     ("says", "named"),
     [
         (lambda: b"", "nothing|no answer|silent|nobody"),
-        (gps, "no robot"),
-        (lambda: os.urandom(64), "no robot"),
+        (gps, "not from a robot"),
+        (lambda: os.urandom(64), "not from a robot"),
         (lambda: bytes(64), "no robot|nothing|nobody|no answer"),
         (another_schema, r"schema.*thigmo flash"),
     ],

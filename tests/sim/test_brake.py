@@ -57,7 +57,7 @@ def test_the_motor_has_its_supply_only_while_it_moves() -> None:
     ("failure", "says"),
     [
         ("brake_open", "brake did not hold"),
-        ("contact_welded", "supply when it must not"),
+        ("contact_welded", "supply although it should be cut"),
         ("motor_shorted", "brake did not hold"),  # it pulls with all that it has
     ],
 )

@@ -65,7 +65,7 @@ def bring_up_braked(failure: str) -> list[Finding]:
 
 
 @pytest.mark.parametrize(
-    ("failure", "cure"), [("", ""), ("brake_open", "check brake"), ("stop", "S1C")]
+    ("failure", "cure"), [("", ""), ("brake_open", "check the brake"), ("stop", "S1C")]
 )
 def test_bringup_proves_the_brake_and_the_stops_contact(failure: str, cure: str) -> None:
     *_, last = bring_up_braked(failure)

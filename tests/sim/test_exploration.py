@@ -299,7 +299,7 @@ def test_a_short_budget_is_kept_to_and_buys_a_sweep(tmp_path: Path, time_s: floa
     assert run.document.outcome.startswith("time is up")
     assert run.document.robot_time_s <= time_s
     assert run.document.stages
-    assert "what stands farther is not felt" in run.document.skips
+    assert "obstacles farther out are not felt" in run.document.skips
 
 
 def test_a_budget_of_a_minute_and_a_half_reaches_the_full_length(tmp_path: Path) -> None:

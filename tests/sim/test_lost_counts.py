@@ -92,7 +92,7 @@ def learned_robot(scene: Scene, pulls: list[float]) -> tuple[Robot, EmulatorTran
 @pytest.mark.parametrize(
     ("share", "said", "most_cm"),
     [
-        (0.8, "less speed than the motor has", MOST_CM * TENTH),
+        (0.8, "a lower speed than the motor has", MOST_CM * TENTH),
         (0.9, "spool_stall", MOST_CM * TENTH),  # between two eversions
         (0.85, "spool_stall", 3.0),
         (0.82, "spool_stall", 3.0),

@@ -108,7 +108,7 @@ def test_its_replay_knows_what_both_runs_knew(resumed: ExplorationResult) -> Non
 def test_what_ended_or_is_under_way_is_not_resumed(
     room: Path, killed: RunFolder, resumed: ExplorationResult, tmp_path: Path
 ) -> None:
-    with pytest.raises(RunFolderError, match=r"has come to its end \(full length\); begin a new"):
+    with pytest.raises(RunFolderError, match=r"is finished \(full length\); begin a new"):
         _explore(room, tmp_path, resume=resumed.folder)
     with killed.hold(), pytest.raises(RunFolderError, match="is under way; end it first"):
         _explore(room, tmp_path, resume=killed.path)

@@ -36,7 +36,7 @@ def test_a_swapped_plug_moves_the_tip_by_millimetres_and_is_named(
     plant.set_body_pressure(psi)
     lengths = [plant.length_cm]
     at_each_step(transport, lambda: lengths.append(plant.length_cm))
-    with pytest.raises(RobotFaultError, match=r"against its command.*J4.1 and J4.2.*J5.2 and J5.3"):
+    with pytest.raises(RobotFaultError, match=r"went the wrong way.*J4.1 and J4.2.*J5.2 and J5.3"):
         MOVES[move](robot)
     robot.wait(0.5, despite_faults=True)
     assert max(abs(length - START_CM) for length in lengths) < 0.2
@@ -49,7 +49,7 @@ def test_each_armed_session_proves_its_direction() -> None:
     robot.disarm()
     transport.lockstep.plant.scene.spool.wiring = "motor_swapped"  # somebody works on the plug
     robot.arm()
-    with pytest.raises(RobotFaultError, match="against its command"):
+    with pytest.raises(RobotFaultError, match="went the wrong way"):
         robot.grow_to(30.0)
 
 

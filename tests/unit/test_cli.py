@@ -109,7 +109,7 @@ def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(
     assert named["contacts"] == known["contacts"]
     (tmp_path / "r.csv").write_text(BENT.replace("25,", "28,"))
     off = thigmo(*stated, "--config", tmp_path / "robot.toml", "--side", "left")
-    assert "no sensor at 28 cm" in off.err
+    assert "no sensor for the reading at 28 cm" in off.err
 
 
 def test_a_discarded_reading_is_named_with_its_line(tmp_path: Path, thigmo: Thigmo) -> None:
@@ -143,7 +143,7 @@ def test_a_discarded_reading_is_named_with_its_line(tmp_path: Path, thigmo: Thig
         (re.sub(r",0\..*", ",0.01", GOOD), "all readings are 0.01"),
         (re.sub(r"(?m)^\d+,", "5,", GOOD), "all positions are 5"),
         (re.sub(r",0\..*", ",", GOOD), "the column `curvature` is empty"),
-        (GOOD.replace("0.", "0,"), "decimal commas?"),
+        (GOOD.replace("0.", "0,"), "as decimal commas would give"),
         (GOOD + GOOD.partition("\n")[2] * 1000, "more than 2000 rows"),
     ],
 )
@@ -176,7 +176,7 @@ def test_a_bad_csv_is_one_line_and_status_1(
         (["localize", "r.csv", "--length", "53", "--config", "none.toml"], "none.toml"),
         (["explore", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (["explore", "--robot", "nonsense://x"], "nonsense"),
-        (["localize", "r.csv", "--length", "53", "--muscle", "left"], "--config is not given"),
+        (["localize", "r.csv", "--length", "53", "--muscle", "left"], "give --config robot.toml"),
         (["explore", "--robot", "a", "--scene", "b"], "both given"),
         (["explore", "--config", "none.toml"], "cannot read none.toml"),
         (["explore", "--config", "bad.toml"], "pegs"),
@@ -233,7 +233,7 @@ def test_a_bad_csv_is_one_line_and_status_1(
         (["experiment", "actuated", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (
             ["experiment", "sensitivity", "--robot", "emulator://default"],
-            "is not taken with a robot",
+            "cannot be done with a robot",
         ),
         (["experiment", "single-contact", "--recorded", "empty"], "robot.toml"),
     ],

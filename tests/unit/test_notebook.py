@@ -15,7 +15,7 @@ from command import run_python
 from contacts import CONTACT
 
 import thigmo
-from thigmo.record import RunFolder, write_obstacles, write_ros_map
+from thigmo.record import NamedMuscle, RunFolder, Shape, Stage, write_obstacles, write_ros_map
 
 mpl.use("agg")
 
@@ -230,11 +230,42 @@ def test_frames_have_a_row_for_each_contact() -> None:
     assert np.isnan(many["arc"][1])
 
 
-def test_a_contact_tells_where_it_was_first_felt_and_last_measured(
-    contact: thigmo.MapContact,
-) -> None:
-    merged = replace(contact, merged=[40.0, 50.0])
-    document = thigmo.RunDocument(thigmo="0", name="n", url="u", started="", contacts=[merged])
-    (printed,) = thigmo.ExplorationResult(document, Path("runs/n")).as_json()["contacts"]
-    assert (printed["everted_length_cm"], printed["measured_length_cm"]) == (40.0, 53.0)
-    assert "track" not in printed
+@pytest.fixture
+def known_wall(contact: thigmo.MapContact) -> thigmo.ExplorationResult:
+    """A wall that three lengths felt, on a robot whose muscles have names."""
+    wall = replace(
+        contact, side="right", kind="wall", merged=[40.0, 46.5], surface=[(1.0, 2.0)] * 3,
+        force_n=0.8, force_interval_n=[0.5, 1.1],
+    )  # fmt: skip
+    document = thigmo.RunDocument(
+        thigmo="0", name="n", url="u", started="", contacts=[wall, replace(contact, side="")],
+        stages=[Stage(40.0, 1.5, 9.0, [Shape("left", 8.0, [(0.0, 0.0, 0.0)])])],
+        muscles=[NamedMuscle("left", "upper", 90.0), NamedMuscle("right", "lower", 270.0)],
+    )  # fmt: skip
+    return thigmo.ExplorationResult(document, Path("runs/n"))
+
+
+def test_a_run_is_plain_data(known_wall: thigmo.ExplorationResult) -> None:
+    plain = json.loads(json.dumps(known_wall.to_dict()))
+    wall, _ = plain["contacts"]
+    assert (wall["first_felt_cm"], wall["everted_length_cm"]) == (40.0, 53.0)
+    assert "track" not in wall
+    assert "shapes" not in plain["stages"][0]
+    assert plain["run"] == str(Path("runs/n"))
+
+
+def test_a_run_s_frame_has_a_row_for_each_contact(known_wall: thigmo.ExplorationResult) -> None:
+    frame = known_wall.to_frame()
+    assert frame["muscle"].tolist() == ["lower", ""]
+    assert frame["merged_cm"].tolist() == ["40 46.5", ""]
+    assert frame["interval_low_cm"].tolist() == [29.0, 29.0]
+    assert frame["force_high_n"][0] == 1.1
+    assert np.isnan(frame["force_high_n"][1])
+    # Each column has one number or word in a cell, as CSV and Parquet need.
+    assert all(np.isscalar(cell) or cell is None for cell in frame.to_numpy().ravel())
+
+
+def test_a_run_survives_pickle(run: thigmo.ExplorationResult) -> None:
+    again = pickle.loads(pickle.dumps(run))
+    assert again == run
+    assert again.to_frame().equals(run.to_frame())

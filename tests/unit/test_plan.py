@@ -86,7 +86,7 @@ def test_an_effort_leaves_out_the_shortest_bodies_first() -> None:
     assert EFFORTS["default"].lengths(config) == [30, 40, 50, 53]
     assert EFFORTS["careful"].lengths(config) == stage_lengths(config)
     assert "10, 20 cm" in EFFORTS["default"].skips(config)
-    assert "no rest" in EFFORTS["quick"].skips(config)
+    assert "no wait until new sensors have settled" in EFFORTS["quick"].skips(config)
     assert EFFORTS["careful"].skips(config) == ""
 
 

@@ -41,7 +41,7 @@ def test_columns_are_found_by_name_in_any_order(tmp_path: Path) -> None:
         ("position,curvature\n5\n", "line 2: 1 cells for 2 columns"),
         ("position;curvature\n5;0,01,2\n", "'0,01,2', not a number"),
         ('position,curvature\n5,"0,01"\n', "points in numbers, not commas"),
-        ("position,curvature\n5,0,01\n", "decimal commas?"),
+        ("position,curvature\n5,0,01\n", "as decimal commas would give"),
         ("position,curvature\n5,\n15,\n", "`curvature` is empty"),
         ("position,curvature\n5,0.01\n,0.02\n", "line 3: position is nan"),
         ("position,curvature\n" + "5,0.01\n" * 3000, "more than 2000 rows"),
@@ -112,6 +112,9 @@ def test_a_sensor_that_was_not_read_is_nan(tmp_path: Path) -> None:
 def test_the_standard_input_is_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("position,curvature\n5,0.01\n15,0.02\n"))
     assert read_readings("-").curvature.tolist() == [0.01, 0.02]
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    with pytest.raises(DataError, match="the standard input is empty"):
+        read_readings("-")
 
 
 def test_frames_stand_in_rows(tmp_path: Path) -> None:

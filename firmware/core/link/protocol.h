@@ -61,8 +61,8 @@ constexpr uint8_t kActivityCount = 10;
 enum class Output : uint8_t {
   kTransducer = 0,  // Current of a muscle's transducer, 20 mA/1599.
   kMotor = 1,       // Duty of the spool motor, 1/800 of full, positive pays out.
-  kVent = 2,  // Current of a muscle's transducer, while the muscles' enable is off: its valve must
-              // empty it.
+  kVent = 2,  // Current of a muscle's transducer while the muscles' enable is off, to test that the
+              // valve empties the muscle.
 };
 constexpr uint8_t kOutputCount = 3;
 
@@ -87,8 +87,8 @@ constexpr uint8_t kBoardCount = 5;
 enum class ResetCause : uint8_t {
   kUnknown = 0,   // Not recorded.
   kPowerOn = 1,   // Power was applied.
-  kExternal = 2,  // Reset line: button, or the port being opened; under MicroPython also: its
-                  // program began again.
+  kExternal = 2,  // The reset line: the button, or a host that opened the port. Under MicroPython
+                  // also a restart of its program.
   kBrownOut = 3,  // The supply sagged.
   kWatchdog = 4,  // The main loop hung and the watchdog restarted the board.
 };
@@ -97,7 +97,7 @@ constexpr uint8_t kResetCauseCount = 5;
 // First field of every reply.
 enum class Status : uint8_t {
   kOk = 0,          // Done, or started if the command starts an activity.
-  kInProgress = 1,  // The command is still being carried out; ask again.
+  kInProgress = 1,  // The board still works on the command; ask again.
   kRefused = 2,     // Not done; `reason` says why.
 };
 constexpr uint8_t kStatusCount = 3;
@@ -114,35 +114,38 @@ enum class Reason : uint8_t {
       6,  // Host and board were built from different schemas; run `thigmo flash --robot PORT`.
   kWrongState =
       7,  // The supervisor's state does not allow it; arm the robot, or clear its faults, first.
-  kBusy = 8,            // Another activity runs; stop it or wait for its end.
+  kBusy = 8,            // Another activity is running; stop it, or wait until it ends.
   kFaultLatched = 9,    // A fault is latched; remove its cause and clear it.
   kLengthUnknown = 10,  // The everted length is unknown since a reset, a stall or a slip; measure
                         // it and confirm it.
-  kHalfEverted = 11,  // A sensor lies in the tip's fold and a bend would crease it; grow or retract
-                      // to a whole sensor pitch.
+  kHalfEverted = 11,    // A sensor lies in the tip's fold, and a bend would crease it; grow or
+                        // retract to a whole sensor pitch.
   kZoneUnknown = 12,  // The board does not know the body pressure; set the regulator and select the
                       // pressure's map.
   kNotVented = 13,    // A muscle still holds pressure; vent and wait.
   kNotSettled = 14,   // A sensor everted too recently; wait for its settling time.
-  kDrifting = 15,     // Readings still drift; wait, and look for a touch or a loose wire.
+  kDrifting = 15,     // Readings still drift; wait, and check that nothing touches the robot and no
+                      // wire is loose.
   kOverLimit = 16,    // The pressure, length or speed exceeds its configured maximum; ask for less,
                       // or raise the limit in robot.toml.
-  kNoSnapshot = 17,   // No such reading was captured; sweep past the peak first.
+  kNoSnapshot = 17,   // No such reading was captured; sweep until after the peak first.
   kEstop = 18,        // The emergency stop is pressed; release it first.
   kBadConfig = 19,  // The stored configuration is damaged; load defaults, configure and save again.
   kNotZeroed = 20,  // Sensors have no valid zero; vent, wait for settling, and zero.
   kContradiction = 23,  // Parameters contradict each other, so none of the new values is in use;
                         // correct the parameter that is named.
-  kNoBaseSensor = 22,  // No base sensor can feel a contact while a muscle is driven (trigger_when);
-                       // grow until one is everted, then repair, enable or zero it.
+  kNoBaseSensor =
+      22,  // No base sensor can feel a contact while a muscle is driven (trigger_when); grow until
+           // one is everted, then check that it works, is enabled and is zeroed.
   kHostSilent = 21,    // No heartbeat has arrived lately; keep the host's program running and
                        // connected, then arm again.
   kOtherHost = 25,     // Another program has taken over the robot; close one of the two.
-  kStoppedAgain = 24,  // The robot has been stopped again since; look at it, then clear that stop.
+  kStoppedAgain = 24,  // The robot was stopped again after the stop that this command names; look
+                       // at the robot, then clear the newer stop.
 };
 constexpr uint8_t kReasonCount = 25;
 
-// Latched faults, by bit number. Each brings valves to 0 mA and brakes the motor.
+// Latched faults, by bit number. Each sets the transducers to 0 mA and brakes the motor.
 enum class Fault : uint8_t {
   kHostSilent = 0,  // No heartbeat from the host while the robot was armed; check the cable and the
                     // host, then clear.
@@ -150,9 +153,9 @@ enum class Fault : uint8_t {
       1,  // A muscle exceeded the pressure limit; check the transducer and its supply, then clear.
   kPressureWire =
       2,  // A pressure sensor reads outside 5..95 % of its supply; check its wire, then clear.
-  kPressureStuck = 3,  // Muscle pressure does not follow its set point; check air supply,
-                       // transducer and tube, and that the plugs of the two pressure sensors, or
-                       // transducers, are not swapped, then clear.
+  kPressureStuck = 3,  // Muscle pressure does not follow its set point; check the air supply, the
+                       // transducer and its tube, and that the plugs of the two pressure sensors or
+                       // of the two transducers are not swapped, then clear.
   kFlexOpen = 4,  // A flex sensor's circuit is open; check its wire, or mark it dead in robot.toml,
                   // then clear.
   kFlexShort = 5,   // A flex sensor's circuit is shorted; check its wire, or mark it dead in
@@ -160,22 +163,22 @@ enum class Fault : uint8_t {
   kSpoolStall = 6,  // The motor is driven, but the encoder stands still or shows too little motion;
                     // free the spool and the tail, check the encoder (J5) and its coupling, then
                     // clear and confirm the length.
-  kSpoolSlip =
-      7,  // The spool turned while its motor was off, faster than the motor drives it, or the wrong
-          // way; shut the body air, check brake and driver, then clear and confirm the length.
-  kBrownOut = 8,  // The supply sagged below its limit; check the power supply, then clear.
+  kSpoolSlip = 7,   // The spool turned while its motor was off, faster than the motor drives it, or
+                    // the wrong way; shut off the body air, check the brake and the motor driver,
+                    // then clear and confirm the length.
+  kBrownOut = 8,    // The supply voltage fell below its limit; check the power supply, then clear.
   kWatchdog = 9,  // The firmware hung and was restarted; report it with the run folder, then clear.
-  kBadConfig = 10,  // No valid configuration is stored, or it is from a firmware without lists of
-                    // muscles; send robot.toml (any run does, or `thigmo params --robot PORT
-                    // --load-defaults`), then clear.
+  kBadConfig = 10,  // The board has no valid configuration, or one from firmware that had no lists
+                    // of muscles; send robot.toml (every run does so; so does `thigmo params
+                    // --robot PORT --load-defaults`), then clear.
   kEstop = 11,      // The emergency stop was pressed; release it, then clear.
-  kInterlock = 12,  // During a bend the length became unknown, or a sensor came to lie in the tip's
-                    // fold; the muscles were vented. Clear, confirm the length if unknown, and grow
-                    // or retract to a whole pitch.
+  kInterlock = 12,  // During a bend the length became unknown, or a sensor moved into the tip's
+                    // fold, so the muscles were vented; clear, confirm the length if it is unknown,
+                    // and grow or retract to a whole sensor pitch.
   kPressureMismatch =
       14,  // Muscle pressure and the transducer's current disagree; check that the muscles' plugs
-           // are not swapped, the pressure sensor's zero and gain, the transducer and its map
-           // (drive_4ma_cpsi, drive_20ma_cpsi), then clear.
+           // are not swapped, then the pressure sensor's zero and gain, and the transducer and its
+           // map (drive_4ma_cpsi, drive_20ma_cpsi), then clear.
   kLinkOverrun = 13,  // The board's receive buffer overran; lower the baud rate or the telemetry
                       // rate, then clear.
   kStopped = 15,  // The robot was stopped: by a viewer, by Ctrl-C, by `thigmo stop`, or because its
@@ -187,60 +190,62 @@ constexpr uint8_t kFaultCount = 16;
 // How a spool_stall was noticed (value of its event).
 enum class StallCause : uint8_t {
   kStill = 0,    // The encoder stands still.
-  kSlow = 1,     // The encoder shows less speed than the motor has at this duty.
-  kJumps = 2,    // The encoder's signals jump: edges are lost, or there is noise.
-  kEverted = 3,  // Two sensors passed the tip before the encoder reached their place.
+  kSlow = 1,     // The encoder shows a lower speed than the motor has at this duty.
+  kJumps = 2,    // The encoder's signals skip a state: edges are lost, or there is noise.
+  kEverted = 3,  // Two sensors passed the tip before the encoder had counted that far.
 };
 constexpr uint8_t kStallCauseCount = 4;
 
 // How a spool_slip was noticed (value of its event).
 enum class SlipCause : uint8_t {
   kTurned = 0,  // The spool turned without a command.
-  kBrake = 1,   // The brake did not hold the motor's proof at arming: it is worn, released by hand,
-                // or stuck open.
-  kSupply = 2,  // The motor has its supply when it must not: K2's contact or its enable is stuck.
-  kUnpowered = 3,  // The motor has no supply when it must have one: check 12 V, F2, the emergency
-                   // stop's contact S1C, K1 and K2.
+  kBrake = 1,   // The brake did not hold when the motor pulled at it during arming: it is worn,
+                // released by hand, or stuck open.
+  kSupply = 2,  // The motor has its supply although it should be cut: K2's contact or its enable is
+                // stuck.
+  kUnpowered = 3,  // The motor has no supply although it should have one: check 12 V, F2, the
+                   // emergency stop's contact S1C, K1 and K2.
   kStop =
       4,  // The emergency stop did not cut the motor's supply: the contact of K1 or S1C is stuck.
-  kAgainst = 5,  // The session's first move went against its command: the motor's leads are swapped
-                 // (J4.1 and J4.2), or the encoder's (J5.2 and J5.3).
+  kAgainst = 5,  // The session's first move went the wrong way: the motor's leads (J4.1 and J4.2)
+                 // or the encoder's (J5.2 and J5.3) are swapped.
 };
 constexpr uint8_t kSlipCauseCount = 6;
 
 // Condition bits that the supervisor's transition table reads, by bit number.
 enum class Condition : uint8_t {
-  kLengthKnown = 0,  // Homed or confirmed since the reset.
-  kZoneKnown = 1,    // The host selected the body-pressure map.
-  kVented = 2,       // All muscles below the vent threshold.
+  kLengthKnown = 0,  // The length was homed or confirmed since the reset.
+  kZoneKnown = 1,    // The host has said which body pressure is set.
+  kVented = 2,       // All muscles are below the vent threshold.
   kSettled = 3,      // Every everted sensor is past its settling time.
   kZeroed = 4,       // Every everted healthy sensor has a zero taken since its last eversion.
-  kHalfEverted = 5,  // A sensor, with the margin, lies in the tip's fold.
+  kHalfEverted = 5,  // A sensor, including its margin, lies in the tip's fold.
   kHostAlive = 6,    // A heartbeat arrived within the limit.
   kEnergised = 7,    // A valve carries current or the motor is driven.
   kEstop = 8,        // The emergency stop input is active.
-  kConfigValid = 9,  // The running configuration was read whole from the store, or has been set and
-                     // checked since.
+  kConfigValid =
+      9,  // The configuration in use was read whole from the store, or was set and checked since.
   kSupplyGood = 10,  // The supply is within limits.
   kContact = 11,     // The contact trigger is latched.
-  kBaseUsable = 13,  // A base sensor that the trigger works on while a muscle is driven is everted,
+  kBaseUsable = 13,  // A base sensor that the trigger uses while a muscle is driven is everted,
                      // enabled and zeroed.
-  kTelemetryDropped = 12,  // Telemetry was dropped since the last report: there was no room for it.
+  kTelemetryDropped =
+      12,         // Telemetry was dropped since the last report, because there was no room for it.
   kBodyAir = 14,  // The body's enable is on: `body_air` was commanded since the robot was armed.
 };
 constexpr uint8_t kConditionCount = 15;
 
 // What happened. Events stay latched at the board until acknowledged.
 enum class EventCode : uint8_t {
-  kFault = 1,    // A fault latched: arg = bit number, value = channel or detail.
+  kFault = 1,    // A fault was latched: arg = its bit number, value = channel or detail.
   kContact = 2,  // The trigger fired: arg = active muscle, value = base curvature minus free
                  // curvature, 1e-5/cm.
-  kPeak = 3,  // Readings of a sweep's peak are captured: arg = active muscle, value = their number.
+  kPeak = 3,  // The readings at a sweep's peak are captured: arg = active muscle, value = how many.
   kActivityDone = 4,     // An activity ended: arg = Activity, value = everted length in um.
   kActivityAborted = 5,  // An activity ended early: arg = Activity, value = Reason.
-  kZeroed = 6,           // Zeros are taken: arg = mask of sensors.
+  kZeroed = 6,           // Zeros were taken: arg = mask of the sensors.
   kEverted = 7,          // A sensor has just everted: arg = sensor, value = length in um.
-  kSaved = 9,            // The configuration is committed: arg = slot, value = generation.
+  kSaved = 9,            // The configuration is in the store: arg = slot, value = generation.
 };
 constexpr uint8_t kEventCodeCount = 8;
 
@@ -331,16 +336,17 @@ inline uint32_t get32(const uint8_t* in) {
 
 // Opens a session and resets the sequence. A host's first hello has session 0: if another host
 // holds a session, its motion ends, the robot is disarmed, and that session is over. A hello with
-// the number of a lost session and its nonce resumes that session, and motion goes on; it is
+// the number and the nonce of a lost session resumes that session, and motion continues. This is
 // refused (bad_session) if the board has restarted or another host has connected. A repeat gets the
-// same reply. The board remembers the nonces of the last 8 hosts, and ignores a late hello of any
+// same reply. The board remembers the nonces of the last 8 hosts, and ignores a late hello from any
 // of them.
 struct Hello {
   static constexpr uint8_t kId = kHello;
   static constexpr uint8_t kSize = 9;
   uint8_t protocol;      // Protocol version.
   uint32_t schema_hash;  // Hash of this schema.
-  uint32_t host_nonce;   // Counts up from a random start; the same where a host goes on. Echoed.
+  uint32_t host_nonce;   // Counts up from a random start; a host that resumes its session sends the
+                         // same again. Echoed.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(protocol));
     detail::put32(out + 1, static_cast<uint32_t>(schema_hash));
@@ -355,7 +361,7 @@ struct Hello {
   }
 };
 
-// The board's whole state.
+// Ask for the board's whole state.
 struct GetStatus {
   static constexpr uint8_t kId = kGetStatus;
   static constexpr uint8_t kSize = 0;
@@ -366,8 +372,8 @@ struct GetStatus {
   }
 };
 
-// Leave safe for ready. With a brake, the motor then pulls at it for 0.4 s (activity testing).
-// Refused while a fault is latched, the configuration is bad or no heartbeat arrives.
+// Go from safe to ready. If there is a brake, the motor then pulls at it for 0.4 s (activity
+// testing). Refused while a fault is latched, the configuration is bad or no heartbeat arrives.
 struct Arm {
   static constexpr uint8_t kId = kArm;
   static constexpr uint8_t kSize = 0;
@@ -378,7 +384,7 @@ struct Arm {
   }
 };
 
-// All muscles to 0 mA; ends a sweep or a press; state stays ready.
+// Set all transducers to 0 mA. Ends a sweep or a press; the state stays ready.
 struct Vent {
   static constexpr uint8_t kId = kVent;
   static constexpr uint8_t kSize = 0;
@@ -389,8 +395,8 @@ struct Vent {
   }
 };
 
-// Undoes `arm`: valves 0 mA, motor braked, activity aborted, state safe. Accepted in every state.
-// For emergencies there is `stop`, which needs no session and latches.
+// Undo `arm`: transducers at 0 mA, motor braked, activity aborted, state safe. Accepted in every
+// state. For emergencies there is `stop`, which needs no session and latches.
 struct Disarm {
   static constexpr uint8_t kId = kDisarm;
   static constexpr uint8_t kSize = 0;
@@ -401,7 +407,7 @@ struct Disarm {
   }
 };
 
-// Clears latched faults whose cause is gone; detail holds what remains.
+// Clear latched faults whose cause is gone; detail holds the bits that remain.
 struct ClearFaults {
   static constexpr uint8_t kId = kClearFaults;
   static constexpr uint8_t kSize = 2;
@@ -414,7 +420,7 @@ struct ClearFaults {
   }
 };
 
-// Hold a muscle pressure (calibration, diagnostics). Under the sweep's interlocks.
+// Hold a muscle pressure, for calibration and diagnostics. The interlocks of a sweep apply.
 struct SetPressure {
   static constexpr uint8_t kId = kSetPressure;
   static constexpr uint8_t kSize = 2 + 1 + 2 * kMuscles;
@@ -458,7 +464,7 @@ struct GrowTo {
   }
 };
 
-// Wind in to an everted length. Refused unless vented, for a bent body buckles.
+// Wind in to an everted length. Refused unless the muscles are vented, because a bent body buckles.
 struct RetractTo {
   static constexpr uint8_t kId = kRetractTo;
   static constexpr uint8_t kSize = 8;
@@ -476,10 +482,10 @@ struct RetractTo {
   }
 };
 
-// Wind in slowly until the spool stalls at the base, back off 3 mm, and touch it again; a back-off
-// that the encoder does not see is a spool_stall. A known length becomes 0 if it agrees within 1
-// cm, and unknown if not; an unknown one stays unknown, for a jam stalls twice at the same place:
-// confirm it. Refused unless vented.
+// Wind in slowly until the spool stalls at the base, back off 3 mm, and touch the base again. If
+// the encoder does not see the back-off, the fault is spool_stall. A known length becomes 0 if it
+// agrees within 1 cm, and unknown if not. An unknown length stays unknown, because a jammed spool
+// also stalls twice at the same place; confirm it. Refused unless the muscles are vented.
 struct Home {
   static constexpr uint8_t kId = kHome;
   static constexpr uint8_t kSize = 0;
@@ -495,8 +501,7 @@ struct ConfirmLength {
   static constexpr uint8_t kId = kConfirmLength;
   static constexpr uint8_t kSize = 5;
   int32_t length_um;  // Measured everted length. (um)
-  uint8_t settled;    // 1: everted sensors have rested long enough already; 0: start their settle
-                      // clocks now.
+  uint8_t settled;    // 1: everted sensors have settled already; 0: their settling time starts now.
   void encode(uint8_t* out) const {
     detail::put32(out + 0, static_cast<uint32_t>(length_um));
     detail::put8(out + 4, static_cast<uint8_t>(settled));
@@ -509,7 +514,7 @@ struct ConfirmLength {
   }
 };
 
-// States the body pressure, and with it which maps and which critical moment apply.
+// State the body pressure, which decides which maps and which critical moment apply.
 struct SelectZone {
   static constexpr uint8_t kId = kSelectZone;
   static constexpr uint8_t kSize = 1;
@@ -522,13 +527,14 @@ struct SelectZone {
   }
 };
 
-// Half sines of pressure, one muscle after the other; a muscle with amplitude 0 is skipped.
+// Bend with half a sine of pressure, one muscle after the other. A muscle with amplitude 0 is
+// skipped.
 struct Sweep {
   static constexpr uint8_t kId = kSweep;
   static constexpr uint8_t kSize = 6 + 1 + 2 * kMuscles;
-  int16_t amplitude_cpsi[kMuscles];  // Of each muscle's half sine. (0.01 psi)
+  int16_t amplitude_cpsi[kMuscles];  // Peak pressure of each muscle. (0.01 psi)
   uint32_t period_ms;                // Period of a whole sine; each muscle takes half of it. (ms)
-  uint8_t cycles;                    // Rounds of the muscles, at least 1.
+  uint8_t cycles;                    // How often all muscles take their turn, at least 1.
   uint8_t options;                   // Bits of SweepOption.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, kMuscles);
@@ -552,8 +558,9 @@ struct Sweep {
   }
 };
 
-// Average the named sensors' readings into their zeros. Only vented, settled, drift-free; ends with
-// event zeroed or activity_aborted.
+// Average the readings of the sensors in the mask into their zeros. Refused unless the muscles are
+// vented, and the sensors settled and free of drift. Ends with the event zeroed or
+// activity_aborted.
 struct ZeroSensors {
   static constexpr uint8_t kId = kZeroSensors;
   static constexpr uint8_t kSize = 2;
@@ -566,7 +573,7 @@ struct ZeroSensors {
   }
 };
 
-// One flex sensor's state.
+// Ask for one flex sensor's state.
 struct GetSensor {
   static constexpr uint8_t kId = kGetSensor;
   static constexpr uint8_t kSize = 1;
@@ -579,8 +586,8 @@ struct GetSensor {
   }
 };
 
-// Read a parameter as it was last set; a new value takes effect once it is applied. Indices count
-// the parameters in order; an array takes as many as the board's capacity.
+// Read a parameter as it was last set; a new value takes effect once it is applied. Indices number
+// the parameters in order; an array takes as many indices as the board's capacity.
 struct GetParameter {
   static constexpr uint8_t kId = kGetParameter;
   static constexpr uint8_t kSize = 2;
@@ -593,8 +600,8 @@ struct GetParameter {
   }
 };
 
-// Set a parameter; apply_parameters puts it into effect, and a hello discards what was not applied.
-// Checked against its limits. Refused while energised.
+// Set a parameter, which takes effect with apply_parameters; a hello discards what was not applied.
+// The value is checked against its limits. Refused while energised.
 struct SetParameter {
   static constexpr uint8_t kId = kSetParameter;
   static constexpr uint8_t kSize = 6;
@@ -612,12 +619,12 @@ struct SetParameter {
   }
 };
 
-// Set one free-curvature map at 0, 2, .. 20 psi (linear in between). Refused while energised.
+// Set one free-curvature map, at 0, 2, .. 20 psi (linear in between). Refused while energised.
 struct SetMap {
   static constexpr uint8_t kId = kSetMap;
   static constexpr uint8_t kSize = 25;
   uint8_t zone;              // Body pressure, from 0.
-  uint8_t muscle;            // Its number, from 0.
+  uint8_t muscle;            // Number of the muscle, from 0.
   Branch branch;             // Inflating or deflating.
   int16_t curvature_e5[11];  // Free curvature in the plane of the base sensors, signed. (1e-5/cm)
   void encode(uint8_t* out) const {
@@ -645,7 +652,7 @@ struct GetMap {
   static constexpr uint8_t kId = kGetMap;
   static constexpr uint8_t kSize = 3;
   uint8_t zone;    // Body pressure, from 0.
-  uint8_t muscle;  // Its number, from 0.
+  uint8_t muscle;  // Number of the muscle, from 0.
   Branch branch;   // Inflating or deflating.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(zone));
@@ -661,7 +668,7 @@ struct GetMap {
   }
 };
 
-// Commit parameters and maps to the store; acknowledged after the commit (a byte takes 3.4 ms);
+// Write parameters and maps to the store. Acknowledged once they are written, at 3.4 ms a byte;
 // detail = generation.
 struct SaveConfig {
   static constexpr uint8_t kId = kSaveConfig;
@@ -673,7 +680,7 @@ struct SaveConfig {
   }
 };
 
-// Parameters and maps back to the schema's defaults, in memory. Refused while energised.
+// Reset parameters and maps in memory to the schema's defaults. Refused while energised.
 struct LoadDefaults {
   static constexpr uint8_t kId = kLoadDefaults;
   static constexpr uint8_t kSize = 0;
@@ -684,11 +691,11 @@ struct LoadDefaults {
   }
 };
 
-// A captured reading.
+// Ask for a captured reading.
 struct GetSnapshot {
   static constexpr uint8_t kId = kGetSnapshot;
   static constexpr uint8_t kSize = 1;
-  uint8_t index;  // 0..9 the peak's readings in time order; 255 the one at the trigger.
+  uint8_t index;  // 0..9: the peak's readings in order of time; 255: the one at the trigger.
   void encode(uint8_t* out) const { detail::put8(out + 0, static_cast<uint8_t>(index)); }
   static bool decode(const uint8_t* in, uint8_t length, GetSnapshot* out) {
     if (length != kSize) return false;
@@ -697,7 +704,7 @@ struct GetSnapshot {
   }
 };
 
-// Acknowledge events up to and including a number; the board then unlatches them.
+// Acknowledge events up to and including a number; the board then stops repeating them.
 struct AckEvent {
   static constexpr uint8_t kId = kAckEvent;
   static constexpr uint8_t kSize = 2;
@@ -710,9 +717,9 @@ struct AckEvent {
   }
 };
 
-// Check the new values together with those that stay, and put all of them into effect, or none;
-// detail of a contradiction = the parameter's index. save_config stores them. Refused while
-// energised.
+// Check the new values together with those that stay, and put all of them into effect or none. If
+// they contradict each other, detail = the parameter's index. save_config stores them. Refused
+// while energised.
 struct ApplyParameters {
   static constexpr uint8_t kId = kApplyParameters;
   static constexpr uint8_t kSize = 0;
@@ -723,12 +730,12 @@ struct ApplyParameters {
   }
 };
 
-// Let air into the body through its enable, or shut it off. Accepted only while armed. The enable
-// drops when the robot is disarmed, and only this command raises it again.
+// Open or close the body's air valve by its enable. Accepted only while armed. The enable drops
+// when the robot is disarmed, and only this command raises it again.
 struct BodyAir {
   static constexpr uint8_t kId = kBodyAir;
   static constexpr uint8_t kSize = 1;
-  uint8_t open;  // 1: air in; 0: empty the body.
+  uint8_t open;  // 1: let air in; 0: empty the body.
   void encode(uint8_t* out) const { detail::put8(out + 0, static_cast<uint8_t>(open)); }
   static bool decode(const uint8_t* in, uint8_t length, BodyAir* out) {
     if (length != kSize) return false;
@@ -737,15 +744,15 @@ struct BodyAir {
   }
 };
 
-// Drive one output directly for a moment (bring-up, jog). It ends by itself unless repeated.
-// Neither length, zone nor zeros need be known; the motor needs empty muscles. Limits are compiled
-// in.
+// Drive one output directly for a moment (bring-up, jog). It ends by itself unless the command is
+// repeated. Length, body pressure and zeros may be unknown; the motor needs empty muscles. Limits
+// are compiled in.
 struct TestOutput {
   static constexpr uint8_t kId = kTestOutput;
   static constexpr uint8_t kSize = 6;
-  Output output;         // Which.
-  uint8_t muscle;        // Whose transducer; 0 for the motor.
-  int16_t level;         // Transducer 0..400 (5 mA), motor -200..200 (a quarter).
+  Output output;         // Which output.
+  uint8_t muscle;        // Number of the muscle whose transducer is driven; 0 for the motor.
+  int16_t level;         // Transducer: 0..400 (5 mA); motor: -200..200 (a quarter of full duty).
   uint16_t duration_ms;  // 1..500. (ms)
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(output));
@@ -763,7 +770,7 @@ struct TestOutput {
   }
 };
 
-// Counters of the link, as the board sees it.
+// Ask for the counters that the board keeps of the link.
 struct GetLinkStats {
   static constexpr uint8_t kId = kGetLinkStats;
   static constexpr uint8_t kSize = 0;
@@ -774,8 +781,8 @@ struct GetLinkStats {
   }
 };
 
-// An operator clears a stop. The command names the stop, so that a newer one stays latched.
-// Otherwise only power-on clears a stop.
+// Clear a stop, by order of an operator. The command names the stop, so that a newer one stays
+// latched. Nothing else but power-on clears a stop.
 struct ClearStop {
   static constexpr uint8_t kId = kClearStop;
   static constexpr uint8_t kSize = 4;
@@ -788,7 +795,8 @@ struct ClearStop {
   }
 };
 
-// What the board holds. A host asks once after its hello, because the hello's layout is frozen.
+// Ask how many muscles, sensors and so on the board holds. A host asks once after its hello;
+// hello_reply does not say it, because its layout is frozen.
 struct GetCapacity {
   static constexpr uint8_t kId = kGetCapacity;
   static constexpr uint8_t kSize = 0;
@@ -799,7 +807,7 @@ struct GetCapacity {
   }
 };
 
-// What the running firmware made of the stored configuration.
+// Ask how the stored configuration fits the firmware.
 struct GetConfigReport {
   static constexpr uint8_t kId = kGetConfigReport;
   static constexpr uint8_t kSize = 0;
@@ -810,13 +818,13 @@ struct GetConfigReport {
   }
 };
 
-// Answer of commands that return nothing else, and every refusal.
+// Answer to commands that return nothing else, and every refusal.
 struct Ack {
   static constexpr uint8_t kId = kAck;
   static constexpr uint8_t kSize = 6;
   Status status;   // Outcome.
   Reason reason;   // Why refused.
-  int32_t detail;  // What the command's doc says, or the index, sensor or bit at fault.
+  int32_t detail;  // As the command says; in a refusal, the wrong index, sensor or bit.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(reason));
@@ -835,17 +843,17 @@ struct Ack {
 struct HelloReply {
   static constexpr uint8_t kId = kHelloReply;
   static constexpr uint8_t kSize = 24;
-  Status status;         // refused when the schema differs, or there is no session to resume.
-  Reason reason;         // wrong_schema, bad_session, or none.
-  uint8_t protocol;      // Protocol version.
-  uint32_t schema_hash;  // Hash of the board's schema.
+  Status status;                // refused if the schema differs, or there is no session to resume.
+  Reason reason;                // wrong_schema, bad_session, or none.
+  uint8_t protocol;             // Protocol version.
+  uint32_t schema_hash;         // Hash of the board's schema.
   uint8_t firmware_version[3];  // Major, minor, patch.
-  Board board;                  // Where it runs.
+  Board board;                  // Where the firmware runs.
   uint32_t boot_nonce;          // Differs at each boot.
   uint16_t session;             // Never 0; differs at each hello.
   ResetCause reset_cause;       // Why it last started.
-  uint16_t receive_window;      // Unanswered bytes that the host may have in flight. (byte)
-  uint32_t host_nonce;          // Echo.
+  uint16_t receive_window;  // Bytes that the host may send before it waits for an answer. (byte)
+  uint32_t host_nonce;      // Echo.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(reason));
@@ -890,18 +898,18 @@ struct StatusReport {
   uint8_t zone;                     // Selected body-pressure map; 255 = unknown.
   uint16_t faults;                  // Latched Fault bits.
   uint16_t conditions;              // Condition bits.
-  uint32_t t_us;                    // Device clock, wraps. (us)
+  uint32_t t_us;                    // Device clock; wraps. (us)
   int32_t length_um;                // Everted length, if known. (um)
   int16_t pressure_cpsi[kMuscles];  // Muscle pressures. (0.01 psi)
-  uint16_t everted_mask;            // Sensors fully everted, with margin.
-  uint16_t settled_mask;            // Sensors past their settling time.
+  uint16_t everted_mask;            // Sensors that are fully everted, including their margin.
+  uint16_t settled_mask;            // Sensors that are past their settling time.
   uint16_t zeroed_mask;             // Sensors with a valid zero.
   uint16_t event_number;            // Newest event.
   uint32_t config_generation;       // Of the stored configuration; 0 = none.
   uint16_t supply_mv;               // Supply voltage, by reference_mv. (mV)
   uint16_t encoder_errors;  // Illegal transitions of the spool's encoder since boot; wraps. More
-                            // than a few mean noise, or a channel that fails.
-  uint32_t stop_nonce;      // Of the latest stop, if fault stopped is latched.
+                            // than a few mean noise or a failing channel.
+  uint32_t stop_nonce;      // Of the latest stop, if the fault stopped is latched.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(state));
@@ -958,10 +966,10 @@ struct SensorReport {
   uint8_t sensor;           // Its input.
   uint16_t flex_sum;        // Latest reading.
   uint32_t zero_sum_q8;     // Zero, in 1/256 of a sum.
-  int16_t drift_e5;         // Drift as last measured. (1e-5/cm/s)
-  uint32_t settle_left_ms;  // Until its settling time is over. (ms)
+  int16_t drift_e5;         // Drift when it was last measured. (1e-5/cm/s)
+  uint32_t settle_left_ms;  // Time left until it has settled. (ms)
   uint32_t everted_t_us;    // When it last everted. (us)
-  uint8_t flags;            // bit 0 everted, 1 settled, 2 zeroed, 3 open, 4 short, 5 enabled.
+  uint8_t flags;  // Bit 0: everted, 1: settled, 2: zeroed, 3: open, 4: shorted, 5: enabled.
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(sensor));
@@ -1013,7 +1021,7 @@ struct MapValues {
   static constexpr uint8_t kSize = 26;
   Status status;             // ok.
   uint8_t zone;              // Body pressure, from 0.
-  uint8_t muscle;            // Its number, from 0.
+  uint8_t muscle;            // Number of the muscle, from 0.
   Branch branch;             // Inflating or deflating.
   int16_t curvature_e5[11];  // At 0, 2, .. 20 psi. (1e-5/cm)
   void encode(uint8_t* out) const {
@@ -1051,8 +1059,8 @@ struct Snapshot {
   uint16_t flex_sum[kSensors];      // Flex readings, by input.
   int16_t pressure_cpsi[kMuscles];  // Muscle pressures, measured. (0.01 psi)
   int16_t lagged_cpsi;              // Active pressure filtered by the calibrated lag. (0.01 psi)
-  int16_t base_e5;  // Base curvature by the base sensors that the active muscle leaves at rest.
-                    // (1e-5/cm)
+  int16_t base_e5;  // Base curvature, from the base sensors that the active muscle does not
+                    // disturb. (1e-5/cm)
   int16_t free_e5;  // Free curvature by the map. (1e-5/cm)
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
@@ -1111,9 +1119,9 @@ struct LinkStats {
   uint16_t rx_bad;       // Frames dropped: check sequence, stuffing or size.
   uint16_t rx_stale;     // Frames of another session or out of sequence.
   uint16_t rx_repeats;   // Repeats answered from memory.
-  uint16_t rx_overruns;  // Bytes lost for want of room.
-  uint16_t tx_dropped;   // Telemetry frames dropped for want of room.
-  uint16_t loop_max_us;  // Longest main-loop pass since the last report. (us)
+  uint16_t rx_overruns;  // Bytes lost because the receive buffer was full.
+  uint16_t tx_dropped;   // Telemetry frames dropped because there was no room.
+  uint16_t loop_max_us;  // Longest pass of the main loop since the last report. (us)
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put32(out + 1, static_cast<uint32_t>(rx_frames));
@@ -1138,19 +1146,19 @@ struct LinkStats {
   }
 };
 
-// What the board holds, fixed when its firmware was compiled.
+// How many of each part the board holds, as its firmware was compiled.
 struct Capacity {
   static constexpr uint8_t kId = kCapacity;
   static constexpr uint8_t kSize = 12;
   Status status;           // ok.
   uint8_t muscles;         // Muscles: transducers and their pressure sensors.
   uint8_t sensors;         // Flex sensors: inputs.
-  uint8_t body_pressures;  // Body pressures that it keeps maps for.
-  uint8_t imus;            // Inputs that may be read from two IMUs; 0 = none.
-  uint8_t adc_bits;        // Bits of the counts that readings are sums of.
-  uint16_t drive_full;     // Transducer duty of 20 mA.
-  uint16_t motor_full;     // Motor duty of full voltage.
-  uint16_t tick_us;        // Between two conversions of a base sensor. (us)
+  uint8_t body_pressures;  // Body pressures for which it stores maps.
+  uint8_t imus;            // Inputs that two IMUs may provide instead of a flex sensor; 0 = none.
+  uint8_t adc_bits;        // Bits of one conversion; readings are sums of conversions.
+  uint16_t drive_full;     // Transducer duty at 20 mA.
+  uint16_t motor_full;     // Motor duty at full voltage.
+  uint16_t tick_us;        // Time between two conversions of a base sensor. (us)
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(muscles));
@@ -1177,15 +1185,15 @@ struct Capacity {
   }
 };
 
-// How the stored configuration fits the firmware that runs, as of the last start or save. The lists
-// hold the first 8 ids and are filled up with 0.
+// How the stored configuration fitted the firmware at the last start or save. The lists hold the
+// first 8 ids, and 0 in places that are left.
 struct ConfigReport {
   static constexpr uint8_t kId = kConfigReport;
   static constexpr uint8_t kSize = 24;
   Status status;           // ok.
   uint32_t generation;     // Of the stored configuration; 0 = none.
   uint8_t kept;            // Stored parameters that this firmware has, the maps as one.
-  uint8_t new_count;       // Parameters that were not stored, at their defaults.
+  uint8_t new_count;       // Parameters that were not stored; they have their defaults.
   uint8_t new_ids[8];      // Their ids.
   uint8_t unknown_count;   // Stored parameters that this firmware does not have; they are skipped.
   uint8_t unknown_ids[8];  // Their ids.
@@ -1219,14 +1227,14 @@ struct ConfigReport {
   }
 };
 
-// At once, in every state including boot: valves 0 mA, motor braked, activity aborted; fault
-// `stopped` latches. Accepted with any session, sequence number and schema. Repeated by its sender
-// until `stopped` echoes the nonce. It stays latched through resets; only clear_stop and power-on
-// end it.
+// Stop at once, in every state including boot: transducers at 0 mA, motor braked, activity aborted,
+// fault `stopped` latched. Accepted with any session, sequence number and schema. The sender
+// repeats it until `stopped` echoes the nonce. The stop stays latched through resets; only
+// clear_stop and power-on end it.
 struct Stop {
   static constexpr uint8_t kId = kStop;
   static constexpr uint8_t kSize = 4;
-  uint32_t nonce;  // Random; tells this stop from others, and its echo from a replayed one.
+  uint32_t nonce;  // Random, so that this stop and its echo cannot be mistaken for others.
   void encode(uint8_t* out) const { detail::put32(out + 0, static_cast<uint32_t>(nonce)); }
   static bool decode(const uint8_t* in, uint8_t length, Stop* out) {
     if (length != kSize) return false;
@@ -1235,7 +1243,7 @@ struct Stop {
   }
 };
 
-// The robot is stopped, outputs are off. Sent at once for every stop.
+// The robot is stopped and its outputs are off. Sent at once for every copy of a stop.
 struct Stopped {
   static constexpr uint8_t kId = kStopped;
   static constexpr uint8_t kSize = 4;
@@ -1248,8 +1256,8 @@ struct Stopped {
   }
 };
 
-// The host is alive. The counter must rise, so that a replayed heartbeat does not count. Answered
-// by pulse.
+// The host is alive. The counter must rise, so that a replayed heartbeat does not count. The answer
+// is pulse.
 struct Heartbeat {
   static constexpr uint8_t kId = kHeartbeat;
   static constexpr uint8_t kSize = 4;
@@ -1262,12 +1270,12 @@ struct Heartbeat {
   }
 };
 
-// Answer to a heartbeat; pairs device and host clocks.
+// Answer to a heartbeat, by which the host compares the two clocks.
 struct Pulse {
   static constexpr uint8_t kId = kPulse;
   static constexpr uint8_t kSize = 8;
   uint32_t counter;  // Echo.
-  uint32_t t_us;     // Device clock when the heartbeat's last byte was read. (us)
+  uint32_t t_us;     // Device clock at which the heartbeat's last byte was read. (us)
   void encode(uint8_t* out) const {
     detail::put32(out + 0, static_cast<uint32_t>(counter));
     detail::put32(out + 4, static_cast<uint32_t>(t_us));
@@ -1287,7 +1295,7 @@ struct Announce {
   uint8_t protocol;             // Protocol version.
   uint32_t schema_hash;         // Hash of the board's schema.
   uint8_t firmware_version[3];  // Major, minor, patch.
-  Board board;                  // Where it runs.
+  Board board;                  // Where the firmware runs.
   uint32_t boot_nonce;          // Differs at each boot.
   ResetCause reset_cause;       // Why it last started.
   void encode(uint8_t* out) const {
@@ -1314,12 +1322,12 @@ struct Announce {
   }
 };
 
-// All channels. seq numbers the frames; gaps are drops.
+// Readings, set points and state. seq numbers the frames; a gap means dropped frames.
 struct Telemetry {
   static constexpr uint8_t kId = kTelemetry;
   static constexpr uint8_t kSize =
       17 + 1 + 2 * kSensors + 1 + 2 * kMuscles + 2 * kMuscles + 2 * kMuscles;
-  uint32_t t_us;                    // When its readings were complete. (us)
+  uint32_t t_us;                    // Device clock at which the readings were complete. (us)
   uint16_t flex_sum[kSensors];      // Latest flex readings, by input.
   int16_t pressure_cpsi[kMuscles];  // Muscle pressures. (0.01 psi)
   int16_t set_cpsi[kMuscles];       // Set points. (0.01 psi)
@@ -1328,7 +1336,7 @@ struct Telemetry {
   int16_t motor;                    // Motor duty, positive pays out. (1/800 of full)
   int16_t base_e5;                  // Base curvature as the trigger sees it. (1e-5/cm)
   int16_t free_e5;                  // Free curvature by the map. (1e-5/cm)
-  uint8_t state_activity;           // State in the high, Activity in the low four bits.
+  uint8_t state_activity;           // State in the high four bits, Activity in the low four.
   uint16_t faults;                  // Latched Fault bits.
   void encode(uint8_t* out) const {
     detail::put32(out + 0, static_cast<uint32_t>(t_us));
@@ -1403,10 +1411,10 @@ struct Event {
   static constexpr uint8_t kId = kEvent;
   static constexpr uint8_t kSize = 13;
   uint16_t number;  // Rises by 1.
-  EventCode code;   // What.
-  uint32_t t_us;    // When. (us)
-  uint16_t arg;     // As the code's doc says.
-  int32_t value;    // As the code's doc says.
+  EventCode code;   // What happened.
+  uint32_t t_us;    // Device clock at which it happened. (us)
+  uint16_t arg;     // As EventCode says.
+  int32_t value;    // As EventCode says.
   void encode(uint8_t* out) const {
     detail::put16(out + 0, static_cast<uint16_t>(number));
     detail::put8(out + 2, static_cast<uint8_t>(code));
@@ -1507,49 +1515,54 @@ enum class Param : uint16_t {
   kFlexScale = kFlexSpanUm +
       kSensors,  // Curvature per ohm, sign included. (1e-9/cm per ohm) [kSensors]
   kSettleMs = kFlexScale + kSensors,  // Settling time after eversion (thesis: 30 s). (ms)
-  kFoldMarginUm = kSettleMs + 1,      // Keep-out around a sensor's ends for the tip's fold. (um)
-  kDriftLimitE5 = kFoldMarginUm + 1,  // Most drift at which zeroing is allowed. (1e-5/cm/s)
+  kFoldMarginUm = kSettleMs +
+      1,  // Distance that a sensor's ends must keep from the tip's fold. (um)
+  kDriftLimitE5 = kFoldMarginUm + 1,  // Largest drift at which zeroing is allowed. (1e-5/cm/s)
   kZeroMs = kDriftLimitE5 + 1,        // Averaging time of a zero. (ms)
   kOversampleLog2 = kZeroMs + 1,      // Conversions summed in a reading, as a power of two.
   kPressureZero = kOversampleLog2 +
       1,  // Reading at 0 psi, in 1/64 of an ADC count (10 % of the supply). (1/64 count) [kMuscles]
   kPressureSpan = kPressureZero +
-      kMuscles,  // Reading span of full scale, in 1/64 of an ADC count. (1/64 count) [kMuscles]
+      kMuscles,  // Difference of the readings at full scale and at 0 psi, in 1/64 of an ADC count.
+                 // (1/64 count) [kMuscles]
   kPressureFullCpsi = kPressureSpan + kMuscles,  // Full scale of the pressure sensors. (0.01 psi)
   kMaxPressureCpsi = kPressureFullCpsi +
-      1,  // Highest set point accepted (the thesis: 18 psi is the most the muscle holds reliably).
-          // The limit of 20 psi is compiled in. (0.01 psi)
-  kOverPressureCpsi = kMaxPressureCpsi + 1,  // Fault above this. (0.01 psi)
-  kVentCpsi = kOverPressureCpsi + 1,         // A muscle below this is vented. (0.01 psi)
-  kLiveZeroCpsi = kVentCpsi + 1,       // Set points below this are unreachable: 0 mA. (0.01 psi)
+      1,  // Highest set point that is accepted (thesis: the muscle reliably holds at most 18 psi).
+          // A limit of 20 psi is compiled in. (0.01 psi)
+  kOverPressureCpsi = kMaxPressureCpsi +
+      1,  // A pressure above this is the fault over_pressure. (0.01 psi)
+  kVentCpsi = kOverPressureCpsi + 1,  // A muscle below this is vented. (0.01 psi)
+  kLiveZeroCpsi = kVentCpsi +
+      1,  // Set points below this cannot be reached, and give 0 mA. (0.01 psi)
   kDrive4maCpsi = kLiveZeroCpsi + 1,   // Transducer output at 4 mA. (0.01 psi)
   kDrive20maCpsi = kDrive4maCpsi + 1,  // Transducer output at 20 mA. (0.01 psi)
   kPressureKp = kDrive20maCpsi + 1,    // Proportional gain, psi of drive per psi of error. (1/256)
   kPressureKi = kPressureKp + 1,       // Integral gain. (1/256 per s)
   kPressureKd = kPressureKi + 1,       // Derivative gain, on the measurement. (1/256 s)
-  kPressureSlewCpsiS = kPressureKd + 1,  // Fastest set-point change. (0.01 psi/s)
+  kPressureSlewCpsiS = kPressureKd + 1,  // Fastest change of a set point. (0.01 psi/s)
   kStuckCpsi = kPressureSlewCpsiS + 1,   // Set-point error that counts as stuck. (0.01 psi)
   kStuckMs = kStuckCpsi + 1,             // How long such an error must last. (ms)
   kDriveToleranceCpsi = kStuckMs +
-      1,  // Difference between pressure and transducer output by its map that is a fault, when it
-          // lasts stuck_ms. Default: the sensor's error band before zeroing (1.2 psi), 2 % of gain
-          // and what the lags leave. (0.01 psi)
-  kLagMs = kDriveToleranceCpsi + 1,   // Lag from measured pressure to bend, by which pressure is
-                                      // filtered before the map. (ms) [kMuscles]
+      1,  // Difference between the pressure and the transducer's output by its map that is a fault
+          // if it lasts for stuck_ms. Default: the sensor's error before zeroing (1.2 psi), 2 % of
+          // gain, and what the lags add. (0.01 psi)
+  kLagMs = kDriveToleranceCpsi + 1,   // Lag from measured pressure to bend; pressure is filtered by
+                                      // it before the map. (ms) [kMuscles]
   kReversalCpsi = kLagMs + kMuscles,  // Pressure change over which the inflate map turns into the
                                       // deflate map. (0.01 psi) [kMuscles]
   kTriggerE5 = kReversalCpsi +
-      kMuscles,  // Contact threshold (thesis: 0.005 1/cm): how far a bending base is held back, or
-                 // a vented one pushed. (1e-5/cm)
-  kTriggerDebounceMs = kTriggerE5 + 1,  // How long the threshold must be passed, in samples of 1
+      kMuscles,  // Contact threshold (thesis: 0.005 1/cm): by how much the base must bend less than
+                 // the map says, or, while vented, be pushed. (1e-5/cm)
+  kTriggerDebounceMs = kTriggerE5 + 1,  // How long the threshold must be exceeded, in samples of 1
                                         // ms. Default: see trigger_filter_log2. (ms)
   kTriggerFilterLog2 = kTriggerDebounceMs +
-      1,  // Samples of 1 ms averaged in the trigger's base reading, as a power of two. Default: by
-          // the rule of `thigmo bench trigger`, at most 1 false alarm in 100 empty sweeps at twice
-          // the noise, then the fastest.
-  kPeakSpacingMs = kTriggerFilterLog2 + 1,  // Between the ten readings around a sweep's peak. (ms)
-  kFullLengthUm = kPeakSpacingMs + 1,       // Deployable length. (um)
-  kCountsPerM = kFullLengthUm + 1,          // Encoder counts per metre of line. (count/m)
+      1,  // Samples of 1 ms averaged in the trigger's base reading, as a power of two. Default: the
+          // fastest that gives at most 1 false alarm in 100 empty sweeps at twice the noise
+          // (`thigmo bench trigger`).
+  kPeakSpacingMs = kTriggerFilterLog2 +
+      1,                               // Time between the ten readings around a sweep's peak. (ms)
+  kFullLengthUm = kPeakSpacingMs + 1,  // Deployable length. (um)
+  kCountsPerM = kFullLengthUm + 1,     // Encoder counts per metre of line. (count/m)
   kPayoutQ8 = kCountsPerM + 1,     // Line paid out per length grown (base-fed eversion: 2). (1/256)
   kSpoolSpeedUmS = kPayoutQ8 + 1,  // Tip speed of growth. (um/s)
   kSpoolAccelUmS2 = kSpoolSpeedUmS + 1,  // Acceleration of the trapezoid profile. (um/s2)
@@ -1558,69 +1571,71 @@ enum class Param : uint16_t {
   kSpoolKd = kSpoolKi + 1,               // Derivative gain. (1/256 duty s per count)
   kSpoolKff = kSpoolKd + 1,              // Feed-forward of speed. (1/256 duty s per count)
   kSpoolDeadZone = kSpoolKff + 1,        // Duty at which the motor begins to turn. (1/800 of full)
-  kSpoolToleranceUm = kSpoolDeadZone + 1,  // At the target within this. (um)
+  kSpoolToleranceUm = kSpoolDeadZone +
+      1,  // Distance within which the target counts as reached. (um)
   kStallMs = kSpoolToleranceUm +
-      1,  // A driven motor that stands still for this long is a stall. In growth, so is a lag of 3
-          // mm behind the profile without a count: the encoder may have failed. (ms)
-  kSlipUm = kStallMs + 1,       // Movement with the motor off that is a slip. (um)
+      1,  // A driven motor that stands still for this long is a stall. During growth, so is a lag
+          // of 3 mm behind the profile without a single count, because the encoder may have failed.
+          // (ms)
+  kSlipUm = kStallMs + 1,       // Movement with the motor off that counts as a slip. (um)
   kHomeSpeedUmS = kSlipUm + 1,  // Tip speed of homing. (um/s)
   kLineSpeedUmS = kHomeSpeedUmS +
-      1,  // Speed of the line at full duty, without load (default: 225 rpm on a spool of 2 cm). The
+      1,  // Speed of the line at full duty without load (default: 225 rpm on a spool of 2 cm). The
           // encoder is judged by it, so calibrate it. (um/s)
   kSpeedMarginDuty = kLineSpeedUmS +
-      1,  // Duty by which growth may need more than spool_dead_zone and line_speed_um_s say, before
-          // it is a spool_stall for an encoder that loses counts; 1/16 for supply and heat comes on
-          // top. Negative where a calibration has seen how much the body's pull saves. 800 = the
-          // encoder is judged neither by its speed nor by the sensors that pass the tip, as while
-          // it is calibrated. (1/800 of full)
+      1,  // How much more duty than spool_dead_zone and line_speed_um_s predict growth may need
+          // before this is a spool_stall, because the encoder loses counts; 1/16 for supply and
+          // heat is added. Negative after a calibration that has measured how much the body's pull
+          // saves. 800: the encoder is judged neither by its speed nor by the sensors that pass the
+          // tip, as during its calibration. (1/800 of full)
   kPullDuty = kSpeedMarginDuty +
-      1,  // Duty that growth needs less than spool_dead_zone and line_speed_um_s say, for each body
-          // pressure: mostly what the body's pull on the tail saves. `thigmo calibrate encoder`
-          // learns it. While the swing of a sensor in the tip's fold shows that the body grows, the
-          // motor's speed is judged with it; a tip that stands still leaves the tail slack, and the
-          // duty higher. (1/800 of full) [kBodyPressures]
+      1,  // How much less duty growth needs than spool_dead_zone and line_speed_um_s predict, at
+          // each body pressure, mostly because the body pulls on the tail. `thigmo calibrate
+          // encoder` measures it. It is used to judge the motor's speed while the swing of a sensor
+          // in the tip's fold shows that the body grows; a tip that stands still leaves the tail
+          // slack, and the duty is higher. (1/800 of full) [kBodyPressures]
   kMotorStallN = kPullDuty +
-      kBodyPressures,  // Pull on the line at which full duty stalls, by the motor's data (default:
-                       // 15 kg cm on a spool of 2 cm). 1/8 is added for a high supply and a cold
-                       // winding. (N)
-  kLineRatingN = kMotorStallN + 1,  // Most pull that line and tail may bear. Bounds the duty, and
+      kBodyPressures,  // Pull on the line at which the motor stalls at full duty, from its data
+                       // sheet (default: 15 kg cm on a spool of 2 cm). 1/8 is added for a high
+                       // supply and a cold winding. (N)
+  kLineRatingN = kMotorStallN + 1,  // Largest pull that line and tail may bear. Limits the duty and
                                     // the speed of winding in. (N)
-  kTouchNSM = kLineRatingN + 1,  // Pull that a line which is stopped at once adds for each m/s of
-                                 // its speed: the root of its stiffness times the mass that the
-                                 // turning motor is to the line. Default: 5 N/mm and 40 kg. (N s/m)
+  kTouchNSM = kLineRatingN +
+      1,  // Additional pull for each m/s of the line's speed when it is stopped at once: the square
+          // root of the line's stiffness times the mass that the turning motor presents to it.
+          // Default: 5 N/mm and 40 kg. (N s/m)
   kBrakeFitted = kTouchNSM +
       1,  // 1: a spring-applied brake holds the spool, and contacts cut the motor's supply
-          // (docs/hardware/electronics.md). The board then proves at arming that the brake holds.
-          // 0: a robot without them; its motor keeps its supply when it is stopped.
+          // (docs/hardware/electronics.md). The board then tests at each arming that the brake
+          // holds. 0: the robot has neither, and its motor keeps its supply when it is stopped.
   kDirectionSeen = kBrakeFitted +
-      1,  // 1: an operator has seen the spool pay out when it was driven to, and the encoder
-          // agreed; `thigmo bringup` asks, and stores the answer. The board cannot notice motor
-          // leads and encoder that are both swapped. 0: programs do not let the robot move by
-          // itself.
+      1,  // 1: an operator saw the spool pay out when it was commanded to, and the encoder agreed;
+          // `thigmo bringup` asks, and stores the answer. The board itself cannot notice that motor
+          // leads and encoder are both swapped. 0: programs refuse to move the robot by itself.
   kHeartbeatMs = kDirectionSeen +
-      1,  // Host silence, while armed, that is a fault. Bounds spool_speed_um_s and
-          // home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most 17 mm, where the watchdog's
-          // 250 ms count if heartbeat_ms is less. (ms)
-  kSupplyMinMv = kHeartbeatMs + 1,  // Supply below this is a brown-out. Default: 4.7 V, read
-                                    // against a reference that is 10 % off. (mV)
+      1,  // How long the host may be silent while the robot is armed, before this is a fault.
+          // Limits spool_speed_um_s and home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most
+          // 17 mm, and a heartbeat_ms below the watchdog's 250 ms counts as 250 ms. (ms)
+  kSupplyMinMv = kHeartbeatMs + 1,  // A supply below this is a brown-out. Default: what 4.7 V reads
+                                    // with a reference that is 10 % off. (mV)
   kReferenceMv = kSupplyMinMv +
-      1,  // The chip's own voltage reference, 10 % from chip to chip: 1100 x measured supply /
-          // supply_mv as the board reports it. (mV)
-  kTelemetryMs = kReferenceMv +
-      1,  // Telemetry period; 0 = off. While the spool winds it comes every 20 ms at least. (ms)
+      1,  // The chip's own voltage reference, which differs by 10 % from chip to chip. Set it to
+          // 1100 x the supply by a multimeter / supply_mv as the board reports it. (mV)
+  kTelemetryMs = kReferenceMv + 1,  // Telemetry period; 0 = off. While the spool turns, telemetry
+                                    // comes at least every 20 ms. (ms)
   kMuscleFitted = kTelemetryMs +
-      1,  // 1: there is a muscle, with its transducer and pressure sensor. Those of others are
-          // neither driven nor read. [kMuscles]
+      1,  // 1: this muscle exists, with its transducer and pressure sensor. 0: its output is not
+          // driven, and its sensor not read. [kMuscles]
   kTriggerWhen = kMuscleFitted +
-      kMuscles,  // When a base sensor counts for the contact trigger, as bits: 0 to 6 while that
-                 // muscle bends the body, 7 while none does. A muscle leaves it at rest unless the
-                 // sensor lies under it. Base sensors are the first input and the first of the
-                 // upper half: they are converted in every ms. [kSensors]
+      kMuscles,  // When the contact trigger uses this base sensor, as bits: 0 to 6 while the muscle
+                 // of that number bends the body, 7 while none does. A muscle disturbs the sensor
+                 // only if it lies over it. Base sensors are the first input and the first of the
+                 // upper half; they are converted every ms. [kSensors]
   kImuFrom = kTriggerWhen +
-      kSensors,  // IMU where the span on this input begins: 128 x its channel of the multiplexer +
+      kSensors,  // IMU at which this input's span begins: 128 x its channel of the multiplexer +
                  // its I2C address. 0: the base, which does not turn. [kImus]
-  kImuTo = kImuFrom + kImus,  // IMU where the span on this input ends, in the same form. 0: the
-                              // converter reads this input. [kImus]
+  kImuTo = kImuFrom + kImus,  // IMU at which this input's span ends, in the same form. 0: this
+                              // input is a flex sensor on the converter. [kImus]
   kEnd = kImuTo + kImus
 };
 constexpr uint16_t kParamCount = static_cast<uint16_t>(Param::kEnd);

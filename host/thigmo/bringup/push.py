@@ -49,7 +49,7 @@ def jog(robot: Robot, cm: float) -> float:
         CommandRefusedError: not armed, or a muscle holds pressure.
     """
     if not 0 < abs(cm) <= JOG_CM:
-        raise ConfigError(f"a jog of {cm:g} cm", f"give more than 0 and at most {JOG_CM:g} cm")
+        raise ConfigError(f"cannot jog by {cm:g} cm", f"give more than 0 and at most {JOG_CM:g} cm")
     way = 1 if cm > 0 else -1
     start = robot.read(0.05).length_cm
     moved, best, best_s = 0.0, 0.0, robot.now()
@@ -93,7 +93,7 @@ def press(
     """
     if not 0 < psi <= PRESS_PSI or not 0 < seconds <= PRESS_S:
         raise ConfigError(
-            f"a press of {psi:g} psi for {seconds:g} s",
+            f"cannot press with {psi:g} psi for {seconds:g} s",
             f"give more than 0, and at most {PRESS_PSI:g} psi and {PRESS_S:g} s",
         )
     muscle = robot.config.muscle_number(name)

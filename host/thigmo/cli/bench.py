@@ -22,7 +22,8 @@ def bench(
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     jobs: Annotated[int, typer.Option(help="Processes on this machine.")] = 1,
     backend: Annotated[
-        str, typer.Option(help="loky (processes here) or dask (a cluster; all its workers).")
+        str,
+        typer.Option(help="loky (processes on this machine) or dask (all workers of a cluster)."),
     ] = "loky",
     scheduler: Annotated[
         str | None,
@@ -32,7 +33,7 @@ def bench(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run the studies behind the project's numbers and figures."""
+    """Run the studies that give the project's numbers and figures."""
     import os
     from contextlib import nullcontext
 

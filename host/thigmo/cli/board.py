@@ -22,13 +22,14 @@ _EMERGENCY = "use the emergency stop"
 
 def stop(
     robot: Annotated[
-        str | None, robot_option("Where it is, as /dev/ttyACM0; if omitted, every robot in use.")
+        str | None,
+        robot_option("Its address, such as /dev/ttyACM0; if omitted, every robot in use."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Stop a robot at once, beside the program that drives it; `thigmo clear` ends the stop.
+    """Stop a robot at once, whatever program drives it; `thigmo clear` ends the stop.
 
-    It ends with status 0 only if the robot's board has confirmed the stop.
+    The command ends with status 0 only if the robot's board has confirmed the stop.
     """
     from thigmo.errors import LinkError, ThigmoError
     from thigmo.link.transport import emulated
@@ -76,11 +77,13 @@ def params(
     ] = False,
     load_defaults: Annotated[
         bool,
-        typer.Option("--load-defaults", help="Give the board all defaults and store them first."),
+        typer.Option(
+            "--load-defaults", help="First reset all parameters to their defaults, and store them."
+        ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the board's parameters, or show or set one of them."""
+    """Show all of the board's parameters, or show or set one."""
     from thigmo.robot import connect
     from thigmo.robot.configuration import check_name
 
@@ -157,14 +160,14 @@ def retract(
     length: Annotated[
         float | None,
         typer.Option(
-            help="Everted length now, cm, as measured; asked for if the board does not know it."
+            help="Measured everted length, cm; needed only if the board does not know it."
         ),
     ] = None,
     config: SentConfigOption = None,
     by_page: HeldOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Vent, then wind the robot in once the muscles are below 0.5 psi: a bent body buckles."""
+    """Vent the muscles, wait until they are below 0.5 psi (a bent body buckles), and wind in."""
     from thigmo.cli.console import Console
     from thigmo.config import RobotConfig
     from thigmo.robot import connect

@@ -73,14 +73,14 @@ def bringup(
     seed: Annotated[int | None, typer.Option(help="Seed of the emulator.", min=0)] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a newly wired robot, from its supply to homing; names the plug of what is wrong.
+    """Check a newly wired robot, from its supply to homing, and name the plug of what is wrong.
 
-    Stages: board, supply, estop, pressure, flex, valves, enables, motor, brake, home. It asks for
-    one thing after the other, and stops after the first stage in which something is wrong; `--from
-    STAGE` goes on from there, `--to STAGE` ends with that one. A board without a configuration gets
-    the defaults.
+    Stages: board, supply, estop, pressure, flex, valves, enables, motor, brake, home. It asks
+    you for one thing after the other, and stops after the first stage in which something is wrong.
+    `--from STAGE` continues there, and `--to STAGE` ends with that stage. A board without a
+    configuration gets the defaults.
 
-    First read docs/hardware, "Before the first power".
+    Read "Before the first power" in docs/hardware/electronics.md first.
     """
     from thigmo.bringup import STAGES, BringUp
     from thigmo.config import RobotConfig
@@ -149,15 +149,16 @@ def jog(
 
 def press(
     robot: RobotOption,
-    muscle: Annotated[str, typer.Argument(help="Its name in robot.toml: left.")],
+    muscle: Annotated[str, typer.Argument(help="Name of the muscle in robot.toml, such as left.")],
     psi: Annotated[float, typer.Argument(help="Pressure, at most 5 psi.")],
     seconds: Annotated[float, typer.Option(help="Duration, at most 60 s.")] = 5.0,
     as_json: JsonOption = False,
 ) -> None:
     """Give a muscle's transducer the current of a low pressure, show the pressure, then vent.
 
-    Needs neither length nor zeros, and closes no loop: a check of valve, tube and sensor. The board
-    ends each push within half a second, so the muscle empties when this program stops.
+    This checks valve, tube and sensor. It needs neither length nor zeros, and does not control the
+    pressure. The board ends each push within half a second, so the muscle empties when this program
+    stops.
     """
     from thigmo.bringup import press as hold
 

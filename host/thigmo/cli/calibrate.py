@@ -48,7 +48,8 @@ def calibrate(
         typer.Option(help="Pictures in the stiffness step, beside those of the tip places.", min=2),
     ] = 12,
     zone: Annotated[
-        list[int] | None, typer.Option(help="Only these body-pressure zones (0 = first); repeat.")
+        list[int] | None,
+        typer.Option(help="Only this body-pressure zone, from 0; may be given more than once."),
     ] = None,
     method: Annotated[
         Literal["thesis"] | None,
@@ -77,16 +78,16 @@ def calibrate(
 
     pressure: zeros of the pressure sensors, vented.
 
-    encoder: the robot grows; counts against the length seen, and the motor's duty meanwhile.
+    encoder: the robot grows; counts by the length that the camera sees, and the motor's duty.
 
     actuator: free bends of every muscle at every body pressure; maps, and the lag. Bends out of
     the plane are measured by the sensors that read them.
 
     flex: the tip is pushed aside by hand to ten places; every sensor's scale, zero and noise.
 
-    heading: of IMUs instead: the turn from each to the next at the free bends; scale, zero, drift.
+    heading: for IMUs: the turn from each to the next at the free bends; scale, zero and drift.
 
-    fibre: strains at the free bends; scales, zeros, twist, and the drift that all share.
+    fibre: for a fibre: strains at the free bends; scales, zeros, twist, and the common drift.
 
     hysteresis: how each sensor creeps after it was everted (from the encoder's stops).
 
@@ -96,7 +97,9 @@ def calibrate(
     (reported only; nothing needs it). With `--csv` of readings under known forces, such as a hung
     weight, or with `--from-fold`: the bending stiffness, which makes newtons of forces.
 
-    noise, check: the robot at rest; later, whether it is still what robot.toml says.
+    noise: readings of the robot at rest.
+
+    check: whether the robot is still as robot.toml says.
 
     Each step draws its fit (FOLDER/STEP.png) and says whether it is good, and why. Only good
     results are kept; the file before them becomes robot.toml.1.bak and so on. A step that was
@@ -116,10 +119,10 @@ def calibrate(
     if step not in (*STEPS, "all", "status"):
         raise DataError(f"there is no step {step!r}", f"use all, status, {', '.join(STEPS)}")
     if method and step not in ("all", "status") and STEPS[step].thesis is None:
-        raise DataError(f"{step} has one method only", "give --method with flex or buckling")
+        raise DataError(f"{step} has only one method", "give --method only with flex or buckling")
     start = RobotConfig.load(config) if config else None
     if from_fold and (step != "stiffness" or csv is not None):
-        raise DataError("--from-fold is of stiffness alone", "`thigmo calibrate stiffness`")
+        raise DataError("--from-fold is for stiffness only", "run `thigmo calibrate stiffness`")
     if csv is not None or from_fold:
         held = folder / "robot.toml"
         base = RobotConfig.load(held) if held.exists() else start or RobotConfig()

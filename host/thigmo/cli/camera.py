@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from thigmo.camera.model import Picture
 
 group = typer.Typer(
-    help="The overhead camera: places to 0.3 cm from a webcam about 1 m above the table.\n\n"
+    help="Measure places to 0.3 cm with a webcam about 1 m above the table.\n\n"
     "1. `thigmo camera sheet` prints four cards, tip markers and a lens board, and writes "
     "sheet.toml, which says where the cards lie.\n\n"
     "2. `thigmo camera lens camera:0` (once for a camera): show the lens board in twelve poses. "
     "Instead, give the lens's height above the table in sheet.toml (camera_height_cm), or stand "
     "one card on a box (its z_cm).\n\n"
-    "3. `thigmo camera locate camera:0` (whenever the camera was touched): where it stands, and "
-    "how exactly that is known.\n\n"
+    "3. `thigmo camera locate camera:0` (again whenever the camera was touched) finds where it "
+    "stands, and says how precisely that is known.\n\n"
     "4. `thigmo camera check camera:0` draws what it sees over the picture: look at check.png.\n\n"
-    "A video, a picture or a folder of pictures does as well as camera:0. What is not found can be "
-    "clicked (`check --click tip,axis,obstacles`).",
+    "Instead of camera:0, give a video, a picture or a folder of pictures. Click by hand what is "
+    "not found: `check --click tip,axis,obstacles`.",
     no_args_is_help=True,
 )
 
@@ -65,7 +65,9 @@ def load_sheet(path: Path, length_cm: float = 53.0) -> Sheet:
 
 @group.command()
 def sheet(
-    out: Annotated[Path, typer.Option(help="PDF, or PNG (one a page).")] = Path("sheet.pdf"),
+    out: Annotated[Path, typer.Option(help="PDF, or PNG (a file for each page).")] = Path(
+        "sheet.pdf"
+    ),
     sheet_file: SheetOption = SHEET_FILE,
     length: Annotated[
         float, typer.Option(help="Length of the robot, cm: the cards lie around its reach.", min=1)
@@ -178,7 +180,9 @@ def check(
     source: SourceArgument,
     sheet_file: SheetOption = SHEET_FILE,
     camera_file: CameraOption = CAMERA_FILE,
-    out: Annotated[Path, typer.Option(help="The picture, drawn over.")] = Path("check.png"),
+    out: Annotated[
+        Path, typer.Option(help="File for the picture with what was seen drawn on it.")
+    ] = Path("check.png"),
     diameter: Annotated[float, typer.Option(help="Tube diameter, cm.")] = 3.5,
     peg_height: Annotated[float, typer.Option(help="Height of the dowels, cm.")] = 6.0,
     peg_radius: Annotated[
@@ -186,7 +190,7 @@ def check(
     ] = None,
     length: Annotated[
         float | None,
-        typer.Option(help="Everted length, cm, if known; an axis of another length is doubted."),
+        typer.Option(help="Everted length, cm, if known; an axis of another length is flagged."),
     ] = None,
     free_bend: Annotated[
         bool, typer.Option(help="The body touches nothing, so its bend is an arc.")
@@ -194,12 +198,14 @@ def check(
     background: Annotated[
         Path | None, typer.Option(help="Picture of the empty table from the same camera.")
     ] = None,
-    tip: Annotated[str | None, typer.Option(help="The tip, clicked by hand: X,Y px.")] = None,
+    tip: Annotated[
+        str | None, typer.Option(help="Place of the tip in the picture, found by hand: X,Y in px.")
+    ] = None,
     points: Annotated[
         Path | None, typer.Option(help="File of clicked points (written by --click).")
     ] = None,
     click: Annotated[
-        str | None, typer.Option(help="Click in a window: any of tip,axis,obstacles.")
+        str | None, typer.Option(help="Click these in a window: any of tip,axis,obstacles.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -17,7 +17,7 @@ def design(
     centers: Annotated[
         str, typer.Option(help="Sensor centres along the body, cm, separated by commas.")
     ] = "5,15,25,35,45",
-    columns: Annotated[int, typer.Option(help="Columns of such sensors (2: both sides).")] = 2,
+    columns: Annotated[int, typer.Option(help="Columns of such sensors: 2 for both sides.")] = 2,
     length: Annotated[float, typer.Option(help="Length of the body, cm.")] = 53.0,
     span: Annotated[float, typer.Option(help="Active length of a sensor, cm.")] = 5.5,
     noise: Annotated[float, typer.Option(help="Standard deviation of a reading, 1/cm.")] = 6e-4,
@@ -29,7 +29,7 @@ def design(
     ),
     as_json: JsonOption = False,
 ) -> None:
-    """Chart where, and from which force, a layout feels contacts and tells two apart."""
+    """Chart where a sensor layout feels contacts, from which force, and when it tells two apart."""
     from thigmo.errors import DataError
     from thigmo.extras import require
 

@@ -23,12 +23,14 @@ def emulate(
     scene: Annotated[str, typer.Argument(help="Scene file, or a built-in scene's name.")],
     seed: Annotated[int | None, typer.Option(help="Seed of the noise.", min=0)] = None,
     link: Annotated[
-        Path | None, typer.Option(help="Make this symbolic link to the port, for a stable name.")
+        Path | None,
+        typer.Option(help="Symbolic link to make to the port, so that its name stays the same."),
     ] = None,
     config: Annotated[
         Path | None,
         typer.Option(
-            help="File for this robot's constants, as its lab knows them; else SCENE-robot.toml."
+            help="File to write this robot's constants to, as its lab knows them. Default: "
+            "SCENE-robot.toml."
         ),
     ] = None,
 ) -> None:
@@ -44,7 +46,7 @@ def check(
     file: Annotated[str, typer.Argument(help="Scene file, or a built-in scene's name.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Check a scene file and say what it holds."""
+    """Check a scene file and list what is in it."""
     scenes: Any = import_module(_SCENE)
     found = scenes.Scene.load(file)
     show(

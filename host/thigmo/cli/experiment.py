@@ -30,9 +30,7 @@ def experiment(
             "all; or fit, which fits the simulated robots' constants again."
         ),
     ],
-    robots: Annotated[
-        int, typer.Option(help="Simulated robots, each with errors of its own.")
-    ] = 20,
+    robots: Annotated[int, typer.Option(help="Simulated robots, each with its own errors.")] = 20,
     trials: Annotated[
         int, typer.Option(help="Trials of each condition and robot; the thesis has 5.")
     ] = 5,
@@ -54,7 +52,7 @@ def experiment(
         str | None,
         typer.Option(
             help="Camera that measures the dowels: camera:0 or a folder of pictures. Without it "
-            "they are typed in."
+            "you type their places in."
         ),
     ] = None,
     sheet_file: SheetOption = SHEET_FILE,
@@ -62,7 +60,7 @@ def experiment(
     rehearse: Annotated[
         bool,
         typer.Option(
-            "--rehearse", help="On the emulator, ask for everything that a real robot needs."
+            "--rehearse", help="On the emulator, ask you for everything that a real robot needs."
         ),
     ] = False,
     recorded: Annotated[
@@ -70,13 +68,13 @@ def experiment(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Repeat the thesis's experiments: the thesis, its method here, ours, and the bound.
+    """Repeat the thesis's experiments; compare its results, its method, ours, and the bound.
 
     Without --robot, readings are computed from the emulator's mechanics and the fitted errors
-    (fast: thousands of trials); explorations run on the whole emulator. With --robot the trials of
-    single-contact, two-contacts or actuated are taken one by one, on a bench with prompts, on
-    emulator:// by its own operator, and kept in OUT/NAME/trials.jsonl; the same command resumes
-    after a stop. With --robot, each trial of exploration is one run by each protocol.
+    (fast: thousands of trials); explorations run on the whole emulator. With --robot, the trials of
+    single-contact, two-contacts or actuated are taken one by one and kept in OUT/NAME/trials.jsonl:
+    on a bench you are asked for each step, on emulator:// an emulated operator takes it. The same
+    command resumes after a stop. Each trial of exploration is then one run with each protocol.
     """
     require_sources("thigmo.studies", "`thigmo experiment`")
     from thigmo.cli.studies import conduct, report
@@ -98,8 +96,8 @@ def experiment(
     if robot is not None or recorded is not None:
         if name not in (*STATIC, "exploration"):
             raise DataError(
-                f"{name!r} is not taken with a robot, as {', '.join(STATIC)} and exploration are",
-                "name one of these",
+                f"{name!r} cannot be done with a robot",
+                f"choose from {', '.join(STATIC)}, exploration",
             )
         folder = recorded or out / name
         if robot is not None:

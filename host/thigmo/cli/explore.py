@@ -32,7 +32,7 @@ def explore(
     config: KnownConfigOption = None,
     name: Annotated[str | None, typer.Option(help="Name of the run.")] = None,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="Let the emulator keep to the wall clock.")
+        bool, typer.Option("--realtime", help="Run the emulator at the speed of the wall clock.")
     ] = False,
     protocol: Annotated[
         Literal["measure", "thesis"] | None,
@@ -78,7 +78,7 @@ def explore(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Grow, sweep, feel, localize and map, stage by stage to the full length."""
+    """Explore: grow in stages to the full length; at each, sweep, feel, localize and map."""
     from thigmo.cli.console import Console
     from thigmo.config import RobotConfig
     from thigmo.errors import ConfigError
@@ -117,6 +117,6 @@ def explore(
             progress=show,
         )
     if as_json:
-        print_json(result.as_json())
+        print_json(result.to_dict())
     else:
         console.result(result)

@@ -26,7 +26,7 @@ def feel(
     press: Annotated[
         str | None,
         typer.Option(
-            help="Muscle to hold under pressure meanwhile, and the pressure in psi: left=6."
+            help="Muscle to hold under pressure meanwhile, with the pressure in psi: left=6."
         ),
     ] = None,
     count: Annotated[int, typer.Option(help="Number of answers, one every 0.5 s.", min=1)] = 10,
@@ -36,8 +36,9 @@ def feel(
 ) -> None:
     """Say where the body is touched now, by the fibre that robot.toml's `interrogator` reads.
 
-    The straight, vented robot is zeroed first and must touch nothing then. Stops safely, valves at
-    0 mA and motor braked, if the interrogator falls silent or loses a grating.
+    First the sensors are zeroed: the robot must be straight and vented, and touch nothing. It is
+    stopped safely (valves at 0 mA, motor braked) if the interrogator falls silent or loses a
+    grating.
     """
     from thigmo.config import RobotConfig
     from thigmo.robot import connect
@@ -120,7 +121,7 @@ def _localized(config: RobotConfig, reading: FibreReading) -> LocalizeResult:
 
     used = np.flatnonzero(np.isfinite(reading.curvature))
     if not used.size:
-        raise DataError("no grating of the fibre is out and healthy", "grow the robot first")
+        raise DataError("no healthy grating of the fibre has everted", "grow the robot first")
     used = used[np.argsort([config.gratings[n].center_cm for n in used], kind="stable")]
     sensors: list[Any] = []
     for number in used:

@@ -15,20 +15,21 @@ def flash(
     robot: Annotated[
         str,
         robot_option(
-            "Serial port of a Mega, as /dev/ttyACM0; or `pico`, or the drive that a Pico shows."
+            "Serial port of a Mega, such as /dev/ttyACM0; or `pico`, or the folder of a Pico's "
+            "drive."
         ),
     ],
     image: Annotated[
         Path | None,
-        typer.Option(help="Image (.hex, .uf2); if omitted, the one that came with this host."),
+        typer.Option(help="Image (.hex, .uf2); if omitted, the one that comes with thigmo."),
     ] = None,
     avrdude: Annotated[str, typer.Option(help="The avrdude program.")] = "avrdude",
     as_json: JsonOption = False,
 ) -> None:
     """Write the firmware, verify it, and wait until the board says hello.
 
-    A Pico is plugged in with BOOTSEL pressed: `--robot pico` looks for its drive RPI-RP2, and it
-    starts by itself when the image is there.
+    Plug a Pico in with BOOTSEL pressed. `--robot pico` finds its drive RPI-RP2; the Pico starts by
+    itself once the image is written.
     """
     from thigmo.link import flash as flasher
     from thigmo.link import pico

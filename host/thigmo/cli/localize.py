@@ -22,8 +22,9 @@ def localize(
     file: Annotated[
         Path,
         typer.Argument(
-            help="CSV with columns position, curvature[, span][, direction: degrees about the "
-            "body, in space]; `-` for the standard input; or `example`."
+            help="CSV with columns position and curvature, and optionally span and (in space) "
+            "direction, in degrees around the body. `-` is the standard input; `example` is a file "
+            "to try the command on."
         ),
     ],
     length: Annotated[float, typer.Option(help="Length of the body, in the CSV's length unit.")],
@@ -66,12 +67,12 @@ def localize(
     stiffness: Annotated[
         str | None,
         typer.Option(
-            help="EI and its relative error, 500,0.1, in N times the length's unit squared: forces "
-            "are then in newtons."
+            help="EI, in N times the length's unit squared, and its relative error: 500,0.1. "
+            "Forces are then in newtons."
         ),
     ] = None,
     twist: Annotated[
-        float | None, typer.Option(help="In space: bending over torsional stiffness, EI/GJ.")
+        float | None, typer.Option(help="In space: ratio of bending to torsional stiffness, EI/GJ.")
     ] = None,
     weight: Annotated[
         str | None,
@@ -90,7 +91,7 @@ def localize(
     config: Annotated[
         Path | None,
         typer.Option(
-            help="robot.toml that has all these errors, as calibrated; flags override it."
+            help="Calibrated robot.toml, which has all these errors; other options override it."
         ),
     ] = None,
     muscle: Annotated[
@@ -102,9 +103,9 @@ def localize(
     columns: Annotated[
         str | None,
         typer.Option(
-            help="For a file with a frame in each row: the columns and the positions of their "
-            "sensors, k0=5,k1=15; in space also their directions, k0=5@0,k1=5@90. The answer is "
-            "CSV, a row for each contact or for a frame without any. A column t_s is kept."
+            help="For a file with a frame in each row: its columns, and the positions of their "
+            "sensors, k0=5,k1=15; in space also their directions, k0=5@0,k1=5@90. Prints CSV with "
+            "a row for each contact, and for each frame without one. A column t_s is copied."
         ),
     ] = None,
     plot: Annotated[
@@ -125,11 +126,11 @@ def localize(
     if contacts != "auto" and not contacts.isdecimal():
         raise DataError(f"--contacts is {contacts!r}", "give `auto` or a number")
     if muscle is not None and config is None:
-        raise DataError("--muscle is given, and --config is not given", "give the robot.toml too")
+        raise DataError("--muscle needs the robot's file", "give --config robot.toml")
     if file == Path("example") and not file.exists():
         file = EXAMPLE
     if plot is not None and columns is None:
-        raise DataError("--plot draws answers over time", "give --columns, too")
+        raise DataError("--plot draws answers over time", "give --columns as well")
     named = {} if columns is None else _frames(columns)
     places = {name: place for name, (place, _) in named.items()}
     frames = None if columns is None else read_frames(file, places)
@@ -138,7 +139,9 @@ def localize(
     else:  # the sensors are the same in every row
         directions = [direction for _, direction in named.values() if direction is not None]
         if len(directions) not in (0, len(named)):
-            raise DataError("--columns has directions for some", "give each NAME=POSITION@DEGREES")
+            raise DataError(
+                "--columns has directions for some sensors", "give NAME=POSITION@DEGREES for all"
+            )
         table = ReadingsTable(
             frames.position, frames.curvature[0], None, frames.lines[:1],
             np.deg2rad(directions) if directions else None,
@@ -238,15 +241,17 @@ def _calibrated(
         near = min(free, key=lambda one: abs(one.center_cm - position), default=None)
         if near is None or abs(near.center_cm - position) > max(near.span_cm / 2, 0.5):
             raise DataError(
-                f"{path} has no sensor at {position:g} cm that is not taken",
-                "give positions in cm, and --muscle where a muscle is inflated",
+                f"{path} has no sensor for the reading at {position:g} cm",
+                "give each position once, in cm, and --muscle if a muscle is inflated",
             )
         free.remove(near)
         found.append(near)
     zone = robot.body.zone_at(length_cm)
     if table.strain is not None:
         if not all(isinstance(sensor, FibreSensor) for sensor in found):
-            raise DataError("a strain of what is no fibre", f"correct {path}, or give curvatures")
+            raise DataError(
+                "strains, but not only of a fibre", f"correct {path}, or give curvatures"
+            )
         pairs = zip(found, table.strain.tolist(), strict=True)
         bent = [each.curvature(ue) for each, ue in pairs if isinstance(each, FibreSensor)]
         table = replace(table, curvature=np.array(bent))

@@ -17,7 +17,7 @@ from thigmo.cli.output import JsonOption, show
 # The emulator is reached by name, as the URL that opens it does: no layer above depends on it.
 _REACH = "thigmo.emulator.reach"
 
-robot = typer.Typer(help="Describe a robot, check it, convert its file.", no_args_is_help=True)
+robot = typer.Typer(help="Draft a robot, check it, or convert its file.", no_args_is_help=True)
 
 _FileArgument = Annotated[Path, typer.Argument(help="robot.toml.")]
 
@@ -72,7 +72,7 @@ def new(
 def check(file: _FileArgument, as_json: JsonOption = False) -> None:
     """Predict from mechanics where a described robot grows, slips, folds and feels.
 
-    Ends with status 1 where something must be changed.
+    The command ends with status 1 if something must be changed.
     """
     from thigmo.config import RobotConfig
     from thigmo.design import judge
@@ -88,7 +88,7 @@ def check(file: _FileArgument, as_json: JsonOption = False) -> None:
 
 @robot.command()
 def convert(file: _FileArgument) -> None:
-    """Write a robot.toml of any version as today's lists; the old file is kept beside it."""
+    """Rewrite a robot.toml of any version in today's format; keep the old file beside it."""
     from thigmo.config import RobotConfig
 
     config = RobotConfig.load(file)

@@ -22,7 +22,7 @@ def ros(
         typer.Argument(
             metavar="RUN|URL",
             callback=named,
-            help="A run folder, whose map is published; or where a robot is. If omitted: "
+            help="A run folder, whose map is published, or address of a robot. If omitted: "
             "the run that is under way, or the next one.",
         ),
     ] = None,
@@ -30,8 +30,8 @@ def ros(
     frame: Annotated[
         str,
         typer.Option(
-            help="Frame of the map, its origin at the robot's base. With thigmo_base a transform "
-            "of yours places the robot."
+            help="Frame of the map; its origin is the robot's base. Give thigmo_base if a "
+            "transform of your own places the robot."
         ),
     ] = "map",
     domain: Annotated[
@@ -45,7 +45,7 @@ def ros(
         typer.Option(help="Network interface, by name or address; this machine alone if omitted."),
     ] = None,
 ) -> None:
-    """Publish maps, contacts and the body on ROS 2, and stop the robot when asked there."""
+    """Publish maps, contacts and the body on ROS 2; a message to a topic stops the robot."""
     from thigmo.cli.watch import finished_run
     from thigmo.extras import require
 

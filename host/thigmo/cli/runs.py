@@ -39,7 +39,7 @@ def replay(
     if not result.document.contacts:
         lines.append("no contact in what remains" if result.missing else "no contact")
     lines.append(f"{result.sweeps} sweeps; {run / 'replay.json'}")
-    show(as_json, result.as_json(), *lines)
+    show(as_json, result.to_dict(), *lines)
 
 
 def info(
@@ -54,7 +54,7 @@ def info(
     from thigmo.errors import DataError
 
     if (run is None) == (robot is None):
-        raise DataError("info describes one thing", "give a run folder, or --robot URL")
+        raise DataError("info describes a run or a robot", "give a run folder, or --robot URL")
     facts = _robot_info(robot) if robot is not None else _run_info(Path(run or "."))
     if as_json:
         print_json(facts)

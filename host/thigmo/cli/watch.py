@@ -30,14 +30,14 @@ def watch(
         typer.Argument(
             metavar="RUN|URL",
             callback=named,
-            help="Folder of a finished run, or where the robot is, on which Start then explores. "
-            "If omitted: the run that is under way, or the next one.",
+            help="Folder of a finished run, or address of a robot, which the button Start then "
+            "explores with. If omitted: the run that is under way, or the next one.",
         ),
     ] = None,
     host: Annotated[
         str,
-        typer.Option(help="Address to serve at. With 0.0.0.0 phones and other machines reach the "
-                     "page: the address is printed, also as a code to scan."),
+        typer.Option(help="Address to serve at. With 0.0.0.0, phones and other machines can open "
+                     "the page, at an address that is printed, also as a QR code."),
     ] = "127.0.0.1",
     port: Annotated[
         int | None,
@@ -47,7 +47,7 @@ def watch(
     config: Annotated[
         Path | None, typer.Option(help="robot.toml for the explorations that Start begins.")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for their run folders.")] = Path("runs"),
+    out: Annotated[Path, typer.Option(help="Folder for these runs.")] = Path("runs"),
     foxglove: Annotated[
         bool,
         typer.Option("--foxglove", help="Serve the run to Foxglove as well (thigmo\\[foxglove])."),
@@ -59,7 +59,7 @@ def watch(
         bool, typer.Option("--leave", help="End once the run is over and no page is open any more.")
     ] = False,
 ) -> None:  # fmt: skip
-    """Show a run in the browser: the robot in its room, its signals, its contacts; and stop it."""
+    """Show a run in the browser (the robot in its room, signals, contacts), with a Stop button."""
     import asyncio
 
     from thigmo.errors import DataError

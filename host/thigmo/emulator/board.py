@@ -113,4 +113,6 @@ def require_usual(robot: RobotConfig) -> None:
     """Raise ConfigError for a robot that needs another board than the usual one."""
     needed = wiring.board_of(robot)
     if needed is not wiring.BOARDS[0]:
-        raise ConfigError(f"this robot needs the board {needed.name}", "open emulator://SCENE")
+        raise ConfigError(
+            f"this robot needs another board ({needed.name})", "open it by emulator://SCENE"
+        )

@@ -54,22 +54,22 @@ class Effort:
         return sorted(kept[: self.stops])
 
     def skips(self, config: RobotConfig) -> str:
-        """What it leaves out, and what that costs, for the operator; empty if that is nothing."""
+        """What this effort omits and what that costs, for the operator; empty if nothing."""
         said = []
         stops = self.stops_after(config, 0.0, _BEGINS_S, swept=False)
         last = stops[-1]
         if short := [each for each in stage_lengths(config) if each < last and each not in stops]:
             where = ", ".join(f"{length:g}" for length in short)
-            said.append(f"no sweeps at {where} cm: what only so short a body reaches is missed")
+            said.append(f"no sweeps at {where} cm, so obstacles that only they reach are missed")
         if last < config.body.length_cm - SAME_CM:
-            said.append(f"it ends at {last:g} cm: what stands farther is not felt")
+            said.append(f"it ends at {last:g} cm, so obstacles farther out are not felt")
         if self.measurements == 0:
-            said.append("no second, slower sweep of a contact: its place is known less well")
+            said.append("no second, slower sweep of a contact, so its place is less certain")
         elif self.rest_noise == inf:
-            said.append("no rest for sensors that have just everted: places are known less well")
+            said.append("no wait until new sensors have settled, so places are less certain")
         said += [
-            f"no sweeps towards {muscle.name}: no healthy sensor at the base answers to them, so "
-            "what stands there is not felt"
+            f"no sweeps towards {muscle.name}, because no healthy sensor at the base responds to "
+            "them, so obstacles there are not felt"
             for muscle in blind(config)
         ]
         return "; ".join(said)
@@ -181,7 +181,7 @@ def chosen_effort(protocol: str, effort: str | None, time_s: float | None) -> Ef
     if protocol == "thesis":
         if effort is not None or time_s is not None:
             raise DataError(
-                "the thesis's protocol has one effort, its own", "leave --effort and --time out"
+                "the protocol `thesis` has no other effort", "leave --effort and --time out"
             )
         return THESIS
     if effort is not None and time_s is not None:
@@ -204,7 +204,7 @@ def within(time_s: float, config: RobotConfig) -> Effort:
     if not effort.stops_after(config, 0.0, _BEGINS_S, swept=False):
         least = _BEGINS_S + effort.expected_s(config, stage_lengths(config)[:1])
         raise DataError(
-            f"{time_s:g} s of robot time are too few for a sweep",
+            f"{time_s:g} s of robot time is too little for a sweep",
             f"give --time {least + 1:.0f} or more",
         )
     return effort

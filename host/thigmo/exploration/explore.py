@@ -65,34 +65,34 @@ def explore(
     Returns the contacts in the room and the run folder.
 
     Args:
-        url: where the robot is (`thigmo.connect`); None: where that of the run to be resumed is,
+        url: address of the robot, as for `thigmo.connect`. None: that of the run to be resumed, or
             else `emulator://default`.
         config: robot.toml. It may be omitted for an emulated robot, whose scene supplies it.
         seed: of the emulator's noise.
         out: folder in which the run folder is made.
         name: of the run.
-        realtime: pace the emulator by the clock.
-        protocol: "measure", the default, looks for contacts on the way up only, without waiting
-            for young sensors, and sweeps a side with a contact again, to the pressure at which the
-            contact is felt best; "thesis" waits, and takes the readings at the full sweep's peak.
-            A run that is resumed keeps its own.
+        realtime: run the emulator at the speed of the wall clock.
+        protocol: how contacts are measured. "measure", the default, does not wait until sensors
+            have settled, looks for contacts while the pressure rises, and then sweeps a side with a
+            contact again, to the pressure at which the contact is felt best. "thesis" waits, and
+            takes the readings at the full sweep's peak. A resumed run keeps its own.
         effort: "quick", "default" or "careful": how much robot time the map may cost
-            (`figures.md` charts it). The thesis's protocol has no such choice.
-        time_s: instead of an effort, a budget of robot time in seconds, within which the run does
-            as much as it can; time spent waiting for a person counts.
-        method: of `thigmo.localize`. Without intervals ("l1", "thesis") every stage's place
-            is a contact of its own: nothing shows whether two are the same.
+            (docs/figures.md charts it). The protocol "thesis" has no such choice.
+        time_s: in place of `effort`, a budget of robot time in seconds, within which the run does
+            as much as it can. Time spent waiting for a person counts.
+        method: as for `thigmo.localize`. "l1" and "thesis" give no intervals, so every stage's
+            place is a contact of its own: nothing shows whether two are the same.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. Readings can overrule it.
-        resume: folder of a run that was cut short. The new run continues with what it had learnt,
-            swept and found, and with its constants, map, protocol and method. An emulated robot
-            starts again at its first length.
+        resume: folder of a run that was cut short. The new run continues with what that one had
+            learnt, swept and found, and with its constants, map, protocol and method. An emulated
+            robot starts again at its scene's length.
         operator: answers what the board cannot know; the emulator has its own.
-        progress: called with what the robot is doing.
+        progress: called with what the robot is doing, as text for people.
 
     Raises:
-        ThigmoError: with the next step for the operator. The robot is vented and braked, and the
-            run folder says how far the run came.
+        ThigmoError: the run could not go on; the message has the operator's next step. The robot is
+            vented and braked, and the run folder says how far the run came.
     """
     reached = 0.0
 

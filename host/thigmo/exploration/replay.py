@@ -24,17 +24,17 @@ from thigmo.report import draw_map
 
 @dataclass(frozen=True, slots=True)
 class ReplayResult:
-    """What the record says now."""
+    """What a replay found."""
 
     document: RunDocument  # contacts and triggers found again; the truth is the run's own
-    sweeps: int  # in the record
-    bad_frames: int  # that could not be decoded
+    sweeps: int  # how many the record holds
+    bad_frames: int  # frames that could not be decoded
     truncated: bool  # the record is cut short
     gaps: int  # places at which the record is damaged
     missing: str  # the same in words, for the operator; empty if the record is whole
 
-    def as_json(self) -> dict[str, Any]:
-        """The object that `thigmo replay --json` prints."""
+    def to_dict(self) -> dict[str, Any]:
+        """The document without its shapes, as plain data: what `thigmo replay --json` prints."""
         facts = asdict(self)
         document = facts.pop("document")
         del facts["missing"]
@@ -44,18 +44,21 @@ class ReplayResult:
 
 
 def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayResult:
-    """Localize again from the raw record of a run folder.
+    """Localize a run's contacts again from its raw record.
 
-    Writes `replay.json`, `replay.png`, `replay-obstacles.json` and `replay-map.yaml` with its
-    picture into it.
+    Writes `replay.json`, `replay.png`, `replay-obstacles.json`, and `replay-map.yaml` with its
+    picture, into the run folder.
 
     Args:
-        run: its folder.
-        method: of `thigmo.localize`; that of the run if not given.
+        run: the run folder.
+        method: as for `thigmo.localize`; None takes the run's own.
+
+    Returns:
+        The document with the contacts found again, and what is missing from the record.
 
     Raises:
-        RunFolderError: no record, or one of another protocol schema.
-        ConfigError: its robot.toml cannot be read.
+        RunFolderError: there is no record, or it is of another protocol schema.
+        ConfigError: the folder's robot.toml cannot be read.
     """
     folder = RunFolder(run)
     logs = folder.read_logs()  # first: a folder that is no run has none, and says so

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from thigmo.config import RobotConfig
 from thigmo.display import html_card, html_table
 from thigmo.exploration.prior import kept_prior
+from thigmo.extras import data_frame
 from thigmo.record import (
     OBSTACLES_FILE,
     MapContact,
@@ -24,11 +25,17 @@ from thigmo.report import plot_map
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True, slots=True)
 class ExplorationResult:
-    """What an exploration found: `document`, as in contacts.json, and its run folder."""
+    """What an exploration found.
+
+    Attributes:
+        document: the contents of contacts.json.
+        folder: the run folder.
+    """
 
     document: RunDocument
     folder: Path
@@ -77,40 +84,40 @@ class ExplorationResult:
 
     @property
     def map(self) -> OccupancyGrid:
-        """The map as a grid of free, occupied and unknown. Raises RunFolderError without one."""
+        """The map as a grid of cells: free, occupied or unknown. RunFolderError without one."""
         return read_ros_map(self.folder / "map.yaml")
 
     @property
     def obstacles(self) -> ObstacleMap:
-        """The map as obstacles with their ellipses, and the outlines of what was swept freely.
+        """The map as obstacles with their ellipses, and outlines of the space swept freely.
 
         Raises RunFolderError without one.
         """
         return read_obstacles(self.folder / OBSTACLES_FILE)
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the map: the robot's bends, the swept space, the contacts, the truth if known.
+        """Draw the map: the robot's bends, the swept space, the contacts, and the truth if known.
 
-        On the given axes, or on a new figure of matplotlib's pyplot. Raises ConfigError or
+        Draws on `axes`, or on a new figure of matplotlib's pyplot. Raises ConfigError or
         RunFolderError if the folder's robot.toml or prior.json cannot be read.
         """
         radius, prior = self.config.body.radius_cm, kept_prior(RunFolder(self.folder))
         return plot_map(self.document, axes, radius_cm=radius, prior=prior)
 
-    def as_json(self) -> dict[str, Any]:
-        """The object that `thigmo explore --json` prints: the document without its shapes.
+    def to_dict(self) -> dict[str, Any]:
+        """The document as plain data, for JSON: what `thigmo explore --json` prints.
 
-        A contact's `everted_length_cm` is the length at which it was first felt, its
-        `measured_length_cm` the one at which it was last measured.
+        As contacts.json has it, without the stages' `shapes` and the contacts' `track`, and with
+        three entries more: `run`, the folder; `robot_per_wall_time`, robot time over wall time; and
+        each contact's `first_felt_cm`, the everted length at which it was felt first. Its
+        `everted_length_cm` is the one at which it was measured last.
         """
         plain = asdict(self.document)
         for stage in plain["stages"]:
             del stage["shapes"]
         for contact in plain["contacts"]:
             del contact["track"]
-            measured = contact["everted_length_cm"]
-            contact["measured_length_cm"] = measured
-            contact["everted_length_cm"] = min([measured, *contact["merged"]])
+            contact["first_felt_cm"] = min([contact["everted_length_cm"], *contact["merged"]])
         wall = max(self.document.wall_time_s, 1e-9)
         return {
             **plain,
@@ -118,11 +125,21 @@ class ExplorationResult:
             "run": str(self.folder),
         }
 
+    def to_frame(self) -> DataFrame:
+        """A pandas data frame with a row for each contact, in the order of their discovery.
+
+        Its columns are those of the `contacts.csv` that `thigmo export` writes, without the times;
+        `everted_length_cm` is the length at which the contact was measured last. Raises
+        NotInstalledError without the extra: `thigmo[tables]`.
+        """
+        muscles = {muscle.side: muscle.name for muscle in self.document.muscles}
+        return data_frame([contact.to_row(muscles) for contact in self.contacts])
+
 
 def open_run(path: str | os.PathLike[str]) -> ExplorationResult:
     """Open a run folder, as the result that `explore` returned.
 
-    Raises RunFolderError: it holds no contacts.json, or a malformed one.
+    Raises RunFolderError if it holds no contacts.json, or a malformed one.
     """
     folder = RunFolder(path)
     return ExplorationResult(folder.read_document(), folder.path)

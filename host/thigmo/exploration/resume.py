@@ -40,7 +40,7 @@ def interrupted(run: str | os.PathLike[str], config: RobotConfig | None = None) 
         raise RunFolderError(f"{folder.path} is under way", "end it first, as with `thigmo stop`")
     if document.outcome.startswith(_ENDS):
         raise RunFolderError(
-            f"{folder.path} has come to its end ({document.outcome})", "begin a new exploration"
+            f"{folder.path} is finished ({document.outcome})", "begin a new exploration"
         )
     logs = folder.read_logs()
     used, prior = config or folder.read_config(), kept_prior(folder)

@@ -115,7 +115,7 @@ class Client(Inbox, Closing):
     def hello(self) -> wire.HelloReply:
         """Who the board is; raises LinkError before the first hello."""
         if self._hello is None:
-            raise LinkError("no conversation with a board yet", "connect first")
+            raise LinkError("no session with a board yet", "connect first")
         return self._hello
 
     @property

@@ -16,7 +16,7 @@ from thigmo.link.transport import Transport
 def timed_out(command: wire.Message, limit_s: float) -> CommandTimeoutError:
     """No answer by the deadline."""
     return CommandTimeoutError(
-        f"{command.NAME} found no answer within {limit_s:g} s, and may or may not be done",
+        f"{command.NAME} got no answer within {limit_s:g} s, and may or may not be done",
         "check the cable and the board's power, and look at the robot's status",
     )
 
@@ -33,7 +33,7 @@ def restarted(cause: wire.ResetCause) -> BoardResetError:
 def taken_over() -> LinkError:
     """The board has a session with another host."""
     return LinkError(
-        "another program has taken the robot over, and it stands still",
+        "another program has taken over the robot, which now stands still",
         "close one of the two, and start again with the other",
     )
 
@@ -77,7 +77,7 @@ def nobody(
         )
     if garbage:
         return NotARobotError(
-            f"{transport.name} sends {garbage} bytes that are no robot's",
+            f"{transport.name} sends {garbage} bytes that are not from a robot",
             "choose the robot's port, check its baud rate, or run `thigmo flash` on it",
         )
     return NotARobotError(

@@ -44,7 +44,7 @@ _FAILURES: dict[str, LinkError] = {
         "connect an Arduino Mega 2560, or give its port",
     ),
     r"(verification (error|mismatch)|content mismatch)": LinkError(
-        "what was read back from the board differs from the image",
+        "the board's memory differs from the image that was written",
         "flash again; if it happens twice, change the USB cable and its supply",
     ),
     r"timeout|getsync|not (in sync|responding)|can't communicate|programmer is not": NotARobotError(
@@ -153,7 +153,9 @@ def explain(output: str, port: str) -> LinkError:
                 continue
             return type(error)(error.what.format(port=port, signature=signature), error.next_step)
     lines = [line for line in output.splitlines() if "error" in line.lower()] or ["no message"]
-    return LinkError(f"avrdude failed: {lines[0].strip()}", "flash again; report it if it stays")
+    return LinkError(
+        f"avrdude failed: {lines[0].strip()}", "flash again; report it if it happens again"
+    )
 
 
 def _meet(port: str) -> tuple[wire.HelloReply, StoredConfiguration]:

@@ -50,7 +50,7 @@ class Image:
             raise SchemaMismatchError(
                 f"{self.path.name} speaks schema {self.schema_hash:08x} and this host"
                 f" {wire.SCHEMA_HASH:08x}",
-                "build the image from this host's sources, or install the host that came with it",
+                "build the image from this host's sources, or install the thigmo that it came with",
             )
 
 

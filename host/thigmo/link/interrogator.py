@@ -176,7 +176,7 @@ class Interrogator(Closing):
         age_s = now - self._lines[-1].stamp_s
         if age_s > MAX_AGE_S:
             raise InterrogatorError(
-                f"{name}: its newest line is {age_s:.2f} s old, of {MAX_AGE_S:g} at most{why}",
+                f"{name}: its newest line is {age_s:.2f} s old (limit {MAX_AGE_S:g}){why}",
                 _CURE,
             )
         if now - self._changed_s > _STUCK_S:

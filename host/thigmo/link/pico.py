@@ -118,12 +118,12 @@ def find_drive() -> Path:
     found = [folder for folder in _mounted() if _is_drive(folder)]
     if len(found) > 1:
         raise PortError(
-            f"{len(found)} drives of boards are there: {', '.join(map(str, found))}",
+            f"{len(found)} boards' drives are mounted: {', '.join(map(str, found))}",
             "give one of them as --robot",
         )
     if not found:
         raise PortError(
-            "no drive RPI-RP2 is there",
+            "no drive RPI-RP2 is mounted",
             "hold BOOTSEL while you plug the Pico in and mount its drive, or give its folder as"
             " --robot",
         )

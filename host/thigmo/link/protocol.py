@@ -51,7 +51,8 @@ class Activity(Documented):  # What the board is doing.
 class Output(Documented):  # What `test_output` drives.
     TRANSDUCER = 0  # Current of a muscle's transducer, 20 mA/1599.
     MOTOR = 1  # Duty of the spool motor, 1/800 of full, positive pays out.
-    # Current of a muscle's transducer, while the muscles' enable is off: its valve must empty it.
+    # Current of a muscle's transducer while the muscles' enable is off, to test that the valve
+    # empties the muscle.
     VENT = 2
 
 
@@ -71,14 +72,14 @@ class Board(OpenDocumented):  # Where the firmware runs.
 class ResetCause(Documented):  # Why the board last started.
     UNKNOWN = 0  # Not recorded.
     POWER_ON = 1  # Power was applied.
-    EXTERNAL = 2  # Reset line: button, or the port being opened
+    EXTERNAL = 2  # The reset line: the button, or a host that opened the port.
     BROWN_OUT = 3  # The supply sagged.
     WATCHDOG = 4  # The main loop hung and the watchdog restarted the board.
 
 
 class Status(Documented):  # First field of every reply.
     OK = 0  # Done, or started if the command starts an activity.
-    IN_PROGRESS = 1  # The command is still being carried out; ask again.
+    IN_PROGRESS = 1  # The board still works on the command; ask again.
     REFUSED = 2  # Not done; `reason` says why.
 
 
@@ -90,16 +91,16 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     BAD_SESSION = 4  # The frame belongs to another conversation; say hello again.
     WRONG_SCHEMA = 6  # Host and board were built from different schemas
     WRONG_STATE = 7  # The supervisor's state does not allow it
-    BUSY = 8  # Another activity runs; stop it or wait for its end.
+    BUSY = 8  # Another activity is running; stop it, or wait until it ends.
     FAULT_LATCHED = 9  # A fault is latched; remove its cause and clear it.
     LENGTH_UNKNOWN = 10  # The everted length is unknown since a reset, a stall or a slip
-    HALF_EVERTED = 11  # A sensor lies in the tip's fold and a bend would crease it
+    HALF_EVERTED = 11  # A sensor lies in the tip's fold, and a bend would crease it
     ZONE_UNKNOWN = 12  # The board does not know the body pressure
     NOT_VENTED = 13  # A muscle still holds pressure; vent and wait.
     NOT_SETTLED = 14  # A sensor everted too recently; wait for its settling time.
-    DRIFTING = 15  # Readings still drift; wait, and look for a touch or a loose wire.
+    DRIFTING = 15  # Readings still drift
     OVER_LIMIT = 16  # The pressure, length or speed exceeds its configured maximum
-    NO_SNAPSHOT = 17  # No such reading was captured; sweep past the peak first.
+    NO_SNAPSHOT = 17  # No such reading was captured; sweep until after the peak first.
     ESTOP = 18  # The emergency stop is pressed; release it first.
     BAD_CONFIG = 19  # The stored configuration is damaged; load defaults, configure and save again.
     NOT_ZEROED = 20  # Sensors have no valid zero; vent, wait for settling, and zero.
@@ -107,7 +108,7 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     NO_BASE_SENSOR = 22  # No base sensor can feel a contact while a muscle is driven (trigger_when)
     HOST_SILENT = 21  # No heartbeat has arrived lately
     OTHER_HOST = 25  # Another program has taken over the robot; close one of the two.
-    STOPPED_AGAIN = 24  # The robot has been stopped again since; look at it, then clear that stop.
+    STOPPED_AGAIN = 24  # The robot was stopped again after the stop that this command names
 
 
 class Fault(Documented):  # Latched faults, by bit number.
@@ -120,12 +121,13 @@ class Fault(Documented):  # Latched faults, by bit number.
     SPOOL_STALL = 6  # The motor is driven, but the encoder stands still or shows too little motion
     # The spool turned while its motor was off, faster than the motor drives it, or the wrong way
     SPOOL_SLIP = 7
-    BROWN_OUT = 8  # The supply sagged below its limit; check the power supply, then clear.
+    BROWN_OUT = 8  # The supply voltage fell below its limit; check the power supply, then clear.
     WATCHDOG = 9  # The firmware hung and was restarted; report it with the run folder, then clear.
-    # No valid configuration is stored, or it is from a firmware without lists of muscles
+    # The board has no valid configuration, or one from firmware that had no lists of muscles
     BAD_CONFIG = 10
     ESTOP = 11  # The emergency stop was pressed; release it, then clear.
-    # During a bend the length became unknown, or a sensor came to lie in the tip's fold
+    # During a bend the length became unknown, or a sensor moved into the tip's fold, so the muscles
+    # were vented
     INTERLOCK = 12
     PRESSURE_MISMATCH = 14  # Muscle pressure and the transducer's current disagree
     LINK_OVERRUN = 13  # The board's receive buffer overran
@@ -136,82 +138,83 @@ class Fault(Documented):  # Latched faults, by bit number.
 
 class StallCause(Documented):  # How a spool_stall was noticed (value of its event).
     STILL = 0  # The encoder stands still.
-    SLOW = 1  # The encoder shows less speed than the motor has at this duty.
-    JUMPS = 2  # The encoder's signals jump: edges are lost, or there is noise.
-    EVERTED = 3  # Two sensors passed the tip before the encoder reached their place.
+    SLOW = 1  # The encoder shows a lower speed than the motor has at this duty.
+    JUMPS = 2  # The encoder's signals skip a state: edges are lost, or there is noise.
+    EVERTED = 3  # Two sensors passed the tip before the encoder had counted that far.
 
 
 class SlipCause(Documented):  # How a spool_slip was noticed (value of its event).
     TURNED = 0  # The spool turned without a command.
-    # The brake did not hold the motor's proof at arming: it is worn, released by hand, or stuck
-    # open.
+    # The brake did not hold when the motor pulled at it during arming: it is worn, released by
+    # hand, or stuck open.
     BRAKE = 1
-    SUPPLY = 2  # The motor has its supply when it must not: K2's contact or its enable is stuck.
-    # The motor has no supply when it must have one: check 12 V, F2, the emergency stop's contact
-    # S1C, K1 and K2.
+    # The motor has its supply although it should be cut: K2's contact or its enable is stuck.
+    SUPPLY = 2
+    # The motor has no supply although it should have one: check 12 V, F2, the emergency stop's
+    # contact S1C, K1 and K2.
     UNPOWERED = 3
     # The emergency stop did not cut the motor's supply: the contact of K1 or S1C is stuck.
     STOP = 4
-    # The session's first move went against its command: the motor's leads are swapped (J4.1 and
-    # J4.2), or the encoder's (J5.2 and J5.3).
+    # The session's first move went the wrong way: the motor's leads (J4.1 and J4.2) or the
+    # encoder's (J5.2 and J5.3) are swapped.
     AGAINST = 5
 
 
 # Condition bits that the supervisor's transition table reads, by bit number.
 class Condition(Documented):
-    LENGTH_KNOWN = 0  # Homed or confirmed since the reset.
-    ZONE_KNOWN = 1  # The host selected the body-pressure map.
-    VENTED = 2  # All muscles below the vent threshold.
+    LENGTH_KNOWN = 0  # The length was homed or confirmed since the reset.
+    ZONE_KNOWN = 1  # The host has said which body pressure is set.
+    VENTED = 2  # All muscles are below the vent threshold.
     SETTLED = 3  # Every everted sensor is past its settling time.
     ZEROED = 4  # Every everted healthy sensor has a zero taken since its last eversion.
-    HALF_EVERTED = 5  # A sensor, with the margin, lies in the tip's fold.
+    HALF_EVERTED = 5  # A sensor, including its margin, lies in the tip's fold.
     HOST_ALIVE = 6  # A heartbeat arrived within the limit.
     ENERGISED = 7  # A valve carries current or the motor is driven.
     ESTOP = 8  # The emergency stop input is active.
-    # The running configuration was read whole from the store, or has been set and checked since.
+    # The configuration in use was read whole from the store, or was set and checked since.
     CONFIG_VALID = 9
     SUPPLY_GOOD = 10  # The supply is within limits.
     CONTACT = 11  # The contact trigger is latched.
-    # A base sensor that the trigger works on while a muscle is driven is everted, enabled and
-    # zeroed.
+    # A base sensor that the trigger uses while a muscle is driven is everted, enabled and zeroed.
     BASE_USABLE = 13
-    TELEMETRY_DROPPED = 12  # Telemetry was dropped since the last report: there was no room for it.
+    # Telemetry was dropped since the last report, because there was no room for it.
+    TELEMETRY_DROPPED = 12
     BODY_AIR = 14  # The body's enable is on: `body_air` was commanded since the robot was armed.
 
 
 class EventCode(Documented):  # What happened. Events stay latched at the board until acknowledged.
-    FAULT = 1  # A fault latched: arg = bit number, value = channel or detail.
+    FAULT = 1  # A fault was latched: arg = its bit number, value = channel or detail.
     # The trigger fired: arg = active muscle, value = base curvature minus free curvature, 1e-5/cm.
     CONTACT = 2
-    PEAK = 3  # Readings of a sweep's peak are captured: arg = active muscle, value = their number.
+    PEAK = 3  # The readings at a sweep's peak are captured: arg = active muscle, value = how many.
     ACTIVITY_DONE = 4  # An activity ended: arg = Activity, value = everted length in um.
     ACTIVITY_ABORTED = 5  # An activity ended early: arg = Activity, value = Reason.
-    ZEROED = 6  # Zeros are taken: arg = mask of sensors.
+    ZEROED = 6  # Zeros were taken: arg = mask of the sensors.
     EVERTED = 7  # A sensor has just everted: arg = sensor, value = length in um.
-    SAVED = 9  # The configuration is committed: arg = slot, value = generation.
+    SAVED = 9  # The configuration is in the store: arg = slot, value = generation.
 
 
 class SweepOption(Documented):  # Bits of the sweep command's options.
     HOLD_ON_CONTACT = 0  # Hold the pressure when the trigger fires, until vent or stop.
 
 
-class Ack(Reply, number=0x80):  # Answer of commands that return nothing else, and every refusal.
+class Ack(Reply, number=0x80):  # Answer to commands that return nothing else, and every refusal.
     status: Status  # Outcome.
     reason: Reason  # Why refused.
-    detail: I32  # What the command's doc says, or the index, sensor or bit at fault.
+    detail: I32  # As the command says; in a refusal, the wrong index, sensor or bit.
 
 
 class HelloReply(Reply, number=0x81):  # Who the board is. Commands carry this session from now on.
-    status: Status  # refused when the schema differs, or there is no session to resume.
+    status: Status  # refused if the schema differs, or there is no session to resume.
     reason: Reason  # wrong_schema, bad_session, or none.
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of the board's schema.
     firmware_version: Annotated[tuple[int, ...], "3B"]  # Major, minor, patch.
-    board: Board  # Where it runs.
+    board: Board  # Where the firmware runs.
     boot_nonce: U32  # Differs at each boot.
     session: U16  # Never 0; differs at each hello.
     reset_cause: ResetCause  # Why it last started.
-    receive_window: U16  # Unanswered bytes that the host may have in flight. [byte]
+    receive_window: U16  # Bytes that the host may send before it waits for an answer. [byte]
     host_nonce: U32  # Echo.
 
 
@@ -222,17 +225,17 @@ class StatusReport(Reply, number=0x82):  # The board's whole state.
     zone: U8  # Selected body-pressure map; 255 = unknown.
     faults: U16  # Latched Fault bits.
     conditions: U16  # Condition bits.
-    t_us: U32  # Device clock, wraps. [us]
+    t_us: U32  # Device clock; wraps. [us]
     length_um: I32  # Everted length, if known. [um]
     pressure_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Muscle pressures. [0.01 psi]
-    everted_mask: U16  # Sensors fully everted, with margin.
-    settled_mask: U16  # Sensors past their settling time.
+    everted_mask: U16  # Sensors that are fully everted, including their margin.
+    settled_mask: U16  # Sensors that are past their settling time.
     zeroed_mask: U16  # Sensors with a valid zero.
     event_number: U16  # Newest event.
     config_generation: U32  # Of the stored configuration; 0 = none.
     supply_mv: U16  # Supply voltage, by reference_mv. [mV]
     encoder_errors: U16  # Illegal transitions of the spool's encoder since boot; wraps.
-    stop_nonce: U32  # Of the latest stop, if fault stopped is latched.
+    stop_nonce: U32  # Of the latest stop, if the fault stopped is latched.
 
 
 class SensorReport(Reply, number=0x83):  # One flex sensor's state.
@@ -240,10 +243,10 @@ class SensorReport(Reply, number=0x83):  # One flex sensor's state.
     sensor: U8  # Its input.
     flex_sum: U16  # Latest reading.
     zero_sum_q8: U32  # Zero, in 1/256 of a sum.
-    drift_e5: I16  # Drift as last measured. [1e-5/cm/s]
-    settle_left_ms: U32  # Until its settling time is over. [ms]
+    drift_e5: I16  # Drift when it was last measured. [1e-5/cm/s]
+    settle_left_ms: U32  # Time left until it has settled. [ms]
     everted_t_us: U32  # When it last everted. [us]
-    flags: U8  # bit 0 everted, 1 settled, 2 zeroed, 3 open, 4 short, 5 enabled.
+    flags: U8  # Bit 0: everted, 1: settled, 2: zeroed, 3: open, 4: shorted, 5: enabled.
 
 
 class ParameterValue(Reply, number=0x84):  # A parameter as the board holds it.
@@ -255,7 +258,7 @@ class ParameterValue(Reply, number=0x84):  # A parameter as the board holds it.
 class MapValues(Reply, number=0x85):  # One free-curvature map as the board holds it.
     status: Status  # ok.
     zone: U8  # Body pressure, from 0.
-    muscle: U8  # Its number, from 0.
+    muscle: U8  # Number of the muscle, from 0.
     branch: Branch  # Inflating or deflating.
     curvature_e5: Annotated[tuple[int, ...], "11h"]  # At 0, 2, .. 20 psi. [1e-5/cm]
 
@@ -270,7 +273,7 @@ class Snapshot(Reply, number=0x86):  # A captured reading, raw and as the trigge
     flex_sum: Annotated[tuple[int, ...], "sensors?H"]  # Flex readings, by input.
     pressure_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Muscle pressures, measured. [0.01 psi]
     lagged_cpsi: I16  # Active pressure filtered by the calibrated lag. [0.01 psi]
-    # Base curvature by the base sensors that the active muscle leaves at rest. [1e-5/cm]
+    # Base curvature, from the base sensors that the active muscle does not disturb. [1e-5/cm]
     base_e5: I16
     free_e5: I16  # Free curvature by the map. [1e-5/cm]
 
@@ -281,40 +284,42 @@ class LinkStats(Reply, number=0x87):  # Counters since boot; they wrap.
     rx_bad: U16  # Frames dropped: check sequence, stuffing or size.
     rx_stale: U16  # Frames of another session or out of sequence.
     rx_repeats: U16  # Repeats answered from memory.
-    rx_overruns: U16  # Bytes lost for want of room.
-    tx_dropped: U16  # Telemetry frames dropped for want of room.
-    loop_max_us: U16  # Longest main-loop pass since the last report. [us]
+    rx_overruns: U16  # Bytes lost because the receive buffer was full.
+    tx_dropped: U16  # Telemetry frames dropped because there was no room.
+    loop_max_us: U16  # Longest pass of the main loop since the last report. [us]
 
 
-class Capacity(Reply, number=0x89):  # What the board holds, fixed when its firmware was compiled.
+# How many of each part the board holds, as its firmware was compiled.
+class Capacity(Reply, number=0x89):
     status: Status  # ok.
     muscles: U8  # Muscles: transducers and their pressure sensors.
     sensors: U8  # Flex sensors: inputs.
-    body_pressures: U8  # Body pressures that it keeps maps for.
-    imus: U8  # Inputs that may be read from two IMUs; 0 = none.
-    adc_bits: U8  # Bits of the counts that readings are sums of.
-    drive_full: U16  # Transducer duty of 20 mA.
-    motor_full: U16  # Motor duty of full voltage.
-    tick_us: U16  # Between two conversions of a base sensor. [us]
+    body_pressures: U8  # Body pressures for which it stores maps.
+    imus: U8  # Inputs that two IMUs may provide instead of a flex sensor; 0 = none.
+    adc_bits: U8  # Bits of one conversion; readings are sums of conversions.
+    drive_full: U16  # Transducer duty at 20 mA.
+    motor_full: U16  # Motor duty at full voltage.
+    tick_us: U16  # Time between two conversions of a base sensor. [us]
 
 
-# How the stored configuration fits the firmware that runs, as of the last start or save.
+# How the stored configuration fitted the firmware at the last start or save.
 class ConfigReport(Reply, number=0x88):
     status: Status  # ok.
     generation: U32  # Of the stored configuration; 0 = none.
     kept: U8  # Stored parameters that this firmware has, the maps as one.
-    new_count: U8  # Parameters that were not stored, at their defaults.
+    new_count: U8  # Parameters that were not stored; they have their defaults.
     new_ids: Annotated[tuple[int, ...], "8B"]  # Their ids.
     unknown_count: U8  # Stored parameters that this firmware does not have; they are skipped.
     unknown_ids: Annotated[tuple[int, ...], "8B"]  # Their ids.
 
 
-# At once, in every state including boot: valves 0 mA, motor braked, activity aborted
+# Stop at once, in every state including boot: transducers at 0 mA, motor braked, activity
+# aborted, fault `stopped` latched.
 class Stop(Message, number=0x21):
-    nonce: U32  # Random; tells this stop from others, and its echo from a replayed one.
+    nonce: U32  # Random, so that this stop and its echo cannot be mistaken for others.
 
 
-class Stopped(Message, number=0xA2):  # The robot is stopped, outputs are off.
+class Stopped(Message, number=0xA2):  # The robot is stopped and its outputs are off.
     nonce: U32  # Echo.
 
 
@@ -322,9 +327,10 @@ class Heartbeat(Message, number=0x20):  # The host is alive.
     counter: U32  # Rises by at least 1.
 
 
-class Pulse(Message, number=0xA0):  # Answer to a heartbeat; pairs device and host clocks.
+# Answer to a heartbeat, by which the host compares the two clocks.
+class Pulse(Message, number=0xA0):
     counter: U32  # Echo.
-    t_us: U32  # Device clock when the heartbeat's last byte was read. [us]
+    t_us: U32  # Device clock at which the heartbeat's last byte was read. [us]
 
 
 # Sent twice a second from boot until the first hello, so that the host knows when it may speak.
@@ -332,13 +338,13 @@ class Announce(Message, number=0xA1):
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of the board's schema.
     firmware_version: Annotated[tuple[int, ...], "3B"]  # Major, minor, patch.
-    board: Board  # Where it runs.
+    board: Board  # Where the firmware runs.
     boot_nonce: U32  # Differs at each boot.
     reset_cause: ResetCause  # Why it last started.
 
 
-class Telemetry(Message, number=0xC0):  # All channels. seq numbers the frames; gaps are drops.
-    t_us: U32  # When its readings were complete. [us]
+class Telemetry(Message, number=0xC0):  # Readings, set points and state. seq numbers the frames
+    t_us: U32  # Device clock at which the readings were complete. [us]
     flex_sum: Annotated[tuple[int, ...], "sensors?H"]  # Latest flex readings, by input.
     pressure_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Muscle pressures. [0.01 psi]
     set_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Set points. [0.01 psi]
@@ -347,43 +353,44 @@ class Telemetry(Message, number=0xC0):  # All channels. seq numbers the frames; 
     motor: I16  # Motor duty, positive pays out. [1/800 of full]
     base_e5: I16  # Base curvature as the trigger sees it. [1e-5/cm]
     free_e5: I16  # Free curvature by the map. [1e-5/cm]
-    state_activity: U8  # State in the high, Activity in the low four bits.
+    state_activity: U8  # State in the high four bits, Activity in the low four.
     faults: U16  # Latched Fault bits.
 
 
 class Event(Message, number=0xE0):  # Something happened; repeated until acknowledged.
     number: U16  # Rises by 1.
-    code: EventCode  # What.
-    t_us: U32  # When. [us]
-    arg: U16  # As the code's doc says.
-    value: I32  # As the code's doc says.
+    code: EventCode  # What happened.
+    t_us: U32  # Device clock at which it happened. [us]
+    arg: U16  # As EventCode says.
+    value: I32  # As EventCode says.
 
 
 # Opens a session and resets the sequence.
 class Hello(Command[HelloReply], number=0x01, deadline_s=3.0):
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of this schema.
-    host_nonce: U32  # Counts up from a random start; the same where a host goes on. Echoed.
+    host_nonce: U32  # Counts up from a random start
 
 
-class GetStatus(Command[StatusReport], number=0x02): ...  # The board's whole state.
+class GetStatus(Command[StatusReport], number=0x02): ...  # Ask for the board's whole state.
 
 
-class Arm(Command[Ack], number=0x03): ...  # Leave safe for ready.
+class Arm(Command[Ack], number=0x03): ...  # Go from safe to ready.
 
 
-class Vent(Command[Ack], number=0x04): ...  # All muscles to 0 mA; ends a sweep or a press
+class Vent(Command[Ack], number=0x04): ...  # Set all transducers to 0 mA. Ends a sweep or a press
 
 
-# Undoes `arm`: valves 0 mA, motor braked, activity aborted, state safe.
+# Undo `arm`: transducers at 0 mA, motor braked, activity aborted, state safe.
 class Disarm(Command[Ack], number=0x05): ...
 
 
-class ClearFaults(Command[Ack], number=0x06):  # Clears latched faults whose cause is gone
+class ClearFaults(Command[Ack], number=0x06):  # Clear latched faults whose cause is gone
     mask: U16  # Fault bits to clear.
 
 
-class SetPressure(Command[Ack], number=0x07):  # Hold a muscle pressure (calibration, diagnostics).
+# Hold a muscle pressure, for calibration and diagnostics.
+class SetPressure(Command[Ack], number=0x07):
     set_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Set points [0.01 psi]
     ramp_cpsi_s: U16  # Slew rate; 0 = as fast as configured. [0.01 psi/s]
 
@@ -398,35 +405,36 @@ class RetractTo(Command[Ack], number=0x09):  # Wind in to an everted length.
     speed_um_s: U32  # Tip speed; 0 = as configured. [um/s]
 
 
-# Wind in slowly until the spool stalls at the base, back off 3 mm, and touch it again
+# Wind in slowly until the spool stalls at the base, back off 3 mm, and touch the base again.
 class Home(Command[Ack], number=0x0A): ...
 
 
 # The operator states the everted length as measured (after a reset, a stall or a slip).
 class ConfirmLength(Command[Ack], number=0x0B):
     length_um: I32  # Measured everted length. [um]
-    settled: U8  # 1: everted sensors have rested long enough already
+    settled: U8  # 1: everted sensors have settled already; 0: their settling time starts now.
 
 
-# States the body pressure, and with it which maps and which critical moment apply.
+# State the body pressure, which decides which maps and which critical moment apply.
 class SelectZone(Command[Ack], number=0x0C):
     zone: U8  # Body pressure, from 0; 255 = unknown.
 
 
-class Sweep(Command[Ack], number=0x0D):  # Half sines of pressure, one muscle after the other
-    # Of each muscle's half sine. [0.01 psi]
+# Bend with half a sine of pressure, one muscle after the other.
+class Sweep(Command[Ack], number=0x0D):
+    # Peak pressure of each muscle. [0.01 psi]
     amplitude_cpsi: Annotated[tuple[int, ...], "muscles?h"]
     period_ms: U32  # Period of a whole sine; each muscle takes half of it. [ms]
-    cycles: U8  # Rounds of the muscles, at least 1.
+    cycles: U8  # How often all muscles take their turn, at least 1.
     options: U8  # Bits of SweepOption.
 
 
-# Average the named sensors' readings into their zeros.
+# Average the readings of the sensors in the mask into their zeros.
 class ZeroSensors(Command[Ack], number=0x0E):
     mask: U16  # Sensors, bit 0 = the first.
 
 
-class GetSensor(Command[SensorReport], number=0x0F):  # One flex sensor's state.
+class GetSensor(Command[SensorReport], number=0x0F):  # Ask for one flex sensor's state.
     sensor: U8  # Its input, from 0.
 
 
@@ -434,15 +442,16 @@ class GetParameter(Command[ParameterValue], number=0x10):  # Read a parameter as
     index: U16  # Parameter index; array parameters take consecutive ones.
 
 
-class SetParameter(Command[ParameterValue], number=0x11):  # Set a parameter
+# Set a parameter, which takes effect with apply_parameters
+class SetParameter(Command[ParameterValue], number=0x11):
     index: U16  # Parameter index.
     value: I32  # New value, in the parameter's wire unit.
 
 
-# Set one free-curvature map at 0, 2, .. 20 psi (linear in between).
+# Set one free-curvature map, at 0, 2, .. 20 psi (linear in between).
 class SetMap(Command[Ack], number=0x12):
     zone: U8  # Body pressure, from 0.
-    muscle: U8  # Its number, from 0.
+    muscle: U8  # Number of the muscle, from 0.
     branch: Branch  # Inflating or deflating.
     # Free curvature in the plane of the base sensors, signed. [1e-5/cm]
     curvature_e5: Annotated[tuple[int, ...], "11h"]
@@ -450,53 +459,53 @@ class SetMap(Command[Ack], number=0x12):
 
 class GetMap(Command[MapValues], number=0x13):  # Read one free-curvature map.
     zone: U8  # Body pressure, from 0.
-    muscle: U8  # Its number, from 0.
+    muscle: U8  # Number of the muscle, from 0.
     branch: Branch  # Inflating or deflating.
 
 
-# Commit parameters and maps to the store
+# Write parameters and maps to the store.
 class SaveConfig(Command[Ack], number=0x14, deadline_s=15.0): ...
 
 
-# Parameters and maps back to the schema's defaults, in memory.
+# Reset parameters and maps in memory to the schema's defaults.
 class LoadDefaults(Command[Ack], number=0x15): ...
 
 
-class GetSnapshot(Command[Snapshot], number=0x16):  # A captured reading.
-    index: U8  # 0..9 the peak's readings in time order; 255 the one at the trigger.
+class GetSnapshot(Command[Snapshot], number=0x16):  # Ask for a captured reading.
+    index: U8  # 0..9: the peak's readings in order of time; 255: the one at the trigger.
 
 
 class AckEvent(Command[Ack], number=0x17):  # Acknowledge events up to and including a number
     number: U16  # Event number.
 
 
-# Check the new values together with those that stay, and put all of them into effect, or none
+# Check the new values together with those that stay, and put all of them into effect or none.
 class ApplyParameters(Command[Ack], number=0x1B): ...
 
 
-# Let air into the body through its enable, or shut it off.
-class BodyAir(Command[Ack], number=0x1C):
-    open: U8  # 1: air in; 0: empty the body.
+class BodyAir(Command[Ack], number=0x1C):  # Open or close the body's air valve by its enable.
+    open: U8  # 1: let air in; 0: empty the body.
 
 
 # Drive one output directly for a moment (bring-up, jog).
 class TestOutput(Command[Ack], number=0x1D):
-    output: Output  # Which.
-    muscle: U8  # Whose transducer; 0 for the motor.
-    level: I16  # Transducer 0..400 (5 mA), motor -200..200 (a quarter).
+    output: Output  # Which output.
+    muscle: U8  # Number of the muscle whose transducer is driven; 0 for the motor.
+    level: I16  # Transducer: 0..400 (5 mA); motor: -200..200 (a quarter of full duty).
     duration_ms: U16  # 1..500. [ms]
 
 
-# Counters of the link, as the board sees it.
+# Ask for the counters that the board keeps of the link.
 class GetLinkStats(Command[LinkStats], number=0x18): ...
 
 
-class ClearStop(Command[Ack], number=0x1A):  # An operator clears a stop.
+class ClearStop(Command[Ack], number=0x1A):  # Clear a stop, by order of an operator.
     nonce: U32  # Of the latched stop, from status_report.
 
 
-class GetCapacity(Command[Capacity], number=0x1E): ...  # What the board holds.
+# Ask how many muscles, sensors and so on the board holds.
+class GetCapacity(Command[Capacity], number=0x1E): ...
 
 
-# What the running firmware made of the stored configuration.
+# Ask how the stored configuration fits the firmware.
 class GetConfigReport(Command[ConfigReport], number=0x19): ...

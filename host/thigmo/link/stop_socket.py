@@ -44,11 +44,11 @@ _BEGINS_WITHIN_S = 60.0  # from a socket's name to its listening, on a computer 
 def folder() -> Path:
     """The folder of the sockets, made if need be; PortError if others could fake a robot there."""
     path = Path(os.environ.get(OTHER_PLACE) or _PLACE) / f"thigmo-{_user()}"
-    with PortError.from_os(f"cannot make {path}", "make it, yours and with mode 700"):
+    with PortError.from_os(f"cannot make {path}", "create it as your own folder, with mode 700"):
         path.mkdir(mode=0o700, exist_ok=True)
         found = path.lstat()
     if sys.platform != "win32" and (found.st_uid != os.getuid() or found.st_mode & 0o077):
-        raise PortError(f"others can enter {path}", "remove it, or make it yours with mode 700")
+        raise PortError(f"other users can enter {path}", "remove it, or own it with mode 700")
     return path
 
 

@@ -61,7 +61,7 @@ class FoxgloveServer(ServerListener, Closing):
         except (OSError, RuntimeError) as error:
             raise PortError(
                 f"Foxglove cannot be served at port {port}: {error}",
-                "end what serves there, or give another with --foxglove-port",
+                "stop the program that uses this port, or give another: --foxglove-port",
             ) from error
 
     @property

@@ -26,11 +26,10 @@ def hints(
     """What the readings (N,) of a result look like; `options` are those of its `localize`."""
     free = np.broadcast_to(options.get("free_curvature", 0.0), curvature.shape)
     seen = np.isfinite(curvature)
-    # A column of the other sign looks like noise: the result's may be larger than the stated one.
     stated = options.get("noise")
-    noise = result.noise if stated is None else float(np.sqrt(np.mean(np.square(stated))))
+    noise = None if stated is None else float(np.sqrt(np.mean(np.square(stated))))
     found = []
-    if _mirrored(curvature[seen], -free[seen], noise):
+    if _mirrored(curvature[seen], -free[seen], result.noise if noise is None else noise):
         found.append(
             "the readings have the other sign than the free curvature: change the sign of one"
         )
@@ -59,8 +58,12 @@ def _mirrored(one: Array, other: Array, noise: float) -> bool:
     return bool(strong and apart < _OPPOSITE * together)
 
 
-def _opposite_columns(curvature: Array, position: Array, noise: float) -> str:
-    """Positions, as words, of pairs of sensors that read opposite; none if one pair agrees."""
+def _opposite_columns(curvature: Array, position: Array, noise: float | None) -> str:
+    """Positions, as words, of pairs of sensors that read opposite; none if one pair agrees.
+
+    Noise that is not stated is that of the pairs' sums: the localizer's would take a column of the
+    other sign for noise.
+    """
     pairs = [
         (place, curvature[position == place])
         for place in np.unique(position)
@@ -69,4 +72,6 @@ def _opposite_columns(curvature: Array, position: Array, noise: float) -> str:
     if not pairs:
         return ""
     one, other = np.array([both for _, both in pairs]).T
+    if noise is None:
+        noise = float(np.sqrt(np.square(one + other).mean() / 2.0))
     return ", ".join(f"{place:g}" for place, _ in pairs) if _mirrored(one, -other, noise) else ""

@@ -7,9 +7,10 @@ robot, y to its left.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from math import nan
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator
 
@@ -56,7 +57,7 @@ def _percent(share: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class MapContact:
-    """A contact in the room."""
+    """A contact in the room; lengths in cm, x along the straight robot, y to its left."""
 
     arc_cm: float  #: along the body, from the base
     x_cm: float  #: of the point of the skin that touches
@@ -102,6 +103,29 @@ class MapContact:
             f"MapContact({self.place_text}; arc {self.along_text}, 95 % {self.interval_text}; "
             f"{self.status})"
         )
+
+    def to_row(self, muscles: Mapping[str, str]) -> dict[str, Any]:
+        """The contact as a row of a table: one number or word for each column.
+
+        Args:
+            muscles: name of the muscle on each side, as robot.toml has it.
+
+        Returns:
+            The fields by their names, with the unit in each; intervals and the covariance as one
+            column for each number, and `muscle` in place of `side`. The outlines (`track`,
+            `surface`) are left out.
+        """
+        row = asdict(self)
+        del row["track"], row["surface"]
+        side = row.pop("side")
+        row["muscle"] = muscles.get(side, side)
+        row["interval_low_cm"], row["interval_high_cm"] = row.pop("interval_cm")
+        row["force_low_n"], row["force_high_n"] = row.pop("force_interval_n") or (None, None)
+        (row["variance_x_cm2"], row["covariance_xy_cm2"]), (_, row["variance_y_cm2"]) = row.pop(
+            "covariance_cm2"
+        )
+        row["merged_cm"] = " ".join(f"{length:g}" for length in row.pop("merged"))
+        return row
 
     # How terminal, notebook, map and page say it: one rule of rounding.
 

@@ -205,7 +205,7 @@ class LogWriter(Closing):
         if self._refused is not None:
             raise RunFolderError(
                 f"cannot write {self._path}: {self._refused.strerror}; it ends early",
-                "free some space, then go on with a new run",
+                "free some space, then start a new run",
             ) from self._refused
 
     def close(self) -> None:

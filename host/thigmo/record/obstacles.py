@@ -86,7 +86,7 @@ class FreeArea:
 
 @dataclass(frozen=True, slots=True)
 class ObstacleMap:
-    """Contents of obstacles.json: the map, with name, start and outcome of its run."""
+    """Contents of obstacles.json: obstacles and free space, with its run's name and outcome."""
 
     name: str
     started: str

@@ -49,6 +49,7 @@ class Table:
 
         Raises DataError: unreadable, empty, ragged, too long, or separated by something else.
         """
+        name = "the standard input" if str(path) == "-" else str(path)
         header: list[str] = []
         rows: list[list[str]] = []
         lines: list[int] = []
@@ -64,26 +65,26 @@ class Table:
                         continue
                     if not header:
                         header = [cell.lower() for cell in cells]
-                        _check_header(path, header)
+                        _check_header(name, header)
                         continue
                     if len(cells) != len(header):
-                        raise _ragged(path, above + reader.line_num, header, cells)
+                        raise _ragged(name, above + reader.line_num, header, cells)
                     rows.append(cells)
                     lines.append(above + reader.line_num)
                     if len(rows) > most_rows:
                         raise DataError(
-                            f"{path} has more than {most_rows} rows", "cut out those of one frame"
+                            f"{name} has more than {most_rows} rows", "cut out those of one frame"
                         )
         except OSError as error:
-            raise DataError(f"cannot read {path}: {error.strerror}", "check the path") from error
+            raise DataError(f"cannot read {name}: {error.strerror}", "check the path") from error
         except (UnicodeDecodeError, csv.Error) as error:
-            raise DataError(f"{path} is not a text file", "export it as CSV in UTF-8") from error
+            raise DataError(f"{name} is not a text file", "export it as CSV in UTF-8") from error
         if not header:
-            raise DataError(f"{path} is empty", "give a header line and one line a reading")
+            raise DataError(f"{name} is empty", "give a header line, and a line for each reading")
         if not rows:
-            raise DataError(f"{path} has a header and no rows", "add a row, or delete the file")
+            raise DataError(f"{name} has a header but no rows", "add a row, or delete the file")
         columns = {key: [row[k] for row in rows] for k, key in enumerate(header)}
-        return cls(columns, str(path), lines, mark != ",")
+        return cls(columns, name, lines, mark != ",")
 
     def __contains__(self, column: str) -> bool:
         return column in self.columns
@@ -144,11 +145,14 @@ class ReadingsTable:
 def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
     """Read a CSV of readings: columns `position`, `curvature` and optionally `span`, `direction`.
 
-    A fibre's table may have `strain` (microstrain) in place of `curvature`.
-    `direction` is in degrees about the body, as `Sensors` has it in rad.
-    The localizer checks whether they can belong to a body (places, units). Raises DataError,
-    which names file, line and column: unreadable, empty, too long, a missing or empty column, or a
-    value that is no finite number. An empty curvature, or NaN, is a sensor that was not read.
+    `direction` is in degrees around the body; the result has it in rad, as `Sensors` takes it. The
+    table of a fibre may have `strain` (microstrain) in place of `curvature`. An empty curvature, or
+    NaN, is a sensor that was not read. Whether the values can belong to a body, only the localizer
+    checks.
+
+    Raises:
+        DataError: the file is unreadable, empty or too long, a column is missing or empty, or a
+            value is no finite number. The message names file, line and column.
     """
     table = Table.read(path, most_rows=_MOST_READINGS)
     position, strain = _readings(table, "position"), None
@@ -243,20 +247,21 @@ def _short(cell: str) -> str:
     return repr(cell if len(cell) <= 40 else f"{cell[:37]}...")
 
 
-def _check_header(path: str | os.PathLike[str], header: Sequence[str]) -> None:
+def _check_header(table: str, header: Sequence[str]) -> None:
     if len(header) == 1 and "|" in header[0]:
         raise DataError(
-            f"{path} separates its columns by bars", "export it with commas or semicolons"
+            f"{table} separates its columns by bars", "export it with commas or semicolons"
         )
     twice = next((name for name in header if name and header.count(name) > 1), None)
     if twice is not None:
-        raise DataError(f"{path}: the column '{twice}' appears twice", "rename one of them")
+        raise DataError(f"{table}: the column '{twice}' appears twice", "rename one of them")
 
 
-def _ragged(
-    path: str | os.PathLike[str], line: int, header: Sequence[str], cells: Sequence[str]
-) -> DataError:
-    where = f"{path}, line {line}: {len(cells)} cells for {len(header)} columns"
+def _ragged(table: str, line: int, header: Sequence[str], cells: Sequence[str]) -> DataError:
+    where = f"{table}, line {line}: {len(cells)} cells for {len(header)} columns"
     if len(cells) > len(header) and all(cell.lstrip("+-").isdecimal() for cell in cells):
-        return DataError(f"{where}: decimal commas?", "export it with points in numbers")
+        return DataError(
+            f"{where}, as decimal commas would give",
+            "export it with points in numbers, or with semicolons between columns",
+        )
     return DataError(where, "complete that line, or leave it out")

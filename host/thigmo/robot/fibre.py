@@ -109,7 +109,7 @@ class Fibre:
         lines = [strain for _, strain in self.interrogator.since(since_s)]
         if len(lines) < 2 * _FEWEST:
             raise InterrogatorError(
-                f"{len(lines)} lines of strains in the while of a zeroing",
+                f"only {len(lines)} lines of strains came during the zeroing",
                 "let the interrogator send 10 a second or more",
             )
         return np.array(lines)
@@ -124,7 +124,7 @@ class Fibre:
                 pairs.append((t_s, strain, frames[nearest].message))
         if len(pairs) < _FEWEST:
             raise InterrogatorError(
-                f"{len(pairs)} lines of strains came beside the board's telemetry",
+                f"only {len(pairs)} lines of strains match the board's telemetry in time",
                 "let the interrogator send 10 a second or more, and read for longer",
             )
         strain = np.array([each for _, each, _ in pairs])

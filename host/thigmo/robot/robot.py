@@ -50,9 +50,9 @@ def connect(
             `micropython://SCENE`.
         config: sent to the board and verified at once; None leaves the board as it is.
         seed: of the emulator's noise.
-        operator: who sets the body pressure and measures the length; None takes the emulator's
-            own, and on hardware refuses what needs one.
-        realtime: pace the emulator by the clock.
+        operator: sets the body pressure and measures the length when asked. An emulated robot uses
+            its own. On hardware, None makes every such question a DataError.
+        realtime: run the emulator at the speed of the wall clock.
 
     Raises:
         LinkError: no such port, no robot on it, another schema.
@@ -74,19 +74,19 @@ def connect(
 class Robot(Supervised):
     """A connected robot and its commands, as `connect` returns it.
 
-    Every command raises CommandRefusedError if the board refuses it (`reason` is the schema's
-    name of the reason), RobotFaultError if a fault is latched, and LinkError if the link fails.
+    Every command raises CommandRefusedError if the board refuses it (its `reason` is a name of
+    the schema), RobotFaultError if a fault is latched, and LinkError if the link fails.
     """
 
     # The everted length.
 
     def confirm_length(self, length_cm: float, *, settled: bool = False) -> None:
-        """Confirm the everted length; `settled`: its sensors have rested long enough already."""
+        """State the measured everted length, cm; `settled`: the everted sensors have settled."""
         self._wait_vented()
         self._request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
 
     def known_length_cm(self) -> float:
-        """Everted length; if the board does not know it, the operator measures it."""
+        """Everted length, cm; if the board does not know it, the operator must measure it."""
         length_cm = self.status().length_cm
         if length_cm is None:
             length_cm = self.operator.everted_length_cm()
@@ -94,13 +94,13 @@ class Robot(Supervised):
         return length_cm
 
     def select_zone(self, zone: int) -> None:
-        """Tell the board which body pressure holds (index of robot.toml's body.zones)."""
+        """Tell the board which body pressure is set, by its index in robot.toml, from 0."""
         self._request(wire.SelectZone(zone))
 
     def grow_to(self, length_cm: float, watcher: GrowthWatcher | None = None) -> float:
         """Pay out to an everted length and wait for it; returns the length reached, cm.
 
-        A watcher receives the telemetry meanwhile. Refused while the length is unknown or a muscle
+        Meanwhile the telemetry goes to `watcher`. Refused while the length is unknown or a muscle
         is under pressure.
         """
         if self._has_fibre:
@@ -112,8 +112,8 @@ class Robot(Supervised):
     def retract_to(self, length_cm: float) -> float:
         """Vent, then wind in to an everted length; returns the length reached, cm.
 
-        A bent body buckles when it is pulled in, so both muscles must be below 0.5 psi. Refused
-        while the length is unknown as well.
+        Refused while the length is unknown, or a muscle is above 0.5 psi, because a bent body
+        buckles when it is wound in.
         """
         self.vent()
         status = self.status()
@@ -128,10 +128,10 @@ class Robot(Supervised):
         return self._finish(wire.Activity.RETRACTING, self._travel_s()) / 1e4
 
     def home(self) -> None:
-        """Vent, then wind in slowly until the spool stalls at the base, twice: length zero.
+        """Vent, then wind in slowly until the spool has stalled at the base twice: length zero.
 
-        After a reset the operator must confirm the length, because a jam stalls the spool as the
-        base does. Without an operator, DataError is raised.
+        After a reset the operator must confirm the length, because a jammed spool stalls in the
+        same way. Raises DataError if there is no operator.
         """
         self.vent()
         self._start(wire.Home())
@@ -147,27 +147,27 @@ class Robot(Supervised):
 
     @property
     def oversample(self) -> int:
-        """Conversions that a raw reading sums."""
+        """Number of conversions that a raw reading sums."""
         return self._table.oversample
 
     def follow_settling(self) -> None:
-        """Follow how young sensors settle, so that sweeps can use sensors that are set aside."""
+        """Watch how sensors settle after eversion, so that sweeps can use them before they have."""
         if self._creep is None:
             self._creep = CreepWatch(self.config, self.oversample)
             self._client.on_telemetry.append(self._creep.telemetry)
 
     def young_noise(self) -> Floats:
-        """Standard error of the rest of sensors set aside, by input, 1/cm; infinite if unknown."""
+        """Standard error of the zeros of sensors set aside, (inputs,), 1/cm; inf if unknown."""
         if self._creep is None:
             return np.full(self._table.inputs, np.inf)
         _, sigma = self._creep.rest(self.status().t_s, self.aside)
         return np.where(np.isnan(sigma), np.inf, sigma)
 
     def set_aside(self, mask: int) -> None:
-        """Have the board exclude the everted sensors of a mask, as if dead; 0 excludes none.
+        """Have the board ignore the everted sensors of a mask, as if they were dead; 0: none.
 
-        Outputs must be off. Sensors that have not everted stay in use: the board refuses to bend
-        the body while one lies in the tip's fold.
+        Outputs must be off. Sensors that have not everted stay in use, because the board refuses to
+        bend the body while one lies in the tip's fold.
         """
         mask &= self.status().everted
         if mask == self.aside:
@@ -182,7 +182,7 @@ class Robot(Supervised):
         progress: Callable[[float], None] = lambda left_s: None,
         sensors: int = -1,
     ) -> None:
-        """Wait until everted sensors of a mask (all of them) are past their settling time.
+        """Wait until the everted sensors of a mask (default: all) are past their settling time.
 
         `progress` is called about once a second with the seconds that remain. Raises
         CommandTimeoutError if they do not settle.
@@ -214,8 +214,8 @@ class Robot(Supervised):
     def zero(self) -> int:
         """Average the everted sensors' readings into their zeros; returns these sensors' mask.
 
-        Refused unless they are vented, settled and free of drift. A fibre's strains are zeroed as
-        well, where an interrogator is given.
+        Refused unless the muscles are vented, and the sensors settled and free of drift. A fibre's
+        strains are zeroed as well, if robot.toml names an interrogator.
         """
         if self._has_fibre:  # first: where it drifts, the board keeps its zeros
             self._wait_vented()
@@ -234,9 +234,9 @@ class Robot(Supervised):
         return mask
 
     def zeros(self) -> tuple[Floats, Floats]:
-        """The zeros before the last zeroing and after it, by input; NaN where there is none.
+        """Zeros before and after the last zeroing, (inputs,) each, 1/cm; NaN where there is none.
 
-        In 1/cm, from where `GrowthWatcher.profile` counts.
+        They count from the same reference as `GrowthWatcher.profile`.
         """
         return self._before.board.zeros, self._table.board.zeros
 
@@ -246,7 +246,7 @@ class Robot(Supervised):
         return bool(flags & OPEN), bool(flags & SHORT)
 
     def read(self, seconds: float = 0.5, *, despite_faults: bool = False) -> Reading:
-        """Average telemetry over a while; `despite_faults` as for `wait`."""
+        """Average telemetry over some seconds; `despite_faults` as for `wait`."""
         frames, flex = self._frames(seconds, despite_faults)
         table = self._table.board
         return Reading(
@@ -260,10 +260,10 @@ class Robot(Supervised):
         )
 
     def read_fibre(self, seconds: float = 0.5) -> FibreReading:
-        """Average the fibre's strains over a while, as curvature since `zero`.
+        """Average the fibre's strains over some seconds, as curvature since `zero`.
 
-        Raises InterrogatorError, with the robot made safe, if any healthy grating is not read now;
-        ConfigError for a robot without a fibre that is read live.
+        Raises InterrogatorError, after making the robot safe, if a healthy grating is not read, and
+        ConfigError if the robot has no fibre that is read live.
         """
         self._require_fibre()
         began_s, heard = self.now(), list[TelemetryFrame]()
@@ -272,7 +272,7 @@ class Robot(Supervised):
         return self._require_fibre().reading(heard, began_s)
 
     def record(self, seconds: float) -> Recording:
-        """Keep every telemetry frame of a while."""
+        """Return every telemetry frame of some seconds."""
         frames, flex = self._frames(seconds)
         return Recording(
             t_s=np.array([self._client.device_s(frame.t_us) for frame in frames]),
@@ -295,17 +295,17 @@ class Robot(Supervised):
         frames = [frame.message for frame in heard]
         if (count := len(frames[0].flex_sum)) != self._table.inputs:
             raise ConfigError(
-                f"the board has {count} sensors' inputs, and nobody has described its robot",
-                "send its robot.toml: `configure`",
+                f"the robot of this board of {count} sensor inputs is not known",
+                "send its robot.toml with `configure`",
             )
         return frames, np.array([frame.flex_sum for frame in frames], dtype=np.float64)
 
     def press(self, towards: str | float, psi: float, *, ramp_psi_s: float = 0.0) -> None:
         """Hold one muscle under pressure, and the others at none; returns at once.
 
-        The muscle is given by its name, or by the direction (degrees) towards which it bends the
-        body. A set point below the transducer's live zero (about 2.2 psi) vents it; a slew rate of
-        0 is as configured. Refused while a sensor is half everted.
+        `towards` is the muscle's name, or the direction (degrees) towards which it bends the body.
+        A set point below the transducer's live zero (about 2.2 psi) vents it. A ramp of 0 means the
+        configured rate. Refused while a sensor is half everted.
         """
         self._request(wire.SetPressure(self._cpsi({towards: psi}), round(ramp_psi_s * 100)))
 
@@ -329,18 +329,19 @@ class Robot(Supervised):
         """Bend towards each muscle in turn along a half sine of pressure, and look for contacts.
 
         Args:
-            tops_psi: amplitudes by muscle: its name, or the direction (degrees) it bends towards.
-            period_s: of the whole sine (`sweep_period_s` says how slow it must be).
-            rising_only: vent each muscle after its peak: the way back meets no contact that the
-                way up did not.
-            enough: with `rising_only`, called with the readings of a bend so far, twenty times a
-                second once its trigger has fired; the last half second stands in for the peak.
+            tops_psi: peak pressure of each muscle, by its name or the direction (degrees) towards
+                which it bends the body.
+            period_s: period of the whole sine (`sweep_period_s` says how slow it must be).
+            rising_only: vent each muscle after its peak, because the way back meets no contact
+                that the way up did not.
+            enough: with `rising_only`, called twenty times a second after the trigger has fired,
+                with the readings of this bend so far; the last half second stands in for the peak.
                 If it returns true, the muscle is vented at once.
 
         Refused while a sensor is half everted, or the length or the zone is unknown.
 
         Raises:
-            ConfigError: the contact trigger has no sensor to work on while a muscle bends the body.
+            ConfigError: the contact trigger has no sensor that works while a muscle bends the body.
         """
         for muscle in (self.config.muscles[self.config.muscle_number(at)] for at in tops_psi):
             if muscle in blind(self.config):

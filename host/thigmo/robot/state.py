@@ -1,4 +1,4 @@
-"""What the robot object hands out: status, readings, peaks, sweeps."""
+"""What the methods of a robot return: status, readings, peaks, sweeps."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Status:
     t_s: float  #: device time
     length_cm: float | None  #: everted length, None if unknown
     pressure_psi: tuple[float, ...]  #: of each muscle
-    everted: int  #: bit mask of sensors that are out, by input
+    everted: int  #: bit mask of sensors that have everted, by input
     settled: int  #: bit mask of those past their settling time
     zeroed: int  #: bit mask of those with a zero
     config_generation: int  #: of the stored configuration, 0 = none
@@ -36,20 +36,20 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Averaged readings over a while; one value for each of the board's flex inputs."""
+    """Readings averaged over some seconds; a value for each of the board's flex inputs."""
 
-    t_s: float  #: device time at its middle
+    t_s: float  #: device time at the middle of these seconds
     curvature: Floats  #: shape (10,), 1/cm; NaN without a zero
     spread: Floats  #: standard deviation of a single telemetry reading, shape (10,), 1/cm
     pressure_psi: tuple[float, ...]  #: mean, of each muscle
     length_cm: float  #: everted length by the encoder
-    frames: int  #: number averaged
+    frames: int  #: how many were averaged
     resistance: Floats  #: shape (10,), ohm; NaN where the circuit is open
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Every telemetry frame of a while."""
+    """Every telemetry frame of some seconds."""
 
     t_s: Floats  # device times, shape (n,)
     resistance: Floats  # of each sensor, shape (n, 10), ohm
@@ -68,15 +68,15 @@ class Peak:
     pressure_psi: float  # lag-filtered pressure of the active muscle
     sensors: int  # mask of sensors everted and settled and zeroed, or young with a known rest
     count: int  # readings averaged
-    # of young sensors, the standard error of that rest; 0 for others; (10,), 1/cm
+    # of young sensors, the standard error of their resting value; 0 for others; (10,), 1/cm
     added_noise: Floats = field(default_factory=lambda: np.zeros(10))
     warmth: float = 1.0  # by how much more than stated temperature may have strained a fibre
 
 
 def mean_peak(peaks: Sequence[Peak]) -> Peak:
-    """Several sweeps' peaks of a side at one length, as one; a sensor counts that all of them had.
+    """Several sweeps' peaks of a side at one length, averaged, with the sensors that all had.
 
-    What a young sensor's rest is known to is common to them.
+    The error of a young sensor's resting value is common to them, so it is not averaged away.
     """
     first, *more = peaks
     if not more:
@@ -95,7 +95,7 @@ def mean_peak(peaks: Sequence[Peak]) -> Peak:
 
 @dataclass(frozen=True, slots=True)
 class ContactTrigger:
-    """The board's trigger fired."""
+    """The moment at which the board's contact trigger fired."""
 
     side: Side  # inflated muscle
     t_s: float  # device time
@@ -116,24 +116,24 @@ class SweepFrame:
 
 @dataclass(frozen=True, slots=True)
 class SweepResult:
-    """What a sweep gave."""
+    """Readings, triggers and peaks of a sweep."""
 
     triggers: list[ContactTrigger] = field(default_factory=list)  #: the board's contact triggers
     peaks: list[Peak] = field(default_factory=list)  #: one average for each side that was swept
     frames: list[SweepFrame] = field(default_factory=list)  #: thinned telemetry of the sweep
-    #: what each sensor read in them, shape (frames, 10), 1/cm
+    #: of each sensor in these frames, shape (frames, 10), 1/cm
     curvature: Floats = field(default_factory=lambda: np.zeros((0, 10)))
     sensors: int = 0  #: mask of sensors everted, settled and zeroed
     truth: Truth | None = None  #: what the emulator knew at the peaks, None on hardware
 
     def half(self, side: Side) -> tuple[list[SweepFrame], Floats]:
-        """A side's frames, and what each sensor read in them, (n, 10)."""
+        """The n frames of a side, and the curvature of each sensor in them, (n, 10)."""
         mine = [number for number, frame in enumerate(self.frames) if frame.side == side]
         return [self.frames[number] for number in mine], self.curvature[mine]
 
     @classmethod
     def joined(cls, parts: Sequence[SweepResult]) -> SweepResult:
-        """Several sweeps, in their order, as one; `sensors` are those that all of them had."""
+        """Several sweeps, in their order, as one; `sensors` has those that every sweep had."""
         return cls(
             [trigger for part in parts for trigger in part.triggers],
             [peak for part in parts for peak in part.peaks],

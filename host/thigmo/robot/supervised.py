@@ -51,7 +51,7 @@ class Supervised(Connected):
     # Waiting.
 
     def wait(self, seconds: float, *, despite_faults: bool = False) -> None:
-        """Let time pass, with the link alive; `despite_faults` if a fault is what is looked for."""
+        """Let time pass with the link alive; with `despite_faults`, a latched fault is no error."""
         if despite_faults:
             self._client.wait_for(lambda: False, seconds)
             self._forget()
@@ -82,9 +82,9 @@ class Supervised(Connected):
             yield event
 
     def _request(self, command: Command[R]) -> R:
-        """Ask the board; a refusal because of a latched fault becomes that fault's error.
+        """Send a command; a refusal because of a latched fault raises that fault's error.
 
-        What a fibre that is read live guards is refused unless it is read.
+        If a live fibre guards this kind of motion, it is refused unless the fibre is read.
         """
         if isinstance(command, _MOTIONS) and self._fibre is not None:
             self._fibre.void()
@@ -102,14 +102,14 @@ class Supervised(Connected):
             raise
 
     def _start(self, command: Command[Ack]) -> None:
-        """Start something whose events are waited for."""
+        """Start an activity whose events are then waited for."""
         self._forget()
         self._request(command)
 
     def _events(
         self, activity: wire.Activity, within_s: float, until: Callable[[], bool] | None = None
     ) -> Iterator[wire.Event]:
-        """Events of an activity that was started, its last one (done, or zeroed) included.
+        """Events of an activity that was started, including its last one (done, or zeroed).
 
         If `until` ends the wait, the caller must stop the activity. Raises CommandRefusedError if
         the board ends it early, CommandTimeoutError if it has not ended in time.

@@ -23,9 +23,10 @@ _Entry = tuple[Sink, frozenset[str], Callable[[], None]]  # its channels; called
 
 
 class Subscription(Closing):
-    """A queue of messages for one listener, which drops its oldest when it is full. A context
-    manager and an iterator, which ends when the subscription or the hub is closed. For several
-    threads.
+    """A listener's queue of messages, which drops the oldest when it is full.
+
+    It is a context manager, and an iterator that ends when the subscription or the hub is closed.
+    Several threads may use it.
     """
 
     def __init__(self, hub: Hub, channels: Iterable[str], size: int) -> None:
@@ -47,13 +48,13 @@ class Subscription(Closing):
         self._changed.wait_for(lambda: self._waiting or self._ended.is_set(), timeout_s)
 
     def get(self, timeout_s: float | None = None) -> Message | None:
-        """The oldest message; None if none comes in time, or none will come any more."""
+        """The oldest message; None if none comes in time, or all are read and it is closed."""
         with self._changed:
             self._wait(timeout_s)
             return self._waiting.popleft() if self._waiting else None
 
     def take(self) -> list[Message]:
-        """All messages, oldest first; waits for one. None when none will come any more."""
+        """All messages, oldest first; waits for one. Empty once all are read and it is closed."""
         with self._changed:
             self._wait()
             taken = list(self._waiting)
@@ -61,7 +62,7 @@ class Subscription(Closing):
         return taken
 
     def linger(self, seconds: float) -> None:
-        """Let messages gather for so long, or until it is closed."""
+        """Let messages gather for some seconds, or until the subscription is closed."""
         self._ended.wait(seconds)
 
     def close(self) -> None:
@@ -80,7 +81,7 @@ class Subscription(Closing):
 
 
 class Hub:
-    """Passes messages from publishers to listeners. For several threads."""
+    """Passes messages from publishers to listeners. Several threads may use it."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
@@ -94,7 +95,7 @@ class Hub:
 
     @property
     def keep(self) -> BlockSink | None:
-        """Takes all readings in blocks; None if nothing does."""
+        """The sink that takes all readings in blocks; None if there is none."""
         return self._keep
 
     @keep.setter
@@ -103,7 +104,7 @@ class Hub:
         self._keep = sink
 
     def publish(self, message: Message) -> None:
-        """Hand a message to all that listen to its channel; waits for none of them."""
+        """Pass a message to everyone who listens to its channel, without waiting for anyone."""
         channel = message.CHANNEL
         with self._lock:
             if channel in RETAINED:
@@ -121,8 +122,8 @@ class Hub:
     def subscribe(self, channels: Iterable[str] | None = None, size: int = QUEUE) -> Subscription:
         """Listen to channels, by the names of `CHANNELS`; None takes all.
 
-        First come the last message of each slow channel, and the last hundred events. When `size`
-        messages wait, the oldest is lost.
+        The last message of each slow channel and the last hundred events come first. When `size`
+        messages wait, each new one replaces the oldest.
         """
         return Subscription(self, CHANNELS if channels is None else channels, size)
 

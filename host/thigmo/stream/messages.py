@@ -38,7 +38,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Hello(Message):
-    """Whose stream this is: the first message to each client of a server."""
+    """Which run this stream belongs to: the first message to each client of a server."""
 
     CHANNEL = "hello"
 
@@ -47,12 +47,12 @@ class Hello(Message):
     folder: str  #: the run folder, absolute; empty if there is none
     pid: int  #: process that drives the robot
     version: str  #: of thigmo
-    virtual: bool  #: the robot lives in that process, which is then where to stop it
+    virtual: bool  #: whether the robot is emulated in that process, which then also stops it
 
 
 @dataclass(frozen=True, slots=True)
 class Dropped(Message):
-    """A viewer was too slow: `count` messages before this one are lost to it."""
+    """A viewer was too slow, and `count` messages before this one were not sent to it."""
 
     CHANNEL = "dropped"
 
@@ -65,22 +65,24 @@ class Telemetry(Message):
 
     CHANNEL = "telemetry"
 
-    #: the board's own clock when the readings were complete; evenly spaced where `t_s`, the arrival
-    #: at the host, is not
+    #: the board's clock when the readings were complete: evenly spaced, unlike `t_s`, at which the
+    #: frame arrived at the host
     device_s: float
     pressure_psi: tuple[Number, ...]  #: of the muscles
-    demand_psi: tuple[Number, ...]  #: set points of the same
+    demand_psi: tuple[Number, ...]  #: their set points
     drive_ma: tuple[Number, ...]  #: current to the pressure transducers
     #: of the sensors; NaN where one is not healthy, everted and zeroed
     curvature_per_cm: tuple[Number, ...]
     #: what the free body would read by the calibrated map, at the measured pressure; NaN for the
     #: same sensors and for those of the inflated side, which wrinkles
     expected_per_cm: tuple[Number, ...]
-    base_per_cm: float  #: the base sensor's, which the board's contact trigger compares...
-    free_per_cm: float  #: ...with the free curvature by the map
+    base_per_cm: (
+        float  #: curvature of the base, which the contact trigger compares with `free_per_cm`
+    )
+    free_per_cm: float  #: free curvature by the map
     length_cm: Number  #: everted
     motor: float  #: of the spool, signed share of full duty; positive pays out
-    supply_v: Number  #: of the board, as last asked for
+    supply_v: Number  #: of the board, when it was last asked for
     state: str  #: of the board, by the schema's names
     activity: str  #: the same
     faults: tuple[str, ...]  #: latched, by the schema's names
@@ -94,14 +96,14 @@ class Event(Message):
     CHANNEL = "event"
 
     name: str  #: of the event or, for a fault, of the fault, by the schema
-    severity: Severity  #: "fault" needs the operator
+    severity: Severity  #: "fault": the operator must act
     message: str  #: what happened
-    next: str  #: what to do now; empty where nothing is to be done
+    next: str  #: what to do now; empty if nothing
 
 
 @dataclass(frozen=True, slots=True)
 class RunState(Message):
-    """What the run does."""
+    """What the run is doing."""
 
     CHANNEL = "state"
 
@@ -109,7 +111,7 @@ class RunState(Message):
     doing: str  #: the same in words
     stage_cm: float  #: everted length of the stage; 0 before the first
     done: float  #: share of the run, 0 to 1
-    paused: bool = False  #: it waits, vented, to be resumed
+    paused: bool = False  #: the robot waits, vented, until the run is resumed
     outcome: str = "running"  #: or how the run ended, as in contacts.json
 
 
@@ -138,9 +140,8 @@ class Posterior(Message):
     status: str  #: the localizer's answer
     hypothesis: str  #: what explains the readings best
     message: str  #: the answer in words
-    #: that the readings have a contact behind them at all, 0 to 1
-    contact_probability: Number = nan
-    sweeping: bool = False  #: the sweep goes on, and this is by its last half second
+    contact_probability: Number = nan  #: that there is any contact, 0 to 1
+    sweeping: bool = False  #: the sweep still runs, and this is from its last half second
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, fields
+from dataclasses import fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -77,11 +77,10 @@ def recording(hub: Hub, log: LogWriter) -> Iterator[None]:
 def read_messages(
     run: str | os.PathLike[str], channels: Iterable[str] | None = None
 ) -> Iterator[Message]:
-    """The messages that a run published, in the order of time, from its folder or its run.mcap.
+    """The messages that a run published, in order of time, from its folder or its run.mcap.
 
-    Those of the `channels` that are named, or all that are recorded; those that are whole, if the
-    record is damaged. Raises RunFolderError if there is no record, or it holds raw frames alone (of
-    an earlier version).
+    `channels` selects some; None takes all. Of a damaged record, the intact messages are returned.
+    Raises RunFolderError if there is no record, or it holds only raw frames (earlier versions).
     """
     path = Path(run)
     path = path / "run.mcap" if path.is_dir() else path
@@ -89,7 +88,7 @@ def read_messages(
     found = read_mcap(path, wanted)
     if found.topics.isdisjoint(f"/{channel}" for channel in RECORDED):
         raise RunFolderError(
-            f"{path} holds raw frames alone", "record the run again with this version of thigmo"
+            f"{path} holds only raw frames", "record the run again with this version of thigmo"
         )
     from thigmo.stream.protobuf import from_protobuf
 
@@ -98,10 +97,10 @@ def read_messages(
 
 
 def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
-    """Write a table for each channel that the run has messages of; empty cells are not known.
+    """Write a table for each channel of which the run has messages; an empty cell is not known.
 
-    The folder is made if need be; `telemetry.csv` and so on in it are replaced. Raises
-    RunFolderError as `read_messages` does, and if the folder cannot be written.
+    The folder is made if it does not exist; tables in it are replaced. Raises RunFolderError as
+    `read_messages` does, and if the folder cannot be written.
     """
     target = Path(folder)
     writers: dict[str, Any] = {}  # of the csv module
@@ -122,9 +121,9 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
 
 
 def export_parquet(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
-    """Write the tables of `export_csv` as Parquet files; what is not known is null.
+    """Write the tables of `export_csv` as Parquet files, with null for what is not known.
 
-    Raises as that does, and NotInstalledError without pyarrow.
+    Raises RunFolderError as `export_csv` does, and NotInstalledError without pyarrow.
     """
     require("tables", "Parquet")
     import pyarrow
@@ -160,7 +159,7 @@ def _made(folder: Path) -> Iterator[None]:
 
 
 def config_in(folder: str | os.PathLike[str]) -> RobotConfig:
-    """A run folder's robot.toml, or the defaults if there is none."""
+    """A run folder's robot.toml, or the defaults if it has none that can be read."""
     try:
         return RobotConfig.load(Path(folder) / "robot.toml") if folder else RobotConfig()
     except ConfigError:
@@ -168,7 +167,7 @@ def config_in(folder: str | os.PathLike[str]) -> RobotConfig:
 
 
 def _named(config: RobotConfig) -> Named:
-    """What muscles' and sensors' numbers are called, by how many a message has of them."""
+    """Names of muscles and sensors, by how many numbers a message has for them."""
     sensors = [
         (number, f"{column.name.replace(' ', '')}_{place}")
         for column in columns(config)
@@ -179,16 +178,14 @@ def _named(config: RobotConfig) -> Named:
 
 
 def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Callable[[], list[str]], list[Any]]]:
-    """Rows of all tables: the channel, what names its columns, and the values."""
+    """Rows of all tables: channel, function that names the columns, and values."""
     path = Path(run)
     config = config_in(path if path.is_dir() else path.parent)
     named = _named(config)
-    muscles: dict[str | None, str] = {muscle.side: muscle.name for muscle in config.muscles}
+    muscles: dict[str, str] = {m.side: m.name for m in config.muscles if m.side}
     for message in read_messages(run, set(RECORDED) - {Grid.CHANNEL}):
         own = _values(message, named)
-        for entry in _entries(message):
-            if "muscle" in entry:
-                entry["muscle"] = muscles.get(entry["muscle"], entry["muscle"])
+        for entry in _entries(message, muscles):
             names = partial(_columns, message, named, entry)
             yield message.CHANNEL, names, [*own, *entry.values()]
 
@@ -216,7 +213,7 @@ def _names(message: Message, named: Named) -> list[str]:
 
 
 def _values(message: Message, named: Named) -> list[Any]:
-    """What stands in these columns."""
+    """The values in these columns."""
     values: list[Any] = []
     for name in _own(message.CHANNEL):
         value = getattr(message, name)
@@ -229,7 +226,7 @@ def _values(message: Message, named: Named) -> list[Any]:
     return values
 
 
-def _entries(message: Message) -> Iterator[Row]:
+def _entries(message: Message, muscles: Mapping[str, str]) -> Iterator[Row]:
     match message:
         case BodyShape():
             for index, (x_cm, y_cm, heading) in enumerate(message.poses):
@@ -237,17 +234,13 @@ def _entries(message: Message) -> Iterator[Row]:
         case Posterior():
             cells = zip(message.places_cm or [None], message.probability or [None], strict=True)
             for place_cm, probability in cells:
-                yield {"muscle": message.side, "place_cm": place_cm, "probability": probability}
+                yield {
+                    "muscle": muscles.get(message.side, message.side),
+                    "place_cm": place_cm,
+                    "probability": probability,
+                }
         case Contacts():
             for index, contact in enumerate(message.contacts):
-                row: Row = {"contact": index} | asdict(contact)
-                row["muscle"] = row.pop("side")
-                row["interval_low_cm"], row["interval_high_cm"] = row.pop("interval_cm")
-                (row["variance_x_cm2"], row["covariance_xy_cm2"]), (_, row["variance_y_cm2"]) = (
-                    row.pop("covariance_cm2")
-                )
-                row["merged_cm"] = " ".join(f"{length:g}" for length in row.pop("merged"))
-                del row["track"]
-                yield row
+                yield {"contact": index} | contact.to_row(muscles)
         case _:
             yield {}

@@ -65,8 +65,8 @@ def _addresses() -> list[str]:
 class Server(Closing):
     """Serves one run's hub at the `address` of a socket. A context manager.
 
-    `hello` is the first message to each client; `command` is called with what a client commands,
-    and the text of an answer, in a thread of its own. Raises PortError if the socket cannot be
+    `hello` is the first message to each client. `command` is called, in a thread of its own, with
+    each command of a client and the text of its answer. Raises PortError if the socket cannot be
     made.
     """
 
@@ -163,15 +163,17 @@ def _command_in(data: bytes) -> tuple[Command | None, str]:
 
 @dataclass(frozen=True, slots=True)
 class Watchable:
-    """A run that is under way: the address of its stream, and its hello."""
+    """A run that is under way: the address of its stream, and the stream's first message."""
 
     address: str
     hello: Hello
 
 
 class RemoteRun(Closing):
-    """The stream of a run in another process, with the address of its socket and its hello. A
-    context manager and an iterator, which ends when the run does.
+    """The stream of a run in another process: an iterator of messages that ends when the run does.
+
+    It is also a context manager. `address` is that of its socket, `hello` the stream's first
+    message.
     """
 
     def __init__(self, connection: Connection, address: str, hello: Hello) -> None:
@@ -183,8 +185,8 @@ class RemoteRun(Closing):
     def get(self, timeout_s: float | None = None) -> Message | None:
         """The next message; None if none comes in time.
 
-        Raises EOFError if the run or its process has ended, and DataError if it speaks another
-        version of the stream.
+        Raises EOFError if the run or its process has ended, and DataError if its version of thigmo
+        has another stream.
         """
         try:
             if not self._connection.poll(timeout_s):
@@ -196,9 +198,7 @@ class RemoteRun(Closing):
     def send(self, command: Command, text: str = "") -> None:
         """Ask the run to pause between stages, to go on, or to stop; or answer its question.
 
-        For several threads.
-
-        Raises LinkError if it has ended.
+        Several threads may call it. Raises LinkError if the run has ended.
         """
         try:
             with self._sending:
@@ -218,8 +218,10 @@ class RemoteRun(Closing):
 
 
 def attach(address: str, patience_s: float = _PATIENCE_S) -> RemoteRun:
-    """Listen to the run that is served at an address. Raises LinkError if nobody serves one, or it
-    says nothing in time."""
+    """Listen to the run that is served at an address.
+
+    Raises LinkError if there is none, or it does not answer within `patience_s`.
+    """
     hello: Message | None = None
     with contextlib.suppress(OSError, EOFError):
         connection = stop_socket.connect(address)
@@ -232,10 +234,10 @@ def attach(address: str, patience_s: float = _PATIENCE_S) -> RemoteRun:
 
 
 def running(hung: set[str] | None = None) -> list[Watchable]:
-    """All runs of this user that can be watched, the youngest last.
+    """All of this user's runs that can be watched, the newest last.
 
-    `hung`: kept by a caller that looks repeatedly, the addresses that did not answer; these are
-    waited for only briefly.
+    A caller that looks repeatedly passes the same set as `hung`: it collects the addresses that did
+    not answer, which are then waited for only briefly.
     """
     found = []
     silent = set() if hung is None else hung

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from numpy.typing import ArrayLike
 
@@ -92,23 +93,24 @@ def named(
     line that is drawn in steps, each after its point.
     """
     frame = axis.get_window_extent()
-    taken = [Bbox.from_bounds(x - 4, y - 4, 8, 8) for x, y in axis.transData.transform(points)]
+    taken = [Bbox.from_bounds(x - 6, y - 6, 12, 12) for x, y in axis.transData.transform(points)]
     for (x0, y0), (x1, y1) in pairwise(axis.transData.transform(np.reshape(stairs, (-1, 2)))):
         taken += [Bbox.from_extents(x0, y0 - 2, x1, y0 + 2), Bbox.from_extents(x1, y1, x1, y0)]
     for name, point in zip(names, points, strict=True):
         text = axis.annotate(
-            name, point, (5, 0), textcoords="offset points", fontsize=7, va="center"
-        )
+            name, point, (5, 0), textcoords="offset points", fontsize=7, va="center",
+            path_effects=[withStroke(linewidth=1.5, foreground="white")],
+        )  # fmt: skip
         for rise, side in product(sorted(range(-44, 45, 4), key=abs), (1, -1)):
-            text.set(position=(5 * side, rise), ha="left" if side > 0 else "right")
+            text.set(position=(6 * side, rise), ha="left" if side > 0 else "right")
             box = text.get_window_extent()
             inside = frame.contains(*box.min) and frame.contains(*box.max)
             if inside and not box.count_overlaps(taken):
                 break
         else:
             rise = 0
-            text.set(position=(5, rise), ha="left")
-        taken.append(text.get_window_extent())
+            text.set(position=(6, rise), ha="left")
+        taken.append(text.get_window_extent().padded(2, 0))
         if rise:
             axis.annotate(
                 "", point, text.get_position(), textcoords="offset points",

@@ -172,8 +172,12 @@ def _calibration_figure(rows: list[dict[str, Any]], curve: list[dict[str, Any]])
         for name, what in (("both found", "both"), ("two answered", "two"))
     }
     curves(second, lines, xlabel="Cramér-Rao bound of the worse place (cm)", ylabel="frames (%)")
-    second.axvline(PROMISED_CM, color="0.6", linewidth=0.8)
-    second.axhline(60.0, color="0.6", linewidth=0.8)
+    # The promise is the upper left corner.
+    for draw, at, label in (
+        (second.axvline, PROMISED_CM, "promise: bounds up to this"),
+        (second.axhline, 60.0, "promise: at least this many found"),
+    ):
+        draw(at, color="0.6", linewidth=0.8, linestyle=":", label=label)
     second.set(xlim=(0, BOUNDS[-1]), ylim=(0, 102))
     second.legend(fontsize=7, frameon=False)
     return figure

@@ -145,7 +145,9 @@ def _ros(start: Start) -> Iterator[Press]:
         until = time.monotonic() + _EVER_S
         while not writer.get_matched_subscriptions():
             if time.monotonic() > until:
-                raise DataError("`thigmo ros` does not hear", "run it by hand to see why")
+                raise DataError(
+                    "`thigmo ros` does not subscribe to the stop topic", "run it by hand to see why"
+                )
             time.sleep(0.1)
         yield lambda robot, program: writer.write(Empty(0))
 

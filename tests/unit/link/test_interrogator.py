@@ -110,7 +110,7 @@ def test_a_slow_interrogator_is_refused(lab: _Lab) -> None:
     lab.t_s += 0.19
     lab.heard.require(ALL)
     lab.t_s += 0.02
-    with pytest.raises(InterrogatorError, match=r"old, of 0\.2 at most"):
+    with pytest.raises(InterrogatorError, match=r"old \(limit 0\.2\)"):
         lab.heard.require(ALL)
 
 

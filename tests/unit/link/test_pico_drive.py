@@ -124,7 +124,7 @@ def test_no_drive_or_two_are_told(drive: Path, monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(PortError, match="no drive RPI-RP2"):
         pico.find_drive()
     monkeypatch.setattr(pico, "_mounted", lambda: [drive, drive])
-    with pytest.raises(PortError, match="2 drives"):
+    with pytest.raises(PortError, match="2 boards' drives are mounted"):
         pico.find_drive()
 
 

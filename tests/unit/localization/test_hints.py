@@ -20,8 +20,8 @@ def _readings(arc: float, force: float, free: float, rng: np.random.Generator) -
     return free + force * np.maximum(arc - POSITION, 0.0) + noise
 
 
-def _hints(curvature: Any, position: Any, free: float) -> str:
-    options = {"length": 53.0, "span": 5.5, "free_curvature": free, "noise": NOISE}
+def _hints(curvature: Any, position: Any, free: float, noise: float | None = NOISE) -> str:
+    options = {"length": 53.0, "span": 5.5, "free_curvature": free, "noise": noise}
     found = localize(curvature, position, **options)
     return "; ".join(hints(found, curvature, position, **options))
 
@@ -46,6 +46,15 @@ def test_each_mistake_gets_its_own_hint() -> None:
     weak = np.array([0.0104, 0.0083, 0.006, 0.0041, 0.0017])  # taken for a larger noise
     opposed = np.concatenate((-weak, weak)), np.tile(POSITION, 2)
     assert "the two sensors at 5, 15, 25, 35, 45" in _hints(*opposed, 0.0)
+    noisy = opposed[0] + NOISE * np.random.default_rng(4).standard_normal(10), opposed[1]
+    assert "the two sensors at 5, 15, 25, 35, 45" in _hints(*noisy, 0.0, noise=None)
+
+
+def test_noise_alone_is_no_column_of_the_other_sign() -> None:
+    rng = np.random.default_rng(5)
+    columns = np.tile(POSITION, 2)
+    frames = NOISE * rng.standard_normal((200, 10))
+    assert not any("opposite" in _hints(frame, columns, 0.0, noise=None) for frame in frames)
 
 
 def test_a_sensor_just_beyond_the_body_is_said_to_be_one_that_is_not_everted() -> None:

@@ -68,6 +68,8 @@ def test_a_list_becomes_rows(run: Path, tmp_path: Path) -> None:
     assert (contact["interval_low_cm"], contact["interval_high_cm"]) == ("29.8", "32.7")
     assert (contact["variance_x_cm2"], contact["variance_y_cm2"]) == ("0.7", "0.4")
     assert contact["known"] == ""
+    in_frame = CONTACT.to_row({"left": "left"})
+    assert list(contact) == ["t_s", "epoch_s", "contact", *in_frame]
 
 
 def test_tables_call_muscles_by_their_names(run: Path, tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_a_block_is_the_bytes_of_its_readings(sums: list[int], value: float, mov
 def test_a_record_of_raw_frames_alone_says_so(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "run.mcap", {}) as log:
         log.frame("rx", b"1", 1.0)
-    with pytest.raises(RunFolderError, match="raw frames alone"):
+    with pytest.raises(RunFolderError, match="only raw frames"):
         read_messages(tmp_path)
 
 

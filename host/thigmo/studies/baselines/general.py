@@ -142,7 +142,7 @@ def pwlf(problem: Problem) -> tuple[Array, Array]:
     least = 2 * problem.contacts + 2
     if places.size < least:
         raise DataError(
-            f"pwlf needs readings at {least} places, there are {places.size}", "use the localizer"
+            f"pwlf needs readings at {least} places, not {places.size}", "use the localizer"
         )
     means = np.array([problem.curvature[problem.position == x].mean() for x in places])
     fit = PiecewiseLinFit(places, means, seed=0)
@@ -169,9 +169,7 @@ def ruptures(problem: Problem) -> tuple[Array, Array]:
     order = np.argsort(problem.position, kind="stable")
     least = _SEGMENT * (problem.contacts + 1)
     if order.size < least:
-        raise DataError(
-            f"ruptures needs {least} readings, there are {order.size}", "use the localizer"
-        )
+        raise DataError(f"ruptures needs {least} readings, not {order.size}", "use the localizer")
     fit = Dynp(model="clinear", min_size=_SEGMENT, jump=1)
     fit.fit(problem.curvature[order][:, None])
     ends = np.asarray(fit.predict(n_bkps=problem.contacts)[:-1], dtype=int)
