@@ -69,6 +69,15 @@ NonZero = Annotated[Finite, AfterValidator(_not_zero)]
 Direction = Annotated[float, Field(ge=0, lt=360, allow_inf_nan=False)]  # around the body, degrees
 
 
+def _host_and_port(address: str) -> str:
+    host, _, port = address.rpartition(":")
+    if not host or any(c.isspace() or c == ":" for c in host):
+        raise ValueError(f'{address!r} is no address: give "host:port"')
+    if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise ValueError(f"the port {port!r} does not exist: give 1 to 65535")
+    return address
+
+
 def opposite(side: Side) -> Side:
     """The other side of the plane."""
     return "right" if side == "left" else "left"
@@ -427,7 +436,7 @@ class RobotConfig(Model):
     version: Literal[2] = 2
     name: str = "vine-53"
     # Where lines of a fibre's strains come from (`thigmo.link.interrogator`): host:port.
-    interrogator: Annotated[str, Field(pattern=r"^[^\s:]+:\d{1,5}$")] | None = None
+    interrogator: Annotated[str, AfterValidator(_host_and_port)] | None = None
     body: Body = Field(default_factory=Body)
     muscles: list[Muscle] = Field(
         default_factory=_default_muscles,

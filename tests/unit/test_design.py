@@ -138,6 +138,55 @@ def test_every_sensor_has_an_input_and_base_sensors_those_of_the_trigger(
     assert len(config.sensors) == left + right
 
 
+def test_a_divider_or_a_resistance_that_reads_no_bend_is_named() -> None:
+    config = draft(53, 5, 2)
+    config.board.divider_ohm = 1.0
+    (said,) = _bad(judge(config))
+    assert said.startswith("sensor left 0 and 9 more: a count of the converter is 4.9 1/cm")
+    assert "divider_ohm = 1:" in said
+    config = draft(53, 5, 2)
+    config.column("right")[3].zero_ohm = 1e9
+    (said,) = _bad(judge(config))
+    assert said.startswith("sensor right 3: a count")
+    assert "zero_ohm = 1e+09" in said
+
+
+def test_scales_of_the_wrong_sign_are_warned_of() -> None:
+    def warned(config: RobotConfig) -> list[str]:
+        return [f"{one.what}: {one.text}" for one in judge(config) if one.mark == "warning"]
+
+    config = draft(53, 5, 2)
+    assert warned(config) == []
+    config.column("left")[2].rescale(-1.0)
+    (said,) = warned(config)
+    assert said.startswith("sensor left 2: its resistance falls in the only bends")
+    for sensor in config.column("left"):
+        sensor.valid_direction = 0
+    (said,) = warned(config)
+    assert said.startswith("column left: scales of both signs: those of flex 2 (0 = at the base)")
+    config = draft(53, 10, 2, kind="fibre")
+    before = warned(config)
+    config.gratings[0].rescale(-1.0)
+    assert len(warned(config)) == len(before) + 1
+
+
+@pytest.mark.parametrize("port", ["99999", "0", "12a"])
+def test_an_interrogator_at_an_impossible_port_is_refused(tmp_path: Path, port: str) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(f'interrogator = "127.0.0.1:{port}"\n')
+    with pytest.raises(ConfigError, match=f"interrogator: the port '{port}' does not exist"):
+        RobotConfig.load(file)
+
+
+def test_a_new_robot_leaves_no_scene_of_the_one_before(tmp_path: Path, thigmo: Thigmo) -> None:
+    folder = tmp_path / "robot"
+    thigmo("robot", "new", "--sensors", 10, "--kind", "fibre", "--out", folder)
+    assert {"scene.toml", "grown.toml"} <= {file.name for file in folder.iterdir()}
+    ran = thigmo("robot", "new", "--length", 200, "--sensors", 9, "--out", folder)
+    assert "no scene: 18 sensors, and the largest board holds 16" in ran.out
+    assert {file.name for file in folder.iterdir()} == {"robot.toml", "robot.toml.1.bak"}
+
+
 def test_the_commands_write_check_and_convert(tmp_path: Path, thigmo: Thigmo) -> None:
     folder = tmp_path / "long"
     thigmo("robot", "new", "--length", "120", "--sensors", "8", "--muscles", "1", "--out", folder)

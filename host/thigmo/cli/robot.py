@@ -49,6 +49,8 @@ def new(
     with ConfigError.from_os(f"cannot make {out}", "choose another folder"):
         out.mkdir(parents=True, exist_ok=True)
     config.save(out / "robot.toml")
+    for older in ("scene.toml", "grown.toml"):  # of the robot that was there before
+        (out / older).unlink(missing_ok=True)
     written, said = [str(out / "robot.toml")], []
     if beyond := beyond_board(config):
         said = [f"no scene: {what}; {cure}" for what, cure in beyond]
