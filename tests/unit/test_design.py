@@ -178,6 +178,42 @@ def test_an_interrogator_at_an_impossible_port_is_refused(tmp_path: Path, port: 
         RobotConfig.load(file)
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("amplitude = 0.026", "amplitude = -1.0", "line {}: muscle.0.map.0.inflate.amplitude: "),
+        ("scale_per_ohm = 3.5e-05", "scale_per_ohm = 0", "line {}: sensor.0.flex.scale_per_ohm: "),
+        ("stall_n = ", "stal_n = ", "line {}: spool.stal_n: "),
+    ],
+)
+def test_an_invalid_entry_is_named_by_its_line(
+    tmp_path: Path, before: str, after: str, said: str
+) -> None:
+    file = tmp_path / "robot.toml"
+    draft(30, 3, 1).save(file)
+    text = file.read_text().replace(before, after, 1)
+    file.write_text(text)
+    line = 1 + text[: text.index(after)].count("\n")
+    with pytest.raises(ConfigError) as refused:
+        RobotConfig.load(file)
+    assert f"robot.toml, {said.format(line)}" in str(refused.value)
+
+
+def test_a_run_whose_robot_is_refused_today_is_told_which_table_to_correct(tmp_path: Path) -> None:
+    """Muscles named by the other side were accepted, and so were columns listed tip first."""
+    file = tmp_path / "robot.toml"
+    draft(30, 3, 1).save(file)
+    text = file.read_text()
+    swapped = text.replace("direction_deg = 90.0", "direction_deg = 270.0", 1)
+    lines = text.splitlines()
+    muscle, sensors = lines.index("[[muscle]]"), [n for n, t in enumerate(lines) if "[[sens" in t]
+    reordered = text.replace("center_cm = 13.5", "center_cm = 4.0", 1)
+    for changed, number in ((swapped, muscle), (reordered, sensors[1])):
+        file.write_text(changed)
+        with pytest.raises(ConfigError, match=rf"robot\.toml, line {number + 1}: "):
+            RobotConfig.load(file)
+
+
 def test_a_new_robot_leaves_no_scene_of_the_one_before(tmp_path: Path, thigmo: Thigmo) -> None:
     folder = tmp_path / "robot"
     thigmo("robot", "new", "--sensors", 10, "--kind", "fibre", "--out", folder)
