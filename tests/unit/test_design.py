@@ -217,7 +217,7 @@ def test_a_run_whose_robot_is_refused_today_is_told_which_table_to_correct(tmp_p
 def test_a_new_robot_leaves_no_scene_of_the_one_before(tmp_path: Path, thigmo: Thigmo) -> None:
     folder = tmp_path / "robot"
     thigmo("robot", "new", "--sensors", 10, "--kind", "fibre", "--out", folder)
-    assert {"scene.toml", "grown.toml"} <= {file.name for file in folder.iterdir()}
+    assert {"scene.toml", "empty.toml", "grown.toml"} <= {file.name for file in folder.iterdir()}
     ran = thigmo("robot", "new", "--length", 200, "--sensors", 9, "--out", folder)
     assert "no scene: 18 sensors, and the largest board holds 16" in ran.out
     assert {file.name for file in folder.iterdir()} == {"robot.toml", "robot.toml.1.bak"}
@@ -228,6 +228,8 @@ def test_the_commands_write_check_and_convert(tmp_path: Path, thigmo: Thigmo) ->
     thigmo("robot", "new", "--length", "120", "--sensors", "8", "--muscles", "1", "--out", folder)
     scene = json.loads(thigmo("scene", "check", folder / "scene.toml", "--json").out)
     assert scene["robot"]["body"]["length_cm"] == 120
+    empty = json.loads(thigmo("scene", "check", folder / "empty.toml", "--json").out)
+    assert (empty["robot"], empty["pegs"]) == (scene["robot"], [])
     found = json.loads(thigmo("robot", "check", folder / "robot.toml", "--json").out)
     assert {one["mark"] for one in found["findings"] if one["what"] in ("board", "rates")} == {"ok"}
     shown = thigmo("robot", "check", folder / "robot.toml").out.splitlines()
