@@ -21,6 +21,7 @@ defaults are those of a robot that nobody has calibrated: wide, so that the loca
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tomllib
 from math import cos, hypot, pi, tanh
@@ -67,6 +68,15 @@ NonZero = Annotated[Finite, AfterValidator(_not_zero)]
 
 
 Direction = Annotated[float, Field(ge=0, lt=360, allow_inf_nan=False)]  # around the body, degrees
+
+
+def _host_and_port(address: str) -> str:
+    host, _, port = address.rpartition(":")
+    if not host or any(c.isspace() or c == ":" for c in host):
+        raise ValueError(f'{address!r} is no address: give "host:port"')
+    if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise ValueError(f"the port {port!r} does not exist: give 1 to 65535")
+    return address
 
 
 def opposite(side: Side) -> Side:
@@ -427,7 +437,7 @@ class RobotConfig(Model):
     version: Literal[2] = 2
     name: str = "vine-53"
     # Where lines of a fibre's strains come from (`thigmo.link.interrogator`): host:port.
-    interrogator: Annotated[str, Field(pattern=r"^[^\s:]+:\d{1,5}$")] | None = None
+    interrogator: Annotated[str, AfterValidator(_host_and_port)] | None = None
     body: Body = Field(default_factory=Body)
     muscles: list[Muscle] = Field(
         default_factory=_default_muscles,
@@ -606,9 +616,50 @@ def load_toml(model: type[M], path: str | os.PathLike[str]) -> M:
     """Read a TOML file into a model, with errors that name file, key and cure.
 
     Raises:
-        ConfigError: the file is missing, malformed or invalid.
+        ConfigError: the file is missing, malformed or invalid; what is wrong is named by its line.
     """
-    return validated(model, read_toml(path), path)
+    data = read_toml(path)
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        line = _line_of(error, Path(path).read_text())
+        where = f"{path}, line {line}" if line else path
+        raise ConfigError(invalid_entry(where, error), "correct that entry") from error
+
+
+def _line_of(error: ValidationError, text: str) -> int:
+    """Line of a TOML file, from 1, with its first invalid entry, or the table where one is missing.
+
+    0 if there is none, as in a file of version 1.
+    """
+    first = error.errors()[0]
+    # A check of the whole file names the table in its sentence; kinds of sensors are no keys.
+    named = re.match(r"Value error, (\w+)\[(\d+)\]", first["msg"])
+    wanted: list[int | str] = [named[1], int(named[2])] if named and not first["loc"] else []
+    wanted += [part for part in first["loc"] if part not in ("flex", "heading", "fibre")]
+    table: list[int | str] = []
+    tables: dict[tuple[int | str, ...], int] = {}  # how many of each array have come
+    best, length = 0, 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := re.match(r"\s*(\[\[?)([\w.]+)\]", line):
+            table = []
+            *above, last = header[2].split(".")
+            for name in above:
+                table.append(name)
+                if tuple(table) in tables:
+                    table.append(tables[tuple(table)])
+            table.append(last)
+            if header[1] == "[[":
+                tables[tuple(table)] = tables.get(tuple(table), -1) + 1
+                table.append(tables[tuple(table)])
+            here = table
+        elif key := re.match(r"\s*(\w+)\s*=", line):
+            here = [*table, key[1]]
+        else:
+            continue
+        if len(here) > length and here == wanted[: len(here)]:
+            best, length = number, len(here)
+    return best
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:

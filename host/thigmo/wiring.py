@@ -244,18 +244,27 @@ class Column(NamedTuple):
     centers_cm: list[float]
 
 
+def column_name(config: RobotConfig, direction_deg: float) -> str:
+    """What the sensors at a direction are called: as the muscle there, or by the direction."""
+    names = (m.name for m in config.muscles if m.direction_deg == direction_deg)
+    return next(names, f"{direction_deg:g} deg")
+
+
+def key_of(name: str) -> str:
+    """A sensor's name as headers of tables have it: `left_0`, `270deg_7`."""
+    column, _, place = name.rpartition(" ")
+    return f"{column.replace(' ', '')}_{place}"
+
+
 def columns(config: RobotConfig) -> list[Column]:
     """The robot's columns, and the inputs that they hang on; none if the board cannot hold them."""
     if beyond_board(config):
         return []
     inputs = {id(sensor): number for number, sensor in enumerate(sensors(config)) if sensor}
-    names = {muscle.direction_deg: muscle.name for muscle in config.muscles}
     found: dict[float, Column] = {}
     for sensor in sorted(config.board_sensors, key=lambda sensor: sensor.direction_deg):
         lies = sensor.direction_deg
-        column = found.setdefault(
-            lies, Column(names.get(lies, f"{lies:g} deg"), sensor.side, [], [])
-        )
+        column = found.setdefault(lies, Column(column_name(config, lies), sensor.side, [], []))
         column.inputs.append(inputs[id(sensor)])
         column.centers_cm.append(sensor.center_cm)
     return list(found.values())

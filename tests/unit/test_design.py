@@ -138,11 +138,98 @@ def test_every_sensor_has_an_input_and_base_sensors_those_of_the_trigger(
     assert len(config.sensors) == left + right
 
 
+def test_a_divider_or_a_resistance_that_reads_no_bend_is_named() -> None:
+    config = draft(53, 5, 2)
+    config.board.divider_ohm = 1.0
+    (said,) = _bad(judge(config))
+    assert said.startswith("sensor left 0 and 9 more: a count of the converter is 4.9 1/cm")
+    assert "divider_ohm = 1:" in said
+    config = draft(53, 5, 2)
+    config.column("right")[3].zero_ohm = 1e9
+    (said,) = _bad(judge(config))
+    assert said.startswith("sensor right 3: a count")
+    assert "zero_ohm = 1e+09" in said
+
+
+def test_scales_of_the_wrong_sign_are_warned_of() -> None:
+    def warned(config: RobotConfig) -> list[str]:
+        return [f"{one.what}: {one.text}" for one in judge(config) if one.mark == "warning"]
+
+    config = draft(53, 5, 2)
+    assert warned(config) == []
+    config.column("left")[2].rescale(-1.0)
+    (said,) = warned(config)
+    assert said.startswith("sensor left 2: its resistance falls in the only bends")
+    for sensor in config.column("left"):
+        sensor.valid_direction = 0
+    (said,) = warned(config)
+    assert said.startswith("column left: scales of both signs: those of flex 2 (0 = at the base)")
+    config = draft(53, 10, 2, kind="fibre")
+    before = warned(config)
+    config.gratings[0].rescale(-1.0)
+    assert len(warned(config)) == len(before) + 1
+
+
+@pytest.mark.parametrize("port", ["99999", "0", "12a"])
+def test_an_interrogator_at_an_impossible_port_is_refused(tmp_path: Path, port: str) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(f'interrogator = "127.0.0.1:{port}"\n')
+    with pytest.raises(ConfigError, match=f"interrogator: the port '{port}' does not exist"):
+        RobotConfig.load(file)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("amplitude = 0.026", "amplitude = -1.0", "line {}: muscle.0.map.0.inflate.amplitude: "),
+        ("scale_per_ohm = 3.5e-05", "scale_per_ohm = 0", "line {}: sensor.0.flex.scale_per_ohm: "),
+        ("stall_n = ", "stal_n = ", "line {}: spool.stal_n: "),
+    ],
+)
+def test_an_invalid_entry_is_named_by_its_line(
+    tmp_path: Path, before: str, after: str, said: str
+) -> None:
+    file = tmp_path / "robot.toml"
+    draft(30, 3, 1).save(file)
+    text = file.read_text().replace(before, after, 1)
+    file.write_text(text)
+    line = 1 + text[: text.index(after)].count("\n")
+    with pytest.raises(ConfigError) as refused:
+        RobotConfig.load(file)
+    assert f"robot.toml, {said.format(line)}" in str(refused.value)
+
+
+def test_a_run_whose_robot_is_refused_today_is_told_which_table_to_correct(tmp_path: Path) -> None:
+    """Muscles named by the other side were accepted, and so were columns listed tip first."""
+    file = tmp_path / "robot.toml"
+    draft(30, 3, 1).save(file)
+    text = file.read_text()
+    swapped = text.replace("direction_deg = 90.0", "direction_deg = 270.0", 1)
+    lines = text.splitlines()
+    muscle, sensors = lines.index("[[muscle]]"), [n for n, t in enumerate(lines) if "[[sens" in t]
+    reordered = text.replace("center_cm = 13.5", "center_cm = 4.0", 1)
+    for changed, number in ((swapped, muscle), (reordered, sensors[1])):
+        file.write_text(changed)
+        with pytest.raises(ConfigError, match=rf"robot\.toml, line {number + 1}: "):
+            RobotConfig.load(file)
+
+
+def test_a_new_robot_leaves_no_scene_of_the_one_before(tmp_path: Path, thigmo: Thigmo) -> None:
+    folder = tmp_path / "robot"
+    thigmo("robot", "new", "--sensors", 10, "--kind", "fibre", "--out", folder)
+    assert {"scene.toml", "empty.toml", "grown.toml"} <= {file.name for file in folder.iterdir()}
+    ran = thigmo("robot", "new", "--length", 200, "--sensors", 9, "--out", folder)
+    assert "no scene: 18 sensors, and the largest board holds 16" in ran.out
+    assert {file.name for file in folder.iterdir()} == {"robot.toml", "robot.toml.1.bak"}
+
+
 def test_the_commands_write_check_and_convert(tmp_path: Path, thigmo: Thigmo) -> None:
     folder = tmp_path / "long"
     thigmo("robot", "new", "--length", "120", "--sensors", "8", "--muscles", "1", "--out", folder)
     scene = json.loads(thigmo("scene", "check", folder / "scene.toml", "--json").out)
     assert scene["robot"]["body"]["length_cm"] == 120
+    empty = json.loads(thigmo("scene", "check", folder / "empty.toml", "--json").out)
+    assert (empty["robot"], empty["pegs"]) == (scene["robot"], [])
     found = json.loads(thigmo("robot", "check", folder / "robot.toml", "--json").out)
     assert {one["mark"] for one in found["findings"] if one["what"] in ("board", "rates")} == {"ok"}
     shown = thigmo("robot", "check", folder / "robot.toml").out.splitlines()

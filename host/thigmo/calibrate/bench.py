@@ -304,13 +304,13 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
     for zone in zones:
         body = config.body.zones[zone].pressure_psi
         planned = {
-            f"zone {zone} trial {trial} {side} {branch} {psi:g}": {
-                "zone": zone, "body_psi": body, "trial": trial, "side": side, "branch": branch,
-                "psi": psi,
+            f"zone {zone} trial {trial} {muscle.name} {branch} {psi:g}": {
+                "zone": zone, "body_psi": body, "trial": trial, "side": muscle.side,
+                "branch": branch, "psi": psi,
             }
             for trial in range(bench.plan.trials)
-            for side in config.sides
-            for branch, psi in bend_set_points(bench, config.muscle(side))
+            for muscle in map(config.muscle, config.sides)
+            for branch, psi in bend_set_points(bench, muscle)
         }  # fmt: skip
         rows.extend(bench.rows("bends", planned, take, partial(bench.ready_to_bend, zone)))
         bench.robot.vent()

@@ -21,7 +21,7 @@ from thigmo.errors import DataError
 from thigmo.mechanics import push
 from thigmo.record.table import Table
 
-COLUMNS = "force_n, curvature_left_0 .. curvature_right_4 [force_arc_cm, force_se]"
+COLUMNS = "force_n, curvature_SENSOR of each sensor [force_arc_cm, force_se]"
 _N_PER_CM2 = 0.6894757  # of a psi
 _FOLD, _FOLD_SE = 0.75, 0.5 / np.sqrt(12.0)  # moment over pi p r^3: anywhere from a half to one
 _PASSES = 4

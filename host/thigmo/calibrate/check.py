@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
+from thigmo import wiring
 from thigmo.calibrate.actuator import curvature_by_sensors
 from thigmo.calibrate.bench import STEADY_S, Bench
-from thigmo.calibrate.columns import Array, medians, places_of
+from thigmo.calibrate.columns import Array, medians, sensors_of
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import SIDES, SIGN, BoardSensor, RobotConfig, Side, opposite
+from thigmo.config import DEGREES, SIDES, SIGN, BoardSensor, RobotConfig, Side, opposite
 from thigmo.errors import DataError
-from thigmo.wiring import witnesses
 
 Mark = Literal["ok", "warning", "bad"]
 
@@ -66,7 +66,7 @@ def guided(bench: Bench) -> CheckResult:
         held = np.column_stack([record.t_s - record.t_s[0], record.pressure_psi[:, number]])
         if muscle.side is None:
             gone = robot.read(1.0).resistance - straight
-            sensors = [one for one in witnesses(config, muscle) if one.sound]
+            sensors = [one for one in wiring.witnesses(config, muscle) if one.sound]
             bend = curvature_by_sensors(gone[None], sensors)[0][0]
             readings.unseen[muscle.name] = float(bend), held
         else:
@@ -88,19 +88,20 @@ def _bend(bench: Bench) -> float:
 
 def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     """Judge a check's recordings against the configuration."""
-    sensors = places_of(config)
+    sensors = sensors_of(config)
     if readings.rest_ohm.shape[1] != len(sensors):
         what = f"{readings.rest_ohm.shape[1]} columns for {len(sensors)} sensors"
         raise DataError(what, "use its robot.toml")
     zero = medians(readings.rest_ohm)
     scatter = np.ma.masked_invalid(readings.rest_ohm).std(axis=0).filled(np.nan)
     findings = []
-    for number, (side, k) in enumerate(sensors):
-        mark, text = _at_rest(config.column(side)[k], zero[number], scatter[number])
-        findings.append(Finding(f"sensor {side} {k}", mark, text))
+    for number, (name, sensor) in enumerate(sensors.items()):
+        mark, text = _at_rest(sensor, zero[number], scatter[number])
+        findings.append(Finding(f"sensor {name}", mark, text))
     for side in config.sides:
         findings += [Finding(*found) for found in _bent(side, readings, zero, config)]
-        findings.append(Finding(f"{side} muscle's tightness", *_leak(readings.held_psi[side])))
+        tight = f"{config.muscle(side).name} muscle's tightness"
+        findings.append(Finding(tight, *_leak(readings.held_psi[side])))
     for name, (bend, held) in readings.unseen.items():
         zone = config.muscles[config.muscle_number(name)].maps[readings.zone]
         expected = zone.inflate.curvature(readings.bend_psi)
@@ -141,37 +142,39 @@ def _bent(
 ) -> Iterator[tuple[str, Mark, str]]:
     """One muscle inflated: camera, and sensors of both sides, against the map."""
     sign = SIGN[side]
-    mapped = config.muscle(side).maps[readings.zone].inflate
+    muscle = config.muscle(side)
+    mapped = muscle.maps[readings.zone].inflate
     expected = sign * mapped.curvature(readings.bend_psi)
     target = seen = readings.bend_seen.get(side)
-    what = f"{side} muscle"
+    what = f"{muscle.name} muscle"
     if seen is None:
         target = expected
     else:
         yield what, *_as_mapped(seen, expected)
     shares: dict[Side, list[float]] = {side: [] for side in SIDES}
     gone = readings.bend_ohm[side] - zero
-    for (of, k), ohm in zip(places_of(config), gone.tolist(), strict=True):
-        sensor = config.column(of)[k]
-        if not sensor.healthy or not np.isfinite(ohm):
+    for (name, sensor), ohm in zip(sensors_of(config).items(), gone.tolist(), strict=True):
+        if not sensor.side or not sensor.healthy or not np.isfinite(ohm):
             continue
         share = ohm * sensor.scale_per_ohm / target
-        shares[of].append(share)
-        if of != side and abs(share) < 0.15:
-            yield (f"sensor {of} {k}", "bad",
+        shares[sensor.side].append(share)
+        if sensor.side != side and abs(share) < 0.15:
+            yield (f"sensor {name}", "bad",
                    "does not answer to bending: dead, or its pouch is loose")  # fmt: skip
     far: Side = opposite(side)
     if min(map(len, shares.values())) < 2:
         return
     off, own = (float(np.median(np.abs(np.array(shares[s]) - 1))) for s in (far, side))
     if off > 0.3 and own < min(0.5 * off, 0.3):
-        yield ("sensor columns", "bad", f"with the {side} muscle the {side} sensors fit and the "
-               "others do not: the columns are swapped")  # fmt: skip
+        yield ("sensor columns", "bad", f"with the {muscle.name} muscle the sensors on its side "
+               "fit and the others do not: the columns are swapped")  # fmt: skip
     elif float(np.median(shares[far])) < -0.3:
         yield ("sensor columns", "bad", "read bends with the wrong sign: swapped sides, or an old "
                "robot.toml")  # fmt: skip
     elif off > 0.15:
-        yield f"{far} sensors", "warning", f"read {100 * off:.0f} % off the bend: recalibrate flex"
+        column = wiring.column_name(config, DEGREES[far])
+        off_text = f"read {100 * off:.0f} % off the bend: recalibrate flex"
+        yield f"{column} sensors", "warning", off_text
 
 
 def _as_mapped(seen: float, expected: float) -> tuple[Mark, str]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.config import SIDES, BoardSensor, RobotConfig, Side
+from thigmo import wiring
+from thigmo.config import DEGREES, SIDES, BoardSensor, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -16,19 +17,30 @@ Array = NDArray[np.float64]
 Key = TypeVar("Key", bound=Any)
 
 
-def sensors_of(config: RobotConfig) -> list[BoardSensor]:
-    """All sensors on the board."""
-    return [sensor for side in SIDES for sensor in config.column(side)]
+class Place(NamedTuple):
+    """Where a sensor lies: its column, and its number there from the base."""
+
+    side: Side
+    number: int
 
 
-def places_of(config: RobotConfig) -> list[tuple[Side, int]]:
-    """Side and index of each sensor."""
-    return [(side, k) for side in SIDES for k in range(len(config.column(side)))]
+def places_of(config: RobotConfig) -> list[Place]:
+    """Of each sensor in the plane that the board reads."""
+    return [Place(side, k) for side in SIDES for k in range(len(config.column(side)))]
+
+
+def sensors_of(config: RobotConfig) -> dict[str, BoardSensor]:
+    """The board's sensors in the plane, by name: as page, record and export call them."""
+    return {
+        f"{wiring.column_name(config, DEGREES[side])} {k}": config.column(side)[k]
+        for side, k in places_of(config)
+    }
 
 
 def constants_of(config: RobotConfig, *names: str) -> Array:
     """(n, m) entries of all sensors, by name."""
-    return np.array([[getattr(one, name) for one in sensors_of(config)] for name in names], float)
+    sensors = sensors_of(config).values()
+    return np.array([[getattr(one, name) for one in sensors] for name in names], float)
 
 
 def medians(rows: Array) -> Array:
@@ -38,8 +50,15 @@ def medians(rows: Array) -> Array:
 
 
 def of_sensors(table: Table, what: str, config: RobotConfig) -> Array:
-    """(n, m) the columns `WHAT_left_0` .. `WHAT_right_N` of a CSV."""
-    return np.column_stack([table.numbers(f"{what}_{side}_{k}") for side, k in places_of(config)])
+    """(n, m) the columns `WHAT_SENSOR` of a CSV, as `ohm_left_0` or `ohm_270deg_0`.
+
+    Older files name all sensors by their side: `ohm_right_0`.
+    """
+    found = []
+    for name, (side, k) in zip(sensors_of(config), places_of(config), strict=True):
+        own, older = f"{what}_{wiring.key_of(name)}", f"{what}_{side}_{k}"
+        found.append(table.numbers(older if older in table and own not in table else own))
+    return np.column_stack(found)
 
 
 def sides_of(table: Table) -> list[Side]:
@@ -48,6 +67,20 @@ def sides_of(table: Table) -> list[Side]:
     if set(words) - set(SIDES):
         raise DataError(f"{table.name}: side must be {' or '.join(SIDES)}", "correct that column")
     return cast("list[Side]", words)
+
+
+def muscle_sides(table: Table, config: RobotConfig) -> list[str]:
+    """(n,) side of the muscle in the column `active` of a CSV, by name or side; "" where empty."""
+    known: dict[str, str] = {"": "", **dict(zip(SIDES, SIDES, strict=True))}
+    known |= {muscle.name.lower(): muscle.side for muscle in config.muscles if muscle.side}
+    words = table.words("active", "")
+    for row, word in enumerate(words):
+        if word.lower() not in known:
+            raise DataError(
+                f"{table.name}, line {table.lines[row]}: no muscle of the plane is called {word}",
+                f"use {' or '.join(m.name for m in config.muscles if m.side)}",
+            )
+    return [known[word.lower()] for word in words]
 
 
 def grouped(keys: Iterable[Key]) -> list[tuple[Key, list[int]]]:

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 
 from thigmo.calibrate.bench import Bench, last_bends, tip_rows
-from thigmo.calibrate.columns import places_of
+from thigmo.calibrate.columns import sensors_of
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import (
     Column,
@@ -34,7 +34,7 @@ from thigmo.calibrate.flex_lines import (
 )
 from thigmo.calibrate.flex_rows import Rows, columns_swapped, judge_rows, mirrored, model_rows
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import FlexSensor, RobotConfig, Side
+from thigmo.config import FlexSensor, RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -51,8 +51,7 @@ _FALL, _LEAST_BACK = 0.02, 3
 class FlexFit:
     """One sensor's calibration."""
 
-    side: Side
-    index: int
+    name: str  # of the sensor
     healthy: bool  # usable
     reason: str  # why good or bad
     used: int = 0  # rows that went into the line
@@ -75,11 +74,6 @@ class FlexFit:
     hysteresis_se: float = np.nan  # its standard error
     # share of the scale that the loop may have taken, where bends only grew; 0 where they went back
     one_way: float = 0.0
-
-    @property
-    def name(self) -> str:
-        """As an operator calls it."""
-        return f"{self.side} {self.index}"
 
 
 @dataclass(frozen=True)
@@ -105,8 +99,9 @@ class FlexResult(StepResult):
         """
         loops = [fit.hysteresis for fit in self.sensors if fit.healthy]
         usual_loop = float(np.sqrt(np.mean(np.square(loops)))) if loops else 0.0
+        sensors = sensors_of(config)
         for fit in self.sensors:
-            sensor = config.column(fit.side)[fit.index]
+            sensor = sensors[fit.name]
             if not isinstance(sensor, FlexSensor):
                 continue
             sensor.healthy = fit.healthy
@@ -147,10 +142,10 @@ def of_csv(table: Table, config: RobotConfig, fit: Fit | None = None) -> FlexRes
 
 def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
     """Fit every sensor; see the module's text."""
-    places = places_of(config)
-    if readings.ohm.shape[1] != len(places):
+    sensors = sensors_of(config)
+    if readings.ohm.shape[1] != len(sensors):
         raise DataError(
-            f"{readings.ohm.shape[1]} resistances for {len(places)} sensors of the configuration",
+            f"{readings.ohm.shape[1]} resistances for {len(sensors)} sensors of the configuration",
             "use the robot.toml of this robot",
         )
     rows = model_rows(readings, config)
@@ -159,14 +154,14 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
             f"{int(rows.good.sum())} of {len(rows.good)} rows can be used",
             "repeat the step; " + rows.notes[0] if rows.notes else "take at least ten places",
         )
-    for number, (column, (side, k)) in enumerate(zip(rows.columns(), places, strict=True)):
+    for number, (column, name) in enumerate(zip(rows.columns(), sensors, strict=True)):
         lost, values = dropouts(column.ohm, column.model)
         if values:
             rows.ohm[lost, number] = np.nan
             at = " and ".join(f"{value / 1000:.4g}" for value in values)
             share = lost.sum() / max(1, rows.asked(number))
             rows.notes.append(
-                f"{side} {k} stands at {at} kOhm in {share:.0%} of its rows, however it is bent: "
+                f"{name} stands at {at} kOhm in {share:.0%} of its rows, however it is bent: "
                 "those rows are omitted; look for a loose wire"
             )
     directions = directions_of(rows.columns(), rows.sides)
@@ -180,17 +175,17 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
         for column, line in zip(columns, lines, strict=True)
     ])  # fmt: skip
     fits = []
-    for number, ((side, k), column, line) in enumerate(zip(places, columns, lines, strict=True)):
+    for number, (name, column, line) in enumerate(zip(sensors, columns, lines, strict=True)):
         # The slope (ohm cm) that a sensor of this kind has.
-        nominal = 1 / abs(config.column(side)[k].scale_per_ohm or 3.5e-5)
+        nominal = 1 / abs(sensors[name].scale_per_ohm)
         reason, used = "not everted at this length", 0
         if rows.on_body[number]:
             reason, used = _fault(column, line, rows.asked(number), nominal)
         if reason or line is None:
-            fits.append(FlexFit(side, k, False, reason, used))
+            fits.append(FlexFit(name, False, reason, used))
         else:
             direction = cast(Direction, int(directions[number]))
-            fits.append(_sensor(side, k, column, line, curves[number], direction))
+            fits.append(_sensor(name, column, line, curves[number], direction))
     verdict = _verdict([fit for fit, on in zip(fits, rows.on_body, strict=True) if on], rows)
     return FlexResult(tuple(fits), verdict, rows, rows.loop_width)
 
@@ -210,8 +205,7 @@ def _fault(column: Column, line: OrderedFit | None, asked: int, nominal: float) 
 
 
 def _sensor(
-    side: Side,
-    index: int,
+    name: str,
     column: Column,
     line: OrderedFit,
     curve: tuple[float, float, float],
@@ -233,7 +227,7 @@ def _sensor(
     elif curves:
         reason += f", but its answer curves by {100 * bend:.0f} % at full bend"
     return FlexFit(
-        side, index, se <= 0.1, reason, used, int((column.seen & ~line.used).sum()),
+        name, se <= 0.1, reason, used, int((column.seen & ~line.used).sum()),
         scale_per_ohm=scale, scale_se=se, sweep_se=line.sweep_gain,
         zero_ohm=float(line.coefficients[0]), zero_se_ohm=line.se(0), valid_direction=direction,
         noise=max(spread * abs(scale), _LEAST_NOISE), lasting=line.lasting,

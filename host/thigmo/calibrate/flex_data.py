@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thigmo import wiring
 from thigmo.calibrate.bench import Row
-from thigmo.calibrate.columns import Array, column, medians, of_sensors, places_of
+from thigmo.calibrate.columns import Array, column, medians, muscle_sides, of_sensors, sensors_of
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
@@ -28,7 +29,7 @@ class FlexReadings:
     tip_cm: Array  # (n, 2) tip by camera; nan where the marker was not seen or there is none
     curvature: Array  # (n,) of free bends, by camera, 1/cm; nan elsewhere
     curvature_se: Array  # (n,) its one sigma
-    active: tuple[str, ...]  # (n,) muscle in use, or ""
+    active: tuple[str, ...]  # (n,) side of the muscle in use, or ""
     ohm: Array  # (n, m) resistances, in the order of `columns`
     length_cm: float  # everted length
     intended_y_cm: Array  # (n,) where the operator was asked to put the tip (sign used); nan = free
@@ -60,7 +61,7 @@ class FlexReadings:
             np.column_stack([table.numbers("tip_x_cm", none), table.numbers("tip_y_cm", none)]),
             table.numbers("curvature", none),
             table.numbers("curvature_se", 0.0),
-            tuple(table.words("active", "")),
+            tuple(muscle_sides(table, config)),
             ohm,
             float(length[0]),
             table.numbers("intended_y_cm", none),
@@ -109,12 +110,14 @@ class FlexReadings:
 
     def write(self, path: str | os.PathLike[str], config: RobotConfig) -> None:
         """To a CSV that `read` takes."""
+        names = {str(muscle.side): muscle.name for muscle in config.muscles}
+        active = [names.get(side, side) for side in self.active]
         columns: dict[str, Any] = {
             "name": self.name, "kind": self.kind, "t_s": range(len(self.kind)),
             "tip_x_cm": self.tip_cm[:, 0], "tip_y_cm": self.tip_cm[:, 1],
-            "curvature": self.curvature, "curvature_se": self.curvature_se, "active": self.active,
+            "curvature": self.curvature, "curvature_se": self.curvature_se, "active": active,
             "length_cm": [self.length_cm] * len(self.kind), "intended_y_cm": self.intended_y_cm,
             "block": self.block,
         }  # fmt: skip
-        names = [f"ohm_{side}_{k}" for side, k in places_of(config)]
-        write_table(path, columns | dict(zip(names, self.ohm.T, strict=True)))
+        ohm = [f"ohm_{wiring.key_of(name)}" for name in sensors_of(config)]
+        write_table(path, columns | dict(zip(ohm, self.ohm.T, strict=True)))

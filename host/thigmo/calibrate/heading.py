@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from thigmo.calibrate.bench import Bench, last_bends
-from thigmo.calibrate.columns import Array, column, of_sensors, places_of, sensors_of
+from thigmo.calibrate.columns import Array, column, of_sensors, sensors_of
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import RAD_PER_OHM, HeadingSensor, RobotConfig, Side
+from thigmo.config import RAD_PER_OHM, HeadingSensor, RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -31,8 +31,7 @@ _LEAST_RAD = 2e-4
 class HeadingFit:
     """One span's calibration."""
 
-    side: Side
-    index: int
+    name: str
     healthy: bool
     reason: str
     scale: float = 1.0  # turn over what the IMUs say
@@ -60,8 +59,9 @@ class HeadingResult(StepResult):
 
     def write(self, config: RobotConfig) -> None:
         """Scales, zeros, drift and health; a span found dead keeps its old constants."""
+        sensors = sensors_of(config)
         for fit in self.sensors:
-            sensor = config.column(fit.side)[fit.index]
+            sensor = sensors[fit.name]
             if not isinstance(sensor, HeadingSensor):
                 continue
             sensor.healthy = fit.healthy
@@ -90,15 +90,13 @@ def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -
             f"{int(seen.sum())} free bends that the camera saw", f"take {_FEWEST} and more, apart"
         )
     fits = []
-    for number, (place, sensor) in enumerate(
-        zip(places_of(config), sensors_of(config), strict=True)
-    ):
+    for number, (name, sensor) in enumerate(sensors_of(config).items()):
         if isinstance(sensor, HeadingSensor):
             own = seen & np.isfinite(ohm[:, number])
             turn = (ohm[own, number] - HeadingSensor.straight_ohm) * RAD_PER_OHM
-            fits.append(_fit(*place, t_s[own], curvature[own] * sensor.span_cm, turn))
+            fits.append(_fit(name, t_s[own], curvature[own] * sensor.span_cm, turn))
     good = [fit for fit in fits if fit.healthy]
-    notes = [f"{fit.side} {fit.index} {fit.reason}" for fit in fits if not fit.healthy]
+    notes = [f"{fit.name} {fit.reason}" for fit in fits if not fit.healthy]
     if not good:
         return HeadingResult(
             tuple(fits), np.nan, Verdict(False, "no span of IMUs can be used", tuple(notes))
@@ -115,20 +113,20 @@ def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -
     return HeadingResult(tuple(fits), off, Verdict(True, reason, tuple(notes)))
 
 
-def _fit(side: Side, index: int, t_s: Array, bent: Array, turn: Array) -> HeadingFit:
+def _fit(name: str, t_s: Array, bent: Array, turn: Array) -> HeadingFit:
     """One span: turns (n,) that the IMUs say, at those (n,) that the bends are."""
     if len(turn) < _FEWEST:
-        return HeadingFit(side, index, False, "is not read: an IMU of it does not answer")
+        return HeadingFit(name, False, "is not read: an IMU of it does not answer")
     since = t_s - t_s.mean()
     line = fit_linear(np.column_stack([np.ones_like(bent), since, bent]), turn)
     zero, drift, slope = line.coefficients.tolist()
     if slope < 0.5:
         said = "turns the other way: turn it round" if slope < -0.5 else "does not turn with bends"
-        return HeadingFit(side, index, False, f"{said}; check how its IMUs lie")
+        return HeadingFit(name, False, f"{said}; check how its IMUs lie")
     se = float(np.hypot(line.se(2) / slope, _CAMERA_SCALE_SE))
     if se > 0.1:
-        return HeadingFit(side, index, False, f"has a scale known to {100 * se:.0f} % only")
+        return HeadingFit(name, False, f"has a scale known to {100 * se:.0f} % only")
     return HeadingFit(
-        side, index, True, f"scale known to {100 * se:.1f} %",
+        name, True, f"scale known to {100 * se:.1f} %",
         1.0 / slope, se, zero, drift, line.sigma, np.array([bent, turn - zero - drift * since]),
     )  # fmt: skip

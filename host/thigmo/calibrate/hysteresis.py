@@ -14,10 +14,11 @@ import numpy as np
 from scipy.optimize import curve_fit, least_squares
 from scipy.stats import median_abs_deviation
 
+from thigmo import wiring
 from thigmo.calibrate.bench import SAME_CM, Bench, growth_rows
 from thigmo.calibrate.columns import Array, grouped, places_of, sensors_of, sides_of
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import RobotConfig, Side
+from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics.settling import Settling
 from thigmo.record.table import Table
@@ -27,8 +28,7 @@ from thigmo.record.table import Table
 class CreepRecord:
     """One sensor after one eversion."""
 
-    side: Side
-    index: int
+    name: str
     t_s: Array  # (n,) since eversion
     curvature: Array  # (n,) readings, 1/cm
 
@@ -37,8 +37,7 @@ class CreepRecord:
 class CreepFit:
     """One sensor's law over its eversions."""
 
-    side: Side
-    index: int
+    name: str
     law: Settling  # decay, with the spread from eversion to eversion
     usable_s: float  # when readings add less than their own noise, compensated
     good: bool  # the law may be used
@@ -62,9 +61,10 @@ class HysteresisResult(StepResult):
 
     def write(self, config: RobotConfig) -> None:
         """Decay time and amplitude."""
+        sensors = sensors_of(config)
         for fit in self.sensors:
             if fit.good:
-                sensor = config.column(fit.side)[fit.index]
+                sensor = sensors[fit.name]
                 sensor.settle_tau_s = fit.law.tau_s
                 sensor.settle_amplitude = fit.law.amplitude
 
@@ -77,28 +77,44 @@ def guided(bench: Bench) -> HysteresisResult:
     for row in growth_rows(bench):
         length = float(row["encoder_cm"])
         ohm, t = np.array(row["ohm"], float), np.array(row["t_s"], float)
-        sensors = zip(places_of(config), sensors_of(config), ohm.T, strict=True)
-        for (side, index), sensor, own in sensors:
+        for (name, sensor), own in zip(sensors_of(config).items(), ohm.T, strict=True):
             end = sensor.center_cm + sensor.span_cm / 2
             if before + SAME_CM < end <= length and sensor.healthy:
                 # Everted when the tip passed its end, a little before growth stopped.
                 since = t + (length - end) / float(row["speed_cm_s"])
                 rest = float(np.nanmedian(own[-max(3, len(own) // 10) :]))
                 k = (own - rest) * sensor.scale_per_ohm
-                records.append(CreepRecord(side, index, since, k))
+                records.append(CreepRecord(name, since, k))
         before = length
     return fit_hysteresis(records, config)
 
 
 def of_csv(table: Table, config: RobotConfig) -> HysteresisResult:
     """Records of one or more eversions."""
-    keys = sides_of(table), table.whole("index").tolist(), table.whole("eversion", 0).tolist()
+    keys = _names(table, config), table.whole("eversion", 0).tolist()
     t, k = table.numbers("t_s"), table.numbers("curvature")
     records = [
-        CreepRecord(side, index, t[rows], k[rows])
-        for (side, index, _), rows in grouped(zip(*keys, strict=True))
+        CreepRecord(name, t[rows], k[rows]) for (name, _), rows in grouped(zip(*keys, strict=True))
     ]
     return fit_hysteresis(records, config)
+
+
+def _names(table: Table, config: RobotConfig) -> list[str]:
+    """(n,) names of the sensors, from `sensor`, or from `side` and `index` of older files."""
+    names = list(sensors_of(config))
+    if "sensor" in table:
+        known = {wiring.key_of(name): name for name in names}
+        given = table.words("sensor")
+    else:
+        places = [f"{side}_{k}" for side, k in places_of(config)]
+        known = dict(zip(places, names, strict=True))
+        each = zip(sides_of(table), table.whole("index").tolist(), strict=True)
+        given = [f"{side}_{k}" for side, k in each]
+    for one in given:
+        if one not in known:
+            cure = f"use {', '.join(known)}"
+            raise DataError(f"{table.name}: no sensor {one} in robot.toml", cure)
+    return [known[one] for one in given]
 
 
 def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
@@ -140,17 +156,21 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
     if not records:
         raise DataError("no eversions were recorded", "grow past a sensor and wait 30 s")
     fits, notes = [], []
-    for (side, index), rows in grouped((record.side, record.index) for record in records):
-        if not 0 <= index < len(config.column(side)):
-            raise DataError(f"no sensor {side} {index} in robot.toml", "use this robot's file")
+    sensors = sensors_of(config)
+    taken = dict(grouped(record.name for record in records))
+    for name in taken.keys() - sensors.keys():
+        raise DataError(f"no sensor {name} in robot.toml", "use this robot's file")
+    for name, sensor in sensors.items():
+        if name not in taken:
+            continue
         found = []
-        for record in (records[row] for row in rows):
+        for record in (records[row] for row in taken[name]):
             try:
                 found.append(fit_decay(record.t_s, record.curvature))
             except DataError as error:
-                notes.append(f"{side} {index}: {error.what}")
-        fits.append(_law(side, index, found, config.column(side)[index].noise))
-    notes.extend(f"{fit.side} {fit.index}: {fit.reason}" for fit in fits if not fit.good)
+                notes.append(f"{name}: {error.what}")
+        fits.append(_law(name, found, sensor.noise))
+    notes.extend(f"{fit.name}: {fit.reason}" for fit in fits if not fit.good)
     ready = [fit.usable_s for fit in fits if fit.good]
     reason = "no sensor shows a decay that can be fitted"
     if ready:
@@ -159,15 +179,15 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
     return HysteresisResult(tuple(fits), verdict, tuple(records))
 
 
-def _law(side: Side, index: int, found: list[tuple[Array, Array]], noise: float) -> CreepFit:
+def _law(name: str, found: list[tuple[Array, Array]], noise: float) -> CreepFit:
     if not found:
-        return CreepFit(side, index, Settling(8.0), 60.0, False, "no usable record")
+        return CreepFit(name, Settling(8.0), 60.0, False, "no usable record")
     taus, amplitudes, _ = np.array([x for x, _ in found]).T
     tau_se, amplitude_se, _ = np.sqrt([np.diag(covariance) for _, covariance in found]).T
     clear = np.abs(amplitudes) > 4 * amplitude_se
     if not clear.any():
         law = Settling(8.0, 4.0, 0.0, float(amplitude_se.mean()))
-        return CreepFit(side, index, law, 0.0, True, "no creep beyond the noise")
+        return CreepFit(name, law, 0.0, True, "no creep beyond the noise")
     weights, taus = 1 / tau_se[clear] ** 2, taus[clear]
     tau = float((weights * taus).sum() / weights.sum())
     # Eversions differ in tau more than each one's error says: take whichever is larger.
@@ -180,4 +200,4 @@ def _law(side: Side, index: int, found: list[tuple[Array, Array]], noise: float)
     reason = f"tau of {tau:.1f} +- {error:.1f} s is no decay; record for longer"
     if good:
         reason = f"tau {tau:.1f} +- {error:.1f} s, amplitude {amplitude:.4f} 1/cm"
-    return CreepFit(side, index, law, law.usable_after_s(noise), good, reason)
+    return CreepFit(name, law, law.usable_after_s(noise), good, reason)

@@ -77,9 +77,7 @@ def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] 
         return {"t_s": t[::step], "psi": psi[::step], "ohm": ohm[::step]}
 
     ready = partial(bench.ready_to_bend, zone)
-    (row,) = bench.rows(
-        "lag", {f"ramp {muscle.side or muscle.name} zone {zone}": None}, take, ready
-    )
+    (row,) = bench.rows("lag", {f"ramp {muscle.name} zone {zone}": None}, take, ready)
     t, psi, ohm = (np.array(row[name], float) for name in ("t_s", "psi", "ohm"))
     later = _LATER_SCAN_S * (1 << robot.parameter("oversample_log2")[0])
     bends = [

@@ -7,10 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.calibrate.bench import Bench, Row
-from thigmo.calibrate.columns import Array, column, constants_of, medians, of_sensors, places_of
+from thigmo.calibrate.columns import (
+    Array,
+    column,
+    constants_of,
+    medians,
+    of_sensors,
+    places_of,
+    sensors_of,
+)
 from thigmo.calibrate.regression import outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import FlexSensor, RobotConfig, Side
+from thigmo.config import FlexSensor, RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
@@ -21,8 +29,7 @@ _PEAK_S = 0.05
 class SensorNoise:
     """One sensor at rest."""
 
-    side: Side
-    index: int
+    name: str
     white: float  # one sigma of a reading, 1/cm
     white_se: float  # its standard error
     drift_per_min: float  # slope at rest, 1/cm a minute
@@ -40,8 +47,9 @@ class NoiseResult(StepResult):
 
     def write(self, config: RobotConfig) -> None:
         """White noise, and what no average takes away."""
+        sensors = sensors_of(config)
         for s in self.sensors:
-            sensor = config.column(s.side)[s.index]
+            sensor = sensors[s.name]
             # Neighbours share what IMUs scatter: theirs is the step `heading`'s.
             if not isinstance(sensor, FlexSensor):
                 continue
@@ -96,7 +104,7 @@ def fit_noise(
 
     `loops` (s, m) are readings while pressure falls less those while it rises, 1/cm.
     """
-    sensors = places_of(config)
+    sensors = sensors_of(config)
     if curvature.shape != (len(t_s), len(sensors)):
         what = f"{curvature.shape} readings for {len(sensors)} sensors"
         raise DataError(what, "use this robot's file")
@@ -105,10 +113,10 @@ def fit_noise(
     gap = np.full(len(sensors), np.nan) if loops is None else np.abs(medians(loops)) / 2
     found: list[SensorNoise] = []
     notes: list[str] = []
-    for number, (side, k) in enumerate(sensors):
+    for number, name in enumerate(sensors):
         finite = np.isfinite(curvature[:, number]) & np.isfinite(t_s)
         if finite.sum() < 20:
-            notes.append(f"sensor {side} {k} (0 = at the base) gives no readings: check its wire")
+            notes.append(f"sensor {name} (0 = at the base) gives no readings: check its wire")
             continue
         own = curvature[finite, number]
         calm = ~outlying(own, 6, 1e-12)
@@ -120,16 +128,16 @@ def fit_noise(
         blocks = level[: len(level) // 10 * 10].reshape(-1, 10).mean(axis=1)
         extra = float(blocks.var(ddof=1)) - white**2 / 10 if len(blocks) > 2 else 0.0
         sensor = SensorNoise(
-            side, k, white, white * float(np.sqrt(3 / (4 * len(quiet)))), drift,
+            name, white, white * float(np.sqrt(3 / (4 * len(quiet)))), drift,
             slow=float(np.sqrt(extra)) if extra > white**2 / 10 else 0.0,
             hysteresis=float(gap[number]),
             dropouts=float(1 - calm.mean()),
         )  # fmt: skip
         found.append(sensor)
         if sensor.dropouts > 0.05:
-            notes.append(f"{side} {k}: {100 * sensor.dropouts:.0f} % wild readings; check its wire")
+            notes.append(f"{name}: {100 * sensor.dropouts:.0f} % wild readings; check its wire")
         if abs(drift) > max(5e-4, 4 * 60 * white / float(np.sqrt(len(quiet)) * t.std())):
-            notes.append(f"{side} {k} drifts by {drift:.4f} 1/cm a minute; wait for it to settle")
+            notes.append(f"{name} drifts by {drift:.4f} 1/cm a minute; wait for it to settle")
     loud = [s for s in found if s.white > 2e-3]
     good = False
     if not found:
@@ -141,7 +149,7 @@ def fit_noise(
             "or look for interference"
         )
     else:
-        notes.extend(f"{s.side} {s.index} is loud: {s.white:.4f} 1/cm" for s in loud)
+        notes.extend(f"{s.name} is loud: {s.white:.4f} 1/cm" for s in loud)
         typical = float(np.median([s.white for s in found]))
         good, reason = True, f"white noise {typical:.5f} 1/cm a reading (median)"
     return NoiseResult(tuple(found), Verdict(good, reason, tuple(notes)))

@@ -22,7 +22,6 @@ from thigmo.calibrate.hysteresis import HysteresisResult
 from thigmo.calibrate.noise import NoiseResult
 from thigmo.calibrate.stiffness import StiffnessResult
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import SIDES
 from thigmo.errors import DataError
 from thigmo.files import whole_file
 from thigmo.report.axes import BLUE, CYCLE, GREEN, ORANGE, RED
@@ -70,19 +69,20 @@ def draw(result: StepResult, path: Path) -> None:
 
 @draw.register
 def _flex(result: FlexResult, path: Path) -> None:
-    columns = 1 + max(fit.index for fit in result.sensors)
-    figure = Figure(figsize=(3.0 * columns, 6.4), layout="constrained")
-    grid = figure.subplots(2, columns, squeeze=False)
+    readings, good, sides = result.rows.readings, result.rows.good, result.rows.sides
+    counts = [sides.count(side) for side in dict.fromkeys(sides)]
+    figure = Figure(figsize=(3.0 * max(counts), 3.2 * len(counts)), layout="constrained")
+    grid = figure.subplots(len(counts), max(counts), squeeze=False)
+    places = [(row, k) for row, count in enumerate(counts) for k in range(count)]
     for axes in grid.flat:
-        axes.set_visible(False)  # where a side has fewer sensors than the other
-    readings, good = result.rows.readings, result.rows.good
+        axes.set_visible(False)  # where a column has fewer sensors than the other
     kinds, active = np.array(readings.kind), np.array(readings.active)
-    for column, fit in enumerate(result.sensors):
-        axes = grid[SIDES.index(fit.side), fit.index]
+    for column, (fit, side, place) in enumerate(zip(result.sensors, sides, places, strict=True)):
+        axes = grid[place]
         axes.set_visible(True)
         k, ohm = result.rows.model[:, column], readings.ohm[:, column] / 1000
         for kind, (mark, color) in _MARK.items():
-            pick = (kinds == kind) & (active != fit.side) & good
+            pick = (kinds == kind) & (active != side) & good
             axes.plot(k[pick], ohm[pick], mark, color=color, ms=4, label=kind)
         axes.plot(k[~good], ohm[~good], "x", color=RED, ms=5, label="omitted")
         if fit.healthy:
@@ -98,7 +98,7 @@ def _flex(result: FlexResult, path: Path) -> None:
         axes.set_title(f"{fit.name}: {fit.reason}", fontsize=7, wrap=True)
         axes.set_xlabel("curvature (1/cm)", fontsize=7)
         axes.tick_params(labelsize=6)
-        if fit.index == 0:
+        if place[1] == 0:
             axes.set_ylabel("resistance (kOhm)", fontsize=7)
     next(axes for axes in grid.flat if axes.get_visible()).legend(fontsize=6)
     _finish(figure, path, result.verdict)
@@ -142,7 +142,7 @@ def _heading(result: HeadingResult, path: Path) -> None:
     labels = "turn of the span by camera (rad)", "turn that its IMUs say (rad), without drift"
     with _panel(path, result.verdict, *labels, size=(6, 5)) as axes:
         for number, fit in enumerate(result.sensors):
-            color, name = CYCLE[number % len(CYCLE)], f"{fit.side} {fit.index}"
+            color, name = CYCLE[number % len(CYCLE)], fit.name
             axes.plot(*fit.turns, ".", ms=4, color=color, label=name)
             line = np.array([fit.turns[0].min(initial=0.0), fit.turns[0].max(initial=0.0)])
             axes.plot(line, line / fit.scale, "-", lw=0.5, color=color)
@@ -158,7 +158,7 @@ def _hysteresis(result: HysteresisResult, path: Path) -> None:
             axes.plot(record.t_s, record.curvature - rest, ".", ms=2, color=color)
         t = np.linspace(0, max(float(r.t_s.max()) for r in result.records), 200)
         for fit in result.sensors:
-            axes.plot(t, fit.law.excess(t)[0], "-", lw=1, label=f"{fit.side} {fit.index}")
+            axes.plot(t, fit.law.excess(t)[0], "-", lw=1, label=fit.name)
 
 
 @draw.register
@@ -182,7 +182,7 @@ def _noise(result: NoiseResult, path: Path) -> None:
         axes.bar(at - 0.2, [s.white for s in sensors], 0.4, label="white")
         swept = np.nan_to_num([s.hysteresis for s in sensors])
         axes.bar(at + 0.2, swept, 0.4, label="within a sweep")
-        axes.set_xticks(at, [f"{s.side} {s.index}" for s in sensors], rotation=45, fontsize=7)
+        axes.set_xticks(at, [s.name for s in sensors], rotation=45, fontsize=7)
 
 
 @draw.register

@@ -30,10 +30,12 @@ from thigmo.calibrate import (
     thesis,
 )
 from thigmo.calibrate.bench import Bench
+from thigmo.calibrate.columns import sensors_of
 from thigmo.calibrate.verdict import StepResult
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import MissingColumnError, Table
+from thigmo.wiring import key_of
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Step:
         return (self.thesis,) if method == "thesis" and self.thesis else ()
 
 
-_CURVATURES = "curvature_left_0 .. curvature_right_4"
+_CURVATURES = "curvature_SENSOR of each sensor"
 STEPS = {
     "pressure": Step(
         pressure.guided, pressure.of_csv, "NAME_count of each muscle", needed=True
@@ -70,12 +72,12 @@ STEPS = {
     ),
     "flex": Step(
         flex.guided, flex.of_csv,
-        "kind (straight, tip, bend), tip_x_cm, tip_y_cm, curvature, ohm_left_0 .. ohm_right_4 "
+        "kind (straight, tip, bend), tip_x_cm, tip_y_cm, curvature, ohm_SENSOR of each sensor "
         "[t_s, curvature_se, active, length_cm, intended_y_cm, block, name]",
         ("tips",), needed=True, thesis=thesis.fit_flex, kind="flex",
     ),
     "heading": Step(
-        heading.guided, heading.of_csv, "t_s, curvature, ohm_left_0 .. ohm_right_4",
+        heading.guided, heading.of_csv, "t_s, curvature, ohm_SENSOR of each sensor",
         needed=True, kind="heading",
     ),
     "fibre": Step(
@@ -83,7 +85,7 @@ STEPS = {
         needed=True, kind="fibre",
     ),
     "hysteresis": Step(
-        hysteresis.guided, hysteresis.of_csv, "side, index, t_s, curvature [eversion]", ("growth",)
+        hysteresis.guided, hysteresis.of_csv, "sensor, t_s, curvature [eversion]", ("growth",)
     ),
     "buckling": Step(
         buckling.guided, buckling.of_csv, f"{_CURVATURES} [body_pressure_psi, length_cm]",
@@ -148,4 +150,7 @@ def fit_csv(
         return fit(Table.read(path), config, *STEPS[step].other_fit(method))
     except MissingColumnError as error:
         error.add_note(f"columns of {step}: {columns}; those in brackets may be omitted")
+        if "SENSOR" in columns or "sensor" in columns:
+            names = ", ".join(map(key_of, sensors_of(config)))
+            error.add_note(f"sensors of this robot: {names}")
         raise

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.calibrate.buckling import BucklingResult
-from thigmo.calibrate.columns import Array, constants_of, places_of
+from thigmo.calibrate.columns import Array, constants_of, sensors_of
 from thigmo.calibrate.flex import FlexFit, FlexResult
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import LOOP_WIDTHS
@@ -37,8 +37,9 @@ class ThesisFlexResult(FlexResult):
 
     def write(self, config: RobotConfig) -> None:
         """Scales and zeros; errors are those of sensors that nobody has calibrated, at least."""
+        sensors = sensors_of(config)
         for fit in self.sensors:
-            sensor = config.column(fit.side)[fit.index]
+            sensor = sensors[fit.name]
             if not isinstance(sensor, FlexSensor):
                 continue
             sensor.healthy = fit.healthy
@@ -64,7 +65,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
     model = force[:, None] * np.clip(x[:, None] - center, 0.0, None)
     rows.model[tips] = model
     fits = []
-    for number, (side, index) in enumerate(places_of(config)):
+    for number, name in enumerate(sensors_of(config)):
         at_rest = rows.ohm[straight, number]
         change = rows.ohm[tips, number] - (np.nanmean(at_rest) if np.isfinite(at_rest).any() else 0)
         used = np.isfinite(change)
@@ -78,14 +79,13 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
         else:
             reason = ""
         if reason:
-            fits.append(FlexFit(side, index, False, reason, int(used.sum())))
+            fits.append(FlexFit(name, False, reason, int(used.sum())))
             continue
         scale = float(change[used] @ model[used, number]) / power
         rest = model[used, number] - scale * change[used]
         fits.append(
             FlexFit(
-                side,
-                index,
+                name,
                 True,
                 f"{scale:.3g} 1/cm per ohm, {int(used.sum())} places",
                 int(used.sum()),

@@ -40,7 +40,10 @@ def new(
     seed: Annotated[int, typer.Option(help="Seed of the peg's place in the scene.", min=0)] = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Draft a robot: its robot.toml, and a scene with a peg that it feels, to explore on."""
+    """Draft a robot: its robot.toml, a scene with a peg that it feels, and an empty one.
+
+    It explores on the first and is calibrated on the other, where nothing stops its free bends.
+    """
     from thigmo.design import draft
     from thigmo.errors import ConfigError
     from thigmo.wiring import beyond_board
@@ -49,22 +52,28 @@ def new(
     with ConfigError.from_os(f"cannot make {out}", "choose another folder"):
         out.mkdir(parents=True, exist_ok=True)
     config.save(out / "robot.toml")
+    for older in ("scene.toml", "empty.toml", "grown.toml"):  # of the robot that was there before
+        (out / older).unlink(missing_ok=True)
     written, said = [str(out / "robot.toml")], []
     if beyond := beyond_board(config):
         said = [f"no scene: {what}; {cure}" for what, cure in beyond]
     else:
         reach: Any = import_module(_REACH)
         room = reach.room_for(config, seed)
-        said = [f"explore it: thigmo explore --scene {out / 'scene.toml'}"]
         room.save(out / "scene.toml")
-        written.append(str(out / "scene.toml"))
+        reach.room_for(config, seed, peg=False).save(out / "empty.toml")
+        written += [str(out / "scene.toml"), str(out / "empty.toml")]
+        said = [
+            f"explore it: thigmo explore --scene {out / 'scene.toml'}",
+            f"calibrate it: thigmo calibrate all --robot emulator://{out / 'empty.toml'}",
+        ]
         if config.gratings:
             room.start_length_cm = config.body.length_cm
             room.save(out / "grown.toml")
             pressed = reach.pressed(config, room.peg_list())
             at = f"emulator://{out / 'grown.toml'}"
             said.append(f"feel its peg, grown: thigmo feel --robot {at} --press {pressed}")
-    said = [f"wrote {' and '.join(written)}", f"check it: thigmo robot check {written[0]}", *said]
+    said = [f"wrote {', '.join(written)}", f"check it: thigmo robot check {written[0]}", *said]
     show(as_json, {"files": written, "notes": said[1:]}, *said)
 
 

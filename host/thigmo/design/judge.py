@@ -22,6 +22,8 @@ from thigmo.config import (
     SAME_PRESSURE,
     SIGN,
     BoardSensor,
+    FibreSensor,
+    FlexSensor,
     HeadingSensor,
     Muscle,
     RobotConfig,
@@ -39,6 +41,7 @@ from thigmo.robot.configuration import out_of_range, parameter_settings
 from thigmo.wiring import (
     beyond_board,
     board_of,
+    column_name,
     columns,
     trigger_sensors,
     unexplored,
@@ -48,6 +51,7 @@ from thigmo.wiring import (
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
 _PROPPED = 1.5  # base moment over EI of a propped cantilever, over its free curvature
+_COUNTS = 1024  # of the converter
 _TICKS_HZ = 1000  # of the board
 # I2C in fast mode, nine bits a byte, and what begins and ends a transfer. Of an IMU behind a
 # multiplexer: its channel is written and read back, then 21 bytes of a BNO085's packet with a game
@@ -90,7 +94,8 @@ def judge(config: RobotConfig) -> list[Finding]:
         found.append(Finding("explore", "warning", text))
     for side in config.sides:
         found += _feels(config, side)
-    return [*found, *_inputs(config), *_rates(config), *_imus(config), *_fibre(config)]
+    found += [*_inputs(config), *_resolution(config), *_signs(config)]
+    return [*found, *_rates(config), *_imus(config), *_fibre(config)]
 
 
 def _not_held(config: RobotConfig) -> list[str]:
@@ -261,6 +266,63 @@ def _localized(
         for a in arcs
     ]
     return np.asarray(_QUANTILES * np.array(bounds) < WIDTH_SHARE * config.body.length_cm)
+
+
+def _resolution(config: RobotConfig) -> Iterator[Finding]:
+    """Flex sensors whose bends the converter cannot tell apart, as 1024 counts are the supply."""
+    board, coarse = config.board, {}
+    for name, sensor in _flex_sensors(config):
+        total = board.divider_ohm + sensor.zero_ohm
+        per_count = abs(sensor.scale_per_ohm) * total**2 / (_COUNTS * board.divider_ohm)
+        if per_count > TRIGGER_PER_CM:
+            coarse[name] = per_count, sensor.zero_ohm
+    if coarse:
+        name, (per_count, zero_ohm) = max(coarse.items(), key=lambda one: one[1])
+        more = f" and {len(coarse) - 1} more" if len(coarse) > 1 else ""
+        text = (
+            f"a count of the converter is {per_count:.2g} 1/cm, more than the trigger's "
+            f"{TRIGGER_PER_CM:g}, at zero_ohm = {zero_ohm:g} and divider_ohm = "
+            f"{board.divider_ohm:g}: correct the one that is wrong; they are usually alike"
+        )
+        yield Finding(f"sensor {name}{more}", "bad", text)
+
+
+def _signs(config: RobotConfig) -> Iterator[Finding]:
+    """Sensors whose scale is likely to have the wrong sign."""
+    for name, sensor in _flex_sensors(config):
+        if sensor.scale_per_ohm * sensor.valid_direction < 0:
+            text = (
+                f"its resistance falls in the only bends that it answers to: scale_per_ohm = "
+                f"{sensor.scale_per_ohm:g} and valid_direction = {sensor.valid_direction} differ "
+                "in sign; correct one of them, or measure both (`thigmo calibrate flex`)"
+            )
+            yield Finding(f"sensor {name}", "warning", text)
+    scales: dict[tuple[str, float], list[float]] = {}
+    for each in config.sensors:
+        if not each.valid_direction:
+            scale = each.scale_per_ue if isinstance(each, FibreSensor) else each.scale_per_ohm
+            scales.setdefault((each.kind, each.direction_deg), []).append(scale)
+    for (kind, lies), column in scales.items():
+        few, sign = min((sum(s > 0 for s in column), 1), (sum(s < 0 for s in column), -1))
+        if few:
+            places = ", ".join(str(k) for k, s in enumerate(column) if s * sign > 0)
+            text = (
+                f"scales of both signs: those of {kind} {places} (0 = at the base) differ from the "
+                "others'; correct them, unless these sensors lie the other way up"
+            )
+            yield Finding(f"column {column_name(config, lies)}", "warning", text)
+
+
+def _flex_sensors(config: RobotConfig) -> list[tuple[str, FlexSensor]]:
+    """The healthy flex sensors, by name."""
+    placed: dict[float, int] = {}
+    found = []
+    for sensor in config.board_sensors:
+        lies = sensor.direction_deg
+        k = placed[lies] = placed.get(lies, -1) + 1
+        if isinstance(sensor, FlexSensor) and sensor.healthy:
+            found.append((f"{column_name(config, lies)} {k}", sensor))
+    return found
 
 
 def _rates(config: RobotConfig) -> Iterator[Finding]:

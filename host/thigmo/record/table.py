@@ -36,9 +36,9 @@ class MissingColumnError(DataError):
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns by name; empty cells are nan, words stay words."""
+    """Columns by name, in any case; empty cells are nan, words stay words."""
 
-    columns: Mapping[str, Sequence[str]]
+    columns: Mapping[str, Sequence[str]]  # in lower case
     name: str  # of the file
     lines: Sequence[int]  # of each row in the file, from 1
     decimal_commas: bool = False  # columns are not separated by commas: numbers may have them
@@ -87,7 +87,7 @@ class Table:
         return cls(columns, name, lines, mark != ",")
 
     def __contains__(self, column: str) -> bool:
-        return column in self.columns
+        return column.lower() in self.columns
 
     def numbers(self, column: str, default: float | None = None) -> Array:
         """A column of numbers (n,); empty cells are nan.
@@ -123,8 +123,8 @@ class Table:
 
     def words(self, column: str, default: str | None = None) -> list[str]:
         """A column of words. Raises MissingColumnError if it is not there, without a default."""
-        if column in self.columns:
-            return list(self.columns[column])
+        if column in self:
+            return list(self.columns[column.lower()])
         if default is None:
             raise MissingColumnError(f"{self.name}: no column '{column}'", "add it")
         return [default] * len(self.lines)
@@ -199,12 +199,12 @@ def read_frames(path: str | os.PathLike[str], columns: Mapping[str, float]) -> F
     """
     table = Table.read(path)
     for name in columns:
-        if name.lower() not in table:
+        if name not in table:
             raise MissingColumnError(
                 f"{table.name}: no column `{name}` in its header ({', '.join(table.columns)})",
                 "name columns that it has: --columns NAME=POSITION,NAME=POSITION",
             )
-    curvature = np.column_stack([table.numbers(name.lower()) for name in columns])
+    curvature = np.column_stack([table.numbers(name) for name in columns])
     time_s = table.numbers("t_s") if "t_s" in table else None
     return FramesTable(np.array([*columns.values()]), curvature, time_s, tuple(table.lines))
 

@@ -39,7 +39,7 @@ from thigmo.stream.messages import (
     Posterior,
     Telemetry,
 )
-from thigmo.wiring import board_of, columns, muscle_outputs
+from thigmo.wiring import board_of, columns, key_of, muscle_outputs
 
 Row = dict[str, Any]
 Named = dict[int, list[tuple[int, str]]]  # place in a message's tuple and name
@@ -169,7 +169,7 @@ def config_in(folder: str | os.PathLike[str]) -> RobotConfig:
 def _named(config: RobotConfig) -> Named:
     """Names of muscles and sensors, by how many numbers a message has for them."""
     sensors = [
-        (number, f"{column.name.replace(' ', '')}_{place}")
+        (number, key_of(f"{column.name} {place}"))
         for column in columns(config)
         for place, number in enumerate(column.inputs)
     ]

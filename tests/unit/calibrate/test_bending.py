@@ -22,14 +22,14 @@ PULLS = np.array([0.05, 0.1, 0.14, -0.05, -0.1, -0.14])  # N at the tip
 
 def robot(gain: float = 0.02) -> RobotConfig:
     config = RobotConfig()
-    for sensor in sensors_of(config):
+    for sensor in sensors_of(config).values():
         sensor.scale_se = gain
     return config
 
 
 def readings(config: RobotConfig, rng: np.random.Generator, gains: Floats) -> Floats:
     """(t, 10) what the sensors read above the straight robot, gains off."""
-    sensors = sensors_of(config)
+    sensors = list(sensors_of(config).values())
     center, span, noise = (
         np.array([getattr(sensor, name) for sensor in sensors])
         for name in ("center_cm", "span_cm", "noise")

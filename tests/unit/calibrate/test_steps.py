@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from thigmo.config import Muscle, RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
 from thigmo.mechanics.settling import Settling
+from thigmo.record.table import write_table
 
 CRITICAL = 0.01108
 
@@ -114,7 +116,7 @@ def test_hysteresis_law_and_its_use_before_thirty_seconds():
     for _ in range(4):
         for index in range(5):
             t, y = decay(rng, 7.5, rng.normal(0.02, 0.005))
-            records.append(CreepRecord("left", index, t, y))
+            records.append(CreepRecord(f"left {index}", t, y))
     result = fit_hysteresis(records, config)
     assert result.verdict.good
     made = result.apply(config)
@@ -135,7 +137,7 @@ def test_hysteresis_law_and_its_use_before_thirty_seconds():
 def test_a_sensor_without_creep_is_no_failure():
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 30.0, 0.25)
-    records = [CreepRecord("left", 0, t, rng.normal(0, 4e-4, len(t)))]
+    records = [CreepRecord("left 0", t, rng.normal(0, 4e-4, len(t)))]
     result = fit_hysteresis(records, RobotConfig())
     assert result.verdict.good
     assert "no creep" in result.sensors[0].reason
@@ -143,7 +145,7 @@ def test_a_sensor_without_creep_is_no_failure():
 
 def test_a_record_that_only_rises_is_no_decay_and_no_traceback():
     t = np.arange(0.0, 30.0, 0.25)
-    result = fit_hysteresis([CreepRecord("left", 0, t, 1e-3 * t)], RobotConfig())
+    result = fit_hysteresis([CreepRecord("left 0", t, 1e-3 * t)], RobotConfig())
     assert not result.verdict.good
     assert "left 0: the record shows no decay" in result.verdict.notes
 
@@ -340,7 +342,7 @@ def test_every_fit_draws_its_figure_and_every_result_makes_plain_data(tmp_path):
     rng = np.random.default_rng(6)
     results = [
         fit_buckling(*pushes(0), config),
-        fit_hysteresis([CreepRecord("left", 0, *decay(rng, 8.0, 0.02))], config),
+        fit_hysteresis([CreepRecord("left 0", *decay(rng, 8.0, 0.02))], config),
         fit_stiffness([axis(1.0, y, rng) for y in (7.0, -8.0, 9.0)], config),
         fit_noise(np.arange(40.0), rng.normal(0, 6e-4, (40, 10)), config),
         fit_encoder(np.arange(8) * 700.0 + 700, np.arange(8) * 4.6 + 4.6, config),
@@ -355,3 +357,74 @@ def test_every_fit_draws_its_figure_and_every_result_makes_plain_data(tmp_path):
         assert not fitted or path.stat().st_size > 5_000
         assert result.as_data()["verdict"]["good"] == result.verdict.good
         assert isinstance(result.apply(config), RobotConfig)
+
+
+def named() -> RobotConfig:
+    """The thesis's robot with one muscle, `Port`; nothing lies over its second column."""
+    config = RobotConfig()
+    config.muscles = config.muscles[:1]
+    config.muscles[0].name = "Port"
+    return config
+
+
+SENSORS = [f"Port {k}" for k in range(5)] + [f"270 deg {k}" for k in range(5)]
+
+
+def test_results_call_sensors_and_muscles_as_robot_toml_does(tmp_path: Path) -> None:
+    config, rng = named(), np.random.default_rng(3)
+    level = rng.normal(0, 4e-4, (60, 10))
+    level[:, 7] *= 10
+    noise = fit_noise(np.arange(60.0), level, config)
+    assert [each.name for each in noise.sensors] == SENSORS
+    assert any(note.startswith("270 deg 2 is loud") for note in noise.verdict.notes)
+    assert noise.apply(config).column("right")[2].noise == noise.sensors[7].white
+    draw(noise, tmp_path / "noise.png")
+
+    t, y = decay(rng, 7.5, 0.02)
+    crept = fit_hysteresis([CreepRecord("270 deg 1", t, y)], config)
+    assert crept.apply(config).column("right")[1].settle_tau_s == pytest.approx(7.5, rel=0.2)
+    with pytest.raises(DataError, match="no sensor right 1 in robot"):
+        fit_hysteresis([CreepRecord("right 1", t, y)], config)
+
+    two = whole(RobotConfig())
+    one = {"left": two.bend_ohm["left"]}
+    checked = run_check(replace(two, bend_ohm=one), config)
+    what = [found.what for found in checked.findings]
+    assert what == [
+        *(f"sensor {name}" for name in SENSORS), "Port muscle", "Port muscle's tightness",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("names", ["as robot.toml", "by side"])
+def test_a_csv_calls_sensors_as_robot_toml_does_or_by_side_as_before(
+    tmp_path: Path, names: str
+) -> None:
+    config, rng = named(), np.random.default_rng(4)
+    t, y = decay(rng, 7.5, 0.02)
+    if names == "by side":
+        columns = [f"curvature_{side}_{k}" for side in ("left", "right") for k in range(5)]
+        place = {"side": ["right"] * len(t), "index": [2] * len(t)}
+    else:
+        columns = [f"curvature_port_{k}" for k in range(5)]
+        columns += [f"curvature_270deg_{k}" for k in range(5)]
+        place = {"sensor": ["270deg_2"] * len(t)}
+    rest = rng.normal(0, 4e-4, (60, 10))
+    file = tmp_path / "rest.csv"
+    write_table(file, {"t_s": np.arange(60.0)} | dict(zip(columns, rest.T, strict=True)))
+    found = fit_csv("noise", file, config)
+    assert [each.name for each in found.sensors] == SENSORS
+    assert found.sensors[7].white == pytest.approx(4e-4, rel=0.3)
+    write_table(file, place | {"t_s": t, "curvature": y})
+    (fit,) = fit_csv("hysteresis", file, config).sensors
+    assert fit.name == "270 deg 2"
+
+
+def test_a_csv_with_an_unknown_sensor_is_told_which_there_are(tmp_path: Path) -> None:
+    config, file = named(), tmp_path / "rest.csv"
+    file.write_text("t_s,curvature_starboard_0\n0,0\n")
+    with pytest.raises(DataError, match="no column 'curvature_Port_0'") as refused:
+        fit_csv("noise", file, config)
+    assert "sensors of this robot: Port_0, Port_1" in "\n".join(refused.value.__notes__)
+    file.write_text("sensor,t_s,curvature\nstarboard_0,0,0\n")
+    with pytest.raises(DataError, match=r"no sensor starboard_0 in robot\.toml; use Port_0,"):
+        fit_csv("hysteresis", file, config)
