@@ -39,6 +39,9 @@ class Effort:
     measurements: int
     # a young sensor counts once its rest is known to this multiple of its noise
     rest_noise: float = 1.0
+    # whether every measurement may raise the body pressure, and not the full length's alone, after
+    # which nothing lowers it again
+    raises_often: bool = False
     time_s: float = inf  # budget of robot time
 
     def lengths(self, config: RobotConfig) -> list[float]:
@@ -102,14 +105,20 @@ class Effort:
             look_s = 2 * (rising_period_s(config, config.body.zone_at(stop)) / 4 + _VENTS_S)
             spent = max(spent + _ZERO_S, settled_s + _ZERO_SETTLED_S) + look_s
             if self.measurements and stop > config.body.length_cm / 2:
-                spent += self.measurement_s / 2
+                spent += self.measurement_s(config, stop) / 2
             length_cm = stop
         return spent
 
-    @property
-    def measurement_s(self) -> float:
-        """Robot time (s) that the measurement of a contact takes."""
-        return _REST_S / self.rest_noise + self.measurements * _MEASURE_S
+    def raises(self, config: RobotConfig, length_cm: float) -> bool:
+        """Whether a measurement at a length may raise the body pressure."""
+        return self.raises_often or length_cm > config.body.length_cm - SAME_CM
+
+    def measurement_s(self, config: RobotConfig, length_cm: float) -> float:
+        """Robot time (s) that the measurement of a contact at a length takes."""
+        full = length_cm > config.body.length_cm - SAME_CM
+        turns = (1 if full else 2) if self.raises(config, length_cm) else 0
+        rest_s = _REST_S / self.rest_noise
+        return rest_s + turns * _PRESSURE_S + self.measurements * _MEASURE_S
 
     def stops_after(
         self,
@@ -147,7 +156,7 @@ class Effort:
         full_cm = config.body.length_cm
         after = [full_cm] if length_cm < full_cm - SAME_CM else []
         look = replace(self, measurements=0)
-        needed_s = self.measurement_s + look.expected_s(config, after, length_cm)
+        needed_s = self.measurement_s(config, length_cm) + look.expected_s(config, after, length_cm)
         return self.measurements > 0 and spent_s + needed_s <= self.time_s
 
 
@@ -157,7 +166,7 @@ EFFORTS = {
     for each in (
         Effort("quick", 3, 1, rest_noise=inf),
         Effort("default", 4, 1),
-        Effort("careful", 6, 2, rest_noise=0.5),
+        Effort("careful", 6, 2, rest_noise=0.5, raises_often=True),
     )
 }
 THESIS = Effort("thesis", 99, 0)  # stops at every pitch

@@ -3,12 +3,14 @@
 The sweep that finds a contact goes to the muscle's highest pressure, and there the body may have
 folded at its base or slipped off the peg: its peak is where the thesis measured, and not where a
 contact is felt best. So a side on which the trigger fired is swept once more, to the pressure at
-which the contact's moment came near the fold, and measured at that sweep's peak.
+which the contact's moment came near the fold, and measured at that sweep's peak. If the fold limits
+that moment, and somebody is there to raise the body pressure, the contact is pressed harder at a
+higher one, where it takes a larger moment to fold the base.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -21,6 +23,8 @@ from thigmo.robot.curvature import Floats
 # Of the moment that folds the base. The slow sweep holds the base back farther than the fast one
 # did at that pressure, so most measurements end past the fold: the larger signal is worth it.
 _SHARE = 0.65
+# The body pressure is raised for so many times the moment, or more.
+_WORTH = 1.25
 _SMOOTH = 5  # frames, a quarter of a second
 # Since a touch, the base has given up at least this share of what the map has gone on.
 GIVES_UP = 1 / 1.3
@@ -90,6 +94,34 @@ def held_now(frames: Sequence[SweepFrame], side: Side) -> float:
 def pressed_enough(held_per_cm: float, config: RobotConfig, zone: int) -> bool:
     """Whether the base is so near its fold that further bending would add nothing but the fold."""
     return held_per_cm >= _SHARE * fold_moment(config, zone)
+
+
+def pressing_zone(
+    frames: Sequence[SweepFrame], sides: Collection[Side], config: RobotConfig, zone: int
+) -> int:
+    """Zone of the body pressure in which contacts can be pressed hardest, found in another zone.
+
+    `frames` are of the sweep that found them. A body under more pressure folds at a larger moment,
+    but its muscles bend it less. From a touch on, the base is held back by at least about as much
+    as the free body would have bent further.
+    """
+    if any(
+        not pressed_enough(held_back(frames, side).max(initial=0.0), config, zone) for side in sides
+    ):
+        return zone  # the muscle or a slip limits the moment, and not the fold
+
+    def pressed(each: int) -> float:
+        """What the base can be held back by, 1/cm."""
+        further = [
+            config.muscle(side).maps[each].inflate.curvature(config.muscle(side).max_pressure_psi)
+            - abs(touch_curvature(frames, side) or 0.0)
+            for side in sides
+        ]
+        return min(*further, _SHARE * fold_moment(config, each))
+
+    psi = [each.pressure_psi for each in config.body.zones]
+    best = max((each for each in range(len(psi)) if psi[each] >= psi[zone]), key=pressed)
+    return best if pressed(best) > _WORTH * pressed(zone) else zone
 
 
 def measuring_pressure(

@@ -252,7 +252,7 @@ class RecordedRun:
                 known.has_looked(_joined(new), new[-1].zone)
                 return True
             case "MEASURE", _ if new:
-                known.has_measured(_joined(new))
+                known.has_measured(_joined(new), new[-1].zone)
                 return True
             case "LOCALIZE", _ if known.looked.peaks:
                 known.localized()

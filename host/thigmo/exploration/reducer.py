@@ -43,7 +43,7 @@ class Reducer:
     ) -> None:
         self._table = SensorTable.of(config)
         self._board = self._table.board  # whose zeros last from stage to stage
-        self._zone = 0
+        self._zone = self._measured_zone = 0
         self.found = Interpreter(config, prior, method)
         self.stages: list[Stage] = []
         self.looked = SweepResult()
@@ -120,15 +120,17 @@ class Reducer:
         """A sweep for contacts has ended, in a zone of body pressure."""
         self.looked, self.measured, self.answers, self._zone = sweep, None, [], zone
 
-    def has_measured(self, sweep: SweepResult) -> None:
-        """The sides with a contact were swept again, for the first time or once more."""
+    def has_measured(self, sweep: SweepResult, zone: int) -> None:
+        """The sides with a contact were swept again, for the first time or once more, in a zone."""
         if self.measured:
             sweep = replace(SweepResult.joined([self.measured, sweep]), truth=sweep.truth)
-        self.measured = sweep
+        self.measured, self._measured_zone = sweep, zone
 
     def localized(self) -> list[PeakAnswer]:
         """Localize the stage's contacts."""
-        self.answers = self.found.localize(self.looked, self.measured, self._zone)
+        self.answers = self.found.localize(
+            self.looked, self.measured, self._zone, self._measured_zone
+        )
         return self.answers
 
     def mapped(self) -> None:

@@ -16,7 +16,13 @@ from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort
 from thigmo.exploration.map import peg_ahead
-from thigmo.exploration.measuring import held_now, held_sides, measuring_pressure, pressed_enough
+from thigmo.exploration.measuring import (
+    held_now,
+    held_sides,
+    measuring_pressure,
+    pressed_enough,
+    pressing_zone,
+)
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import SAME_CM, growth_target, growth_zone, stage_lengths, trial_zone
 from thigmo.exploration.reducer import Reducer
@@ -73,11 +79,12 @@ class Exploration:
     _stage_cm: float = 0.0
     _start_cm: float = 0.0  # length at which the stage's growth began
     _zone: int = 0
+    _measured_zone: int = 0  # of the body pressure at which the stage's contacts are measured
     _body_psi: float | None = None  # what the operator last set
     _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
-    _measured: int = 0  # sweeps that have measured the stage's contacts
+    _measurements: int = 0  # sweeps that have measured the stage's contacts
     _ends_s: float = 0.0  # robot time at which the run is expected to end; 0 before a plan
     _done: float = 0.0  # share of the run
 
@@ -191,18 +198,28 @@ class Exploration:
             self._zone = raised
         pressure = self.config.body.zones[self._zone].pressure_psi
         if self.protocol == "thesis" or pressure != self._body_psi:
-            self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
             try:
-                self.robot.operator.set_body_pressure(pressure)
+                self._set_body_pressure(self._zone)
             except DataError:
                 if self._knows.tried is None:
                     raise
                 self._knows.gives_up_trial()
                 self._end_at_obstruction()
                 return "stalled, nobody to ask"
-            self._body_psi = pressure
-        self.robot.select_zone(self._zone)
+        else:
+            self.robot.select_zone(self._zone)
         return "pressure set"
+
+    def _set_body_pressure(self, zone: int) -> None:
+        """Ask for the body pressure of a zone, and tell the board which it is.
+
+        Raises DataError if nobody is there to set it.
+        """
+        pressure = self.config.body.zones[zone].pressure_psi
+        self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
+        self.robot.operator.set_body_pressure(pressure)
+        self._body_psi = pressure
+        self.robot.select_zone(zone)
 
     def _grow(self) -> str:
         target = growth_target(self.config, self.length_cm, self._stage_cm)
@@ -307,7 +324,7 @@ class Exploration:
     def _sweep(self) -> str:
         thesis = self.protocol == "thesis"
         period_s = sweep_period_s if thesis else rising_period_s
-        self._known, self._measured = set(), 0
+        self._known, self._measurements = set(), 0
         looked = self.robot.sweep(
             {
                 muscle.name: muscle.max_pressure_psi
@@ -344,11 +361,16 @@ class Exploration:
         self._known.add(side)
         return True
 
-    def _publish_posterior(self, so_far: SweepResult) -> bool:
-        """Tell viewers what a measurement feels so far; it goes on to its end."""
-        if self.live.due and (answer := self._found.so_far(so_far, self._zone)) is not None:
+    def _measured_enough(self, so_far: SweepResult) -> bool:
+        """Whether a measurement at a raised body pressure can stop: the base is near its fold.
+
+        Viewers are told what it feels so far.
+        """
+        zone = self._measured_zone
+        if self.live.due and (answer := self._found.so_far(so_far, zone)) is not None:
             self.live.posterior(self.length_cm, answer, sweeping=True)
-        return False
+        held = held_now(so_far.frames, so_far.peaks[-1].side)
+        return zone != self._zone and pressed_enough(held, self.config, zone)
 
     def _rest(self) -> str:
         """Let the young sensors stand still until what they rest at is known well enough."""
@@ -369,24 +391,44 @@ class Exploration:
             return "young"
         return "every sensor known"
 
+    def _press(self) -> str:
+        """Raise the body pressure if contacts can be pressed harder with it."""
+        self._measured_zone = self._zone
+        zone = pressing_zone(self._knows.looked.frames, self._unplaced(), self.config, self._zone)
+        if zone == self._zone or not self.effort.raises(self.config, self._stage_cm):
+            return "pressure as it is"
+        self.robot.vent()
+        try:
+            self._set_body_pressure(zone)
+        except DataError:
+            return "nobody to ask"
+        self._measured_zone = zone
+        return "pressure set"
+
+    def _unplaced(self) -> set[Side]:
+        """Sides with a contact whose place the first sweep does not tell well enough."""
+        return held_sides(self._knows.looked) - self._known
+
     def _measure(self) -> str:
-        fired = held_sides(self._knows.looked) - self._known
-        frames = self._knows.looked.frames
+        frames, zone, unplaced = self._knows.looked.frames, self._measured_zone, self._unplaced()
         tops: dict[str | float, float] = {
-            muscle.name: measuring_pressure(frames, muscle.side, self.config, self._zone)
+            muscle.name: measuring_pressure(frames, muscle.side, self.config, zone)
+            if zone == self._zone
+            else muscle.max_pressure_psi
             for muscle in self.config.muscles
-            if muscle.side in fired
+            if muscle.side in unplaced
         }
         self.robot.vent()
         measured = self.robot.sweep(
             tops,
-            period_s=sweep_period_s(self.config, self._zone, top_psi=max(tops.values())),
+            period_s=sweep_period_s(self.config, zone, top_psi=max(tops.values())),
             rising_only=True,
-            enough=self._publish_posterior,
+            enough=self._measured_enough,
         )
-        self._measured += 1
-        self._knows.has_measured(measured)
-        return "once more" if self._measured < self.effort.measurements else "measured"
+        self._measurements += 1
+        self._knows.has_measured(measured, zone)
+        again = self._measurements < self.effort.measurements
+        return "once more" if again else "measured"
 
     def _localize(self) -> str:
         answers = self._knows.localized()

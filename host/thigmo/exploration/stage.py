@@ -65,7 +65,7 @@ class Interpreter:
         self.map = ContactMap(config, prior)  # contacts so far
 
     def localize(
-        self, sweep: SweepResult, measuring: SweepResult | None, zone: int
+        self, sweep: SweepResult, measuring: SweepResult | None, zone: int, measured_zone: int
     ) -> list[PeakAnswer]:
         """Contacts of a stage: where the board's trigger fired, or the readings leave no doubt.
 
@@ -84,11 +84,14 @@ class Interpreter:
             side = peak.side
             if side in caught or not self._table.usable(side, peak.sensors).any():
                 continue  # no sensor is everted and healthy
-            for each in (sweep, measuring) if measuring else (sweep,):
-                _learn(self._response, each, side, zone, touch_curvature(sweep.frames, side))
+            touched = touch_curvature(sweep.frames, side)
+            _learn(self._response, sweep, side, zone, touched)
+            if measuring:
+                _learn(self._response, measuring, side, measured_zone, touched)
             final = mean_peak(again[side] or [peak])
             touch = touch_mass(sweep.frames, side, self._bends)
-            answer = self._localize(final, zone, self._response, touch)
+            at = measured_zone if again[side] else zone
+            answer = self._localize(final, at, self._response, touch)
             certain = any(sighting.contact.probability > _CERTAIN for sighting in answer.sightings)
             if side in fired or certain:
                 answers.append(answer)

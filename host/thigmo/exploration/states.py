@@ -24,6 +24,7 @@ class State(StrEnum):
     ZERO = "zeroing the sensors"
     SWEEP = "sweeping"
     REST = "standing still to know how young sensors creep"
+    PRESS = "setting the body pressure for a measurement"
     MEASURE = "sweeping again to measure a contact"
     LOCALIZE = "localizing"
     MAP = "mapping"
@@ -70,7 +71,10 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.SWEEP, "contact, thesis protocol", State.LOCALIZE),
     Transition(State.SWEEP, "no contact", State.LOCALIZE),
     Transition(State.REST, "young", State.REST),
-    Transition(State.REST, "every sensor known", State.MEASURE),
+    Transition(State.REST, "every sensor known", State.PRESS),
+    Transition(State.PRESS, "pressure set", State.MEASURE),
+    Transition(State.PRESS, "pressure as it is", State.MEASURE),
+    Transition(State.PRESS, "nobody to ask", State.MEASURE),
     Transition(State.MEASURE, "measured", State.LOCALIZE),
     Transition(State.MEASURE, "once more", State.MEASURE),
     Transition(State.LOCALIZE, "contact", State.MAP),
