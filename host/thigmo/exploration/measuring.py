@@ -102,8 +102,8 @@ def pressing_zone(
     """Zone of the body pressure in which contacts can be pressed hardest, found in another zone.
 
     `frames` are of the sweep that found them. A body under more pressure folds at a larger moment,
-    but its muscles bend it less. From a touch on, the base is held back by at least about as much
-    as the free body would have bent further.
+    but its muscles bend it less. From where the trigger fires, the base is held back further by at
+    least about as much as the free body would have bent on.
     """
     if any(
         not pressed_enough(held_back(frames, side).max(initial=0.0), config, zone) for side in sides
@@ -117,7 +117,7 @@ def pressing_zone(
             - abs(touch_curvature(frames, side) or 0.0)
             for side in sides
         ]
-        return min(*further, _SHARE * fold_moment(config, each))
+        return min(TRIGGER_PER_CM + min(further), _SHARE * fold_moment(config, each))
 
     psi = [each.pressure_psi for each in config.body.zones]
     best = max((each for each in range(len(psi)) if psi[each] >= psi[zone]), key=pressed)
