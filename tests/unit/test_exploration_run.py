@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from thigmo.config import RobotConfig
-from thigmo.errors import CommandRefusedError, RobotFaultError
+from thigmo.errors import CommandRefusedError, DataError, RobotFaultError
 from thigmo.exploration.effort import Effort
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.exploration.states import State
@@ -18,6 +19,8 @@ from thigmo.record import LogWriter, RunDocument, RunFolder
 from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
 from thigmo.robot.strains import Strains
 from thigmo.stream import Hub
+
+EVERY_PITCH = Effort("every pitch", 6, 1)
 
 
 class Script:
@@ -36,6 +39,7 @@ class Script:
         self.oversample = 16
         self.settles_at = np.inf
         self.clear = False  # ask whether the sweep is enough already
+        self.alone = False  # nobody is there once the stages have begun
         self.doubt = 0.0  # about what young sensors rest at, 1/cm
         self.hub = Hub()
         self.strains = Strains()
@@ -62,6 +66,8 @@ class Script:
         self._call(f"beware: {danger}")
 
     def set_body_pressure(self, pressure_psi: float) -> None:
+        if self.alone and self.length > 50:
+            raise DataError("the body pressure must be set by hand", "set the regulator")
         self._call(f"body {pressure_psi}")
 
     def configure(self, config: RobotConfig) -> bool:
@@ -165,8 +171,10 @@ def _explore(
     robot: Script,
     protocol: Protocol = "measure",
     progress: Progress = lambda doing, share: None,
+    effort: Effort = EVERY_PITCH,
 ) -> Exploration:
     document = RunDocument(thigmo="0", name="n", url="u", started="s")
+    tmp_path.mkdir(exist_ok=True)
     log = LogWriter(tmp_path / "run.mcap", {})
     run = Exploration(
         robot,  # type: ignore[arg-type]
@@ -176,7 +184,7 @@ def _explore(
         document,
         progress,
         protocol,
-        Effort("every pitch", 6, 1),
+        effort,
     )
     with log:
         run.run()
@@ -211,6 +219,42 @@ def test_progress_never_falls_and_ends_at_the_whole(tmp_path: Path, protocol: Pr
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert len(set(shares)) > 10
+
+
+def _measured(robot: Script) -> list[str]:
+    """What the robot was asked from the first sweep that found the contact until measured."""
+    calls = robot.calls
+    last = max(n for n, call in enumerate(calls) if call.startswith("sweep") and call[-2:] == " 0")
+    looked = max(n for n, call in enumerate(calls[:last]) if call == "sweep 18 18")
+    return calls[looked + 1 : last + 1]
+
+
+def test_the_body_pressure_is_raised_to_measure_at_the_full_length(tmp_path: Path) -> None:
+    robot = Script(touches_at=53)
+    _explore(tmp_path, robot)
+    assert _measured(robot) == ["vent", "body 1.47", "zone 0", "vent", "sweep 18 0"]
+    assert not any(call.startswith("body") for call in robot.calls[-4:])  # and stays there
+
+
+def test_the_body_pressure_is_lowered_again_to_grow_on(tmp_path: Path) -> None:
+    robot = Script(touches_at=50)
+    _explore(tmp_path / "seldom", robot)
+    assert not any(call.startswith("body") for call in _measured(robot))
+    robot = Script(touches_at=50)
+    _explore(tmp_path / "often", robot, effort=replace(EVERY_PITCH, raises_often=True))
+    assert "body 1.47" in _measured(robot)
+    raised = robot.calls.index("sweep 18 0")
+    assert robot.calls[raised + 1 : raised + 5] == ["vent", "body 0.49", "zone 2", "grow 53"]
+
+
+def test_a_contact_is_measured_as_it_is_if_nobody_raises_the_body_pressure(tmp_path: Path) -> None:
+    robot = Script(touches_at=53)
+    robot.alone = True
+    run = _explore(tmp_path, robot)
+    assert run.document.outcome == "full length"
+    *before, swept = _measured(robot)
+    assert before == ["vent", "vent"]
+    assert float(swept.split()[1]) < 18
 
 
 def test_young_sensors_are_set_aside_and_measure_once_their_rest_is_known(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from thigmo.exploration.measuring import (
     fold_moment,
     held_sides,
     measuring_pressure,
+    pressing_zone,
     touch_curvature,
 )
 from thigmo.exploration.reference import FreeResponse
@@ -52,6 +53,27 @@ def test_the_measurement_is_taken_short_of_the_fold() -> None:
 def test_a_weak_contact_is_measured_where_it_is_strongest() -> None:
     assert measuring_pressure(_half("left", -0.0006, 6.0), "left", CONFIG, 2) > 17.5
     assert measuring_pressure([], "left", CONFIG, 2) == 18.0
+
+
+@pytest.mark.parametrize(
+    "slope, onset_psi, zone",
+    [
+        (-0.004, 2.0, 0),  # touched early: three times the moment
+        (-0.004, 11.0, 1),  # later: at the highest pressure the muscle would bend it too little
+        (-0.004, 14.5, 2),  # just before the end: at any higher one
+        (-0.0006, 6.0, 2),  # the base is far from its fold
+    ],
+)
+def test_the_body_pressure_is_raised_where_the_fold_limits(
+    slope: float, onset_psi: float, zone: int
+) -> None:
+    frames = _half("left", slope, onset_psi)
+    config = deepcopy(CONFIG)
+    for each, amplitude in zip(config.muscle("left").maps, (0.026, 0.028, 0.03), strict=True):
+        each.inflate.amplitude = amplitude
+    assert pressing_zone(frames, {"left"}, config, 2) == zone
+    assert pressing_zone(frames, {"left", "right"}, config, 2) == 2  # the right one felt nothing
+    assert pressing_zone(frames, {"left"}, config, 0) == 0  # there is no higher one
 
 
 def test_the_fold_moment_grows_with_body_pressure() -> None:

@@ -170,7 +170,7 @@ def test_free_bends_tell_scale_zero_and_drift(tmp_path: Path) -> None:
     turn[:, 4] *= -1
     turn[:, 7] = np.nan
     worse = fit_heading(t_s, bend, 12_000.0 + turn / RAD_PER_OHM, CONFIG)
-    assert [fit.index for fit in worse.sensors if not fit.healthy] == [4, 7]
+    assert [n for n, fit in enumerate(worse.sensors) if not fit.healthy] == [4, 7]
     assert "turns the other way" in worse.verdict.notes[0]
     assert "does not answer" in worse.verdict.notes[1]
 

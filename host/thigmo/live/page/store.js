@@ -21,7 +21,7 @@ export const shade = ({ side, inputs }, n) => (
 );
 const KEPT = 40_000; // rows: more than three minutes of full telemetry
 const TRAIL = 400; // shapes of a stage
-const SWEEPING = ["SWEEP", "REST", "MEASURE", "LOCALIZE"];
+const SWEEPING = ["SWEEP", "REST", "PRESS", "MEASURE", "LOCALIZE"];
 
 export const BOARD = { state: "", activity: "", faults: [] };
 // What is known of a run before its first message.
