@@ -112,8 +112,8 @@ def test_a_budget_that_runs_out_keeps_the_longest_body_that_it_can() -> None:
 
 
 def test_a_plan_made_on_the_way_waits_for_what_settles_yet() -> None:
-    config, effort = RobotConfig(), within(150.0, RobotConfig())
-    spent = 150.0 - effort.expected_s(config, [50, 53], 30.0) - 0.1
+    config, effort = RobotConfig(), within(160.0, RobotConfig())
+    spent = 160.0 - effort.expected_s(config, [50, 53], 30.0) - 0.1
     assert effort.stops_after(config, 30.0, spent, swept=True) == [50, 53]
     settles = config.board.settle_s
     assert effort.stops_after(config, 30.0, spent, swept=True, settles_s=settles) == [53]
