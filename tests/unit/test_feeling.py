@@ -56,7 +56,7 @@ def test_a_weak_contact_is_measured_where_it_is_strongest() -> None:
 
 
 @pytest.mark.parametrize(
-    "slope, onset_psi, zone",
+    ("slope", "onset_psi", "zone"),
     [
         (-0.004, 2.0, 0),  # touched early: three times the moment
         (-0.004, 11.0, 1),  # later: at the highest pressure the muscle would bend it too little
