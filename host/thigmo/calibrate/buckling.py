@@ -15,7 +15,7 @@ import numpy as np
 from thigmo.calibrate.bench import READ_S, STEADY_S, Bench, Row
 from thigmo.calibrate.columns import Array, column, constants_of, of_sensors
 from thigmo.calibrate.flex_lines import loop_turns
-from thigmo.calibrate.regression import outlying
+from thigmo.calibrate.regression import Mask, outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
@@ -47,12 +47,14 @@ Fit = Callable[[Array, float, float, RobotConfig], BucklingResult]
 
 
 def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
-    """Critical curvature from hard pushes, sides in turn, each with its own straight reading.
+    """Critical curvature from hard pushes, each with its own straight reading.
 
-    Run it after flex.
+    They go to both sides in turn, or to the one side to which enough sensors answer. Run it after
+    flex. Raises DataError if too few sensors answer to either side.
     """
     body = bench.config.body
     reach = push_tip(_HARD * body.critical_curvature, body.length_cm).tip[1]
+    signs = _readable_signs(bench.config, body.length_cm)
 
     def take(key: str, y_cm: float) -> Row:
         bench.hand.push_tip(None)
@@ -64,7 +66,7 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
         bench.hand.push_tip(None)
         return {"rest": bench.ohm(straight), "ohm": bench.ohm(pushed)}
 
-    planned = {f"push {n}": (-1) ** n * reach for n in range(bench.plan.pushes)}
+    planned = {f"push {n}": signs[n % len(signs)] * reach for n in range(bench.plan.pushes)}
     rows = bench.rows("pushes", planned, take)
     (scale,) = constants_of(bench.config, "scale_per_ohm")
     gone, rest = column(rows, "ohm") * scale, column(rows, "rest") * scale
@@ -100,13 +102,9 @@ def fit_buckling(
     if curvature.shape[1] != len(center):
         what = f"{curvature.shape[1]} columns for {len(center)} sensors"
         raise DataError(what, "use this robot's file")
-    # The fold spreads over a diameter from the base.
     near = center - span / 2 < config.body.diameter_cm
-    beyond = (healthy > 0) & ~near & (center + span / 2 <= length_cm)
-    if beyond.sum() < 2:
-        raise DataError(
-            "fewer than two healthy sensors lie beyond the fold", "calibrate the flex sensors first"
-        )
+    beyond = _beyond_fold(config, length_cm)
+    _readable_signs(config, length_cm)  # refuses a robot with too few of them
     each, excess, own = np.full((3, len(curvature)), np.nan)
     shallow, unread = [], []
     for trial, row in enumerate(curvature):
@@ -163,6 +161,29 @@ def fit_buckling(
         reason += "; take more trials or calibrate the flex sensors better"
     verdict = Verdict(good, reason, notes)
     return BucklingResult(mean, se, each, excess, body_pressure_psi, verdict)
+
+
+def _beyond_fold(config: RobotConfig, length_cm: float) -> Mask:
+    """(m,) the healthy sensors beyond the fold, which spreads over a diameter from the base."""
+    center, span, healthy = constants_of(config, "center_cm", "span_cm", "healthy")
+    near = center - span / 2 < config.body.diameter_cm
+    return np.asarray((healthy > 0) & ~near & (center + span / 2 <= length_cm))
+
+
+def _readable_signs(config: RobotConfig, length_cm: float) -> list[int]:
+    """Signs of the bends to which two healthy sensors beyond the fold answer, 1 first.
+
+    Raises DataError if there is none.
+    """
+    (way,) = constants_of(config, "valid_direction")
+    beyond = _beyond_fold(config, length_cm)
+    found = [sign for sign in (1, -1) if (beyond & ((way == 0) | (way == sign))).sum() >= 2]
+    if not found:
+        raise DataError(
+            "fewer than two healthy sensors beyond the fold answer to a push to the same side",
+            "calibrate the flex sensors first",
+        )
+    return found
 
 
 def _moment(

@@ -16,7 +16,9 @@ from thigmo.calibrate.session import Session, blank
 from thigmo.camera import CameraMovedError, MarkerMissingError, Sheet, locate
 from thigmo.camera.sheet import card_decals
 from thigmo.config import SIDES
+from thigmo.design import draft
 from thigmo.emulator.scene import FaultTable, Scene
+from thigmo.errors import DataError
 
 PLAN = Plan(places=4, straight=1, trials=1, step_psi=9.0, pushes=3, rest_readings=24)
 
@@ -195,3 +197,28 @@ def test_stiffness_is_told_as_exactly_as_it_must_be(tmp_path):
     assert result.verdict.good, result.verdict
     assert result.ratio_se < 0.11
     assert abs(result.ratio - 1.0) < 3 * result.ratio_se
+
+
+@pytest.mark.ci
+def test_a_robot_whose_sensors_answer_to_one_side_is_pushed_there_only(tmp_path, monkeypatch):
+    lab = Lab(tmp_path, robot=draft(53.0, 5, 1))
+    bench = lab.bench()
+    push, asked = bench.hand.push_tip, []
+    monkeypatch.setattr(bench.hand, "push_tip", lambda y: asked.append(y) or push(y))
+    result = steps.run(bench, "buckling")
+    lab.robot.close()
+    assert result.verdict.notes == ()
+    assert np.isfinite(result.each).all()
+    assert min(y for y in asked if y is not None) > 0.0  # the column on the right answers to left
+    truth = lab.scene.robot.body.critical_curvature
+    assert result.critical_curvature == pytest.approx(truth, rel=0.2)  # scales are uncalibrated
+
+
+def test_a_robot_with_too_few_sensors_that_answer_to_a_side_is_not_pushed(tmp_path):
+    robot = draft(53.0, 3, 1)
+    robot.sensors[0].healthy, robot.sensors[2].valid_direction = False, -1
+    lab = Lab(tmp_path, robot=robot)
+    with pytest.raises(DataError, match="fewer than two healthy sensors beyond the fold"):
+        steps.run(lab.bench(), "buckling")
+    lab.robot.close()
+    assert not lab.session.rows("pushes")
