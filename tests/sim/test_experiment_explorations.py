@@ -78,7 +78,7 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
     results = evaluate(Folder(folder.path))
     assert len(results.claims) == 3
     ours, theirs = results.tables["each"]
-    assert float(ours["error_x_cm"]) < 4.0  # two sensors feel it
+    assert float(ours["error_x_cm"]) < 5.0  # two sensors feel it
     assert float(ours["robot_time_s"]) < float(theirs["robot_time_s"])
     # A lab does not know the point of contact, only where it measured the dowel.
     document = folder.path / kept(folder.path)[0]["run"] / "contacts.json"
@@ -108,7 +108,7 @@ def test_an_operator_explores_through_a_port_stops_and_evaluates(
     terminal = Terminal(*command, "--robot", port, "--config", str(config))
     terminal.answer("0", "Measure the everted length")
     terminal.answer("", "Set one dowel")
-    for _ in scene.robot.body.zones:
+    for _ in (*scene.robot.body.zones, "raised to measure the contact"):
         terminal.answer("", "Set the body pressure")
     place: Place = (scene.pegs[0].x, scene.pegs[0].y)
     terminal.answer(f"{place[0]} {place[1]}", "centre by")
