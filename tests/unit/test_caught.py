@@ -7,7 +7,7 @@ import pytest
 
 from thigmo.config import Side
 from thigmo.exploration.measuring import caught_sides, held_sides
-from thigmo.robot import ContactTrigger, SweepFrame, SweepResult
+from thigmo.robot import SweepFrame, SweepResult
 
 
 def _sweep(side: Side, held_at_rest: float, gives_up: float) -> SweepResult:
@@ -19,7 +19,7 @@ def _sweep(side: Side, held_at_rest: float, gives_up: float) -> SweepResult:
         SweepFrame(side, n / 20, 600 * g, way * g, e)
         for n, (g, e) in enumerate(zip(free.tolist(), excess.tolist(), strict=True))
     ]
-    return SweepResult([ContactTrigger(side, 1.0, 0.006)], [], frames)
+    return SweepResult(frames=frames)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

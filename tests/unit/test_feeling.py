@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from thigmo.exploration.measuring import (
 )
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.sighting import bend_grid, touch_mass
-from thigmo.robot import ContactTrigger, SweepFrame, SweepResult
+from thigmo.robot import SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
 
@@ -84,16 +85,14 @@ def test_the_fold_moment_grows_with_body_pressure() -> None:
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_only_what_holds_the_bend_back_is_a_touch(side: Side) -> None:
     back = -1 if side == "left" else 1
-    trigger = ContactTrigger(side, 0.0, 0.006 * back)
-    held = SweepResult([trigger], frames=_half(side, 0.002 * back, 6.0, noise=4e-4))
+    held = SweepResult(frames=_half(side, 0.002 * back, 6.0, noise=4e-4))
     assert held_sides(held) == {side}
     onset = touch_curvature(held.frames, side)
     assert onset is not None
     assert abs(onset) == pytest.approx((6.0 + 2.5) / 600, rel=0.1)
-    further = SweepResult([trigger], frames=_half(side, -0.002 * back, 6.0, noise=4e-4))
+    further = SweepResult(frames=_half(side, -0.002 * back, 6.0, noise=4e-4))
     assert held_sides(further) == set()
     assert touch_curvature(further.frames, side) is None
-    assert held_sides(SweepResult(frames=held.frames)) == set()  # the board saw nothing
 
 
 @pytest.mark.parametrize(("length_cm", "bend"), [(30.0, 1 / 300), (53.0, 1 / 600), (120, 1 / 1200)])
@@ -155,6 +154,31 @@ def test_frames_before_the_touch_teach_a_map_that_is_a_tenth_off() -> None:
     mean = taught.expected("left", 2, 0.025, np.full(10, 0.0225), use).mean
     assert mean == pytest.approx(np.full(5, 0.0225), abs=3 * after.max())
     assert after.max() < 0.6 * before.min()
+
+
+@pytest.mark.parametrize("bends", [1.1, 0.9])
+def test_a_touch_of_a_body_that_bends_more_than_its_map_is_known(bends: float) -> None:
+    """Such a body is held back by less than the trigger's threshold against the map."""
+    rng, response = np.random.default_rng(6), FreeResponse(CONFIG)
+    for _ in range(4):
+        response.learn(_free_sweep(bends, 0.0, rng), "left", 2)
+    sweep = _free_sweep(bends, 0.0, rng)
+    free = np.array([frame.free_curvature for frame in sweep.frames])
+    sweep.curvature[:] -= np.where(free > 0.025, 0.0065, 0.0)[:, None]
+    base = sweep.curvature[:, 5] - free
+    sweep.frames[:] = [
+        replace(frame, excess=each) for frame, each in zip(sweep.frames, base.tolist(), strict=True)
+    ]
+    against = response.against(sweep, 2)
+    assert held_sides(against) == {"left"}
+    onset = touch_curvature(against.frames, "left")
+    if bends > 1.0:
+        assert held_sides(sweep) == set()
+        assert onset == pytest.approx(0.025, abs=1e-3)
+    else:  # by the map, as without learning
+        assert onset == touch_curvature(sweep.frames, "left")
+    unread = replace(sweep, curvature=np.full_like(sweep.curvature, np.nan))
+    assert response.against(unread, 2).frames == sweep.frames
 
 
 def test_a_body_that_swings_as_a_sweep_begins_does_not_bend_the_map() -> None:

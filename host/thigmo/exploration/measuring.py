@@ -27,7 +27,7 @@ _SHARE = 0.65
 _WORTH = 1.25
 _SMOOTH = 5  # frames, a quarter of a second
 # Since a touch, the base has given up at least this share of what the map has gone on.
-GIVES_UP = 1 / 1.3
+_GIVES_UP = 1 / 1.3
 # In emulated sweeps of straight bodies, also of wrong and noisy robots, the base is held back by
 # 0.0008 1/cm more than it has been bent; where the last side's bend had caught the tip, by 0.007.
 _CAUGHT_PER_CM = 0.003
@@ -43,14 +43,14 @@ def fold_moment(config: RobotConfig, zone: int) -> float:
 
 
 def held_sides(sweep: SweepResult) -> set[Side]:
-    """Sides on which the board's trigger fired, and the base was held back as far for a while.
+    """Sides whose base was held back by the trigger's threshold for a while.
 
     The board answers within milliseconds, so noise can fire it; a peg holds on.
     """
-    fired = {trigger.side for trigger in sweep.triggers} - caught_sides(sweep)
-    return {
-        side for side in fired if held_back(sweep.frames, side).max(initial=0.0) > TRIGGER_PER_CM
+    held = {
+        side for side in SIDES if held_back(sweep.frames, side).max(initial=0.0) > TRIGGER_PER_CM
     }
+    return held - caught_sides(sweep)
 
 
 def caught_sides(sweep: SweepResult) -> set[Side]:
@@ -61,7 +61,7 @@ def caught_sides(sweep: SweepResult) -> set[Side]:
     caught: set[Side] = set()
     for side in SIDES:
         free = np.array([abs(f.free_curvature) for f in sweep.frames if f.side == side])
-        over = np.abs(held_back(sweep.frames, side)) - free / GIVES_UP
+        over = np.abs(held_back(sweep.frames, side)) - free / _GIVES_UP
         if np.count_nonzero(over > _CAUGHT_PER_CM) >= _SMOOTH:
             caught.add(side)
     return caught

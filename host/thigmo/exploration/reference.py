@@ -18,13 +18,14 @@ errors that readings share. The thesis compared with the map alone.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo import wiring
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import SIDES, SIGN, RobotConfig, Side
 from thigmo.robot import SensorTable, SweepResult
 from thigmo.robot.curvature import Floats
 
@@ -74,6 +75,7 @@ class FreeResponse:
     """Posterior of the constants, the gains and the map's scales, for each inflated side."""
 
     def __init__(self, config: RobotConfig) -> None:
+        self._config = config
         self._table = SensorTable.of(config)
         self._count = len(self._table.noise)
         zones = len(config.body.zones)
@@ -167,6 +169,28 @@ class FreeResponse:
         effect[:, self._scale + zone] = free
         effect[:, self._offset + zone] = 1.0
         return effect
+
+    def against(self, sweep: SweepResult, zone: int) -> SweepResult:
+        """The sweep with its base's excess against the free body, if that bends more than mapped.
+
+        By the map alone such a body seems to be touched late, or never. Where it seems to bend less
+        the map stands: a contact that was taken for the free body would hide itself from then on.
+        """
+        frames, bases = list(sweep.frames), np.array(wiring.base_inputs(self._config), dtype=int)
+        for side in self._config.sides:
+            mine = np.flatnonzero([frame.side == side for frame in frames])
+            use = bases[self._table.usable(side, sweep.sensors)[bases]]
+            if not (mine.size and use.size):
+                continue
+            mean = self._posterior(SIDES.index(side))[0]
+            free = np.array([frames[n].free_curvature for n in mine])
+            own = mean[use] + mean[self._count + use] * sweep.curvature[np.ix_(mine, use)]
+            mapped = mean[self._scale + zone] * free + mean[self._offset + zone]
+            # A record with a gap may lack a sensor's zero.
+            more = np.fmax(SIGN[side] * (own.mean(axis=1) + mapped), 0.0)
+            for n, each in zip(mine, (SIGN[side] * more).tolist(), strict=True):
+                frames[n] = replace(frames[n], excess=frames[n].excess - each)
+        return replace(sweep, frames=frames)
 
     def expected(
         self, side: Side, zone: int, free_curvature: float, curvature: Floats, use: Mask

@@ -336,7 +336,7 @@ class Exploration:
             enough=None if thesis else self._enough,
         )
         self._knows.has_looked(looked, self._zone)
-        fired = held_sides(looked)
+        fired = held_sides(self._knows.looked)
         if not fired:
             return "no contact"
         if thesis:
@@ -349,6 +349,7 @@ class Exploration:
 
         The latter is measured again, slowly, with every sensor.
         """
+        so_far = self._found.against_learnt(so_far, self._zone)
         side = so_far.peaks[-1].side
         held = held_now(so_far.frames, side)
         if held <= TRIGGER_PER_CM:
@@ -367,6 +368,7 @@ class Exploration:
         Viewers are told what it feels so far.
         """
         zone = self._measured_zone
+        so_far = self._found.against_learnt(so_far, zone)
         if self.live.due and (answer := self._found.so_far(so_far, zone)) is not None:
             self.live.posterior(self.length_cm, answer, sweeping=True)
         held = held_now(so_far.frames, so_far.peaks[-1].side)

@@ -14,7 +14,6 @@ import numpy as np
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
-    GIVES_UP,
     caught_sides,
     held_back,
     held_sides,
@@ -26,6 +25,7 @@ from thigmo.exploration.reference import FreeResponse, gain_errors
 from thigmo.exploration.scoring import judged
 from thigmo.exploration.sighting import (
     LEVEL,
+    TRIGGER_LATE,
     bend_grid,
     passed_before,
     passed_freely,
@@ -33,18 +33,15 @@ from thigmo.exploration.sighting import (
 )
 from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
-from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult, mean_peak
+from thigmo.robot import Peak, SensorTable, SweepResult, mean_peak
 from thigmo.robot.curvature import Floats
 
 _SHAPES_A_SIDE = 12
 _AVERAGED = 5  # frames behind a shape, a quarter of a second
-# The trigger fires when the base is held back by its threshold, so the body was touched before:
-# by so much less free curvature (1/cm).
-_TOUCH_MARGIN = TRIGGER_PER_CM / GIVES_UP
 # A 95 % interval this narrow ends a sweep, in diameters of the tube. Contacts on the tip's end need
 # it: at 5 cm they were 0.8 cm farther off on a tube of 3.5 cm, for 7 s of robot time less.
 ENOUGH = 3.0 / 3.5
-# Probability from which a contact counts although the trigger did not fire.
+# Probability from which a contact counts although the base was not held back.
 _CERTAIN = 0.99
 _CAUGHT = "the body was held bent before the muscle bent it: its tip is caught, place unknown"
 _NOT_HELD = "the base was not held back for a quarter of a second: noise, and no peg"
@@ -64,15 +61,18 @@ class Interpreter:
         self._bends = bend_grid(config.body.length_cm)
         self.map = ContactMap(config, prior)  # contacts so far
 
+    def against_learnt(self, sweep: SweepResult, zone: int) -> SweepResult:
+        """The sweep with its base's excess against what the sweeps before have taught."""
+        return self._response.against(sweep, zone)
+
     def localize(
         self, sweep: SweepResult, measuring: SweepResult | None, zone: int, measured_zone: int
     ) -> list[PeakAnswer]:
-        """Contacts of a stage: where the board's trigger fired, or the readings leave no doubt.
+        """Contacts of a stage: where the base was held back, or the readings leave no doubt.
 
-        The trigger compares with the map; where the body bends more than that, a contact does not
-        hold the base back by as much. Of a side that was measured again, that peak counts.
+        Of a side that was measured again, that peak counts.
         """
-        fired, caught = held_sides(sweep), caught_sides(sweep)
+        held, caught = held_sides(sweep), caught_sides(sweep)
         if measuring:
             caught |= caught_sides(measuring)
         again = {
@@ -93,11 +93,11 @@ class Interpreter:
             at = measured_zone if again[side] else zone
             answer = self._localize(final, at, self._response, touch)
             certain = any(sighting.contact.probability > _CERTAIN for sighting in answer.sightings)
-            if side in fired or certain:
+            if side in held or certain:
                 answers.append(answer)
             elif not any(sighting.contact.probability > LIKELY for sighting in answer.sightings):
                 self._response.learn(sweep, side, zone)
-            if side in fired:
+            if side in held:
                 self.map.add_passed(passed_before(touch, self._bends, peak))
             elif answer.result.status == "no contact":
                 self.map.add_passed(passed_freely(self._bends, peak))
@@ -175,7 +175,7 @@ def _learn(
 ) -> None:
     """Learn from a sweep what it read before its touch, at a free curvature, if it has one."""
     if touch is not None:
-        response.learn(sweep, side, zone, abs(touch) - _TOUCH_MARGIN)
+        response.learn(sweep, side, zone, abs(touch) - TRIGGER_LATE)
 
 
 def _swept_shapes(
