@@ -89,7 +89,9 @@ class Interpreter:
             if measuring:
                 _learn(self._response, measuring, side, measured_zone, touched)
             final = mean_peak(again[side] or [peak])
-            touch = touch_mass(sweep.frames, side, self._bends)
+            # A slow sweep swings less as it begins, and has more frames around its touch.
+            slowest = measuring if measuring and again[side] else sweep
+            touch = touch_mass(slowest.frames, side, self._bends)
             at = measured_zone if again[side] else zone
             answer = self._localize(final, at, self._response, touch)
             certain = any(sighting.contact.probability > _CERTAIN for sighting in answer.sightings)
