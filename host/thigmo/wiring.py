@@ -23,7 +23,7 @@ from thigmo.config import (
 )
 from thigmo.errors import ConfigError
 
-_LEAST_SHARE = 0.5  # of a bend, that a sensor must read to measure it
+_LEAST_SHARE = 0.5 - 1e-6  # of a bend, that a sensor must read to measure it: at 60 degrees too
 
 
 class Board(NamedTuple):
@@ -122,8 +122,19 @@ def unexplored(config: RobotConfig) -> Beyond | None:
 
 
 def blind(config: RobotConfig) -> list[Muscle]:
-    """Muscles of the plane during whose bends the contact trigger has no sensor to work on."""
-    return [m for m in config.muscles if m.side and not trigger_sensors(config, m.side)]
+    """Muscles during whose bends the contact trigger has no sensor to work on.
+
+    Raises as `places` for a robot with muscles out of the plane.
+    """
+    return [
+        muscle
+        for muscle in config.muscles
+        if not (
+            trigger_sensors(config, muscle.side)
+            if muscle.side
+            else [one for one in guards(config, muscle) if one.sound]
+        )
+    ]
 
 
 def trigger_sensors(config: RobotConfig, side: Side) -> list[BoardSensor]:
@@ -221,6 +232,18 @@ def witnesses(config: RobotConfig, muscle: Muscle) -> list[Witness]:
         if abs(share) >= _LEAST_SHARE and not wrinkles:
             found.append(Witness(number, sensor, share))
     return sorted(found, key=lambda one: one.sensor.center_cm)
+
+
+def guards(config: RobotConfig, muscle: Muscle) -> list[Witness]:
+    """The base sensors with which the board's trigger guards a muscle's bend; empty if none can.
+
+    The board compares their mean with one map, so all of them read the same share of the bend: the
+    largest that a sound one reads. Raises as `places`.
+    """
+    bases = base_inputs(config)
+    found = [one for one in witnesses(config, muscle) if one.number in bases]
+    best = max(found, key=lambda one: (one.sound, abs(one.share)), default=None)
+    return [one for one in found if best and abs(one.share - best.share) < 1e-6]
 
 
 def _first(config: RobotConfig, sensor: BoardSensor) -> bool:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import Thigmo
+from emulated import room_file
 
 from thigmo import wiring
 from thigmo.config import RobotConfig
@@ -120,6 +121,27 @@ def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
             assert sum(psi) == pytest.approx(9.0, abs=1.0)
         with pytest.raises(ConfigError, match=r"no muscle four; use one \(90\)"):
             driven.press("four", 9.0)
+
+
+def test_a_base_sensor_that_reads_half_of_a_bend_does_not_take_it_for_a_contact(
+    tmp_path: Path,
+) -> None:
+    robot = draft(53, 3, 1)
+    for sensor in robot.sensors:
+        sensor.direction_deg = 210.0
+    scene = room_for(robot, 0, peg=False)
+    scene.start_length_cm, scene.start_settled = robot.body.length_cm, True
+    with connect(room_file(tmp_path, scene)) as driven:
+        driven.configure(robot)
+        driven.confirm_length(robot.body.length_cm, settled=True)
+        driven.select_zone(2)
+        driven.arm()
+        driven.wait(2.0)
+        driven.zero()
+        driven.press("left", 15.0, ramp_psi_s=2.0)
+        driven.wait(10.0)
+        assert driven.read(0.5).pressure_psi[0] == pytest.approx(15.0, abs=0.3)
+        assert "contact" not in driven.status().conditions
 
 
 def test_a_side_without_a_base_sensor_is_not_swept_and_the_run_says_so(tmp_path: Path) -> None:

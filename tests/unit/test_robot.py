@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
-from thigmo.config import SIDES, FlexSensor, RobotConfig
+from thigmo.config import SIDES, FlexSensor, Muscle, RobotConfig
 from thigmo.errors import (
     CommandRefusedError,
     CommandTimeoutError,
@@ -32,6 +32,7 @@ from thigmo.robot import (
 )
 from thigmo.robot.configuration import map_settings, parameter_settings
 from thigmo.robot.curvature import resistance_ohm
+from thigmo.wiring import blind
 
 OK = wire.Status.OK
 
@@ -325,6 +326,33 @@ def test_all_settings_fit_the_schemas_ranges() -> None:
         assert len(values) == entry.count
         assert all(entry.low <= value <= entry.high for value in values), name
     assert all(len(m.curvature_e5) == wire.MAP_POINTS for m in map_settings(config))
+
+
+def test_the_boards_maps_are_what_the_base_sensors_that_guard_a_muscle_read() -> None:
+    """A sensor at 30 degrees reads all of a bend towards 210, half of which is in the plane."""
+    config = RobotConfig(
+        muscles=[Muscle(name=f"{lies:g}deg", direction_deg=lies) for lies in (90.0, 210.0, 0.0)],
+        sensors=[FlexSensor(direction_deg=lies, center_cm=5.0) for lies in (270.0, 30.0)],
+    )
+    top_psi = (wire.MAP_POINTS - 1) * wire.MAP_STEP_CPSI / 100
+    full = round(config.muscles[0].maps[0].inflate.curvature(top_psi) * 1e5)
+
+    def sent() -> list[int]:
+        return [
+            setting.curvature_e5[-1]
+            for setting in map_settings(config)
+            if (setting.zone, setting.branch) == (0, wire.Branch.INFLATE)
+        ]
+
+    assert sent() == [full, -full, 0]
+    bits = parameter_settings(config)["trigger_when"]
+    assert (bits[0], bits[8]) == (0x80 | 1 << 1, 0x80 | 1 << 0)
+    # Of a bend towards 0 degrees one sensor reads nothing, and the other wrinkles.
+    assert [muscle.name for muscle in blind(config)] == ["0deg"]
+    # One that reads half of a bend guards it in place of a dead one that would read all.
+    config.sensors[0].healthy, config.sensors[0].direction_deg = False, 30.0
+    config.sensors[1].direction_deg = 330.0
+    assert sent()[1] == pytest.approx(full / 2, abs=1)
 
 
 @given(ohm=st.floats(3_000, 60_000))

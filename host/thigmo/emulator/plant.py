@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import exp, hypot, isnan, nan, pi, radians, sin
+from math import cos, exp, hypot, isnan, nan, pi, radians, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -128,9 +128,13 @@ class Plant:
             )
         )  # fmt: skip
         self._pressure_zero = t.sensor_zero_error_psi * rng.standard_normal(len(robot.muscles))
-        # Share of each muscle's bend that is in the plane, positive to the left.
-        self._in_plane = [sin(radians(muscle.direction_deg)) for muscle in robot.muscles]
-        self._swing = Swing(frequency_hz=scene.body.frequency_hz, damping=scene.body.damping)
+        # Share of each muscle's bend that is in the plane, positive to the left, and out of it.
+        self._in_plane, self._across = _parts(robot.muscles)
+        self._planar = all(muscle.side for muscle in robot.muscles)
+        self._swing, self._swing_across = (
+            Swing(frequency_hz=scene.body.frequency_hz, damping=scene.body.damping)
+            for _ in range(2)
+        )
         s = scene.spool
         sliding = s.stall_n * s.dead_zone / 800.0
         self._spool = Spool(
@@ -161,8 +165,13 @@ class Plant:
             [(s.center_cm, s.span_cm) if s else none for s, none in zip(wired, everts, strict=True)]
             + [(s.center_cm, s.span_cm) for s in robot.gratings]
         ).T
-        # Of the board's inputs, and then of the fibre's gratings.
+        # Of the board's inputs, and then of the fibre's gratings, which tell the two bends apart.
         self._curvature = np.zeros(board.sensors + len(robot.gratings))
+        self._reads = np.tile([1.0, 0.0], (len(self._curvature), 1))  # of either bend
+        for n, sensor in enumerate(wired):
+            if sensor is not None:
+                sign = 1.0 if sensor.direction_deg < 180.0 else -1.0
+                self._reads[n] = sign * np.ravel(_parts([sensor]))
         self.body = Rod(
             Tube(robot.body.diameter_cm, self._critical()),
             self.pegs,
@@ -353,8 +362,12 @@ class Plant:
         current = [
             20.0 * duty / DRIVE_FULL if on else 0.0 for duty, on in zip(drive, enabled, strict=True)
         ]
-        each = zip(self._in_plane, self._muscles, current, outlets, strict=False)
-        self._swing.follow(sum(share * muscle.advance(ma, psi) for share, muscle, ma, psi in each))
+        each = zip(self._muscles, current, outlets, strict=False)
+        bends = [muscle.advance(ma, psi) for muscle, ma, psi in each]
+        self._swing.follow(sum(share * g for share, g in zip(self._in_plane, bends, strict=True)))
+        if not self._planar:
+            across = sum(share * g for share, g in zip(self._across, bends, strict=True))
+            self._swing_across.follow(across)
         before = self._encoder()
         if self.scene.spool.wiring in _MOTOR_SWAPPED:
             motor = -motor
@@ -375,6 +388,8 @@ class Plant:
         moved = abs(self._swing.curvature - self._solved_g) > 1e-8
         if moved or length != self.length_cm or isnan(self._solved_g):
             self._solve(length)
+        elif not self._planar:
+            self._measure()
         self._sense()
 
     @property
@@ -452,14 +467,21 @@ class Plant:
         self._measure()
 
     def _measure(self) -> None:
-        """Mean curvature over the everted part of each sensor."""
+        """Mean curvature over the everted part of each sensor, in its direction.
+
+        Out of the plane the body is free: there it touches nothing and bends evenly.
+        """
         if self.length_cm < _SMALLEST_CM:
             self._curvature[:] = 0.0
             return
         if self._held is not None:
             self._curvature[:] = self._held.averages(self._centers, self._spans)
-            return
-        self.body.averages_into(self._centers, self._spans, self._curvature)
+        else:
+            self.body.averages_into(self._centers, self._spans, self._curvature)
+        in_plane, across = self._reads.T
+        self._curvature *= in_plane
+        if not self._planar:
+            self._curvature += across * self._swing_across.curvature
 
     def _evert(self, *, settled: bool) -> None:
         """Sensors that have just come out start to creep; those drawn in forget."""
@@ -509,3 +531,11 @@ class Plant:
         per_cm = self._robot.spool.counts_per_cm
         counts = per_cm * line * (1 + 0.5 * self.scene.spool.winding * line)
         return counts * _ENCODER_SIGN[self.scene.spool.wiring] - self._encoder_missed
+
+
+def _parts(
+    placed: Sequence[config.Muscle] | Sequence[config.Sensor],
+) -> tuple[list[float], list[float]]:
+    """Shares of a bend at each direction that are in the plane, to the left, and across it."""
+    angles = [radians(each.direction_deg) for each in placed]
+    return [sin(angle) for angle in angles], [cos(angle) for angle in angles]

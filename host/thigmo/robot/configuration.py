@@ -7,11 +7,11 @@ does not take.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, radians, sin
+from math import radians, sin
 from typing import TYPE_CHECKING
 
 from thigmo import wiring
-from thigmo.config import Muscle, RobotConfig, Sensor
+from thigmo.config import RobotConfig
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
 
@@ -60,29 +60,36 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
         "brake_fitted": [int(spool.brake)],
         "muscle_fitted": [1] * len(muscles),
         "trigger_when": [
-            _counts_while(s, muscles) if s and number in bases else 0
-            for number, s in enumerate(flex)
+            _counts_while(config, number) if number in bases else 0 for number in range(len(flex))
         ],
     }
 
 
-def _counts_while(sensor: Sensor, muscles: Sequence[Muscle]) -> int:
-    """Bits of trigger_when: what wrinkles does so inside of a bend, within 90 degrees of it."""
-    if not sensor.wrinkles:
-        return _AT_REST | ((1 << len(muscles)) - 1)
-    apart = [cos(radians(sensor.direction_deg - muscle.direction_deg)) for muscle in muscles]
-    return _AT_REST | sum(1 << n for n, cosine in enumerate(apart) if cosine < 1e-6)
+def _counts_while(config: RobotConfig, base_input: int) -> int:
+    """Bits of trigger_when of a base sensor: at rest, and while a muscle that it guards bends."""
+    guarded = (
+        1 << number
+        for number, muscle in enumerate(config.muscles)
+        if any(guard.number == base_input for guard in wiring.guards(config, muscle))
+    )
+    return _AT_REST | sum(guarded)
 
 
 def map_settings(config: RobotConfig) -> list[wire.SetMap]:
-    """The free-curvature maps of robot.toml: body pressure x muscle x branch, signed."""
+    """The free-curvature maps of robot.toml: body pressure x muscle x branch, signed.
+
+    The board compares a bend with the base sensors that guard it, so its maps are the share that
+    these read; of a muscle that none guards, the share in the plane. Raises ConfigError for a robot
+    that the board cannot hold.
+    """
     found = []
     for zone in range(len(config.body.zones)):
         for number, muscle in enumerate(config.muscles):
-            in_plane = sin(radians(muscle.direction_deg))
+            shares = [guard.share for guard in wiring.guards(config, muscle)]
+            share = shares[0] if shares else sin(radians(muscle.direction_deg))
             for branch in wire.Branch:
                 curve = getattr(muscle.maps[zone], branch.key)
-                wired = tuple(round(in_plane * curve.curvature(p) * 1e5) for p in _MAP_PSI)
+                wired = tuple(round(share * curve.curvature(p) * 1e5) for p in _MAP_PSI)
                 found.append(wire.SetMap(zone, number, branch, wired))
     return found
 
