@@ -22,6 +22,9 @@ from thigmo.errors import DataError
 from thigmo.mechanics import push_tip
 from thigmo.record.table import Table
 
+# Share of the fold's length before which a sensor must begin to show the fold. One that begins
+# later reads too little of it: a push would seem not to have folded the base.
+_SHOWS_FOLD = 0.9
 _HARD = 1.7  # times the moment that folds the base, by what is known before
 
 
@@ -102,7 +105,7 @@ def fit_buckling(
     if curvature.shape[1] != len(center):
         what = f"{curvature.shape[1]} columns for {len(center)} sensors"
         raise DataError(what, "use this robot's file")
-    near = center - span / 2 < config.body.diameter_cm
+    in_fold = center - span / 2 < _SHOWS_FOLD * config.body.diameter_cm
     beyond = _beyond_fold(config, length_cm)
     _readable_signs(config, length_cm)  # refuses a robot with too few of them
     each, excess, own = np.full((3, len(curvature)), np.nan)
@@ -116,7 +119,7 @@ def fit_buckling(
             continue
         sign = float(np.sign(np.median(row[pick]))) or 1.0
         moment, error = _moment(sign * row[pick], center[pick], span[pick], noise[pick], length_cm)
-        base = (healthy > 0) & near & np.isfinite(row) & ((way == 0) | (way == sign))
+        base = (healthy > 0) & in_fold & np.isfinite(row) & ((way == 0) | (way == sign))
         least = 0.0
         if base.any():
             # A beam without a fold would show this at the base sensors.

@@ -93,6 +93,20 @@ def test_push_without_a_fold_is_left_out_and_an_outlier_trial_named():
     assert result.critical_curvature == pytest.approx(CRITICAL, rel=0.03)
 
 
+def test_base_sensors_at_the_end_of_the_fold_do_not_hide_it():
+    """A sensor that begins at 3.45 cm, in a fold of 3.5 cm, shows too little of it to judge by."""
+    config = RobotConfig()
+    for side in ("left", "right"):
+        for sensor in config.column(side):
+            sensor.scale_se = 0.0
+        config.column(side)[0].center_cm = 6.2
+    rows = pushes(3)[0]
+    rows[:, [0, 5]] -= np.sign(rows[:, [1]]) * 0.15 / 5.5 * 0.23  # without the fold
+    result = fit_buckling(rows, 0.49, LENGTH, config)
+    assert result.verdict.good, result.verdict
+    assert np.isfinite(result.each).all()
+
+
 def decay(rng: np.random.Generator, tau: float, amplitude: float) -> tuple[np.ndarray, np.ndarray]:
     t = np.arange(1.0, 31.0, 0.25)
     return t, 0.003 + amplitude * np.exp(-t / tau) + rng.normal(0, 4e-4, len(t))
