@@ -129,11 +129,7 @@ def blind(config: RobotConfig) -> list[Muscle]:
     return [
         muscle
         for muscle in config.muscles
-        if not (
-            trigger_sensors(config, muscle.side)
-            if muscle.side
-            else [one for one in guards(config, muscle) if one.sound]
-        )
+        if not (trigger_sensors(config, muscle.side) if muscle.side else guards(config, muscle))
     ]
 
 
@@ -237,12 +233,12 @@ def witnesses(config: RobotConfig, muscle: Muscle) -> list[Witness]:
 def guards(config: RobotConfig, muscle: Muscle) -> list[Witness]:
     """The base sensors with which the board's trigger guards a muscle's bend; empty if none can.
 
-    The board compares their mean with one map, so all of them read the same share of the bend: the
-    largest that a sound one reads. Raises as `places`.
+    They are healthy and answer to the bend. The board compares their mean with one map, so all of
+    them read the same share of the bend: the largest that one of them reads. Raises as `places`.
     """
     bases = base_inputs(config)
-    found = [one for one in witnesses(config, muscle) if one.number in bases]
-    best = max(found, key=lambda one: (one.sound, abs(one.share)), default=None)
+    found = [one for one in witnesses(config, muscle) if one.sound and one.number in bases]
+    best = max(found, key=lambda one: abs(one.share), default=None)
     return [one for one in found if best and abs(one.share - best.share) < 1e-6]
 
 

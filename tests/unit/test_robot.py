@@ -355,6 +355,15 @@ def test_the_boards_maps_are_what_the_base_sensors_that_guard_a_muscle_read() ->
     assert sent()[1] == pytest.approx(full / 2, abs=1)
 
 
+def test_the_boards_trigger_does_not_count_a_base_sensor_that_does_not_answer_to_a_bend() -> None:
+    """It reads nothing of the bend, so the trigger would take every bend for a contact."""
+    config = RobotConfig()
+    config.column("left")[0].valid_direction = 1  # bends to the right are negative
+    bits = parameter_settings(config)["trigger_when"]
+    assert (bits[0], bits[5]) == (0x80, 0x80 | 1 << 0)
+    assert [muscle.name for muscle in blind(config)] == ["right"]
+
+
 @given(ohm=st.floats(3_000, 60_000))
 def test_resistance_is_the_dividers_inverse(ohm: float) -> None:
     fraction = 22_000 / (22_000 + ohm)
