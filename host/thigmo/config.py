@@ -79,6 +79,11 @@ def _host_and_port(address: str) -> str:
     return address
 
 
+def side_at(direction_deg: float) -> Side | None:
+    """The side of the plane at a direction; None out of it."""
+    return _TOWARDS.get(direction_deg)
+
+
 def opposite(side: Side) -> Side:
     """The other side of the plane."""
     return "right" if side == "left" else "left"
@@ -171,7 +176,7 @@ class _Placed(Model):
     @property
     def side(self) -> Side | None:
         """The side of the plane; None out of it."""
-        return _TOWARDS.get(self.direction_deg)
+        return side_at(self.direction_deg)
 
 
 class _Sensor(_Placed):

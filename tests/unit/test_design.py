@@ -12,6 +12,7 @@ from command import Thigmo
 from thigmo import wiring
 from thigmo.config import SIDES, RobotConfig
 from thigmo.design import Finding, draft, judge
+from thigmo.design.draft import Kind
 from thigmo.errors import ConfigError
 from thigmo.mechanics import Peg, Rod, Tube
 
@@ -243,3 +244,40 @@ def test_the_commands_write_check_and_convert(tmp_path: Path, thigmo: Thigmo) ->
     assert RobotConfig.load(tmp_path / "robot.toml.1.bak").board.settle_s == 12.0
     thigmo("robot", "convert", old)
     assert not (tmp_path / "robot.toml.2.bak").exists()
+
+
+@pytest.mark.parametrize(("muscles", "unguarded"), [(3, []), (4, ["180deg", "0deg"])])
+def test_a_robot_of_more_than_two_muscles_has_a_column_opposite_each(
+    muscles: int, unguarded: list[str]
+) -> None:
+    config = draft(53, None, muscles)
+    assert len(config.board_sensors) == 16
+    for muscle in config.muscles:
+        column = [w for w in wiring.witnesses(config, muscle) if abs(w.share) > 0.99]
+        assert len(column) == (5 if muscles == 3 else 4)
+        assert all(one.sound for one in column)
+    assert [muscle.name for muscle in wiring.blind(config)] == unguarded
+    said = judge(config)
+    assert _bad(said) == []
+    warned = [one.what for one in said if "no base sensor on the board" in one.text]
+    assert warned == [f"muscle {name}" for name in unguarded]
+    halved = [one.what for one in said if "reads 50 % of them" in one.text]
+    assert halved == ([] if unguarded else ["muscle 210deg", "muscle 330deg"])
+
+
+@pytest.mark.parametrize("kind", ["heading", "fibre"])
+def test_more_than_two_muscles_take_flex_sensors(kind: Kind) -> None:
+    with pytest.raises(ConfigError, match=f"3 muscles with sensors of kind {kind}: "):
+        draft(53, 5, 3, kind=kind)
+
+
+def test_a_new_robot_that_does_not_explore_is_told_what_works(
+    thigmo: Thigmo, tmp_path: Path
+) -> None:
+    folder = tmp_path / "around"
+    ran = thigmo("robot", "new", "--muscles", 4, "--out", folder)
+    assert ran.code == 0, ran.err
+    assert sorted(path.name for path in folder.iterdir()) == ["empty.toml", "robot.toml"]
+    assert "thigmo explore --scene" not in ran.out
+    assert "explore does not work with it: muscle 180deg (180 degrees)" in ran.out
+    assert f"thigmo calibrate all --robot emulator://{folder / 'empty.toml'}" in ran.out

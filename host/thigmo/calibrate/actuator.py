@@ -421,8 +421,8 @@ def _judged(
     known = f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
     if readings.sensors:
         known += (
-            f" as {readings.sensors} sensor(s) read it, whose scales are known to "
-            f"{100 * readings.scale_se:.0f} %"
+            f" as {readings.sensors} sensor{'s'[: readings.sensors > 1]} read it, whose scales are "
+            f"known to {100 * readings.scale_se:.0f} %"
         )
     return True, known
 

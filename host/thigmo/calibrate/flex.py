@@ -268,9 +268,9 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
     if grew:
         worst_loop = max(grew, key=lambda fit: fit.one_way)
         notes.append(
-            f"bends of {len(grew)} sensors only ever grew, so their scale cannot be separated from "
-            f"their loop: up to {100 * worst_loop.one_way:.0f} % ({worst_loop.name}) is added to "
-            "its error; read the sensors on the way back, too"
+            f"bends of {len(grew)} sensor{'s'[: len(grew) > 1]} only ever grew, so their scale "
+            f"cannot be separated from their loop: up to {100 * worst_loop.one_way:.0f} % "
+            f"({worst_loop.name}) is added to its error; read the sensors on the way back, too"
         )
     notes.extend(
         f"the answer of {fit.name} curves: {100 * fit.nonlinearity:+.0f} % of it at full bend goes "

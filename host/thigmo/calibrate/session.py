@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import json
 import os
+from math import copysign
 from pathlib import Path
 from typing import Any
 
 from thigmo.calibrate.verdict import StepResult, plain
-from thigmo.config import RobotConfig, ZoneMap
+from thigmo.config import FibreSensor, FlexSensor, RobotConfig, Sensor, ZoneMap
 from thigmo.errors import DataError
 from thigmo.files import write_whole
 
@@ -109,10 +110,7 @@ class Session:
 def blank(config: RobotConfig) -> RobotConfig:
     """An uncalibrated robot of this geometry: where calibration begins."""
     made, fresh = config.model_copy(deep=True), RobotConfig()
-    made.sensors = [
-        type(sensor)(**sensor.model_dump(include={"direction_deg", "kind", "center_cm", "span_cm"}))
-        for sensor in made.sensors
-    ]
+    made.sensors = [_blank_sensor(sensor) for sensor in config.sensors]
     for muscle in made.muscles:
         muscle.lag_s = fresh.muscles[0].lag_s
         muscle.offset_se = fresh.muscles[0].offset_se
@@ -123,4 +121,21 @@ def blank(config: RobotConfig) -> RobotConfig:
     made.spool.counts_per_cm = fresh.spool.counts_per_cm
     for zone in made.body.zones:
         zone.pull_duty = 0.0
+    return made
+
+
+def _blank_sensor(sensor: Sensor) -> Sensor:
+    """A sensor before its calibration.
+
+    The board's sensors out of the plane keep their constants, because no step measures them. A flex
+    sensor in the plane keeps the sign of its scale: the sensors measure the bends of muscles out of
+    the plane before the step `flex`.
+    """
+    if sensor.side is None and not isinstance(sensor, FibreSensor):
+        return sensor.model_copy()
+    made = type(sensor)(
+        **sensor.model_dump(include={"direction_deg", "kind", "center_cm", "span_cm"})
+    )
+    if isinstance(sensor, FlexSensor) and isinstance(made, FlexSensor):
+        made.scale_per_ohm = copysign(made.scale_per_ohm, sensor.scale_per_ohm)
     return made

@@ -25,9 +25,15 @@ _FileArgument = Annotated[Path, typer.Argument(help="robot.toml.")]
 @robot.command()
 def new(
     length: Annotated[float, typer.Option(help="Length of the body, cm (30 to 300).")] = 53.0,
-    sensors: Annotated[int, typer.Option(help="Sensors in each column.")] = 5,
+    sensors: Annotated[
+        int | None,
+        typer.Option(help="Sensors in each column: 5 if not given, or 4 with four muscles."),
+    ] = None,
     muscles: Annotated[
-        int, typer.Option(help="1 (with one column of sensors, opposite it) or 2.")
+        int,
+        typer.Option(
+            help="1 or 2 in the plane, or 3 or 4 around the body, each with a column opposite."
+        ),
     ] = 2,
     kind: Annotated[
         Literal["flex", "heading", "fibre"],
@@ -42,11 +48,12 @@ def new(
 ) -> None:
     """Draft a robot: its robot.toml, a scene with a peg that it feels, and an empty one.
 
-    It explores on the first and is calibrated on the other, where nothing stops its free bends.
+    It explores on the first and is calibrated on the other, where nothing stops its free bends. A
+    robot of 3 or 4 muscles bends out of the plane: it does not explore, and gets the empty one.
     """
     from thigmo.design import draft
     from thigmo.errors import ConfigError
-    from thigmo.wiring import beyond_board
+    from thigmo.wiring import beyond_board, unexplored
 
     config = draft(length, sensors, muscles, diameter, kind=kind)
     with ConfigError.from_os(f"cannot make {out}", "choose another folder"):
@@ -55,24 +62,27 @@ def new(
     for older in ("scene.toml", "empty.toml", "grown.toml"):  # of the robot that was there before
         (out / older).unlink(missing_ok=True)
     written, said = [str(out / "robot.toml")], []
+    reach: Any = import_module(_REACH)
     if beyond := beyond_board(config):
         said = [f"no scene: {what}; {cure}" for what, cure in beyond]
+    elif refused := unexplored(config):
+        said = [f"explore does not work with it: {refused.what}; {refused.cure}"]
     else:
-        reach: Any = import_module(_REACH)
         room = reach.room_for(config, seed)
         room.save(out / "scene.toml")
-        reach.room_for(config, seed, peg=False).save(out / "empty.toml")
-        written += [str(out / "scene.toml"), str(out / "empty.toml")]
-        said = [
-            f"explore it: thigmo explore --scene {out / 'scene.toml'}",
-            f"calibrate it: thigmo calibrate all --robot emulator://{out / 'empty.toml'}",
-        ]
+        written.append(str(out / "scene.toml"))
+        said = [f"explore it: thigmo explore --scene {out / 'scene.toml'}"]
         if config.gratings:
             room.start_length_cm = config.body.length_cm
             room.save(out / "grown.toml")
+            written.append(str(out / "grown.toml"))
             pressed = reach.pressed(config, room.peg_list())
             at = f"emulator://{out / 'grown.toml'}"
             said.append(f"feel its peg, grown: thigmo feel --robot {at} --press {pressed}")
+    if not beyond:
+        reach.room_for(config, seed, peg=False).save(out / "empty.toml")
+        written.append(str(out / "empty.toml"))
+        said.append(f"calibrate it: thigmo calibrate all --robot emulator://{out / 'empty.toml'}")
     said = [f"wrote {', '.join(written)}", f"check it: thigmo robot check {written[0]}", *said]
     show(as_json, {"files": written, "notes": said[1:]}, *said)
 

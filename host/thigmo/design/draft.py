@@ -15,10 +15,7 @@ from typing import Literal
 import numpy as np
 
 from thigmo.config import (
-    DEGREES,
     IMU_CM,
-    SIDES,
-    SIGN,
     Board,
     Body,
     BodyPressure,
@@ -28,10 +25,9 @@ from thigmo.config import (
     Muscle,
     RobotConfig,
     Sensor,
-    Side,
     TanhMap,
     ZoneMap,
-    opposite,
+    side_at,
 )
 from thigmo.errors import ConfigError
 
@@ -48,26 +44,35 @@ _REST_S = 2.0  # IMUs do not creep after eversion
 _GRATING_CM = 1.0  # from one to the next, at least
 _POUCH_CM = 10.0
 _INTERROGATOR = "127.0.0.1:7400"
+# Of muscles, around the body: one or two bend it in the plane, more out of it.
+_MUSCLES_DEG: dict[int, tuple[float, ...]] = {
+    1: (90.0,),
+    2: (90.0, 270.0),
+    3: (90.0, 210.0, 330.0),
+    4: (90.0, 180.0, 270.0, 0.0),
+}
 Kind = Literal["flex", "heading", "fibre"]
 
 
 def draft(
     length_cm: float,
-    sensors: int,
+    sensors: int | None,
     muscles: int,
     diameter_cm: float = 3.5,
     name: str = "",
     kind: Kind = "flex",
 ) -> RobotConfig:
-    """Draft a planar robot.
+    """Draft a robot.
 
     Args:
         length_cm: 30 to 300.
-        sensors: in each column. Of flex sensors two muscles have two columns, and a single muscle
-            has one opposite, which it leaves at rest. One string of IMUs, or one fibre with two
-            readings a grating, serves all muscles. A fibre has flex sensors at the base beside it,
-            by which the board's contact trigger works.
-        muscles: 1 or 2.
+        sensors: in each column; None for 5, or 4 with four muscles, as many as a Mega has inputs
+            for. Each muscle has a column of flex sensors opposite, which it leaves at rest. One
+            string of IMUs, or one fibre with two readings a grating, serves all muscles. A fibre
+            has flex sensors at the base beside it, by which the board's contact trigger works.
+        muscles: 1 or 2 in the plane, or 3 or 4 around the body, with flex sensors. Of three, the
+            two out of the plane are guarded by a base sensor at 90 degrees, because the board's
+            trigger has two inputs.
         diameter_cm: of the tube.
         name: of the robot; by its length if empty.
         kind: of the sensors; each heading sensor ends with an IMU.
@@ -79,8 +84,19 @@ def draft(
         raise ConfigError(
             f"a length of {length_cm:g} cm", f"give {SHORTEST_CM:g} to {LONGEST_CM:g}"
         )
-    if muscles not in (1, 2):
-        raise ConfigError(f"{muscles} muscles", "give 1 or 2: they bend the body in a plane")
+    if muscles not in _MUSCLES_DEG:
+        raise ConfigError(f"{muscles} muscles", "give 1 or 2 in a plane, or 3 or 4 around the body")
+    if muscles > 2 and kind != "flex":
+        why = {
+            "heading": "the board reads turns about one axis",
+            "fibre": "contacts are felt by a fibre in the plane",
+        }[kind]
+        raise ConfigError(
+            f"{muscles} muscles with sensors of kind {kind}: {why}",
+            "give 1 or 2 muscles, or flex sensors",
+        )
+    if sensors is None:
+        sensors = 4 if muscles == 4 else 5
     if not 0.5 <= diameter_cm <= length_cm / 4:
         raise ConfigError(
             f"a diameter of {diameter_cm:g} cm", f"give 0.5 to {length_cm / 4:g}, a slender body"
@@ -91,47 +107,55 @@ def draft(
         raise ConfigError(f"{sensors} sensors in a column", f"give 1 to {most} at this length")
     pitch = np.floor(2 * (length_cm - _END_CM) / sensors) / 2
     body = _body(length_cm, diameter_cm, _POUCH_CM if kind == "fibre" else float(pitch))
-    sides = SIDES[:muscles]
-    columns = SIDES if muscles == 2 and kind == "flex" else [opposite(sides[0])]
+    bends = _MUSCLES_DEG[muscles]
+    far = [(towards + 180.0) % 360.0 for towards in bends]
+    columns = sorted(far) if kind == "flex" else far[:1]
+    # Base sensors alone, for the board's trigger.
+    bases = sorted(far) if kind == "fibre" else [90.0] if muscles == 3 else []
     made = {"flex": _flex, "heading": _imu, "fibre": _grating}[kind]
-    bases = (SIDES if muscles == 2 else columns) if kind == "fibre" else ()
+    base_cm = _POUCH_CM if kind == "fibre" else float(pitch)
     return RobotConfig(
         name=name or f"vine-{length_cm:g}",
         interrogator=_INTERROGATOR if kind == "fibre" else None,
         body=body,
-        muscles=[_muscle(side, body) for side in sides],
+        muscles=[_muscle(towards, body) for towards in bends],
         sensors=[
-            *(sensor for side in bases for sensor in _flex(side, _POUCH_CM, 0)),
+            *(sensor for lies in bases for sensor in _flex(lies, base_cm, 0)),
             *(
                 sensor
-                for side in columns
+                for lies in columns
                 for number in range(sensors)
-                for sensor in made(side, float(pitch), number)
+                for sensor in made(lies, float(pitch), number)
             ),
         ],
         board=Board(settle_s=_REST_S) if kind == "heading" else Board(),
     )
 
 
-def _flex(side: Side, pitch_cm: float, number: int) -> list[Sensor]:
+def _outside(lies_deg: float) -> Literal[-1, 1]:
+    """Sign of the bends on whose outside a sensor lies: positive ones are towards 0 to 180."""
+    return -1 if lies_deg < 180.0 else 1
+
+
+def _flex(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
     sensor = FlexSensor(
-        direction_deg=DEGREES[side],
+        direction_deg=lies_deg,
         center_cm=pitch_cm * (number + 0.5),
         span_cm=min(_SPAN_CM, pitch_cm - _GAP_CM),
         # Resistance rises on the outside of a bend.
-        scale_per_ohm=-SIGN[side] * FlexSensor(center_cm=1.0).scale_per_ohm,
-        valid_direction=1 if SIGN[side] < 0 else -1,
+        scale_per_ohm=_outside(lies_deg) * FlexSensor(center_cm=1.0).scale_per_ohm,
+        valid_direction=_outside(lies_deg),
     )
     return [sensor]
 
 
-def _imu(side: Side, pitch_cm: float, number: int) -> list[Sensor]:
+def _imu(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
     """From the IMU before, or the base, to one that is clear of the fold where growth stops."""
     end = pitch_cm * (number + 1) - _CLEAR_CM
     start = end - pitch_cm if number else 0.0
     sensor = HeadingSensor(
         kind="heading",
-        direction_deg=DEGREES[side],
+        direction_deg=lies_deg,
         center_cm=(start + end) / 2,
         span_cm=end - start,
         mux_channel=number // 2,
@@ -140,14 +164,14 @@ def _imu(side: Side, pitch_cm: float, number: int) -> list[Sensor]:
     return [sensor]
 
 
-def _grating(side: Side, pitch_cm: float, number: int) -> list[Sensor]:
+def _grating(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
     """A reading in the plane, and one across it."""
     center_cm = pitch_cm * (number + 0.5)
     # The outside of a bend is stretched.
-    scale = -SIGN[side] * FibreSensor(kind="fibre", center_cm=1.0).scale_per_ue
+    scale = _outside(lies_deg) * FibreSensor(kind="fibre", center_cm=1.0).scale_per_ue
     return [
         FibreSensor(kind="fibre", center_cm=center_cm, direction_deg=lies, scale_per_ue=each)
-        for lies, each in ((DEGREES[side], scale), (0.0, abs(scale)))
+        for lies, each in ((lies_deg, scale), (0.0, abs(scale)))
     ]
 
 
@@ -171,11 +195,11 @@ def _body(length_cm: float, diameter_cm: float, pitch_cm: float) -> Body:
     )
 
 
-def _muscle(side: Side, body: Body) -> Muscle:
+def _muscle(towards_deg: float, body: Body) -> Muscle:
     share = min(1.0, _FULL_BEND_RAD / (_AMPLITUDE[0] * body.length_cm))
     return Muscle(
-        name=side,
-        direction_deg=DEGREES[side],
+        name=side_at(towards_deg) or f"{towards_deg:g}deg",
+        direction_deg=towards_deg,
         lag_s=0.31,
         maps=[_map(zone.pressure_psi, share, (9.0, 7.8)) for zone in body.zones],
     )

@@ -43,6 +43,7 @@ from thigmo.wiring import (
     board_of,
     column_name,
     columns,
+    guards,
     trigger_sensors,
     unexplored,
     witnesses,
@@ -118,7 +119,8 @@ def _inputs(config: RobotConfig) -> Iterator[Finding]:
     """On which of the board's inputs each column hangs, as page, record and export name them."""
     for column in columns(config):
         inputs = ", ".join(map(str, column.inputs))
-        yield Finding(f"column {column.name}", "ok", f"base first on the inputs {inputs}")
+        text = f"base first on the inputs {inputs}" if len(column.inputs) > 1 else f"input {inputs}"
+        yield Finding(f"column {column.name}", "ok", text)
 
 
 def _growth(config: RobotConfig) -> Iterator[Finding]:
@@ -169,13 +171,7 @@ def _bends(config: RobotConfig) -> Iterator[Finding]:
             )
         yield from _maps(config, muscle)
         if muscle.side is None and not beyond_board(config):
-            read = [one for one in witnesses(config, muscle) if one.sound]
-            if not read:
-                text = (
-                    "cannot be calibrated: no healthy sensor reads a bend towards "
-                    f"{muscle.direction_deg:g} degrees, and the camera sees the plane only"
-                )
-                yield Finding(f"muscle {muscle.name}", "warning", text)
+            yield from _out_of_plane(config, muscle)
     for zone, moment in zip(body.zones, _fold_moments(config), strict=True):
         what = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
         if moment > TRIGGER_PER_CM:
@@ -187,6 +183,31 @@ def _bends(config: RobotConfig) -> Iterator[Finding]:
                 f"the base folds at {moment:.4f} 1/cm, before the trigger's {TRIGGER_PER_CM:g}: "
                 "raise this pressure",
             )
+
+
+def _out_of_plane(config: RobotConfig, muscle: Muscle) -> Iterator[Finding]:
+    """What measures and what guards the bends of a muscle that the camera does not see."""
+    what = f"muscle {muscle.name}"
+    if not any(one.sound for one in witnesses(config, muscle)):
+        text = (
+            "cannot be calibrated: no healthy sensor reads a bend towards "
+            f"{muscle.direction_deg:g} degrees, and the camera sees the plane only"
+        )
+        yield Finding(what, "warning", text)
+    if not (found := guards(config, muscle)):
+        text = (
+            "no base sensor on the board's trigger reads its bends: the board refuses a sweep "
+            "towards it, and `Robot.press` bends the body without feeling a contact"
+        )
+        yield Finding(what, "warning", text)
+        return
+    share = abs(found[0].share)
+    names = " and ".join(f"{one.sensor.direction_deg:g} degrees" for one in found)
+    text = (
+        f"the base sensor at {names} guards its bends and reads {100 * share:.0f} % of them, so "
+        f"a contact is felt from {TRIGGER_PER_CM / share:.4f} 1/cm on"
+    )
+    yield Finding(what, "ok", text)
 
 
 def _maps(config: RobotConfig, muscle: Muscle) -> Iterator[Finding]:

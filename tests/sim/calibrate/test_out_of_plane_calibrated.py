@@ -90,3 +90,18 @@ def test_sensors_opposite_map_a_muscle_and_time_its_lag(thigmo: Thigmo, tmp_path
     (lower_bend,) = (one for one in looked if one["what"] == "lower muscle")
     assert lower_bend["mark"] == "ok"
     assert "as mapped" in lower_bend["text"]
+
+
+@pytest.mark.parametrize("muscles", [3, 4])
+def test_each_muscle_of_a_drafted_robot_around_the_body_is_mapped(
+    thigmo: Thigmo, tmp_path: Path, muscles: int
+) -> None:
+    robot = draft(53, None, muscles)
+    ran = calibrate(thigmo, tmp_path, robot)
+    assert ran.code == 0, ran.out + ran.err
+    for made, true in zip(
+        RobotConfig.load(tmp_path / "made" / "robot.toml").muscles, robot.muscles, strict=True
+    ):
+        assert made.maps[2].calibrated
+        goal = true.maps[2].inflate.curvature(18.0)
+        assert made.maps[2].inflate.curvature(18.0) == pytest.approx(goal, rel=0.06)

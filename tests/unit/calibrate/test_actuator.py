@@ -230,7 +230,7 @@ def test_a_muscle_out_of_the_plane_is_mapped_by_the_sensors_that_read_its_bend(l
         gains = 1 + np.random.default_rng([seed, 2]).normal(0, 0.15, 4)
         result = fit_actuator(readings_of(lifted_rows(config, seed, gains), config, up, 2))
         assert result.verdict.good, result.verdict
-        assert "as 4 sensor(s) read it" in result.verdict.reason
+        assert "as 4 sensors read it" in result.verdict.reason
         off = result.zone.inflate.curvature(18.0) / INFLATE.curvature(18.0) - 1
         assert result.zone.scale_se > 0.07
         scores.append(off / result.zone.scale_se)

@@ -11,7 +11,8 @@ from thigmo.calibrate.bench import Bench
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.session import Session, blank
 from thigmo.calibrate.steps import STEPS, fit_csv, steps_of
-from thigmo.config import RobotConfig
+from thigmo.config import FlexSensor, RobotConfig
+from thigmo.design import draft
 from thigmo.errors import DataError
 from thigmo.record.table import MissingColumnError, Table
 
@@ -87,6 +88,20 @@ def test_blank_keeps_geometry_only():
     assert made.column("left")[1].center_cm == 16.0
     assert made.column("left")[1].scale_per_ohm == RobotConfig().column("left")[1].scale_per_ohm
     assert made.muscle("right").maps[0] == RobotConfig().muscle("right").maps[0]
+
+
+def test_blank_keeps_what_maps_muscles_out_of_the_plane():
+    """No step measures a sensor out of the plane, and muscles are mapped before flex sensors."""
+    config = draft(53, None, 3)
+    for sensor in config.board_sensors:
+        sensor.scale_per_ohm *= 1.5
+        sensor.zero_se = 1e-4
+    for begun, sensor in zip(blank(config).board_sensors, config.board_sensors, strict=True):
+        if sensor.side is None:
+            assert begun == sensor
+        else:
+            assert begun.scale_per_ohm == pytest.approx(sensor.scale_per_ohm / 1.5)
+            assert begun.zero_se == FlexSensor(center_cm=5.0).zero_se
 
 
 def test_a_fit_that_there_is_not_is_named(tmp_path):
