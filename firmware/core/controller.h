@@ -169,6 +169,11 @@ class Controller {
   static constexpr uint16_t kStopProofMs = 100;
 
   bool enabled(uint8_t sensor) const { return (derived_.enabled_mask >> sensor & 1) != 0; }
+  // Sensors that read curvature now, as bits.
+  uint16_t usable_mask() const {
+    return static_cast<uint16_t>(derived_.enabled_mask & eversion_.everted_mask() &
+                                 zeros_.valid_mask());
+  }
   uint32_t t_us() const { return tick_ * 1000u + frame_us_; }
   void post(protocol::EventCode code, uint16_t arg, int32_t value) {
     events_.post(code, arg, value, t_us());
@@ -188,6 +193,7 @@ class Controller {
   bool released() const;
   bool fitted(uint8_t muscle) const { return (derived_.fitted_mask >> muscle & 1) != 0; }
   bool acceptable(const int16_t* cpsi, uint8_t most) const;
+  bool guarded(uint8_t muscle) const;
   static uint8_t above_zero(const int16_t* cpsi);
   int16_t highest(const int16_t* cpsi) const;
   void press_only(uint8_t muscle, int16_t cpsi);

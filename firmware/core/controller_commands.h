@@ -118,6 +118,17 @@ inline bool Controller::acceptable(const int16_t* cpsi, uint8_t most) const {
   return above_zero(cpsi) <= most;
 }
 
+// Whether the contact trigger has a base sensor that it can read while a muscle bends the body.
+inline bool Controller::guarded(uint8_t muscle) const {
+  const uint16_t usable = usable_mask();
+  for (uint8_t i = 0; i < kColumns; ++i) {
+    const uint8_t input = base_input(i);
+    const int32_t counts = config_.get(Param::kTriggerWhen, input);
+    if ((usable >> input & 1) != 0 && (counts >> muscle & 1) != 0) return true;
+  }
+  return false;
+}
+
 inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
   const bool release = above_zero(wanted.set_cpsi) == 0;
   if (!release) {
@@ -133,7 +144,9 @@ inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
   const uint16_t slew =
       wanted.ramp_cpsi_s == 0 ? fastest : lesser<uint16_t>(wanted.ramp_cpsi_s, fastest);
   const int32_t step_q8 = Derived::slew_step_q8(slew);
+  bool unguarded = false;
   for (uint8_t i = 0; i < kMuscles; ++i) {
+    unguarded = unguarded || (wanted.set_cpsi[i] > 0 && !guarded(i));
     // One muscle at a time: what another one held falls at once, and by the ramp if all are let go.
     if (!release && wanted.set_cpsi[i] == 0) {
       loop_[i].cut();
@@ -142,7 +155,7 @@ inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
     }
   }
   if (!release && activity_ == Activity::kIdle) start(Activity::kPressing);
-  return kAccepted;
+  return {Reason::kNone, unguarded};
 }
 
 inline void Controller::start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s) {
@@ -277,6 +290,9 @@ inline Outcome Controller::sweep(const protocol::Sweep& wanted) {
   }
   const int32_t most = config_.get(Param::kMaxPressureCpsi);
   if (highest(wanted.amplitude_cpsi) > most) return {Reason::kOverLimit, most};
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    if (wanted.amplitude_cpsi[i] > 0 && !guarded(i)) return {Reason::kNoBaseSensor, i};
+  }
   sweep_options_ = wanted.options;
   sweep_.start(wanted.amplitude_cpsi, wanted.period_ms, wanted.cycles, tick_);
   start(Activity::kSweeping);

@@ -426,8 +426,7 @@ THIGMO_NOINLINE inline void Controller::look_at_base(uint8_t column) {
 }
 
 THIGMO_NOINLINE inline void Controller::trigger_step() {
-  const uint16_t usable =
-      static_cast<uint16_t>(derived_.enabled_mask & eversion_.everted_mask() & zeros_.valid_mask());
+  const uint16_t usable = usable_mask();
   const bool vented = (conditions_ & mask(Condition::kVented)) != 0 && !bending();
   const uint8_t active = active_muscle();
   const uint8_t now = vented ? kAtRest : static_cast<uint8_t>(1u << active);
@@ -516,8 +515,7 @@ inline void Controller::assemble_conditions() {
     if ((in_use & ~eversion_.settled_mask()) == 0) c |= mask(Condition::kSettled);
     if ((in_use & ~zeros_.valid_mask()) == 0) c |= mask(Condition::kZeroed);
     if (eversion_.half_mask() != 0) c |= mask(Condition::kHalfEverted);
-    if ((in_use & zeros_.valid_mask() & derived_.bases_mask) != 0)
-      c |= mask(Condition::kBaseUsable);
+    if ((usable_mask() & derived_.bases_mask) != 0) c |= mask(Condition::kBaseUsable);
   }
   if (zone_ < kBodyPressures) c |= mask(Condition::kZoneKnown);
   if (vented_steps_ >= kVentedSteps) c |= mask(Condition::kVented);

@@ -123,6 +123,31 @@ def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
             driven.press("four", 9.0)
 
 
+def test_a_muscle_that_no_base_sensor_guards_is_pressed_with_a_warning_and_not_swept(
+    tmp_path: Path,
+) -> None:
+    robot = draft(53, None, 4)
+    scene = room_for(robot, 0, peg=False)
+    scene.start_length_cm, scene.start_settled = robot.body.length_cm, True
+    warned: list[str] = []
+    with connect(room_file(tmp_path, scene)) as driven:
+        driven.configure(robot)
+        driven.confirm_length(robot.body.length_cm, settled=True)
+        driven.select_zone(2)
+        driven.arm()
+        driven.wait(2.0)
+        driven.zero()
+        driven.operator.warn = warned.append  # type: ignore[method-assign]
+        for name in ("left", "180deg", "180deg"):
+            driven.press(name, 5.0)
+        driven.vent()
+        assert warned == [
+            "no base sensor guards muscle 180deg: no contact is felt while it bends the body"
+        ]
+        with pytest.raises(ConfigError, match=r"no healthy sensor .* to muscle 180deg"):
+            driven.sweep({"180deg": 5.0}, period_s=10.0)
+
+
 def test_a_base_sensor_that_reads_half_of_a_bend_does_not_take_it_for_a_contact(
     tmp_path: Path,
 ) -> None:

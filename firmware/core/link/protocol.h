@@ -420,7 +420,8 @@ struct ClearFaults {
   }
 };
 
-// Hold a muscle pressure, for calibration and diagnostics. The interlocks of a sweep apply.
+// Hold a muscle pressure, for calibration and diagnostics. The interlocks of a sweep apply, but a
+// muscle that no base sensor guards may be pressed; detail = 1 then, because no contact is felt.
 struct SetPressure {
   static constexpr uint8_t kId = kSetPressure;
   static constexpr uint8_t kSize = 2 + 1 + 2 * kMuscles;
@@ -528,7 +529,8 @@ struct SelectZone {
 };
 
 // Bend with half a sine of pressure, one muscle after the other. A muscle with amplitude 0 is
-// skipped.
+// skipped. Each of the others needs a base sensor that feels a contact while it is driven
+// (no_base_sensor; detail = the muscle).
 struct Sweep {
   static constexpr uint8_t kId = kSweep;
   static constexpr uint8_t kSize = 6 + 1 + 2 * kMuscles;

@@ -99,6 +99,7 @@ class Connected(Closing):
         self._interruptions: list[Callable[[], None]] = []
         self._started = client.now()
         self._briefed = False  # the operator, since the connection
+        self._warned_of: set[str] = set()  # muscles that no base sensor guards
         self._closed = False
 
     # Life.

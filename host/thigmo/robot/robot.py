@@ -305,9 +305,17 @@ class Robot(Supervised):
 
         `towards` is the muscle's name, or the direction (degrees) towards which it bends the body.
         A set point below the transducer's live zero (about 2.2 psi) vents it. A ramp of 0 means the
-        configured rate. Refused while a sensor is half everted.
+        configured rate. Refused while a sensor is half everted. The operator is warned, once, of a
+        muscle that no base sensor guards: no contact is felt while it bends the body.
         """
-        self._request(wire.SetPressure(self._cpsi({towards: psi}), round(ramp_psi_s * 100)))
+        wanted = wire.SetPressure(self._cpsi({towards: psi}), round(ramp_psi_s * 100))
+        unguarded = self._request(wanted).detail
+        name = self.config.muscles[self.config.muscle_number(towards)].name
+        if unguarded and name not in self._warned_of:
+            self._warned_of.add(name)
+            self.operator.warn(
+                f"no base sensor guards muscle {name}: no contact is felt while it bends the body"
+            )
 
     def _cpsi(self, tops_psi: Mapping[str | float, float]) -> tuple[int, ...]:
         """Pressures as the board takes them; ConfigError for a muscle that the robot lacks."""

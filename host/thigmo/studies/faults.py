@@ -123,8 +123,9 @@ STATES: dict[str, tuple[tuple[wire.Command[Any], ...], float]] = {
     "pressing": ((wire.SetPressure((1800, 0), 0),), 6.0),
 }
 QUICK = ("ready", "growing", "pressing")
-# Directions of the muscles of robots with fewer and with more than two.
-BUILT = {1: (90.0,), 2: (90.0, 270.0), 4: (90.0, 270.0, 0.0, 180.0)}
+# Directions of the muscles of robots with fewer and with more than two. Of four, the base sensors
+# at 90 and 270 degrees guard two each: a sweep takes guarded muscles only.
+BUILT = {1: (90.0,), 2: (90.0, 270.0), 4: (45.0, 135.0, 225.0, 315.0)}
 BENDING = ("sweeping", "pressing")  # what differs with the muscles
 
 

@@ -221,6 +221,15 @@ def test_an_imu_that_began_again_needs_a_zero_before_the_next_bend(string: Strin
     string.robot.press("left", 6.0)
 
 
+def test_an_imu_that_begins_again_in_a_bend_ends_it(string: String) -> None:
+    """Without its zero the span at the base would guard nothing."""
+    string.bend()
+    string.chip.restart(origin_rad=0.4)
+    with pytest.raises(RobotFaultError, match="flex_open: An IMU does not answer"):
+        string.robot.wait(1.0)
+    assert not any(string.board.drive_enabled)
+
+
 def _without(store: bytes, ids: set[int]) -> bytes:
     """A store as a firmware without these parameters has written it."""
     made = bytearray(store)
