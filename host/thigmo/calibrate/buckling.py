@@ -8,7 +8,7 @@ fitted; the thesis's line through their curvatures, read off at s = 0, takes two
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,13 +19,16 @@ from thigmo.calibrate.regression import Mask, outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
-from thigmo.mechanics import push_tip
+from thigmo.mechanics import critical_moment, push_tip
 from thigmo.record.table import Table
 
 # Share of the fold's length before which a sensor must begin to show the fold. One that begins
 # later reads too little of it: a push would seem not to have folded the base.
 _SHOWS_FOLD = 0.9
 _HARD = 1.7  # times the moment that folds the base, by what is known before
+_DEEPER = 1.2  # between two pushes of a base whose fold no sensor reads
+_BENT = 2.8  # moment times length over EI, beyond which a push turns the tip back
+_GROWS = 0.5  # exponent of the moment over the push: 1 for a beam, 0 for a folded base
 
 
 @dataclass(frozen=True)
@@ -52,14 +55,29 @@ Fit = Callable[[Array, float, float, RobotConfig], BucklingResult]
 def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
     """Critical curvature from hard pushes, each with its own straight reading.
 
-    They go to both sides in turn, or to the one side to which enough sensors answer. Run it after
-    flex. Raises DataError if too few sensors answer to either side.
+    They go to both sides in turn, or to the one side to which enough sensors answer. Where no
+    sensor reads the fold, they are of two depths, because only a base that has folded is bent by
+    the same moment in both. Run it after flex. Raises DataError if too few sensors answer to either
+    side.
     """
     body = bench.config.body
-    reach = push_tip(_HARD * body.critical_curvature, body.length_cm).tip[1]
     signs = _readable_signs(bench.config, body.length_cm)
+    folds_at = critical_moment(
+        body.critical_curvature, body.critical_pressure_psi, body.zones[-1].pressure_psi
+    )
+    most = min(_HARD * folds_at, _BENT / body.length_cm)
+    depths = [most] if _in_fold(bench.config).any() else [most / _DEEPER, most]
+    if depths[0] < folds_at:
+        reason = (
+            f"pushes at the tip bend this base to {depths[0]:.4f} 1/cm only, and it folds at about "
+            f"{folds_at:.4f}; keep what robot.toml says"
+        )
+        none = np.empty(0)
+        verdict = Verdict(False, reason)
+        return BucklingResult(np.nan, np.inf, none, none, body.zones[-1].pressure_psi, verdict)
 
-    def take(key: str, y_cm: float) -> Row:
+    def take(key: str, moment: float) -> Row:
+        y_cm = float(np.sign(moment)) * push_tip(abs(moment), body.length_cm).tip[1]
         bench.hand.push_tip(None)
         bench.robot.wait(STEADY_S)
         straight = bench.robot.read(READ_S)
@@ -67,9 +85,12 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
         bench.robot.wait(STEADY_S)
         pushed = bench.robot.read(2 * READ_S)
         bench.hand.push_tip(None)
-        return {"rest": bench.ohm(straight), "ohm": bench.ohm(pushed)}
+        return {"rest": bench.ohm(straight), "ohm": bench.ohm(pushed), "moment": moment}
 
-    planned = {f"push {n}": signs[n % len(signs)] * reach for n in range(bench.plan.pushes)}
+    planned = {
+        f"push {n}": signs[n % len(signs)] * depths[n // len(signs) % len(depths)]
+        for n in range(bench.plan.pushes)
+    }
     rows = bench.rows("pushes", planned, take)
     (scale,) = constants_of(bench.config, "scale_per_ohm")
     gone, rest = column(rows, "ohm") * scale, column(rows, "rest") * scale
@@ -83,7 +104,37 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
         rest -= loop * turn[0::2]
         gone -= loop * turn[1::2]
     fitted = fit or fit_buckling
-    return fitted(gone - rest, body.zones[-1].pressure_psi, body.length_cm, bench.config)
+    result = fitted(gone - rest, body.zones[-1].pressure_psi, body.length_cm, bench.config)
+    return _shown(result, np.abs(column(rows, "moment")), bench.config)
+
+
+def _in_fold(config: RobotConfig) -> Mask:
+    """(m,) the healthy sensors that show the fold, which spreads over a diameter from the base."""
+    center, span, healthy = constants_of(config, "center_cm", "span_cm", "healthy")
+    reached = center - span / 2 < _SHOWS_FOLD * config.body.diameter_cm
+    return np.asarray((healthy > 0) & reached)
+
+
+def _shown(result: BucklingResult, pushed: Array, config: RobotConfig) -> BucklingResult:
+    """The result; not good if nothing shows that the base folded.
+
+    `pushed` (t,) are the moments to which the pushes would bend a base that does not fold, 1/cm;
+    nan if unknown. Where no sensor reads the fold, the moment must not grow with them.
+    """
+    if _in_fold(config).any() or not result.verdict.good:
+        return result
+    known = np.isfinite(result.each) & np.isfinite(pushed)
+    x, y = np.log(pushed[known]), np.log(result.each[known])
+    if len(x) < 2 or np.ptp(x) < 0.5 * np.log(_DEEPER):
+        reason = (
+            "no sensor reads the fold, and without pushes of two depths nothing shows that the "
+            "base folded; take them again (`thigmo calibrate buckling --again`)"
+        )
+    elif np.polynomial.Polynomial.fit(x, y, 1).convert().coef[1] > _GROWS:
+        reason = "the moment at the base grew with the push, so the base did not fold"
+    else:
+        return result
+    return replace(result, verdict=Verdict(False, reason, result.verdict.notes))
 
 
 def of_csv(table: Table, config: RobotConfig, fit: Fit | None = None) -> BucklingResult:
@@ -93,19 +144,20 @@ def of_csv(table: Table, config: RobotConfig, fit: Fit | None = None) -> Bucklin
     if np.ptp(body) > 1e-9 or np.ptp(length) > 1e-9:
         raise DataError(f"{table.name}: body pressure or length varies", "one file for each")
     curvature = of_sensors(table, "curvature", config)
-    return (fit or fit_buckling)(curvature, float(body[0]), float(length[0]), config)
+    result = (fit or fit_buckling)(curvature, float(body[0]), float(length[0]), config)
+    return _shown(result, np.full(len(curvature), np.nan), config)
 
 
 def fit_buckling(
     curvature: Array, body_pressure_psi: float, length_cm: float, config: RobotConfig
 ) -> BucklingResult:
     """Critical curvature over hard pushes at the tip, a row each (t, m); nan = unusable."""
-    names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction", "healthy")
-    center, span, noise, gain, way, healthy = constants_of(config, *names)
+    names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction")
+    center, span, noise, gain, way = constants_of(config, *names)
     if curvature.shape[1] != len(center):
         what = f"{curvature.shape[1]} columns for {len(center)} sensors"
         raise DataError(what, "use this robot's file")
-    in_fold = center - span / 2 < _SHOWS_FOLD * config.body.diameter_cm
+    in_fold = _in_fold(config)
     beyond = _beyond_fold(config, length_cm)
     _readable_signs(config, length_cm)  # refuses a robot with too few of them
     each, excess, own = np.full((3, len(curvature)), np.nan)
@@ -119,7 +171,7 @@ def fit_buckling(
             continue
         sign = float(np.sign(np.median(row[pick]))) or 1.0
         moment, error = _moment(sign * row[pick], center[pick], span[pick], noise[pick], length_cm)
-        base = (healthy > 0) & in_fold & np.isfinite(row) & ((way == 0) | (way == sign))
+        base = in_fold & np.isfinite(row) & ((way == 0) | (way == sign))
         least = 0.0
         if base.any():
             # A beam without a fold would show this at the base sensors.

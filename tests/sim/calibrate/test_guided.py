@@ -214,6 +214,39 @@ def test_a_robot_whose_sensors_answer_to_one_side_is_pushed_there_only(tmp_path,
     assert result.critical_curvature == pytest.approx(truth, rel=0.2)  # scales are uncalibrated
 
 
+@pytest.mark.ci
+@pytest.mark.parametrize(
+    ("length_cm", "sensors", "true", "folds"),
+    [(120.0, 8, 0.0172, True), (53.0, 4, 0.0111, True), (53.0, 4, np.nan, False)],
+)
+def test_a_base_whose_fold_no_sensor_reads_is_pushed_to_two_depths(
+    tmp_path, length_cm, sensors, true, folds
+):
+    """Pushes of one depth cannot tell a folded base from a beam: 0.0142 for 0.0172 was good."""
+    robot = draft(length_cm, sensors, 2)
+    for sensor in robot.sensors:
+        sensor.scale_se = 0.01  # as calibrated
+    body = Scene.load("empty").body.model_copy(update={"fold": folds})
+    lab = Lab(tmp_path, robot=robot, body=body, start_length_cm=length_cm)
+    bench = lab.bench()
+    bench.plan = replace(PLAN, pushes=8)
+    result = steps.run(bench, "buckling")
+    lab.robot.close()
+    assert result.verdict.good == folds, result.verdict
+    if folds:
+        assert result.critical_curvature == pytest.approx(true, rel=0.03)
+    else:
+        assert "the moment at the base grew with the push" in result.verdict.reason
+
+
+def test_a_base_that_no_push_at_the_tip_folds_is_not_pushed(tmp_path):
+    lab = Lab(tmp_path, robot=draft(200.0, 16, 1), start_length_cm=200.0)
+    result = steps.run(lab.bench(), "buckling")
+    lab.robot.close()
+    assert "keep what robot.toml says" in result.verdict.reason
+    assert not lab.session.rows("pushes")
+
+
 def test_a_robot_with_too_few_sensors_that_answer_to_a_side_is_not_pushed(tmp_path):
     robot = draft(53.0, 3, 1)
     robot.sensors[0].healthy, robot.sensors[2].valid_direction = False, -1
