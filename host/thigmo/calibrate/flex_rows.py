@@ -178,7 +178,8 @@ def judge_rows(rows: Rows) -> None:
     for row in np.flatnonzero(np.isfinite(seen).sum(axis=0) >= 3):
         known = np.isfinite(seen[:, row])
         bend, spread = should[known, row], noise[known]
-        if np.abs(bend).max() > 3 * np.median(spread):
+        # What lies within the camera's error is bent to no side.
+        if np.abs(bend).max() > 3 * max(float(np.median(spread)), float(rows.error[row].max())):
             weights = np.abs(bend) / spread
             share[row] = _weighted_median(seen[known, row] / bend, weights)
             scatter[row] = 1.25 / np.sqrt(weights @ weights)

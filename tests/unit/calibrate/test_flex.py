@@ -147,6 +147,21 @@ def test_tip_on_the_wrong_side_is_detected(asked):
     assert np.abs(errors(result, lab)).max() < 0.05
 
 
+def test_a_bend_within_the_camera_s_error_is_on_no_side():
+    """Quiet sensors read a body that lies a little to the right; the picture says to the left."""
+    lab = Lab(7, sigma=5e-5)
+    readings = lab.flex()
+    row = readings.kind.index("bend")
+    for off, omitted in ((3e-4, False), (1e-5, True)):
+        seen, error = readings.curvature.copy(), readings.curvature_se.copy()
+        ohm = readings.ohm.copy()
+        seen[row], error[row], ohm[row] = 6e-4, off, lab.ohm(np.full(10, -6e-4))
+        result = fit_flex(
+            replace(readings, curvature=seen, curvature_se=error, ohm=ohm), lab.config
+        )
+        assert any("the sensors say" in note for note in result.verdict.notes) == omitted
+
+
 def test_a_camera_whose_sides_are_exchanged_is_detected():
     lab = Lab(7)
     readings = lab.flex(bends=24)
