@@ -88,8 +88,8 @@ def draft(
         raise ConfigError(f"{muscles} muscles", "give 1 or 2 in a plane, or 3 or 4 around the body")
     if muscles > 2 and kind != "flex":
         why = {
-            "heading": "the board reads turns about one axis",
-            "fibre": "contacts are felt by a fibre in the plane",
+            "heading": "the board's reader of IMUs measures turns about one axis",
+            "fibre": "a fibre feels contacts in the plane only",
         }[kind]
         raise ConfigError(
             f"{muscles} muscles with sensors of kind {kind}: {why}",

@@ -39,6 +39,7 @@ from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
 from thigmo.robot.configuration import out_of_range, parameter_settings
 from thigmo.wiring import (
+    base_inputs,
     beyond_board,
     board_of,
     column_name,
@@ -350,16 +351,13 @@ def _rates(config: RobotConfig) -> Iterator[Finding]:
     """How often each kind of channel is read, by the schedule of firmware/core/board.h."""
     conversions = 2 ** PARAMETERS["oversample_log2"].defaults[0]
     bases, others = _TICKS_HZ / conversions, _TICKS_HZ / 2 / conversions
-    read = {sensor.side for sensor in config.board_sensors} - {None}
-    rest = len(config.board_sensors) - len(read)
-    if not config.board_sensors:
+    if not config.board_sensors or beyond_board(config):
         return
-    yield Finding(
-        "rates",
-        "ok",
-        f"base sensors ({len(read)}) {bases:.1f} Hz, the others ({rest}) {others:.1f} Hz, "
-        f"pressures {_TICKS_HZ} Hz",
-    )
+    read = len(base_inputs(config))
+    text = f"base sensors ({read}) {bases:.1f} Hz, "
+    if rest := len(config.board_sensors) - read:
+        text += f"the others ({rest}) {others:.1f} Hz, "
+    yield Finding("rates", "ok", f"{text}pressures {_TICKS_HZ} Hz")
 
 
 def _imus(config: RobotConfig) -> Iterator[Finding]:
