@@ -66,9 +66,9 @@ def scale_errors(config: RobotConfig) -> Floats:
     return np.array([sensor.gain_error if sensor else 0.0 for sensor in wiring.rows(config)])
 
 
-def gain_errors(config: RobotConfig) -> Floats:
-    """The same, with what a sensor may have changed by since its calibration."""
-    return np.hypot(scale_errors(config), _GAIN_DRIFT)
+def gain_errors(config: RobotConfig, drift: float = 1.0) -> Floats:
+    """The same, with what a sensor may have changed by since calibration: `drift` times usual."""
+    return np.hypot(scale_errors(config), drift * _GAIN_DRIFT)
 
 
 class FreeResponse:
@@ -91,7 +91,7 @@ class FreeResponse:
         self._readings = 0.0
         self._rows = [SIDES.index(side) for side in config.sides]
         for drift, prior in zip(_DRIFTS, self._prior, strict=True):
-            gain = np.hypot(scale_errors(config), drift * _GAIN_DRIFT)
+            gain = gain_errors(config, drift)
             for row, side in zip(self._rows, config.sides, strict=True):
                 muscle = config.muscle(side)
                 scale = [np.hypot(each.scale_se, _ZONE_DRIFT) for each in muscle.maps]
@@ -139,6 +139,7 @@ class FreeResponse:
     def _posterior(self, side: int) -> tuple[Floats, Floats]:
         """Mean (size,) and covariance of a side's unknowns, mixed over the drifts."""
         logs, means, covariances = [], [], []
+        own = self._rows.index(side)
         for prior in self._prior[:, self._rows]:
             matrix, vector = self._matrix[self._rows], self._vector[self._rows]
             explained = np.sum(vector * np.linalg.solve(prior + matrix, vector[..., None])[..., 0])
@@ -146,13 +147,12 @@ class FreeResponse:
             left, readings = _STATED + self._squared - explained, _STATED + self._readings
             scatter = float(left / readings)
             precision = prior + matrix / scatter
-            covariance = np.linalg.inv(precision)
-            mean = np.einsum("rij,rj->ri", covariance, vector / scatter)
+            mean = np.linalg.solve(precision, vector[..., None])[..., 0] / scatter
             gain = np.sum(mean * vector) / scatter - (_STATED + self._squared) / scatter
             volume = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(precision)[1]
             logs.append(0.5 * (gain + volume.sum() - readings * np.log(scatter)))
-            means.append(mean[self._rows.index(side)])
-            covariances.append(covariance[self._rows.index(side)])
+            means.append(mean[own])
+            covariances.append(np.linalg.inv(precision[own]))
         weight = np.exp(np.array(logs) - max(logs))
         weight /= weight.sum()
         mean = weight @ np.array(means)

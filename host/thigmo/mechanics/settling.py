@@ -1,9 +1,9 @@
 """Creep of a flex sensor after its eversion: fitted, subtracted, and carried as noise.
 
 A tight bend leaves a sensor reading `rest + amplitude * exp(-t / tau)` (thesis: steady after 30 s,
-so tau is 6 to 10 s; docs/methods.md). Calibration measures tau and amplitude; in use, the part
-seen while the robot stands still after growing tells this eversion's own amplitude, and readings
-count long before the 30 s are over.
+so tau is 6 to 10 s; docs/methods.md). Calibration measures tau and the mean amplitude. In use, the
+amplitude of each eversion is estimated while the robot stands still after growing, so readings
+can be used long before the 30 s are over.
 """
 
 from __future__ import annotations
@@ -23,24 +23,27 @@ class Settling:
     """One sensor's decay law."""
 
     tau_s: float  # decay time
-    tau_se_s: float = 0.0  # its standard error
+    tau_se_s: float = 0.0  # standard error of the decay time
     amplitude: float = 0.0  # mean at eversion, 1/cm
-    amplitude_sd: float = 0.0  # spread from one eversion to the next, 1/cm
+    amplitude_sd: float = 0.0  # standard deviation between eversions, 1/cm
 
     def excess(self, t_s: npt.ArrayLike) -> tuple[Floats, Floats]:
-        """Expected rest of the creep at a time since eversion, and its one sigma (1/cm)."""
+        """Expected creep that remains, and its standard deviation, in 1/cm.
+
+        `t_s` is the time since eversion; the results have its shape.
+        """
         t = np.asarray(t_s, dtype=np.float64)
         decay = np.exp(-t / self.tau_s)
         by_tau = self.amplitude * decay * t / self.tau_s**2 * self.tau_se_s
         return self.amplitude * decay, np.hypot(self.amplitude_sd * decay, by_tau)
 
-    def usable_after_s(self, noise: float, period_s: float = 0.25) -> float:
-        """Time since eversion, 60 s at most, from which a watched reading is known to `noise`.
+    def usable_after_s(self, noise: float) -> float:
+        """Time since eversion at which `observe` knows the settled value to `noise`; at most 60 s.
 
-        Watched means: readings of that noise (1/cm) every `period_s` from 1 s on, by `observe`.
+        It is given a reading of that noise (1/cm) every 0.25 s, from 1 s after eversion on.
         """
         for end in np.arange(2.0, 60.0, 0.5):
-            t = np.arange(1.0, end, period_s)
+            t = np.arange(1.0, end, 0.25)
             if np.sqrt(self._covariance(t, noise)[0, 0]) < noise:
                 return float(end)
         return 60.0
@@ -48,10 +51,11 @@ class Settling:
     def observe(
         self, t_s: npt.ArrayLike, reading: npt.ArrayLike, noise: float
     ) -> tuple[float, float, Settling]:
-        """Settled value, its one sigma, and this eversion's law, of a robot that stands still.
+        """Settled value and its standard deviation (1/cm), and the decay law of this eversion.
 
-        Times since eversion and readings in 1/cm, (n,) each; noise is one sigma of one reading.
-        Raises DataError for fewer than three readings.
+        The robot must stand still. `t_s` holds times since eversion, `reading` curvatures in 1/cm,
+        (n,) each; `noise` is the standard deviation of one reading. Raises DataError for fewer than
+        three readings.
         """
         t, y = np.asarray(t_s, dtype=np.float64), np.asarray(reading, dtype=np.float64)
         if t.ndim != 1 or t.shape != y.shape or len(t) < 3:
