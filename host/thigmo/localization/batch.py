@@ -1,4 +1,4 @@
-"""What `localize_batch` answers: contacts of each row, as arrays."""
+"""The result of `localize_batch`: the contacts of each row, as arrays."""
 
 from __future__ import annotations
 
@@ -20,17 +20,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """Contacts of M rows, in the caller's units; base to tip, NaN beyond the last.
+    """Contacts of M rows of readings, in the caller's units, ordered from base to tip.
+
+    Each row has room for three contacts; entries beyond its last contact are NaN or False.
 
     Attributes:
-        status: (M,) as in `localize`.
-        contacts: (M,) how many are listed.
-        arc, force: (M, 3) of each.
+        status: (M,) status of each row, as in `localize`.
+        contacts: (M,) number of contacts listed.
+        arc, force: (M, 3) place of each contact, and its force over EI.
         low, high: (M, 3) ends of its 95 % interval.
-        localized: (M, 3) whether it is.
-        probability: (M,) that there is any contact.
-        log_odds: (M,) of that.
-        discarded: (M,) index of the reading taken for bad, or -1.
+        localized: (M, 3) whether its status is `localized`.
+        probability: (M,) probability that there is any contact.
+        log_odds: (M,) log odds of any contact against none.
+        discarded: (M,) index of the reading taken for bad; -1 if there is none.
     """
 
     status: list[Status]
@@ -48,9 +50,9 @@ class BatchResult:
         return len(self.arc)
 
     def to_frame(self) -> DataFrame:
-        """A pandas data frame with a row for each contact, by the row of readings and its number.
+        """A pandas data frame with a line for each contact of each row of readings.
 
-        A row without a contact has one line, of nan. Needs `thigmo[tables]`.
+        A row without a contact has one line, with NaN for the contact. Needs `thigmo[tables]`.
         """
         listed = np.maximum(self.contacts, 1)
         row = np.repeat(np.arange(len(self)), listed)
@@ -74,10 +76,10 @@ class BatchResult:
 
     @classmethod
     def of(cls, of_row: Array, of_contact: Array, length: float) -> BatchResult:
-        """From the arrays of rows and contacts that the compiled code returns.
+        """The result from the compiled code's arrays of rows and of contacts.
 
         Raises:
-            DataError: a row that cannot be used, by its number.
+            DataError: a row cannot be used; the message has its number.
         """
         status, contacts, problem, shows, probability, log_odds, discarded = of_row.T
         wrong = np.flatnonzero(problem)

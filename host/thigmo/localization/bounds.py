@@ -1,8 +1,8 @@
-"""What a sensor layout can know: the Cramer-Rao bound of contacts along a body.
+"""What a sensor layout can resolve: Cramer-Rao bounds of contacts along a body.
 
-For a proposed layout: where, and from which force, a contact can be felt, found and distinguished
-from a second one. Used to plan robots (`thigmo design`). Small deflections: the bound is a planning
-figure, and is one standard deviation of the best unbiased estimate.
+They show where a contact can be detected, located and distinguished from a second one, and from
+which force on. `thigmo design` plans robots with them. The bound is the standard deviation of the
+best unbiased estimate, for small deflections: enough for planning.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from thigmo.mechanics.closed_forms import phi
 # Signal over noise from which one contact is reported nine times in ten (studies/accuracy.py).
 DETECTABLE = 4.5
 _SINGULAR = 1e-11  # pivot of an information matrix of unit diagonal
-_STEP = 1e-6  # of the length: half of the difference that takes the slope of a lever
+_STEP = 1e-6  # share of the length by which central differences step to either side
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +27,15 @@ class Identifiability:
     """Bounds of one layout, in the caller's units.
 
     Attributes:
-        arc: (A,) places of one contact.
-        moment: (M,) its moment at the base over EI (curvature there), which compares forces
-            across places better than the force itself.
+        arc: (A,) places of a single contact.
+        moment: (M,) its moment at the base over EI, which is the curvature there. Contacts at
+            different places compare better by this moment than by their force.
         bound: (M, A) standard deviation of the arc; infinite where the readings fix no place.
-        signal: (M, A) root of the sum of squared readings over noise: how well it is felt.
+        signal: (M, A) signal over noise: root of the sum of squares of readings over their noise.
         separation: (S,) distances between two opposed contacts, the distal one at the tip.
-        pair_bound: (M, S, 2) bounds of the proximal and the distal contact. Their base moments
-            are -0.8 and 1 times `moment`.
-        length: of the body.
+        pair_bound: (M, S, 2) standard deviations of the proximal and the distal arc. The contacts'
+            base moments are -0.8 and 1 times `moment`.
+        length: length of the body.
     """
 
     arc: Array
@@ -48,7 +48,7 @@ class Identifiability:
 
     @property
     def detected(self) -> npt.NDArray[np.bool_]:
-        """(M, A) whether a contact there is reported nine times in ten."""
+        """(M, A) whether a contact there is reported in nine of ten cases."""
         return np.asarray(self.signal > DETECTABLE)
 
 
@@ -61,16 +61,17 @@ def arc_bounds(
     length: float,
     offset_error: float = 0.0,
 ) -> Array:
-    """Cramer-Rao bounds of the arcs of contacts whose forces are unknown too.
+    """Cramer-Rao bounds of the arcs of contacts, if their forces are unknown as well.
 
     Args:
-        arcs, forces: (k,) of the contacts.
-        position, span, noise: (N,) or scalars, as in `localize`.
-        length: of the body.
+        arcs, forces: (k,) places of the contacts, and their forces over EI.
+        position: (N,) sensor centres.
+        span, noise: scalar or (N,), as in `localize`.
+        length: length of the body.
         offset_error: standard deviation of an error that all readings share.
 
     Returns:
-        (k,) standard deviations; infinite where the readings fix no place.
+        (k,) standard deviations of the arcs; infinite where the readings fix no place.
     """
     x = vector(position, "position")
     width, sigma = (np.broadcast_to(vector(v, "span", x.size), x.shape) for v in (span, noise))
@@ -106,18 +107,18 @@ def identifiability(
     offset_error: float = 0.0,
     separations: npt.ArrayLike | None = None,
 ) -> Identifiability:
-    """Bounds for a proposed layout.
+    """Bounds of one contact and of two for a proposed layout.
 
     Args:
         position: (N,) sensor centres.
-        length: of the body.
+        length: length of the body.
         noise: standard deviation of a reading, scalar or (N,).
-        span: scalar or (N,).
+        span: length of each sensor, scalar or (N,).
         offset_error: standard deviation of an error that all readings share.
-        separations: (S,) of two contacts; twelve even ones if not given.
+        separations: (S,) distances between two contacts; by default twelve, evenly spaced.
 
     Raises:
-        DataError: as `localize`; a separation that is not within the length.
+        DataError: for what `localize` refuses, and for a separation beyond the length.
     """
     total = everted_length(length)
     x = vector(position, "position")

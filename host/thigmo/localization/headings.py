@@ -1,7 +1,7 @@
-"""Headings along the body, as IMUs measure them, as curvature that `localize` takes.
+"""Converts headings along the body, as IMUs measure them, to the curvatures that `localize` takes.
 
-Two neighbours' difference over their distance is the mean curvature between them. Each one's error
-is in two differences, with opposite signs: an error that readings share.
+The difference of two neighbouring headings over their distance is the mean curvature between them.
+The error of each heading enters two differences, with opposite signs, so readings share it.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ Floats = npt.NDArray[np.float64]
 
 
 class CurvatureRows(NamedTuple):
-    """Arguments of `localize`: N readings of M headings, N = M - 1."""
+    """Arguments of `localize`: N = M - 1 readings from M headings."""
 
-    curvature: Floats  # (N,) in 1/unit of length; (F, N) of frames
+    curvature: Floats  # (N,), or (F, N) for F frames, in 1/unit of length
     position: Floats  # (N,) middles of the spans
-    span: Floats  # (N,) from one heading to the next
-    shared_errors: Floats  # (N, M) what each heading's standard error adds
+    span: Floats  # (N,) distances from one heading to the next
+    shared_errors: Floats  # (N, M) effect of one standard error of each heading
 
 
 def from_headings(
@@ -31,13 +31,13 @@ def from_headings(
     """Readings of curvature from headings along the body.
 
     Args:
-        heading: (M,) or (F, M), rad, in the plane; full turns are taken out.
-        arc: (M,) where they are measured, ascending; of a base that cannot turn, an arc of 0 with a
-            heading and an error of 0.
-        error: their standard errors, rad, scalar or (M,), independent of each other.
+        heading: (M,) or (F, M) headings in the plane, rad; jumps by a full turn are removed.
+        arc: (M,) ascending arcs at which they are measured. For a base that cannot turn, add an arc
+            of 0 with a heading and an error of 0.
+        error: standard errors of the headings, rad, scalar or (M,), independent of each other.
 
     Raises:
-        DataError: arcs that do not ascend, or other numbers of headings.
+        DataError: the arcs do not ascend, or there is not one heading for each arc.
     """
     places, turned = np.asarray(arc, dtype=np.float64), np.asarray(heading, dtype=np.float64)
     if places.ndim != 1 or places.size < 2 or not (np.diff(places) > 0).all():

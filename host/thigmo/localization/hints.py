@@ -1,7 +1,7 @@
-"""Mistakes in a table of readings that can be seen in the readings themselves.
+"""Finds mistakes in a table of readings that the readings themselves show.
 
-Each is a sentence for the person who made the table. None changes an answer: a body may bend like
-that.
+A hint is a sentence for the person who made the table. It does not change the answer, because a
+body may really bend like that.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ import numpy as np
 from thigmo.localization.localizer import localize
 from thigmo.localization.result import Array, LocalizeResult
 
-# Log of how much likelier the readings must be with positions counted from the tip.
+# Gain in log odds from which positions seem to be counted from the tip.
 _TURNED = 7.0
-_HELD = 0.9  # probability of a held end from which any gain is a reason to look
-_OPPOSITE = 0.1  # share of the squares that a change of sign leaves
-_SIGMAS = 5.0  # root mean square from which readings are more than noise
+_HELD = 0.9  # probability of a held end from which any gain counts
+# Sum of squares of the differences over that of the sums, below which two sets agree.
+_OPPOSITE = 0.1
+_SIGMAS = 5.0  # root mean square over noise from which readings are a signal
 
 
 def hints(
     result: LocalizeResult, curvature: Array, position: Array, **options: Any
 ) -> tuple[str, ...]:
-    """What the readings (N,) of a result look like; `options` are those of its `localize`."""
+    """Likely mistakes in the readings (N,) of a result; `options` are those of its `localize`."""
     free = np.broadcast_to(options.get("free_curvature", 0.0), curvature.shape)
     seen = np.isfinite(curvature)
     stated = options.get("noise")
@@ -52,17 +53,17 @@ def hints(
 
 
 def _mirrored(one: Array, other: Array, noise: float) -> bool:
-    """Whether two sets of curvatures (n,) are one another's negatives, and not the same."""
+    """Whether two sets of curvatures (n,) agree, and are well above the noise."""
     apart, together = np.square(one - other).sum(), np.square(one + other).sum()
     strong = min(np.square(one).mean(), np.square(other).mean()) > (_SIGMAS * noise) ** 2
     return bool(strong and apart < _OPPOSITE * together)
 
 
 def _opposite_columns(curvature: Array, position: Array, noise: float | None) -> str:
-    """Positions, as words, of pairs of sensors that read opposite; none if one pair agrees.
+    """Positions, as text, of the pairs of sensors if they read opposite curvatures; else "".
 
-    Noise that is not stated is that of the pairs' sums: the localizer's would take a column of the
-    other sign for noise.
+    If the noise is not stated, it is estimated from the sums of the pairs: the localizer's estimate
+    would include the difference between the columns.
     """
     pairs = [
         (place, curvature[position == place])

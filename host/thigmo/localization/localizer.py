@@ -1,9 +1,9 @@
-"""`Localizer`: one frame of readings in, contacts with intervals out; tables of frames as well.
+"""`Localizer` finds contacts, with intervals, in a frame of readings or in a table of frames.
 
-Its `options` are checked once (`validation`). Each frame is checked and normalised (`input.h`),
-explanations are weighed (`hypotheses.h`) and mixed into an answer (`answer.h`): one posterior over
-everything that may have bent the body, with every stated error; nothing is thrown out silently.
-`localize` and `localize_batch` are a `Localizer` that is used once.
+Its `options` are checked once (`validation`). Each frame is checked and normalised (`input.h`).
+Explanations are weighed (`hypotheses.h`) and mixed into an answer (`answer.h`): one posterior over
+everything that may have bent the body, with every stated error. Nothing is discarded silently.
+`localize` and `localize_batch` make a `Localizer` and use it once.
 """
 
 from __future__ import annotations
@@ -46,24 +46,24 @@ _PART_OF = {each.name: name for name, part in _PARTS.items() for each in fields(
 
 @dataclass(frozen=True, eq=False)
 class Localizer:
-    """Finds the contacts that a body feels; immutable, checked when it is made.
+    """Finds the contacts on a body. Immutable; the options are checked when it is made.
 
-    A stated error widens the intervals by its share; an omitted one makes them too narrow.
+    Each stated error widens the intervals. Omitting an error makes them too narrow.
 
     Args:
         body: the body.
         sensors: where its sensors are.
         errors: standard errors of their readings.
-        priors: what is known beforehand, and what counts as localized.
-        method: "posterior"; or a method without intervals, whose answers say so by their status
-            `point estimate`, for the number of contacts given, one for "auto": "thesis" (the
-            thesis's alternating fit; with `critical_curvature`, also its remedies for a folded
-            base; lengths in cm only), "l1" (the minimum that it searches for: the least 1-norm of
-            the residual, of one or two contacts). Both are in `thigmo.localization.thesis`, and use
-            no error.
+        priors: prior knowledge, and what counts as localized.
+        method: "posterior", or one of two methods without intervals, whose answers have the status
+            `point estimate`. "thesis" is the thesis's alternating fit, with its remedies for a
+            folded base if `critical_curvature` is given; lengths must be in cm. "l1" is the exact
+            minimum of the thesis's objective, the 1-norm of the residual, for one or two contacts.
+            Both fit the number of contacts given, one for "auto", and ignore the errors (source:
+            `thigmo.localization.thesis`).
 
     Raises:
-        DataError: a number that is not possible, or lengths that look like another unit.
+        DataError: a number is impossible, or lengths look like another unit.
 
     Example:
         >>> body = thigmo.Body(length=53.0, critical_curvature=0.011)
@@ -92,11 +92,11 @@ class Localizer:
 
     @classmethod
     def of(cls, *, method: str = "posterior", **options: Any) -> Localizer:
-        """The localizer of options by name: the fields of its four parts.
+        """Make a localizer from options by name: the fields of `Body`, `Sensors`, and so on.
 
         Raises:
-            TypeError: an unknown option, or `position` or `length` is missing.
-            DataError: as the constructor.
+            TypeError: an option is unknown, or `position` or `length` is missing.
+            DataError: as for the constructor.
         """
         given: dict[str, dict[str, Any]] = {name: {} for name in _PARTS}
         for name, value in options.items():
@@ -125,16 +125,16 @@ class Localizer:
         """Find the contacts in one frame.
 
         Args:
-            curvature: (N,) readings, average curvature over each sensor; NaN marks a missing one.
-            free_curvature: scalar or (N,) what each sensor would read if nothing touched.
-            body_curvature: scalar or (N,) curvature of the free body at the sensors, where it
-                differs from what they would read; the same if not given.
+            curvature: (N,) readings, average curvature over each sensor; NaN if one is missing.
+            free_curvature: scalar or (N,) reading of each sensor without contact.
+            body_curvature: scalar or (N,) curvature of the free body at the sensors, if it differs
+                from `free_curvature`.
 
         Returns:
             Contacts with 95 % intervals, probabilities, status, and the likeliest explanation.
 
         Raises:
-            DataError: readings that cannot be used as given, or that look like another unit.
+            DataError: readings cannot be used as given, or look like another unit.
         """
         k = vector(curvature, "curvature")
         count = self._compiled.count
@@ -154,15 +154,17 @@ class Localizer:
     def localize_batch(
         self, curvature: npt.ArrayLike, *, free_curvature: npt.ArrayLike = 0.0, jobs: int = 1
     ) -> BatchResult:
-        """The numbers of `localize`, row by row, without Python between the rows.
+        """Find the contacts in each row of a table, with the same numbers as `localize`.
+
+        The rows are processed in compiled code.
 
         Args:
-            curvature: (M, N) readings; NaN marks a missing one.
-            free_curvature: scalar, (N,) or (M, 1) or (M, N).
-            jobs: threads to share the rows.
+            curvature: (M, N) readings; NaN if one is missing.
+            free_curvature: scalar, (N,), (M, 1) or (M, N) readings without contact.
+            jobs: number of threads.
 
         Raises:
-            DataError: as `localize`, naming the row; no row is skipped silently.
+            DataError: as for `localize`, with the number of the row. No row is skipped.
         """
         if self.method != "posterior":
             raise DataError(f"{self.method} takes no rows", "give its frames one by one")
@@ -253,7 +255,7 @@ class Localizer:
         )
 
     def _point_estimate(self, excess: Array) -> LocalizeResult:
-        """The thesis's fit to checked readings above the free curvature, or its exact minimum."""
+        """The answer of "thesis" or "l1" for checked readings (N,) less the free curvature."""
         from thigmo.localization import thesis  # its optimiser takes a tenth of a second to import
 
         read = np.isfinite(excess)
@@ -290,19 +292,19 @@ def localize(
     body_curvature: npt.ArrayLike | None = None,
     **options: Any,
 ) -> LocalizeResult:
-    """Find the contacts in one frame: a `Localizer` that is used once.
+    """Find the contacts in one frame, with a `Localizer` that is used once.
 
     Args:
-        curvature: (N,) readings, average curvature over each sensor; NaN marks a missing one.
+        curvature: (N,) readings, average curvature over each sensor; NaN if one is missing.
         position: (N,) sensor centres along the body, 0 at the base.
         length: everted length.
         free_curvature: as in `Localizer.localize`.
         body_curvature: as in `Localizer.localize`.
-        options: every other field of `Body`, `Sensors`, `Errors` and `Priors`; `method`.
+        options: any other fields of `Body`, `Sensors`, `Errors` and `Priors`, and `method`.
 
     Raises:
-        DataError: as `Localizer`, or as `Localizer.localize`.
-        TypeError: an unknown option.
+        DataError: as for `Localizer` and `Localizer.localize`.
+        TypeError: an option is unknown.
 
     Example:
         >>> position = [5, 15, 25, 35, 45]
@@ -327,18 +329,19 @@ def localize_batch(
     jobs: int = 1,
     **options: Any,
 ) -> BatchResult:
-    """The numbers of `localize`, row by row: `Localizer.localize_batch`.
+    """Find the contacts in each row of a table, as `Localizer.localize_batch` does.
 
     Args:
-        curvature: (M, N) readings; NaN marks a missing one.
+        curvature: (M, N) readings; NaN if one is missing.
         position: (N,) sensor centres.
         length: everted length.
-        free_curvature: scalar, (N,) or (M, 1) or (M, N).
-        jobs: threads to share the rows.
+        free_curvature: scalar, (N,), (M, 1) or (M, N) readings without contact.
+        jobs: number of threads.
         options: as in `localize`, the same for all rows.
 
     Raises:
-        DataError: as `localize`, naming the row; no row is skipped silently.
+        DataError: as for `localize`, with the number of the row. No row is skipped.
+        TypeError: an option is unknown.
     """
     localizer = Localizer.of(position=position, length=length, **options)
     return localizer.localize_batch(curvature, free_curvature=free_curvature, jobs=jobs)

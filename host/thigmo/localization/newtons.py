@@ -1,9 +1,9 @@
 """Loads in newtons, for a body whose bending stiffness EI is known.
 
-Readings of curvature tell loads over EI. A force is known through its moment, so its error follows
-that of the place: the interval across the body mixes all places that the contact may have. A force
-along the body bends it only as far as the body is bent already, so it is known far worse, and is
-reported apart. The error of EI is the same in all of them.
+Curvature readings determine loads over EI. A force is known through its moment, so its error
+depends on that of the place: the interval of the force across the body covers all places that the
+contact may have. A force along the body bends it only where the body is bent already. It is
+therefore known far less well, and reported separately. All loads share the error of EI.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from thigmo.localization import priors
 from thigmo.localization.validation import Array, Range
 
 _TAIL = 0.5 * (1.0 - priors.LEVEL)
-_NEGLIGIBLE = 1e-5  # mass of a cell that moves no end of an interval
-_NODES = 256  # of the distribution
+_NEGLIGIBLE = 1e-5  # share of the largest mass below which a cell is left out
+_NODES = 256  # forces at which the distribution is evaluated
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +38,10 @@ class Newtons:
 
     Attributes:
         across: force across the body in newtons, positive towards positive curvature.
-        along: force along the body in newtons, positive towards the base, of a load on the end by
-            the likeliest explanation; None of a contact on the side, whose friction is unknown.
-        couple: on the end, in newtons times the unit of length; None as `along`.
+        along: force along the body in newtons, positive towards the base, if the likeliest
+            explanation is a load on the end; None for a contact on the side, because its friction
+            is unknown.
+        couple: couple on the end in newtons times the unit of length; None where `along` is.
     """
 
     across: Quantity
@@ -56,16 +57,16 @@ def newtons(
     end_load: tuple[float, ...],
     length: float,
 ) -> Newtons:
-    """A contact's load.
+    """Converts a contact's load to newtons.
 
     Args:
         stiffness: EI, in newtons times the unit of length squared, and its relative standard error.
-        mass: (M,) of cells in which the contact may lie.
-        force: (M,) mean force there over EI, of a body of length one.
-        deviation: (M,) its standard deviation.
-        end_load: force towards the base and couple, each followed by its standard deviation; NaN if
-            nothing loads the end.
-        length: of the body.
+        mass: (M,) posterior mass of each cell in which the contact may lie.
+        force: (M,) mean force in each cell over EI, for a body of length one.
+        deviation: (M,) standard deviation of that force.
+        end_load: force towards the base and couple, each followed by its standard deviation, over
+            EI, for a body of length one; NaN if nothing loads the end.
+        length: length of the body.
     """
     bending, error = stiffness
     unit = bending / length**2

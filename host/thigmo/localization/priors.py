@@ -1,8 +1,7 @@
-"""Stated priors and thresholds: everything that the evidence rests on, in one place.
+"""Priors and thresholds of the localizer, all in one place.
 
 All are in units of the everted length: arc over length, curvature times length, base moment over
-EI times length. None depends on the data. They are handed to the compiled code with each
-`Localizer`.
+EI times length. None depends on the data. Each `Localizer` passes them to the compiled code.
 """
 
 from __future__ import annotations
@@ -14,104 +13,105 @@ import numpy.typing as npt
 
 from thigmo.localization import _posterior
 
-# Standard deviations of a contact's largest moment: a touch, a push, a lean; equally likely. For a
-# body of 53 cm they are 0.003, 0.011 and 0.045 1/cm: unactuated contacts stay below the moment that
-# folds the base, 0.011 1/cm, and actuated ones seldom pass the free curvature.
+# Standard deviations of a contact's moment at the base: a touch, a push and a strong push, equally
+# likely. For a body of 53 cm they are 0.003, 0.011 and 0.045 1/cm. Unactuated contacts stay below
+# the moment that folds the base, 0.011 1/cm; actuated ones seldom exceed the free curvature.
 MOMENTS = (0.15, 0.6, 2.4)
-# Nearer to the base than this share of the body the prior of the force no longer widens.
+# Share of the body next to the base in which the prior of the force does not widen further.
 LEAST_LEVER = 0.02
-# Share of contacts that a sweep brings about. A bend of the whole body carries each of its points
-# across an area that grows as the square of the arc, and so do the chances of a peg there; of pegs
-# spread evenly over the room 6 % bear on the first 40 % of the body. The others, as of a hand,
-# lie anywhere alike, as all do in space.
+# Share of contacts that a sweep causes. When the whole body bends, each of its points crosses an
+# area that grows as the square of its arc, and so does the chance to meet a peg: of pegs spread
+# evenly over the room, 6 % touch the first 40 % of the body. All other contacts, a hand's for
+# instance, are equally likely at all places; in space, all contacts are.
 SWEPT = 1.0 / 3.0
 
 # Log prior odds against a free body whose readings are all good.
 CONTACT = -1.2
-# The same where the noise is unknown: what few readings say of it is as likely said by noise.
+# The same if the noise is unknown: noise explains what a few readings show just as well.
 CONTACT_UNSURE = -3.0
-# Of a contact on the end of a bent body, against one on its side. Of pegs spread evenly over the
-# room that a bending body of 20 to 53 cm sweeps, 10 to 15 % bear on its end.
-# Less here, for three free loads fit a contact on the side as well: weighed as often as pegs meet
-# it, the end would be believed in a quarter of such frames instead of a seventh.
+# Log prior odds of a contact on the end of a bent body, against one on its side. Of pegs spread
+# evenly over the room that a bending body of 20 to 53 cm sweeps, 10 to 15 % touch its end. The odds
+# are lowered because three free loads on the end also fit a contact on the side: with that share,
+# the end would be preferred in a quarter of the frames, not in a seventh.
 END = math.log(0.15 / 0.85) - 0.7
-# The same where nothing but the contact bends the body, which then hardly meets a peg end on. Its
-# three free loads fit two opposed contacts as well.
+# The same if only the contact bends the body, which then hardly meets a peg with its end. The three
+# free loads fit two opposed contacts as well.
 END_STRAIGHT = -7.0
-# Of a hand or a clamp that holds the end of a body that need not be a tube: where an actuator bends
-# it, and where nothing else does.
+# Log prior odds that a hand or a clamp holds the end of the body, which need not be a tube: if an
+# actuator bends it, and if nothing else does.
 HELD = -1.0
 HELD_STRAIGHT = 0.0
-# Of one more contact: one frame in six has another beside the first.
+# Log prior odds of one more contact: one frame in six has a second one beside the first.
 ANOTHER = math.log(1.0 / 5.0)
-# Of a kink anywhere on the body.
+# Log prior odds of a kink anywhere on the body.
 HINGE = -5.0
-# Of a fold near the base, where the caller does not say at which moment the body folds.
+# Log prior odds of a fold near the base, if the caller does not state the critical moment.
 BASE_FOLD = -2.0
-# Odds that a given reading is bad, where the caller does not say.
+# Prior odds that a given reading is bad, if the caller does not state them.
 BAD_READING = 1e-3
-# Standard deviation of a bad reading; one that is stuck departs by its free curvature as well.
+# Standard deviation of a bad reading. A stuck one also deviates by its free curvature.
 BAD_DEVIATION = 0.5
 # Standard deviation of a fold's or a hinge's angle (rad).
 ANGLE = 0.5
 
-# Relative standard error of the critical moment, where the caller does not say.
+# Relative standard error of the critical moment, if the caller does not state it.
 CRITICAL_ERROR = 0.1
-# Share of the critical moment from which a fold is weighed.
+# Share of the critical moment from which a fold is considered.
 NEAR_FOLD = 0.75
-# Tube radius where the caller gives none: that of the 53 cm body.
+# Tube radius if the caller gives none: that of the 53 cm body.
 TUBE_RADIUS = 1.75 / 53.0
 
 # Turn (rad) of the whole body below which it counts as straight, and from which a contact on its
-# end is weighed apart; change of curvature below which a shape rests.
+# end is considered separately; change of curvature below which a shape has converged.
 STRAIGHT = 0.25
 END_TURN = 0.35
 SHAPE_RESTS = 0.02
-# A contact on the end is drawn as one on this last share of the body.
+# Last share of the body on which a contact on the end is drawn.
 END_CELL = 0.01
 
-# Mass of the intervals; probability below which something is excluded.
+# Posterior mass of the intervals; probability below which something is excluded.
 LEVEL = 0.95
 EXCLUDED = 0.05
-# Standard errors by which a contact moves the readings, from which it counts: a weaker one can
-# never be excluded.
+# Standard errors by which a contact must move the readings to be counted: a weaker one can never be
+# excluded.
 FELT = 3.0
-# The same of a held end, whose odds nobody knows to a factor of ten.
+# The same for a held end and for a free one: their prior odds are not known to a factor of ten.
 HELD_EXCLUDED = 0.005
 # A contact is localized if its interval is no wider than this share of the length: 10 cm of 53.
 WIDTH_SHARE = 10.0 / 53.0
-# Misfit of a free body over that of a contact, from which the contact is listed whatever its
+# Misfit of a free body less that of a contact, from which the contact is listed whatever its
 # probability: five standard errors.
 FIVE_SIGMA = 25.0
-# Log odds against the likeliest explanation below which one is not weighed further.
+# Log odds against the likeliest explanation below which an explanation is dropped.
 HOPELESS = -7.0
-# Standard normal deviate of the misfit that calls for further explanations: 2 % of true ones.
+# Standard normal deviate of the misfit above which further explanations are considered; the true
+# explanation exceeds it in 2 % of frames.
 MISFIT_DEVIATE = 2.0
 
-# Readings are never trusted to more than this share of the largest of them or of the free
-# curvature: no beam model and no sensor constant is better.
+# Least error of a reading, as a share of the largest reading or of the free curvature: neither beam
+# models nor sensor constants are more accurate.
 TRUST = 5e-4
-# Where one contact leaves a misfit beyond this standard normal deviate, as 31 % of true ones do,
-# the noise may be larger than stated: by this factor, and with this probability.
+# If the misfit of one contact is above this standard normal deviate, as in 31 % of what a correct
+# model gives, a larger noise is also considered: by this factor, with this probability.
 NOISE_DEVIATE = 0.5
 NOISE_FACTOR = 2.4
 NOISE_ODDS = 0.18
-# Where the noise is unknown, its levels: shares of the readings' root mean square.
+# Noise levels considered if the noise is unknown, as shares of the readings' root mean square.
 NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
 
 
 def place_density(place: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Prior density of contacts on the side of a body of length one, in a plane."""
+    """Prior density of contacts at places (n,) on the side of a body of length one, in a plane."""
     return 1.0 - SWEPT + 3.0 * SWEPT * place**2
 
 
 def narrow(interval: tuple[float, float], length: float) -> bool:
-    """Whether an interval on a body of a length is short enough to count as localized."""
+    """Whether an interval is short enough, on a body of this length, to count as localized."""
     return interval[1] - interval[0] <= WIDTH_SHARE * length + 1e-9
 
 
 def compiled() -> _posterior.Priors:
-    """All of them, as the compiled code takes them."""
+    """All of these constants, in the form that the compiled code takes."""
     return _posterior.Priors({name.lower(): globals()[name] for name in _NAMES})
 
 

@@ -1,4 +1,4 @@
-"""What `localize` answers: contacts, how sure, by which hypothesis and why."""
+"""The result of `localize`: contacts, their intervals, and the explanations that were weighed."""
 
 from __future__ import annotations
 
@@ -37,27 +37,27 @@ _COLUMNS = ("arc", "interval", "force / EI, or N", "probability", "status")
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """One contact. Arc in the caller's unit, force over EI in that unit to the power -2.
+    """One contact. The arc is in the caller's unit, the force over EI in that unit to the power -2.
 
     Attributes:
-        arc: place along the body: median of the posterior.
-        force: normal force over EI, positive towards positive curvature, at `arc`.
-        interval: hull of the 95 % highest-density set of where the contact nearest to `arc` lies,
-            whatever the number of contacts; the whole body if the status is `point estimate`.
-        status: `localized` (the interval is no wider than the limit, and there is a contact with
-            95 %, whatever the number of contacts), `ambiguous`, or `point estimate` (of a method
-            that knows no error: "l1" and "thesis").
-        intervals: that set; more than one piece if there are several modes; none of a `point
-            estimate`.
-        force_deviation: posterior standard deviation of the force, wherever in `intervals` it acts.
-        probability: that a contact lies nearer to `arc` than to the arc of another listed one; NaN
-            for a `point estimate`.
-        end_offset: where a contact on the end of the body bears, at +y of the centreline; None for
-            one on the side.
-        vector: in space, the force over EI across the body by the likeliest explanation: along the
-            body at its base, towards direction 0, and a quarter turn on; None in a plane. `force`
-            is its size there.
-        newtons: the load in newtons, if the body's `stiffness` is known.
+        arc: place along the body, the median of the posterior.
+        force: normal force over EI if the contact is at `arc`, positive towards positive curvature.
+        interval: hull of `intervals`; the whole body if the status is `point estimate`.
+        status: `localized` (the interval is no wider than the limit, and the probability that there
+            is a contact is at least 95 %, whatever the number of contacts), `ambiguous`, or
+            `point estimate` (the methods "l1" and "thesis" give no error).
+        intervals: 95 % highest-density set of the place of the contact nearest to `arc`, whatever
+            the number of contacts. It has several pieces if the posterior has several modes, and
+            none for a `point estimate`.
+        force_deviation: posterior standard deviation of the force over all of `intervals`.
+        probability: probability that a contact lies nearer to `arc` than to the arc of any other
+            listed contact; NaN for a `point estimate`.
+        end_offset: for a contact on the end of the body, the offset of its point from the
+            centreline towards +y; None for one on the side.
+        vector: in space, the force over EI across the body by the likeliest explanation, with
+            components along the body at its base, towards direction 0, and towards a quarter turn
+            from it. `force` is then its magnitude. None in a plane.
+        newtons: the load in newtons if the body's `stiffness` is given; else None.
     """
 
     arc: float
@@ -83,17 +83,17 @@ class Contact:
 
     @property
     def interval_text(self) -> str:
-        """The interval for people."""
+        """The interval as text."""
         return interval_text(self.status, self.interval, ".4g")
 
     @property
     def probability_text(self) -> str:
-        """The probability for people."""
+        """The probability as text."""
         return "unknown" if isnan(self.probability) else f"{self.probability:.3g}"
 
     @property
     def force_text(self) -> str:
-        """The force for people: in newtons if they are known, else over EI."""
+        """The force as text, in newtons if the stiffness was given, else over EI."""
         if self.newtons is not None:
             along = "" if self.newtons.along is None else f", along {self.newtons.along} N"
             return f"{self.newtons.across} N{along}"
@@ -109,31 +109,28 @@ class Contact:
 
 
 class Marginal(NamedTuple):
-    """Where a contact lies: (M + 1,) edges of cells of its arc, and the (M,) mass in each.
+    """Posterior of one contact's place, in M cells along the body."""
 
-    Of a contact in each cell: mean of its force over EI, and its standard deviation, (M,).
-    """
-
-    edges: Array
-    mass: Array
-    force: Array
-    force_deviation: Array
+    edges: Array  # (M + 1,) edges of the cells, as arcs
+    mass: Array  # (M,) posterior mass in each cell
+    force: Array  # (M,) mean force over EI of a contact in the cell
+    force_deviation: Array  # (M,) standard deviation of that force
 
 
 class Joint(NamedTuple):
-    """Where two contacts lie together: edges of cells of both arcs, (M, K) mass of each pair."""
+    """Joint posterior of the places of two contacts."""
 
-    near_edges: Array
-    far_edges: Array
-    mass: Array
+    near_edges: Array  # (M + 1,) edges of the proximal contact's cells, as arcs
+    far_edges: Array  # (K + 1,) edges of the distal contact's cells
+    mass: Array  # (M, K) posterior mass of each pair of cells
 
 
 class OfBody(NamedTuple):
-    """Along a body of length one: cells, masses and forces of each contact, bend at even arcs."""
+    """Posterior and bend of a body of length one."""
 
-    masses: Sequence[tuple[Array, Array, Array, Array]] = ()
-    bend: Array = np.zeros(0)
-    joint: tuple[Array, Array, Array] | None = None
+    masses: Sequence[tuple[Array, Array, Array, Array]] = ()  # a `Marginal` of each contact
+    bend: Array = np.zeros(0)  # curvature that the loads cause, at evenly spaced arcs
+    joint: tuple[Array, Array, Array] | None = None  # the fields of a `Joint`
 
 
 _NOTHING = OfBody()
@@ -141,23 +138,24 @@ _NOTHING = OfBody()
 
 @dataclass(slots=True)
 class LocalizeResult:
-    """Contacts felt in one set of readings.
+    """Contacts found in one frame of readings.
 
     Attributes:
-        status: the worst of the contacts' statuses; `no contact` or `below detection` without any.
-        contacts: base to tip.
+        status: the worst status of all contacts; `no contact` or `below detection` if none is
+            listed.
+        contacts: the contacts, from base to tip.
         hypothesis: the likeliest explanation of the readings.
         message: one sentence for the operator.
-        noise: standard deviation of one reading's white noise, as given or found (1/length).
+        noise: standard deviation of a reading's white noise, given or estimated, 1/length.
         log_odds: log posterior odds of any contact against none.
         hypotheses: posterior probability of each explanation that was weighed.
-        discarded: indices of readings that the likeliest explanation takes for bad.
-        parameters: further numbers of that explanation: `fold_angle`, `hinge_arc`, `push_back`
-            (force on the end, towards the base), `tip_moment`, `end_offset`.
-        objective: norm of the residual at the estimate, of `l1` and `thesis` only.
-        number: (4,) probability that none, one, two or three contacts move the readings by three
-            standard errors or more. A weaker one is never excluded.
-        length: of the body.
+        discarded: indices of the readings that the likeliest explanation takes for bad.
+        parameters: further parameters of the likeliest explanation: `fold_angle`, `hinge_arc`,
+            `push_back` (force on the end, towards the base), `tip_moment`, `end_offset`.
+        objective: 1-norm of the residual for `l1` and `thesis`, 1/length; else None.
+        number: (4,) probabilities that no, one, two or three contacts move the readings by at least
+            three standard errors. A weaker contact can never be excluded.
+        length: length of the body.
     """
 
     status: Status
@@ -178,11 +176,11 @@ class LocalizeResult:
     def of(
         cls, found: _posterior.Answer, length: float, stiffness: tuple[float, float] | None
     ) -> LocalizeResult:
-        """The compiled answer in the caller's units."""
+        """The compiled code's answer, converted to the caller's units."""
         status = STATUSES[found.status]
         contacts = tuple(Contact(*each) for each in found.contacts(length))
         if stiffness is not None:
-            # What loads the end is the most distal contact.
+            # A load on the end belongs to the most distal contact.
             loads = [(nan,) * 4] * (len(contacts) - 1) + [tuple(found.end_load)]
             contacts = tuple(
                 replace(contact, newtons=newtons(stiffness, *cells[1:], load, length))
@@ -207,9 +205,9 @@ class LocalizeResult:
     def of_point_estimate(
         cls, arcs: Array, forces: Array, method: str, objective: float, length: float
     ) -> LocalizeResult:
-        """Places and forces (k,) without errors, as a result that shows that it has no errors.
+        """The result of a method without errors: places and forces, (k,) each.
 
-        Each contact's interval is the whole body, because the method gives no error.
+        Each contact's interval is the whole body.
         """
         bend = np.maximum(arcs - np.linspace(0.0, length, _BEND_POINTS)[:, None], 0.0) @ forces
         return cls(
@@ -254,7 +252,7 @@ class LocalizeResult:
         return LocalizeResult, (*own, OfBody(body.masses, body.bend, body.joint))
 
     def to_dict(self) -> dict[str, Any]:
-        """All but the posterior along the body as plain data, for JSON or a data frame's row."""
+        """Plain data for JSON or a data frame's row, without the posterior along the body."""
         return {
             "status": self.status,
             "contacts": [asdict(contact) for contact in self.contacts],
@@ -284,17 +282,17 @@ class LocalizeResult:
         """Draw the posterior along the body, and each contact with its interval.
 
         Args:
-            axes: where to; None makes a new figure with matplotlib's pyplot.
-            unit: name of the unit in which the lengths were given, for the labels.
+            axes: the axes to draw on; None makes a new figure with matplotlib's pyplot.
+            unit: name of the unit of length, for the labels.
 
         Returns:
-            The axes, for limits, titles or `axes.figure.savefig`.
+            The axes.
         """
         return draw("draw_posterior", self, axes, unit=unit)
 
     @property
     def marginals(self) -> tuple[Marginal, ...]:
-        """Of each contact: where, by all explanations, the contact nearest to its `arc` lies."""
+        """For each contact, the place of the one nearest to its `arc`, by all explanations."""
         per = self.length**-2
         return tuple(
             Marginal(edges * self.length, mass, force * per, spread * per)
@@ -303,7 +301,7 @@ class LocalizeResult:
 
     @property
     def joint(self) -> Joint | None:
-        """Of two contacts: where they lie together by the likeliest explanation; None of others."""
+        """Joint places of two contacts by the likeliest explanation; None for another number."""
         if self._body.joint is None or len(self.contacts) != 2:
             return None
         near, far, mass = self._body.joint
@@ -311,27 +309,27 @@ class LocalizeResult:
 
     @property
     def edges(self) -> Array:
-        """(M + 1,) edges of cells of the most distal contact's arc; none without a contact."""
+        """(M + 1,) edges of the cells of the most distal contact, as arcs; empty without one."""
         masses = self._body.masses
         return masses[-1][0] * self.length if masses else np.zeros(0)
 
     @property
     def places(self) -> Array:
-        """(M,) middles of these cells."""
+        """(M,) middles of the cells between `edges`."""
         return 0.5 * (self.edges[1:] + self.edges[:-1])
 
     @property
     def probability(self) -> Array:
-        """(M,) posterior mass in each of `places`."""
+        """(M,) posterior mass of the most distal contact in each of these cells."""
         masses = self._body.masses
         return masses[-1][1] if masses else np.zeros(0)
 
     @property
     def bend(self) -> Array:
-        """(K, 2) arc, and curvature above the free one that the loads cause there, without a fold.
+        """(K, 2) arcs, and the curvature that the loads add to the free one there.
 
-        In space (K, 3): curvature towards direction 0, and towards a quarter turn on. No rows where
-        no contact is listed.
+        A fold is left out. In space (K, 3), with the curvatures towards direction 0 and towards a
+        quarter turn from it. Without contacts there are no rows.
         """
         above = self._body.bend[: None if self.contacts else 0] / self.length
         if not any(contact.vector for contact in self.contacts):

@@ -1,7 +1,7 @@
-"""A body in space, as the compiled code takes it: directions of readings, and what bends it.
+"""Prepares a body in space for the compiled code: the readings' directions, stiffness and weight.
 
-The frame at a place is carried along the body without a twist: along it, towards direction 0, and a
-quarter turn on (`space.h`).
+Components are in a frame that is carried along the body without twist: along the body, towards
+direction 0, and towards a quarter turn from it (`space.h`).
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from thigmo.errors import DataError
 from thigmo.localization.options import Body, Sensors
 from thigmo.localization.validation import Array, positive, vector
 
-_CELLS = 96  # of the body
-_SMOOTH = 1e-4  # of a body's bends between sensors, over what a reading counts
+_CELLS = 96  # into which the body is divided
+_SMOOTH = 1e-4  # weight of smoothness between sensors against that of a reading
 
 
 class Space(NamedTuple):
-    """Nothing in each of them for a body in a plane."""
+    """The compiled code's arguments for a body in space; all are empty for a body in a plane."""
 
-    direction: Array  # (N, 3) axis of the turn that each reading measures
-    curvature_map: Array  # (2 cells, N) the body's bends in each cell, from readings
+    direction: Array  # (N, 3) axis about which each sensor measures the turn per length
+    curvature_map: Array  # (2 cells, N) linear map from readings to both curvatures of each cell
     compliance: Array  # (3,) EI over the stiffness against twist and both bends
-    weight: Array  # (3,) over EI, of a body of length one
+    weight: Array  # (3,) weight over EI of a body of length one
 
 
 def in_space(body: Body, sensors: Sensors, position: Array, span: Array) -> Space:
-    """The body in space, if it has directions or a weight; nothing if it has neither.
+    """The arguments for a body in space, if it has directions or a weight; else empty ones.
 
     Raises:
-        DataError: directions, twist or weight that are not possible.
+        DataError: directions, twist or weight are impossible.
     """
     twist = positive(body.twist, "twist")
     if sensors.direction is None and body.weight is None:
@@ -75,7 +75,7 @@ def _axes(sensors: Sensors, count: int) -> Array:
 
 
 def _curvature_map(position: Array, span: Array, axis: Array) -> Array:
-    """(2 cells, N) by least squares: bends about the normal and the binormal, all but linear."""
+    """(2 cells, N) map to curvatures about normal and binormal, by smoothed least squares."""
     low, high = (np.clip(position + side * span / 2.0, 0.0, 1.0) for side in (-1.0, 1.0))
     low, high = np.minimum(low, 1.0 - 0.5 / _CELLS), np.maximum(high, low + 0.5 / _CELLS)
     edges = np.linspace(0.0, 1.0, _CELLS + 1)

@@ -1,19 +1,19 @@
 """The thesis's own solver (`method="thesis"`), and the exact minimum of its objective (`"l1"`).
 
 Source: M. Bryant, Tactile Perception for Growing Robots via Discrete Curvature Measurements, 2022,
-section 2.5. Its model (equation 2.9) is taken at the centre of each sensor, whatever the span, its
-objective is the 1-norm (2.10), its lengths are millimetres. `alternating` optimises f with a fixed,
-then a in [0, L] with f fixed, from f = 0 and a at the tip (several contacts: at even fractions of
-L), until no arc moves by more than 0.5 cm. MATLAB's interior point starts with a barrier of 0.1
-while this objective is of order 0.01: the first barrier problems pull a towards the middle of
-[0, L], and the path then follows the shrinking barrier. That is what lets it leave some local
-minima; exact coordinate descent (no barriers: each step the best a of all) stalls in the ravine
-along which f and a trade, where neither alone can improve. The step in f is exact here, which is
-the most that the interior point could reach. `clamped` and `coupled` are the thesis's two remedies
-for a folded base (section 3.2). `exact` finds the minimum of the objective itself, on the model
-averaged over spans.
+section 2.5. Its model (equation 2.9) is evaluated at the centre of each sensor, whatever the span.
+Its objective is the 1-norm (2.10), and its lengths are in millimetres. `alternating` optimises the
+forces f with the arcs a fixed, then a in [0, L] with f fixed. It starts from f = 0 and a at the tip
+(several contacts: at even fractions of L), and ends when no arc moves by more than 0.5 cm. MATLAB's
+interior point method starts with a barrier of 0.1, while this objective is of order 0.01: the first
+barrier problems pull a towards the middle of [0, L], and the path then follows the shrinking
+barrier. That is how it leaves some local minima. Exact coordinate descent (without barriers, the
+best a in each step) stalls in the valley along which f and a compensate each other, where neither
+alone can improve. The step in f is exact here, which is the best that the interior point method
+could reach. `clamped` and `coupled` are the thesis's two remedies for a folded base (section 3.2).
+`exact` finds the minimum of the objective itself, with the model averaged over the spans.
 
-Lengths are cm and curvatures 1/cm, for the solver's tolerance and barriers are lengths.
+Lengths are in cm and curvatures in 1/cm, because the solver's tolerance and barriers are lengths.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ Array = npt.NDArray[np.float64]
 CRITICAL_PER_CM = 0.01108  # mean of five trials, section 3.2
 _TOLERANCE_CM = 0.5
 _MOST_ROUNDS = 100
-# MATLAB's first barrier of 0.1 on an objective in 1/mm, as one in 1/cm.
+# Barriers for an objective in 1/cm; the first is MATLAB's, 0.1 for an objective in 1/mm.
 _BARRIERS = tuple(0.2**level for level in range(12))
-_NODES = 1600  # of the arcs that are tried; 0.03 cm apart on the 53 cm body
-_STEPS = (32, 16, 8, 4, 2, 1)  # nodes; the first is 2 % of the length
-_SWEEPS = 8
-_ARCS, _PAIR_ARCS = 5300, 106  # of the grids of `exact`: every 0.01 and 0.5 cm of 53
-_MOST_LINES = 30  # of forces that fit a reading, on the way to the best two forces
-_KEPT = 12  # pairs around which these are refined
+_NODES = 1600  # intervals between the arcs tried; 0.03 cm each on the 53 cm body
+_STEPS = (32, 16, 8, 4, 2, 1)  # steps of the descent, in nodes; the first is 2 % of the length
+_SWEEPS = 8  # over all contacts, at most, for each barrier
+_ARCS, _PAIR_ARCS = 5300, 106  # grid intervals of `exact`: 0.01 and 0.5 cm of 53
+_MOST_LINES = 30  # line searches for the best two forces
+_KEPT = 12  # best pairs around which the grid of pairs is refined
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +53,15 @@ class Problem:
     span: Array  # (N,) active lengths, cm
     length: float  # everted length, cm
     contacts: int = 1  # how many to find, 1 to 3
-    # contact curvature at which the base folds, 1/cm
+    # curvature at the base by the contacts at which the base folds, 1/cm
     critical_curvature: float = CRITICAL_PER_CM
-    # (contacts,) arcs from which the methods that need it start, cm; the thesis's (even fractions
-    # of the length, the last one at the tip) if not given
+    # (contacts,) starting arcs for the methods that need them, cm; if not given, the thesis's: even
+    # fractions of the length, the last one at the tip
     start: Array | None = None
 
 
 def influence(problem: Problem, arcs: Array) -> Array:
-    """(N, K) readings for unit forces at K arcs: lever arms, averaged over each sensor's span."""
+    """(N, K) readings for unit forces over EI at arcs (K,): mean lever arms over the spans, cm."""
     return phi(arcs, problem.position[:, None], problem.span[:, None])
 
 
@@ -71,7 +71,7 @@ def objective(problem: Problem, arcs: Array, forces: Array) -> float:
 
 
 def _median(ratio: Array, weight: Array) -> npt.NDArray[np.int64]:
-    """(K,) rows of the weighted medians of the columns of two (N, K) tables."""
+    """(K,) row of the weighted median in each column of ratios and weights, (N, K) each."""
     order = np.argsort(np.where(weight > 0.0, ratio, np.inf), axis=0)
     summed = np.take_along_axis(weight, order, 0).cumsum(axis=0)
     middle = (summed < 0.5 * summed[-1]).sum(axis=0)
@@ -79,11 +79,11 @@ def _median(ratio: Array, weight: Array) -> npt.NDArray[np.int64]:
 
 
 def _least_1(y: Array, levers: Array) -> Array:
-    """(C, K) forces of least 1-norm of y (N,) less levers (N, C, K) times forces, for C of 1 or 2.
+    """(C, K) forces that minimise the 1-norm of y (N,) less levers (N, C, K) times forces.
 
-    One force is a weighted median. The best of two passes through two readings: along the line of
-    forces that fit one reading the best is a weighted median again, at the next reading (Karst,
-    J. Am. Stat. Assoc. 53, 1958).
+    C is 1 or 2. One force is a weighted median. The best two forces fit two readings exactly. Along
+    the line of forces that fit one reading, the best is again a weighted median, which fits the
+    next reading (Karst, J. Am. Stat. Assoc. 53, 1958).
     """
     one, two, each = levers[:, 0], levers[:, -1], np.arange(levers.shape[2])
     if levers.shape[1] == 1:
@@ -109,26 +109,27 @@ def _least_1(y: Array, levers: Array) -> Array:
 
 
 def single_forces(problem: Problem, arcs: Array) -> Array:
-    """For each of K arcs the force that a single contact there has, (K,)."""
+    """(K,) best force over EI of a single contact at each of the arcs (K,)."""
     return np.asarray(_least_1(problem.curvature, influence(problem, arcs)[:, None])[0])
 
 
 def _least_2(y: Array, levers: Array) -> Array:
-    """As `_least_1`, of the 2-norm."""
+    """As `_least_1`, for the 2-norm."""
     design = levers.transpose(2, 0, 1)
     return np.asarray((np.linalg.pinv(design) @ y).T)
 
 
 def exact(problem: Problem, norm: Literal[1, 2] = 1) -> tuple[Array, Array]:
-    """The least norm over all places and forces of one or two contacts: the thesis's estimate.
+    """Arcs and forces (contacts,) of least residual norm for one or two contacts.
 
     The model is averaged over the sensors' spans. One contact is tried at every place of a grid,
-    two at every pair of a coarser one that is refined around the best; forces are exact. Where
-    places tie, the middle one is answered. Forces of two are at most 20 times that which bends the
-    base by the largest reading: opposed ones that merge would fit better than any true pair.
+    two at every pair of a coarser grid, which is refined around the best pairs. Forces are exact.
+    If places tie, the middle one is returned. The forces of two contacts are limited to 20 times
+    the force that bends the base by the largest reading: without a limit, opposed contacts that
+    merge would fit better than any true pair.
 
     Raises:
-        DataError: another number of contacts.
+        DataError: the number of contacts is not 1 or 2.
     """
     y, count, length = problem.curvature, problem.contacts, problem.length
     if count not in (1, 2):
@@ -155,10 +156,10 @@ def exact(problem: Problem, norm: Literal[1, 2] = 1) -> tuple[Array, Array]:
 
 
 def best_forces(problem: Problem, arcs: Array) -> Array:
-    """Forces that minimise the 1-norm for contacts at given arcs.
+    """Forces (K,) that minimise the 1-norm for contacts at given arcs (K,).
 
-    One contact: the weighted median. Several: a least-absolute-deviation optimum passes through
-    as many readings as there are forces, so all such subsets are tried.
+    For one contact it is a weighted median. For several, an optimum of the least absolute deviation
+    fits as many readings exactly as there are forces, so all such subsets are tried.
     """
     if arcs.size == 1:
         return single_forces(problem, arcs)
@@ -172,27 +173,27 @@ def best_forces(problem: Problem, arcs: Array) -> Array:
 
 
 def starting_arcs(problem: Problem) -> Array:
-    """A copy of the problem's start, or the thesis's."""
+    """The problem's starting arcs, or the thesis's if it has none, (contacts,)."""
     if problem.start is not None:
         return np.array(problem.start, dtype=np.float64)
     return problem.length * np.arange(1, problem.contacts + 1) / problem.contacts
 
 
 def in_order(arcs: Array, forces: Array) -> tuple[Array, Array]:
-    """Contacts from the base on."""
+    """The contacts sorted from base to tip."""
     order = np.argsort(arcs)
     return arcs[order], forces[order]
 
 
 def at_centres(problem: Problem) -> Problem:
-    """The same readings as the thesis takes them: of the curvature at each sensor's centre."""
+    """The problem with readings of the curvature at each sensor's centre, as in the thesis."""
     return replace(problem, span=np.zeros_like(problem.span))
 
 
 def alternate(
     arcs: Array, forces_at: Callable[[Array], Array], moved: Callable[[Array, Array], Array]
 ) -> tuple[Array, Array]:
-    """Forces with the arcs fixed, then arcs with the forces fixed, until these stay."""
+    """Optimise forces with the arcs fixed, then arcs with the forces fixed, until the arcs stay."""
     for _ in range(_MOST_ROUNDS):
         forces = forces_at(arcs)
         before, arcs = arcs, moved(arcs, forces)
@@ -204,10 +205,10 @@ def alternate(
 def alternating(
     problem: Problem, norm: Literal[1, 2] = 1, barriers: tuple[float, ...] = _BARRIERS
 ) -> tuple[Array, Array]:
-    """The thesis's solver: a log-barrier interior point over a, alternated with exact f.
+    """The thesis's solver: a log-barrier interior point method for arcs, exact forces in between.
 
-    Its norm is the 1-norm. Barriers are followed one after the other; without any it is exact
-    coordinate descent.
+    The thesis uses the 1-norm. The barriers are applied one after the other; without any, this is
+    exact coordinate descent. Returns arcs and forces, (contacts,) each.
     """
     problem = at_centres(problem)
     nodes = problem.length * np.arange(1, _NODES) / _NODES
@@ -223,7 +224,7 @@ def alternating(
         at = np.searchsorted(nodes, arcs)
 
         def misfits(j: int) -> Array:
-            """The objective for contact j at every node, the others where they are."""
+            """The objective with contact j at every node and the other contacts unchanged."""
             others = levers[:, at] @ forces - forces[j] * levers[:, at[j]]
             rest = (problem.curvature - others)[:, None] - forces[j] * levers
             return np.asarray(np.linalg.norm(rest, norm, axis=0))
@@ -246,7 +247,7 @@ def alternating(
 
 
 def _downhill(values: list[float], at: int) -> int:
-    """From a node down to where steps of no size lead lower."""
+    """The node that a descent from `at` reaches, from which no step leads lower."""
     for step in _STEPS:
         while True:
             for near in (at - step, at + step):
@@ -259,7 +260,7 @@ def _downhill(values: list[float], at: int) -> int:
 
 
 def _clamp_base(problem: Problem) -> tuple[Problem, float]:
-    """Readings of the base sensors kept from passing the critical curvature, and their mean."""
+    """The problem with base readings clipped to the critical curvature, and their mean before."""
     at_base = problem.position <= problem.position.min() + 1e-9
     limit = problem.critical_curvature
     held = np.where(at_base, np.clip(problem.curvature, -limit, limit), problem.curvature)
@@ -267,15 +268,15 @@ def _clamp_base(problem: Problem) -> tuple[Problem, float]:
 
 
 def clamped(problem: Problem) -> tuple[Array, Array]:
-    """The thesis's solver on readings whose base is clamped at the critical curvature."""
+    """The thesis's solver with the base readings clamped to the critical curvature."""
     return alternating(_clamp_base(problem)[0])
 
 
 def coupled(problem: Problem) -> tuple[Array, Array]:
-    """One folded contact: f = +-critical / a, so a alone is sought, by Nelder-Mead (section 3.2).
+    """A contact that folds the base: f = +-critical / a, with a found by Nelder-Mead (section 3.2).
 
-    Readings whose base does not pass the critical curvature are not folded and go to `clamped`, as
-    do several contacts.
+    `clamped` answers instead if the base stays below the critical curvature, or for several
+    contacts.
     """
     held, base = _clamp_base(problem)
     if problem.contacts != 1 or abs(base) <= problem.critical_curvature:

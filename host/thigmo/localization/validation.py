@@ -1,7 +1,7 @@
-"""Checks of what callers give, and its form for the compiled code.
+"""Checks what callers give and converts it for the compiled code.
 
-Input that looks like another unit is refused with the likely cure, because a wrong answer must not
-look like a true one.
+Input that looks like another unit is refused with the likely remedy, because a wrong answer must
+not look like a right one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ Range = tuple[float, float]
 
 
 def vector(value: npt.ArrayLike, name: str, count: int | None = None) -> Array:
-    """One row of numbers; with a count, one number for all or one for each. Else a DataError."""
+    """A scalar or a row of numbers as an array (1,) or (n,).
+
+    Raises DataError for anything else, and for n other than 1 or `count` if a count is given.
+    """
     if isinstance(value, float):
         return np.array([value])
     try:
@@ -38,7 +41,7 @@ def vector(value: npt.ArrayLike, name: str, count: int | None = None) -> Array:
 
 
 def positive(value: float, name: str) -> float:
-    """A finite number of zero or more; anything else is a DataError."""
+    """The value as a finite number of zero or more. Raises DataError for anything else."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError) as error:
@@ -49,7 +52,7 @@ def positive(value: float, name: str) -> float:
 
 
 def share(value: float, name: str) -> float:
-    """A number from 0 to 1; anything else is a DataError."""
+    """The value as a number from 0 to 1. Raises DataError for anything else."""
     number = positive(value, name)
     if number > 1.0:
         raise DataError(f"{name} is {value!r}", f"give {name} from 0 to 1")
@@ -57,7 +60,7 @@ def share(value: float, name: str) -> float:
 
 
 def white_noise(noise: npt.ArrayLike | None, count: int) -> Array:
-    """Standard deviations; none if they are unknown."""
+    """Standard deviations, (1,) or (count,); empty if the noise is unknown."""
     if noise is None:
         return np.zeros(0)
     white = vector(noise, "noise", count)
@@ -70,7 +73,7 @@ def white_noise(noise: npt.ArrayLike | None, count: int) -> Array:
 
 
 def contact_count(contacts: Any, method: str, least: int, most: int) -> int:
-    """How many contacts; -1 for "auto"."""
+    """The number of contacts, -1 for "auto". Raises DataError unless it is from least to most."""
     if isinstance(contacts, str) and contacts == "auto":
         return -1
     number = isinstance(contacts, (int, np.integer)) and not isinstance(contacts, bool)
@@ -82,7 +85,7 @@ def contact_count(contacts: Any, method: str, least: int, most: int) -> int:
 
 
 def bending_stiffness(stiffness: tuple[float, float] | None) -> tuple[float, float] | None:
-    """EI and its relative error, if they are; a DataError if not."""
+    """EI and its relative error, if they are given. Raises DataError if they are impossible."""
     if stiffness is None:
         return None
     try:
@@ -97,7 +100,7 @@ def bending_stiffness(stiffness: tuple[float, float] | None) -> tuple[float, flo
 
 
 def grip(held_end: bool | float | None) -> tuple[int, float]:
-    """0, 1 or 2 where the end is not, perhaps or surely held, and the odds; NaN: the usual ones."""
+    """0, 1 or 2 if the end is not, perhaps or surely held; prior odds, NaN for the default."""
     if held_end is None:
         return 1, math.nan
     if isinstance(held_end, (bool, np.bool_)):
@@ -107,7 +110,7 @@ def grip(held_end: bool | float | None) -> tuple[int, float]:
 
 
 def everted_length(length: float) -> float:
-    """The length, if it is one; a DataError if not."""
+    """The length. Raises DataError if it is impossible."""
     total = positive(length, "length")
     if not 1e-9 <= total <= 1e9:
         raise DataError(f"length {total:g} is no length", "give the everted length, in cm, m or mm")
@@ -115,7 +118,7 @@ def everted_length(length: float) -> float:
 
 
 def share_of_length(within: Range | None, total: float) -> Range:
-    """Two arcs as shares of the length; a DataError if nothing lies between them."""
+    """Two arcs as shares of the length. Raises DataError if nothing lies between them."""
     if within is None:
         return 0.0, 1.0
     low, high = (positive(end, "within") / total for end in within)
@@ -126,7 +129,7 @@ def share_of_length(within: Range | None, total: float) -> Range:
 
 
 def columns(shared: npt.ArrayLike | None, count: int) -> Array:
-    """(K, N) columns of the further shared errors, from the caller's (N, K)."""
+    """The shared errors (N, K) transposed to (K, N). Raises DataError for another shape."""
     if shared is None:
         return np.zeros((0, count))
     try:
@@ -141,10 +144,10 @@ def columns(shared: npt.ArrayLike | None, count: int) -> Array:
 
 
 def check_layout(position: Array, span: Array, total: float, **errors: Array) -> None:
-    """What holds for every frame of the same sensors; `errors` by the names of their options.
+    """Check the sensors of a layout, and their `errors`, by the names of the options.
 
     Raises:
-        DataError: a number that is not possible, or lengths of another unit.
+        DataError: a number is impossible, or lengths are in another unit.
     """
     if not position.size:
         raise DataError("there is no position", "give each sensor's centre")
@@ -182,7 +185,7 @@ def _same_unit(given: float, total: float) -> str:
     return ""
 
 
-# In the order of `Problem` in input.h; {:g} is the number that shows it.
+# In the order of `Problem` in input.h; {:g} is the offending number.
 _PROBLEMS = (
     ("", ""),
     ("a reading is infinite", "mark missing sensors with NaN"),
@@ -194,7 +197,7 @@ _PROBLEMS = (
 
 
 def refusal(problem: int, shows: float, total: float) -> DataError:
-    """What the compiled code found wrong with a frame, and the likely cure."""
+    """The error for a problem that the compiled code found in a frame, with the likely remedy."""
     what, cure = _PROBLEMS[problem]
     if not cure:
         cure = "give the inverse of the length's unit (not degrees, ohm or counts)"
