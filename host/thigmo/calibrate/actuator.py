@@ -3,11 +3,11 @@
 Rows are free bends: pressure (measured), curvature by camera, branch (inflating or deflating) and
 trial. The camera does not see a bend out of the plane: the sensors that read at least half of it
 measure it, to the error of their scales. A muscle without such a sensor is named as not calibrated.
-Each branch gets its own tanh map; trials may sit a little apart (the robot never lies quite
-straight), which is fitted as an offset for each trial, and its spread becomes `offset_se`, the
-common error that the localizer marginalises and re-estimates from frames without contact. A muscle
-also bends the body a little more or less in every trial: that spread, with the fit's own error, is
-the map's `scale_se`. Errors that rows of a trial share show from trial to trial.
+Each branch gets its own tanh map. The robot never lies quite straight, so each trial has an offset;
+the spread of these offsets becomes `offset_se`, the common error that the localizer marginalises
+and re-estimates from frames without contact. A muscle also bends the body a little more or less in
+every trial: that spread, with the error of the fit, is the map's `scale_se`. Errors that the rows
+of a trial share appear as differences between trials.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ Branch = Literal["inflate", "deflate"]
 BRANCHES: tuple[Branch, ...] = get_args(Branch)
 
 _REJECT = 4.0
-_PICTURE_SE = 2e-4  # 1/cm, where it is not stated
-_LAG_SE_S = 0.1  # a lag known worse than that is not used
-_ONE_TRIAL_SE = 5e-4  # 1/cm, a common offset where one trial cannot tell it
-_DAYS_SE = 2e-4  # 1/cm, what differs from day to day and no session can show [a guess]
-# One sigma of a trial's gain beforehand [a guess], and as how many trials it counts.
+_PICTURE_SE = 2e-4  # 1/cm, standard error of a curvature by camera if none is stated
+_LAG_SE_S = 0.1  # largest standard error of a lag that is used
+_ONE_TRIAL_SE = 5e-4  # 1/cm, error of the common offset after a single trial
+_DAYS_SE = 2e-4  # 1/cm, difference between days, which one session cannot show [a guess]
+# Prior standard deviation of a trial's gain [a guess], and its weight in trials.
 _TRIAL_GAIN, _TRIAL_GAIN_COUNT = 0.015, 2
-_CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
-_MOST_SE = 0.02  # of g, of full scale
-_LEAST_BEND = 1e-3  # 1/cm, by the upper half of the pressures
+_CAMERA_SCALE_SE = 0.002  # relative error of the camera's scale, common to all rows
+_MOST_SE = 0.02  # largest standard error of g, as a share of full scale
+_LEAST_BEND = 1e-3  # 1/cm, that the upper half of the pressures must reach
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,11 @@ class BendReadings:
     body_pressure_psi: float  # set by hand
     pressure_psi: Array  # (n,) measured muscle pressure
     curvature: Array  # (n,) towards the muscle, 1/cm; nan where the body was not seen
-    curvature_se: Array  # (n,) one sigma
+    curvature_se: Array  # (n,) standard error, 1/cm
     branch: tuple[str, ...]  # (n,) "inflate" or "deflate"
     trial: NDArray[np.int64]  # (n,) trial numbers
-    scale_se: float = _CAMERA_SCALE_SE  # relative, common to all rows
-    sensors: int = 0  # number of those that measured the bends; 0: the camera did
+    scale_se: float = _CAMERA_SCALE_SE  # relative error of curvature, common to all rows
+    sensors: int = 0  # number of sensors that measured the bends; 0 if the camera did
 
     def __post_init__(self) -> None:
         unknown = set(self.branch) - set(BRANCHES)
@@ -67,15 +67,16 @@ class BendReadings:
             raise DataError(f"unknown branch '{unknown.pop()}'", "use inflate or deflate")
 
     def names(self) -> list[str]:
-        """What an operator calls each bend."""
+        """Name of each bend for the operator."""
         columns = zip(self.trial.tolist(), self.branch, self.pressure_psi.tolist(), strict=True)
         return [f"trial {trial} {branch} {psi:.1f} psi" for trial, branch, psi in columns]
 
     @classmethod
     def read_all(cls, table: Table, config: RobotConfig) -> list[BendReadings]:
-        """Of each muscle and body pressure, from a CSV; muscles by name, or in the plane by side.
+        """The bends of each muscle and body pressure in a CSV.
 
-        In the plane curvature is positive to the left, out of it towards the muscle.
+        Muscles are given by name, or by side if they bend in the camera's plane. Curvature is
+        positive to the left in the plane, and towards the muscle out of it.
         """
         if "muscle" in table:
             muscles = [config.muscles[config.muscle_number(n)] for n in table.words("muscle")]
@@ -101,7 +102,7 @@ class ActuatorResult(StepResult):
     zone: ZoneMap  # the maps, ready for the configuration
     g_se: float  # largest standard error of g over 0..18 psi (both branches), 1/cm
     full_scale: float  # g at the highest pressure, 1/cm
-    offset_se: float  # one sigma of a trial's common offset and of the map's shape, 1/cm
+    offset_se: float  # standard error of a trial's offset and the map's shape together, 1/cm
     used: Mask  # (n,) rows that were kept
     verdict: Verdict  # in words
     lag: Lag | None = None  # pressure to bend, if a ramp was recorded at this body pressure
@@ -135,11 +136,11 @@ class ActuatorResult(StepResult):
 
 @dataclass(frozen=True)
 class ActuatorResults(StepResult):
-    """The muscles at every body pressure that was measured."""
+    """Results of all muscles at all body pressures that were measured."""
 
     each: tuple[ActuatorResult, ...]
     verdict: Verdict
-    not_calibrated: tuple[str, ...] = ()  # muscles that nothing measures: their maps stay
+    not_calibrated: tuple[str, ...] = ()  # muscles that nothing measures; their maps are kept
     EVIDENCE: ClassVar = ("each",)
 
     def as_data(self) -> dict[str, Any]:
@@ -147,13 +148,13 @@ class ActuatorResults(StepResult):
         return {"each": [result.as_data() for result in self.each], **super().as_data()}
 
     def write(self, config: RobotConfig) -> None:
-        """All maps; of a muscle's offset errors the largest stays."""
+        """Put in all maps, and the largest offset error of each muscle."""
         for result in sorted(self.each, key=lambda one: one.offset_se):
             result.write(config)
 
 
 def together(found: Sequence[ActuatorResult], unseen: Sequence[Muscle] = ()) -> ActuatorResults:
-    """Maps with one verdict over all of them, which names the muscles that nothing measures."""
+    """Combine maps under one verdict, which names the muscles that nothing measures."""
     bad: list[str] = []
     notes: list[str] = []
     for r in found:
@@ -185,7 +186,7 @@ def _map_values(p: Array, log_amplitude: Array, log_scale: Array, offset: Array)
 
 
 def guided(bench: Bench) -> ActuatorResults:
-    """Maps of all muscles that can be measured for the planned body pressures, and their lags."""
+    """Measure and fit maps and lags of all measurable muscles at the planned body pressures."""
     config = bench.config
     zones = bench.plan.zones or tuple(range(len(config.body.zones)))
     unseen = [m for m in config.muscles if not m.side and not _sound(config, m)]
@@ -221,7 +222,7 @@ def _sound(config: RobotConfig, muscle: Muscle) -> list[wiring.Witness]:
 def readings_of(
     rows: Sequence[Row], config: RobotConfig, muscle: Muscle, zone: int
 ) -> BendReadings:
-    """The bench's rows of one muscle at one body pressure: by camera, or else by the sensors."""
+    """Bends of one muscle at one body pressure, by camera if it can see them, else by sensors."""
     if muscle.side:
         k = SIGN[muscle.side] * column(rows, "k")
         error = np.nan_to_num(column(rows, "k_se"), nan=_PICTURE_SE)
@@ -238,10 +239,11 @@ def readings_of(
 def curvature_by_sensors(
     ohm: Array, sensors: Sequence[wiring.Witness]
 ) -> tuple[Array, Array, float]:
-    """Curvature (n,) towards a muscle, one sigma (n,), and that of its scale, relative.
+    """Curvature (n,) towards a muscle, its standard error (n,), and the scale's relative error.
 
-    `ohm` (n, inputs) is what resistances changed by since the body lay straight. Weighted least
-    squares over what was read. Scales err independently.
+    `ohm` (n, inputs) holds the changes of resistance from the straight body. The curvature is a
+    weighted least-squares fit to all sensors that were read. Errors of their scales are
+    independent.
     """
     share = np.array([one.share for one in sensors])
     read = ohm[:, [one.number for one in sensors]] * [s.sensor.scale_per_ohm for s in sensors]
@@ -255,7 +257,7 @@ def curvature_by_sensors(
 
 
 def of_csv(table: Table, config: RobotConfig) -> ActuatorResults:
-    """Bends of one or more muscles."""
+    """Fit the bends of one or more muscles from a CSV."""
     found = [fit_actuator(readings) for readings in BendReadings.read_all(table, config)]
     if not found:
         raise DataError(f"{table.name} holds no bends", "give one line for each bend")
@@ -263,7 +265,7 @@ def of_csv(table: Table, config: RobotConfig) -> ActuatorResults:
 
 
 def fit_actuator(readings: BendReadings) -> ActuatorResult:
-    """Tanh maps of both branches with per-trial offsets."""
+    """Fit tanh maps of both branches, with an offset for each trial."""
     p, k, error = readings.pressure_psi, readings.curvature, readings.curvature_se
     finite = np.isfinite(p) & np.isfinite(k)
     total = int(finite.sum())
@@ -299,7 +301,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
 
     def residuals(x: Array, rows: Mask, spread: float, loose: float) -> Array:
         rest = (k - curve(x) - x[maps:][slot]) / np.hypot(spread, error)
-        # Weak priors keep a saturation that the data do not reach within reason.
+        # Weak priors bound a saturation that the data do not reach.
         priors = [(x[2:maps:3] - 4.0) / 8.0, (x[1:maps:3] - np.log(10.0)) / 1.5]
         return np.concatenate([rest[rows], x[maps:] / loose, *priors])
 
@@ -309,10 +311,10 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     size = float(np.log(max(top, 1e-3)))
     best = unknowns([size, np.log(8.0), 4.0], 0.0)
     bounds = (unknowns([size - 1.5, 0.0, -10.0], -0.05), unknowns([size + 2.0, 4.0, 25.0], 0.05))
-    # A camera has the same error in all pictures of a place: it does not average out.
+    # The camera has the same error in all pictures of a place, so it does not average out.
     camera_se = float(np.median(error[finite]))
     for attempt in range(8):
-        # Cauchy at first: a tenth of wild readings must not pull the start.
+        # A Cauchy loss first, so that a tenth of wild readings does not affect the start.
         fit = least_squares(
             residuals, best, args=(used, sigma, offset_sigma), bounds=bounds,
             loss="cauchy" if attempt < 2 else "linear", f_scale=2.0, x_scale="jac",
@@ -364,10 +366,10 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
 def _maps(
     best: Array, covariance: Array, branches: Sequence[str], highest: float
 ) -> tuple[dict[str, TanhMap], Array]:
-    """The map of each branch, from its three numbers, and what is the largest of their errors.
+    """The map of each branch, and the largest standard errors of these maps, (3,).
 
-    Standard errors: of a curvature anywhere (1/cm); relative, at the highest pressure; and of the
-    shape, which is what the map's scale does not account for (1/cm).
+    The errors are that of the curvature at any pressure (1/cm), the relative one at the highest
+    pressure, and that of the shape, which the map's scale does not account for (1/cm).
     """
     grid, errors, built = np.linspace(0.0, 18.0, 37), np.zeros(3), {}
     for name, own in zip(branches, np.arange(best.size).reshape(-1, 3), strict=True):
@@ -386,7 +388,7 @@ def _maps(
 
 
 def _not_towards(readings: BendReadings, bend: float) -> str:
-    """Why a muscle does not bend the body towards itself."""
+    """The likely reason why a muscle does not bend the body towards itself."""
     name = readings.muscle
     if bend > -_LEAST_BEND:
         return (
@@ -405,7 +407,10 @@ def _not_towards(readings: BendReadings, bend: float) -> str:
 def _judged(
     readings: BendReadings, moved: bool, left_out: float, share: float, full: float
 ) -> tuple[bool, str]:
-    """Whether the maps may be used, and why: by shares of bends omitted and of g's error."""
+    """Whether the maps may be used, and why.
+
+    `left_out` is the share of bends omitted, `share` the error of g over full scale.
+    """
     if moved and readings.sensors:
         return False, "the sensors' zeros moved between trials; let them settle, then repeat those"
     if moved:
@@ -415,7 +420,7 @@ def _judged(
         )
     if left_out > 0.3:
         return False, "a third of the bends disagree with any smooth map"
-    # More trials than the sensors' scales are worth help nobody.
+    # More trials do not help beyond the error of the sensors' scales.
     if share > max(_MOST_SE, readings.scale_se):
         return False, f"g is known to {100 * share:.1f} % of full scale only; add trials"
     known = f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
@@ -428,9 +433,10 @@ def _judged(
 
 
 def _trial_gain(rest: Array, bend: Array, slot: NDArray[np.intp], used: Mask, trials: int) -> float:
-    """One sigma of the gain by which a trial's bends exceed the map, relative.
+    """Relative standard deviation of the gain by which a trial's bends exceed the map.
 
-    Of rows (n,): `rest` beyond the map and the trial's offset, `bend` by the map, trial `slot`.
+    Arrays are (n,): `rest` is the residual after map and offset, `bend` the map's curvature, and
+    `slot` the number of the trial.
     """
     squares, own = 0.0, 0.0
     for trial in range(trials):

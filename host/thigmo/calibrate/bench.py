@@ -1,8 +1,8 @@
-"""A robot on the calibration bench: how to bring it to a state, read it, and keep what was read.
+"""A robot on the calibration bench: brings it to a state, reads it, and stores the readings.
 
-`growth_rows`, `bend_rows`, `tip_rows` and `bow_rows` take what steps are fitted to, row by row.
-Each plans its rows, leaves out those that the folder already holds, and stores each one as it
-comes, so that a stopped command goes on where it was.
+`growth_rows`, `bend_rows`, `tip_rows` and `bow_rows` take the rows that the steps are fitted to.
+Each plans its rows, skips those that the folder already holds, and stores each row at once, so that
+a command that was stopped continues where it was.
 """
 
 from __future__ import annotations
@@ -32,33 +32,33 @@ from thigmo.room import Operator
 Row = dict[str, Any]
 T = TypeVar("T")
 
-STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing, and a good margin
+STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing and margin
 READ_S = 1.0
 SAME_CM = 0.2
 _TRIES = 3
 _QUIET_S = 5.0  # after venting, before zeros are taken
 _UNSEEN: Row = {"unseen": True}
-_PUSHES = 3  # at one place, if the tip goes to the other side
+_PUSHES = 3  # attempts at one place if the tip goes to the other side
 _ASIDE_CM = 1.0  # a tip nearer to the straight robot is on neither side
-# Slow, because an overshoot would turn the muscle over to its other branch.
+# Slow, because an overshoot would switch the muscle to its other branch.
 _RAMP_PSI_S = 1.0
-_JUDGED = "speed_margin_duty"  # at its highest value the board judges no encoder
+_JUDGED = "speed_margin_duty"  # at its highest value the board does not check the encoder
 
 
 @dataclass
 class Plan:
-    """How much of everything."""
+    """How many rows each step takes, and how long it watches."""
 
     places: int = 10  # tip places of the flex step
-    # more of the pushed tip for the stiffness step, all far aside. One tells the ratio to
-    # 0.15..0.35, by the camera; with the flex step's ten places these tell it to 0.05..0.1.
+    # pictures of the tip pushed far aside, for the stiffness step. By camera, one determines the
+    # ratio to 0.15..0.35; with the flex step's ten places, these determine it to 0.05..0.1.
     pictures: int = 12
     straight: int = 3  # straight rows of the flex step
-    trials: int = 3  # of the bends
-    step_psi: float = 2.0  # of the muscle pressure
+    trials: int = 3  # trials of free bends
+    step_psi: float = 2.0  # step of the muscle pressure
     pushes: int = 5  # hard pushes of the buckling step
-    rest_readings: int = 40  # of the noise step
-    creep_s: float = 30.0  # watched after each eversion
+    rest_readings: int = 40  # readings of the noise step
+    creep_s: float = 30.0  # time for which creep is watched after each eversion
     zones: tuple[int, ...] | None = None  # body pressures whose maps are measured; None = all
 
 
@@ -75,7 +75,11 @@ def grow_to(
     say: Callable[[str], None],
     at_stop: Callable[[float], None] | None = None,
 ) -> None:
-    """Grow, pitch by pitch and with the body pressure of each zone; never retracts."""
+    """Grow to a length, pitch by pitch, with the body pressure of each zone.
+
+    `at_stop` is called with the length at each multiple of the pitch and at the end. Raises
+    DataError if the robot is longer already: this never retracts.
+    """
     now, body = robot.known_length_cm(), config.body
     if now > length_cm + SAME_CM:
         raise DataError(
@@ -97,7 +101,7 @@ def grow_to(
 
 
 def zero(robot: Robot, say: Callable[[str], None]) -> None:
-    """Zero the straight, vented robot; again if its readings still drift."""
+    """Zero the straight, vented robot; try again while its readings drift, three times at most."""
     for attempt in range(_TRIES):
         robot.wait(_QUIET_S)
         try:
@@ -124,20 +128,20 @@ class Bench:
     camera: OverheadCamera
     session: Session  # the folder
     plan: Plan = field(default_factory=Plan)
-    say: Callable[[str], None] = lambda text: None  # called with what happens
-    # resistances of the straight robot, taken last (an eversion shifts them, so rows keep the one
-    # of their own session)
+    say: Callable[[str], None] = lambda text: None  # called with progress messages
+    # latest resistances of the straight robot; an eversion shifts them, so each row stores those of
+    # its own session
     rest: list[float] = field(default_factory=list)
     _configured: bool = False
 
     @property
     def hand(self) -> Hand:
-        """The operator: at a terminal as on the emulator one who can push the tip."""
+        """The operator, who can push the tip, at a terminal and on the emulator."""
         return cast(Hand, self.robot.operator)
 
     @property
     def config(self) -> RobotConfig:
-        """Constants so far."""
+        """The constants measured so far."""
         return self.session.config
 
     def configure(self) -> None:
@@ -147,7 +151,7 @@ class Bench:
             self._configured = True
 
     def start(self) -> None:
-        """Configure, learn the length, arm; what is done already stays as it is."""
+        """Configure the robot, ask for its length, and arm it, as far as that is not done yet."""
         self.configure()
         self.robot.known_length_cm()
         if self.robot.status().state == "safe":
@@ -158,7 +162,7 @@ class Bench:
         self.robot.press(muscle, psi, ramp_psi_s=ramp_psi_s)
 
     def ohm(self, read: Reading | Recording) -> Array:
-        """Resistances (..., m) of the robot's sensors: the board has inputs that it may not use."""
+        """Resistances (..., m) of the robot's sensors, without unused inputs of the board."""
         every = np.asarray(read.resistance)
         inputs = wiring.input_of(self.config)
         return every[..., [inputs[place] for place in places_of(self.config)]]
@@ -173,11 +177,14 @@ class Bench:
         set_zone(self.robot, self.config, zone)
 
     def bring_to(self, length_cm: float, at_stop: Callable[[float], None] | None = None) -> None:
-        """`grow_to` a length, for this bench."""
+        """Grow to a length with `grow_to`."""
         grow_to(self.robot, self.config, length_cm, self.say, at_stop)
 
     def ready_to_bend(self, zone: int | None = None) -> None:
-        """Full length, sensors settled and zeroed; then a zone's body pressure (None: its own)."""
+        """Grow to full length, settle and zero the sensors, and set the body pressure of a zone.
+
+        None keeps the zone of the full length.
+        """
         self.bring_to(self.config.body.length_cm)
         self.set_zone(len(self.config.body.zones) - 1)
         self.robot.vent()
@@ -197,9 +204,8 @@ class Bench:
     ) -> list[Row]:
         """Take the planned rows that the folder does not hold yet, or that the camera missed.
 
-        `take` makes a row from its key and what is planned for it; `prepare` (`ready_to_bend` if
-        None) comes before the first. Returns all planned rows, in the order in which they were
-        taken.
+        `take` makes a row from its key and its plan; `prepare` (`ready_to_bend` if None) is called
+        before the first. Returns all planned rows, in the order in which they were taken.
         """
         held = self.session.rows(procedure)
         missing = [key for key in planned if held.get(key, _UNSEEN).get("unseen")]
@@ -218,9 +224,9 @@ class Bench:
         return [row for key, row in self.session.rows(procedure).items() if key in planned]
 
     def seen(self, shot: Callable[[], Row], blank: Row) -> Row:
-        """A camera reading, tried three times; where the robot cannot be seen, `blank` as unseen.
+        """A camera reading, tried three times; `blank`, marked as unseen, if all fail.
 
-        A moved camera ends the step: pictures taken from now on would be wrong.
+        Raises CameraMovedError if the camera has moved, because later pictures would be wrong.
         """
         for attempt in range(_TRIES):
             if attempt:
@@ -234,7 +240,7 @@ class Bench:
         return {**blank, **_UNSEEN}
 
     def finish(self, step: str, result: StepResult) -> None:
-        """Store a result, say its verdict, and send good constants to the board."""
+        """Store a result, report its verdict, and send good constants to the board."""
         before = self.config
         for line in self.session.keep(step, result):
             self.say(line)
@@ -244,7 +250,7 @@ class Bench:
 
 
 def growth_rows(bench: Bench) -> list[Row]:
-    """Grow from where the robot is; at each stop counts and length, and 30 s of creep."""
+    """Grow to full length, and record counts, length and the sensors' creep at each stop."""
     spool, held = bench.config.spool, bench.session.rows("growth")
 
     def stop(length: float) -> None:
@@ -278,7 +284,7 @@ def growth_rows(bench: Bench) -> list[Row]:
 
 
 def bend_set_points(bench: Bench, muscle: Muscle) -> list[tuple[str, float]]:
-    """Branch and pressure, up and down."""
+    """Branch and pressure (psi) of each set point, up and down."""
     top = muscle.max_pressure_psi
     up = [*np.arange(0.0, top, bench.plan.step_psi).tolist(), top]
     return [("inflate", p) for p in up] + [("deflate", p) for p in reversed(up[:-1])]
@@ -318,7 +324,7 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
 
 
 def last_bends(bench: Bench) -> list[Row]:
-    """The free bends of the last body pressure, which are taken if there are none yet."""
+    """Free bends at the last body pressure, taken now unless all of them are stored."""
     last = len(bench.config.body.zones) - 1
     bends = [row for row in bench.session.rows("bends").values() if row["zone"] == last]
     muscles = [muscle for muscle in bench.config.muscles if muscle.side]
@@ -339,7 +345,7 @@ def _bent(bench: Bench, muscle: Muscle, psi: float) -> tuple[Reading, float]:
 
 
 def _strain(bench: Bench) -> Row:
-    """A fibre's strains, where the robot has one that is read live."""
+    """The strains of the robot's fibre, if it has one that is read live."""
     if not (bench.config.gratings and bench.config.interrogator):
         return {}
     return {"strain": bench.robot.read_fibre(READ_S).strain_ue.tolist()}
@@ -348,7 +354,7 @@ def _strain(bench: Bench) -> Row:
 def unseen_bend_rows(bench: Bench, zones: Iterable[int], muscle: Muscle) -> list[Row]:
     """Free bends of a muscle out of the plane, which the camera does not see.
 
-    Each row holds the resistances of all inputs, from those of the straight robot.
+    Each row holds the changes of resistance of all inputs from the straight robot.
     """
     straight: list[Array] = []
 
@@ -375,11 +381,11 @@ def unseen_bend_rows(bench: Bench, zones: Iterable[int], muscle: Muscle) -> list
 
 
 def tip_rows(bench: Bench) -> list[Row]:
-    """Straight rows, and the tip held at places on both sides."""
+    """Rows of the straight robot, and of the tip held at places on both sides."""
     plan, reach = bench.plan, _tip_reach_cm(bench)
     half = plan.places // 2
     far = [reach * (n + 1) / half for n in range(half)]
-    # Out and back, sides in turn: neither a loop nor a shift looks like a side.
+    # Out and back, with alternating sides, so that a loop or a shift does not look like a side.
     asked = [sign * y for y in (*far[::2], *reversed(far[1::2])) for sign in (1, -1)]
     planned: dict[str, float | None] = {f"straight {n}": None for n in range(plan.straight)}
     planned |= {f"tip {n}": y for n, y in enumerate(asked)}
@@ -408,7 +414,7 @@ def tip_rows(bench: Bench) -> list[Row]:
 
 
 def bow_rows(bench: Bench) -> list[Row]:
-    """Pictures of the body with its tip far aside, sides in turn."""
+    """Pictures of the body with its tip far aside, on alternating sides."""
     reach, half = _tip_reach_cm(bench), bench.plan.pictures // 2
     asked = [sign * y for y in np.linspace(0.6 * reach, reach, half) for sign in (1, -1)]
 
@@ -428,7 +434,7 @@ def _tip_reach_cm(bench: Bench) -> float:
 
 
 def _tip_seen(bench: Bench) -> Row:
-    """The tip and the axis by the camera; None where it does not see the robot."""
+    """Tip and axis by camera; None if it does not see the robot."""
 
     def shot() -> Row:
         axis = bench.camera.axis(free_bend=False, length_cm=bench.config.body.length_cm)

@@ -1,10 +1,10 @@
-"""Bending stiffness EI: it turns forces over EI, which curvature gives, into newtons.
+"""Bending stiffness EI, which converts forces over EI, as curvature gives them, to newtons.
 
-Two ways. A known force, of a hung weight or a spring balance, bends the calibrated robot, and its
-sensors tell the force over EI. Or EI is stated from the fold: a thin inflated tube folds at a
-moment between pi p r^3 / 2, where its wall first goes slack (Comer and Levy, AIAA Journal 1963),
-and pi p r^3, where no part of it is taut; which one a robot's sensors call the fold is not known,
-so the whole range is the error.
+There are two ways. A known force, of a hung weight or a spring balance, bends the calibrated robot,
+and its sensors measure the force over EI. Or EI follows from the fold: a thin inflated tube folds
+at a moment between pi p r^3 / 2, where its wall first goes slack (Comer and Levy, AIAA Journal
+1963), and pi p r^3, where no part of it is taut. Which of these moments a robot's sensors show as
+the fold is not known, so the error covers the whole range.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from thigmo.mechanics import push
 from thigmo.record.table import Table
 
 COLUMNS = "force_n, curvature_SENSOR of each sensor [force_arc_cm, force_se]"
-_N_PER_CM2 = 0.6894757  # of a psi
+_N_PER_CM2 = 0.6894757  # per psi
 _FOLD, _FOLD_SE = 0.75, 0.5 / np.sqrt(12.0)  # moment over pi p r^3: anywhere from a half to one
 _PASSES = 4
-_GOOD = 0.2  # relative standard error from which newtons are worth telling
+_GOOD = 0.2  # relative standard error of EI below which forces in newtons are useful
 
 
 @dataclass(frozen=True)
@@ -34,17 +34,20 @@ class BendingResult(StepResult):
 
     stiffness_n_cm2: float
     stiffness_se_n_cm2: float
-    each: Array  # (t,) of every pull alone
+    each: Array  # (t,) EI by each pull alone, N cm^2; nan if too few sensors read it
     verdict: Verdict
 
     def write(self, config: RobotConfig) -> None:
-        """EI and its error."""
+        """Put in EI and its error."""
         config.body.stiffness_n_cm2 = self.stiffness_n_cm2
         config.body.stiffness_se_n_cm2 = self.stiffness_se_n_cm2
 
 
 def of_csv(table: Table, config: RobotConfig) -> BendingResult:
-    """Pulls with known forces, a row each: readings above those of the straight robot."""
+    """Fit EI to pulls with known forces in a CSV, a row each.
+
+    Curvatures are readings less those of the straight robot, 1/cm.
+    """
     curvature = of_sensors(table, "curvature", config)
     force = table.numbers("force_n")
     arc = table.numbers("force_arc_cm", config.body.length_cm)
@@ -54,14 +57,25 @@ def of_csv(table: Table, config: RobotConfig) -> BendingResult:
 def fit_bending(
     force_n: Array, arc_cm: Array, force_se: Array, curvature: Array, config: RobotConfig
 ) -> BendingResult:
-    """EI from (t,) forces, relative errors of theirs, at (t,) arcs, and (t, m) curvatures."""
+    """EI from t pulls.
+
+    Args:
+        force_n: (t,) forces, N.
+        arc_cm: (t,) arcs at which they act.
+        force_se: (t,) relative standard errors of the forces.
+        curvature: (t, m) readings less those of the straight robot, 1/cm.
+        config: the calibrated robot.
+
+    Raises:
+        DataError: a force or an arc is impossible, or no pull is read by two sensors.
+    """
     if not (np.isfinite(force_n) & (np.abs(force_n) > 0)).all() or not (force_se >= 0).all():
         raise DataError("a force_n is 0 or missing", "give newtons: kg times 9.81")
     if not ((arc_cm > 0) & (arc_cm <= config.body.length_cm)).all():
         raise DataError("a force_arc_cm is off the body", "give where it acts, from the base")
     names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction", "healthy")
     center, span, noise, gain, way, healthy = constants_of(config, *names)
-    # A base that folds takes its turn from the first sensors.
+    # If the base folds, the first sensors do not show its turn.
     far = (healthy > 0) & (center - span / 2 >= config.body.diameter_cm)
     each, own = np.full((2, len(force_n)), np.nan)
     for trial, (force, arc, row) in enumerate(zip(force_n, arc_cm, curvature, strict=True)):
@@ -101,7 +115,7 @@ def fit_bending(
 
 
 def from_fold(config: RobotConfig) -> BendingResult:
-    """EI that the fold's moment, the body's pressure and its radius state; no readings."""
+    """EI from the critical curvature, the body pressure and the radius, without readings."""
     body = config.body
     slack = np.pi * body.critical_pressure_psi * _N_PER_CM2 * body.radius_cm**3
     stiffness = float(_FOLD * slack / body.critical_curvature)
@@ -116,7 +130,7 @@ def from_fold(config: RobotConfig) -> BendingResult:
 def _over_stiffness(
     row: Array, center: Array, span: Array, noise: Array, arc: float
 ) -> tuple[float, float]:
-    """Force over EI (1/cm^2) at an arc, and its standard error, of a body of positive curvature."""
+    """Force over EI at an arc, and its standard error, 1/cm^2, for positive curvatures (m,)."""
     force = 1e-6
     error = 0.0
     for _ in range(_PASSES):

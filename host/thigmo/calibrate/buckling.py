@@ -1,8 +1,9 @@
 """Critical curvature: the contact moment at which the base folds (thesis, section 2.3.3).
 
-In each trial the tip is pushed hard until the base folds. The sensors beyond the fold still obey
-the beam, and tell the moment at the base. The tip is the known place of the force, so one number is
-fitted; the thesis's line through their curvatures, read off at s = 0, takes two.
+In each trial the tip is pushed hard until the base folds. Beyond the fold, the body still bends as
+a beam, so the sensors there determine the moment at the base. The force is known to act at the tip,
+so one number is fitted; the thesis fits two, a line through the curvatures, and reads it off at
+s = 0.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from thigmo.record.table import Table
 # Share of the fold's length before which a sensor must begin to show the fold. One that begins
 # later reads too little of it: a push would seem not to have folded the base.
 _SHOWS_FOLD = 0.9
-_HARD = 1.7  # times the moment that folds the base, by what is known before
+_HARD = 1.7  # moment of a push over the expected moment that folds the base
 _DEEPER = 1.2  # between two pushes of a base whose fold no sensor reads
 _BENT = 2.8  # moment times length over EI, beyond which a push turns the tip back
 _GROWS = 0.5  # exponent of the moment over the push: 1 for a beam, 0 for a folded base
@@ -37,13 +38,13 @@ class BucklingResult(StepResult):
 
     critical_curvature: float  # mean over the trials, 1/cm
     critical_se: float  # its standard error, gains included
-    each: Array  # (t,) per trial; nan = did not fold or could not be read
-    excess: Array  # (t,) how much more the base sensors show than the beam says, 1/cm
-    body_pressure_psi: float  # at which it holds
+    each: Array  # (t,) per trial, 1/cm; nan = did not fold or could not be read
+    excess: Array  # (t,) curvature of the base sensors above the beam model, 1/cm
+    body_pressure_psi: float  # body pressure at which it was measured
     verdict: Verdict  # in words
 
     def write(self, config: RobotConfig) -> None:
-        """Critical curvature, its error and its body pressure."""
+        """Put in the critical curvature, its error and its body pressure."""
         config.body.critical_curvature = self.critical_curvature
         config.body.critical_curvature_se = self.critical_se
         config.body.critical_pressure_psi = self.body_pressure_psi
@@ -53,12 +54,12 @@ Fit = Callable[[Array, float, float, RobotConfig], BucklingResult]
 
 
 def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
-    """Critical curvature from hard pushes, each with its own straight reading.
+    """Measure hard pushes, each with its own straight reading, and fit the critical curvature.
 
-    They go to both sides in turn, or to the one side to which enough sensors answer. Where no
-    sensor reads the fold, they are of two depths, because only a base that has folded is bent by
-    the same moment in both. Run it after flex. Raises DataError if too few sensors answer to either
-    side.
+    The pushes alternate between both sides, or go to the only side that enough sensors can read.
+    Where no sensor reads the fold, they are of two depths, because only a base that has folded is
+    bent by the same moment in both. The flex step must come first. Raises DataError if too few
+    sensors can read either side.
     """
     body = bench.config.body
     signs = _readable_signs(bench.config, body.length_cm)
@@ -96,7 +97,7 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
     gone, rest = column(rows, "ohm") * scale, column(rows, "rest") * scale
     flex = bench.session.done("flex")
     if flex is not None:
-        # Each push ends on the other side of the sensors' loops than the rest before it.
+        # Each push ends on the opposite branch of the hysteresis loops from the rest before it.
         walk = np.stack([np.zeros_like(gone), gone - rest], axis=1).reshape(-1, gone.shape[1])
         block = np.zeros(len(walk), np.int64)
         turn = loop_turns(np.nan_to_num(walk), block, float(flex["loop_width"]))
@@ -138,7 +139,7 @@ def _shown(result: BucklingResult, pushed: Array, config: RobotConfig) -> Buckli
 
 
 def of_csv(table: Table, config: RobotConfig, fit: Fit | None = None) -> BucklingResult:
-    """Pushes at one body pressure and length."""
+    """Fit pushes at one body pressure and length from a CSV."""
     body = table.numbers("body_pressure_psi", config.body.critical_pressure_psi)
     length = table.numbers("length_cm", config.body.length_cm)
     if np.ptp(body) > 1e-9 or np.ptp(length) > 1e-9:
@@ -151,7 +152,17 @@ def of_csv(table: Table, config: RobotConfig, fit: Fit | None = None) -> Bucklin
 def fit_buckling(
     curvature: Array, body_pressure_psi: float, length_cm: float, config: RobotConfig
 ) -> BucklingResult:
-    """Critical curvature over hard pushes at the tip, a row each (t, m); nan = unusable."""
+    """Critical curvature from hard pushes at the tip.
+
+    Args:
+        curvature: (t, m) readings of t pushes less those at rest, 1/cm; nan = unusable.
+        body_pressure_psi: body pressure of the pushes.
+        length_cm: everted length.
+        config: the calibrated robot.
+
+    Raises:
+        DataError: the columns are not this robot's, or too few sensors can read either side.
+    """
     names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction")
     center, span, noise, gain, way = constants_of(config, *names)
     if curvature.shape[1] != len(center):
@@ -174,7 +185,7 @@ def fit_buckling(
         base = in_fold & np.isfinite(row) & ((way == 0) | (way == sign))
         least = 0.0
         if base.any():
-            # A beam without a fold would show this at the base sensors.
+            # Share of the moment that base sensors would show on a beam without a fold.
             lever = _levers(moment, center[base], span[base], length_cm)
             excess[trial] = np.mean(sign * row[base] - moment * lever)
             least = 3 * float(np.hypot(noise[base].max() / np.sqrt(base.sum()), error))
@@ -201,7 +212,7 @@ def fit_buckling(
         verdict = Verdict(False, "no trial shows a fold; push the tip harder", notes)
         return BucklingResult(np.nan, np.inf, each, excess, body_pressure_psi, verdict)
     mean = float(each[kept].mean())
-    # A handful of trials tells their scatter poorly: never less than the readings' own error.
+    # Few trials estimate their scatter poorly, so it is at least the error of the readings.
     scatter = float(each[kept].std(ddof=1)) if n > 1 else 0.0
     within = max(scatter, float(np.sqrt(np.mean(own[kept] ** 2)))) / float(np.sqrt(n))
     # Gain errors are the same in every trial: they do not average out over trials.
@@ -219,16 +230,16 @@ def fit_buckling(
 
 
 def _beyond_fold(config: RobotConfig, length_cm: float) -> Mask:
-    """(m,) the healthy sensors beyond the fold, which spreads over a diameter from the base."""
+    """(m,) whether a sensor is healthy and beyond the fold, a diameter from the base."""
     center, span, healthy = constants_of(config, "center_cm", "span_cm", "healthy")
     near = center - span / 2 < config.body.diameter_cm
     return np.asarray((healthy > 0) & ~near & (center + span / 2 <= length_cm))
 
 
 def _readable_signs(config: RobotConfig, length_cm: float) -> list[int]:
-    """Signs of the bends to which two healthy sensors beyond the fold answer, 1 first.
+    """Signs of the bends that at least two healthy sensors beyond the fold can read, 1 first.
 
-    Raises DataError if there is none.
+    Raises DataError if there are none.
     """
     (way,) = constants_of(config, "valid_direction")
     beyond = _beyond_fold(config, length_cm)
@@ -244,13 +255,13 @@ def _readable_signs(config: RobotConfig, length_cm: float) -> list[int]:
 def _moment(
     row: Array, center: Array, span: Array, noise: Array, length: float
 ) -> tuple[float, float]:
-    """Contact moment at the base (1/cm) and its standard error in one trial, its bend positive."""
+    """Moment at the base over EI, and its standard error, 1/cm, for positive curvatures (m,)."""
     estimate, error = 0.01, 0.0
     for _ in range(4):
         lever = _levers(estimate, center, span, length)
         weights = 1 / noise**2
         if len(row) >= 6:
-            # One outlier among the readings must not carry a trial.
+            # A single outlying reading must not decide a trial.
             ratio = row / lever
             weights *= ~outlying(ratio, 5, noise / lever)
         power = float((weights * lever**2).sum())
@@ -260,6 +271,6 @@ def _moment(
 
 
 def _levers(moment: float, center: Array, span: Array, length: float) -> Array:
-    """Curvature of each sensor over the moment at the base, large deflection (no fold)."""
+    """(m,) curvature of each sensor over the base moment, for large deflection without a fold."""
     bent = push_tip(moment, length)
     return np.asarray(bent.averages(center, span) / abs(bent.base_moment), float)

@@ -1,4 +1,4 @@
-"""Is the robot still what robot.toml says? Drift, leaks, dead sensors, swapped sides."""
+"""Checks the robot against its robot.toml: drift, leaks, dead sensors, swapped sides."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Mark = Literal["ok", "warning", "bad"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at."""
+    """The result of checking one part."""
 
     what: str
     mark: Mark
@@ -30,17 +30,18 @@ class Finding:
 
 @dataclass(frozen=True)
 class CheckReadings:
-    """What a short check records."""
+    """The recordings of a check."""
 
-    rest_ohm: Array  # (n, m) straight and vented
-    bend_ohm: dict[Side, Array]  # readings (m,) with one muscle at `bend_psi`, by side
+    rest_ohm: Array  # (n, m) resistances of the straight, vented robot
+    bend_ohm: dict[Side, Array]  # resistances (m,) with the muscle of a side at `bend_psi`
     bend_psi: float  # muscle pressure of those readings
-    bend_seen: dict[Side, float]  # curvature by camera, by side; empty without a camera
-    # (t, 2) time (s) and pressure while a muscle is held, by side, for the leak
+    bend_seen: dict[Side, float]  # curvature by camera, 1/cm, by side; empty without a camera
+    # (t, 2) time (s) and pressure (psi) while the muscle of a side is held, to find leaks
     held_psi: dict[Side, Array]
     zone: int = 0  # pressure zone in use
-    # by the name of a muscle out of the plane: its bend by the sensors, 1/cm (nan: none reads it)
-    unseen: dict[str, tuple[float, Array]] = field(default_factory=dict)  # and its hold, (t, 2)
+    # by name of a muscle out of the plane: bend by the sensors, 1/cm (nan if none reads it), and
+    # (t, 2) time and pressure while it is held
+    unseen: dict[str, tuple[float, Array]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class CheckResult(StepResult):
 
 
 def guided(bench: Bench) -> CheckResult:
-    """Rest, one bend and one hold for each muscle."""
+    """Record the robot at rest, then a bend and a hold of each muscle, and judge them."""
     bench.ready_to_bend()
     robot, config = bench.robot, bench.config
     reads = [robot.read(0.25) for _ in range(8)]
@@ -87,7 +88,7 @@ def _bend(bench: Bench) -> float:
 
 
 def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
-    """Judge a check's recordings against the configuration."""
+    """Judge a check's recordings. Raises DataError if they are of another robot's sensors."""
     sensors = sensors_of(config)
     if readings.rest_ohm.shape[1] != len(sensors):
         what = f"{readings.rest_ohm.shape[1]} columns for {len(sensors)} sensors"
@@ -140,7 +141,7 @@ def _at_rest(sensor: BoardSensor, zero: float, scatter: float) -> tuple[Mark, st
 def _bent(
     side: Side, readings: CheckReadings, zero: Array, config: RobotConfig
 ) -> Iterator[tuple[str, Mark, str]]:
-    """One muscle inflated: camera, and sensors of both sides, against the map."""
+    """Findings of one inflated muscle: camera and sensors of both sides against the map."""
     sign = SIGN[side]
     muscle = config.muscle(side)
     mapped = muscle.maps[readings.zone].inflate
@@ -178,7 +179,7 @@ def _bent(
 
 
 def _as_mapped(seen: float, expected: float) -> tuple[Mark, str]:
-    """Whether a muscle bends the body by what its map says, 1/cm with their signs."""
+    """Whether a muscle bends the body as its map says; both curvatures are signed, 1/cm."""
     if seen * np.sign(expected) < -0.002:
         return "bad", (
             "bends the robot to the other side: the muscles' tubes are swapped, or the camera is "

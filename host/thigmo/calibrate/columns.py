@@ -18,19 +18,19 @@ Key = TypeVar("Key", bound=Any)
 
 
 class Place(NamedTuple):
-    """Where a sensor lies: its column, and its number there from the base."""
+    """A sensor's column, and its number in it from the base."""
 
     side: Side
     number: int
 
 
 def places_of(config: RobotConfig) -> list[Place]:
-    """Of each sensor in the plane that the board reads."""
+    """The places of all sensors in the plane that the board reads."""
     return [Place(side, k) for side in SIDES for k in range(len(config.column(side)))]
 
 
 def sensors_of(config: RobotConfig) -> dict[str, BoardSensor]:
-    """The board's sensors in the plane, by name: as page, record and export call them."""
+    """The board's sensors in the plane, by the names that page, record and export use."""
     return {
         f"{wiring.column_name(config, DEGREES[side])} {k}": config.column(side)[k]
         for side, k in places_of(config)
@@ -38,19 +38,19 @@ def sensors_of(config: RobotConfig) -> dict[str, BoardSensor]:
 
 
 def constants_of(config: RobotConfig, *names: str) -> Array:
-    """(n, m) entries of all sensors, by name."""
+    """(n, m) values of n named fields of all m sensors."""
     sensors = sensors_of(config).values()
     return np.array([[getattr(one, name) for one in sensors] for name in names], float)
 
 
 def medians(rows: Array) -> Array:
-    """(m,) of columns (n, m), without what is nan; nan where a column holds nothing else."""
+    """(m,) medians of columns (n, m) without nan; nan for a column of nan only."""
     known = (own[np.isfinite(own)] for own in rows.T)
     return np.array([np.median(own) if len(own) else np.nan for own in known])
 
 
 def of_sensors(table: Table, what: str, config: RobotConfig) -> Array:
-    """(n, m) the columns `WHAT_SENSOR` of a CSV, as `ohm_left_0` or `ohm_270deg_0`.
+    """(n, m) values of the columns `WHAT_SENSOR` of a CSV, such as `ohm_left_0` or `ohm_270deg_0`.
 
     Older files name all sensors by their side: `ohm_right_0`.
     """
@@ -62,7 +62,7 @@ def of_sensors(table: Table, what: str, config: RobotConfig) -> Array:
 
 
 def sides_of(table: Table) -> list[Side]:
-    """(n,) the column `side` of a CSV."""
+    """(n,) values of the column `side` of a CSV. Raises DataError for another word."""
     words = table.words("side")
     if set(words) - set(SIDES):
         raise DataError(f"{table.name}: side must be {' or '.join(SIDES)}", "correct that column")
@@ -70,7 +70,7 @@ def sides_of(table: Table) -> list[Side]:
 
 
 def muscle_sides(table: Table, config: RobotConfig) -> list[str]:
-    """(n,) side of the muscle in the column `active` of a CSV, by name or side; "" where empty."""
+    """(n,) side of the muscle in the column `active` of a CSV, which has names or sides; or ""."""
     known: dict[str, str] = {"": "", **dict(zip(SIDES, SIDES, strict=True))}
     known |= {muscle.name.lower(): muscle.side for muscle in config.muscles if muscle.side}
     words = table.words("active", "")
@@ -92,5 +92,5 @@ def grouped(keys: Iterable[Key]) -> list[tuple[Key, list[int]]]:
 
 
 def column(rows: Sequence[Mapping[str, Any]], key: str, missing: Any = None) -> Array:
-    """What rows hold under a key, (n,) or (n, m); nan where a row has none."""
+    """Values of a key in all rows, (n,) or (n, m); nan, or `missing`, for a row without it."""
     return np.array([row.get(key, missing) for row in rows], float)

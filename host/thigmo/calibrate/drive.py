@@ -1,7 +1,7 @@
-"""The motor's constant at work: the duty that growth takes at its speed, by body pressure.
+"""Measures the duty that growth needs at its speed, by body pressure.
 
-The board judges the encoder by the motor's speed at its duty. What this motor and this body differ
-from the data sheet by, above all the pull on the tail, is learnt while the body grows anyway.
+The board checks the encoder against the motor's speed at its duty. This motor and body differ from
+the data sheet, above all by the pull on the tail, so the difference is measured during growth.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from thigmo.stream import Telemetry
 Row = dict[str, Any]
 
 _FULL = wire.PARAMETERS["speed_margin_duty"].high  # duty of the whole supply
-_SHORTEST_S = 3.0  # of growth, whose middle half is taken: by then the duty has settled
-_PAUSE_S = 0.5  # between two growths
+_SHORTEST_S = 3.0  # shortest growth used; its middle half is, when the duty has settled
+_PAUSE_S = 0.5  # least pause between two growths
 
 
 class Drive(AbstractContextManager["Drive"]):
-    """Takes telemetry of a robot that grows, from entering to leaving."""
+    """Collects telemetry of a growing robot while the context is open."""
 
     def __init__(self, robot: Robot, config: RobotConfig) -> None:
         self._robot, self._config = robot, config
@@ -41,14 +41,14 @@ class Drive(AbstractContextManager["Drive"]):
             self._seen.append((frame.device_s, frame.length_cm, _FULL * frame.motor))
 
     def rows(self) -> list[Row]:
-        """Duty and encoder counts a second in each body pressure grown at since the last call."""
+        """Duty and encoder counts a second at each body pressure used since the last call."""
         seen, self._seen = np.array(self._seen).reshape(-1, 3), []
         body, spool = self._config.body, self._config.spool
         zones = np.array([body.zone_at(length) for length in seen[:, 1]])
         found = []
         for zone in range(len(body.zones)):
             own = seen[zones == zone]
-            # The last of a growth may lie beyond a boundary, and the next one begins later.
+            # The end of a growth may lie beyond a boundary, and the next one begins later.
             pauses = np.flatnonzero(np.diff(own[:, 0]) > _PAUSE_S) + 1
             t, length, duty = max(np.split(own, pauses), key=len).T
             if not len(t) or np.ptp(t) < _SHORTEST_S:
@@ -63,9 +63,9 @@ class Drive(AbstractContextManager["Drive"]):
 
 
 def pull_duty(rows: Sequence[Row], counts_per_cm: float, config: RobotConfig) -> list[float | None]:
-    """Duty of 800 by which growth needs less than the motor's data say, for each body pressure.
+    """Duty (of 800) by which growth needs less than the motor's data say, for each body pressure.
 
-    The least that was seen: what is learnt must not accuse a sound encoder. None where none was.
+    The least one measured, so that a sound encoder is never found faulty; None where there is none.
     """
     saved: list[list[float]] = [[] for _ in config.body.zones]
     for row in rows:

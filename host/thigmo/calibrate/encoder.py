@@ -1,4 +1,4 @@
-"""Encoder counts against the length that the camera sees."""
+"""Encoder counts per cm of line, from the lengths that the camera sees."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
-TIP_SE = 0.0015  # of the robot's length: one sigma of a camera place along or across it
+TIP_SE = 0.0015  # standard error of a tip by camera, along or across, as a share of the length
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class EncoderResult(StepResult):
 
     counts_per_cm: float  # of line
     counts_se: float  # its standard error
-    length_cm: Array  # (n,) by camera
-    counts: Array  # (n,) of the encoder
+    length_cm: Array  # (n,) lengths by camera
+    counts: Array  # (n,) counts of the encoder
     used: Mask  # (n,) rows that were kept
-    pull_duty: list[float | None]  # of 800, saved in growth at each body pressure; None: not seen
+    pull_duty: list[float | None]  # see `pull_duty`
     verdict: Verdict
     EVIDENCE: ClassVar = ("length_cm", "counts", "used")
 
@@ -38,7 +38,7 @@ class EncoderResult(StepResult):
         return {**super().as_data(), "rows_left_out": np.flatnonzero(~self.used).tolist()}
 
     def write(self, config: RobotConfig) -> None:
-        """Counts per cm, and what the motor's duty gives at each body pressure."""
+        """Put in counts per cm, and the pull's duty at each body pressure."""
         config.spool.counts_per_cm = self.counts_per_cm
         for zone, saved in zip(config.body.zones, self.pull_duty, strict=True):
             if saved is not None:
@@ -46,23 +46,24 @@ class EncoderResult(StepResult):
 
 
 def guided(bench: Bench) -> EncoderResult:
-    """Counts per cm from the growth rows, and the motor's constant from its duty meanwhile."""
+    """Grow, and fit counts per cm and the motor's duty to what was recorded."""
     rows = growth_rows(bench)
     drive = list(bench.session.rows("drive").values())
     return fit_encoder(column(rows, "counts"), column(rows, "seen_cm"), bench.config, drive)
 
 
 def of_csv(table: Table, config: RobotConfig) -> EncoderResult:
-    """Lengths in order of growth."""
+    """Fit counts and lengths, in order of growth, from a CSV."""
     return fit_encoder(table.numbers("counts"), table.numbers("length_cm"), config)
 
 
 def fit_encoder(
     counts: Array, length_cm: Array, config: RobotConfig, drive: Sequence[Row] = ()
 ) -> EncoderResult:
-    """Slope of counts over length, in order of growth; `drive`: rows of `Drive`.
+    """Counts per cm of line from counts and lengths (n,), in order of growth; rows of `Drive`.
 
-    A slip of the line (the spool turns, the tip does not) shifts all later rows: detected and said.
+    If the line slips (the spool turns, the tip does not move), all later rows are shifted. The
+    verdict says so.
     """
     missing = ~(np.isfinite(counts) & np.isfinite(length_cm))
     names = [f"row {row + 1}" for row in range(len(counts))]
@@ -72,7 +73,7 @@ def fit_encoder(
         notes.append(f"omitted {rows}: no counts, or the camera lost the tip")
     if (~missing).sum() < 4 or np.ptp(length_cm[np.isfinite(length_cm)]) < 5:
         raise DataError("four or more lengths over 5 cm or more are needed", "grow in steps")
-    # Counts are exact, the camera is not: length over counts, then inverted.
+    # Counts are exact and the camera is not, so length is fitted over counts, then inverted.
     one = np.ones(len(counts))
     tip_se = TIP_SE * config.body.length_cm
     fit = fit_linear(np.column_stack([one, counts]), length_cm, tip_se)
@@ -116,7 +117,7 @@ def fit_encoder(
 
 
 def _slip(counts: Array, length: Array, tip_se: float) -> tuple[int, float] | None:
-    """Row and size of a lasting offset in length at equal slope; None = none."""
+    """Row and size (cm) of a lasting offset in length at equal slope; None if there is none."""
     good = np.flatnonzero(np.isfinite(counts) & np.isfinite(length))
     found: list[tuple[float, int, float]] = []
     for at in range(2, len(good) - 1):

@@ -1,9 +1,9 @@
 """A fibre: scale, zero, twist and drift of each grating's strains, by free bends.
 
-Its readings come from an interrogator, live or as a CSV: at each free bend the curvature by camera,
-and the strain of each reading. A line in curvature and time is fitted to each. Its
-slope gives `scale_per_ue`. The drift that all gratings share is the temperature's. A reading
-across the plane that moves with bends in it says by how much the fibre is twisted.
+Rows are free bends: the curvature by camera, and the strain of each reading from an interrogator,
+live or as a CSV. A line in curvature and time is fitted to each reading. Its slope gives
+`scale_per_ue`. The drift that all gratings share is due to temperature. If a reading across the
+plane changes with bends in the plane, the fibre is twisted, and the ratio gives the angle.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from thigmo.record.table import Table
 
 _FEWEST = 8  # bends
 _LEAST_BEND = 1e-3  # 1/cm, between the least and the most
-_CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
-_MOST_SE = 0.1  # of a scale that is of use
-_SAME_CM = 0.05  # places that are nearer are one grating's
+_CAMERA_SCALE_SE = 0.002  # relative error of the camera's scale, common to all rows
+_MOST_SE = 0.1  # largest relative error of a scale that is used
+_SAME_CM = 0.05  # readings closer than this belong to one grating
 
 
 @dataclass(frozen=True)
@@ -35,24 +35,24 @@ class FibreFit:
     healthy: bool
     reason: str
     scale_per_ue: float = np.nan  # 1/cm per microstrain
-    scale_se: float = np.inf  # relative
+    scale_se: float = np.inf  # relative standard error of the scale
     zero_ue: float = 0.0
     drift_ue_s: float = np.nan
-    noise_ue: float = np.nan  # one sigma of a strain about the line
-    twist_rad: float = np.nan  # of its grating, if a reading across the plane tells
+    noise_ue: float = np.nan  # standard deviation of a strain about the line, microstrain
+    twist_rad: float = np.nan  # twist of its grating; nan without a reading across the plane
 
 
 @dataclass(frozen=True)
 class FibreResult(StepResult):
-    """All readings in the plane, and what they share when a contact is measured."""
+    """All readings in the plane, and the errors that they share when a contact is measured."""
 
     sensors: tuple[FibreFit, ...]
-    temperature_se: float  # 1/cm
-    twist_se_rad: float  # nan: nothing tells
+    temperature_se: float  # error by temperature, 1/cm
+    twist_se_rad: float  # error of the twist; nan if no reading shows it
     verdict: Verdict
 
     def write(self, config: RobotConfig) -> None:
-        """Scales, zeros, noise, drift, twist and health; a dead reading keeps its constants."""
+        """Put in scales, zeros, noise, drift, twist, health; a dead reading keeps its constants."""
         for fit in self.sensors:
             sensor = config.gratings[fit.index]
             sensor.healthy = fit.healthy
@@ -66,7 +66,7 @@ class FibreResult(StepResult):
 
 
 def guided(bench: Bench) -> FibreResult:
-    """From the free bends of the last body pressure (which it takes if there are none yet)."""
+    """Fit the free bends of the last body pressure, after taking those that are missing."""
     if not bench.config.interrogator:
         raise DataError(
             "nothing reads the fibre live",
@@ -84,7 +84,7 @@ def guided(bench: Bench) -> FibreResult:
 
 
 def of_csv(table: Table, config: RobotConfig) -> FibreResult:
-    """Free bends: time, curvature by camera, and the strain of each reading (microstrain)."""
+    """Fit free bends from a CSV: time, curvature by camera, and strains in microstrain."""
     strain = [table.numbers(f"strain_{number}") for number in range(len(config.gratings))]
     return fit_fibre(
         table.numbers("t_s"), table.numbers("curvature"), np.column_stack(strain), config
@@ -92,7 +92,17 @@ def of_csv(table: Table, config: RobotConfig) -> FibreResult:
 
 
 def fit_fibre(t_s: Array, curvature: Array, strain: Array, config: RobotConfig) -> FibreResult:
-    """Fit a fibre to free bends (n,), in 1/cm, and strains (n, gratings), nan where it dropped."""
+    """Fit a fibre to free bends.
+
+    Args:
+        t_s: (n,) times, s.
+        curvature: (n,) curvatures by camera, 1/cm.
+        strain: (n, readings) strains in microstrain; nan where a peak was lost.
+        config: the robot, with its gratings.
+
+    Raises:
+        DataError: there are too few bends, or they differ too little.
+    """
     seen = np.isfinite(t_s) & np.isfinite(curvature)
     if seen.sum() < _FEWEST or np.ptp(curvature[seen]) < _LEAST_BEND:
         raise DataError(
@@ -123,7 +133,7 @@ def fit_fibre(t_s: Array, curvature: Array, strain: Array, config: RobotConfig) 
 
 
 def _line(t_s: Array, curvature: Array, strain: Array, seen: Mask) -> LinearFit | None:
-    """Zero, drift and slope (microstrain per 1/cm); None of a reading that too few bends have."""
+    """Zero, drift and slope (microstrain per 1/cm) of a reading; None if too few bends have it."""
     own = seen & np.isfinite(strain)
     if own.sum() < _FEWEST or np.ptp(curvature[own]) < _LEAST_BEND:
         return None
@@ -132,7 +142,7 @@ def _line(t_s: Array, curvature: Array, strain: Array, seen: Mask) -> LinearFit 
 
 
 def _fit(index: int, gratings: list[FibreSensor], lines: list[LinearFit | None]) -> FibreFit:
-    """One reading in the plane, and its grating's twist by the reading across."""
+    """The fit of one reading in the plane, with its grating's twist by the reading across."""
     line = lines[index]
     if line is None:
         return FibreFit(index, False, f"is read at fewer than {_FEWEST} bends: its peak is lost")

@@ -1,4 +1,4 @@
-"""Flex sensors: ohms to curvature, sensor by sensor (thesis, sections 2.3 and 3.1; improved).
+"""Flex sensors: resistance to curvature, for each sensor (thesis, sections 2.3 and 3.1; improved).
 
 Rows are of three kinds: `straight` (the robot at rest), `tip` (the tip pushed aside to a place
 that the camera saw; the rod solver gives the curvature under each sensor), and `bend` (a free bend
@@ -6,10 +6,10 @@ by one muscle: the camera gives the one curvature that all sensors of the other 
 places alone leave the distal sensors uncertain, because there is little curvature near a pushed
 tip; free bends resolve that.
 
-Before any line is fitted the rows are judged together: a tip on the wrong side, a moved camera or
-a lost marker disagree with all sensors at once, a dead sensor with all rows, an outlier with
-neither, a loose wire stands at one value for many bends. Each is named in the verdict and omitted.
-The errors stated hold from sweep to sweep (`flex_lines`).
+Before any line is fitted the rows are judged together. A tip on the wrong side, a moved camera or a
+lost marker disagrees with all sensors at once. A dead sensor disagrees with all rows. A loose wire
+gives the same value for many bends. All else is a single outlier. The verdict names each of them,
+and they are omitted. The errors stated are those from sweep to sweep (`flex_lines`).
 """
 
 from __future__ import annotations
@@ -38,12 +38,13 @@ from thigmo.config import FlexSensor, RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
-_REPORTED = 0.02  # share of the scale from which one-way bends are reported
+_REPORTED = 0.02  # relative error of the scale by one-way bends from which it is reported
 Direction = Literal[-1, 0, 1]
 
-_CAMERA_SCALE_SE = 0.002  # what the camera's own scale may be off by, common to all rows
+_CAMERA_SCALE_SE = 0.002  # relative error of the camera's scale, common to all rows
 _LEAST_NOISE = 5e-5  # 1/cm
-# A bend goes back if it falls by this share of the largest. This many such rows show the loop.
+# Bending goes back where it falls by this share of the largest bend. So many such rows at least
+# show the hysteresis loop.
 _FALL, _LEAST_BACK = 0.02, 3
 
 
@@ -55,30 +56,30 @@ class FlexFit:
     healthy: bool  # usable
     reason: str  # why good or bad
     used: int = 0  # rows that went into the line
-    rejected: int = 0  # rows omitted as outliers of this sensor
+    rejected: int = 0  # rows omitted because this sensor's reading is an outlier
     scale_per_ohm: float = 0.0  # 1/cm per ohm, sign included
     scale_se: float = np.inf  # its standard error over sweeps, relative
-    sweep_se: float = np.nan  # one sigma of the scale from one sweep to the next, relative
+    sweep_se: float = np.nan  # relative standard deviation of the scale between sweeps
     zero_ohm: float = np.nan  # resistance of the straight sensor
     zero_se_ohm: float = np.nan  # its standard error
-    valid_direction: Direction = 0  # bending direction that it answers to; 0 = both
-    noise: float = np.nan  # one sigma of a reading about the fit, 1/cm
-    lasting: float = np.nan  # share of that variance that lasts over rows
-    # share of the answer at the largest bend that goes beyond a straight line
+    valid_direction: Direction = 0  # sign of the bends that it can read; 0 = both
+    noise: float = np.nan  # standard deviation of a reading about the fit, 1/cm
+    lasting: float = np.nan  # share of that variance that neighbouring rows share
+    # deviation from a straight line at the largest bend, as a share of the response
     nonlinearity: float = np.nan
-    # departure of the readings' curve from the line, rms, relative; 0 if there is none
+    # relative rms deviation of the response curve from the line; 0 if it is straight
     misfit: float = np.nan
-    # half width of its loop, 1/cm, signed: what it reads too much after long bending to
-    # one side (positive), and too little after bending to the other
+    # half width of its hysteresis loop, 1/cm, signed: by how much it reads too high after long
+    # bending to the positive side, and too low after bending to the other
     hysteresis: float = np.nan
     hysteresis_se: float = np.nan  # its standard error
-    # share of the scale that the loop may have taken, where bends only grew; 0 where they went back
+    # possible relative error of the scale by the loop if bends only grew; 0 if they went back
     one_way: float = 0.0
 
 
 @dataclass(frozen=True)
 class FlexResult(StepResult):
-    """All sensors, what was detected on the way, and over which curvature their loops turn."""
+    """Results of all sensors, faults found, and the curvature over which their loops turn."""
 
     sensors: tuple[FlexFit, ...]
     verdict: Verdict
@@ -93,7 +94,7 @@ class FlexResult(StepResult):
         return {**super().as_data(), "rows": len(good), "rows_left_out": left_out}
 
     def write(self, config: RobotConfig) -> None:
-        """Scales, zeros, directions, noise and health.
+        """Put in scales, zeros, directions, noise and health.
 
         A sensor found dead keeps its old constants and is marked unhealthy.
         """
@@ -108,13 +109,14 @@ class FlexResult(StepResult):
             if not fit.healthy:
                 continue
             sensor.scale_per_ohm = fit.scale_per_ohm
-            # One reading meets all of them: the fit's error, this sweep's gain, the curve.
+            # A single reading has all three errors: the fit's, this sweep's gain and the curve's.
             sensor.scale_se = float(np.hypot(np.hypot(fit.scale_se, fit.sweep_se), fit.misfit))
             sensor.zero_ohm = fit.zero_ohm
             sensor.valid_direction = fit.valid_direction
-            # What uses a reading later knows nothing of the loop. A few rows measure one poorly, so
-            # it counts as large as its neighbours'. Bends do not show how a zero drifts once the
-            # sensor has everted: an error that robot.toml states is never made smaller.
+            # Readings are later used without a model of the loop, so it is part of their error. A
+            # few rows measure a loop poorly, so it counts as at least as large as the usual one.
+            # Bends do not show how a zero drifts after eversion, so an error that robot.toml states
+            # is never reduced.
             loop = max(abs(fit.hysteresis), usual_loop)
             sensor.zero_se = max(
                 sensor.zero_se, float(np.hypot(fit.noise * fit.lasting**0.5, loop))
@@ -126,7 +128,7 @@ Fit = Callable[[FlexReadings, RobotConfig], FlexResult]
 
 
 def guided(bench: Bench, fit: Fit | None = None) -> FlexResult:
-    """From tip places and free bends (which it takes if there are none yet)."""
+    """Fit tip places and free bends, after taking those that are missing."""
     readings = FlexReadings.of_rows(
         [*tip_rows(bench), *last_bends(bench)], bench.config.body.length_cm
     )
@@ -136,12 +138,12 @@ def guided(bench: Bench, fit: Fit | None = None) -> FlexResult:
 
 
 def of_csv(table: Table, config: RobotConfig, fit: Fit | None = None) -> FlexResult:
-    """Rows of any kinds; see `FlexReadings.read`."""
+    """Fit rows of a CSV, as `FlexReadings.read` takes them."""
     return (fit or fit_flex)(FlexReadings.read(table, config), config)
 
 
 def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
-    """Fit every sensor; see the module's text."""
+    """Fit every sensor, as the module describes. Raises DataError if too few rows are usable."""
     sensors = sensors_of(config)
     if readings.ohm.shape[1] != len(sensors):
         raise DataError(
@@ -176,7 +178,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
     ])  # fmt: skip
     fits = []
     for number, (name, column, line) in enumerate(zip(sensors, columns, lines, strict=True)):
-        # The slope (ohm cm) that a sensor of this kind has.
+        # The usual slope of such a sensor, ohm cm.
         nominal = 1 / abs(sensors[name].scale_per_ohm)
         reason, used = "not everted at this length", 0
         if rows.on_body[number]:
@@ -191,7 +193,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
 
 
 def _fault(column: Column, line: OrderedFit | None, asked: int, nominal: float) -> tuple[str, int]:
-    """Why a sensor cannot be used ("" if it can), and how many rows tell so."""
+    """Why a sensor cannot be used ("" if it can), and how many rows show it."""
     seen = int(column.seen.sum())
     if seen < 0.5 * asked:
         return "is open or shorted (most readings are out of range): check its wire", 0
@@ -211,7 +213,7 @@ def _sensor(
     curve: tuple[float, float, float],
     direction: Direction,
 ) -> FlexFit:
-    """Nonlinearity, hysteresis and noise of a sensor that answers."""
+    """The fit of a working sensor, with nonlinearity, hysteresis and noise."""
     used = int(line.used.sum())
     scale = 1.0 / float(line.coefficients[1])
     one_way = _one_way(column, line)
@@ -238,10 +240,10 @@ def _sensor(
 
 
 def _one_way(column: Column, line: OrderedFit) -> float:
-    """Share of the scale that the loop may have taken from it; 0 where bends went both ways.
+    """Possible relative error of the scale by the loop; 0 if bends went both ways.
 
-    Where bends only grow, the loop stands at one end. Only the first few thousandths of curvature
-    then separate the slope from it: what the fit gave to the loop may be the slope's.
+    If bends only grow, the loop soon stays at one end. Only the first few thousandths of curvature
+    then separate slope and loop, so what the fit assigns to the loop may belong to the slope.
     """
     rows = np.flatnonzero(column.seen)
     k, block = column.model[rows], column.block[rows]

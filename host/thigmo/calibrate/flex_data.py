@@ -1,4 +1,4 @@
-"""Readings of the flex step: what was done with the robot, what camera and sensors said."""
+"""Readings of the flex step: how the robot was bent, and what camera and sensors measured."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from thigmo.record.table import Table, write_table
 
 KINDS = ("straight", "tip", "bend")
 _VENTED_PSI = 0.5
-_LEAST_OHM = 200.0  # flex sensors have thousands
+_LEAST_OHM = 200.0  # below, the unit is not ohm: flex sensors have thousands
 
 
 @dataclass(frozen=True)
 class FlexReadings:
-    """What was done and what was read."""
+    """How the robot was bent in n rows, and what was measured."""
 
-    kind: tuple[str, ...]  # (n,) of "straight", "tip", "bend", in order of time
+    kind: tuple[str, ...]  # (n,) "straight", "tip" or "bend", in order of time
     tip_cm: Array  # (n, 2) tip by camera; nan where the marker was not seen or there is none
     curvature: Array  # (n,) of free bends, by camera, 1/cm; nan elsewhere
-    curvature_se: Array  # (n,) its one sigma
+    curvature_se: Array  # (n,) its standard error, 1/cm
     active: tuple[str, ...]  # (n,) side of the muscle in use, or ""
     ohm: Array  # (n, m) resistances, in the order of `columns`
     length_cm: float  # everted length
     intended_y_cm: Array  # (n,) where the operator was asked to put the tip (sign used); nan = free
-    # (n,) session of each row: after an eversion the sensors' zeros are others
+    # (n,) session of each row: every eversion changes the sensors' zeros
     block: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    # (n,) what an operator calls each row; "row 1" and so on where none is given
+    # (n,) name of each row for the operator; "row 1" and so on if none is given
     name: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -50,7 +50,7 @@ class FlexReadings:
 
     @classmethod
     def read(cls, table: Table, config: RobotConfig) -> FlexReadings:
-        """From a CSV as `write` makes it; another unit gives itself away by what is typical."""
+        """Read a CSV as `write` makes it. Raises DataError if values look like another unit."""
         path, none = table.name, float("nan")
         ohm = of_sensors(table, "ohm", config)
         length = table.numbers("length_cm", config.body.length_cm)
@@ -68,7 +68,7 @@ class FlexReadings:
             np.nan_to_num(table.numbers("block", 0.0)).astype(np.int64),
             tuple(table.words("name")) if "name" in table else (),
         )  # fmt: skip
-        # Single bad rows are the fit's.
+        # The fit deals with single bad rows.
         measured = ohm, np.hypot(*readings.tip_cm.T), np.abs(readings.curvature)
         typical, away, bend = (medians(values.reshape(-1, 1))[0] for values in measured)
         for wrong, what, cure in (
@@ -88,9 +88,10 @@ class FlexReadings:
 
     @classmethod
     def of_rows(cls, rows: list[Row], length_cm: float) -> FlexReadings:
-        """Rows of tips and bends, as the bench keeps them.
+        """Convert rows of tips and bends as the bench stores them.
 
-        Zeros change with every eversion, so readings count from the rest of their own session.
+        Zeros change with every eversion, so each reading is taken relative to the straight robot of
+        its own session.
         """
         block = np.cumsum([n > 0 and r["rest"] != rows[n - 1]["rest"] for n, r in enumerate(rows)])
         rest = column(rows, "rest")
@@ -99,7 +100,7 @@ class FlexReadings:
             column(rows, "tip", (None, None)),
             column(rows, "k"),
             np.nan_to_num(column(rows, "k_se")),
-            # A vented muscle wrinkles nothing: such a row is good for both sides.
+            # A vented muscle wrinkles no sensor, so both sides read such a row well.
             tuple(r["side"] if "side" in r and float(r["psi"]) > _VENTED_PSI else "" for r in rows),
             column(rows, "ohm") - rest + medians(rest),  # a dead sensor has no rest
             length_cm,
@@ -109,7 +110,7 @@ class FlexReadings:
         )
 
     def write(self, path: str | os.PathLike[str], config: RobotConfig) -> None:
-        """To a CSV that `read` takes."""
+        """Write a CSV that `read` takes."""
         names = {str(muscle.side): muscle.name for muscle in config.muscles}
         active = [names.get(side, side) for side in self.active]
         columns: dict[str, Any] = {

@@ -1,16 +1,16 @@
 """A flex sensor's line: resistance over curvature, with its loop and the zero of each session.
 
-A sensor lags behind bending by a loop of a few 1e-4 1/cm, and its zero changes with every eversion;
-both are fitted along with zero and scale, or the scale would be off by a percent or two.
+A sensor has a hysteresis loop of a few 1e-4 1/cm, and its zero changes with every eversion. Both
+are fitted together with zero and scale; otherwise the scale would be off by one or two percent.
 
-It creeps, too, so its residuals are alike from row to row, and its scale comes back a little
-different in every sweep. Least squares on rows taken as independent then claims errors 5 to 10
-times too small. In `honest_lines` the rows' covariance is white noise, plus a part that decays over
-some rows, plus one gain for each sweep; how much of each is integrated out on a grid by the
-restricted likelihood (REML), with the common variance by Student's t. Sensors of a robot are much
-alike, so they tell each other which points of the grid are likely (expectation maximisation of a
-mixture's shares). One sweep of one sensor cannot show how far the next one's gain will be off:
-there the grid's prior stands.
+A sensor also creeps, so residuals of neighbouring rows are correlated, and its scale differs a
+little from sweep to sweep. Least squares with independent rows then states errors 5 to 10 times too
+small. In `honest_lines` the covariance of the rows is white noise, plus a part that decays over
+some rows, plus one gain for each sweep. The amounts are integrated out on a grid by the restricted
+likelihood (REML), with the common variance by Student's t. The sensors of a robot are much alike,
+so together they determine which points of the grid are likely (expectation maximisation of the
+shares of a mixture). One sweep of one sensor cannot show how much the next gain will differ; the
+prior of the grid then remains.
 """
 
 from __future__ import annotations
@@ -26,27 +26,33 @@ from thigmo.calibrate.regression import Array, LinearFit, Mask, fit_linear
 from thigmo.config import SIDES, Side
 from thigmo.errors import DataError
 
-_ONE_WAY = 0.85  # a slope below this share of the other direction's does not count
-_LOOP = 5e-4  # 1/cm, one sigma over sensors of the loop's half width and of a session's zero
+_ONE_WAY = 0.85  # a direction whose slope is below this share of the other's is not used
+_LOOP = 5e-4  # 1/cm, prior standard deviation of a loop's half width and of a session's zero
 LOOP_WIDTHS = (2e-3, 5e-3, 1e-2)  # 1/cm
-# Drop-outs: readings within this share of the range are the same value; this share of rows is many.
+# Drop-outs: readings within this share of the range count as the same value, and this share of rows
+# as many.
 _ALIKE, _MANY = 2e-3, 0.03
 
-_MOST_ROWS = 60  # of an honest line; more are averaged in order
+_MOST_ROWS = 60  # rows in an honest line; more are averaged in order
 # (share of the variance that lasts, rows over which it decays by e), and their prior.
 _LASTING = [(0.0, 1.0), *((share, rows) for share in (0.4, 0.7, 0.95) for rows in (2.0, 6.0, 20.0))]
 _LASTING_PRIOR = [0.7] + [0.3 / 9] * 9
-# One sigma over sweeps of a sensor's gain, relative [a guess: root mean square 0.9 %].
+# Relative standard deviation of a sensor's gain between sweeps [a guess: root mean square 0.9 %].
 _SWEEP_GAINS = (0.0, 0.01, 0.02)
 _SWEEP_PRIOR = (0.6, 0.25, 0.15)
 _PRIOR_COUNT = 1.0  # weight of the prior, in sensors
 
 
 def loop_turns(model: Array, block: NDArray[np.int64], width: float = LOOP_WIDTHS[1]) -> Array:
-    """(n, m) where each sensor is in its loop: 1 after long positive bending, -1 after negative.
+    """(n, m) state of each sensor's loop: 1 after long positive bending, -1 after negative.
 
-    It turns over within `width` of curvature (Dahl's model of friction), and starts between the
-    two in every session.
+    It changes over a curvature of `width` (Dahl's model of friction), and starts at 0 in every
+    session.
+
+    Args:
+        model: (n, m) curvature at each sensor, 1/cm.
+        block: (n,) session of each row.
+        width: curvature over which the loop turns, 1/cm.
     """
     turn = np.zeros(model.shape)
     state = before = np.zeros(model.shape[1])
@@ -62,7 +68,7 @@ def loop_turns(model: Array, block: NDArray[np.int64], width: float = LOOP_WIDTH
 
 
 class Column(NamedTuple):
-    """One sensor's rows, (n,) each: readings (nan where omitted), and what they are fitted by."""
+    """The n rows of one sensor: readings (nan where omitted), and the regressors of their fit."""
 
     ohm: Array
     model: Array  # curvature that it should show, 1/cm
@@ -78,25 +84,25 @@ class Column(NamedTuple):
         return np.isfinite(self.ohm)
 
     def design(self) -> Array:
-        """Columns of the line: zero, bends, loop, and each later session's zero."""
+        """Regressors of the line: zero, bends, loop, and the zero of each later session."""
         later = [(self.block == session).astype(float) for session in np.unique(self.block)[1:]]
         return np.column_stack([np.ones(len(self.turn)), self.bends, self.turn, *later])
 
 
 @dataclass(frozen=True)
 class OrderedFit(LinearFit):
-    """A line with errors that hold for rows taken in order: those of the mean over sweeps."""
+    """A line with standard errors for correlated rows: those of the mean over sweeps."""
 
-    lasting: float  # share of the residuals' variance that lasts over rows
-    sweep_gain: float  # one sigma of the gain from sweep to sweep, relative
+    lasting: float  # share of the residuals' variance that neighbouring rows share
+    sweep_gain: float  # relative standard deviation of the gain between sweeps
 
 
 def fit_line(column: Column) -> LinearFit | None:
-    """R = R0 + b (k + h turn + z of the session): zero, slope, b h of the loop, and the rest.
+    """Fit R = R0 + b (k + h turn + z): R0, b, b h of the loop, and b z of each later session.
 
-    The loop's half width h and the sessions' zeros z are small beforehand (`_LOOP`): one row more
-    for each says so, which matters where a sensor was only ever read while bending grew. None where
-    there are too few readings, or none that vary.
+    The loop's half width h and the sessions' zeros z have a prior (`_LOOP`), which is a further row
+    for each. It matters if a sensor was only read while bending grew. Returns None if there are too
+    few readings, or none that vary.
     """
     if column.seen.sum() < 6:
         return None
@@ -119,7 +125,7 @@ def fit_line(column: Column) -> LinearFit | None:
 
 
 def honest_lines(columns: Sequence[Column]) -> list[OrderedFit | None]:
-    """As `fit_line`, sensor by sensor, with errors mixed over the grid by what all sensors show."""
+    """As `fit_line` for each sensor, with errors mixed over the grid by the evidence of all."""
     fits = [fit_line(column) for column in columns]
     pairs = zip(columns, fits, strict=True)
     known = [_over_grid(column, fit) for column, fit in pairs if fit is not None]
@@ -130,7 +136,7 @@ def honest_lines(columns: Sequence[Column]) -> list[OrderedFit | None]:
     for _ in range(50):
         weights = evidence * share
         weights /= weights.sum(axis=1, keepdims=True)
-        # What a single sensor shows is its own: it needs others to move the shares.
+        # A single sensor cannot change the shares: that takes several.
         shown = weights.sum(axis=0) - weights.mean(axis=0)
         share = (_PRIOR_COUNT * prior + shown) / (_PRIOR_COUNT + len(known) - 1)
     lasting = np.repeat([share for share, _ in _LASTING], len(_SWEEP_GAINS))
@@ -146,8 +152,9 @@ def honest_lines(columns: Sequence[Column]) -> list[OrderedFit | None]:
 
 
 def _over_grid(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]:
-    """The line through the rows that a robust fit kept; and by each point of the grid its
-    restricted log evidence (g,), without the prior, and its covariances (g, p, p).
+    """The line through the rows that a robust fit kept, and its errors at g points of the grid.
+
+    Of each point, the restricted log evidence (g,) without the prior, and the covariance (g, p, p).
     """
     design, slope = column.design(), abs(float(fit.coefficients[1]))
     # In order, of one session and sweep, about `_MOST_ROWS` in all.
@@ -177,7 +184,7 @@ def _over_grid(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]
     covariance = (lasting[:, None] + gains + np.diag((error / unit) ** 2)).reshape(-1, n, n)
     root = np.linalg.cholesky(covariance)
     white = np.linalg.solve(root, np.column_stack([x, values]))
-    # Loop and sessions' zeros are small beforehand.
+    # The prior of loop and sessions' zeros.
     small = np.arange(p) > column.bends.shape[1]
     firm = np.diag(np.where(small, unit / (slope * _LOOP), 0.0))
     a = np.concatenate([white[..., :p], np.broadcast_to(firm, (len(white), p, p))], axis=1)
@@ -192,8 +199,8 @@ def _over_grid(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]
         - 0.5 * np.linalg.slogdet(normal)[1]
         - 0.5 * freedom * np.log(np.maximum(squares, 1e-300))
     )
-    # The estimate itself is that of independent rows: where the loop or the curve is not quite what
-    # it is taken for, generalised least squares would follow that instead of the slope.
+    # The estimate itself is that of independent rows. If loop or curve differ from their models,
+    # generalised least squares would follow the difference instead of the slope.
     weight = 1 / (1 + (error / unit) ** 2)
     prior = firm @ firm
     solved = np.linalg.pinv(x.T @ (weight[:, None] * x) + prior, hermitian=True)
@@ -223,10 +230,11 @@ def sweeps_of(
 
 
 def dropouts(ohm: Array, model: Array) -> tuple[Mask, list[float]]:
-    """Rows at which a sensor stands at one value while its neighbours in bending do not, and where.
+    """(n,) whether a sensor repeats a value that other rows of such bends lack; those values.
 
-    A loose wire reads a plausible constant, and often enough to carry a line with it: no robust fit
-    can tell a third of the rows from the rest, but no sensor gives one value for many bends.
+    A loose wire reads a plausible constant, often in enough rows to change a line: no robust fit
+    separates a third of the rows from the others. A sound sensor never gives one value for many
+    bends.
     """
     lost = np.zeros(len(ohm), bool)
     values: list[float] = []
@@ -251,23 +259,23 @@ def dropouts(ohm: Array, model: Array) -> tuple[Mask, list[float]]:
 
 
 def working(fit: LinearFit) -> bool:
-    """Whether a sensor's slope stands clear of zero."""
+    """Whether a sensor's slope differs significantly from zero."""
     return bool(abs(fit.coefficients[1]) > 5 * fit.se(1))
 
 
 def directions_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[np.int64]:
-    """(m,) bending direction that each sensor answers to; 0 = both alike.
+    """(m,) sign of the bends that each sensor can read; 0 = both.
 
-    A line with a kink at zero gives the ratio of a sensor's slopes to either side.
-    The sensors of a column are mounted alike, so they are asked together: where the weaker side's
-    slope is surely below `_ONE_WAY` of the stronger's, only the stronger side counts. A sensor that
-    surely differs from its column stands for itself.
+    A line with a kink at zero gives the ratio of a sensor's slopes on both sides. The sensors of a
+    column are mounted alike, so they are judged together: if the weaker slope is significantly
+    below `_ONE_WAY` of the stronger, only the stronger side is used. A sensor that differs
+    significantly from its column is judged by itself.
     """
     ratio, spread = np.full(len(columns), np.nan), np.full(len(columns), np.inf)
     asked, halves = [], []
     for number, column in enumerate(columns):
         k = column.model[column.seen]
-        # A side that was hardly bent tells nothing.
+        # A side that was hardly bent is not judged.
         bent = 0.1 * float(np.abs(k).max(initial=1e-3))
         if min((k > bent).sum(), (-k > bent).sum()) >= 3:
             asked.append(number)
@@ -277,7 +285,7 @@ def directions_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[n
         if split is None:
             continue
         slopes = split.coefficients[1:3]
-        # A slope that is lost in noise, or of the wrong sign, counts as a tenth of the other.
+        # A slope below the noise, or of the wrong sign, counts as a tenth of the other.
         sizes = np.maximum(slopes * np.sign(slopes.sum()), 0.1 * np.abs(slopes).max())
         ratio[number] = np.log(sizes[0] / sizes[1])
         spread[number] = np.hypot(split.se(1) / sizes[0], split.se(2) / sizes[1])
@@ -301,8 +309,10 @@ def directions_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[n
 
 
 def nonlinearities(columns: Sequence[Column]) -> list[tuple[float, float, float]]:
-    """Of each sensor's quadratic: share of the answer at the largest bend that goes beyond a
-    straight line, its standard error, and the departure from a line through it (rms, relative).
+    """For each sensor's quadratic fit, three numbers.
+
+    They are the deviation from a straight line at the largest bend, as a share of the response; its
+    standard error; and the relative rms deviation from a line through the curve.
     """
     curved = []
     for column in columns:

@@ -1,4 +1,4 @@
-"""What each row of the flex step should show, and which rows do not: judged over all sensors."""
+"""The curvature that each row of the flex step should show, and which rows contradict it."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.mechanics import phi, push, push_tip
 
-_OHM_RANGE = (1_000.0, 300_000.0)  # beyond: open or shorted
+_OHM_RANGE = (1_000.0, 300_000.0)  # outside, a sensor is shorted or open
 _WRONG_SIDE = -0.3
 
 
 @dataclass
 class Rows:
-    """Readings beside the curvature that they should show, (n, m), and which of them count."""
+    """Readings and the curvature that they should show, (n, m) each, and which of them count."""
 
     readings: FlexReadings  # as they were taken
-    ohm: Array  # of working wires; nan elsewhere
+    ohm: Array  # resistances, ohm; nan for an open or shorted sensor
     model: Array  # curvature that each sensor should show, 1/cm
-    error: Array  # its standard error
-    sides: list[Side]  # (m,)
+    error: Array  # its standard error, 1/cm
+    sides: list[Side]  # (m,) side of each sensor's column
     on_body: Mask  # (m,) sensors that are everted
-    usable: Mask  # (n, m) what a sensor can answer
+    usable: Mask  # (n, m) whether a sensor can read the row's bend
     good: Mask  # (n,) rows that can be trusted
     sweep: NDArray[np.int64]  # (n,) number of each row's sweep
     notes: list[str]  # what was omitted, and why
@@ -48,11 +48,11 @@ class Rows:
 
     @property
     def tips(self) -> Mask:
-        """(n,) rows of the pushed tip."""
+        """(n,) whether the tip was pushed."""
         return np.array([kind == "tip" for kind in self.readings.kind])
 
     def columns(self) -> list[Column]:
-        """Of each sensor, with the readings that count."""
+        """The rows of each sensor, with the readings that count."""
         counts = self.usable & self.good[:, None] & self.on_body
         ohm, block = np.where(counts, self.ohm, np.nan), self.readings.block
         turn = loop_turns(self.model, block, self.loop_width)
@@ -60,16 +60,16 @@ class Rows:
         return [Column(*one, block, self.sweep, one[1][:, None]) for one in each]
 
     def lines(self) -> list[tuple[Column, LinearFit]]:
-        """Sensors whose slope stands clear of zero, with their robust lines."""
+        """The sensors whose slope differs significantly from zero, with their robust lines."""
         fits = [(column, fit_line(column)) for column in self.columns()]
         return [(column, fit) for column, fit in fits if fit is not None and working(fit)]
 
     def asked(self, number: int) -> int:
-        """Trusted rows that a sensor should have answered."""
+        """Number of trusted rows that a sensor should have read."""
         return int((self.usable[:, number] & self.good).sum())
 
     def find_loop_width(self) -> None:
-        """Of a few, that with the least scatter."""
+        """Choose the loop width with the least scatter."""
         scatter = {}
         for width in LOOP_WIDTHS:
             self.loop_width = width
@@ -77,16 +77,17 @@ class Rows:
         self.loop_width = min(scatter, key=scatter.__getitem__)
 
     def note(self, rows: Sequence[int], what: str, cure: str) -> None:
-        """Say which rows are omitted, if any are."""
+        """Note which rows are omitted and why, if there are any."""
         if rows:
             names = listed(self.readings.name, rows)
             self.notes.append(f"omitted {names}: {what}; {cure} to take it again")
 
 
 def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) -> Array:
-    """Mean curvature (m,) under each sensor of a rod bent by a force normal to its tip at y_tip.
+    """Mean curvature (m,) under each sensor, 1/cm, if a force normal to the tip holds it at y_tip.
 
-    The thesis's (2.12) and (2.9) are its limit for small deflections. DataError: out of reach.
+    The limit for small deflections is the thesis's (2.12) and (2.9). Raises DataError if the tip
+    cannot reach y_tip (cm).
     """
     if abs(y_tip) >= 0.75 * length_cm:
         raise DataError(
@@ -107,12 +108,12 @@ def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) 
 
 
 def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
-    """What each row should show, and which rows can be used."""
+    """Model the curvature of each row, and find which rows can be used."""
     n, length, kinds = len(readings.kind), readings.length_cm, np.array(readings.kind)
     centers, spans = constants_of(config, "center_cm", "span_cm")
     model, error = np.full((n, len(spans)), np.nan), np.zeros((n, len(spans)))
     lost, wrong, folded = [], [], []
-    # The straight robot, as the camera sees it, is y = 0.
+    # The straight robot, as the camera sees it, defines y = 0.
     aside = readings.tip_cm[kinds == "straight", 1]
     aside = aside[np.isfinite(aside)]
     ahead = float(np.median(aside)) if len(aside) else 0.0
@@ -163,11 +164,11 @@ def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
 
 
 def judge_rows(rows: Rows) -> None:
-    """Leave out rows on which the sensors agree among themselves but not with the camera.
+    """Omit rows in which the sensors agree with one another but not with the camera.
 
-    For each row the factor `share` by which the curvature seen by the sensors differs from the
-    camera's is their weighted median. Alone and near -1: the tip stood on the other side. From
-    some row on: the camera (or the base) has moved. Alone otherwise: the place is wrong.
+    For each row, `share` is the weighted median over the sensors of their curvature over the
+    camera's. A single row near -1 means that the tip was on the other side; any other single row,
+    that its place is wrong. If all rows from some row on disagree, camera or base have moved.
     """
     live = rows.lines()
     share, scatter = np.full((2, len(rows.good)), np.nan)
@@ -218,10 +219,10 @@ def _weighted_median(values: Array, weights: Array) -> float:
 
 
 def _moved(rows: Rows, live: Sequence[tuple[Column, LinearFit]]) -> tuple[int, float] | None:
-    """Row from which the tip's places are shifted sideways (cm) for all sensors; None = none.
+    """Row from which all tip places are shifted sideways, and by how much (cm); None if none is.
 
-    For each possible row, each sensor's line gets a step in the pattern that a shifted place
-    leaves; the sensors must agree on its size.
+    For each possible row, each sensor's line gets a step in the pattern that a shift causes; the
+    sensors must agree on its size.
     """
     readings = []
     for column, fit in live:
@@ -235,7 +236,7 @@ def _moved(rows: Rows, live: Sequence[tuple[Column, LinearFit]]) -> tuple[int, f
         late = tips & (np.arange(len(tips)) >= first) & (aside > 0.5)
         shifts, errors = [], []
         for column in readings:
-            # Curvature at this sensor for each cm that the tip stands aside.
+            # Curvature at this sensor per cm that the tip is aside.
             pattern = np.where(late, np.abs(column.model) / np.maximum(aside, 0.5), 0.0)
             design = np.column_stack([np.ones(len(late)), column.model, pattern, column.turn])
             try:
@@ -256,7 +257,7 @@ def _moved(rows: Rows, live: Sequence[tuple[Column, LinearFit]]) -> tuple[int, f
 
 
 def mirrored(readings: FlexReadings) -> bool:
-    """Whether most tips stood on the other side than asked for."""
+    """Whether most tips were on the opposite of the side that was asked for."""
     same = readings.tip_cm[:, 1] * readings.intended_y_cm
     same = same[np.isfinite(same)]
     return len(same) >= 4 and float(np.mean(same < 0)) > 0.5
@@ -265,8 +266,8 @@ def mirrored(readings: FlexReadings) -> bool:
 def columns_swapped(rows: Rows) -> bool:
     """Whether the columns of sensors are exchanged.
 
-    In a free bend the side of the active muscle wrinkles. If instead the other side's readings
-    scatter about their lines far more than the active side's, the two columns are swapped.
+    In a free bend, the side of the active muscle wrinkles and reads poorly. If the readings of the
+    other side scatter far more about their lines, the columns are swapped.
     """
     ratios: list[float] = []
     for side in SIDES:

@@ -1,9 +1,9 @@
 """IMUs: zero, alignment and drift of the turn from each to the next, by free bends.
 
-At a free bend every span turns by curvature times span. What the IMUs say of it differs by how they
-lie and by their gain, and drifts while the bends are taken: a line in curvature and time for each
-span. Its slopes are `scale` and the drift, which neighbours share, so that a span's drift is that
-of two IMUs; its constant is what they say of the straight body.
+In a free bend every span turns by curvature times span. The turn that the IMUs measure differs by
+their alignment and gain, and drifts while the bends are taken. A line in curvature and time is
+fitted for each span: its slopes give `scale` and the drift, its constant is the turn measured on
+the straight body. The drift of a span is that of two IMUs, each of which neighbouring spans share.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from thigmo.errors import DataError
 from thigmo.record.table import Table
 
 _FEWEST = 8  # bends
-_CAMERA_SCALE_SE = 0.002  # of the camera's own scale, common to all rows
-_FROM_ZERO_S = 20.0  # a sweep's last peak comes so long after the zeros
+_CAMERA_SCALE_SE = 0.002  # relative error of the camera's scale, common to all rows
+_FROM_ZERO_S = 20.0  # time from the zeros to a sweep's last peak
 _LEAST_RAD = 2e-4
 
 
@@ -34,31 +34,31 @@ class HeadingFit:
     name: str
     healthy: bool
     reason: str
-    scale: float = 1.0  # turn over what the IMUs say
-    scale_se: float = np.inf  # relative
-    zero_rad: float = 0.0  # what they say of the straight body
+    scale: float = 1.0  # true turn over the IMUs' turn
+    scale_se: float = np.inf  # relative standard error of the scale
+    zero_rad: float = 0.0  # the IMUs' turn of the straight body
     drift_rad_s: float = np.nan
-    noise_rad: float = np.nan  # one sigma of a reading about the line
+    noise_rad: float = np.nan  # standard deviation of a reading about the line
     turns: Array = field(default_factory=lambda: np.zeros((2, 0)))  # by camera, and by its IMUs
 
 
 @dataclass(frozen=True)
 class HeadingResult(StepResult):
-    """All spans, and what one IMU's heading is off by when a sweep is measured."""
+    """Results of all spans, and the error of one IMU's heading when a sweep is measured."""
 
     sensors: tuple[HeadingFit, ...]
     heading_se_rad: float
     verdict: Verdict
 
     def as_data(self) -> dict[str, Any]:
-        """Plain data, without what only the figure needs."""
+        """Plain data, without the turns that only the figure needs."""
         data = super().as_data()
         for each in data["sensors"]:
             del each["turns"]
         return data
 
     def write(self, config: RobotConfig) -> None:
-        """Scales, zeros, drift and health; a span found dead keeps its old constants."""
+        """Put in scales, zeros, drift and health; a dead span keeps its old constants."""
         sensors = sensors_of(config)
         for fit in self.sensors:
             sensor = sensors[fit.name]
@@ -71,19 +71,19 @@ class HeadingResult(StepResult):
 
 
 def guided(bench: Bench) -> HeadingResult:
-    """From the free bends of the last body pressure (which it takes if there are none yet)."""
+    """Fit the free bends of the last body pressure, after taking those that are missing."""
     bends = last_bends(bench)
     return fit_heading(column(bends, "t_s"), column(bends, "k"), column(bends, "ohm"), bench.config)
 
 
 def of_csv(table: Table, config: RobotConfig) -> HeadingResult:
-    """Free bends: time, curvature by camera, and what the reader says of each span."""
+    """Fit free bends from a CSV: time, curvature by camera, and the reader's value of each span."""
     resistance = of_sensors(table, "ohm", config)
     return fit_heading(table.numbers("t_s"), table.numbers("curvature"), resistance, config)
 
 
 def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -> HeadingResult:
-    """Fit every span of IMUs to free bends (n,), in 1/cm, and readings (n, m)."""
+    """Fit all spans of IMUs to free bends: times (n,), curvatures (n,), 1/cm, readings (n, m)."""
     seen = np.isfinite(t_s) & np.isfinite(curvature)
     if seen.sum() < _FEWEST or np.ptp(curvature[seen]) < 1e-3:
         raise DataError(
@@ -101,7 +101,7 @@ def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -
         return HeadingResult(
             tuple(fits), np.nan, Verdict(False, "no span of IMUs can be used", tuple(notes))
         )
-    # A span's drift and scatter are those of two IMUs.
+    # Drift and scatter of a span are those of two IMUs.
     drift = np.sqrt(np.mean([fit.drift_rad_s**2 for fit in good]) / 2)
     scatter = np.sqrt(np.median([fit.noise_rad**2 for fit in good]) / 2)
     off = max(float(np.hypot(drift * _FROM_ZERO_S, scatter)), _LEAST_RAD)
@@ -114,7 +114,7 @@ def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -
 
 
 def _fit(name: str, t_s: Array, bent: Array, turn: Array) -> HeadingFit:
-    """One span: turns (n,) that the IMUs say, at those (n,) that the bends are."""
+    """The fit of one span: `turn` (n,) is the turn by the IMUs, `bent` (n,) the true one, rad."""
     if len(turn) < _FEWEST:
         return HeadingFit(name, False, "is not read: an IMU of it does not answer")
     since = t_s - t_s.mean()

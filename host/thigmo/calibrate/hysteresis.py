@@ -1,4 +1,4 @@
-"""Creep after eversion: decay time and amplitude of each sensor, from records of it standing still.
+"""Creep after eversion: decay time and amplitude of each sensor, from records at rest.
 
 Each record starts when the sensor has just everted. The compensation that uses the result is
 `thigmo.mechanics.settling`, which also says how much noise it adds.
@@ -29,17 +29,17 @@ class CreepRecord:
     """One sensor after one eversion."""
 
     name: str
-    t_s: Array  # (n,) since eversion
+    t_s: Array  # (n,) time since eversion
     curvature: Array  # (n,) readings, 1/cm
 
 
 @dataclass(frozen=True)
 class CreepFit:
-    """One sensor's law over its eversions."""
+    """One sensor's decay law over its eversions."""
 
     name: str
-    law: Settling  # decay, with the spread from eversion to eversion
-    usable_s: float  # when readings add less than their own noise, compensated
+    law: Settling  # decay law, with the spread between eversions
+    usable_s: float  # time after eversion at which compensation errs less than a reading's noise
     good: bool  # the law may be used
     reason: str  # why
 
@@ -54,13 +54,13 @@ class HysteresisResult(StepResult):
     EVIDENCE: ClassVar = ("records",)
 
     def as_data(self) -> dict[str, Any]:
-        """Plain data; each sensor's law beside its use."""
+        """Plain data: of each sensor, the law and whether it may be used."""
         data = super().as_data()
         data["sensors"] = [{**fit.pop("law"), **fit} for fit in data["sensors"]]
         return data
 
     def write(self, config: RobotConfig) -> None:
-        """Decay time and amplitude."""
+        """Put in decay times and amplitudes."""
         sensors = sensors_of(config)
         for fit in self.sensors:
             if fit.good:
@@ -70,7 +70,7 @@ class HysteresisResult(StepResult):
 
 
 def guided(bench: Bench) -> HysteresisResult:
-    """Creep from the growth rows: run it after flex, which gives the scales."""
+    """Fit creep to the growth rows. Run it after flex, which gives the scales."""
     config = bench.config
     records: list[CreepRecord] = []
     before = 0.0
@@ -80,7 +80,7 @@ def guided(bench: Bench) -> HysteresisResult:
         for (name, sensor), own in zip(sensors_of(config).items(), ohm.T, strict=True):
             end = sensor.center_cm + sensor.span_cm / 2
             if before + SAME_CM < end <= length and sensor.healthy:
-                # Everted when the tip passed its end, a little before growth stopped.
+                # The sensor everted when the tip passed its end, a little before growth stopped.
                 since = t + (length - end) / float(row["speed_cm_s"])
                 rest = float(np.nanmedian(own[-max(3, len(own) // 10) :]))
                 k = (own - rest) * sensor.scale_per_ohm
@@ -90,7 +90,7 @@ def guided(bench: Bench) -> HysteresisResult:
 
 
 def of_csv(table: Table, config: RobotConfig) -> HysteresisResult:
-    """Records of one or more eversions."""
+    """Fit records of one or more eversions from a CSV."""
     keys = _names(table, config), table.whole("eversion", 0).tolist()
     t, k = table.numbers("t_s"), table.numbers("curvature")
     records = [
@@ -118,7 +118,7 @@ def _names(table: Table, config: RobotConfig) -> list[str]:
 
 
 def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
-    """tau, amplitude, rest (3,) of one record and their covariance (3, 3); outliers omitted."""
+    """Decay time (s), amplitude and rest (1/cm), (3,), and their covariance, without outliers."""
     finite = np.isfinite(t_s) & np.isfinite(curvature)
     t, y = t_s[finite], curvature[finite]
     if len(t) < 10 or np.ptp(t) < 5:
@@ -152,7 +152,7 @@ def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
 
 
 def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> HysteresisResult:
-    """Decay law of every sensor that was recorded."""
+    """Fit the decay law of every sensor that was recorded."""
     if not records:
         raise DataError("no eversions were recorded", "grow past a sensor and wait 30 s")
     fits, notes = [], []
@@ -190,7 +190,7 @@ def _law(name: str, found: list[tuple[Array, Array]], noise: float) -> CreepFit:
         return CreepFit(name, law, 0.0, True, "no creep beyond the noise")
     weights, taus = 1 / tau_se[clear] ** 2, taus[clear]
     tau = float((weights * taus).sum() / weights.sum())
-    # Eversions differ in tau more than each one's error says: take whichever is larger.
+    # Eversions may differ in tau by more than its error: use the larger one.
     scatter = float(taus.std(ddof=1) / np.sqrt(len(taus))) if len(taus) > 1 else 0.0
     error = max(float(weights.sum() ** -0.5), scatter)
     amplitude = float(amplitudes.mean())

@@ -1,10 +1,10 @@
 """Time from measured pressure to bend, from ramps up and down with a stop at either end.
 
-After a dead time air and muscle act like a first-order lag, larger on the way down than up, and
-the body swings. A slow bend runs behind by the sum of their times, which is what the board takes
-for its one constant; a first-order lag alone would put it too late. What passes for a lag is fitted
-beside it: a sensor's own loop (it stays when the pressure stops), and an error of the pressure
-(it is the longer the slower the ramp).
+After a dead time, air and muscle act as a first-order lag, which is longer on the way down than up,
+and the body swings. A slow bend is late by the sum of these times, and this sum is the board's one
+constant; a first-order lag alone would be too long. Two effects that look like a lag are fitted as
+well: the sensor's loop, which remains when the pressure stops, and an error of the pressure, whose
+apparent lag is longer on slower ramps.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ from thigmo.calibrate.regression import lasting
 from thigmo.config import Muscle, TanhMap, ZoneMap
 from thigmo.errors import DataError
 
-# Ramps up and down, for the lag of 0.2..0.4 s: an error of pressure or map looks like a lag that is
-# the longer the slower the ramp, a lag is the same in all.
+# Durations of ramps up and down, for a lag of 0.2..0.4 s. An error of pressure or map looks like a
+# lag that is longer on slower ramps; a true lag is the same on all.
 _RAMPS_S = (0.7, 0.7, 2.1) * 5
 _RAMP_STOP_S = 1.5
 _RAMP_END_PSI = 2.5  # just above the transducer's live zero
 _RAMP_FRAME_S = 0.02
 _STEP_S = 5e-3
-# Of the muscle inflating and deflating, the swing, the root of its inertia, the dead time.
+# Upper bounds: time constants of the inflating and the deflating muscle, the swing, the root of its
+# inertia, the dead time.
 _LONGEST_S = (1.5, 1.5, 0.5, 0.5, 0.3)
 _LEAST_S = 1e-3
-# A reading is the sum of so many conversions, block by block, and waits for the next frame as long
-# as for its own middle: a window late in all. The base sensor is converted each millisecond, the
-# others every second one (firmware/core/sensing/flex.h): by that they are later.
+# A reading is a sum of conversions. It is half a window old when the sum is complete, and waits as
+# long for its frame, so it is late by one window. The base sensor is converted every millisecond,
+# the others every second one (firmware/core/sensing/flex.h), which makes them later.
 _LATER_SCAN_S = 1e-3
 
 
 @dataclass(frozen=True)
 class Lag:
-    """Lag of the base sensor's reading behind the measured pressure: what the board compares, s."""
+    """Lag of the base sensor's reading behind the measured pressure, as the board sees both, s."""
 
     inflate_s: float
     inflate_se_s: float
@@ -51,10 +52,10 @@ class Lag:
 
 
 def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] | None:
-    """Time, pressure and curvature towards a muscle (mean of what reads it) of ramps up and down.
+    """Record ramps up and down: time (s), pressure (psi) and curvature towards a muscle (1/cm).
 
-    The readings of all sensors are moved to be as late as the base sensor's. None where no sound
-    sensor reads its bend.
+    The curvature is the mean of the sensors that read the bend, shifted to be as late as the base
+    sensor. Returns None if no sound sensor reads it.
     """
     robot, top = bench.robot, 0.9 * muscle.max_pressure_psi
     found, bases = wiring.witnesses(bench.config, muscle), wiring.base_inputs(bench.config)
@@ -91,7 +92,7 @@ def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] 
 
 
 def _muscle(psi: Array, rising_s: float, falling_s: float) -> Array:
-    """Pressure (n,) as it bends, each `_STEP_S`; its time constant goes by the direction."""
+    """(n,) pressure that bends the body, every `_STEP_S`; the time constant is by direction."""
     rising, falling = (1 - np.exp(-_STEP_S / lag) for lag in (rising_s, falling_s))
     made = np.array(psi, float)
     now = float(made[0])
@@ -102,13 +103,13 @@ def _muscle(psi: Array, rising_s: float, falling_s: float) -> Array:
 
 
 def _swung(g: Array, late_s: float, inertia_s: float) -> Array:
-    """Curvature (n,), each `_STEP_S`, of a body of second order that follows g."""
+    """(n,) curvature, every `_STEP_S`, of a second-order body that follows g."""
     b, a = bilinear([1.0], [inertia_s**2, late_s, 1.0], 1 / _STEP_S)
     return np.asarray(lfilter(b, a, g, zi=g[0] * lfilter_zi(b, a))[0])
 
 
 def _deflating(psi: Array, reversal_psi: float) -> Array:
-    """(n,) share of the deflating branch, 0..1: a play operator, as on the board."""
+    """(n,) share of the deflating branch, 0..1, by a play operator as on the board."""
     made = np.empty(len(psi))
     floor = float(psi[0])
     for i, value in enumerate(psi.tolist()):
@@ -135,11 +136,15 @@ def fit_lag(
     zone: ZoneMap,
     reversal_psi: float = 1.0,
 ) -> Lag:
-    """Lags of both directions from recorded ramps: measured pressure, and the sensors' curvature.
+    """Lags of both directions from the ramps that `ramp` records.
 
-    The curvature towards the muscle (n,), as late as the base sensor's, may be off by a gain, an
-    offset and a loop (they are fitted): only its timing counts. `reversal_psi` turns the muscle
-    over to its other branch.
+    Args:
+        t_s: (n,) times.
+        pressure_psi: (n,) measured pressure.
+        curvature: (n,) curvature towards the muscle, 1/cm, as late as the base sensor's. Its gain,
+            offset and loop are fitted, so only its timing counts.
+        zone: the muscle's maps.
+        reversal_psi: change of pressure that switches the muscle to its other branch.
     """
     rows = np.array([t_s, pressure_psi, curvature])
     rows = rows[:, np.isfinite(rows).all(axis=0)]

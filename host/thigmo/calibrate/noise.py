@@ -30,10 +30,10 @@ class SensorNoise:
     """One sensor at rest."""
 
     name: str
-    white: float  # one sigma of a reading, 1/cm
-    white_se: float  # its standard error
+    white: float  # standard deviation of a reading's white noise, 1/cm
+    white_se: float  # its standard error, 1/cm
     drift_per_min: float  # slope at rest, 1/cm a minute
-    slow: float  # scatter beyond white noise of ten-reading means, 1/cm
+    slow: float  # scatter of ten-reading means beyond white noise, 1/cm
     hysteresis: float  # half the gap between rising and falling pressure, 1/cm (nan = unknown)
     dropouts: float  # share of wild readings
 
@@ -46,25 +46,25 @@ class NoiseResult(StepResult):
     verdict: Verdict
 
     def write(self, config: RobotConfig) -> None:
-        """White noise, and what no average takes away."""
+        """Put in white noise, and the errors that averaging does not reduce."""
         sensors = sensors_of(config)
         for s in self.sensors:
             sensor = sensors[s.name]
-            # Neighbours share what IMUs scatter: theirs is the step `heading`'s.
+            # Neighbouring IMUs share their scatter, which the step `heading` measures.
             if not isinstance(sensor, FlexSensor):
                 continue
             if np.isfinite(s.white) and s.white > 0 and sensor.healthy:
                 sensor.noise = s.white
-                # Rest shows drift, bends show the loop: flex may have seen more of both.
+                # Rest shows the drift and bends the loop; the flex step may have found more.
                 lasting = float(np.hypot(s.slow, np.nan_to_num(s.hysteresis)))
                 sensor.zero_se = max(sensor.zero_se, lasting)
 
 
 def guided(bench: Bench) -> NoiseResult:
-    """Noise at rest; hysteresis within a sweep from the bends, if they were taken."""
+    """Measure noise at rest, and hysteresis within a sweep from the bends if they were taken."""
 
     def take(key: str, _: None) -> Row:
-        # As long as a sweep's peak is averaged.
+        # A sweep's peak is averaged for as long.
         reading = bench.robot.read(_PEAK_S)
         bench.robot.wait(0.5)
         return {"t_s": reading.t_s, "ohm": bench.ohm(reading)}
@@ -78,7 +78,7 @@ def guided(bench: Bench) -> NoiseResult:
 
 
 def _loops(bench: Bench, scale: Array) -> Array | None:
-    """(s, m) readings less the camera's curvature: falling less rising, at equal set points."""
+    """(s, m) falling less rising deviation from the camera at equal set points, 1/cm."""
     rows, gaps = bench.session.rows("bends"), []
     lies = np.array([side for side, _ in places_of(bench.config)])
     for key, row in rows.items():
@@ -93,16 +93,16 @@ def _loops(bench: Bench, scale: Array) -> Array | None:
 
 
 def of_csv(table: Table, config: RobotConfig) -> NoiseResult:
-    """Readings of the resting robot."""
+    """Fit readings of the resting robot from a CSV."""
     return fit_noise(table.numbers("t_s"), of_sensors(table, "curvature", config), config)
 
 
 def fit_noise(
     t_s: Array, curvature: Array, config: RobotConfig, loops: Array | None = None
 ) -> NoiseResult:
-    """Noise of every sensor from averaged readings (n, m) of the resting robot.
+    """Noise of every sensor from averaged readings (n, m) of the resting robot, 1/cm.
 
-    `loops` (s, m) are readings while pressure falls less those while it rises, 1/cm.
+    `loops` (s, m) holds readings at falling pressure less those at rising pressure, 1/cm.
     """
     sensors = sensors_of(config)
     if curvature.shape != (len(t_s), len(sensors)):
@@ -121,7 +121,7 @@ def fit_noise(
         own = curvature[finite, number]
         calm = ~outlying(own, 6, 1e-12)
         t, quiet = t_s[finite][calm], own[calm]
-        # Differences of neighbours know nothing of drift.
+        # Differences of successive readings are free of drift.
         white = float(np.sqrt(np.mean(np.diff(quiet) ** 2) / 2))
         line = np.polyfit(t, quiet, 1)
         drift, level = float(line[0]) * 60, quiet - np.polyval(line, t)

@@ -1,4 +1,4 @@
-"""The camera as the guided steps use it: one located camera, one source of pictures."""
+"""The camera of the guided steps: one located camera, one source of pictures."""
 
 from __future__ import annotations
 
@@ -27,20 +27,23 @@ from thigmo.robot import Robot
 
 @dataclass
 class OverheadCamera:
-    """The located camera above the robot, as the guided steps use it."""
+    """The located camera above the robot, for the guided steps."""
 
-    source: PictureSource  # of pictures; live ones show the robot as it is now
-    model: CameraModel  # located
-    sheet: Sheet  # in use
-    body: Body = field(default_factory=Body)  # of the robot
-    dowel_radius_cm: float | None = None  # of the obstacles, if known: fewer mistakes
+    source: PictureSource  # gives pictures; live ones show the robot as it is now
+    model: CameraModel  # the located camera
+    sheet: Sheet  # the sheet of markers in use
+    body: Body = field(default_factory=Body)  # the robot's body
+    dowel_radius_cm: float | None = None  # radius of the obstacles; detection errs less with it
 
     @property
     def _wanted(self) -> Wanted:
         return Wanted(self.body.diameter_cm, full_cm=self.body.length_cm)
 
     def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
-        """The body's axis, if beyond doubt; a pushed tip needs its marker, a free bend does not."""
+        """The body's axis. A pushed tip needs its marker, a free bend does not.
+
+        Raises CameraError if the axis is in doubt.
+        """
         wanted = replace(
             self._wanted, constant=free_bend, obstacles=False, length_cm=length_cm,
         )  # fmt: skip
@@ -51,7 +54,7 @@ class OverheadCamera:
         return detection.axis
 
     def everything(self) -> Detection:
-        """Tip, axis and obstacles; raises CameraError."""
+        """Detect tip, axis and obstacles. Raises CameraError if the robot is not found."""
         wanted = self._wanted
         if (radius := self.dowel_radius_cm) is not None:
             wanted = replace(wanted, obstacle_radius_cm=(0.8 * radius, 1.2 * radius))
@@ -65,9 +68,9 @@ def emulated_source(
     seed: int = 0,
     spoil: Callable[[CameraModel], CameraModel] | None = None,
 ) -> tuple[PictureSource, float]:
-    """A camera above an emulated robot, and its height as a tape measures it.
+    """A camera above an emulated robot, and its height (cm) as measured with a tape.
 
-    `seed` draws its place, lens and room; `spoil` changes it before every picture (tests move it).
+    `seed` determines its place, lens and room; `spoil` changes it before every picture, for tests.
     """
     rng = np.random.default_rng([seed, 0xCA3E4A])
     of = (robot.known_config or robot.config).body
@@ -85,7 +88,7 @@ def emulated_source(
             body = painter.BodyShape(x, y, of.radius_cm)
             patches.append(tip_decal(sheet, x, y, of.diameter_cm))
         pegs = [painter.PegShape(float(p.x), float(p.y), float(p.radius)) for p in truth.pegs]
-        # The room stays, the sensor's noise does not.
+        # The room stays the same, the noise changes from picture to picture.
         return painter.render(
             camera if spoil is None else spoil(camera), painter.View(body, pegs, patches), room,
             np.random.default_rng(table_seed), np.random.default_rng([table_seed, next(numbers)]),

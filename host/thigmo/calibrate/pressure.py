@@ -1,4 +1,4 @@
-"""Zeros of the pressure sensors at vent; the board holds them."""
+"""Zeros of the pressure sensors with vented muscles, which the board stores."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ NOMINAL_COUNT = 102.4  # at 0 psi by the data sheet: 10 % of the supply
 
 @dataclass(frozen=True)
 class PressureZero:
-    """One muscle's pressure sensor at vent."""
+    """One pressure sensor with its muscle vented."""
 
-    muscle: str  # by name
+    muscle: str  # its name
     zero_count: float  # ADC count at 0 psi
     zero_se: float  # its standard error
     good: bool  # it may be used
@@ -33,7 +33,7 @@ class PressureZero:
 
 @dataclass(frozen=True)
 class PressureResult(StepResult):
-    """The pressure sensors' zeros, in ADC counts, in the muscles' order."""
+    """The pressure sensors' zeros in the order of the muscles."""
 
     zeros: tuple[PressureZero, ...]
     verdict: Verdict
@@ -48,10 +48,10 @@ class PressureResult(StepResult):
 
 
 def guided(bench: Bench) -> PressureResult:
-    """Zeros of all pressure sensors at vent, into the board.
+    """Measure the zeros of all pressure sensors at vent, and store them on the board.
 
-    They are what tells the board that a muscle is vented, so nothing here asks it whether one is:
-    the fit sees what still moves, and what is too far from its data sheet.
+    The board needs these zeros to know that a muscle is vented, so it is not asked. Instead, the
+    fit refuses pressures that still change, and zeros too far from the data sheet.
     """
     robot = bench.robot
     robot.vent(wait=False)
@@ -73,7 +73,7 @@ def guided(bench: Bench) -> PressureResult:
 
 
 def of_csv(table: Table, config: RobotConfig) -> PressureResult:
-    """ADC counts at vent, a column for each muscle, by name."""
+    """Fit ADC counts at vent from a CSV with a column for each muscle, by name."""
     names = [muscle.name for muscle in config.muscles]
     return fit_pressure_zero(
         np.column_stack([table.numbers(f"{name}_count") for name in names]), names
@@ -83,7 +83,7 @@ def of_csv(table: Table, config: RobotConfig) -> PressureResult:
 def fit_pressure_zero(
     counts: Array, names: Sequence[str], span: float = 819.2, full_psi: float = 60.0
 ) -> PressureResult:
-    """Zeros from counts (n, muscles) with all muscles vented; `span` counts are `full_psi`."""
+    """Zeros from ADC counts (n, muscles) with all muscles vented; `span` counts are `full_psi`."""
     if len(counts) < 10:
         raise DataError("ten or more readings of each pressure sensor are needed", "read longer")
     zeros = []

@@ -1,9 +1,9 @@
-"""Linear fits that outliers cannot bend, with standard errors that hold.
+"""Robust linear fits with standard errors.
 
-Least trimmed squares finds the line of most, whatever a fifth of the readings do; points beyond
-four of its sigmas are omitted (and named by the caller), and what remains is fitted by
-weighted least squares, whose standard errors are the textbook's: those of independent rows (see
-`flex_lines` for rows that are not).
+Least trimmed squares finds the line of most readings, even if a fifth of them are wrong. Points
+beyond four of its standard deviations are omitted (the caller names them), and the rest is fitted
+by weighted least squares. Its standard errors hold for independent rows; `flex_lines` treats rows
+that are not.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class LinearFit:
     """Coefficients of `y = design @ coefficients`."""
 
     coefficients: Array  # (p,)
-    covariance: Array  # (p, p)
+    covariance: Array  # (p, p) of the coefficients
     sigma: float  # residual standard deviation beyond the known errors, in units of y
     used: Mask  # (n,) rows that were not rejected
     residuals: Array  # (n,) of all rows (nan where the data were not finite)
@@ -46,10 +46,10 @@ def fit_linear(
     """Robust weighted linear least squares of y (n,) on a design (n, p).
 
     Args:
-        known_se: (n,) standard error of each row that is known beforehand; the remaining scatter
-            is estimated and added.
-        reject: leave outliers out, not only rows that are not finite.
-        firm: number of rows at the end that are prior knowledge and never outliers.
+        known_se: (n,) known standard error of each row, in units of y; the remaining scatter is
+            estimated and added.
+        reject: omit outliers, not only rows that are not finite.
+        firm: number of rows at the end that are priors and never outliers.
     """
     known = np.broadcast_to(np.asarray(known_se, float), y.shape)
     rows = np.flatnonzero(np.isfinite(np.column_stack([design, y, known])).all(axis=1))
@@ -60,8 +60,8 @@ def fit_linear(
     if np.linalg.matrix_rank(a / np.maximum(np.abs(a).max(axis=0), 1e-300)) < p:
         raise DataError("the readings do not vary enough to fit a line", "use more places")
     kept = np.arange(len(rows)) >= (len(rows) - firm if reject else 0)
-    # From two starts, for each fails where the other holds: least trimmed squares where there
-    # are outliers, all rows where a few far ones carry the slope. More rows explained wins.
+    # Two starts, because each fails where the other works: least trimmed squares if there are
+    # outliers, all rows if a few distant ones determine the slope. More rows explained wins.
     starts = [np.ones(len(rows), bool)]
     if reject and len(rows) >= p + 4:
         line, spread = _trimmed_fit(a, b)
@@ -80,7 +80,7 @@ def fit_linear(
 def _rejecting(
     a: Array, b: Array, e: Array, start: Mask, firm: Mask
 ) -> tuple[Mask, Array, Array, float]:
-    """Weighted fit, leaving out rows beyond four sigmas, until none changes."""
+    """Weighted fit without rows beyond four standard deviations, repeated until none changes."""
     near = start
     for _ in range(26):
         inside = near
@@ -93,10 +93,10 @@ def _rejecting(
 
 
 def _trimmed_fit(a: Array, b: Array) -> tuple[Array, float]:
-    """Least trimmed squares (three quarters of the rows), and its sigma.
+    """Least trimmed squares (three quarters of the rows), and its standard deviation.
 
-    Half the rows would not do: most readings of a distal sensor stand near zero curvature, and
-    half of them agree with any slope.
+    Half of the rows would not be enough: most readings of a distal sensor are near zero curvature,
+    and half of them agree with any slope.
     """
     n, p = a.shape
     keep = max(p + 1, round(_KEEP * n))
@@ -148,13 +148,16 @@ def _weighted(a: Array, b: Array, e: Array) -> tuple[Array, Array, float]:
 
 
 def outlying(values: Array, limit: float, least: Array | float) -> Mask:
-    """Values (n,) farther than `limit` sigmas from their median; a sigma is at least `least`."""
+    """(n,) whether a value is more than `limit` standard deviations from the median.
+
+    The robust standard deviation counts as at least `least`.
+    """
     sigma = np.maximum(median_abs_deviation(values, scale="normal"), least)
     return np.asarray(np.abs(values - np.median(values)) > limit * sigma)
 
 
 def lasting(residuals: Array, most: float) -> float:
-    """Factor on the variance of residuals (n,) for neighbours that correlate, by `most` at most."""
+    """Factor, at most `most`, on the variance of residuals (n,) for correlated neighbours."""
     along = float(np.corrcoef(residuals[1:], residuals[:-1])[0, 1])
     along = min(most, max(0.0, along)) if np.isfinite(along) else 0.0
     return (1 + along) / (1 - along)

@@ -64,7 +64,7 @@ class Session:
         return found
 
     def add(self, procedure: str, row: dict[str, Any]) -> None:
-        """Append a reading (it must hold a `key`); on disk when this returns."""
+        """Append a reading, which must have a `key`. It is on disk when this returns."""
         path = self.folder / f"{procedure}.jsonl"
         if path.exists():
             text = path.read_bytes()
@@ -90,7 +90,7 @@ class Session:
         return data if data.get("verdict", {}).get("good") else None
 
     def keep(self, step: str, result: StepResult) -> list[str]:
-        """Store a result and its figure; a good one goes into robot.toml. Returns what to say."""
+        """Store a result and its figure, and put a good one into robot.toml. Returns messages."""
         from thigmo.calibrate.step_figures import draw  # takes Matplotlib with it
 
         file = self.folder / f"{step}.json"

@@ -43,7 +43,7 @@ def _finish(figure: Figure, path: Path, verdict: Verdict) -> None:
 def _panel(
     path: Path, verdict: Verdict, x: str, y: str, size: tuple[float, float] = (6, 4)
 ) -> Iterator[Axes]:
-    """Axes of a figure, which is labelled and written at the end."""
+    """Axes of a figure that is labelled and written at the end of the block."""
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
     yield axes
@@ -55,7 +55,7 @@ def _panel(
 
 
 def _estimates(axes: Axes, each: Array, mean: float, se: float) -> None:
-    """Every estimate, their mean, and its 95 % interval."""
+    """Draw every estimate, their mean, and its 95 % interval."""
     axes.plot(np.arange(1, len(each) + 1), each, "o", label="each alone")
     if np.isfinite(mean):
         axes.axhline(mean, color="k", lw=1, label="mean")

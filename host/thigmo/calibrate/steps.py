@@ -1,4 +1,4 @@
-"""The steps: readings of the bench, or of a CSV, into fits, verdicts and robot.toml.
+"""The steps of the calibration, from readings of bench or CSV to verdicts and robot.toml.
 
     growth   -> encoder, hysteresis        bends -> actuator, and free bends for flex
     tips     -> flex; stiffness with bows  pushes -> buckling
@@ -42,17 +42,17 @@ from thigmo.wiring import key_of
 class Step:
     """One step of the calibration."""
 
-    guided: Callable[..., StepResult]  # of a Bench, and of another fit than its own
-    of_csv: Callable[..., StepResult] | None = None  # of a Table and a RobotConfig, and the same
-    columns: str = ""  # of its CSV; those in brackets may be omitted
-    rows: tuple[str, ...] = ()  # names of the tables of readings that are its own
-    # without it later steps would measure nonsense; a bad other one spoils nothing else
+    guided: Callable[..., StepResult]  # takes a Bench, and optionally another fit
+    of_csv: Callable[..., StepResult] | None = None  # takes a Table, a RobotConfig, a fit
+    columns: str = ""  # columns of its CSV; those in brackets may be omitted
+    rows: tuple[str, ...] = ()  # names of the tables of readings that only this step uses
+    # whether later steps would measure nonsense if this one failed
     needed: bool = False
     thesis: Callable[..., StepResult] | None = None  # the thesis's fit of the same readings
-    kind: str = ""  # of the sensors that it is for; empty: any
+    kind: str = ""  # kind of the sensors that it calibrates; empty for any
 
     def other_fit(self, method: str | None) -> tuple[Callable[..., StepResult], ...]:
-        """The argument that makes its functions fit by a method; none for its own."""
+        """The argument of `guided` and `of_csv` for another method; none for the step's own."""
         return (self.thesis,) if method == "thesis" and self.thesis else ()
 
 
@@ -101,7 +101,7 @@ STEPS = {
 
 
 def steps_of(config: RobotConfig) -> list[str]:
-    """The steps that a robot needs: of a kind of sensors only if it has some."""
+    """The names of the steps for the kinds of sensors that a robot has."""
     kinds = {"", *(sensor.kind for sensor in config.sensors)}
     return [name for name, step in STEPS.items() if step.kind in kinds]
 
@@ -113,7 +113,7 @@ def _require(step: str, config: RobotConfig) -> None:
 
 
 def run(bench: Bench, step: str, *, again: bool = False, method: str | None = None) -> StepResult:
-    """One guided step of `STEPS`; `again` takes its readings again. `method`: of `fit_csv`."""
+    """Run a guided step of `STEPS`. `again` repeats its readings; `method` is as in `fit_csv`."""
     _require(step, bench.config)
     if step != "pressure" and not bench.config.board_sensors:
         raise DataError(
@@ -135,9 +135,10 @@ def run(bench: Bench, step: str, *, again: bool = False, method: str | None = No
 def fit_csv(
     step: str, path: str | os.PathLike[str], config: RobotConfig, method: str | None = None
 ) -> StepResult:
-    """Fit a step of `STEPS` to readings that a lab already has: no robot, no camera.
+    """Fit a step of `STEPS` to readings in a CSV, without robot or camera.
 
-    The method "thesis" fits flex and buckling as the thesis did; None is the step's own.
+    The method "thesis" fits flex and buckling as the thesis did; None is the step's own method.
+    Raises DataError for an unknown step, a step without CSV, or unusable readings.
     """
     made = {name: (one.of_csv, one.columns) for name, one in STEPS.items() if one.of_csv}
     if step not in made:

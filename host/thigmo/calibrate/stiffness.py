@@ -1,6 +1,6 @@
 """Is the body as stiff under a sensor as between sensors? (The thesis's open question.)
 
-How stiff it is in newtons is `bending`'s, which this step's readings with a known force go to.
+Readings with a known force go to `bending`, which gives the stiffness in N cm^2.
 
 Pictures of the robot with its tip pushed aside give the axis; the moment along it is known up to
 one factor from where the force acts. With k = m(s) (1 + rho w(s)), w = 1 in gaps and 0 under
@@ -26,7 +26,7 @@ from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 
-_LEAST_BEND, _ASIDE = 0.055, (0.1, 0.19)  # of the length, that the tip stands aside
+_LEAST_BEND, _ASIDE = 0.055, (0.1, 0.19)  # offsets of the tip, as shares of the length
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class AxisPoints:
     """The body's axis in one picture, tip pushed aside."""
 
     points_cm: Array  # (n, 2) along the axis, base to tip
-    force_arc_cm: float  # where the force acts
+    force_arc_cm: float  # arc at which the force acts
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class StiffnessResult(StepResult):
 
 
 def guided(bench: Bench) -> StiffnessResult:
-    """From pictures of the flex step's places and more."""
+    """Fit pictures of the flex step's tip places, and further ones."""
     rows = [*(row for row in tip_rows(bench) if row["kind"] == "tip"), *bow_rows(bench)]
     seen = [np.array(r["points"], float) for r in rows if r.get("points") is not None]
     length = bench.config.body.length_cm
@@ -56,7 +56,7 @@ def guided(bench: Bench) -> StiffnessResult:
 
 
 def of_csv(table: Table, config: RobotConfig) -> StepResult:
-    """Pulls with known forces (`bending`); or points along the axis, picture by picture."""
+    """Fit a CSV of pulls with known forces (`bending`), or of points along the axis by picture."""
     if "force_n" in table:
         return bending.of_csv(table, config)
     picture = table.whole("picture")
@@ -89,8 +89,8 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
             ),
         )
     each, errors, bends = np.array(found).T
-    # A picture's own error grows with its own estimate, which would favour low ones: the error at
-    # the common estimate, from how far the body was bent.
+    # The error of a picture grows with its estimate, which would favour low estimates. So it is
+    # computed at the common estimate, from how far the body was bent.
     middle = float(np.median(each))
     se = middle * float(np.median(errors / each * bends)) / bends
     odd = outlying(each, 4.5, se)
@@ -120,7 +120,7 @@ def _one(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
     at = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
 
     def residuals(x: Array) -> Array:
-        # Lever with the bend: the force stays normal to the body where it acts.
+        # The lever follows the bend: the force stays normal to the body where it acts.
         heading = np.zeros(len(fine))
         for _ in range(3):
             end = np.interp(arc, fine, heading)

@@ -1,11 +1,11 @@
 """The thesis's own fits of flex sensors and of the fold, for robots on which it is repeated.
 
-Source: M. Bryant, 2022, sections 2.3 and 3.2. A tip pushed aside to y tells the force by a small
-deflection, F/EI = 3 y / x^3 (2.12); the beam's curvature at each sensor's centre (2.9) is regressed
-on its resistance above that of the straight robot, which gives one constant a sensor (2.4). The
-critical curvature is read off at the base from a line through the curvatures of the sensors that do
-not buckle, the mean over the trials. Neither states an error. So robot.toml keeps the error of an
-uncalibrated sensor, and a tenth for the fold, until `flex` and `buckling` themselves are run.
+Source: M. Bryant, 2022, sections 2.3 and 3.2. The deflection y of a pushed tip gives the force,
+F/EI = 3 y / x^3 for small deflections (2.12). The beam's curvature at each sensor's centre (2.9) is
+regressed on its resistance above that of the straight robot, which gives one constant for each
+sensor (2.4). The critical curvature is the mean over the trials of a line through the curvatures of
+the sensors that do not buckle, read off at the base. Neither has an error. So robot.toml keeps the
+error of an uncalibrated sensor, and a tenth for the fold, until `flex` and `buckling` are run.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class ThesisFlexResult(FlexResult):
     """Constants without errors."""
 
     def write(self, config: RobotConfig) -> None:
-        """Scales and zeros; errors are those of sensors that nobody has calibrated, at least."""
+        """Put in scales and zeros, with at least the errors of an uncalibrated sensor."""
         sensors = sensors_of(config)
         for fit in self.sensors:
             sensor = sensors[fit.name]
@@ -49,7 +49,7 @@ class ThesisFlexResult(FlexResult):
 
 
 def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
-    """One constant a sensor, from rows of the straight robot and of its tip pushed aside."""
+    """Fit one constant for each sensor to rows of the straight robot and of its pushed tip."""
     rows = model_rows(readings, config)
     straight = np.array(readings.kind) == "straight"
     tips = rows.tips & rows.good
@@ -109,7 +109,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
 def fit_buckling(
     curvature: Array, body_pressure_psi: float, length_cm: float, config: RobotConfig
 ) -> BucklingResult:
-    """Critical curvature over hard pushes at the tip, a row each (t, m); nan = unusable."""
+    """Critical curvature from hard pushes at the tip; arguments as in `buckling.fit_buckling`."""
     center, span, healthy = constants_of(config, "center_cm", "span_cm", "healthy")
     if curvature.shape[1] != len(center):
         what = f"{curvature.shape[1]} columns for {len(center)} sensors"

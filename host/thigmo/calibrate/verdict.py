@@ -1,4 +1,4 @@
-"""How a calibration step ends: good or bad, why, and everything that was omitted on the way."""
+"""The verdict on a calibration step: whether it is good, why, and what was omitted."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ class StepResult:
         return made
 
     def write(self, config: RobotConfig) -> None:
-        """Put this step's results into a configuration; nothing, unless a step says what."""
+        """Put this step's results into a configuration; by default, nothing."""
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: records become dicts, arrays lists."""
+    """A value as JSON takes it: dataclasses become dicts, arrays lists."""
     return to_jsonable_python(value, fallback=lambda array: array.tolist())
 
 
 def listed(names: Sequence[str], rows: Sequence[int]) -> str:
-    """Names of rows, eight at most."""
+    """Names of rows as text, at most eight."""
     more = f" and {len(rows) - 8} more" if len(rows) > 8 else ""
     return ", ".join(names[row] for row in rows[:8]) + more

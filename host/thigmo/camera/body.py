@@ -1,9 +1,9 @@
 """The robot in a picture: which pixels are body, where its axis runs, how it is curved.
 
-The picture is laid flat at the height of the tube's axis (the silhouette's middle there is the
-axis), body and table are separated by the colour found at the base, the tube is followed from the
-base by its two flanks, and a smooth curve is fitted to the flanks' middles. Curvature comes from
-that fit with its covariance: constant for free bends, a spline for any other shape.
+The picture is rectified to the height of the tube's axis, where the middle of the silhouette is the
+axis. Body and table are separated by the colour found at the base. The tube is followed from the
+base by its two flanks, and a smooth curve is fitted to the points midway between them. The fit
+gives the curvature with its covariance: constant for free bends, a spline for any other shape.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from thigmo.camera.model import CameraModel, Picture
 Array = NDArray[np.float64]
 
 BODY_PX_CM = 12  # enough for a tube that is 40 px wide
-# Corners of what is looked at, of the robot's full length.
+# Corners of the region searched, over the robot's full length.
 _AROUND = np.array([-4.0, -58.0]) / 53.0, np.array([60.0, 58.0]) / 53.0
 _STEP_CM, _LONGEST_CM = 0.5, 400.0
-_WIDTH_CM = 0.05  # a change of width that wrinkles make
+_WIDTH_CM = 0.05  # change of width by wrinkles
 _RIM_PX = 5  # where blur mixes the tip marker's margin with the body's colour
 _CLASH = 0.5  # bodyness at a flank
-_EDGE_CM = 0.4  # to either side of a flank, looked at for its edge
-_EDGE_GRAY = 15.0  # an edge of less contrast tells nothing
+_EDGE_CM = 0.4  # distance to both sides of a flank in which its edge is searched
+_EDGE_GRAY = 15.0  # least contrast of an edge that is used
 
 
 @dataclass(frozen=True)
 class Flat:
-    """A picture laid flat on a plane above the table, x to the right, y up (rows run down)."""
+    """A picture rectified to a plane above the table, x to the right, y up (rows run down)."""
 
     image: Picture  # (h, w, 3) BGR
     px_per_cm: float  # resolution
-    corner_cm: Array  # (2,) its upper left corner: least x, most y
+    corner_cm: Array  # (2,) its upper left corner: least x, greatest y
 
     def pixels(self, points_cm: Array) -> NDArray[np.float32]:
         """Workspace x, y (..., 2) to column, row (..., 2)."""
@@ -56,7 +56,10 @@ def flatten(
     full_cm: float,
     most_px_cm: float = BODY_PX_CM,
 ) -> Flat:
-    """Lay what a robot of full length can reach flat at a height, as fine as the picture is."""
+    """Rectify the area that a robot of full length can reach, at a height above the table.
+
+    The resolution is the picture's, `most_px_cm` at most.
+    """
     px_per_cm = min(most_px_cm, most_px_cm / BODY_PX_CM / camera.cm_per_px)
     low, high = (share * full_cm for share in _AROUND)
     columns, rows = np.round((high - low) * px_per_cm).astype(int).tolist()
@@ -78,21 +81,21 @@ def flatten(
 def bodyness(
     flat: Flat, radius_cm: float, cover: Array | None, background: Flat | None
 ) -> NDArray[np.float32]:
-    """How much each pixel looks like the body, about 0 (table) to 1 (body).
+    """How much each pixel resembles the body, (h, w), about 0 (table) to 1 (body).
 
     The body's colour is sampled where the robot leaves its base, the table's everywhere; a linear
-    discriminant in log-chromaticity (which shadows leave alone) and, weakly, brightness tells them
-    apart. With a `background` picture of the empty table, change against it counts as well.
-    What lies under a `cover` (n, 2) in cm, the tip marker, is counted as body.
+    discriminant in log-chromaticity (which shadows do not change) and, weakly, brightness separates
+    them. With a `background` picture of the empty table, differences from it count as well. The
+    area of the polygon `cover` (n, 2) in cm, the tip marker, counts as body.
 
-    Raises BodyNotSeenError where base and table have the same colour.
+    Raises BodyNotSeenError if base and table have the same colour.
     """
     features = _features(flat.image)
-    # Light differs along the body and across it far more than in the sample.
+    # Light varies along and across the body far more than in the sample.
     lighting = np.diag([0.002, 0.002, 0.3])
     loosest = 0.15
     if background is not None:
-        # What was there before cancels, and a small change of colour is enough.
+        # The empty table cancels, so a small change of colour is enough.
         features = features - _features(background.image)
         lighting, loosest = np.diag([1e-5, 1e-5, 0.03]), 0.04
     corners = flat.pixels(np.array([[1.0, 0.5 * radius_cm], [4.0, -0.5 * radius_cm]]))
@@ -111,7 +114,7 @@ def bodyness(
             "lay a cloth of another colour under the robot, or give a picture of the empty table",
         )
     score = (features - middle) @ direction / ((center - middle) @ direction)
-    # Another colour altogether (clutter) is as little body as the table is.
+    # A third colour (clutter) is not the body either.
     away = features[..., :2] - center[:2]
     reach = np.sqrt(np.maximum(np.diag(spread)[:2], loosest**2 / 8)) * 4 + loosest
     strange = np.sqrt(((away / reach) ** 2).sum(axis=-1))
@@ -139,14 +142,14 @@ class Track:
     middle: Array  # (n, 2) cm, mid-points of the flanks, base to tip, about 0.5 cm apart
     good: NDArray[np.bool_]  # (n,) whether both flanks were seen there
     tip: Array  # (2,) cm, where the body ends
-    lost: bool  # whether it was given up for want of flanks, before the body ended
+    lost: bool  # whether the flanks were lost before the body ended
 
 
 def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
     """Follow the tube from its base by both flanks.
 
-    Where one flank is hidden (a peg before the body) the other and the known radius stand in.
-    Raises BodyNotSeenError where nothing like a tube of that radius starts at the base.
+    If one flank is hidden (by a peg before the body), the other one and the known radius are used.
+    Raises BodyNotSeenError if nothing like a tube of that radius starts at the base.
     """
     point, heading = np.array([0.6, 0.0]), 0.0
     steps: list[tuple[Array, float, float, bool]] = []  # middle, heading, width, both flanks seen
@@ -169,7 +172,7 @@ def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
         steps.append((point, heading, port - starboard, whole))
         recent = np.array([middle for middle, *_ in steps[-12:]])
         if len(recent) >= 4:
-            # A parabola through the last 6 cm tells where the tube goes next.
+            # A parabola through the last 6 cm predicts where the tube continues.
             along = np.arange(len(recent)) * _STEP_CM
             degree = 2 if len(recent) >= 9 else 1
             end = along[-1] + _STEP_CM / 2
@@ -183,12 +186,12 @@ def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
             "check body.diameter_cm and the cards' places, or click its axis by hand (`--click`)",
         )
     middle, way, width, sound = (np.array(column) for column in zip(*steps, strict=True))
-    # Things of the body's colour beside it make it look wide: where its width is unlike the rest's,
-    # the middle is not to be trusted.
+    # Objects of the body's colour beside it make it look wider: the middle is not used where the
+    # width differs from the usual one.
     usual = float(np.median(width[sound]))
     scatter = 1.4826 * float(np.median(np.abs(width[sound] - usual)))
     sound &= np.abs(width - usual) < max(3 * scatter, _WIDTH_CM)
-    # The end: where bodyness along the axis (mean over its width) falls through a half.
+    # The body ends where bodyness along the axis (mean over its width) falls below a half.
     forward = np.array([np.cos(heading), np.sin(heading)])
     ahead_cm = np.arange(-2.5, 2.5, 0.05)
     lanes = np.linspace(-0.6, 0.6, 13) * radius_cm
@@ -212,7 +215,7 @@ def _sample(flat: Flat, score: NDArray[np.float32], points: Array) -> NDArray[np
 def _flanks(
     flat: Flat, score: NDArray[np.float32], point: Array, normal: Array, radius_cm: float
 ) -> tuple[float, float, float]:
-    """Offsets of the two flanks, port first (nan if not plausible), and filling between."""
+    """Offsets of both flanks, the left one first (nan if implausible), and the filling between."""
     reach = np.arange(-2.2, 2.2001, 0.05) * radius_cm
     profile = _sample(flat, score, (point + reach[:, None] * normal)[None])[0]
     edge = {}
@@ -232,8 +235,8 @@ def _flanks(
 def _between_edges(flat: Flat, middle: Array, heading: Array, width: Array) -> Array:
     """Points (n, 2) halfway between the body's two edges; nan where an edge is not clear.
 
-    An edge is where the light is halfway between what it is just inside and just outside. Bodyness
-    knows colours, and colours alone put the edge of a flank in shade too far in.
+    An edge is where the brightness is halfway between that just inside and just outside. Bodyness
+    uses mainly colour, which would put the edge of a shaded flank too far inside.
     """
     away = np.arange(-_EDGE_CM, _EDGE_CM + 1e-9, 0.02)
     normal = np.column_stack([-np.sin(heading), np.cos(heading)])
@@ -251,7 +254,7 @@ def _between_edges(flat: Flat, middle: Array, heading: Array, width: Array) -> A
             / np.maximum((step**2).sum(axis=1), 1.0)[:, None]
         )
         falls = (share[:, :-1] >= 0.5) & (share[:, 1:] < 0.5)
-        # Of several, the one nearest to where bodyness had it.
+        # Of several edges, the one nearest to that by bodyness.
         rank = np.where(falls, np.abs(away[:-1]), np.inf)
         first = np.argmin(rank, axis=1)
         rows = np.arange(len(middle))

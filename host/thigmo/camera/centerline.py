@@ -1,7 +1,7 @@
 """The body's axis: a smooth curve through points along it, with the uncertainty of its curvature.
 
-The points come from `thigmo.camera.body`, or from clicks. Curvature is what calibration lives on,
-so its error is stated with care: neighbouring points of a picture err together.
+The points come from `thigmo.camera.body`, or from clicks. Calibration depends on the curvature and
+its error, so the fit takes into account that errors of neighbouring points are correlated.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ Array = NDArray[np.float64]
 class Centerline:
     """The fitted axis, with the uncertainty of its curvature."""
 
-    arc_cm: Array  # (n,) from the base's plane to the tip
-    x_cm: Array  # (n,)
+    arc_cm: Array  # (n,) arc length from the base's plane to the tip
+    x_cm: Array  # (n,) points of the axis
     y_cm: Array  # (n,)
-    heading: Array  # (n,) rad
-    residual_cm: float  # rms distance of the flanks' middles from the curve
+    heading: Array  # (n,) heading of the axis, rad
+    residual_cm: float  # rms distance of the fitted points from the curve
     coefficients: Array  # (m,) lateral start, heading start, curvature coefficients
     covariance: Array  # (m, m) of them
     average: Array  # (n, m-2) cumulative integrals of the basis, for `mean_curvature`
-    points_cm: Array  # (p, 2) what was fitted
+    points_cm: Array  # (p, 2) points that were fitted
 
     @property
     def length_cm(self) -> float:
@@ -41,16 +41,16 @@ class Centerline:
 
     @property
     def tip_cm(self) -> tuple[float, float]:
-        """Tip's place."""
+        """(x, y) of the tip."""
         return float(self.x_cm[-1]), float(self.y_cm[-1])
 
     @property
     def curvature(self) -> float:
-        """Mean over the body, 1/cm."""
+        """Mean curvature of the body, 1/cm."""
         return float(self.heading[-1] - self.heading[0]) / self.length_cm
 
     def mean_curvature(self, center_cm: float, span_cm: float) -> tuple[float, float]:
-        """Average curvature over a sensor's span on the body, and its one sigma (1/cm)."""
+        """Mean curvature over a sensor's span on the body, and its standard error, 1/cm."""
         low, high = center_cm - span_cm / 2, center_cm + span_cm / 2
         if low < self.arc_cm[0] - 0.5 or high > self.arc_cm[-1] + 0.5 or span_cm <= 0:
             raise DataError(
@@ -73,15 +73,15 @@ def fit_centerline(
 ) -> Centerline:
     """Smooth axis through points along the body.
 
-    The curve starts at x = 0 with a free lateral place and heading; its curvature is one number
-    (`constant`) or a cubic spline. Huber loss; the covariance is scaled by the residuals and by
-    their correlation along the arc, which is what neighbouring points of a picture have.
+    The curve starts at x = 0 with a free lateral place and heading. Its curvature is one number
+    (`constant`) or a cubic spline, fitted with a Huber loss. The covariance is scaled by the
+    residuals and by their correlation along the arc, because neighbouring points are correlated.
 
     Args:
-        points_cm: (n, 2) base to tip.
-        tip_cm: (2,) where the body ends (default: the last point).
+        points_cm: (n, 2) points from base to tip.
+        tip_cm: (2,) end of the body; the last point if not given.
         constant: whether it is a free bend.
-        good: (n,) points to use.
+        good: (n,) whether to use a point; all if not given.
         knot_cm: distance of the spline's knots.
         point_se_cm: least standard error of a point.
 
@@ -95,8 +95,8 @@ def fit_centerline(
     weights = np.ones(len(points))
     if good is not None and good.sum() >= 6:
         weights[~good] = 0.05
-    # Arc of each point: along the chain at first (the body leaves the base along +x, so the first
-    # one's is its x), which noise lengthens; then by projection onto the fitted curve.
+    # Arcs of the points start as lengths along the chain (the body leaves the base along +x, so the
+    # first arc is its x), which noise lengthens. Then they are projected onto the fitted curve.
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     at = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
     last = points[-1] - points[-2]
@@ -128,7 +128,7 @@ def _fit(
     at: Array,
     total: float,
 ) -> Centerline:
-    """One fit with the points' arcs held."""
+    """One fit with fixed arcs of the points."""
     n = 1 if constant else max(4, int(total / knot_cm) + 3)
     fine = np.linspace(0.0, total, max(60, int(total / 0.1)))
     if constant:
@@ -144,8 +144,8 @@ def _fit(
         x, y = traced(heading, step)
         return x, p[0] + y, heading
 
-    # Second differences of the spline's coefficients are held down, so that noise between
-    # knots is not taken for bends; 2e-3 1/cm per knot squared is more than a loaded body shows.
+    # Second differences of the spline's coefficients are penalised, so that noise between knots
+    # does not become bends; 2e-3 1/cm per knot squared is more than a loaded body has.
     roughness = np.diff(np.eye(n), 2, axis=0) / 4e-3 if n > 3 else np.zeros((0, n))
 
     def residuals(p: Array) -> Array:

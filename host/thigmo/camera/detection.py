@@ -1,8 +1,7 @@
-"""One picture, read: tip, axis, obstacles, and what was wrong with it.
+"""Detects tip, axis and obstacles in one picture, and lists what is wrong with it.
 
-`look` is what calibration and the command line call. Nothing that fails is passed over: it is
-either raised (no cards, moved camera) or listed in the detection, and a point clicked by hand can
-stand in for any of it.
+Calibration and the command line call `detect`. Every failure is either raised (no cards, moved
+camera) or listed in the detection, and points clicked by hand can replace any detection.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ from thigmo.files import write_whole
 
 Array = NDArray[np.float64]
 
-# Rendered rooms, made coarser step by step: below these, tip markers are no longer seen.
-_CELL_PX = 2.0  # of a marker's cell
-_TUBE_PX = 14.0  # of the tube's diameter
+# Below these sizes, tip markers are no longer detected in rendered rooms of decreasing resolution.
+_CELL_PX = 2.0  # cell of a marker
+_TUBE_PX = 14.0  # diameter of the tube
 _GOOD_SHARE = 0.6
 _FLANK = (255, 200, 120)
 _CURE = (
@@ -47,11 +46,11 @@ _CURE = (
 class TipDetection:
     """The tip marker, or a clicked tip."""
 
-    x_cm: float  # of the robot's very tip
+    x_cm: float  # the robot's tip itself
     y_cm: float
-    heading: float  # rad, of the marker (nan if clicked)
-    clicked: bool  # given by hand
-    center_cm: Array  # (2,) of the marker (or the clicked point)
+    heading: float  # heading of the marker, rad (nan if clicked)
+    clicked: bool  # whether it was given by hand
+    center_cm: Array  # (2,) centre of the marker, or the clicked point
 
 
 @dataclass(frozen=True)
@@ -68,17 +67,17 @@ class Detection:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What to look for in a picture, with the sizes that this needs."""
+    """What to look for in a picture, with its sizes."""
 
-    diameter_cm: float = 3.5  # of the tube
-    obstacle_height_cm: float = 6.0  # of the dowels' tops above the table
-    obstacle_radius_cm: tuple[float, float] = (0.65, 2.5)  # least and largest
+    diameter_cm: float = 3.5  # diameter of the tube
+    obstacle_height_cm: float = 6.0  # height of the dowels' tops above the table
+    obstacle_radius_cm: tuple[float, float] = (0.65, 2.5)  # least and largest radius
     tip: bool = True  # look for the tip marker
     body: bool = True  # look for the body
     obstacles: bool = True  # look for dowels
     constant: bool = False  # the body is a free bend (one curvature)
-    length_cm: float | None = None  # of the body, if it is known
-    full_cm: float | None = None  # length that the robot can have; None = what the cards are for
+    length_cm: float | None = None  # length of the body, if it is known
+    full_cm: float | None = None  # full length of the robot; None = that which the cards are for
 
     def __post_init__(self) -> None:
         low, high = self.obstacle_radius_cm
@@ -140,7 +139,7 @@ def detect(
 
 @dataclass(frozen=True)
 class _Detector:
-    """A picture, and what reading it takes."""
+    """A picture, and what is needed to read it."""
 
     picture: Picture
     camera: CameraModel
@@ -150,7 +149,7 @@ class _Detector:
     markers: dict[int, Array]  # corners px by id
 
     def require_fine(self) -> None:
-        """Refuse a picture in which markers and flanks are too few pixels wide."""
+        """Raise TooCoarseError if markers and flanks have too few pixels."""
         px_per_cm = 1 / self.camera.cm_per_px
         wanted, marker_cm = self.wanted, self.sheet.tip_marker_cm
         needs = []
@@ -171,10 +170,10 @@ class _Detector:
         return self.wanted.full_cm or self.sheet.length_cm
 
     def tip(self) -> TipDetection:
-        """The tip as it was clicked, or by its marker."""
+        """The tip, clicked or by its marker."""
         diameter, marker = self.wanted.diameter_cm, self.sheet.tip_marker_id
         if self.clicks.tip is not None:
-            # A hand clicks the outline's end, which stands at the axis's height.
+            # The end of the outline, which is clicked, is at the height of the axis.
             place = self.camera.to_plane(np.array([self.clicks.tip]), diameter / 2)[0]
             return TipDetection(float(place[0]), float(place[1]), float("nan"), True, place)
         if marker not in self.markers:
@@ -191,7 +190,7 @@ class _Detector:
     def axis(
         self, tip: TipDetection | None, background: Picture | None
     ) -> tuple[Centerline, list[str]]:
-        """The axis, and why it may not be trusted."""
+        """The axis, and reasons to doubt it."""
         camera, wanted = self.camera, self.wanted
         radius = wanted.diameter_cm / 2
         end = None if tip is None else np.array([tip.x_cm, tip.y_cm])
@@ -216,7 +215,7 @@ class _Detector:
             cover = camera.to_plane(center + out, radius)
         track = follow(flat, bodyness(flat, radius, cover, empty), radius)
         middle, good = track.middle, track.good
-        # The end's upper or lower edge juts out by its height, by half if it is rounded.
+        # Perspective shifts the end's upper or lower edge by its height, by half if it is rounded.
         forward = middle[-1] - middle[-min(4, len(middle))]
         forward /= max(float(np.linalg.norm(forward)), 1e-9)
         out = float(abs((track.tip - camera.eye_cm[:2]) @ forward))
@@ -262,7 +261,7 @@ def _doubts(
     wanted: Wanted,
     within_cm: float,
 ) -> list[str]:
-    """Why an axis that was followed may not be the body's, or not all of it."""
+    """Reasons why an axis may not be the body's, or not all of it."""
     doubts = []
     if track.lost:
         doubts.append(f"the body was lost sight of {line.length_cm:.0f} cm from its base")
@@ -286,7 +285,7 @@ def _doubts(
 def draw(
     picture: Picture, camera: CameraModel, sheet: Sheet, detection: Detection, wanted: Wanted
 ) -> Picture:
-    """What was seen, drawn over the picture."""
+    """The picture with the detections drawn over it."""
     canvas = picture.copy()
     card_of = sheet.marker_ids()
     for marker, four in detection.markers.items():

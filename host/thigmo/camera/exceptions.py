@@ -1,18 +1,18 @@
-"""What can go wrong between a lens and a number, each with the operator's next step.
+"""Errors of the camera, each with the operator's next step.
 
-Raised by every part of the camera; calibration catches them per picture, so that one bad picture
-is named and omitted instead of averaged in.
+Every part of the camera raises them. Calibration catches them for each picture, so that a bad
+picture is named and omitted instead of averaged in.
 """
 
 from thigmo.errors import ThigmoError
 
 
 class CameraError(ThigmoError):
-    """Base of everything the camera reports."""
+    """Base of all errors of the camera."""
 
 
 class PictureError(CameraError):
-    """No picture can be had from the source."""
+    """The source gives no picture."""
 
 
 class SheetHiddenError(CameraError):
@@ -37,11 +37,11 @@ class MarkerMissingError(CameraError):
 
 
 class MarkerAstrayError(CameraError):
-    """The tip marker does not sit at the body's end."""
+    """The tip marker is not at the end of the body."""
 
 
 class BodyNotSeenError(CameraError):
-    """The robot's body cannot be distinguished from what lies around it."""
+    """The robot's body cannot be distinguished from its surroundings."""
 
 
 class AxisDoubtfulError(CameraError):
@@ -49,7 +49,7 @@ class AxisDoubtfulError(CameraError):
 
 
 class TooCoarseError(CameraError):
-    """The picture has too few pixels for what is looked for."""
+    """The picture has too few pixels for markers or body."""
 
 
 class PlaneFitError(CameraError):

@@ -1,9 +1,9 @@
 """The camera as a map between pixels and the workspace: lens, pose, and how well both are known.
 
 `calibrate_lens` takes pictures of the ChArUco board; `thigmo.camera.pose` finds the `CameraModel`
-from one picture of the cards; `judge_still` says when it no longer holds. Heights matter: seen from
-1 m, the middle of the robot (1.75 cm above the table) stands up to 0.8 cm away from where the
-table's plane would have it, so every look-up names its height.
+from one picture of the cards; `judge_still` raises if the camera has moved since. Heights matter:
+seen from 1 m, the middle of the robot (1.75 cm above the table) appears up to 0.8 cm away from its
+place on the table's plane, so every conversion takes a height.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Points = Annotated[
     PlainSerializer(np.ndarray.tolist),
 ]
 
-_PERIMETER_PX = 38.0  # of the smallest marker: finer cells cannot be distinguished
+_PERIMETER_PX = 38.0  # perimeter of the smallest marker whose cells can be distinguished
 _MOVED_PX = 2.0  # median shift of the cards' corners that counts as a moved camera
 _LARGEST = (
     *(f"DICT_{n}X{n}_1000" for n in range(4, 8)), "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_36h11",
@@ -42,13 +42,13 @@ _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-9)
 
 
 class Kept:
-    """A dataclass with a JSON file; in a camera's, the lens's entries stand beside its own."""
+    """A dataclass with a JSON file; a camera's file also has the entries of its lens."""
 
     what: ClassVar[str]  # the file is
     cure: ClassVar[str]  # how to make one
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file; raises CameraError where the folder cannot be written."""
+        """Write the file. Raises CameraError if the folder cannot be written."""
         data = TypeAdapter(type(self)).dump_python(self, by_alias=True)
         with CameraError.from_os(f"cannot write {path}", "choose a folder that you may write to"):
             write_whole(path, json.dumps(data.pop("lens", {}) | data, indent=1))
@@ -83,7 +83,7 @@ class Lens(Kept):
     version: Literal[1] = 1  # of its file
 
     def require(self, picture: Picture) -> None:
-        """Refuse a picture of another size: raises CameraError."""
+        """Raise CameraError if a picture has another size."""
         height, width = picture.shape[:2]
         if (width, height) != tuple(self.size):
             raise CameraError(
@@ -105,7 +105,7 @@ class CameraModel(Kept):
     # (4, 2) px of each card marker when located: the reference for `judge_still`
     corners: dict[int, Points] = field(default_factory=dict)
     rms_px: float = 0.0  # residual of the cards' corners
-    accuracy_cm: float = 0.0  # one sigma of a place on the table (the worst over the workspace)
+    accuracy_cm: float = 0.0  # standard error of a place on the table, the worst in the workspace
     hidden: tuple[str, ...] = ()  # cards that were not seen
 
     def project(self, points_cm: NDArray[np.float64]) -> Points:
@@ -132,7 +132,7 @@ class CameraModel(Kept):
     @cached_property
     def rays(self) -> NDArray[np.float32]:
         """Direction (h, w, 3) of every pixel's ray in the workspace."""
-        step, (width, height) = 8, self.lens.size  # they are smooth, so interpolated
+        step, (width, height) = 8, self.lens.size  # rays are smooth, so they are interpolated
         knots = (
             np.arange(-1.0, side // step + 2) * step + (step - 1) / 2 for side in (width, height)
         )
@@ -163,7 +163,7 @@ class CameraModel(Kept):
 
 
 def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
-    """Sub-pixel corners (4, 2) of a dictionary's markers, by id; one seen twice is dropped."""
+    """Sub-pixel corners (4, 2) of a dictionary's markers, by id; an id seen twice is dropped."""
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     settings.cornerRefinementWinSize = 4
@@ -184,9 +184,9 @@ def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
 
 
 def other_dictionary(picture: Picture, name: str) -> str:
-    """The other dictionary with the most markers in view, if four or more; else empty.
+    """The other dictionary with the most markers in view, if at least four; else "".
 
-    Those of `_LARGEST` hold the smaller ones of their marker size.
+    The dictionaries in `_LARGEST` contain the smaller ones of their marker size.
     """
     own = dictionary(name).markerSize
     tried = [e for e in _LARGEST if e != name and (dictionary(e).markerSize != own or "X" not in e)]
@@ -196,7 +196,7 @@ def other_dictionary(picture: Picture, name: str) -> str:
 
 
 def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
-    """Lens from pictures of the ChArUco board in several poses (ten are good, tilted ones best).
+    """Lens from pictures of the ChArUco board in several poses (about ten, best tilted).
 
     Raises:
         CameraError: fewer than four pictures show enough of the board, or the fit is poor.
@@ -230,9 +230,10 @@ def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
 
 
 def judge_still(found: dict[int, Points], model: CameraModel, sheet: Sheet) -> tuple[str, ...]:
-    """Names of hidden cards, from the markers found, if the camera stands where it was located.
+    """Names of hidden cards, from the corners (4, 2) of the markers found, by id.
 
-    Raises SheetHiddenError where no card at all is seen, CameraMovedError where they moved.
+    Raises SheetHiddenError if no card is seen, CameraMovedError if they are not where the camera
+    was located.
     """
     both = [m for m in model.corners if m in found]
     card_of = sheet.marker_ids()

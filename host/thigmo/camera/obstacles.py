@@ -1,8 +1,8 @@
 """Round obstacles (standing dowels) in a picture: centre and radius of their top faces.
 
-Candidates come from OpenCV's Hough transform on the picture laid flat at the dowels' height, where
-a top face is a true circle; each is then fitted to its edge by radial search, robustly, and kept
-only if most of its rim is there. Coins and screws fail on size, scraps on roundness.
+OpenCV's Hough transform finds candidates in the picture rectified to the dowels' height, where a
+top face is a true circle. A circle is fitted robustly to the edge of each, found by radial search,
+and kept only if most of its rim is seen. Coins and screws are too small, scraps not round.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Obstacle:
 
     x_cm: float  # centre
     y_cm: float  # centre
-    radius_cm: float  # of its top face
+    radius_cm: float  # radius of its top face
     rim: float  # share of its rim that was seen, 0..1 (1 for clicked ones)
 
     def apart_cm(self, other: Obstacle) -> float:
@@ -42,9 +42,9 @@ class Obstacle:
 def find_obstacles(
     flat: Flat, radius_cm: tuple[float, float], ignore: Sequence[Array]
 ) -> list[Obstacle]:
-    """Circles of a picture laid flat at their tops' height, of least to largest radius.
+    """Circles in a picture rectified to the height of their tops, best rim first.
 
-    The best rim comes first. Nothing is looked for in polygons (n, 2) in cm to ignore.
+    `radius_cm` is the least and the largest radius. Polygons (n, 2) in cm to `ignore` are skipped.
     """
     channels = _channels(flat)
     low, high = (r * flat.px_per_cm for r in radius_cm)
@@ -85,7 +85,7 @@ def _channels(flat: Flat) -> list[NDArray[np.uint8]]:
 def _refine(
     channels: Sequence[NDArray[np.uint8]], flat: Flat, center: Array, radius: float
 ) -> Obstacle | None:
-    """Edge points along rays from the centre, then a robust circle; None if too little rim."""
+    """A robust circle through edge points along rays from the centre; None if rim is missing."""
     angles = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
     toward = np.column_stack([np.cos(angles), np.sin(angles)])
     best: Obstacle | None = None
@@ -97,10 +97,10 @@ def _refine(
             light = channel.astype(np.float32)
             profile = cv2.remap(light, points[..., 0], points[..., 1], cv2.INTER_LINEAR)
             slope = np.gradient(cv2.GaussianBlur(profile, (1, 9), 0), axis=0)
-            # All the way round a dowel's rim, inside to outside changes the same way.
+            # All round a dowel's rim, the change from inside to outside has the same sign.
             for sign in (1.0, -1.0):
                 strength = sign * slope
-                # The innermost edge of note: beyond it lies the dowel's wall.
+                # The innermost strong edge: outside it is the dowel's wall.
                 noted = strength >= 0.5 * strength.max(axis=0)
                 crest = np.ones_like(noted)
                 crest[1:-1] = (strength[1:-1] >= strength[:-2]) & (strength[1:-1] >= strength[2:])
@@ -124,7 +124,7 @@ def _refine(
 
 
 def _solid(channels: Sequence[NDArray[np.uint8]], circle: Array) -> bool:
-    """Whether inside and surroundings differ in some channel (in a loop of cable they do not)."""
+    """Whether inside and outside differ in some channel; in a loop of cable they do not."""
     radius = circle[2]
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     toward = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -150,7 +150,7 @@ def _circle(points: Array, center: Array, radius: float) -> Array:
 
 
 def circle_through(points_cm: Array) -> Obstacle:
-    """Obstacle from points (n, 2) in cm on its rim; raises DataError where they do not suffice."""
+    """Obstacle from points (n, 2) in cm on its rim. Raises DataError if they are too few."""
     points = np.asarray(points_cm, float)
     if len(points) < 3:
         raise DataError("a circle needs three or more points", "click three points of its rim")

@@ -1,11 +1,12 @@
 """Where the camera stands: lens and pose from one picture of the workspace cards.
 
-`locate` is what the command line and the guided steps call. With a calibrated lens only the pose is
-fitted. Without, focal length, principal point and two radial terms are fitted too, which the cards'
-sixteen markers tell well but for one thing: a plane seen from above looks alike to a long lens far
-away and to a short one near by. Places on the table are true either way, places above it are not.
-One of three things settles it: a lens board (`thigmo camera lens`), the camera's height by tape
-(`camera_height_cm`), or one card on a box (`z_cm` of that card). `accuracy_cm` says which holds.
+Calibration and the command line call `locate`. With a calibrated lens, only the pose is fitted.
+Without one, focal length, principal point and two radial terms are fitted as well. The sixteen
+markers of the cards determine all of them except for one ambiguity: a plane seen from above looks
+the same to a long lens far away and to a short lens nearby. Places on the table are right in both
+cases, places above it are not. Any of three things resolves it: a lens board (`thigmo camera
+lens`), the camera's height by tape (`camera_height_cm`), or one card on a box (`z_cm` of that
+card). `accuracy_cm` shows whether it is resolved.
 """
 
 from __future__ import annotations
@@ -20,22 +21,22 @@ from thigmo.camera.exceptions import PlaneFitError, SheetHiddenError
 from thigmo.camera.model import CameraModel, Lens, Picture, Points, detect_markers, other_dictionary
 from thigmo.camera.sheet import Sheet
 
-GOOD_CM = 0.15  # one sigma of a place at the robot's height: 0.3 cm at 95 %
+GOOD_CM = 0.15  # sufficient standard error of a place at the robot's height: 0.3 cm at 95 %
 
-_CORNER_PX = 0.25  # one sigma of a refined marker corner, blur and noise included
-_TURN_SE = 0.03  # rad, of a laid card
-# Webcams and phones: 70 degrees across the picture, four in five between 52 and 88.
+_CORNER_PX = 0.25  # standard error of a refined marker corner, with blur and noise
+_TURN_SE = 0.03  # standard error of a card's direction, rad
+# Angle across the picture of webcams and phones: 70 degrees; four in five have 52 to 88.
 _VIEW_DEG = 70.0
 _FOCAL_SPREAD = 0.25
-_LENS_SPREAD = 0.4  # k1 and k2
-_CENTER_SPREAD = 0.01  # principal point, of the picture's width
+_LENS_SPREAD = 0.4  # prior standard deviation of k1 and k2
+_CENTER_SPREAD = 0.01  # the same of the principal point, as a share of the picture's width
 
 
 def locate(picture: Picture, sheet: Sheet, lens: Lens | None = None) -> CameraModel:
     """Camera model from one picture of the workspace cards.
 
-    The cards' places float within their stated placement error, so that a tape measure's slips are
-    shared out instead of bending the picture.
+    The cards' places are fitted within their stated error, so that errors of the tape measure do
+    not distort the camera model.
 
     Raises:
         CameraError: the lens was calibrated at another picture size.
@@ -62,7 +63,7 @@ def fit_pose(
     lens: Lens | None = None,
     hidden: tuple[str, ...] = (),
 ) -> CameraModel:
-    """`locate` from corners that are already found: (4, 2) px by marker id."""
+    """As `locate`, from marker corners found before: (4, 2) px by id."""
     problem = Problem(found, sheet, size, lens)
     fits = []
     for view_deg in (_VIEW_DEG,) if lens is not None else (50.0, _VIEW_DEG, 95.0):
@@ -88,7 +89,7 @@ def fit_pose(
 
 
 def what_helps(model: CameraModel, sheet: Sheet, lens_known: bool) -> str:
-    """What brings a camera's places within `GOOD_CM`; empty where they are."""
+    """Advice that brings a camera's places within `GOOD_CM`; "" if they are."""
     if model.accuracy_cm <= GOOD_CM:
         return ""
     ways = []
@@ -106,9 +107,9 @@ def what_helps(model: CameraModel, sheet: Sheet, lens_known: bool) -> str:
 
 
 class Problem:
-    """Corners against sheet: unknowns are the lens (unless known), the pose, and each card's slip.
+    """Fits corners to the sheet: the lens (unless known), the pose, and the cards' slips.
 
-    A slip is x, y, turn. All residuals are in units of their one sigma.
+    A slip is x, y and turn. All residuals are in units of their standard deviation.
     """
 
     def __init__(
@@ -221,7 +222,7 @@ def _log_focal(width: int, view_deg: float) -> float:
 
 
 def _accuracy(problem: Problem, best: Points, jacobian: Points) -> float:
-    """Worst one-sigma error of a place at the robot's height, from the parameters' spread."""
+    """Worst standard error (cm) of a place at the robot's height, from the fit's covariance."""
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
     low, high = problem.laid[:, :2].min(axis=0), problem.laid[:, :2].max(axis=0)
     across = np.meshgrid(np.linspace(low[0], high[0], 4), np.linspace(low[1], high[1], 4))

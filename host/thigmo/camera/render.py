@@ -1,9 +1,9 @@
-"""Scene to picture: what an overhead camera would see of the emulated room.
+"""Renders the picture that an overhead camera would take of the emulated room.
 
 Takes plain shapes (the body's axis, pegs, printed patches) and a true camera, and paints a
 1920 x 1080 colour picture with perspective, lens distortion, heights, occlusion, shadows, uneven
-light, clutter, blur and sensor noise. Calibration and the camera's tests look at these pictures
-and never at the truth behind them. Lengths in cm, z up from the table, angles in rad.
+light, clutter, blur and sensor noise. Calibration and the camera's tests use these pictures, never
+the truth behind them. Lengths are in cm, z up from the table, angles in rad.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ class PegShape:
 
 @dataclass(frozen=True)
 class Look:
-    """How kind the room and the sensor are."""
+    """Quality of light, room and camera sensor."""
 
     blur_px: float = 0.8  # sigma of lens blur
     noise: float = 3.0  # sigma of the sensor, gray levels
     shadow: float = 0.35  # how dark a shadow is, 0..1
     light: tuple[float, float] = (0.35, -0.25)  # (2,) shadow displacement per height
     falloff: float = 0.25  # darkening towards one side and the corners, 0..1
-    clutter: int = 25  # number of things that lie about
+    clutter: int = 25  # number of objects on the table
     jpeg: int = 90  # quality of the camera's compression; 0 = none
     table: Color = (190.0, 200.0, 205.0)  # colour of the table
     wrinkle: float = 0.12  # unevenness of the fabric, 0..1
@@ -72,7 +72,7 @@ class Look:
 
 @dataclass(frozen=True)
 class View:
-    """What stands in the room at the moment of the picture."""
+    """Contents of the room when the picture is taken."""
 
     body: BodyShape | None = None  # the robot; None = not there
     pegs: Sequence[PegShape] = ()  # dowels
@@ -115,7 +115,7 @@ def overhead_camera(
 
 
 def random_look(rng: np.random.Generator, length_cm: float = _LENGTH_CM) -> Look:
-    """A room as labs have them, for a robot of a length: from good light to poor."""
+    """A random room like a lab's for a robot of this length, from good light to poor."""
     tint = rng.uniform(-18, 18, 3)
     blue, green, red = (rng.uniform(140, 225) + tint).tolist()
     return Look(
@@ -140,8 +140,8 @@ def render(
 ) -> Picture:
     """The picture (height, width, 3), BGR.
 
-    `rng` draws grain, clutter and light, so that its state makes the room, and the sensor's noise
-    unless `sensor_rng` does.
+    `rng` draws grain, clutter and light, so its state determines the room; it also draws the
+    sensor's noise, unless `sensor_rng` is given.
     """
     look = look or Look()
     rng = rng or np.random.default_rng(0)

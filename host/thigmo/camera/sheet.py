@@ -1,4 +1,4 @@
-"""The marker sheet: what is printed, where it lies, and what the camera should then see.
+"""The marker sheet: its printed pages, and the places of the cards in the workspace.
 
 One A4 PDF (or PNGs) at true scale: workspace cards of four ArUco markers each, tip markers, and a
 ChArUco board that is held before the lens to calibrate it. The cards are laid around the workspace
@@ -31,7 +31,7 @@ DICTIONARY = "DICT_4X4_50"
 BOARD_DICTIONARY = "DICT_5X5_50"
 TIP_MARKER = 40
 A4_CM = (21.0, 29.7)
-PX_CM = 40  # of what is printed
+PX_CM = 40  # resolution of the printed pages
 
 
 class Card(Model):
@@ -41,13 +41,14 @@ class Card(Model):
     first_id: Annotated[int, Field(ge=0)]
     x_cm: Finite
     y_cm: Finite
-    turn_deg: Finite = 0.0  # of the card's arrow from the x axis, counter-clockwise
-    # Above the table: a card on a box tells the camera's height, which a plane alone hardly does.
+    turn_deg: Finite = 0.0  # direction of the card's arrow from the x axis, counter-clockwise
+    # Height above the table. A card on a box determines the camera's height; a plane alone hardly
+    # does.
     z_cm: Annotated[Finite, Field(ge=0, le=40)] = 0.0
 
 
-_LENGTH_CM = 53.0  # of the robot that these cards are for
-# Times that, up to which the usual tip marker is seen; and how much larger fits a page.
+_LENGTH_CM = 53.0  # length of the robot that these cards are for
+# Multiple of that length at which the usual tip marker is detected; enlargement that fits a page.
 _MARKER_SEEN, _MARKER_LARGEST = 2.3, 1.8
 _CARDS = [
     Card(name="base left", first_id=0, x_cm=0.0, y_cm=44.0),
@@ -73,11 +74,11 @@ class Sheet(Model):
     board_square_cm: Positive = 2.5
     board_columns: Annotated[int, Field(ge=4, le=12)] = 7
     board_rows: Annotated[int, Field(ge=4, le=16)] = 10
-    # Lens above the table by tape measure. Worth giving where no lens board was shown and no card
-    # stands on a box: a plane seen from above tells focal length from distance only poorly.
+    # Height of the lens above the table by tape measure. Give it if there is neither a lens board
+    # nor a card on a box: a plane seen from above hardly separates focal length from distance.
     camera_height_cm: Positive | None = None
     camera_height_se_cm: Positive = 1.0
-    # Printed length of the 10 cm bar, over 10: printers shrink pages.
+    # Printed length of the 10 cm bar over 10 cm: printers shrink pages.
     print_scale: Annotated[float, Field(gt=0.5, lt=1.5)] = 1.0
 
     @model_validator(mode="after")
@@ -95,9 +96,9 @@ class Sheet(Model):
 
     @classmethod
     def of_length(cls, length_cm: float) -> Sheet:
-        """The sheet for a robot of this length: its cards lie around all that it can reach.
+        """The sheet for a robot of this length, with cards around the area that it can reach.
 
-        A camera that sees all of a long one has few pixels for its tip's marker, which is larger.
+        A camera that sees all of a long robot has few pixels for the tip marker, so this is larger.
         """
         share = length_cm / _LENGTH_CM
         larger = min(max(share / _MARKER_SEEN, 1.0), _MARKER_LARGEST)
@@ -236,7 +237,7 @@ def card_decals(sheet: Sheet) -> list[Decal]:
 
 
 def tip_decal(sheet: Sheet, x_cm: Points, y_cm: Points, height_cm: float) -> Decal:
-    """The tip marker as it rides on a robot's axis (n,) and (n,), base to tip, at that height."""
+    """The tip marker on a robot whose axis is x_cm, y_cm (n,), base to tip, at a height."""
     side = sheet.tip_marker_cm * (1 + 2 / sheet.modules) * sheet.print_scale
     axis = np.column_stack([x_cm, y_cm])
     arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1)))

@@ -1,6 +1,6 @@
-"""Where pictures come from: a live camera, a video, stills, or a function (the emulator's room).
+"""Sources of pictures: a live camera, a video, stills, or a function (the emulator's room).
 
-All are asked for one picture at a time; none keeps more than one in memory.
+Each gives one picture at a time and keeps at most one in memory.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class PictureSource:
     # The newest (live) or next (recorded) picture, (h, w, 3) BGR; PictureError if there is none.
     read: Callable[[], Picture]
     close: Callable[[], None] = lambda: None  # lets go of the device or file
-    live: bool = False  # shows what is there now
+    live: bool = False  # whether a picture shows the present
 
 
 def _stills(paths: Sequence[Path]) -> PictureSource:
@@ -51,7 +51,7 @@ def _capture(device: int | str) -> PictureSource:
     """A live camera or a video file, through OpenCV."""
     live = isinstance(device, int)
     name = f"camera {device}" if live else device
-    # What fails is said below, in one line.
+    # Failures are reported below, in one line.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     capture = cv2.VideoCapture(device)
     if not capture.isOpened():
@@ -69,7 +69,7 @@ def _capture(device: int | str) -> PictureSource:
 
     def read() -> Picture:
         if live:
-            # A driver may hold one old picture: let it go.
+            # A driver may buffer an old picture: drop it.
             capture.grab()
         good, picture = capture.read()
         if not good or picture is None:
@@ -85,7 +85,7 @@ def _capture(device: int | str) -> PictureSource:
 def open_source(where: str | os.PathLike[str]) -> PictureSource:
     """A source by name: `0` or `camera:0` (live), a video file, a still, or a folder of stills.
 
-    Raises PictureError where there is nothing readable.
+    Raises PictureError if there is nothing readable.
     """
     text = os.fspath(where)
     number = text.removeprefix("camera:")

@@ -1,4 +1,4 @@
-"""A robot before it is built: made from a few numbers, and judged by mechanics."""
+"""Designs a robot before it is built: drafts it from a few numbers, and judges the draft."""
 
 from thigmo.design.draft import draft
 from thigmo.design.judge import Finding, judge

@@ -1,10 +1,9 @@
-"""A robot of a given length, sensors and muscles, with what is known of such robots.
+"""Drafts a robot of a given length, sensors and muscles by scaling the thesis's robot.
 
-The thesis's robot is scaled. Tail friction is assumed, not taken from a source: that it grows with
-the length inside the body and acts on its rim, while the pressure acts on its section, so that its
-pressure goes with 1 / radius. Body pressures are those of the
-thesis, or what growth needs if that is more. Muscles of a long robot are drafted weaker, so that a
-full bend does not close on itself.
+Tail friction is an assumption without a source: it grows with the length inside the body and acts
+on the rim, while the pressure acts on the section, so the pressure that overcomes it goes with
+1 / radius. Body pressures are those of the thesis, or what growth needs if that is more. Muscles of
+a long robot are drafted weaker, so that a full bend does not close on itself.
 """
 
 from __future__ import annotations
@@ -35,13 +34,13 @@ SHORTEST_CM, LONGEST_CM = 30.0, 300.0
 _ZONES = ((0.5, 1.47), (2 / 3, 1.01), (1.0, 0.49))  # share of the length, psi (thesis, 3.5)
 _MAPPED_PSI, _AMPLITUDE = (0.49, 1.01, 1.47), (0.030, 0.028, 0.026)  # scenes/default.toml
 _FULL_BEND_RAD = 2.5
-_GROWTH_MARGIN = 1.35  # of the pressure over what growth needs
-_SPAN_CM, _GAP_CM = 5.5, 1.1  # of a sensor, and to the next one: the tip's fold between them
-_END_CM = 3.0  # of the tip, without a sensor
-_CLEAR_CM = 1.5  # of an IMU behind the tip, where growth stops
-_IMU_ADDRESSES = (0x4A, 0x4B)  # of a BNO085, by its pin SA0
+_GROWTH_MARGIN = 1.35  # body pressure over the pressure that growth needs
+_SPAN_CM, _GAP_CM = 5.5, 1.1  # length of a sensor, and gap to the next for the tip's fold
+_END_CM = 3.0  # end of the body without a sensor
+_CLEAR_CM = 1.5  # distance of an IMU behind the tip where growth stops
+_IMU_ADDRESSES = (0x4A, 0x4B)  # I2C addresses of a BNO085, by its pin SA0
 _REST_S = 2.0  # IMUs do not creep after eversion
-_GRATING_CM = 1.0  # from one to the next, at least
+_GRATING_CM = 1.0  # least distance between gratings
 _POUCH_CM = 10.0
 _INTERROGATOR = "127.0.0.1:7400"
 # Of muscles, around the body: one or two bend it in the plane, more out of it.
@@ -65,20 +64,21 @@ def draft(
     """Draft a robot.
 
     Args:
-        length_cm: 30 to 300.
-        sensors: in each column; None for 5, or 4 with four muscles, as many as a Mega has inputs
-            for. Each muscle has a column of flex sensors opposite, which it leaves at rest. One
-            string of IMUs, or one fibre with two readings a grating, serves all muscles. A fibre
-            has flex sensors at the base beside it, by which the board's contact trigger works.
-        muscles: 1 or 2 in the plane, or 3 or 4 around the body, with flex sensors. Of three, the
-            two out of the plane are guarded by a base sensor at 90 degrees, because the board's
-            trigger has two inputs.
-        diameter_cm: of the tube.
-        name: of the robot; by its length if empty.
-        kind: of the sensors; each heading sensor ends with an IMU.
+        length_cm: full length, 30 to 300.
+        sensors: number of sensors in each column; None for 5, or 4 with four muscles, as many as a
+            Mega has inputs for. Each muscle has a column of flex sensors on the opposite side,
+            which it does not wrinkle. One string of IMUs, or one fibre with two readings at each
+            grating, serves all muscles. A fibre has flex sensors beside it at the base, for the
+            board's contact trigger.
+        muscles: number of muscles: 1 or 2 in the plane, or 3 or 4 around the body, with flex
+            sensors. Of three, the two out of the plane are guarded by a base sensor at 90 degrees,
+            because the board's trigger has two inputs.
+        diameter_cm: diameter of the tube.
+        name: name of the robot; made from its length if empty.
+        kind: kind of the sensors; each heading sensor ends with an IMU.
 
     Raises:
-        ConfigError: a number that is out of range, or more sensors than fit the length.
+        ConfigError: a number is out of range, or the sensors do not fit the length.
     """
     if not SHORTEST_CM <= length_cm <= LONGEST_CM:
         raise ConfigError(
@@ -150,7 +150,7 @@ def _flex(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
 
 
 def _imu(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
-    """From the IMU before, or the base, to one that is clear of the fold where growth stops."""
+    """A span from the last IMU, or the base, to one clear of the tip's fold where growth stops."""
     end = pitch_cm * (number + 1) - _CLEAR_CM
     start = end - pitch_cm if number else 0.0
     sensor = HeadingSensor(

@@ -1,11 +1,12 @@
-"""What a described robot will do, by mechanics, before it is built; each finding with its number.
+"""Predicts by mechanics what a described robot will do; each finding has its number.
 
-Growth against the tail's friction, the pull on the spool, bend and fold, what each muscle's sweep
-can feel and localize, how often each channel is read, and what the board cannot hold.
+Findings are about growth against the tail's friction, the pull on the spool, bend and fold, the
+contacts that each muscle's sweep can detect and localize, how often each channel is read, and
+values that the board cannot store.
 
-The contact that is judged is a peg just beside the straight body, and presses as hard as that can:
-a cantilever of free curvature g that is propped at its arc has a base moment over EI of 3/2 g, or
-the base folds.
+The contact considered is a peg just beside the straight body that presses as hard as it can: a
+cantilever of free curvature g that is propped at an arc has a base moment over EI of 3/2 g, or the
+base folds.
 """
 
 from __future__ import annotations
@@ -53,16 +54,16 @@ from thigmo.wiring import (
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
 _PROPPED = 1.5  # base moment over EI of a propped cantilever, over its free curvature
-_COUNTS = 1024  # of the converter
-_TICKS_HZ = 1000  # of the board
-# I2C in fast mode, nine bits a byte, and what begins and ends a transfer. Of an IMU behind a
-# multiplexer: its channel is written and read back, then 21 bytes of a BNO085's packet with a game
-# rotation vector are read (kTurnBits of firmware/core/sensing/imu_string.h).
+_COUNTS = 1024  # counts of the converter
+_TICKS_HZ = 1000  # rate of the board's control loop
+# I2C in fast mode, with nine bits a byte, plus start and stop. For an IMU behind a multiplexer, the
+# channel is written and read back, then 21 bytes of a BNO085's packet with a game rotation vector
+# are read (kTurnBits of firmware/core/sensing/imu_string.h).
 _BUS_HZ, IMU_BITS = 400_000, 9 * (2 + 2 + 1 + 21) + 3 * 2
-_REPORTS_HZ = 50  # of each IMU
-_TRIGGER_SIGMAS = 5.0  # a trigger on less fires without a contact
+_REPORTS_HZ = 50  # reports of each IMU
+_TRIGGER_SIGMAS = 5.0  # a trigger below so many standard deviations fires by noise
 _STEPS = 200
-# Errors that a calibration leaves (scenes/default.toml): relative, of a sensor's scale, and 1/cm.
+# Errors after a calibration (scenes/default.toml): of a sensor's scale, relative, and in 1/cm.
 _CALIBRATED_GAIN, _CALIBRATED_OFFSET = 0.02, 5e-4
 
 Floats = npt.NDArray[np.float64]
@@ -70,7 +71,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that will be so."""
+    """One prediction."""
 
     what: str
     mark: Literal["ok", "warning", "bad"]
@@ -101,14 +102,14 @@ def judge(config: RobotConfig) -> list[Finding]:
 
 
 def _not_held(config: RobotConfig) -> list[str]:
-    """Values that no parameter of its board can hold."""
+    """Values beyond the range of the board's parameters."""
     held = parameters(**board_of(config).capacity)
     settings = parameter_settings(config).items()
     return [problem for name, values in settings for problem in out_of_range(held[name], values)]
 
 
 def _board(config: RobotConfig) -> str:
-    """The board that the robot needs, and what that holds."""
+    """The board that the robot needs, and its capacity, as text."""
     board = board_of(config)
     return (
         f"{board.name}: {board.muscles} muscles, {board.sensors} sensors and "
@@ -117,7 +118,7 @@ def _board(config: RobotConfig) -> str:
 
 
 def _inputs(config: RobotConfig) -> Iterator[Finding]:
-    """On which of the board's inputs each column hangs, as page, record and export name them."""
+    """The board's inputs of each column, with the names that page, record and export use."""
     for column in columns(config):
         inputs = ", ".join(map(str, column.inputs))
         text = f"base first on the inputs {inputs}" if len(column.inputs) > 1 else f"input {inputs}"
@@ -212,7 +213,7 @@ def _out_of_plane(config: RobotConfig, muscle: Muscle) -> Iterator[Finding]:
 
 
 def _maps(config: RobotConfig, muscle: Muscle) -> Iterator[Finding]:
-    """Maps of a muscle that are of another body pressure than the one that they are used at."""
+    """Maps of a muscle that were measured at another body pressure than they are used at."""
     for zone, known in zip(config.body.zones, muscle.maps, strict=True):
         if abs(known.body_pressure_psi / zone.pressure_psi - 1) > SAME_PRESSURE:
             text = (
@@ -231,7 +232,7 @@ def _fold_moments(config: RobotConfig) -> list[float]:
 
 
 def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
-    """Where a sweep towards a side feels and localizes a contact, at the full length."""
+    """Where a sweep towards a side detects and localizes a contact, at the full length."""
     muscle, body = config.muscle(side), config.body
     what = f"sweep of {muscle.name}"
     sign = SIGN[side]
@@ -279,7 +280,10 @@ def _localized(
     offset: float,
     most_gain: float,
 ) -> npt.NDArray[np.bool_]:
-    """Which arcs' 95 % interval is narrow enough, by the bound of small deflections."""
+    """(n,) whether the 95 % interval of a contact at each arc is narrow enough.
+
+    The intervals are Cramer-Rao bounds for small deflections.
+    """
     gains = [min(s.gain_error, most_gain) * moment * (1 - s.center_cm / arcs[-1]) for s in column]
     noise = [hypot(s.reading_se, gain) for s, gain in zip(column, gains, strict=True)]
     centers, spans = ([getattr(s, key) for s in column] for key in ("center_cm", "span_cm"))
@@ -291,7 +295,7 @@ def _localized(
 
 
 def _resolution(config: RobotConfig) -> Iterator[Finding]:
-    """Flex sensors whose bends the converter cannot tell apart, as 1024 counts are the supply."""
+    """Flex sensors whose bends the converter resolves too coarsely: 1024 counts are the supply."""
     board, coarse = config.board, {}
     for name, sensor in _flex_sensors(config):
         total = board.divider_ohm + sensor.zero_ohm
@@ -348,7 +352,7 @@ def _flex_sensors(config: RobotConfig) -> list[tuple[str, FlexSensor]]:
 
 
 def _rates(config: RobotConfig) -> Iterator[Finding]:
-    """How often each kind of channel is read, by the schedule of firmware/core/board.h."""
+    """The rate of each kind of channel, by the schedule of firmware/core/board.h."""
     conversions = 2 ** PARAMETERS["oversample_log2"].defaults[0]
     bases, others = _TICKS_HZ / conversions, _TICKS_HZ / 2 / conversions
     if not config.board_sensors or beyond_board(config):
@@ -361,7 +365,7 @@ def _rates(config: RobotConfig) -> Iterator[Finding]:
 
 
 def _imus(config: RobotConfig) -> Iterator[Finding]:
-    """What a bus of IMUs takes, and whether the contact trigger can work on the first of them."""
+    """The load of the IMUs' bus, and whether the first IMU can serve the contact trigger."""
     imus = [sensor for sensor in config.sensors if isinstance(sensor, HeadingSensor)]
     if not imus:
         return
@@ -385,7 +389,7 @@ def _imus(config: RobotConfig) -> Iterator[Finding]:
 
 
 def _fibre(config: RobotConfig) -> Iterator[Finding]:
-    """What a fibre's readings are known to, beside what the contact trigger feels."""
+    """The error of a fibre's readings beside the contact trigger's threshold."""
     if not config.gratings:
         return
     worst = max(config.gratings, key=lambda sensor: sensor.reading_se)

@@ -1,7 +1,7 @@
-"""The body's mechanics: curvature of a loaded rod, its shape, its fold, and what sensors see of it.
+"""The body's mechanics: curvature and shape of a loaded rod, its fold, and its sensors' readings.
 
-EI = 1 everywhere: forces in 1/cm^2, moments in 1/cm. What is solved step by step is compiled: the
-C++ beside these files is the extension `_rod`.
+EI = 1 everywhere: forces are in 1/cm^2, moments in 1/cm. Iterative solvers are compiled: the C++
+files beside these are the extension `_rod`.
 """
 
 from thigmo.mechanics.closed_forms import critical_moment, fold_share, phi, traced

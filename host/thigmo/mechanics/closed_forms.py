@@ -1,7 +1,7 @@
-"""What needs no step-by-step solving: the base's fold, and what a sensor sees of force and fold.
+"""Closed forms: the moment at which the base folds, and sensor readings of force and fold.
 
-Past a critical contact moment the inflated tube wrinkles through and folds at its base; the moment
-then stays and the fold's angle takes up the rest (thesis, sections 2.3.3 and 3.2). An inflated
+At a critical contact moment the inflated tube wrinkles all round and folds at its base. The moment
+then stays constant while the angle of the fold grows (thesis, sections 2.3.3 and 3.2). An inflated
 tube's critical moment is proportional to its pressure (Comer and Levy 1963), so the value measured
 at one body pressure scales to others.
 """
@@ -15,7 +15,10 @@ Floats = npt.NDArray[np.float64]
 
 
 def critical_moment(critical_curvature: float, measured_psi: float, pressure_psi: float) -> float:
-    """Contact moment over EI (1/cm) at which the base folds, at another body pressure."""
+    """Contact moment over EI (1/cm) at which the base folds at `pressure_psi`.
+
+    `critical_curvature` (1/cm) is the moment over EI measured at `measured_psi`.
+    """
     return critical_curvature * pressure_psi / measured_psi
 
 
@@ -34,11 +37,11 @@ def fold_share(centers: npt.ArrayLike, spans: npt.ArrayLike, diameter: float) ->
 
 
 def phi(arc: npt.ArrayLike, center: npt.ArrayLike, span: npt.ArrayLike) -> Floats:
-    """Mean over the span of the lever (a - s)+ of a unit force at arc a; arguments broadcast.
+    """Mean over the span of the lever (a - s)+ of a unit force over EI at arc a.
 
-    That is the mean curvature that the force adds where deflections are small (docs/methods.md).
-    With span 0 this is the thesis's (2.9), max(a - x, 0). Lengths in any one unit; the result is in
-    that unit.
+    This is the mean curvature that the force adds for small deflections (docs/methods.md). With a
+    span of 0 it is the thesis's (2.9), max(a - x, 0). Arguments broadcast. Lengths are in any one
+    unit, and so is the result.
     """
     a, x, width = np.broadcast_arrays(
         np.asarray(arc, dtype=np.float64),
@@ -52,9 +55,9 @@ def phi(arc: npt.ArrayLike, center: npt.ArrayLike, span: npt.ArrayLike) -> Float
 
 
 def traced(heading: Floats, step: Floats | float) -> tuple[Floats, Floats]:
-    """Points x and y (..., n) of a line from the origin, from its headings (..., n), step by step.
+    """Points x and y (..., n) of a line from the origin with headings (..., n), rad.
 
-    The headings halfway make it of second order.
+    `step` is the distance between points. The midpoint headings make this second order.
     """
     middle = (heading[..., 1:] + heading[..., :-1]) / 2
     x, y = np.zeros_like(heading), np.zeros_like(heading)

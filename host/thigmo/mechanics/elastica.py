@@ -1,15 +1,14 @@
 """Large deflections of the body against round pegs, or pushed to a given force.
 
 Use `solve` for one equilibrium, `Rod` to follow a robot through time (each step starts from the
-last), and `push` for the direct question "what does the body do when a contact presses with force f
-at arc a": no peg needs to be known, nothing is iterated, so tests of estimators use it as truth.
+last), and `push` for the shape of the body under a force f at arc a. `push` needs no peg and does
+not iterate, so tests of estimators use it as truth.
 
-Model: planar, inextensible, EI = 1 (forces in 1/cm^2, moments in 1/cm), natural curvature g,
-clamped at the base at (0, 0) heading along x. Contacts are unilateral, and without
+The model is planar and inextensible with EI = 1 (forces in 1/cm^2, moments in 1/cm) and natural
+curvature g, clamped at the base at (0, 0) heading along x. Contacts are unilateral, and without
 friction unless a `Rod` is given some. The base folds when the contact moment there reaches
-`critical_moment`: it then stays at that value, and the fold's angle is spread over one diameter
-from the base. The method is in the compiled extension,
-`rod.h`.
+`critical_moment`. The moment then stays at that value, and the angle of the fold is spread over one
+diameter from the base. The compiled extension has the method (`rod.h`).
 """
 
 from __future__ import annotations
@@ -28,10 +27,11 @@ Floats = npt.NDArray[np.float64]
 _TIP_PASSES = 8
 Model = Literal["arc", "beam", "elastica"]
 ModelChoice = Literal["auto", "arc", "beam", "elastica"]
-# Relaxed: found by going downhill after a snap, then converged. Approximate: of penalty accuracy.
+# Relaxed: descended in energy after a snap, then converged. Approximate: as accurate as a penalty
+# method.
 Status = Literal["converged", "relaxed", "approximate"]
-# On the side (force along the normal of the centreline at the closest point), on a corner of the
-# flat end (oblique force that bears a tube radius off the centreline), or on the face of the end.
+# On the side (force along the centreline's normal at the closest point), on a corner of the flat
+# end (oblique force, a tube radius off the centreline), or on the face of the end.
 Kind = Literal["side", "corner", "face"]
 
 
@@ -55,7 +55,7 @@ class PegContact:
     # tangent (negative pushes towards the base; 0 on the side), 1/cm^2.
     normal: float
     tangential: float
-    # Moment about the centreline, 1/cm, counter-clockwise; its lever at a corner: the tube radius.
+    # Moment about the centreline, 1/cm, counter-clockwise; at a corner, its lever is the radius.
     couple: float
     x: float  # contact point on the skin (cm)
     y: float
@@ -78,11 +78,11 @@ class Tube:
 
 
 class Solution:
-    """One equilibrium of a rod, whatever becomes of the rod."""
+    """One equilibrium of a rod, which later steps of the rod do not change."""
 
     def __init__(self, rod: Rod) -> None:
         self._body = rod.save()
-        # The centreline at the mesh's nodes and the contacts, (n,) each. `curvature` leaves out the
+        # The centreline at the mesh's nodes and the contacts, (n,) each. `curvature` is without the
         # fold, which is `fold_angle` spread over [0, diameter].
         self.s, self.heading, self.curvature, self.x, self.y = rod.nodes().T
         self.length = rod.length  # everted (cm)
@@ -119,17 +119,17 @@ class Solution:
 
 
 class Rod(_rod.Rod):
-    """A body that remembers: each `step` starts from the last equilibrium, as a real one does.
+    """A body with a history: each `step` starts from the last equilibrium, as on a real robot.
 
     Args:
         tube: section and fold.
         pegs: obstacles.
-        cell_cm: mesh width; 1 cm gives about 1e-6 cm at a vine robot's bends.
-        model: "auto" takes the least model that is good enough at each step: "arc" while nothing
-            touches, "beam" where its error bound meets the tolerance, else "elastica". One of these
-            serves for all steps ("arc" feels no pegs).
-        tolerance_cm: error in position that the automatic choice may make.
-        friction: Coulomb's coefficient between skin and pegs; with it, "auto" leaves out the beam.
+        cell_cm: mesh width; 1 cm gives an error of about 1e-6 cm at a vine robot's bends.
+        model: "auto" uses the simplest sufficient model at each step: "arc" without contact, "beam"
+            if its error bound meets the tolerance, else "elastica". Any of these three names is
+            used for all steps ("arc" ignores pegs).
+        tolerance_cm: largest error in position of the automatic choice.
+        friction: Coulomb coefficient between skin and pegs; with it, "auto" never uses "beam".
     """
 
     def __init__(
@@ -148,10 +148,10 @@ class Rod(_rod.Rod):
         )  # fmt: skip
 
     def place(self, pegs: Sequence[Peg]) -> None:
-        """Put other pegs into the room, beside the body as it lies.
+        """Replace the pegs in the room.
 
-        A body that is clear of them stays where it is. One that is not, or was held by the old
-        ones, bends up again from straight, and pegs in its way push it aside.
+        A body that touches neither old nor new pegs stays as it is. Otherwise it is bent again from
+        straight, and pegs in its way push it aside.
         """
         self._place(_rows(pegs))
 
@@ -183,9 +183,9 @@ def solve(
 ) -> Solution:
     """Equilibrium of the body among pegs.
 
-    With pegs the answer depends on how the body came there: it starts straight at its full length
-    (cm) and the free curvature (1/cm) then rises in steps; pegs that overlap the straight body push
-    it aside. Use `Rod` for another history. The tube is 3.5 cm wide without a fold unless given.
+    With pegs the equilibrium depends on the history. Here the body starts straight at its full
+    length (cm), pegs that overlap it push it aside, and the free curvature (1/cm) rises in steps.
+    Use `Rod` for another history. The default tube is 3.5 cm wide and does not fold.
     """
     rod = Rod(tube or Tube(), pegs, cell_cm=cell_cm)
     rod.step(free_curvature, length)
@@ -202,10 +202,10 @@ def push(
     fold_angle: float = 0.0,
     cell_cm: float = 1.0,
 ) -> Solution:
-    """What the body does when side contacts press with given normal forces at given arcs.
+    """Equilibrium of the body under given normal forces at given arcs.
 
-    A direct problem: one integration from the tip to the base, no iteration, any size of bend. The
-    peg that does this is found with `peg_for`.
+    This is one integration from tip to base, without iteration, for bends of any size. `peg_for`
+    finds the peg that causes such a force.
 
     Args:
         force: normal forces (1/cm^2, signed as the curvature they add), scalar or shape (n,).
@@ -225,7 +225,7 @@ def push(
         raise DataError("force and arc must be finite and of the same shape (n,)")
     if np.any(a < 0) or np.any(a > length):
         raise DataError("arcs must lie between 0 and the length")
-    # Of pegs of any radius: nothing depends on it.
+    # The pegs' radius is arbitrary: nothing depends on it.
     end = 2.0 * length + np.pi + body.diameter_cm
     rod = Rod(body, [Peg(0.0, 0.0, 1.0)] * f.size, cell_cm=cell_cm)
     rod.press(np.abs(f), np.where(f < 0.0, end - a, a), fold_angle, free_curvature, length)
@@ -233,9 +233,9 @@ def push(
 
 
 def push_tip(moment: float, length: float) -> Solution:
-    """The straight body whose tip a force normal to it pushes until the base bends by a moment.
+    """Equilibrium of a straight body with a force normal to its tip that gives a base moment.
 
-    The moment is over EI (1/cm), the length in cm; no fold.
+    The moment is over EI (1/cm), the length in cm. The base does not fold.
     """
     force = moment / length
     for _ in range(_TIP_PASSES):
