@@ -25,10 +25,10 @@ def problem(arc: float, level: float, sigma: float, rng: np.random.Generator) ->
     return Problem(clean + sigma * rng.standard_normal(10), BOTH, SPAN, LENGTH, noise=sigma)
 
 
-def mean_error(name: str, level: float, sigma: float, trials: int = 30) -> float:
+def mean_error(name: str, level: float, sigma: float) -> float:
     rng = np.random.default_rng(5)
     errors = []
-    for _ in range(trials):
+    for _ in range(30):
         for arc in (LENGTH, 0.75 * LENGTH, 0.5 * LENGTH):
             arcs, _ = BASELINES[name](problem(arc, level, sigma, rng))
             errors.append(abs(arcs[0] - arc))

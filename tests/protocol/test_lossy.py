@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from itertools import count
 
 import numpy as np
 import pytest
@@ -84,11 +85,8 @@ class Witness:
         return None
 
 
-def counted(start: int = 1) -> Iterator[wire.SetParameter]:
-    value = start
-    while True:
-        yield wire.SetParameter(SETTLE, value)
-        value += 1
+def counted() -> Iterator[wire.SetParameter]:
+    return (wire.SetParameter(SETTLE, value) for value in count(1))
 
 
 def assert_executed_once_in_order(device: ReferenceDevice, witness: Witness) -> None:

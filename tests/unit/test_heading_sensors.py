@@ -91,8 +91,8 @@ def test_a_lab_believes_each_imu_in_one_place() -> None:
     assert 0.1 < np.std(ends[:, 1] - [sensor.ends_cm[1] for sensor in STRING]) < 0.6
 
 
-def _string(known: Imu, seed: int = 0) -> ImuString:
-    return ImuString(known, STRING, 22_000.0, 0.01, np.random.default_rng(seed))
+def _string(known: Imu) -> ImuString:
+    return ImuString(known, STRING, 22_000.0, 0.01, np.random.default_rng(0))
 
 
 def _turns(

@@ -17,9 +17,7 @@ CONFIG = RobotConfig()
 TABLE = SensorTable.of(CONFIG)
 
 
-def _growth(
-    start: float, stop: float, tip: float = 99.0, seed: int = 0, noise: float = 8e-4
-) -> tuple[Floats, Floats]:
+def _growth(start: float, stop: float, tip: float = 99.0, seed: int = 0) -> tuple[Floats, Floats]:
     """Readings of a growth whose tip stalls at `tip`: fold, creep after it, stowed offsets."""
     rng = np.random.default_rng(seed)
     length = np.linspace(start, stop, 120)
@@ -30,7 +28,7 @@ def _growth(
     since = np.maximum(true - high, 0) / 2.0  # s, at 2 cm/s
     creep = np.where(out >= 1, 0.02 * np.abs(rng.standard_normal(10)) * np.exp(-since / 8.0), 0.0)
     bend = sign * (0.15 * (1 - np.cos(2 * np.pi * out)) / 2 + creep)
-    bend += (1 - out) * 0.01 * rng.standard_normal(10) + noise * rng.standard_normal((120, 10))
+    bend += (1 - out) * 0.01 * rng.standard_normal(10) + 8e-4 * rng.standard_normal((120, 10))
     return length, bend + 0.3  # any zero
 
 

@@ -48,13 +48,13 @@ class Room:
         self.s, self.heading, self.x, self.y = axis_of(np.full(400, curvature), 53.0)
         self.pegs = [PegShape(30.0, -8.0, 1.0), PegShape(20.0, 14.0, 1.4)]
 
-    def picture(self, *, cards=(0, 1, 2, 3), tip=True, body=True, camera=None, look=None):
+    def picture(self, *, cards=(0, 1, 2, 3), tip=True, body=True, camera=None):
         patches = [d for n, d in enumerate(card_decals(SHEET)) if n in cards]
         if tip:
             patches.append(tip_decal(SHEET, self.x, self.y, 3.5))
         shape = BodyShape(self.x, self.y) if body else None
         return render(
-            camera or self.camera, View(shape, self.pegs, patches), look or Look(),
+            camera or self.camera, View(shape, self.pegs, patches), Look(),
             np.random.default_rng(5),
         )  # fmt: skip
 

@@ -86,29 +86,23 @@ def merge(first: FlexReadings, second: FlexReadings) -> FlexReadings:
 def real_sweeps(
     seed: int,
     sweeps: int = 6,
-    rows: int = 22,
     *,
-    lasting: float = 0.7,
-    decay: float = 6.0,
-    gain: float = 0.015,
     bow: float = 0.0,
     lost: float = 0.0,
 ) -> tuple[Lab, list[FlexReadings]]:
     """Sweeps out and back by a muscle, one recording each, as real flex sensors give them.
 
+    0.7 of the scatter's variance lasts over 6 rows; gains differ between sweeps by 0.015.
+
     Args:
         seed: of everything.
         sweeps: in turn to the left and to the right, two for each number.
-        rows: of each.
-        lasting: share of the scatter's variance that lasts over `decay` rows.
-        decay: in rows.
-        gain: one sigma of a sensor's gain from sweep to sweep.
         bow: share of the answer at full bend that goes beyond a straight line (sensors 1 and 6).
         lost: share of rows in which sensors 2 and 7 drop out to a constant.
     """
-    lab = Lab(seed)
-    rng, half = lab.rng, rows // 2
-    ramp = 0.035 * np.concatenate([np.linspace(0, 1, half), np.linspace(1, 0, rows - half)])
+    lab, rows = Lab(seed), 22
+    rng = lab.rng
+    ramp = 0.035 * np.concatenate([np.linspace(0, 1, 11), np.linspace(1, 0, 11)])
     loop = rng.normal(0, 3e-4, 10)
     found = []
     for _ in range(sweeps):
@@ -118,15 +112,15 @@ def real_sweeps(
             k[:, [1, 6]] = (1 - bow) * k[:, [1, 6]] + bow * np.abs(k[:, [1, 6]]) * k[:, [1, 6]] / (
                 0.035
             )
-            k = k * (1 + rng.normal(0, gain, 10))
+            k = k * (1 + rng.normal(0, 0.015, 10))
             k += loop * loop_turns(sign * ramp[:, None], np.zeros(rows, np.int64))
             slow = np.empty((rows, 10))
             slow[0] = rng.normal(0, 1, 10)
-            keep = np.exp(-1 / decay)
+            keep = np.exp(-1 / 6.0)
             for row in range(1, rows):
                 slow[row] = keep * slow[row - 1] + (1 - keep**2) ** 0.5 * rng.normal(0, 1, 10)
-            k += lab.sigma * (lasting**0.5 * slow)
-            k += lab.sigma * (1 - lasting) ** 0.5 * rng.normal(0, 1, k.shape)
+            k += lab.sigma * (0.7**0.5 * slow)
+            k += lab.sigma * 0.3**0.5 * rng.normal(0, 1, k.shape)
             wrinkled = slice(0, 5) if active == "left" else slice(5, 10)
             k[:, wrinkled] *= rng.uniform(0.0, 0.8, 5)
             ohm = lab.zero + k / lab.scale

@@ -206,7 +206,7 @@ def lifted(lies: float = 180.0) -> RobotConfig:
     return config
 
 
-def lifted_rows(config: RobotConfig, seed: int, gains: np.ndarray, noise: float = 5e-4):
+def lifted_rows(config: RobotConfig, seed: int, gains: np.ndarray):
     """Bends of that muscle as the bench keeps them; its first sensor broke on the way."""
     rng = np.random.default_rng(seed)
     made, up = bends(seed, "up", sigma=0.0), config.muscles[2]
@@ -215,7 +215,7 @@ def lifted_rows(config: RobotConfig, seed: int, gains: np.ndarray, noise: float 
     for n, (k, psi) in enumerate(zip(made.curvature, made.pressure_psi, strict=True)):
         ohm = rng.normal(0, 500, 16)
         for one, gain in zip(found, gains, strict=True):
-            read = one.share * gain * k + rng.normal(0, noise)
+            read = one.share * gain * k + rng.normal(0, 5e-4)
             ohm[one.number] = read / one.sensor.scale_per_ohm
         ohm[found[0].number] = np.nan if n > 20 else ohm[found[0].number]
         rows.append({"psi": psi, "ohm": ohm, "branch": made.branch[n], "trial": made.trial[n]})

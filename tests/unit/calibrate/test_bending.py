@@ -20,10 +20,10 @@ EI = 430.0  # N cm^2
 PULLS = np.array([0.05, 0.1, 0.14, -0.05, -0.1, -0.14])  # N at the tip
 
 
-def robot(gain: float = 0.02) -> RobotConfig:
+def robot() -> RobotConfig:
     config = RobotConfig()
     for sensor in sensors_of(config).values():
-        sensor.scale_se = gain
+        sensor.scale_se = 0.02
     return config
 
 

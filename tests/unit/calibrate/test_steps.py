@@ -29,15 +29,13 @@ from thigmo.record.table import write_table
 CRITICAL = 0.01108
 
 
-def pushes(
-    seed: int, trials: int = 5, noise: float = 3e-4, spread: float = 0.01
-) -> tuple[np.ndarray, float, float]:
+def pushes(seed: int, trials: int = 5) -> tuple[np.ndarray, float, float]:
     """Folded base: contact moment at the critical value, sides in turn."""
     rng = np.random.default_rng(seed)
     rows = []
     for trial in range(trials):
         sign = 1 if trial % 2 == 0 else -1
-        moment = CRITICAL * (1 + rng.normal(0, spread))
+        moment = CRITICAL * (1 + rng.normal(0, 0.01))
         force = moment / LENGTH
         for _ in range(3):
             bent = push(sign * force, LENGTH, free_curvature=0.0, length=LENGTH)
@@ -45,7 +43,7 @@ def pushes(
         k = push(sign * force, LENGTH, free_curvature=0, length=LENGTH).averages(CENTERS, SPANS)
         k = k.copy()
         k[[0, 5]] += sign * 0.15 / 5.5 * 0.23  # part of the fold lies under the base sensors
-        rows.append(k + rng.normal(0, noise, 10))
+        rows.append(k + rng.normal(0, 3e-4, 10))
     return np.array(rows), 0.49, LENGTH
 
 

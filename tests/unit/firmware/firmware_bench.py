@@ -42,8 +42,7 @@ def pressure_count(psi: float) -> float:
 class FlowingAir:
     """Transducers and muscles: each a lag from the current to the pressure."""
 
-    def __init__(self, muscles: int = 2, lag_s: float = 0.25) -> None:
-        self.lag_s = lag_s
+    def __init__(self, muscles: int = 2) -> None:
         self.gain = 1.0  # of the transducers
         self.psi = [0.0] * muscles
         self.stuck = [False] * muscles
@@ -54,7 +53,7 @@ class FlowingAir:
             mapped = 2 + 58 * (milliampere - 4) / 16 if milliampere >= 4 else 0.0
             wanted = self.gain * mapped
             if not self.stuck[side]:
-                self.psi[side] += (wanted - self.psi[side]) * dt / self.lag_s
+                self.psi[side] += (wanted - self.psi[side]) * dt / 0.25
 
 
 class TurningSpool:

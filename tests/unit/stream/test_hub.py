@@ -40,8 +40,8 @@ def a_block(readings: list[Telemetry]) -> TelemetryBlock:
     return TelemetryBlock(numbers, phases)
 
 
-def an_event(t_s: float = 1.0, name: str = "contact") -> Event:
-    return Event(t_s, t_s, name, "info", "the trigger fired", "")
+def an_event(t_s: float = 1.0) -> Event:
+    return Event(t_s, t_s, "contact", "info", "the trigger fired", "")
 
 
 def a_state(t_s: float = 1.0, doing: str = "growing") -> RunState:
