@@ -1,9 +1,9 @@
-"""What `localize` knows of its own errors: accuracy, coverage and wrong answers, error by error.
+"""Accuracy, coverage and wrong answers of `localize` under each kind of error.
 
-Bodies of independent truth (`contact_scenes`), each read under every error that sensors and models
-have in practice (`ERRORS`), once passed to `localize` and once not. A localized contact whose 95 %
-interval holds no true place is wrong; shares are of all frames. The price of distrust is charted
-too: contacts found, and bad readings believed, over the odds that a reading is bad.
+Truth is independent (`contact_scenes`). Each body is read under every error that sensors and models
+have in practice (`ERRORS`), once stated to `localize` and once not. A localized contact is wrong if
+its 95 % interval contains no true place; shares are of all frames. A further chart shows contacts
+found and bad readings believed over the prior odds that a reading is bad.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from thigmo.studies.engine import Claim, Context, Outcome, last, parts, share
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import LENGTH, ROBOT, SIGMA, SPAN
 
-BATCH = 250  # scenes that a process takes at a time: many are drawn faster than few
-RESOLVABLE = 5.0  # cm: errors are held against the Cramer-Rao bound where that is smaller
+BATCH = 250  # scenes in one task: large batches are drawn faster
+RESOLVABLE = 5.0  # cm: errors are compared with Cramer-Rao bounds below this
 ODDS = (1e-4, 1e-3, 1e-2, 5e-2)
 OFFSET = 5e-4  # 1/cm: 2 % of the actuator map's full scale
 STEP = 1.6e-3  # 1/cm: one count of the converter
@@ -36,7 +36,7 @@ STEP = 1.6e-3  # 1/cm: one count of the converter
 
 @dataclass(frozen=True)
 class Frame:
-    """Readings (N,) of one body, and what `localize` is given with them."""
+    """Readings (N,) of one body, and the arguments of `localize` for them."""
 
     curvature: Floats
     position: Floats
@@ -50,19 +50,25 @@ def _noise(rng: np.random.Generator, size: int) -> Floats:
 
 @dataclass(frozen=True)
 class Error:
-    """One kind of error: how it changes a frame, and how `localize` is given."""
+    """One kind of error: how it changes a frame, and how it is stated to `localize`."""
 
     # keyword arguments of `localize`, from the frame; None if it cannot be stated
     tell: Callable[[Frame], dict[str, Any]] | None = None
-    # what it does to a frame without noise
+    # changes a frame without noise
     clean: Callable[[np.random.Generator, Frame], Frame] = lambda rng, frame: frame
-    noise: Callable[[np.random.Generator, int], Floats] = _noise  # of a number of readings
-    # what it does to readings with noise
+    noise: Callable[[np.random.Generator, int], Floats] = (
+        _noise  # draws noise of a number of readings
+    )
+    # changes readings with noise
     read: Callable[[np.random.Generator, Floats], Floats] = lambda rng, readings: readings
-    groups: tuple[str, ...] = (*TOUCHED, "free", "free, bent")  # of scenes that it is tried on
+    groups: tuple[str, ...] = (
+        *TOUCHED,
+        "free",
+        "free, bent",
+    )  # groups of scenes that it is applied to
 
     def spoil(self, rng: np.random.Generator, frame: Frame) -> Frame:
-        """A frame without noise as it is read."""
+        """The frame with this error and noise."""
         frame = self.clean(rng, frame)
         noisy = frame.curvature + self.noise(rng, frame.curvature.size)
         return replace(frame, curvature=self.read(rng, noisy))
@@ -88,7 +94,7 @@ def _offset(rng: np.random.Generator, frame: Frame) -> Frame:
 
 
 def _bad(offset: float | None) -> Error:
-    """One reading is off by `offset`, or says nothing but zero."""
+    """One reading is off by `offset`; with None, it is always zero."""
 
     def read(rng: np.random.Generator, readings: Floats) -> Floats:
         which = rng.integers(readings.size)
@@ -100,7 +106,7 @@ def _bad(offset: float | None) -> Error:
 
 
 def _tell_friction(frame: Frame) -> dict[str, Any]:
-    """A column: what friction at the contact that is found without it would add."""
+    """A column of `shared_errors`: the effect of friction at the contact found without it."""
     plain = ask(frame, {})
     if len(plain.contacts) != 1:
         return {}
@@ -114,7 +120,7 @@ def _tell_friction(frame: Frame) -> dict[str, Any]:
 
 
 def _tell_uneven(frame: Frame) -> dict[str, Any]:
-    """Columns: the bend under each sensor, times the shapes of the softness along the body."""
+    """Columns of `shared_errors`: the bend under each sensor times each shape of the softness."""
     phase = contact_scenes.WAVES * frame.position
     shapes = contact_scenes.SOFTNESS * np.concatenate([np.cos(phase), np.sin(phase)])
     return {"shared_errors": (shapes * (frame.curvature - frame.free)).T}
@@ -140,7 +146,7 @@ OTHER_NOISE = ("Student's noise", "noise twice stated", "noise half stated", "co
 
 
 def ask(frame: Frame, stated: dict[str, Any]) -> LocalizeResult:
-    """What `localize` answers, with these options beside the usual ones."""
+    """The answer of `localize` with these options in addition to the usual ones."""
     return localize(
         frame.curvature, frame.position, length=LENGTH, span=SPAN, free_curvature=frame.free,
         noise=SIGMA, **ROBOT, **frame.stated, **stated,
@@ -168,10 +174,10 @@ Row = dict[str, Any]
 
 
 def other_readings_tell(frames: list[Frame]) -> NDArray[np.bool_]:
-    """(F,) whether the best fit of one contact to all readings, a bad one among them, is poor.
+    """(F,) whether one contact fits all readings of a frame poorly, the bad one included.
 
-    That is where its misfit is one that noise passes in less than one frame in a hundred. All
-    frames are of the same sensors.
+    Its misfit is then larger than noise gives in one of a hundred frames. All frames must have the
+    same sensors.
     """
     position = frames[0].position
     curvature, free = [frame.curvature for frame in frames], [frame.free for frame in frames]
@@ -187,14 +193,14 @@ def _scenes(seed: int, group: str, number: int, size: int) -> Scenes:
 
 
 def judge(task: tuple[Case, int, int, int]) -> Floats:
-    """Answer a batch of frames of a case: its seed, number and size.
+    """Answer a batch of frames; a task is a case with the batch's seed, number and size.
 
-    A contact is found if it is listed with a probability over one half. The error is NaN where
-    there is none to find, or none was found.
+    A contact is found if it is listed with a probability over one half. The error is NaN if there
+    is no contact, or none was found.
 
     Returns:
-        (size, 6) of each frame: found, covered, localized and wrong, squared error, bound, and
-        whether `other_readings_tell` of a bad one.
+        (size, 6) for each frame: found, covered, localized and wrong, squared error, bound, and
+        `other_readings_tell`.
     """
     case, seed, number, size = task
     scenes, error = _scenes(seed, case.group, number, size), ERRORS[case.error]
@@ -208,7 +214,7 @@ def judge(task: tuple[Case, int, int, int]) -> Floats:
     ]
     out = np.full((size, 6), np.nan)
     out[:, 4] = scenes.bound
-    # Only bad readings, at the usual odds, are asked about.
+    # Only needed for bad readings at the usual odds.
     out[:, 5] = other_readings_tell(frames) if case.error in BAD and case.odds is None else 0.0
     for i, (frame, arcs) in enumerate(zip(frames, scenes.arcs, strict=True)):
         contacts = ask(frame, error.tell(frame) if case.stated and error.tell else {}).contacts
@@ -222,7 +228,7 @@ def judge(task: tuple[Case, int, int, int]) -> Floats:
 
 
 def score(case: Case, frames: Floats) -> Row:
-    """A case's line, from the rows of `judge`."""
+    """The row of a case, from the frames (n, 6) of `judge`."""
     found, covered, wrong, off, bound, tells = frames.T
     felt = np.isfinite(off)
     fine = felt & (bound < RESOLVABLE)
@@ -235,7 +241,7 @@ def score(case: Case, frames: Floats) -> Row:
 
 
 def _claims(rows: list[Row]) -> list[Claim]:
-    """The promises: of clean frames, of errors stated, of bad readings and of other noise."""
+    """Promises for clean frames, stated errors, bad readings and other noise."""
     clean = {row["group"]: row for row in rows if row["error"] == "none"}
     limits = {"pressed": 1.15, "bent": 1.2, "peg": 1.2, "corner": 1.0}
     claims = [

@@ -1,9 +1,9 @@
-"""One method on one case: its error and its time, as every study counts them.
+"""Error and time of one method on one case, as every study counts them.
 
-Error is the mean |arc - true arc| over the contacts, ordered along the body (cm). No answer, or
-another number of contacts than there are, is an infinite error; more than 10 cm is a failure. Time
-is the processor's: a busy machine stretches the clock's time of a long call, not of a short one. It
-is the least of up to five calls: the first one after other methods finds nothing in the caches.
+The error is the mean |arc - true arc| over the contacts, ordered along the body (cm). It is
+infinite without an answer, or for a wrong number of contacts; more than 10 cm is a failure. The
+time is processor time, because wall time of long calls grows on a busy machine. It is the least of
+up to five calls, because the caches are cold for the first one after another method.
 """
 
 from __future__ import annotations
@@ -20,19 +20,18 @@ from thigmo.studies.baselines import BASELINES, Problem
 from thigmo.studies.scenes import CRITICAL, LENGTH, ROBOT, SIGMA, SPAN, Case
 
 FAILURE_CM = 10.0
-# The default method as robots run it: nobody says how many contacts there are, and the fold is
-# stated as calibrated.
+# The default method as on a robot: without the number of contacts, and with the calibrated fold.
 ON_A_ROBOT = "posterior on a robot"
-_CALLS, _CALLS_US = 5, 5_000.0  # calls (the quickest counts), and for how long they are repeated
+_CALLS, _CALLS_US = 5, 5_000.0  # most calls (the quickest counts), and their total time
 
 
 def attempt(
     case: Case, method: str, *, noise: float = SIGMA, start: float | None = None
 ) -> tuple[float, float]:
-    """Error (cm, infinite for no answer) and processor time (us) of a call, given the noise (1/cm).
+    """Error (cm, infinite for no answer) and processor time (us) of a call with known noise (1/cm).
 
-    The localizer is made before, as by any caller with more than one frame.
-    Baselines that need a starting point take `start`; the others none.
+    The localizer is made before, as by any caller with more than one frame. `start` (cm) is the
+    starting arc of baselines that need one.
     """
     answer = _asked(case, method, noise, start)
     times: list[float] = []
@@ -49,7 +48,7 @@ def attempt(
 
 
 def _asked(case: Case, method: str, noise: float, start: float | None) -> Callable[[], list[float]]:
-    """The call that is timed: the arcs (cm) that a method answers."""
+    """The call that is timed; it returns a method's arcs (cm)."""
     count = len(case.arcs)
     if method not in (*METHODS, ON_A_ROBOT):
 
@@ -75,13 +74,13 @@ def _asked(case: Case, method: str, noise: float, start: float | None) -> Callab
 
 
 def mean_and_failures(errors: np.ndarray) -> tuple[float, float]:
-    """Mean error of the answers (cm; NaN without any) and the share of failures."""
+    """Mean finite error (cm; NaN without any), and the share of failures."""
     answered = errors[np.isfinite(errors)]
     mean = float(answered.mean()) if answered.size else float("nan")
     return mean, float(np.mean(~(errors <= FAILURE_CM)))
 
 
 def mean_over(mine: np.ndarray, other: np.ndarray) -> float:
-    """Mean error of one method over another's, on the cases that both answered; NaN of none."""
+    """Mean error of one method over another's, on cases that both answered; NaN without any."""
     both = np.isfinite(mine) & np.isfinite(other)
     return float(mine[both].mean() / other[both].mean()) if both.any() else float("nan")

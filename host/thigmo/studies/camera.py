@@ -1,9 +1,9 @@
-"""How far the camera is off: random rooms are painted, looked at, and compared with the truth.
+"""Errors of the camera in random rendered rooms, for which the truth is known.
 
-Every rendering draws its own camera (height, tilt, lens), light, clutter, robot shape, dowels, and
-the slips of the hand that laid the cards. The lens is known in four ways (`WAYS`).
-Errors are in cm on the table: of any place at the robot's height, of the tip by its marker, of the
-axis's end, of dowels; and of curvature, in units of its own stated error too.
+Every rendering has its own camera (height, tilt, lens), light, clutter, robot shape, dowels, and
+errors of the cards' places. The lens is known in four ways (`WAYS`). The errors are those of
+places at the robot's height, of the tip by its marker, of the axis's end and of dowels, in cm.
+Errors of curvature are also in units of the stated error.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ from thigmo.studies.engine import Claim, Context, Outcome, share
 from thigmo.studies.rod import Floats
 from thigmo.studies.scenes import COLUMN, RADIUS, SPAN
 
-_BOX_CM = 8.0  # one card stands on a box of that height
+_BOX_CM = 8.0  # height of the box under one card
 
 
-# What is known of the camera beside the cards: nothing; one of them stands on a box; its height by
-# tape measure (0.7 cm); its lens, for the board was shown (then it is the default one).
+# Knowledge of the camera in addition to the cards: none; one card is on a box; the camera's height
+# by tape measure (0.7 cm); the lens, from the board (then it is the default camera).
 CARDS, BOX, TAPE, LENS = WAYS = (
     "cards only", "a card on a box", "height measured", "lens board",
 )  # fmt: skip
-_DOWELS = (TAPE, LENS)  # where dowels are looked for, and counted
+_DOWELS = (TAPE, LENS)  # ways in which dowels are detected and counted
 
 
 @dataclass
 class Glimpse:
-    """One rendering: its truth against what the camera made of it (nan = not seen)."""
+    """Errors of the camera in one rendering (nan = not seen)."""
 
     place_cm: float  # largest error of a place at the robot's height, over the workspace
-    accuracy_cm: float  # what the camera model said of its own places
+    accuracy_cm: float  # standard error that the camera model states
     free: bool  # whether it was a free bend
-    tip_cm: float = nan  # of the tip by its marker
-    end_cm: float = nan  # of the fitted axis's end
+    tip_cm: float = nan  # error of the tip by its marker
+    end_cm: float = nan  # error of the fitted axis's end
     pegs_cm: list[float] = field(default_factory=list)  # error of each dowel's place; nan = missed
     false_pegs: int = 0  # circles that are no dowels
-    # error of curvature and its stated error, 1/cm: of the one of a free bend, or of each span
+    # error of curvature and its stated error, 1/cm: one pair for a free bend, else one a span
     bend: list[tuple[float, float]] = field(default_factory=list)
 
 
@@ -59,7 +59,7 @@ def axis_of(curvature: Floats, length: float) -> tuple[Floats, Floats, Floats, F
 
 
 def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:
-    """Paint one random room and look at it in a way of `WAYS`, through a lens of `board_lens`."""
+    """Render one random room and detect it in a way of `WAYS`, with a lens of `board_lens`."""
     rng = np.random.default_rng([seed, 0x6115])
     camera = overhead_camera(rng)
     if way == LENS:
@@ -136,7 +136,7 @@ def _pegs(rng: np.random.Generator, heading: Floats, x: Floats, y: Floats) -> li
 
 
 def board_lens(poses: int = 10) -> Lens:
-    """Lens of the default camera, calibrated from painted pictures of the board."""
+    """Lens of the default camera, calibrated from rendered pictures of the board."""
     sheet = Sheet()
     camera = overhead_camera(None)
     rng = np.random.default_rng([0, 0xB0A2D])

@@ -1,4 +1,4 @@
-"""What the figures of the studies share: panels in one style, maps of cells, a legend for all."""
+"""Common parts of the studies' figures: panels in one style, maps of cells, shared legends."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from thigmo.report.axes import CYCLE, small
 
-# A figure is drawn in the size in which it is printed, so that points are points.
+# Figures are drawn at their printed width, so that font sizes are true.
 _PAGE_IN = 7.5
-_FLATTEST = 0.6  # of a panel's asked height, where a row of panels must shrink to fit the page
+_FLATTEST = 0.6  # least share of a panel's height if a row of panels shrinks to fit the page
 
 
 def panels(
@@ -28,9 +28,10 @@ def panels(
     title: str = "",
     share: bool | str = False,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure and its panels, row by row; `share` is "all" where they share both axes, not only y.
+    """A figure and its panels, row by row.
 
-    A panel has that size in inches; all are narrowed to fit a page.
+    `size` is that of a panel in inches; panels are narrowed to fit the page. `share` shares the y
+    axes, "all" both axes.
     """
     width = min(size[0] * columns, _PAGE_IN)
     height = size[1] * rows * max(width / (size[0] * columns), _FLATTEST)
@@ -49,7 +50,7 @@ Series = Mapping[str, Iterable[tuple[float, float]]]
 
 
 def curves(axis: Axes, series: Series, **settings: Any) -> None:
-    """Marked lines of (x, y) points by name, and settings of the axis."""
+    """Draw marked lines of (x, y) points by name, and apply settings of the axis."""
     for name, points in series.items():
         axis.plot(*np.array(list(points)).T, "o-", markersize=4, linewidth=1.1, label=name)
     axis.set(**settings)
@@ -64,9 +65,10 @@ def cells(
     texts: Sequence[Sequence[str]],
     **image: Any,
 ) -> Any:
-    """A map of cells with a text in each; returns matplotlib's image.
+    """Draw a map of cells with a text in each, and return matplotlib's image.
 
-    Values are (rows, columns), labels of ticks stand for both, `image` are `Axes.imshow`'s options.
+    `values` and `texts` are (rows, columns); `rows` and `columns` are labels of ticks; `image`
+    holds options of `Axes.imshow`.
     """
     array = np.asarray(values, dtype=np.float64)
     axis.grid(visible=False, which="both")
@@ -87,10 +89,10 @@ def named(
     names: Sequence[str],
     stairs: Sequence[tuple[float, float]],
 ) -> None:
-    """Write each point's name beside it, where it covers no point, no other name and no stairs.
+    """Write each point's name beside it, without covering points, other names or stairs.
 
-    The figure must be drawn. A name that finds no room stands at the right. Stairs are points of a
-    line that is drawn in steps, each after its point.
+    The figure must have been drawn. A name without room goes to the right margin. Stairs are the
+    points of a line of steps, each of which follows its point.
     """
     frame = axis.get_window_extent()
     taken = [Bbox.from_bounds(x - 6, y - 6, 12, 12) for x, y in axis.transData.transform(points)]
@@ -119,7 +121,7 @@ def named(
 
 
 def legend_below(figure: Figure, *, panel: int = 0, title: str | None = None) -> None:
-    """One legend for all panels, that of one of them, where it covers nothing."""
+    """Put one panel's legend below all panels, where it covers nothing."""
     handles, labels = figure.axes[panel].get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="outside lower center", ncols=6 if title else 4, fontsize=7,

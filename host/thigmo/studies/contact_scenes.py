@@ -1,8 +1,8 @@
-"""Bodies in groups, that touch something or nothing, and what sensors read on them without noise.
+"""Groups of bodies with and without contact, and noise-free readings of their sensors.
 
-Truth is the independent rod (`rod`, `pegs`). With each place of contact comes the Cramer-Rao bound
-of an estimator that knows all but place and force. The rod also says whether one contact explains
-readings. Used by the studies of accuracy and of loads.
+Truth is the independent rod (`rod`, `pegs`). Each contact has the Cramer-Rao bound of its place for
+an estimator that knows all but place and force. `misfit_of_one_contact` decides with the same rod
+whether one contact explains readings. The studies of accuracy and of loads use these scenes.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from thigmo.studies.pegs import Part, outline, rooms
 from thigmo.studies.rod import Floats, Profile, solve
 from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
 
-MOST_FREE = 0.05  # 1/cm, of bent bodies
+MOST_FREE = 0.05  # 1/cm, largest free curvature of bent bodies
 FRICTION = (0.3, 0.6)  # coefficients, of either sign
-WAVES = np.arange(1.0, 5.0)[:, None] * np.pi / LENGTH  # of the stiffness along the body, 1/cm
-SOFTNESS = 0.2 / np.sqrt(len(WAVES))  # of each: the relative standard deviation of EI is 0.2
+WAVES = np.arange(1.0, 5.0)[:, None] * np.pi / LENGTH  # wave numbers of the stiffness, 1/cm
+SOFTNESS = 0.2 / np.sqrt(len(WAVES))  # amplitude of each wave: EI varies by 0.2 (relative s.d.)
 
 
 @dataclass(frozen=True)
 class Scenes:
-    """S bodies and what sensors read on them, without noise."""
+    """S bodies and the noise-free readings of their sensors."""
 
     curvature: Floats  # (S, N)
     position: Floats  # (N,)
@@ -34,7 +34,7 @@ class Scenes:
     arcs: Floats  # (S, C) contacts; C is 0 for free bodies
     # (S,) Cramer-Rao standard deviation (cm) of a contact's place; infinite without one
     bound: Floats | float = np.inf
-    # (S,) misfit of what a promise speaks of, where that depends on no noise
+    # (S,) misfit that decides whether a promise covers a body, if it does not depend on noise
     stands_out: Floats | None = None
 
 
@@ -42,18 +42,18 @@ Draw = Callable[[np.random.Generator, int], Scenes]
 
 
 def holds(arcs: Floats, interval: tuple[float, float]) -> bool:
-    """Whether an interval holds one of the true places."""
+    """Whether an interval contains one of the true places."""
     low, high = interval
     return bool(((arcs >= low - 1e-6) & (arcs <= high + 1e-6)).any())
 
 
 def signs(rng: np.random.Generator, count: int) -> Floats:
-    """Either side, evenly."""
+    """(count,) 1.0 or -1.0 at random."""
     return rng.choice([-1.0, 1.0], count)
 
 
 def rubbing(force: Floats, friction: Floats | float) -> dict[str, Any]:
-    """What friction adds to a force: it acts on the skin, on the side that the push comes from."""
+    """Options of `rod.solve` for friction, which acts on the skin where the body is pushed."""
     along = friction * np.abs(force)
     return {"tangential": along, "couple": np.sign(force) * RADIUS * along}
 
@@ -66,7 +66,7 @@ def one_contact(
     friction: Floats | float = 0.0,
     stiffness: Profile | None = None,
 ) -> Scenes:
-    """One contact on the side of each body, with the bound of its place where force is unknown."""
+    """One contact on the side of each body, with the bound of its place for unknown force."""
 
     def read(arc: Floats, force: Floats) -> Floats:
         load = rubbing(force[:, None], np.reshape(friction, (-1, 1)))
@@ -89,7 +89,7 @@ def pressed(rng: np.random.Generator, count: int) -> Scenes:
 
 
 def bent(rng: np.random.Generator, count: int, **options: Any) -> Scenes:
-    """A bent body against something on its side; the inactive side's five sensors read."""
+    """A bent body with a contact on its side; the five sensors of the inactive side read."""
     free = signs(rng, count) * rng.uniform(0.005, MOST_FREE, count)
     arc = rng.uniform(8.0, LENGTH, count)
     moment = rng.uniform(0.2, 1.0, count) * np.minimum(CRITICAL, 0.9 * np.abs(free))
@@ -102,7 +102,7 @@ def rubbed(rng: np.random.Generator, count: int) -> Scenes:
 
 
 def uneven(rng: np.random.Generator, count: int) -> Scenes:
-    """As `bent`, of a stiffness that varies smoothly along the body."""
+    """As `bent`, with stiffness that varies smoothly along the body."""
     size = SOFTNESS * rng.standard_normal((2, len(WAVES), count))
 
     def stiffness(arc: Floats) -> Floats:
@@ -151,9 +151,9 @@ BENT = ("bent", "peg", "corner")
 
 
 def misfit_of_one_contact(curvature: Floats, position: Floats, free: Floats) -> Floats:
-    """(F,) least misfit that a contact on the side leaves of each frame's readings (F, N).
+    """(F,) least misfit of one contact on the side to the readings (F, N) of each frame.
 
-    Misfits are sums of squares over the noise's variance. All frames are of the same sensors, at
+    Misfits are sums of squares over the noise's variance. All frames have the same sensors, at
     `position` (N,), on bodies of free curvature (F,).
     """
     places = np.linspace(1.0, LENGTH, 53)
@@ -166,7 +166,7 @@ def misfit_of_one_contact(curvature: Floats, position: Floats, free: Floats) -> 
         return read - bodies.readings(position, SPAN)
 
     force, step = np.zeros_like(arcs), 1e-6  # 1/cm^2
-    for _ in range(2):  # Gauss and Newton: the body is all but linear in the force
+    for _ in range(2):  # Gauss-Newton: the body is almost linear in the force
         rest = excess(force)
         slope = (rest - excess(force + step)) / step
         power = np.maximum((slope**2).sum(axis=1), 1e-12)

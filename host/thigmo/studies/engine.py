@@ -1,4 +1,4 @@
-"""What a study is, and how studies run: over cores or a cluster, into tables, figures and claims.
+"""Runs studies over cores or a cluster, and writes their tables, figures and claims.
 
 A study is a function from a `Context` to an `Outcome`. Tables become CSV and JSON, figures PNG, SVG
 and PDF; claims are the numbers that the project promises, each with its limit, printed with a
@@ -33,27 +33,27 @@ Value = TypeVar("Value")
 Record = Mapping[str, float | int | str | bool]
 """A line of a table; units stand in the names of its columns."""
 
-WORKERS_WITHIN_S = 10.0  # a cluster's workers are waited for
+WORKERS_WITHIN_S = 10.0  # time to wait for a cluster's workers
 
 
 def share(flags: Sequence[Any] | NDArray[Any]) -> float:
-    """Share of those that hold; NaN of none."""
+    """Share of flags that are true; NaN without flags."""
     return float(np.mean(flags)) if len(flags) else float("nan")
 
 
 def last(item: Sequence[Any]) -> int:
-    """Size of an item whose last part is its number of cases, as of `parts`."""
+    """The last element of an item: its number of cases, as from `parts`."""
     return int(item[-1])
 
 
 def parts(total: int, size: int) -> list[tuple[int, int]]:
-    """Number and size of each batch of at most `size` that together make `total`."""
+    """Number and size of the batches, of at most `size` each, that add up to `total`."""
     return [(k, min(size, total - size * k)) for k in range(-(-total // size))]
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A promised number: what, how much, and the limit that it is held against."""
+    """A promised number with its limit."""
 
     text: str
     value: float
@@ -63,7 +63,7 @@ class Claim:
     standard_error: float = 0.0  # of the value, by the size of its sample; NaN if it is not known
 
     def said(self, scale: Scale) -> str:
-        """The claim with its verdict; a quick look decides none that does not hold."""
+        """The claim with its verdict, as text. At quick scale, a miss is reported as undecided."""
         text = str(self)
         return text.replace("MISSED", "not met in a quick look") if scale == "quick" else text
 
@@ -73,7 +73,7 @@ class Claim:
         return bool(self.value <= self.limit if self.at_most else self.value >= self.limit)
 
     def record(self) -> dict[str, Any]:
-        """As plain data, for JSON."""
+        """The claim as plain data, for JSON."""
         numbers = {"value": float(self.value), "limit": float(self.limit)}
         plain = {"claim": self.text, **numbers, "at_most": self.at_most, "unit": self.unit}
         return {**plain, "holds": self.holds}
@@ -104,7 +104,7 @@ class Outcome:
     kept: tuple[str, ...] = ("rows",)  # tables that programs get as well
 
     def record(self) -> dict[str, Any]:
-        """What programs get: the rows of the comparison, if there is one, claims and notes."""
+        """Plain data for programs: the rows of kept tables, claims and notes."""
         tables = {name: self.tables.get(name, []) for name in self.kept}
         claims = [claim.record() for claim in self.claims]
         return tables | {"claims": claims, "notes": self.notes, "samples": dict(self.samples)}
@@ -120,8 +120,8 @@ class Context:
     backend: str = "loky"  # joblib's: "loky" (processes here) or "dask" (a cluster)
     # called with (part, done, total) as items finish
     progress: Callable[[str, int, int], None] = lambda part, done, total: None
-    # called with what a study has found so far, when a part of it is done: what it has of tables
-    # and claims is then written, and stopping the rest loses nothing
+    # called with the results so far when a part of the study is done; they are written, so that
+    # stopping the rest loses nothing
     save: Callable[[Outcome], object] = lambda outcome: None
     samples: dict[str, int] = field(default_factory=dict)  # cases of each part that `map` has run
 
@@ -151,7 +151,7 @@ class Context:
         calls = [delayed(function)(item) for item in items]
         self.progress(part, 0, len(calls))
         results: list[Value] = []
-        # Ctrl-C reaches every process of a terminal; workers leave it to this one.
+        # Ctrl-C reaches every process of a terminal; workers leave it to the main one.
         deaf = {"initializer": _ignore_interrupts} if self.backend == "loky" else {}
         with parallel_config(backend=self.backend, n_jobs=self.jobs, **deaf):
             for value in Parallel(return_as="generator")(calls):

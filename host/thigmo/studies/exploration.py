@@ -1,14 +1,14 @@
-"""Whole explorations on the emulator, of robots that are and are not what their calibration says.
+"""Whole explorations on the emulator, of robots that agree or disagree with their calibration.
 
-Each peg is drawn where the noise-free plant says that some sweep must feel it (`emulator.reach`),
-and a robot explores that room: the default scene's, or one whose body or sensors are off what
-robot.toml says without a word of it. Empty rooms are explored as well; whatever is reported there
-is a false contact. So are rooms of walls, corners and gaps, of dowels apart or side by side, and
-growths that tail friction stops where nothing stands. Contacts are held against the surfaces that
-were touched, and never against what was out of reach. The map for planners of every room with pegs
-is held against the room: cells inside pegs that it calls free, apart for pegs that were felt and
-those that were missed. Last, rooms of three kinds are explored with every effort, with budgets of
-robot time and by the thesis's protocol: what seconds buy.
+Each peg is drawn where some sweep of the noise-free plant must feel it (`emulator.reach`). The
+robot that explores the room is the default scene's, or one whose body or sensors differ from
+robot.toml without being stated. Empty rooms are explored as well, where every contact reported is
+false, and so are rooms of walls, corners and gaps, of dowels apart or side by side, and growths
+that tail friction stops without an obstacle. Contacts are compared with the surfaces that were
+touched, never with what was out of reach. The planners' map of every room with pegs is compared
+with the room: it counts cells inside pegs that are called free, separately for pegs that were felt
+and missed. Last, rooms of three kinds are explored with every effort, with budgets of robot time
+and by the thesis's protocol, to show what robot time gains.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from thigmo.studies.rooms import explored_scene
 from thigmo.studies.scenes import RADIUS
 
 ROUNDS = 10  # parts of all rooms; the results so far are written after each
-LENGTH_CM = 0.1  # the everted length, where an interval ends, is known no better
+LENGTH_CM = 0.1  # error of the everted length, at which intervals end
 _RADII_CM = (0.25, 2.5)
 _MOST_PEGS = 3
 _MOST_DOWELS = 64  # of a scene
@@ -50,18 +50,18 @@ _BETWEEN_CM = 0.5  # pegs stand at least so far apart
 class Kind:
     """A kind of robot and room."""
 
-    rooms: int  # of the published figures
+    rooms: int  # number of rooms for the published figures
     scene: str = "default"  # built-in scene of the robot
-    bend: float = 1.0  # how much the body bends, over what the host's maps say
+    bend: float = 1.0  # bend of the body over that of the host's maps
     # relative standard deviation of the sensors' gains, which robot.toml does not state
     gains: float = 0.0
     noise: float = 1.0  # multiple of the scene's noise and calibration errors
     peg: bool = True  # whether a peg stands in the room
-    more: bool = False  # whether up to two more do, for the map
-    wall: bool = False  # whether a wall stands there instead
+    more: bool = False  # whether there are up to two more pegs, for the map
+    wall: bool = False  # whether there is a wall instead
     # tail friction (psi/cm) at which growth stalls somewhere; None: the scene's
     friction: tuple[float, float] | None = None
-    rubs: float = 0.0  # most friction between the body and what stands in the room
+    rubs: float = 0.0  # largest friction coefficient between body and obstacles
 
 
 TRUE, MORE = CALIBRATED = ("as calibrated", "one to three pegs")  # of the default scene's robot
@@ -88,18 +88,18 @@ _NOISY = tuple(name for name in KINDS if "noisy" in name or "empty," in name or 
 DIALLED = {TRUE: 20, MORE: 6, WALLS: 6}
 BUDGETS_S = (60.0, 100.0, 150.0, 250.0, 400.0)
 SETTINGS = ("thesis", *EFFORTS, *(f"{time_s:g} s" for time_s in BUDGETS_S))
-_NEAR_CM = 1.5  # an occupied cell so near a surface is true
-_OFF_CM = 4.0  # farther from all that was touched a contact is false, and a true one missed
+_NEAR_CM = 1.5  # distance to a surface within which an occupied cell is right
+_OFF_CM = 4.0  # distance to all touched surfaces beyond which a contact is false or missed
 
 
 @dataclass
 class Explored:
-    """What an exploration of a room came to."""
+    """The result of exploring a room."""
 
     # kind, seed: of the room
     kind: str
     seed: int
-    setting: str = "default"  # of robot time: an effort, a budget, or the thesis's protocol
+    setting: str = "default"  # an effort, a budget of robot time, or the thesis's protocol
     time_s: float = nan  # robot time
     # x_cm, y_cm, radius_cm: of its peg; NaN without one
     x_cm: float = nan
@@ -123,7 +123,7 @@ class Explored:
     cause: str = ""  # the likeliest of a stall: "obstacle", "wall" or "pressure"; empty without one
 
     def judge(self, document: RunDocument) -> None:
-        """Hold what the run says against the room."""
+        """Compare the run's contacts with the room."""
         self.time_s = document.robot_time_s
         if (stalled := document.stall) is not None:
             self.cause = max(
@@ -174,24 +174,24 @@ class Explored:
 
 
 class Mapped(NamedTuple):
-    """A run's map against the room."""
+    """Comparison of a run's map with the room."""
 
-    # felt, felt_free: cells inside pegs that were felt, and those of them that are free
+    # felt, felt_free: cells inside pegs that were felt, and how many of them are called free
     felt: int
     felt_free: int
-    # missed, missed_free: the same of pegs that a sweep touched unnoticed, or did not
+    # missed, missed_free: the same for all other pegs
     missed: int
     missed_free: int
-    # free, swept: cells that are free, and those that the sweeps seem to cover
+    # free, swept: cells called free, and cells that the sweeps seem to cover
     free: int
     swept: int
-    # occupied, occupied_near: cells that are occupied, and those of them near a peg's surface
+    # occupied, occupied_near: cells called occupied, and how many of them are near a surface
     occupied: int
     occupied_near: int
 
 
 def judge_map(document: RunDocument) -> Mapped:
-    """Compare a run's map with the room that the emulator knows."""
+    """Compare a run's map with the emulator's room."""
     grid, _ = occupancy(document, RADIUS)
     bold, _ = occupancy(document, RADIUS, sigmas=0.0)
     free, felt = grid.cells == FREE, felt_pegs(document)
@@ -323,7 +323,7 @@ def rooms(context: Context) -> list[list[tuple[str, int, str]]]:
 
 
 def run(context: Context) -> Outcome:
-    """Rooms of every kind, and what is promised of them."""
+    """Explore rooms of every kind, and check the promises."""
     runs: list[Run] = []
     outcome = Outcome()
     rounds = rooms(context)
@@ -376,7 +376,7 @@ def _outcome(every: list[Run]) -> Outcome:
 
 
 def _map_shares(whose: str, maps: list[Mapped]) -> list[tuple[str, float]]:
-    """What maps cost, in per cent of cells: the first is promised of robots as calibrated."""
+    """Shares of wrong cells in per cent; the first is promised for calibrated robots."""
     total = Mapped._make(sum(one[n] for one in maps) for n in range(len(Mapped._fields)))
     return [
         (f"{whose}, {len(maps)} rooms: of {total.felt} cells inside pegs that were felt, free",
@@ -449,7 +449,7 @@ def _claims(found: list[Explored]) -> list[Claim]:
 
 
 def _dial(found: list[Explored]) -> list[Record]:
-    """What each setting of robot time buys in each kind of room."""
+    """Results of each setting of robot time in each kind of room."""
     rows: list[Record] = []
     seeds = {one.seed for one in found if one.setting != "default"}
     for kind in DIALLED:
@@ -474,7 +474,7 @@ def _dial(found: list[Explored]) -> list[Record]:
 
 
 def _dial_claims(rows: list[Record]) -> list[Claim]:
-    """What one-peg rooms are promised of each effort; budgets are kept to in every room."""
+    """Promises of each effort in rooms with one peg, and of budgets in all rooms."""
     one = {row["setting"]: row for row in rows if row["kind"] == TRUE}
     if len(one) < len(SETTINGS):
         return []
@@ -539,14 +539,14 @@ def dial_figure(rows: Sequence[Record]) -> Figure:
             for rows in (mine, budgets)
         )
         x, y = np.array(line).T
-        fine = np.linspace(x[0], x[-1], 200)  # steps so fine that they are the line
+        fine = np.linspace(x[0], x[-1], 200)  # steps fine enough to look like a line
         steps = list(zip(fine, np.interp(fine, x, y), strict=True))
         charts.named(axis, points, [str(row["setting"]) for row in mine], steps)
     return figure
 
 
 def _figure(found: list[Explored]) -> Figure:
-    """Where pegs were found, and what went wrong by kind."""
+    """Places where pegs were found, and failures by kind."""
     figure, (first, second) = charts.panels(1, 2, size=(6.5, 5.5))
     pegs = [one for one in found if np.isfinite(one.x_cm)]
     for label, marker, color, those in (

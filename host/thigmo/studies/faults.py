@@ -1,9 +1,9 @@
-"""Single failures in each state: what notices them, how soon it is safe, what it costs.
+"""Single failures in each state: how they are detected, and how soon the robot is safe.
 
 The firmware runs on the virtual board in the emulated body, at the body pressure that pulls hardest
-at the tail. A failure begins in the middle of a motion and lasts; true pressure, true length and
-the board's outputs are watched. A failure that no signal shows is listed with the hardware that
-covers it. The same visits run on the real image (tests/sim/mega).
+at the tail. A failure begins in the middle of a motion and persists; true pressure, true length and
+the board's outputs are recorded. A failure that no signal shows is listed with the hardware that
+covers it. The same cases run on the real image (tests/sim/mega).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from thigmo.studies.engine import Claim, Context, Outcome, Record
 MAX_PSI = 18.5  # max_pressure_cpsi of robot.toml's 18 psi, with its margin
 START_CM = 20.0
 LASTS_S = 12.0
-STEADY_S = 2.0  # at the end of the failure
+STEADY_S = 2.0  # end of the failure over which steady values are taken
 _LIVE_ZERO = 320  # of 1599: 4 mA
-EMPTIED_CM = 12.0  # a second of the spool at full speed: the body empties in about that
+EMPTIED_CM = 12.0  # travel of the spool in a second at full speed, while the body empties
 FILL_S = 15.0  # for the body, through its throttle
 QUIET_S = 0.5  # outputs that have been off for so long stay off
 RECOVERY_S = 4.0
@@ -52,17 +52,17 @@ NO_HARM = "none needed: outputs are sound; the localizer weighs such readings"
 
 @dataclass(frozen=True)
 class Failure:
-    """One thing that breaks."""
+    """A failure of one part."""
 
     name: str  # for the table
     # kind, options: as a scene's `[[faults]]` has them
     kind: str
     options: dict[str, Any] = field(default_factory=dict, hash=False)
     valve: bool = False  # the air itself fails: no output of the board changes the pressure
-    # spool: the spool itself or its supply fails: no duty of the board changes its motion, or
-    # nothing shows while it moves
+    # spool: the spool itself or its supply fails: the board's duty does not change its motion, or
+    # nothing shows that it moves
     spool: bool = False
-    covered: str = ""  # what covers it where no signal shows it, or where the firmware cannot act
+    covered: str = ""  # hardware that covers it if no signal shows it or the firmware cannot act
 
 
 FAILURES = (
@@ -112,7 +112,7 @@ FAILURES = (
     Failure("e-stop pressed", "estop"),
 )  # fmt: skip
 
-# What the robot does when the failure begins, and how long it has been at it.
+# Commands before the failure, and the time from them to the failure.
 STATES: dict[str, tuple[tuple[wire.Command[Any], ...], float]] = {
     "safe": ((wire.Disarm(),), 0.5),
     "ready": ((), 0.5),
@@ -145,20 +145,20 @@ class Case:
 
 @dataclass(frozen=True)
 class Visit:
-    """What came of it."""
+    """The effects of a failure."""
 
     noticed: str  # faults by which the board stopped, "reset", or "" if it did not notice
-    # from the failure until the outputs are off for good; None if they stay on
+    # time from the failure until the outputs are off for good; None if they stay on
     safe_s: float | None
     # peak_psi, steady_psi: highest true muscle pressure, and that of the last two seconds
     peak_psi: float
     steady_psi: float
-    moved_cm: float  # farthest that the tip grew from where the failure found it
+    moved_cm: float  # largest growth of the tip after the failure began
     # beyond_cm: farthest that the true length was beyond both that and what the encoder shows
     beyond_cm: float
-    pull_n: float  # most on the line
-    recovers: bool  # once the failure is over, faults clear and the robot arms, without a reset
-    driven: int  # most muscles that were driven at once, above the transducers' live zero
+    pull_n: float  # largest pull on the line
+    recovers: bool  # whether faults clear and the robot arms after the failure, without a reset
+    driven: int  # largest number of muscles driven at once, above the transducers' live zero
 
 
 BoardFor = Callable[[bytes], Board]
@@ -181,7 +181,7 @@ def _scene(fit: Fit = "bare", muscles: int = 2) -> Scene:
 
 @cache
 def stored(fit: Fit = "bare", muscles: int = 2) -> bytes:
-    """The store of a configured board."""
+    """The stored configuration (EEPROM) of a board."""
     scene = _scene(fit, muscles)
     transport = EmulatorTransport(scene, virtual_board(scene.robot, _SEED), seed=_SEED)
     Robot(Client(transport)).configure(transport.config)
@@ -189,7 +189,7 @@ def stored(fit: Fit = "bare", muscles: int = 2) -> bytes:
 
 
 def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) -> Visit:
-    """Break one thing in one state, on a board of that store (the virtual one), and watch."""
+    """Break one part in one state and record the effects, on the virtual board by default."""
     scene = _scene(case.fit, case.muscles)
     made = board_for or partial(virtual_board, scene.robot, _SEED)
     board = made(stored(case.fit, case.muscles))

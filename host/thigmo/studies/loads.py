@@ -1,10 +1,10 @@
-"""Every load but one touch in the middle of a known body: what `localize` answers then.
+"""Answers of `localize` for other loads than one contact in the middle of a known body.
 
-How many contacts there are (none, read by few sensors or of unknown noise; one; two, opposed or on
-one side or anywhere; three), touches near the base that one or two sensors see, rods that are held
-at their end, folds that nobody states, and bodies with a kink. Truth is the large-deflection
-rod. What a frame can tell is decided by that rod too
-(`misfit_of_one_contact`), so that a promise counts only the frames that it speaks of.
+The groups are: no contact, with few sensors or unknown noise; one contact; two, opposed, on one
+side or anywhere; three; contacts near the base that one or two sensors see; rods that are held at
+their end; folds that are not stated; and bodies with a kink. Truth is the large-deflection rod. The
+same rod decides what a frame can show (`misfit_of_one_contact`), so that a promise counts only the
+frames that it covers.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, 
 from thigmo.studies.rod import Floats, solve
 from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
 
-BATCH = 50  # frames of one group that a process takes at a time
-FEW = (2, 3, 5, 10)  # readings
+BATCH = 50  # frames of a group in one task
+FEW = (2, 3, 5, 10)  # numbers of readings
 NEAR_CM = 28.0  # from the base: more than 25 cm from the end
-ODDS = (1e-3, 5e-2)  # of a bad reading
+ODDS = (1e-3, 5e-2)  # prior odds of a bad reading
 STANDS_OUT = 25.0  # misfit of five standard errors
-SEEN_KINK = 9.0  # misfit of three
+SEEN_KINK = 9.0  # misfit of three standard errors
 LAYOUTS = (1.0, 2.75, 5.0, 7.25)  # centres of the first sensors, cm
 PAIRS = ((-0.016, 0.02), (-0.02, 0.03), (-0.03, 0.04))  # moments at the base, 1/cm
 TOLD_APART_CM, TOO_CLOSE_CM = 18.5, 13.0
 PLACED_CM = 2.5  # bound of the places of two contacts that sensors tell apart
 DENSE: Floats = np.linspace(2.75, 50.25, 20)
 APART_CM = 8.0  # least distance of contacts that lie anywhere
-FOLD_CM = 4.0  # where a fold is that the first sensors see
+FOLD_CM = 4.0  # arc of a fold that the first sensors see
 NOTHING_SAID: dict[str, Any] = {"held_end": None, "critical_curvature": None}
 ROD_CM, ROD_NOISE = 24.0, SIGMA * LENGTH / 24.0  # as noisy as the robot, for its length
 BENT, MOST_TURN = np.deg2rad(45.0), np.deg2rad(100.0)
@@ -47,32 +47,32 @@ class Group:
     """Scenes that are counted together."""
 
     draw: Draw  # a number of scenes
-    count: int = 1500  # of scenes, at full scale
-    # of `localize`, beside those of all groups
+    count: int = 1500  # number of scenes at full scale
+    # options of `localize` in addition to those of all groups
     options: dict[str, Any] = field(default_factory=dict)
-    # whether frames stand out by their misfit without a contact over that with one
+    # whether `stands_out` is the misfit without a contact less that with one
     against_free: bool = False
     noise: float = SIGMA  # standard deviation of a reading
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A frame's answer against its truth."""
+    """The answer to a frame, compared with the truth."""
 
     found: int  # contacts listed
     likely: int  # of these, with a probability over one half
-    # localized, ambiguous: the status
+    # localized, ambiguous: whether this is the status
     localized: bool
     ambiguous: bool
     none: float  # probability that nothing touches
-    held: int  # intervals that hold a true place, of the contacts listed
-    wrong: bool  # localized, with an interval that holds no true place
-    off_cm: float  # the farthest that a localized contact is from the true place nearest to it
-    hinge: bool  # the explanation has a kink, or the message says that it may
-    open: bool  # the message gives the probability of more contacts
-    stands_out: float  # misfit of what the group's promise speaks of
-    turn: float  # of the body, by the mean of what evenly spaced sensors read without noise (rad)
-    fits: bool  # one contact leaves no more misfit than noise does in 99 of 100 frames
+    held: int  # number of listed contacts whose interval contains a true place
+    wrong: bool  # whether a contact is localized with an interval that contains no true place
+    off_cm: float  # largest distance of a localized contact from the nearest true place
+    hinge: bool  # whether the explanation or the message mentions a kink
+    open: bool  # whether the message gives the probability of more contacts
+    stands_out: float  # misfit that decides whether the group's promise covers the frame
+    turn: float  # turn of the body by the mean of noise-free readings, rad
+    fits: bool  # whether one contact leaves at most the misfit of noise in 99 of 100 frames
 
 
 def _free(rng: np.random.Generator, count: int, bent: bool) -> Floats:
@@ -81,9 +81,9 @@ def _free(rng: np.random.Generator, count: int, bent: bool) -> Floats:
 
 
 def _push(rng: np.random.Generator, free: Floats, least: float) -> Floats:
-    """Contacts' moments at the base (1/cm): against the bend, or to either side of straight ones.
+    """Contacts' moments at the base (1/cm), against the bend, or to either side if it is straight.
 
-    `least` is the smallest, over the largest.
+    `least` is the smallest moment over the largest.
     """
     bent = bool(free.any())
     most = np.minimum(CRITICAL, 0.9 * np.abs(free)) if bent else CRITICAL
@@ -128,7 +128,7 @@ def two(
 def pair(
     gap: float, first: float, moments: tuple[float, float], _: np.random.Generator, count: int
 ) -> Scenes:
-    """The same two opposed contacts each time."""
+    """The same two opposed contacts in all scenes."""
     arcs = np.tile([LENGTH - gap, LENGTH], (count, 1))
     return _read(arcs, np.array(moments) / arcs, _layout(first), np.zeros(count))
 
@@ -141,7 +141,7 @@ def _layout(first: float) -> Floats:
 def anywhere(
     number: int, bent: bool, position: Floats, rng: np.random.Generator, count: int
 ) -> Scenes:
-    """Contacts anywhere, each of a moment of its own to either side."""
+    """Contacts anywhere, with independent moments to either side."""
     free = signs(rng, count) * rng.uniform(0.002, 0.04, count) if bent else np.zeros(count)
     room = LENGTH - 12.0 - APART_CM * (number - 1)
     arcs = 12.0 + np.sort(rng.uniform(0.0, room, (count, number)), axis=1)
@@ -164,7 +164,7 @@ def folded(bent: bool, rng: np.random.Generator, count: int) -> Scenes:
 
 
 def held_rod(rng: np.random.Generator, count: int) -> Scenes:
-    """Rods that something holds at their end, by a force and a couple; NaN: no sensor there.
+    """Rods whose end is held, by a force and a couple; NaN stands for no sensor.
 
     Forces of 0.5 to 5 EI/L^2, within 60 degrees of the end's normal, couples of up to 1.5 EI/L,
     turns of at most 100 degrees, 4 to 23 evenly spaced sensors.
@@ -184,7 +184,7 @@ def held_rod(rng: np.random.Generator, count: int) -> Scenes:
 
 
 def kinked(touched: bool, bent: bool, rng: np.random.Generator, count: int) -> Scenes:
-    """A kink anywhere, and a contact or none."""
+    """A kink anywhere, with or without a contact."""
     free = _free(rng, count, bent)
     kink = signs(rng, count) * rng.uniform(0.2, 1.0, count)
     places = np.stack([rng.uniform(3.0, 50.0, count), rng.uniform(8.0, LENGTH, count)], axis=1)
@@ -302,12 +302,12 @@ def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
 
 
 def _coverage(frames: Sequence[Seen]) -> float:
-    """Share of the contacts listed whose intervals hold a true place."""
+    """Share of listed contacts whose intervals contain a true place."""
     return sum(f.held for f in frames) / max(sum(f.found for f in frames), 1)
 
 
 def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
-    """What is promised of them; each promise of its worst group."""
+    """The promises; each is checked on its worst group."""
 
     def some(start: str) -> list[list[Seen]]:
         return [frames for name, frames in seen.items() if name.startswith(start)]
@@ -419,7 +419,7 @@ def _row(name: str, seen: list[Seen]) -> Record:
 
 
 def run(context: Context) -> Outcome:
-    """All groups, and what is promised of them."""
+    """Answer all groups, and check the promises."""
     tasks = [
         (name, (context.seed, g, b), size)
         for g, (name, group) in enumerate(GROUPS.items())

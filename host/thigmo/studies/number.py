@@ -1,9 +1,10 @@
-"""The localizer's two claims: how many contacts there are, and where each of them lies.
+"""The localizer's two claims: the number of contacts, and the place of each.
 
-Is the number true as often as its probability says? (Frames drawn by the localizer's own prior, on
-the independent rod.) Are both of two contacts found where the Cramer-Rao bound says that they can
-be? What does it cost to hold claims to a higher level, and to say nothing of the body's end and of
-its fold? A contact counts if it alone moves the readings by three standard errors or more.
+The study asks three questions. Is the number right as often as its probability says? (Frames are
+drawn from the localizer's own prior, on the independent rod.) Are both of two contacts found where
+the Cramer-Rao bound permits it? What does it cost to require a higher level for claims, and to
+leave open the body's end and its fold? A contact counts if it alone moves the readings by at least
+three standard errors.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from thigmo.studies.scenes import BOTH, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
 BATCH = 100
 BOUNDS = (0.5, 1.0, 1.5, 2.0, 2.5, 4.0, 8.0)  # cm, upper edges of the bins
 PROMISED_CM = 2.5
-SURE = 0.9  # probability from which a number is hardly in doubt
+SURE = 0.9  # probability from which a number counts as sure
 BINS = np.linspace(0.0, 1.0, 11)
 NUMBER_LEVELS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
 WIDTHS = (0.04, 0.08, 0.12, 0.15, 10.0 / 53.0, 0.25, 0.35)  # of the length
@@ -55,18 +56,18 @@ class Traded:
     claim: str  # "number" or "place"
     level: float
     localized: float
-    wrong: float  # of all frames
+    wrong: float  # share of all frames
     count: int
 
 
 def _felt(arcs: Floats, forces: Floats) -> int:
-    """How many of the contacts count."""
+    """Number of contacts that count."""
     column = phi(arcs[:, None], BOTH, SPAN) * forces[:, None] / SIGMA
     return int((np.sqrt(np.square(column).sum(axis=1)) >= priors.FELT).sum())
 
 
 def by_prior(task: tuple[tuple[int, ...], int]) -> NDArray[np.float64]:
-    """A batch of frames drawn by the prior: (size, 5) probabilities of the number, and the truth.
+    """A batch of frames drawn from the prior: (size, 5) probabilities of the number, and the truth.
 
     The prior is that of a straight body: number by its odds, places by `place_density`, forces by
     the largest moment's three scales.
@@ -92,7 +93,7 @@ def by_prior(task: tuple[tuple[int, ...], int]) -> NDArray[np.float64]:
 
 
 def calibration(frames: NDArray[np.float64]) -> tuple[list[dict[str, Any]], float]:
-    """Of each bin of the likeliest number's probability: how often it was true; and the error."""
+    """How often the likeliest number was right, by bins of its probability; and the mean error."""
     said, correct = frames[:, :4].max(axis=1), frames[:, :4].argmax(axis=1) == frames[:, 4]
     place = np.clip(np.digitize(said, BINS) - 1, 0, len(BINS) - 2)
     rows = [
@@ -108,7 +109,7 @@ def pairs(task: tuple[tuple[int, ...], int]) -> NDArray[np.float64]:
     """A batch of two contacts on a straight body.
 
     Returns:
-        (size, 4) bound (cm), answered with two, each place in its own set, localized.
+        (size, 4) bound (cm); whether two were found, each place is in its set, both are localized.
     """
     key, size = task
     rng = np.random.default_rng(key)
@@ -135,7 +136,7 @@ def _localized(result: LocalizeResult, arcs: Floats) -> tuple[bool, bool]:
 
 
 def trade(task: tuple[str, tuple[int, ...], int]) -> NDArray[np.bool_]:
-    """A batch of frames of a group at every level: (levels, size, 2) localized, and wrong."""
+    """A batch of frames of a group at every level: (levels, size, 2) localized and wrong."""
     name, key, size = task
     rng = np.random.default_rng(key)
     scenes = TRADED[name](rng, size)
@@ -172,7 +173,7 @@ def _calibration_figure(rows: list[dict[str, Any]], curve: list[dict[str, Any]])
         for name, what in (("both found", "both"), ("two answered", "two"))
     }
     curves(second, lines, xlabel="Cramér-Rao bound of the worse place (cm)", ylabel="frames (%)")
-    # The promise is the upper left corner.
+    # The promise is at the upper left.
     for draw, at, label in (
         (second.axvline, PROMISED_CM, "promise: bounds up to this"),
         (second.axhline, 60.0, "promise: at least this many found"),
@@ -207,7 +208,7 @@ def _trade_figure(traded: list[Traded], priced: list[dict[str, Any]]) -> Figure:
 
 
 def run(context: Context) -> Outcome:
-    """The claims: calibration of the number, pairs over their bound, the trade of the levels."""
+    """Calibration of the number, pairs by their bound, and results by level."""
     seed = context.seed
 
     def batches(part: int, quick: int, full: int) -> list[tuple[tuple[int, ...], int]]:

@@ -1,8 +1,8 @@
 """Pegs in a room that an inflating body bends into: truth for one frame and for whole sweeps.
 
-A round frictionless peg bears somewhere on the body's outline: on its side, round the corner of its
-end, or on the face. Where on the outline, and how hard, follows from where the peg stands. All
-lengths in cm, forces over EI; bodies bend towards +y. Used by the accuracy study and by tests.
+A round frictionless peg touches the body's outline on its side, at a corner of its end, or on the
+face of the end. The place and the force follow from the peg's position. Lengths are in cm, forces
+over EI; bodies bend towards +y. The accuracy study and tests use these pegs.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ FORCE = 1e-3  # order of the forces over EI (1/cm^2)
 
 
 def outline(u: Floats, peg_radius: Floats, length: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Where a peg bears at `u` (S,) along the outline, and where it then stands.
+    """The contact of a peg at `u` (S,) along the outline, and the position of the peg.
 
-    `u` runs along the side towards +y (as arc), round its corner, across the face and round the
-    other corner, as the peg's centre does.
+    `u` follows the peg's centre: along the side towards +y (as arc), round its corner, across the
+    face and round the other corner.
 
     Returns:
-        Arc (S,), offset towards +y on the section there (S,), direction to the peg (2, S), and
-        the peg's centre (2, S), both in the section's frame.
+        Arc (S,); offset of the contact towards +y in the section (S,); direction to the peg (2, S)
+        and the peg's centre (2, S) in the section's frame.
     """
     beyond = u - length
     quarter = 0.5 * math.pi * peg_radius
@@ -77,7 +77,7 @@ class Rooms:
         return np.minimum(self.u, self.length)
 
     def bodies(self, frame: int) -> Bodies:
-        """Of one frame; free ones where nothing is touched."""
+        """The bodies of one frame; without contact, free ones."""
         touches = np.isfinite(self.u[frame])
         u = np.where(touches, self.u[frame], 0.5 * self.length)
         push = np.where(touches, self.push[frame], 0.0)
@@ -87,11 +87,14 @@ class Rooms:
 def inflate(
     u: Floats, touch: Floats, free: Floats, peg_radius: Floats, length: float
 ) -> tuple[Floats, Floats]:
-    """Contacts through inflations (T, S) of bodies that first touch their pegs at (u, touch) (S,).
+    """Contacts during inflations to free curvatures (T, S).
+
+    The bodies first touch their pegs at `u` (S,) on the outline, at the free curvature `touch`
+    (S,).
 
     Returns:
-        Place on the outline and size of the force, (T, S) each: NaN before the touch, and from
-        where on the body passes its peg.
+        Place on the outline and size of the force, (T, S) each; NaN before the touch, and after the
+        body has slipped past the peg.
     """
     _, peg = press(u, np.zeros_like(u), touch, peg_radius, length)
     place, reached = np.stack([u, np.zeros_like(u)]), touch
@@ -107,7 +110,7 @@ def inflate(
 
 
 def _meet(place: Floats, free: Floats, peg: Floats, peg_radius: Floats, length: float) -> Floats:
-    """Place on the outline and push (2, S) that meet the pegs, from those nearby: Newton's."""
+    """Place on the outline and push (2, S) at the pegs, by Newton's method from `place`."""
 
     def missed(u: Floats, push: Floats) -> Floats:
         return press(u, push, free, peg_radius, length)[1] - peg
@@ -140,11 +143,11 @@ def rooms(
     moment: tuple[float, float] = (0.05, 1.0),
     part: Part = "anywhere",
 ) -> Rooms:
-    """Pegs even over the room, each felt at the end of an inflation to a random free curvature.
+    """Pegs spread evenly over the room, each touched at the end of an inflation.
 
-    Free curvatures reach at most `most`, in `frames` even steps. `radius` is the range of the
-    pegs', `moment` that of the contact's moment at the base at the end, over the critical one.
-    `part` is that of the outline which bears then.
+    The free curvature rises to a random value up to `most`, in `frames` even steps. `radius` is the
+    range of peg radii, `moment` the range of the contact's final moment at the base over the
+    critical one, and `part` the part of the outline that is touched then.
     """
     some: list[Floats] = []
     while sum(kept.shape[1] for kept in some) < count:

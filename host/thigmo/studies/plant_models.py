@@ -1,12 +1,12 @@
-"""No more than a scene needs: what each rung of the plant and of the localizer costs and misses.
+"""No more than a scene needs: time and error of each model of the plant and the localizer.
 
 Plant: random scenes of three kinds (free, gently touched, swept into a peg) are followed step by
-step by `arc`, `beam`, `elastica` and the automatic choice at several tolerances. Error is the
-largest distance, along the body at the end, from an elastica with a four times finer mesh.
+step by `arc`, `beam`, `elastica` and the automatic choice at several tolerances. The error is the
+largest distance along the final body from an elastica with a four times finer mesh.
 
-Localizer: frames of one to three contacts are answered by each number of contacts, and by the
-automatic choice. Error is the mean distance of each true contact from the nearest
-answered one, and of each answered one from the nearest true one; 10 cm where there is none nearer.
+Localizer: frames of one to three contacts are answered with each number of contacts, and with the
+automatic choice. The error is the mean distance of each true contact from the nearest answered one,
+and of each answered one from the nearest true one, 10 cm at most.
 """
 
 from __future__ import annotations
@@ -64,12 +64,12 @@ _FRAMES: dict[str, Callable[[np.random.Generator], Case]] = {
     "two contacts": two_contacts,
     "three contacts": three_contacts,
 }
-_CALLS = 5  # whose mean time counts: one is too short for the clock
-_LEAST_CM = 1e-3  # what the chart shows of smaller errors
+_CALLS = 5  # calls that are timed together: one is too short for the clock
+_LEAST_CM = 1e-3  # smaller errors are drawn as this
 
 
 def scene(kind: str, seed: int) -> tuple[list[Peg], float]:
-    """Pegs and the free curvature at the end of the sweep."""
+    """Pegs, and the free curvature (1/cm) at the end of the sweep."""
     rng = np.random.default_rng(seed)
     if kind == "free":
         return [], float(rng.uniform(-0.04, 0.04))
@@ -89,7 +89,7 @@ def follow(pegs: list[Peg], g: float, model: ModelChoice, tolerance: float, cell
 
 
 def compare(seed: int, kind: str) -> list[tuple[float, float, str]]:
-    """Every way on one scene: time of a step (us), error (cm), and the models used."""
+    """For every model on one scene: time of a step (us), error (cm), and the models used."""
     pegs, g = scene(kind, seed)
     arcs = np.linspace(0.0, LENGTH, 107)[1:].tolist()
     exact = follow(pegs, g, "elastica", 0.05, 0.25)
@@ -105,7 +105,7 @@ def compare(seed: int, kind: str) -> list[tuple[float, float, str]]:
 
 
 def answered(seed: int, kind: str) -> list[tuple[float, float, str]]:
-    """Every rung on one frame: time of a call (us), error (cm), and the number of contacts."""
+    """For every rung on one frame: time of a call (us), error (cm), and the number of contacts."""
     case = _FRAMES[kind](np.random.default_rng(seed))
     runs = []
     for settings in _RUNGS.values():

@@ -1,8 +1,8 @@
-"""Other robots than the thesis's, each from its description alone: do they feel, and localize?
+"""Contacts found and localized by other robots than the thesis's, from their descriptions alone.
 
-Every robot is drafted as `thigmo robot new` does, and explores rooms with a peg that the noise-free
-plant says some sweep must feel (`emulator.reach`), and empty ones. Its lab knows it to within the
-default scene's errors of calibration. What is promised is pooled over the robots.
+Every robot is drafted as by `thigmo robot new`. It explores rooms with a peg that some sweep of the
+noise-free plant must feel (`emulator.reach`), and empty rooms. Its errors of calibration are those
+of the default scene. Promises are pooled over the robots.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Visited(Explored):
     """A room that one of the robots explored; `kind` is the robot."""
 
     peg: bool = True
-    length_cm: float = nan  # of the robot
+    length_cm: float = nan  # length of the robot
     missed: bool = True  # nothing on the map is at a peg
     # the best contact is localized, and its interval does not hold the true arc
     wrong: bool = False
@@ -68,7 +68,7 @@ class Visited(Explored):
     outside: bool = False
 
     def judge_place(self, document: RunDocument) -> None:
-        """Hold the run's best contact against the true points of its stage."""
+        """Compare the run's best contact with the true points of its stage."""
         best, truth = best_contact(document.contacts), document.truth or Truth()
         if best is None:
             return
@@ -102,7 +102,7 @@ def visit(room: tuple[str, int, bool]) -> Visited:
 
 
 def run(context: Context) -> Outcome:
-    """Rooms of every robot, and what is promised of all."""
+    """Explore rooms with every robot, and check the promises."""
     pegs, empty = context.count(2, 20), context.count(1, 10)
     seeds = context.rng(0x26).integers(0, 2**31, pegs + empty).tolist()
     found: list[Visited] = []

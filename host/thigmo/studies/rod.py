@@ -2,12 +2,12 @@
 
 A planar inextensible rod (Kirchhoff), clamped at the base, EI = 1 (times `stiffness`), free
 curvature g. Integration starts at the most distal load, in the frame of the section there, where
-heading and place are zero. On the way back to the base every further load is known in the frame of
-its own section, whose heading is known by then: an initial value problem, with nothing to search
-for. Between loads the moment m obeys m' = -(t x F), and the curvature is g + m / EI. It shares no
-code with the localizer (levers of a fitted shape) nor with the emulator's plant (an energy
-minimum), so all three can be held against each other. Many bodies are integrated side by side.
-Source: Antman, Nonlinear Problems of Elasticity, chapter 4.
+heading and place are zero. Each further load on the way to the base is given in the frame of its
+own section, and the heading of that section is known by then. So this is an initial value problem,
+solved without iteration. Between loads the moment m obeys m' = -(t x F), and the curvature is g + m
+/ EI. It shares no code with the localizer (levers of a fitted shape) nor with the emulator's plant
+(an energy minimum), so each can check the others. Many bodies are integrated side by side. Source:
+Antman, Nonlinear Problems of Elasticity, chapter 4.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Profile = Callable[[Floats], Floats]
 
-STEPS = 24  # of Runge and Kutta, between two loads: errors below 1e-8 at a vine robot's bends
+STEPS = 24  # Runge-Kutta steps between loads: errors below 1e-8 at a vine robot's bends
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Bodies:
     heading: Floats
     curvature: Floats
     kink: Floats  # (S, E) rad
-    base_moment: Floats  # (S,) of the loads, over EI
+    base_moment: Floats  # (S,) moment of the loads at the base, over EI
     base: Floats  # (3, S) heading, x and y of the base in the last load's frame
 
     def turn(self, arcs: Floats) -> Floats:

@@ -2,12 +2,12 @@
 
 An inextensible rod (Kirchhoff), clamped at the base, EI = 1, torsional stiffness 1 / `twist`, or
 none if that is 0. Integration starts at the tip, whose frame is that of the computation: nothing
-acts beyond it. On the way back to the base every load is known in the frame of its own section, and
-the weight in the tip's: an initial value problem, with nothing to search for. Force and moment of
-what lies beyond obey n' = -w and m' = n x t; the curvature is free + K R' m. Frames are integrated
-as matrices by Runge and Kutta, on nodes between the loads: nothing is shared with the localizer
-(cells of constant curvature, running sums). Source: Antman, Nonlinear Problems of Elasticity,
-chapter 8.
+acts beyond it. Each load on the way to the base is given in the frame of its own section, and the
+weight in the tip's, so this is an initial value problem, solved without iteration. Force and moment
+of the part beyond a section obey n' = -w and m' = n x t; the curvature is free + K R' m. Frames are
+integrated as matrices by Runge and Kutta, on nodes between the loads: nothing is shared with the
+localizer (cells of constant curvature, running sums). Source: Antman, Nonlinear Problems of
+Elasticity, chapter 8.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from thigmo.studies.rod import Floats
 
-STEPS = 60  # between two loads: turns to 1e-7
+STEPS = 60  # Runge-Kutta steps between loads: errors of turns below 1e-7
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,11 @@ def solve(
     """Rods in equilibrium.
 
     Args:
-        arcs: (S, E) of the loads, rising.
-        force: (S, E, 3) over EI, in the frame of the section: along, normal, binormal.
-        couple: (S, E, 3) likewise; none if not given.
-        free: (S, 3) curvature of the free body, in its own frame.
-        weight: (S, 3) per length over EI, in the frame of the tip.
+        arcs: (S, E) ascending arcs of the loads.
+        force: (S, E, 3) forces over EI in the frame of the section: along, normal, binormal.
+        couple: (S, E, 3) couples over EI in the same frame; none if not given.
+        free: (S, 3) curvature of the free body in its own frame.
+        weight: (S, 3) weight per length over EI, in the frame of the tip.
         twist: EI over the torsional stiffness.
     """
     rods, loads = arcs.shape

@@ -1,8 +1,7 @@
-"""Explorations of emulated rooms as studies make them, by the hundred, with nobody watching.
+"""Explorations of emulated rooms for studies, without what only a user needs.
 
-What else `thigmo.explore` does for its user (telemetry and posteriors decoded into the record, a
-picture of the map) takes three quarters of its time. Sweeps, contacts, maps and robot time are the
-same.
+Decoding telemetry and posteriors into the record and drawing the map take three quarters of the
+time of `thigmo.explore`, so they are left out. Sweeps, contacts, maps and robot time are the same.
 """
 
 from __future__ import annotations
@@ -33,16 +32,17 @@ def explored(
     effort: Effort = EFFORTS["default"],
     frames: bool = False,
 ) -> ExplorationResult:
-    """Explore an emulated room; the host takes the robot for what its lab would know, or `config`.
+    """Explore an emulated room.
 
-    `frames` records raw frames, for `recorded_sweeps`.
+    The host uses `config`, or the constants that the robot's lab would know. `frames` records raw
+    frames, for `recorded_sweeps`.
 
     Raises:
         ThigmoError: the exploration was aborted.
     """
     with connect(url, seed=seed) as robot:
         used = config or robot.known_config
-        assert used is not None  # an emulated robot's lab knows it
+        assert used is not None  # set for an emulated robot
         folder = RunFolder.create(out, protocol, datetime.now())
         used.save(folder.path / "robot.toml")
         document = RunDocument(thigmo=__version__, name=protocol, url=url, started="", seed=seed)

@@ -1,9 +1,9 @@
-"""How long `localize` takes: what is promised of it, and how time grows with sensors and rows.
+"""Time of `localize`: its promises, and how it grows with sensors and rows.
 
-Everything that a call answers counts, as a user calls it: from Python, the number of contacts not
-given, on one core. Each time is the least of many repeats, for what lies above it is the machine's
-other work; frames differ in what has to be weighed, so the median over frames is taken. Limits are
-printed as claims, never asserted in a test.
+The whole call is timed as a user makes it: from Python, without the number of contacts, on one
+core. Each time is the least of many repeats, because other work of the machine only adds to it.
+Frames differ in the explanations that must be weighed, so the median over frames is reported.
+Limits are printed as claims, never asserted in a test.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from thigmo.studies.scenes import BOTH, LENGTH, SIGMA, SPAN, Case, one_contact, 
 SENSORS = (5, 10, 20, 50, 100, 200, 500, 1000)
 ROWS = 10_000
 BATCHES = (1, 10, 100, 1000, ROWS)
-BATCH = 100  # rows; the promise is the time of one of them
-# What is drawn, and what is promised (microseconds); with the noise unknown three times that.
+BATCH = 100  # rows of a batch; the promise is the time of one row
+# Kind of case, and promised time (microseconds); three times that if the noise is unknown.
 KINDS: dict[str, tuple[Callable[[np.random.Generator], Case], float]] = {
     "one contact, straight": (one_contact, 100.0),
     "one contact, bent": (partial(scenes.actuated, position=BOTH), 200.0),
@@ -39,7 +39,7 @@ ROW_US = 40.0
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Keep this process, and those that it starts, to one core, where the system can."""
+    """Restrict this process and its children to one core, if the system supports it."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -59,9 +59,9 @@ def time_us(call: Callable[[], object]) -> float:
 
 
 def least_us(call: Callable[[], object], repeats: int) -> float:
-    """Least time for a call, after a first one that warms.
+    """Least processor time of a call (microseconds), after a first call that fills the caches.
 
-    That is the time on a core of its own, whatever else the computer does.
+    This approximates the time on an idle core.
     """
     call()
     return min(time_us(call) for _ in range(repeats))
@@ -83,10 +83,10 @@ def answer_us(
 
 
 def row_us(rows: NDArray[np.float64], size: int, repeats: int) -> float:
-    """Time of a row of `localize_batch`, mean over all rows, which batches of one size share.
+    """Mean time (microseconds) of a row of `localize_batch`, in batches of `size` rows.
 
-    Each batch counts with its least time. They take turns, so that a while in which the computer is
-    slow spoils one repeat of each, not every repeat of some.
+    Each batch counts with its least time. The batches take turns, so that a slow period of the
+    computer affects one repeat of each, not every repeat of some.
     """
     localizer = Localizer.of(position=BOTH, length=LENGTH, span=SPAN, noise=SIGMA)
     batches = [

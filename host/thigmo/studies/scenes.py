@@ -1,9 +1,9 @@
-"""Random scenes of the studies: what touches where, and what the sensors then read.
+"""Random scenes of the studies: contacts, and the readings of the sensors.
 
-All lengths in cm. The robot is the thesis's (53 cm, spans of 5.5 cm); contact moments at the base
-stay below the fold's, which is a study of its own. Readings are of the large-deflection rod
-(`rod.py`) plus fresh noise, never of the model that the localizer fits; `pegs.py` says where and
-how hard a peg in a room bears.
+Lengths are in cm. The robot is the thesis's (53 cm, spans of 5.5 cm). Contact moments at the base
+stay below the critical one; another study covers the fold. Readings are those of the
+large-deflection rod (`rod.py`) plus independent noise, never of the model that the localizer fits.
+`pegs.py` gives place and force of contacts with pegs in a room.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def read(
 
 
 def side_of(rng: np.random.Generator) -> float:
-    """Either side."""
+    """1.0 or -1.0 at random."""
     return float(rng.choice([-1.0, 1.0]))
 
 
@@ -77,7 +77,7 @@ def two_contacts(rng: np.random.Generator) -> Case:
     distal = float(rng.uniform(45.0, LENGTH))
     proximal = float(rng.uniform(18.0, distal - 18.5))
     force = side_of(rng) * (_moment(rng) / distal)
-    # The forces' moments at the base partly cancel; equal sizes keep both contacts visible.
+    # The moments at the base partly cancel; similar sizes keep both contacts visible.
     return read(rng, (proximal, distal), (-force * distal / proximal, 1.5 * force))
 
 

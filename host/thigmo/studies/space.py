@@ -1,9 +1,9 @@
 """Contacts in space: rods under known loads by an independent solver, read by a fibre.
 
-One contact, one on a body with weight, two, and a load of force and couple on the end, without a
-couple about the body's axis and with one, which a fibre cannot see. Errors are
-held against the Cramer-Rao bound of place and force together. A body turned about its axis with
-everything on it (sensors, weight, loads) is answered alike.
+The groups are one contact; one on a body with weight; two; and a load of force and couple on the
+end, without and with a couple about the body's axis, which a fibre cannot see. Errors are compared
+with the Cramer-Rao bound of place and force together. The answer must not change if a body is
+turned about its axis with its sensors, weight and loads.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ TIMES_PLANE = 3.0  # promised: at most this multiple of the time in a plane
 
 @dataclass(frozen=True)
 class Answered:
-    """A frame's answer against its truth; NaN where another number of contacts is answered."""
+    """An answer compared with the truth; NaN for a wrong number of contacts."""
 
     found: bool  # as many contacts as there are
     off: float  # of the place, the worse of two
@@ -50,8 +50,8 @@ class Answered:
     wrong: bool  # localized, in a set that holds no true place
     force_square: float  # of the error of the force across the body
     force_bound_square: float
-    newtons: bool  # the interval of the first force's size holds it
-    turned: float  # by which the places of the turned body differ
+    newtons: bool  # whether the interval of the first force's size contains it
+    turned: float  # difference of the places on the turned body
 
 
 def _rods(group: str, rng: np.random.Generator, count: int) -> tuple[RodsInSpace, Floats, Floats]:
@@ -62,7 +62,7 @@ def _rods(group: str, rng: np.random.Generator, count: int) -> tuple[RodsInSpace
     contacts = 2 if group == "two" else 1
     arcs = np.sort(rng.uniform(NEAREST, 1.0, (count, contacts)), axis=1)
     around = rng.uniform(0.0, 2.0 * np.pi, (count, contacts))
-    # A force whose moment turns a straight body by so much.
+    # Forces that turn a straight body by a given angle.
     size = np.minimum(2.0 * rng.uniform(*TURNS, (count, contacts)) / arcs**2, MOST_MOMENT / arcs)
     force = np.stack([0.0 * size, size * np.cos(around), size * np.sin(around)], axis=2)
     weight = rng.standard_normal((count, 3)) if group == "weight" else None
@@ -139,7 +139,7 @@ def answers(task: tuple[str, tuple[int, ...], int]) -> list[Answered]:
 
 
 def _times(context: Context) -> list[Claim]:
-    """Times of answers in space, nothing said of the end."""
+    """Times of answers in space without options for the end."""
     frames, repeats = context.count(5, 40), context.count(3, 10)
     claims, localizer = [], Localizer.of(**READ)
     for number, (kind, (_, promised)) in enumerate(list(KINDS.items())[1:3], 1):
@@ -153,7 +153,7 @@ def _times(context: Context) -> list[Claim]:
 
 
 def run(context: Context) -> Outcome:
-    """Shares and errors of each group, and the promises."""
+    """Answer each group, and check the promises."""
     count = context.count(20, 200)
     rows: list[Record] = []
     columns: dict[str, dict[str, Floats]] = {}

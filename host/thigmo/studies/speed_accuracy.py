@@ -3,11 +3,11 @@
 A method's time is the median over the cases of a warm call from Python (`attempt`), in processor
 time of one core. Times are compared only within the run, as ratios, because machines are noisy. Its
 error is |arc - true arc|, contacts ordered along the body; an answer without a contact, or more
-than 10 cm off, is a failure. The scene that claims rest on has more cases, for errors have long
-tails: 400 leave a ratio of means about 5 % of doubt. Methods that take up to a second a call see
-every fifth case, and the default method is held against each on the cases that both saw. Every
-method is given the number of contacts but one, the default method as robots run it, which is shown
-and claimed nothing of.
+than 10 cm off, is a failure. The scene of the claims has more cases, because errors have long
+tails: 400 cases leave a standard error of about 5 % in a ratio of means. Methods that take up to a
+second for a call see every fifth case; the default method is compared with each on the cases that
+both saw. Every method is given the number of contacts, except for the default method as robots run
+it, which is shown without claims.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ CLAIMED = "one contact"
 SLOW = ("alternating-trust-constr", "trust-constr", "differential-evolution", "dual-annealing")
 EVERY = 5
 RESAMPLED = 2000
-FEWEST = 20  # cases on which a bootstrap says anything
+FEWEST = 20  # least number of cases for a bootstrap
 SPAN_95 = 2 * 1.96  # standard errors in a 95 % interval
-# Variants: the remedies for a folded base differ from the solver behind them only where one folds.
+# The remedies for a folded base differ from their solver only if the base folds.
 _LEFT_OUT = ("clamped", "coupled", "alternating-2-norm")
 COMPARED = (*METHODS, ON_A_ROBOT, *(name for name in BASELINES if name not in _LEFT_OUT))
 SCENES: dict[str, Callable[[np.random.Generator], Case]] = {
@@ -52,19 +52,19 @@ SCENES: dict[str, Callable[[np.random.Generator], Case]] = {
 Row = dict[str, Any]
 """One method's results on one kind of scene.
 
-    standard_error_cm: of the mean.
-    guess_cm: mean error of guessing even places.
-    slower: times the default method's median time.
-    default_over_it: the default method's mean error on the same cases over its own; `ratio_low`
-        and `ratio_high` hold it with 95 % (bootstrap over the cases).
-    tie: the two do not differ by that: 1 lies between them.
+    standard_error_cm: standard error of the mean.
+    guess_cm: mean error of guessing evenly spaced places.
+    slower: median time over the default method's.
+    default_over_it: the default method's mean error over this one's on the same cases; `ratio_low`
+        and `ratio_high` are its 95 % interval (bootstrap over the cases).
+    tie: whether this interval contains 1.
 """
 
 
 def _case_scores(task: tuple[str, int, int]) -> list[tuple[float, float]]:
-    """All methods on one case, one after the other, so that all see the same machine.
+    """Error and time of all methods on one case, one after the other, under the same conditions.
 
-    Error and time of each; NaN twice for one that is omitted here.
+    Both are NaN for a method that is omitted.
     """
     scene, seed, index = task
     case = SCENES[scene](np.random.default_rng([seed, index]))
@@ -74,7 +74,7 @@ def _case_scores(task: tuple[str, int, int]) -> list[tuple[float, float]]:
 
 def score(context: Context, scene: str, cases: int) -> list[Row]:
     """Run the methods over random cases of one kind of scene."""
-    _case_scores((scene, context.seed, cases))  # loads and trains what there is; not counted
+    _case_scores((scene, context.seed, cases))  # loads packages and trains trees; not counted
     rows = context.map(_case_scores, [(scene, context.seed, i) for i in range(cases)], scene)
     table = np.array(rows)  # (cases, methods, 2)
     default = float(np.median(table[:, 0, 1]))
@@ -99,7 +99,7 @@ def score(context: Context, scene: str, cases: int) -> list[Row]:
 
 
 def _against(mine: Floats, other: Floats) -> Row:
-    """The default method's mean error over another's on the same cases, and how sure that is."""
+    """The default method's mean error over another's on the same cases, with its interval."""
     both = np.isfinite(mine) & np.isfinite(other)
     low = high = nan
     if (count := int(both.sum())) >= FEWEST:
@@ -113,7 +113,7 @@ def _against(mine: Floats, other: Floats) -> Row:
 
 
 def guess_cm(cases: list[Case]) -> float:
-    """Mean error of even places, the middle for one contact: what no reading is needed for."""
+    """Mean error of evenly spaced places (the middle for one contact), which need no reading."""
     arcs = np.sort([case.arcs for case in cases], axis=1)
     even = LENGTH * np.arange(1, arcs.shape[1] + 1) / (arcs.shape[1] + 1)
     return float(np.abs(arcs - even).mean())
@@ -122,7 +122,7 @@ def guess_cm(cases: list[Case]) -> float:
 def pareto(scores: list[Row]) -> list[Row]:
     """Methods that no other one beats in both time and mean error, fastest first.
 
-    The default method as robots run it is the same method with less to go by, and not among them.
+    The default method as robots run it is not among them: it is the same method with less input.
     """
     front: list[Row] = []
     for one in sorted((s for s in scores if s["method"] != ON_A_ROBOT), key=_at):
@@ -132,7 +132,7 @@ def pareto(scores: list[Row]) -> list[Row]:
 
 
 def _at(score: Row) -> tuple[float, float]:
-    """Where a method stands in a panel."""
+    """A method's point in a panel: time and error."""
     return score["time_us"], score["mean_cm"]
 
 
@@ -149,7 +149,7 @@ def chart(scores: list[Row]) -> Figure:
         _draw(axis, scene, here)
     axes[-1].set_axis_off()  # of five kinds of scene: room for the legend
     axes[-1].legend(*axes[0].get_legend_handles_labels(), loc="center", fontsize=8, frameon=False)
-    # Last: names keep their places only if nothing moves any more.
+    # Names are placed last, because they keep their places only if nothing moves after them.
     figure.draw_without_rendering()
     for axis, here in zip(axes, shown, strict=False):
         points, front = list(map(_at, here)), list(map(_at, pareto(here)))

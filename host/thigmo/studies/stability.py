@@ -1,14 +1,14 @@
 """Where methods fail: mean error and failure rate as one thing after another gets harder.
 
-Maps over two conditions (force x place, noise x number of sensors, separation x force, starting
-point x place) and over one (sensor layout, lost sensors). Every method sees the same
-readings; the map over starting points has the same readings in every row, and the methods that need
-a starting point. The thesis's sensitivity study (`experiments/sensitivity.py`) is one more such
-map.
+The maps are over two conditions (force x place, noise x number of sensors, separation x force,
+starting point x place) or over one (sensor layout, lost sensors). Every method sees the same
+readings. The map over starting points has the same readings in every row, and only the methods that
+need a starting point. The thesis's sensitivity study (`experiments/sensitivity.py`) is one more
+such map.
 
-One chart has what a room and a calibration do that no method is given: walls, friction, a wrong
-map of the muscle, wrong gains, and weak touches at the tip. It holds ours against the thesis's
-solver and exact least squares, each given the number of contacts.
+One chart shows effects of room and calibration that are not stated to any method: walls, friction,
+a wrong map of the muscle, wrong gains, and weak touches at the tip. It compares ours with the
+thesis's solver and exact least squares, each given the number of contacts.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Draw = Callable[[np.random.Generator, float, float], tuple[Case, float]]
 """Case and the noise that the method is given, for a row and a column condition."""
 
 DEFAULT = METHODS[0]
-# Methods quick enough to map; the rest stand in the speed-accuracy chart.
+# Methods quick enough to map; the speed-accuracy chart has the others.
 MAPPED = (*METHODS, "l2", "coordinate", "grid", "slsqp", "pwlf")
 # Methods that start somewhere, beside two that do not.
 STARTLESS = (DEFAULT, "l1")
@@ -87,7 +87,7 @@ def _lost(rng: np.random.Generator, lost: float, _: float) -> tuple[Case, float]
 
 
 def _start_place(rng: np.random.Generator, _start: float, arc: float) -> tuple[Case, float]:
-    """Half of the cases are folded at the base, which is what `clamped` and `coupled` are for."""
+    """A case for a starting point; half are folded at the base, for `clamped` and `coupled`."""
     folded = rng.random() < 0.5
     sign = side_of(rng)
     case = read(rng, (arc,), (sign * (1.0 if folded else 0.7) * CRITICAL / arc,))
@@ -102,7 +102,7 @@ def _start_place(rng: np.random.Generator, _start: float, arc: float) -> tuple[C
 def _against_wall(rng: np.random.Generator, share: float, _: float) -> tuple[Case, float]:
     """A body bent into a smooth wall, by a multiple of the free curvature at which it touched.
 
-    The wall is a row of thin dowels at any angle; its place is that of the contact that bears most.
+    The wall is a row of thin dowels at any angle; its place is that of the strongest contact.
     """
     while True:
         turn, size = rng.uniform(-0.6, 0.6), rng.uniform(10.0, 40.0)
@@ -150,9 +150,9 @@ def _weak_at_tip(rng: np.random.Generator, moment: float, _: float) -> tuple[Cas
 
 @dataclass(frozen=True)
 class Stress:
-    """One way of making it hard: a draw over one or two conditions with their labels.
+    """One kind of difficulty: draws cases over one or two conditions, with labels.
 
-    With `starts` the rows are arcs (cm) at which the methods start, on the same cases.
+    With `starts`, the rows are starting arcs (cm) of the methods, on the same cases.
     """
 
     name: str
@@ -233,7 +233,7 @@ def _scores(errors: Floats) -> dict[str, float]:
 
 
 def tabulate(stress: Stress, errors: Floats) -> list[Record]:
-    """A line a method and cell."""
+    """A row for each method and cell."""
     cells = product(enumerate(stress.rows), enumerate(stress.columns))
     return [
         {"method": method, stress.row_label: row, stress.column_label: column,
@@ -244,7 +244,7 @@ def tabulate(stress: Stress, errors: Floats) -> list[Record]:
 
 
 def pooled(stress: Stress, errors: Floats) -> list[Record]:
-    """A line a method: over all cells."""
+    """A row for each method, over all cells."""
     flat = errors.reshape(-1, len(stress.methods))
     return [
         {"stress": stress.name, "method": method, "cases": len(flat), **_scores(mine),
@@ -293,7 +293,7 @@ def _figure(stress: Stress, errors: Floats) -> Figure:
 
 
 def _unstated_figure(errors: dict[str, Floats]) -> Figure:
-    """A column a stress: mean error above, failures below, a line a method."""
+    """A column for each stress: mean error above, failures below, a line for each method."""
     figure, axes = charts.panels(2, len(UNSTATED), size=(1.5, 2.3))
     tops = [0.0, 100.0]
     for column, stress in enumerate(UNSTATED):
@@ -326,7 +326,7 @@ def _unstated_figure(errors: dict[str, Floats]) -> Figure:
 
 
 def _short(value: float, measure: int) -> str:
-    """At most three signs, that a cell has room for."""
+    """The number in at most three characters, which fit a cell."""
     if np.isnan(value):
         return "-"
     return f"{value:.0f}" if measure or value >= 9.95 else f"{value:.1f}"

@@ -50,7 +50,7 @@ with connect(sys.argv[1]) as robot:
 
 
 class ServedRobot(serve.ServedRobot):
-    """A robot on a port, ready to be pressed."""
+    """A robot on a port, ready for a muscle to be pressed."""
 
     def __init__(self, seed: int) -> None:
         from thigmo.emulator._board import VirtualBoard
@@ -90,7 +90,7 @@ Way = Callable[[Start], AbstractContextManager[Press]]
 
 
 def at_once(press: Press) -> Way:
-    """A way that needs nothing to be ready."""
+    """A way that needs no preparation."""
     return lambda start: nullcontext(press)
 
 
@@ -176,7 +176,7 @@ _HEARTLESS = ("kill -9, all", "cable")  # nobody remains to tell the board
 
 
 def run(context: Context) -> Outcome:
-    """Time from each way's press to outputs that are off: median and worst."""
+    """Median and worst time from the press until outputs are off, for each way."""
     rows: list[dict[str, str | int | float]] = []
     for way, (how, _) in WAYS.items():
         times = stopped_ms(way, context.count(2, 10), partial(context.progress, way))

@@ -1,20 +1,20 @@
 """Trigger latency against false alarms over the board's averaging and debounce.
 
-Empty rooms are swept under each of the three parts of the sensors' noise (docs/methods.md: white,
-hysteresis, offset at each eversion), alone and together, at multiples of the default scene's; each
-report there is a false alarm. Latency is measured three ways, under all three parts at their
-default: from a step of base curvature of 1.5 and of 2 times the threshold, and from the moment at
-which the true base contact curvature of a sweep into a peg passes the threshold. The firmware's own
-trigger is measured, on the virtual board.
+Empty rooms are swept with each of the three parts of the sensors' noise (docs/methods.md: white,
+hysteresis, offset at each eversion), alone and together, at multiples of the default scene's. Each
+report there is a false alarm. Latency is measured in three ways with all three parts at their
+default: from steps of base curvature of 1.5 and of 2 times the threshold, and from the moment at
+which the true contact curvature at the base exceeds the threshold in a sweep into a peg. The
+trigger is the firmware's own, on the virtual board.
 
 The defaults in protocol/schema.yaml are chosen by this rule. 50 Hz hum of ten thresholds must not
 alarm, and at most 1 of 100 empty sweeps with all three noise parts at twice their default. Of the
 remaining settings, those within 10 ms of the shortest latency in 90 % of sweeps into pegs count as
 equal, and the shortest latency for 95 % of the steps of 1.5 times the threshold decides.
 
-No scene has mains hum: nobody knows its size before the wires lie. But how much of it a setting
-bears is known (`hum_borne`), and the rule demands ten thresholds: neither an average of 32 samples
-nor a debounce of 9 ms bears that alone.
+No scene has mains hum, because its size is unknown before the robot is wired. But the hum that a
+setting tolerates is known (`hum_borne`), and the rule requires ten thresholds. Neither an average
+of 32 samples nor a debounce of 9 ms tolerates that alone.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ STEPS = (1.5, 2.0)  # of the threshold
 PEGS = 0.0  # in place of a step: a sweep into a peg
 DECIDING = ("all three", 2.0)
 ALLOWED_PER_100 = 1.0
-HUM_PER_MS = 0.05  # 50 Hz; no setting here bears less of 60 Hz
+HUM_PER_MS = 0.05  # 50 Hz; every setting here tolerates at least as much of 60 Hz
 LEAST_HUM = 10.0  # thresholds
 EQUAL_MS = 10.0
 DEAD_TIME_MS = 63.0  # of valve and muscle: a faster trigger stops the muscle no sooner
@@ -132,9 +132,9 @@ def run(context: Context) -> Outcome:
 def quantile(values: Floats, share: float, *, early: bool) -> float:
     """A quantile of latencies (ms); missed contacts are infinite.
 
-    What fired before the touch counts if `early` (a peg bends the base before it passes the
-    threshold); else it is a false alarm and omitted (before a step there is nothing). NaN when
-    false alarms came before every touch.
+    A report before the touch counts if `early` (a peg bends the base before the threshold is
+    exceeded); otherwise it is a false alarm and omitted (nothing precedes a step). NaN if false
+    alarms preceded every touch.
     """
     good = np.sort(values if early else values[values >= 0])
     return float(good[min(int(np.ceil(share * len(good))), len(good)) - 1]) if len(good) else np.nan
@@ -149,10 +149,10 @@ def _deciding_ms(late: dict[float, Floats]) -> tuple[list[float], list[float]]:
 
 
 def hum_borne(setting: Setting) -> float:
-    """Amplitude (thresholds) of 50 Hz hum on a free body that does not alarm; infinite for all.
+    """Largest amplitude (thresholds) of 50 Hz hum without a false alarm; may be infinite.
 
-    The average of n samples passes a share of the hum. What passes must be over the threshold for
-    as many samples in a row as are debounced.
+    The average of n samples passes a share of the hum. An alarm needs this share to exceed the
+    threshold for as many successive samples as the debounce takes.
     """
     samples = 2**setting.filter_log2
     passed = abs(np.sin(np.pi * HUM_PER_MS * samples)) / (samples * np.sin(np.pi * HUM_PER_MS))

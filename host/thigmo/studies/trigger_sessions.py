@@ -1,9 +1,9 @@
 """Sessions for the trigger's study: swept once with the plant, replayed for every setting.
 
-What the trigger's settings are does not change what the sensors see, so the plant runs once a
-session and its conversions are kept by tick; the firmware then meets the same conversions on a
-virtual board once for each setting, with the same host at the same milliseconds. That host is a
-script, for the full client waits for answers. The simulated Mega can be fed the same way
+The trigger's settings do not change the sensors' signals, so the plant runs once for each session,
+and its conversions are stored by tick. The firmware then gets the same conversions on a virtual
+board for each setting, with the same host commands at the same milliseconds. The host is a script,
+because the full client waits for answers. The simulated Mega can be driven in the same way
 (tests/sim/mega/test_trigger_on_the_image.py).
 """
 
@@ -33,13 +33,13 @@ from thigmo.robot.robot import Robot
 from thigmo.robot.sweep import rising_period_s
 
 Script = Sequence[tuple[int, wire.Message]]
-"""Commands with the milliseconds at which they are said, from 100 on, in order of time."""
+"""Commands with the milliseconds at which they are sent, from 100 on, in order of time."""
 
 _RISE_MS = 4050  # vented then: a quarter of the shortest period and half of its peak's readings
 _HELLO_MS = 50
 _BEGIN_MS = 8000  # of the first sweep: by then the sensors are zeroed
 _HALF_MS = 5500  # one side's rise, vent and rest
-_REPLAY_MS = 50  # between exchanges of a replay: what is said, is said at multiples of it
+_REPLAY_MS = 50  # between exchanges of a replay; commands are sent at multiples of it
 _BASES = (0, FLEX_RIGHT)
 _LOOKED_AT = (*_BASES, PRESSURE, PRESSURE + 1)
 OTHERS = np.full((CHANNELS, 2), 600.0)
@@ -65,7 +65,7 @@ class Half(NamedTuple):
 
     @property
     def vent_ms(self) -> int:
-        """When it is vented."""
+        """Time of the vent, ms."""
         return self.start_ms + _RISE_MS
 
 
@@ -125,14 +125,14 @@ def converse(
     advance: Callable[[int], None],
     step_ms: int = STEP_MS,
 ) -> Floats:
-    """Say a script to a board that has just started, beat its heart, acknowledge its events.
+    """Send a script to a board that has just started, with heartbeats and acknowledged events.
 
-    `advance` runs the board by `step_ms` after each exchange, and is passed the ms since the first.
-    Returns the times of the contacts that the board reports, ms by its own clock.
+    `advance` runs the board by `step_ms` after each exchange; its argument is the time (ms) since
+    the first. Returns the times of the contacts that the board reports, ms by its own clock.
 
     Raises:
-        RuntimeError: a command was refused, or the sensors not zeroed; the session is worth
-            nothing.
+        RuntimeError: a command was refused, or the sensors were not zeroed, so that the session is
+            useless.
     """
     decoder, waiting, heart = Decoder(), deque(script), None
     said: list[wire.Message] = []
@@ -180,7 +180,7 @@ def _script_of(robot: RobotConfig, length_cm: float, halves: Sequence[Half]) -> 
     )
     says: list[tuple[int, wire.Message]] = [
         (50, wire.SetParameter(wire.PARAMETERS["telemetry_ms"].index, 0)),
-        # The study is of the trigger: noise must not keep the zero from being taken.
+        # Only the trigger is studied, so noise must not prevent the zero.
         (100, wire.SetParameter(wire.PARAMETERS["drift_limit_e5"].index, 10_000)),
         (300, wire.ApplyParameters()),
         (400, wire.ConfirmLength(round(length_cm * 1e4), 1)),
@@ -277,7 +277,7 @@ def replay(session: Session, setting: Setting) -> Floats:
 
 
 def _inside(half: Half, times: Floats) -> Floats:
-    """Contacts reported before the vent: no host takes the swing after it for one of the sweep."""
+    """Contacts reported before the vent; a host ignores the swing after it."""
     return times[(times >= half.start_ms) & (times < half.vent_ms)]
 
 

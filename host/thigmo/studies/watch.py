@@ -1,6 +1,6 @@
-"""What watching costs, and how late it is: readings from the robot's port to the screen, an
-exploration with three pages open against one that nobody watches, and the share of an exploration's
-processor time that publishing and recording readings takes while nobody looks.
+"""Delay and cost of watching: the age of readings on the screen, an exploration with three pages
+open against one without, and the share of an exploration's processor time for publishing and
+recording readings without a page.
 
 The robot is emulated and served on a pseudo-terminal in real time, at its full rate: 200 readings a
 second. The pages are a real browser's. Everything runs on this computer, which should have nothing

@@ -1,4 +1,4 @@
-"""The methods that the localizer is compared with: what users would pick, and the thesis's own.
+"""Methods for comparison with the localizer: those that users would choose, and the thesis's.
 
 Called directly, with a `Problem`. `pwlf`, `ruptures`, `trees` and `trees-mechanics` need the
 packages of `pip install thigmo[bench]` and say so.

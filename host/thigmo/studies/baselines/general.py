@@ -1,9 +1,9 @@
-"""What a user would reach for first: general optimisers, a grid, kinks in a line, and trees.
+"""Methods that a user would try first: general optimisers, a grid, kinks in a line, and trees.
 
 Variables of the optimisers are scaled as a competent user would (a / L, f L^2 over the readings'
 size); they start where the problem says (by default where the thesis does, at the tip), with the
 best force there. `pwlf` and `ruptures` know neither the zero curvature beyond the last contact nor
-the sensors' spans. Trees are the thesis's wish.
+the sensors' spans. The thesis suggests trees.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ OPTIMISERS: dict[str, Callable[..., Any]] = {
 
 
 def optimised(name: str, problem: Problem) -> tuple[Array, Array]:
-    """The thesis's objective, arcs and forces together, in the hands of one of OPTIMISERS."""
-    # A force that explains the largest reading with a contact at the tip.
+    """Minimise the thesis's objective over arcs and forces together by one of OPTIMISERS."""
+    # The force of a contact at the tip that explains the largest reading.
     unit = max(float(np.max(np.abs(problem.curvature))), 1e-12) / problem.length
     count = problem.contacts
 
@@ -84,9 +84,9 @@ def optimised(name: str, problem: Problem) -> tuple[Array, Array]:
 def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
     """The thesis's solver as one would write it today: SciPy's interior point does each step in a.
 
-    The speed that users of the thesis's method see. In cm, where it takes half as long as in mm
-    with the same error. Source: scipy.optimize, trust-constr (Byrd, Hribar and Nocedal, SIAM J.
-    Optim. 9, 1999).
+    This is the speed that users of the thesis's method would see. It works in cm, which takes half
+    as long as in mm with the same error. Source: scipy.optimize, trust-constr (Byrd, Hribar and
+    Nocedal, SIAM J. Optim. 9, 1999).
     """
     cut = at_centres(problem)
     bounds = Bounds(np.zeros(cut.contacts), np.full(cut.contacts, cut.length))
@@ -105,10 +105,10 @@ def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
 
 
 def grid(problem: Problem) -> tuple[Array, Array]:
-    """A 0.1 cm grid with exact inner force.
+    """A 0.1 cm grid of arcs with exact forces.
 
-    Several contacts: 1 cm, all combinations, screened with least-squares forces, for exact ones
-    would take minutes.
+    For several contacts, all combinations on a 1 cm grid, screened with least-squares forces,
+    because exact ones would take minutes.
     """
     step = _GRID_CM if problem.contacts == 1 else _PAIR_GRID_CM
     nodes = np.linspace(0.0, problem.length, int(problem.length / step) + 1)[1:]

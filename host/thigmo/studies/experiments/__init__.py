@@ -23,7 +23,7 @@ from thigmo.studies.experiments.trial import STATIC, Trial
 __all__ = ["EXPERIMENTS", "Experiment"]
 
 Experiment = Callable[[int, int, Context], Outcome]
-"""Takes the number of robots, each with errors of its own, and of trials a condition and robot."""
+"""Takes the number of robots, each with its own errors, and of trials per condition and robot."""
 
 
 def _of_robot(item: tuple[str, int, int, int]) -> list[Trial]:
@@ -42,7 +42,7 @@ def _static(name: str, robots: int, trials: int, context: Context) -> Outcome:
 EXPERIMENTS: dict[str, Experiment] = {
     **{name: partial(_static, name) for name in STATIC},
     "predictions": fit.predictions,
-    # The emulator's own scene says how imperfect its robot is: one run of each protocol a robot.
+    # The emulator's scene has the robot's errors: one run of each protocol for each robot.
     "exploration": lambda robots, trials, context: explorations.run(robots, context),
     "sensitivity": lambda robots, trials, context: sensitivity.run(robots * trials, context),
 }

@@ -1,10 +1,9 @@
-"""The methods on one trial, and their errors: the thesis's solver, its variants, and ours.
+"""The answers of the thesis's solver, its variants and ours to one trial, and their errors.
 
-All methods see the same trials, and each trial is solved once by each. Three errors are counted:
-the thesis's measure |a - x of the obstacle|, which mixes arc length and x, with contacts ordered
-along the arc; the same with the closest contact and obstacle paired first; and the workspace's
-|x of the estimated contact point - x of the true one|, through the shape that each method's own
-answer implies.
+Each method solves the same trials once. There are three errors: the thesis's measure |a - x of the
+obstacle|, which mixes arc length and x, with contacts ordered along the arc; the same with the
+closest contact and obstacle paired first; and |x of the estimated contact point - x of the true
+one| in the workspace, by the shape that a method's answer implies.
 """
 
 from __future__ import annotations
@@ -35,10 +34,9 @@ class Answer:
     fold_rad: float = 0.0
     status: str = "localized"
     intervals_cm: tuple[tuple[float, float], ...] = ()
-    # (arc, contact curvature) along the body where the method knows more of it than the straight
-    # beam's ramps
+    # (arc, contact curvature) along the body if the method knows more than a straight beam's ramps
     bend: tuple[tuple[float, float], ...] = ()
-    end_offset_cm: float | None = None  # where a contact on the end bears
+    end_offset_cm: float | None = None  # offset of a contact on the end from the centreline
 
 
 def thesis_method(trial: Trial, name: str = THEIRS) -> Answer:
@@ -54,7 +52,7 @@ def thesis_method(trial: Trial, name: str = THEIRS) -> Answer:
 def ours(trial: Trial) -> Answer:
     """The project's localizer, given the number of contacts as the thesis was.
 
-    As in an exploration, what the untouched robot has shown of its sensors is taken off first.
+    As in an exploration, errors learnt from the untouched robot are subtracted first.
     """
     result = localize(
         trial.curvature / trial.gain, trial.position, free_curvature=trial.free,
@@ -101,8 +99,8 @@ def camera_errors(trial: Trial, answer: Answer) -> Floats:
 def assigned_errors(trial: Trial, answer: Answer) -> Floats:
     """As `camera_errors`, with the closest pair of contact and obstacle matched first.
 
-    Along a line no assignment has a smaller sum than the ordered one; this one tells how well the
-    best-found contact was found, whatever its label: its error comes first.
+    Along a line, the ordered assignment has the smallest sum. This one shows the error of the
+    contact that was found best, whatever its label; it comes first.
     """
     gaps = np.abs(np.subtract.outer(answer.arcs_cm, trial.obstacle_x_cm))
     errors = []
@@ -116,7 +114,7 @@ def assigned_errors(trial: Trial, answer: Answer) -> Floats:
 def workspace_errors(trial: Trial, answer: Answer) -> Floats:
     """|x of the contact point| error through the answer's own shape, base first, cm.
 
-    On a real robot the contact point is not known; there it is the error of the dowel's x.
+    On a real robot the contact point is unknown, so the error of the dowel's x is used.
     """
     contacts = sorted(zip(answer.arcs_cm, answer.forces, strict=True))
     curve = centreline(

@@ -41,7 +41,7 @@ Row = dict[str, Any]
 
 
 def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None) -> Outcome:
-    """Solve every trial by every method that its experiment compares, once; rows and figures.
+    """Solve every trial once by every method that its experiment compares; rows and figures.
 
     Conditions without trials are omitted.
 
@@ -177,13 +177,13 @@ def _compared(solved: Sequence[Solved], here: str) -> Row:
 
 
 def _standard_error(of_robots: Floats) -> float:
-    """Of the mean over robots; NaN of one robot."""
+    """Standard error of the mean over robots; NaN for one robot."""
     n = of_robots.size
     return float(of_robots.std(ddof=1) / np.sqrt(n)) if n > 1 else nan
 
 
 def _shown(r: Row) -> Row:
-    """The columns that people look at first: means in the thesis's measure, then x in the room."""
+    """The columns for the printed table: means in the thesis's measure, then x in the room."""
     return {
         "mean error, cm": r["condition"],
         "n": r["trials"],
@@ -198,7 +198,7 @@ def _shown(r: Row) -> Row:
 
 
 def _remarks(r: Row) -> list[str]:
-    """What the row's numbers do not say by themselves."""
+    """Remarks on a row that its numbers do not show."""
     lines = []
     if r["experiment"] == "two-contacts":
         lines.append(

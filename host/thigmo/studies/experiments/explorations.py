@@ -3,7 +3,7 @@
 The thesis's column here is its solver on the full sweep's peak readings of its own protocol, at the
 first stage with a contact; ours is the exploration's answer. Robot time is device time.
 
-With a robot they are made one by one, labelled, resumed, evaluated again:
+With a robot they are made one by one, and can be labelled, resumed and evaluated again:
 
     OUT/exploration/
       robot.toml, trials.jsonl    as `session.py` says
@@ -72,10 +72,10 @@ def _both(seed: int) -> dict[Way, Made]:
 
 
 def _made(document: RunDocument, dowel: Place, thesis_run: RunFolder | None = None) -> Made:
-    """What an exploration came to; its folder is needed if it followed the thesis's protocol.
+    """The result of an exploration; its folder is needed if it followed the thesis's protocol.
 
-    On a real robot nobody knows the point of contact: there the dowel that touches it at the
-    mapped point is compared with the one that was measured.
+    On a real robot the point of contact is unknown, so a dowel that touches the body at the mapped
+    point is compared with the measured dowel.
     """
     best = best_contact(document.contacts)
     x = plane = float("inf")
@@ -97,7 +97,7 @@ def _in_words(made: Made) -> str:
 def _thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
     """|a - x of the obstacle| of the thesis's solver on the first contact's peak, cm.
 
-    Stages with fewer readings than the thesis's solver needs are passed over, as the thesis does.
+    Stages with fewer readings than the thesis's solver needs are skipped, as in the thesis.
     """
     table = SensorTable.of(run.read_config())
     for sweep in recorded_sweeps(run.path):
@@ -113,7 +113,7 @@ def _thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
 
 
 def _compared(trials: Trials) -> Outcome:
-    """What explorations promise over all rooms that were explored by both protocols."""
+    """Promises over all rooms that were explored by both protocols."""
     runs: list[Record] = [
         {
             "seed": number,
