@@ -32,12 +32,14 @@ LOOKS = {
         "color_scheme": "light",
     },
 }
-# One contact is on the map, and a sweep measures again: its posterior lies on the moving body.
+# One contact is on the map, and a sweep measures again: its posterior lies on the moving body. The
+# muscles' pressures are columns 1 and 2.
 MEASURES = """() => {
-  const { last, now, origin } = thigmo.store;
+  const { last, now, origin, columns } = thigmo.store;
   return last.contacts?.contacts.length && last.state?.state === "MEASURE"
     && last.state.stage_cm >= 50 && last.posterior?.sweeping && last.posterior.places_cm.length
-    && now - (last.posterior.t_s - origin) < .2;
+    && now - (last.posterior.t_s - origin) < .2
+    && Math.max(columns[1].at(-1), columns[2].at(-1)) > 5;
 }"""
 DRAWN = "() => new Promise((go) => setTimeout(go, 600))"
 
