@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from command import Thigmo
 
-import thigmo
 from thigmo import wiring
 from thigmo.config import RAD_PER_OHM, HeadingSensor
 from thigmo.design import draft
@@ -301,8 +300,3 @@ def test_parameters_of_imus_are_shown_and_set_by_name(scene_path: Path, thigmo: 
     assert (ran.code, "imu_to must lie in 0..1023, not 1024" in ran.err) == (1, True)
     report = wire.ConfigReport(wire.Status.OK, 1, 60, 2, (61, 62, *(0,) * 6), 0, (0,) * 8)
     assert StoredConfiguration.of(report).new == ("imu_from", "imu_to")
-
-
-def test_connect_opens_a_string_by_its_address(scene_path: Path) -> None:
-    with thigmo.connect(f"micropython://{scene_path}") as robot:
-        assert robot.identity["board"] == "unix"

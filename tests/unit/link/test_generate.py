@@ -1,4 +1,4 @@
-"""The generator refuses a schema that breaks the protocol's rules, and its outputs are current."""
+"""The generator refuses a schema that breaks the protocol's rules."""
 
 from __future__ import annotations
 
@@ -41,11 +41,6 @@ def load(generate: ModuleType, tree: dict[str, Any], folder: Path) -> Any:
     path = folder / "schema.yaml"
     path.write_text(yaml.dump(tree, Dumper=yaml.CSafeDumper, sort_keys=False))
     return generate.load(path)
-
-
-def test_committed_outputs_are_what_the_schema_gives(generate: ModuleType) -> None:
-    for key, text in generate.render(generate.load(ROOT / "protocol/schema.yaml")).items():
-        assert generate.OUTPUTS[key].read_text() == text, key
 
 
 @pytest.mark.parametrize(
