@@ -77,11 +77,11 @@ def touch_curvature(frames: Sequence[SweepFrame], side: Side) -> float | None:
 def held_back(frames: Sequence[SweepFrame], side: Side) -> Floats:
     """By how much the base was held back in each frame of a side, 1/cm, against the bend's way.
 
-    A running median keeps edges and drops single frames.
+    A running median keeps edges and drops single frames, also the last one.
     """
     against = -SIGN[side]
     excess = np.array([f.excess for f in frames if f.side == side], dtype=np.float64)
-    return np.asarray(against * median_filter(excess, _SMOOTH, mode="nearest"))
+    return np.asarray(against * median_filter(excess, _SMOOTH, mode="mirror"))
 
 
 def held_now(frames: Sequence[SweepFrame], side: Side) -> float:
