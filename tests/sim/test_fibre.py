@@ -54,7 +54,7 @@ def pressing() -> tuple[Robot, EmulatorTransport]:
 def test_a_new_robot_feels_a_peg_with_its_fibre(thigmo: Thigmo, tmp_path: Path) -> None:
     made = thigmo("robot", "new", "--kind", "fibre", "--sensors", "20", "--seed", "6",
                   "--out", str(tmp_path))  # fmt: skip
-    command = made.out.partition("thigmo feel ")[2].split()
+    command = made.out.partition("thigmo feel ")[2].splitlines()[0].split()
     assert command, made.out
     answers = json.loads(thigmo("feel", *command, "--count", "2", "--json").out)
     for answer in answers:
