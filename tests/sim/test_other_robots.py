@@ -30,6 +30,16 @@ from thigmo.wiring import input_of
 OTHERS = [name for name in ROBOTS if name != THESIS]
 
 
+def _prepare(driven: Robot, robot: RobotConfig) -> None:
+    """Configure it at its full length, arm and zero it."""
+    driven.configure(robot)
+    driven.confirm_length(robot.body.length_cm, settled=True)
+    driven.select_zone(2)
+    driven.arm()
+    driven.wait(2.0)
+    driven.zero()
+
+
 @pytest.mark.ci
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_described_robot_finds_pegs_and_says_nothing_in_an_empty_room(name: str) -> None:
@@ -107,12 +117,7 @@ def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
     )
     assert not list((tmp_path / "runs").glob("*"))
     with connect(url) as driven:
-        driven.configure(robot)
-        driven.confirm_length(robot.body.length_cm, settled=True)
-        driven.select_zone(2)
-        driven.arm()
-        driven.wait(2.0)
-        driven.zero()
+        _prepare(driven, robot)
         for name, number in (("two", 1), (330.0, 2)):
             driven.press(name, 9.0)
             driven.wait(4.0)
@@ -131,12 +136,7 @@ def test_a_muscle_that_no_base_sensor_guards_is_pressed_with_a_warning_and_not_s
     scene.start_length_cm, scene.start_settled = robot.body.length_cm, True
     warned: list[str] = []
     with connect(room_file(tmp_path, scene)) as driven:
-        driven.configure(robot)
-        driven.confirm_length(robot.body.length_cm, settled=True)
-        driven.select_zone(2)
-        driven.arm()
-        driven.wait(2.0)
-        driven.zero()
+        _prepare(driven, robot)
         driven.operator.warn = warned.append  # type: ignore[method-assign]
         for name in ("left", "180deg", "180deg"):
             driven.press(name, 5.0)
@@ -157,12 +157,7 @@ def test_a_base_sensor_that_reads_half_of_a_bend_does_not_take_it_for_a_contact(
     scene = room_for(robot, 0, peg=False)
     scene.start_length_cm, scene.start_settled = robot.body.length_cm, True
     with connect(room_file(tmp_path, scene)) as driven:
-        driven.configure(robot)
-        driven.confirm_length(robot.body.length_cm, settled=True)
-        driven.select_zone(2)
-        driven.arm()
-        driven.wait(2.0)
-        driven.zero()
+        _prepare(driven, robot)
         driven.press("left", 15.0, ramp_psi_s=2.0)
         driven.wait(10.0)
         assert driven.read(0.5).pressure_psi[0] == pytest.approx(15.0, abs=0.3)

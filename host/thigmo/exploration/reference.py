@@ -160,8 +160,8 @@ class FreeResponse:
         spread = np.einsum("d,di,dj->ij", weight, apart, apart)
         return mean, np.einsum("d,dij->ij", weight, np.array(covariances)) + spread
 
-    def _effect(self, sensors: Indices, zone: int, free: float, reading: Floats) -> Floats:
-        """(n, size) what each unknown adds to the readings of some sensors."""
+    def _effect(self, sensors: Indices, zone: int, free: float | Floats, reading: Floats) -> Floats:
+        """(n, size) what each unknown adds to n readings of sensors."""
         effect = np.zeros((sensors.size, self._matrix.shape[1]))
         rows = np.arange(sensors.size)
         effect[rows, sensors] = 1.0
@@ -184,10 +184,12 @@ class FreeResponse:
                 continue
             mean = self._posterior(SIDES.index(side))[0]
             free = np.array([frames[n].free_curvature for n in mine])
-            own = mean[use] + mean[self._count + use] * sweep.curvature[np.ix_(mine, use)]
-            mapped = mean[self._scale + zone] * free + mean[self._offset + zone]
+            learnt = [
+                self._effect(np.full(mine.size, n), zone, free, sweep.curvature[mine, n]) @ mean
+                for n in use
+            ]
             # A record with a gap may lack a sensor's zero.
-            more = np.fmax(SIGN[side] * (own.mean(axis=1) + mapped), 0.0)
+            more = np.fmax(SIGN[side] * np.mean(learnt, axis=0), 0.0)
             for n, each in zip(mine, (SIGN[side] * more).tolist(), strict=True):
                 frames[n] = replace(frames[n], excess=frames[n].excess - each)
         return replace(sweep, frames=frames)
