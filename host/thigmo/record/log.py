@@ -140,7 +140,7 @@ class LogWriter(Closing):
         epoch_s: float = 0.0,
         chunk_bytes: int = _CHUNK_BYTES,
     ) -> None:
-        from thigmo.record.mcap_writer import McapWriter
+        from mcap.writer import Writer
 
         with RunFolderError.from_os(f"cannot write {path}", "choose another folder with --out"):
             self._stream = _Pieces(io.FileIO(path, "xb"))
@@ -148,17 +148,18 @@ class LogWriter(Closing):
         self._refused: OSError | None = None
         self._closed = False
         library = f"thigmo {metadata.get('thigmo', '')}".strip()
-        self._writer = McapWriter(cast("IO[bytes]", self._stream), library, chunk_bytes)
+        self._writer = Writer(cast("IO[bytes]", self._stream), chunk_size=chunk_bytes)
+        self._writer.start(library=library)
         self._epoch_ns = round(epoch_s * 1e9)
-        frame = self._writer.schema("thigmo.Frame", "text", _FRAME_SCHEMA.encode())
+        frame = self._writer.register_schema("thigmo.Frame", "text", _FRAME_SCHEMA.encode())
         note = json.dumps(_NOTE_SCHEMA).encode()
         self._frames = {
-            direction: self._writer.channel(topic, "cobs", frame)
+            direction: self._writer.register_channel(topic, "cobs", frame)
             for topic, direction in _TOPICS.items()
         }
         self._note = self.add_channel(_NOTES, "json", "thigmo.Note", "jsonschema", note)
         self._fibre = 0  # no channel yet
-        self._writer.metadata("run", {**metadata, EPOCH: str(self._epoch_ns)})
+        self._writer.add_metadata("run", {**metadata, EPOCH: str(self._epoch_ns)})
         self._end_piece()
 
     def frame(self, direction: Direction, frame: bytes, t_s: float) -> None:
@@ -182,14 +183,15 @@ class LogWriter(Closing):
         self, topic: str, encoding: str, schema: str, schema_encoding: str, data: bytes
     ) -> int:
         """A further channel with its schema, as mcap.dev/spec/registry has them; its number."""
-        number = self._writer.schema(schema, schema_encoding, data)
-        return self._writer.channel(topic, encoding, number)
+        number = self._writer.register_schema(schema, schema_encoding, data)
+        return self._writer.register_channel(topic, encoding, number)
 
     def message(self, channel: int, data: bytes, t_s: float) -> None:
         """Keep a message of a channel; `t_s` is by the robot's time base."""
         if self._closed or self._refused is not None:
             return
-        self._writer.message(channel, self._epoch_ns + max(int(t_s * 1e9), 0), data)
+        t_ns = self._epoch_ns + max(int(t_s * 1e9), 0)
+        self._writer.add_message(channel, t_ns, data, t_ns)
         self._end_piece()  # a chunk that closed with it, out of this process's reach
 
     def messages(self, channel: int, data: NDArray[np.uint8], t_s: NDArray[np.float64]) -> None:
@@ -197,7 +199,8 @@ class LogWriter(Closing):
         if self._closed or self._refused is not None:
             return
         t_ns = self._epoch_ns + np.maximum(t_s * 1e9, 0.0).astype(np.uint64)
-        self._writer.messages(channel, t_ns, data)
+        for each_ns, row in zip(t_ns.tolist(), data, strict=True):
+            self._writer.add_message(channel, each_ns, row.tobytes(), each_ns)
         self._end_piece()
 
     def check(self) -> None:
@@ -214,7 +217,7 @@ class LogWriter(Closing):
             return
         self._closed = True
         if self._refused is None:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]
             self._end_piece()
         self._stream.close()
 

@@ -20,9 +20,9 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import breakup_chunk
+from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from thigmo.errors import RunFolderError
-from thigmo.record.mcap_writer import MAGIC
 
 _HEADER = struct.Struct("<BQ")
 _CHUNK_BYTES = 28  # before a chunk's compression: start and end time, size (u64), checksum (u32)
