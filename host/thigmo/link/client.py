@@ -398,9 +398,11 @@ class Client(Inbox, Closing):
 
     def _handle(self, frame: Frame, t_s: float) -> None:
         if frame.id == wire.Telemetry.ID:
-            self._strange += not wire.Telemetry.fits(frame.payload)
             self._watch_session(frame.session)
-            self._take_telemetry(frame, t_s)
+            if wire.Telemetry.fits(frame.payload):
+                self._take_telemetry(frame, t_s)
+            else:
+                self._strange += 1
             return
         if frame.id == wire.Stopped.ID and self._stop_call is not None:
             self._stop_call.take(frame)

@@ -131,8 +131,7 @@ class Inbox:
             del self._beats[next(iter(self._beats))]
 
     def _take_telemetry(self, frame: Frame, t_s: float) -> None:
-        payload = frame.payload
-        if frame.session != self.session or not wire.Telemetry.fits(payload):
+        if frame.session != self.session:
             return
         if self._telemetry_seq is not None:
             delta = (frame.seq - self._telemetry_seq) & 0xFFFF
@@ -141,8 +140,8 @@ class Inbox:
             self.stats.telemetry_lost += delta - 1
         self._telemetry_seq = frame.seq
         self.stats.telemetry += 1
-        device_us = self.clock.unwrap(int.from_bytes(payload[:4], "little"))
-        received = TelemetryFrame(frame.seq, t_s, device_us, payload)
+        device_us = self.clock.unwrap(int.from_bytes(frame.payload[:4], "little"))
+        received = TelemetryFrame(frame.seq, t_s, device_us, frame.payload)
         for callback in self.on_telemetry:
             callback(received)
 
