@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated import armed, scene_at
-from served import EVER_S
+from emulated import Serve, armed, scene_at
 
 from thigmo.emulator.plant import Plant
 from thigmo.emulator.scene import Scene
-from thigmo.emulator.serve import serve
+from thigmo.emulator.serve import serve as serve_scene
 from thigmo.errors import ConfigError, PortError
 from thigmo.robot import connect
 
@@ -64,35 +61,12 @@ def test_trigger_threshold_is_passed_where_the_noise_free_plant_says(room: Scene
     assert passed == pytest.approx(felt.pressure_psi, abs=0.4)
 
 
-@pytest.fixture
-def served(tmp_path: Path) -> Iterator[str]:
-    """The port of an emulated robot in real time, by its link."""
-    link = tmp_path / "robot"
-    up, stop = threading.Event(), threading.Event()
-    thread = threading.Thread(
-        target=serve,
-        args=("default",),
-        kwargs={
-            "seed": 1,
-            "link": link,
-            "announce": lambda text: up.set(),
-            "keep_on": lambda: not stop.is_set(),
-        },
-    )
-    thread.start()
-    assert up.wait(EVER_S)
-    try:
-        yield str(link)
-    finally:
-        stop.set()
-        thread.join()
-    assert not link.is_symlink()
-
-
-def test_served_robot_answers_on_its_port_and_opening_resets_it(served: str) -> None:
+@pytest.mark.realtime
+def test_served_robot_answers_on_its_port_and_opening_resets_it(serve: Serve) -> None:
+    served = serve(Scene.load("default"))
     nonces = []
     for _ in range(2):
-        with connect(served) as robot:
+        with connect(served.port) as robot:
             assert robot.identity["board"] == "virtual"
             assert robot.identity["reset_cause"] == "external"
             assert robot.status().length_cm is None
@@ -102,6 +76,6 @@ def test_served_robot_answers_on_its_port_and_opening_resets_it(served: str) -> 
 
 def test_unusable_scene_or_link_is_a_clear_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no scene"):
-        serve("nowhere")
+        serve_scene("nowhere")
     with pytest.raises(PortError, match="link"):
-        serve("default", link=tmp_path / "missing" / "robot")
+        serve_scene("default", link=tmp_path / "missing" / "robot")

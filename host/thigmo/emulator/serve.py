@@ -226,9 +226,8 @@ def serve(
     link: Path | None = None,
     config: Path | None = None,
     announce: Callable[[str], None] = print,
-    keep_on: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Serve a scene until `keep_on()` ends it, asked every 10 ms, or the program is interrupted.
+    """Serve a scene until the program is interrupted.
 
     Args:
         scene: a scene's name or the path of its file.
@@ -251,6 +250,6 @@ def serve(
                 known.save(config)
             said += f"\nIts constants: thigmo explore --robot {port} --config {config}"
         announce(said)
-        server.run(keep_on)
+        server.run()
     finally:
         server.close()
