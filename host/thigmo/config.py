@@ -436,6 +436,9 @@ class Spool(Model):
     brake: bool = False  # a spring-applied brake, and contacts in the motor's supply
 
 
+_SCENE_KEYS = {"extends", "robot", "pegs"}  # of a scene, and in no version of robot.toml
+
+
 class RobotConfig(Model):
     """Contents of robot.toml."""
 
@@ -562,8 +565,15 @@ class RobotConfig(Model):
         """Read and validate a robot.toml.
 
         Raises:
-            ConfigError: unreadable file, malformed TOML, unknown key or bad value (which is named).
+            ConfigError: unreadable file, malformed TOML, unknown key or bad value (which is named),
+                or a scene.
         """
+        if not _SCENE_KEYS.isdisjoint(read_toml(path)):
+            raise ConfigError(
+                f"{path} is a scene, not a robot",
+                "check it with `thigmo scene check`, or give its robot's robot.toml, which "
+                "`thigmo emulate` writes",
+            )
         return load_toml(cls, path)
 
     def save(self, path: str | os.PathLike[str]) -> Path | None:
