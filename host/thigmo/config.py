@@ -303,7 +303,7 @@ class FibreSensor(_Sensor):
     zero_ue: Finite = 0.0  # of the straight body
     noise: Positive = 2.7e-4  # a microstrain
     # What temperature adds to all gratings alike, 1/cm. A kelvin strains a core by 11 microstrain
-    # [a typical grating at 1550 nm]; cores that are told apart leave a tenth of that [assumed].
+    # [a typical grating at 1550 nm]; reading each core by itself leaves a tenth of that [assumed].
     temperature_se: NonNegative = 3e-4
     twist_se_rad: NonNegative = 0.05  # by which the fibre lies turned about its axis
 

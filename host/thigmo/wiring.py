@@ -122,7 +122,7 @@ def unexplored(config: RobotConfig) -> Beyond | None:
 
 
 def blind(config: RobotConfig) -> list[Muscle]:
-    """Muscles during whose bends the contact trigger has no sensor to work on.
+    """Muscles that bend the body without any sensor for the contact trigger.
 
     Raises as `places` for a robot with muscles out of the plane.
     """

@@ -60,7 +60,7 @@ class Score:
         coverage: share of the intervals that hold a true contact.
         width_cm: median width of the intervals.
         claimed: share of the answered that call a contact localized.
-        overclaimed: share of the contacts called localized whose interval holds no true one.
+        overclaimed: share of the contacts called localized that have no true one in their interval.
     """
 
     group: str

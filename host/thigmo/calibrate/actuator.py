@@ -426,7 +426,7 @@ def _judged(
     known = f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
     if readings.sensors:
         known += (
-            f" as {readings.sensors} sensor{'s'[: readings.sensors > 1]} read it, whose scales are "
+            f" as {readings.sensors} sensor{'s'[: readings.sensors > 1]} read it, with scales "
             f"known to {100 * readings.scale_se:.0f} %"
         )
     return True, known

@@ -117,7 +117,7 @@ def run(bench: Bench, step: str, *, again: bool = False, method: str | None = No
     _require(step, bench.config)
     if step != "pressure" and not bench.config.board_sensors:
         raise DataError(
-            "no sensor is on the board, which bends no body whose base it does not feel",
+            "the board has no sensor, and bends no body that has no sensor at its base",
             f"give readings as a file: `thigmo calibrate {step} --csv FILE`",
         )
     if again:

@@ -22,7 +22,7 @@ def ros(
         typer.Argument(
             metavar="RUN|URL",
             callback=named,
-            help="A run folder, whose map is published, or address of a robot. If omitted: "
+            help="A run folder (its map is published) or the address of a robot. If omitted: "
             "the run that is under way, or the next one.",
         ),
     ] = None,

@@ -90,7 +90,7 @@ def _show(name: str, rows: Sequence[Record]) -> None:
         )
         shown.add_row(*cells)
     console = Console()
-    # Words are not cut: a table whose words need more than the terminal has goes beyond it.
+    # Words are not cut: a table that needs more width than the terminal has goes beyond it.
     needed = Measurement.get(console, console.options.update_width(1000), shown).minimum
     console.width = max(console.width, needed)
     console.print(shown)

@@ -26,8 +26,8 @@ _PIECE = 128  # characters, at most 512 bytes: a pipe or terminal that is ready 
 class Unread(io.TextIOWrapper):
     """A stream that loses what it cannot write.
 
-    The stream below stays the standard library's own, whose writes a signal does not leave half
-    counted: with one in Python, Ctrl-C at the wrong moment printed a text twice.
+    The stream below stays the standard library's own: a signal does not leave its writes half
+    counted. With one written in Python, Ctrl-C at the wrong moment printed a text twice.
 
     Args:
         stream: where to.

@@ -133,7 +133,7 @@ def draft(
 
 
 def _outside(lies_deg: float) -> Literal[-1, 1]:
-    """Sign of the bends on whose outside a sensor lies: positive ones are towards 0 to 180."""
+    """Sign of the bends that have a sensor on their outside; positive: towards 0 to 180 degrees."""
     return -1 if lies_deg < 180.0 else 1
 
 

@@ -23,7 +23,7 @@ from thigmo.errors import ConfigError
 Floats = npt.NDArray[np.float64]
 
 _KEPT = 500  # lines for a host that does not read
-_UE_PER_K = 1.1  # what a kelvin leaves in cores that are told apart (config.FibreSensor)
+_UE_PER_K = 1.1  # what a kelvin leaves if each core is read by itself (config.FibreSensor)
 _QUEUE = 65_536  # bytes for a program that does not read; beyond, it is cut off
 
 
@@ -31,7 +31,7 @@ class EmulatedFibre:
     """The gratings of a robot, read every few steps; random by `rng`.
 
     Attributes:
-        lost: readings whose peak is lost, by number.
+        lost: numbers of the readings that have lost their peak.
         noisy: microstrain that a fault adds, one sigma, by number.
         silent: whether the interrogator sends nothing.
     """

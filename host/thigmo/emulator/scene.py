@@ -251,7 +251,7 @@ class Scene(Model):
     """The whole of a scene file."""
 
     version: Literal[1] = 1
-    extends: str | None = None  # scene, or path beside this file, whose entries hold unless given
+    extends: str | None = None  # scene, or path beside this file; its entries hold unless given
     name: str = "unnamed"
     about: str = ""
     seed: Annotated[int, Field(ge=0)] = 0

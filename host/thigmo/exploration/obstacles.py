@@ -43,7 +43,7 @@ _SIGMA_95 = 2.4477
 # Standard errors of a swept shape beyond which a cell is free: one in a thousand is not. Over 200
 # random rooms so few cells inside pegs that were felt are free (`thigmo bench exploration`).
 SIGMAS = 3.1
-GONE = "prior, not felt"  # source of an expected obstacle whose place was swept
+GONE = "prior, not felt"  # source of an expected obstacle that a sweep did not feel
 
 Mask = NDArray[np.bool_]
 

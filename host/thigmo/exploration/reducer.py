@@ -34,7 +34,7 @@ class Reducer:
         answers: of the stage's sweeps.
         obstruction: of growth, not yet on the map.
         tried: the stall that is tried again at a higher body pressure.
-        raised: zone whose pressure growth has needed since it stalled.
+        raised: zone of the body pressure that growth has needed since it stalled.
         straight_cm: up to this length the body is known not to be held bent.
     """
 
@@ -42,7 +42,7 @@ class Reducer:
         self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
     ) -> None:
         self._table = SensorTable.of(config)
-        self._board = self._table.board  # whose zeros last from stage to stage
+        self._board = self._table.board  # its zeros last from stage to stage
         self._zone = self._measured_zone = 0
         self.found = Interpreter(config, prior, method)
         self.stages: list[Stage] = []

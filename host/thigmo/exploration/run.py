@@ -365,7 +365,7 @@ class Exploration:
     def _measured_enough(self, so_far: SweepResult) -> bool:
         """Whether a measurement at a raised body pressure can stop: the base is near its fold.
 
-        Viewers are told what it feels so far.
+        Publishes what it feels so far to viewers.
         """
         zone = self._measured_zone
         so_far = self._found.against_learnt(so_far, zone)
@@ -408,7 +408,7 @@ class Exploration:
         return "pressure set"
 
     def _unplaced(self) -> set[Side]:
-        """Sides with a contact whose place the first sweep does not tell well enough."""
+        """Sides with a contact that the first sweep does not place well enough."""
         return held_sides(self._knows.looked) - self._known
 
     def _measure(self) -> str:

@@ -30,7 +30,7 @@ HOLD_AFTER = 4  # beats unheard after which a board counts as mute
 class Heart:
     """Beats of one session."""
 
-    session: int  # whose
+    session: int  # its number
     period_s: float = PERIOD_S  # between beats
     counter: int = 0  # of the last beat; 0 before the first
     next_s: float = float("-inf")  # when the next one is due, by the clock that `beat` is given

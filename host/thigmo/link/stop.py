@@ -66,7 +66,7 @@ class StopCall:
 class Stopper:
     """Stops that any thread calls for, until the board has confirmed them.
 
-    For the owner of the board's bytes, by whose clock `now` it sends what is due.
+    The owner of the board's bytes uses it to send what is due by its clock `now`.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:

@@ -90,7 +90,7 @@ class Watched:
 
     def __init__(self, url: str | None, pid: int | None = None) -> None:
         self._robot = url and _socket(url)
-        self._chosen = pid  # process whose run is looked at; None takes the youngest
+        self._chosen = pid  # process of the run that is shown; None takes the youngest
         self._waiting: deque[Message | None] = deque()
         self._run: RemoteRun | None = None
         self._ended = threading.Event()  # the run that is attached to
@@ -199,7 +199,7 @@ def stop_run(watched: Watched, run: Hello | None) -> list[str]:
 class Facts:
     """How things are."""
 
-    run: Hello | None = None  # whose messages came last; None before the first
+    run: Hello | None = None  # the run that sent the last message; None before the first
     under_way: bool = False  # it has not ended
     state: RunState | None = None  # last heard of it
     board: Telemetry | None = None  # last heard of it

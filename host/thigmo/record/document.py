@@ -64,8 +64,8 @@ class MapContact:
     y_cm: float  #: of the same point
     force_per_cm2: float  #: signed, F/EI; positive pushes towards +y of the body there
     interval_cm: tuple[float, float]  #: 95 % interval of the arc
-    #: "localized", "ambiguous", or "point estimate": of a method that knows no error, and whose
-    #: interval is therefore the whole body
+    #: "localized", "ambiguous", or "point estimate": the method gives no error, and the interval is
+    #: therefore the whole body
     status: str
     everted_length_cm: float  #: stage at which it was felt
     #: active muscle; empty for a peg that growth met, which stopped the tip or bent it aside
@@ -202,7 +202,7 @@ class MissedContact:
     """A contact that should be on the map and is not."""
 
     # who knows of it: "truth" (the emulated room: a peg that a sweep's peak touched) or "prior"
-    # (the map given: an obstacle whose place was swept without its being felt)
+    # (the given map: an obstacle that was not felt although its place was swept)
     source: str
     x_cm: float
     y_cm: float

@@ -93,7 +93,7 @@ class RunFolder:
         write_whole(self.path / name, _DOCUMENT.dump_json(document, indent=2) + b"\n")
 
     def read_document(self) -> RunDocument:
-        """Read contacts.json; a run whose process ended without a word says so."""
+        """Read contacts.json; it says so if the run's process ended without closing the run."""
         document = read_json(
             _DOCUMENT,
             self.path / "contacts.json",

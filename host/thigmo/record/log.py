@@ -274,7 +274,7 @@ class _Pieces:
 
 
 def read_log(path: Path) -> Log:
-    """Read what is whole of a `run.mcap`, also of a damaged one, or one whose writer was killed.
+    """Read the intact part of a `run.mcap`, even if it is damaged or its writer was killed.
 
     Raises RunFolderError if there is no such file, or it is no MCAP file.
     """

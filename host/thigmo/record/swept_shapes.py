@@ -33,7 +33,7 @@ def outline(poses: ArrayLike, radius_cm: float) -> Floats:
 def passed(shapes: Iterable[Shape], drawn_in: float = 0.0) -> Floats:
     """Centrelines (k, n, 3) of a half sweep's recorded shapes and those passed on the way between.
 
-    The shapes are of one stage and side, whose sweep starts with the straight robot and goes up in
+    The shapes are of one stage and side. Its sweep starts with the straight robot and goes up in
     pressure. `drawn_in` is in standard errors of the curvature: by so many the sweep starts later
     and ends earlier than it seems; then each shape has its error.
     """

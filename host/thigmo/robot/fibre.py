@@ -66,7 +66,7 @@ class Fibre:
         self._take(FibreLine(self._t_s, tuple(self._zero_ue.tolist()), zero=True))
 
     def telemetry(self, frame: TelemetryFrame) -> None:
-        """Take telemetry, by whose times the lines after it are stamped."""
+        """Take telemetry; the lines after it are stamped with its times."""
         self._newest = frame
 
     def tap(self, direction: str, frame: bytes, t_s: float) -> None:

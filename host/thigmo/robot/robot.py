@@ -104,7 +104,7 @@ class Robot(Supervised):
         is under pressure.
         """
         if self._has_fibre:
-            self._require_fibre()  # opening it takes time, whose telemetry is no growth's
+            self._require_fibre()  # takes time, and the telemetry meanwhile is no growth's
         with self._telemetry_to(watcher.telemetry) if watcher else nullcontext():
             self._start(wire.GrowTo(round(length_cm * 1e4), 0))
             return self._finish(wire.Activity.GROWING, self._travel_s()) / 1e4

@@ -102,7 +102,7 @@ class Supervised(Connected):
             raise
 
     def _start(self, command: Command[Ack]) -> None:
-        """Start an activity whose events are then waited for."""
+        """Start an activity; its events are then waited for."""
         self._forget()
         self._request(command)
 

@@ -1,8 +1,8 @@
 """Whole explorations on the emulator, of robots that agree or disagree with their calibration.
 
 Each peg is drawn where some sweep of the noise-free plant must feel it (`emulator.reach`). The
-robot that explores the room is the default scene's, or one whose body or sensors differ from
-robot.toml without being stated. Empty rooms are explored as well, where every contact reported is
+robot that explores the room is the default scene's, or one with a body or sensors that differ from
+its robot.toml. Empty rooms are explored as well, where every contact reported is
 false, and so are rooms of walls, corners and gaps, of dowels apart or side by side, and growths
 that tail friction stops without an obstacle. Contacts are compared with the surfaces that were
 touched, never with what was out of reach. The planners' map of every room with pegs is compared
@@ -375,15 +375,15 @@ def _outcome(every: list[Run]) -> Outcome:
     )
 
 
-def _map_shares(whose: str, maps: list[Mapped]) -> list[tuple[str, float]]:
+def _map_shares(name: str, maps: list[Mapped]) -> list[tuple[str, float]]:
     """Shares of wrong cells in per cent; the first is promised for calibrated robots."""
     total = Mapped._make(sum(one[n] for one in maps) for n in range(len(Mapped._fields)))
     return [
-        (f"{whose}, {len(maps)} rooms: of {total.felt} cells inside pegs that were felt, free",
+        (f"{name}, {len(maps)} rooms: of {total.felt} cells inside pegs that were felt, free",
          100 * total.felt_free / max(total.felt, 1)),
-        (f"{whose}: of {total.missed} cells inside pegs that were missed, free",
+        (f"{name}: of {total.missed} cells inside pegs that were missed, free",
          100 * total.missed_free / max(total.missed, 1)),
-        (f"{whose}: free space kept of what the sweeps seem to cover",
+        (f"{name}: free space kept of what the sweeps seem to cover",
          100 * total.free / max(total.swept, 1)),
     ]  # fmt: skip
 

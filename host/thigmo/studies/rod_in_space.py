@@ -1,8 +1,8 @@
 """Independent truth in space: rods under known loads, by the equations of the rod.
 
 An inextensible rod (Kirchhoff), clamped at the base, EI = 1, torsional stiffness 1 / `twist`, or
-none if that is 0. Integration starts at the tip, whose frame is that of the computation: nothing
-acts beyond it. Each load on the way to the base is given in the frame of its own section, and the
+none if that is 0. Integration starts at the tip and in its frame, because nothing acts beyond
+it. Each load on the way to the base is given in the frame of its own section, and the
 weight in the tip's, so this is an initial value problem, solved without iteration. Force and moment
 of the part beyond a section obey n' = -w and m' = n x t; the curvature is free + K R' m. Frames are
 integrated as matrices by Runge and Kutta, on nodes between the loads: nothing is shared with the

@@ -2,10 +2,10 @@
 emergency stop and ROS 2.
 
 Each trial has an emulated robot of its own, behind a pseudo-terminal in real time, and a program
-that presses a muscle to 4 psi. Times are the board's own, from the press to the step of 10 ms at
-whose end no transducer is driven and the motor is braked. A browser's, a command's and ROS 2's part
-is in them; a person's, a cable's and a radio's is not. They depend on this computer, which should
-have nothing else to do.
+that presses a muscle to 4 psi. Times are the board's own, from the press to the end of the 10 ms
+step after which no transducer is driven and the motor is braked. They include what a browser, a
+command and ROS 2 take, but not what a person, a cable and a radio take. They depend on this
+computer, which should have nothing else to do.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""The thesis's experiments, repeated: the same conditions, three columns, and the bound.
+"""The thesis's experiments, repeated under the same conditions.
 
-`trial.py` says what is pressed where, `specimen.py` what a simulated robot then reads, with the
-constants that `fit.py` found once. `recorded.py` takes the same trials with a robot on the bench or
-the whole emulator. `evaluate.py` sets the methods against each other on either. Called by
-`thigmo experiment`.
+Each table has three columns (the thesis's result, the thesis's method here, our method) and the
+Cramer-Rao bound. `trial.py` plans what is pressed where. `specimen.py` computes what a simulated
+robot then reads, with the constants that `fit.py` found once. `recorded.py` takes the same trials
+with a robot on the bench or with the whole emulator. `evaluate.py` compares the methods on either
+kind of trial. `thigmo experiment` calls all of this.
 """
 
 from __future__ import annotations

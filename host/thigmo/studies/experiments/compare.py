@@ -1,9 +1,12 @@
-"""The answers of the thesis's solver, its variants and ours to one trial, and their errors.
+"""Answers of the thesis's solver, its variants and our method to a trial, and their errors.
 
-Each method solves the same trials once. There are three errors: the thesis's measure |a - x of the
-obstacle|, which mixes arc length and x, with contacts ordered along the arc; the same with the
-closest contact and obstacle paired first; and |x of the estimated contact point - x of the true
-one| in the workspace, by the shape that a method's answer implies.
+Each method solves the same trials once. Three errors are computed:
+
+- the thesis's measure |a - x of the obstacle|, which mixes arc length and x; contacts and obstacles
+  are paired in their order along the arc;
+- the same measure, with the closest contact and obstacle paired first;
+- |x of the estimated contact point - x of the true one| in the workspace, where the estimated point
+  lies on the shape that the method's answer implies.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ OURS = "ours"
 
 @dataclass(frozen=True)
 class Answer:
-    """A method's estimate, contacts base first."""
+    """A method's estimate, with the contacts from base to tip."""
 
     arcs_cm: tuple[float, ...]
     forces: tuple[float, ...]
@@ -40,7 +43,7 @@ class Answer:
 
 
 def thesis_method(trial: Trial, name: str = THEIRS) -> Answer:
-    """The thesis's solver or one of its variants, given the number of contacts as it was."""
+    """The thesis's solver or one of its variants, given the true number of contacts."""
     problem = Problem(
         trial.curvature - trial.free, trial.position, trial.span, trial.length_cm,
         contacts=len(trial.arcs_cm), critical_curvature=trial.critical,
@@ -50,7 +53,7 @@ def thesis_method(trial: Trial, name: str = THEIRS) -> Answer:
 
 
 def ours(trial: Trial) -> Answer:
-    """The project's localizer, given the number of contacts as the thesis was.
+    """The project's localizer, given the true number of contacts, as the thesis's solver is.
 
     As in an exploration, errors learnt from the untouched robot are subtracted first.
     """
@@ -72,21 +75,21 @@ def ours(trial: Trial) -> Answer:
 
 
 class Solved(NamedTuple):
-    """A trial with every method's answer, by name (`OURS` and the baselines')."""
+    """A trial with every method's answer by name: `OURS` and the names of the baselines."""
 
     trial: Trial
     answers: dict[str, Answer]
 
 
 def solve(item: tuple[Trial, Sequence[str]]) -> Solved:
-    """Answer a trial with ours and with the named baselines."""
+    """Answer a trial with our method and with the named baselines."""
     trial, methods = item
     theirs = {name: thesis_method(trial, name) for name in methods}
     return Solved(trial, {OURS: ours(trial), **theirs})
 
 
 def answered(solved: Sequence[Solved], method: str) -> list[tuple[Trial, Answer]]:
-    """Trials for which a method has as many contacts as there are, with its answers."""
+    """Trials in which a method found as many contacts as there are, with its answers."""
     pairs = [(trial, answers.get(method)) for trial, answers in solved]
     return [(t, a) for t, a in pairs if a and len(a.arcs_cm) == len(t.arcs_cm)]
 
@@ -99,8 +102,8 @@ def camera_errors(trial: Trial, answer: Answer) -> Floats:
 def assigned_errors(trial: Trial, answer: Answer) -> Floats:
     """As `camera_errors`, with the closest pair of contact and obstacle matched first.
 
-    Along a line, the ordered assignment has the smallest sum. This one shows the error of the
-    contact that was found best, whatever its label; it comes first.
+    Along a line, pairing in order has the smallest sum of errors. Pairing the closest first shows
+    the error of the contact that was found best, whichever it is; that error comes first.
     """
     gaps = np.abs(np.subtract.outer(answer.arcs_cm, trial.obstacle_x_cm))
     errors = []
@@ -112,7 +115,7 @@ def assigned_errors(trial: Trial, answer: Answer) -> Floats:
 
 
 def workspace_errors(trial: Trial, answer: Answer) -> Floats:
-    """|x of the contact point| error through the answer's own shape, base first, cm.
+    """Absolute errors of the contact points' x on the answer's own shape, base to tip, cm.
 
     On a real robot the contact point is unknown, so the error of the dowel's x is used.
     """

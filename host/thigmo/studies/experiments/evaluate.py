@@ -1,6 +1,6 @@
-"""From trials to the three columns: the thesis, the thesis's method here, ours; and the bound.
+"""Tables of an experiment from its trials, simulated or recorded.
 
-The same for simulated and for recorded trials.
+Each row has the thesis's result, the thesis's method here, our method and the bound.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Row = dict[str, Any]
 
     here_*, ours_*: errors (`errors`) of the thesis's method here, and of ours.
     ours_se: standard error over the robots of our error of x in the workspace.
-    less_mean, less_se: by how much its x in the workspace errs more than ours, and the standard
-        error of that over the robots (NaN of one robot), whose trials share their errors.
+    less_mean, less_se: by how much its error of x in the workspace exceeds ours, and the standard
+        error of that over robots (NaN for one robot); the trials of a robot share its errors.
     by_place: both errors of x in the workspace, its and ours, at each place.
     perfect_arc_mean: the thesis's measure of a perfect arc: the foreshortening that it contains.
     bound_mean: mean absolute error of the arc at the Cramer-Rao bound, where that is finite.
@@ -41,12 +41,12 @@ Row = dict[str, Any]
 
 
 def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None) -> Outcome:
-    """Solve every trial once by every method that its experiment compares; rows and figures.
+    """Solve each trial once by each method that its experiment compares; return rows and figures.
 
     Conditions without trials are omitted.
 
     Raises:
-        DataError: no trial.
+        DataError: there is no trial.
     """
     if not trials:
         raise DataError("there are no trials to evaluate", "take some, or give another folder")
@@ -86,8 +86,8 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
 def errors(solved: Sequence[Solved], method: str) -> dict[str, float]:
     """A method's errors over trials, cm; trials without an answer are omitted.
 
-    Mean and std are in the thesis's measure; nearest_mean and other_mean of the closest pair of
-    contact and obstacle, and of the others; workspace_mean is of the x in the workspace.
+    `mean` and `std` are of the thesis's measure, `nearest_mean` of the closest pair of contact and
+    obstacle, `other_mean` of the other pairs, and `workspace_mean` of x in the workspace.
     """
     measures = compare.camera_errors, compare.assigned_errors, compare.workspace_errors
     pairs = compare.answered(solved, method)
@@ -101,16 +101,16 @@ def errors(solved: Sequence[Solved], method: str) -> dict[str, float]:
 
 
 def folded(offset: Floats, spread: Floats) -> Floats:
-    """Mean absolute values (K,) of Gaussians of means `offset` >= 0 and mean deviations `spread`.
+    """Mean absolute values (K,) of Gaussians with means `offset` >= 0 and mean deviations `spread`.
 
-    Both are (K,); a mean deviation is sqrt(2 / pi) standard deviations.
+    Both arguments are (K,). A mean deviation is sqrt(2 / pi) standard deviations.
     """
     share = offset / np.maximum(np.sqrt(np.pi / 2) * spread, 1e-9)
     return np.asarray(spread * np.exp(-0.5 * share**2) + offset * special.erf(share / np.sqrt(2.0)))
 
 
 def _row(experiment: str, condition: str, solved: Sequence[Solved], here: str) -> Row:
-    """The line of one condition: the baseline `here` and ours over its trials."""
+    """The row of one condition: errors of the baseline `here` and of our method over its trials."""
     thesis_mean, thesis_std = thesis.RESULTS[experiment, condition]
     bounds = np.concatenate([trial.bound_cm for trial, _ in solved])
     finite = np.isfinite(bounds)
@@ -149,7 +149,7 @@ def _row(experiment: str, condition: str, solved: Sequence[Solved], here: str) -
 
 
 def _compared(solved: Sequence[Solved], here: str) -> Row:
-    """Ours beside a baseline, robot by robot and place by place."""
+    """Our method compared with a baseline, robot by robot and place by place."""
 
     def error(trial: Trial, answer: compare.Answer) -> float:
         return float(compare.workspace_errors(trial, answer).mean())
@@ -177,13 +177,13 @@ def _compared(solved: Sequence[Solved], here: str) -> Row:
 
 
 def _standard_error(of_robots: Floats) -> float:
-    """Standard error of the mean over robots; NaN for one robot."""
+    """Standard error of the mean over robots; NaN if there is only one robot."""
     n = of_robots.size
     return float(of_robots.std(ddof=1) / np.sqrt(n)) if n > 1 else nan
 
 
 def _shown(r: Row) -> Row:
-    """The columns for the printed table: means in the thesis's measure, then x in the room."""
+    """Columns of the printed table: means in the thesis's measure, then errors of x in the room."""
     return {
         "mean error, cm": r["condition"],
         "n": r["trials"],
@@ -198,7 +198,7 @@ def _shown(r: Row) -> Row:
 
 
 def _remarks(r: Row) -> list[str]:
-    """Remarks on a row that its numbers do not show."""
+    """Remarks on what the numbers of a row do not show."""
     lines = []
     if r["experiment"] == "two-contacts":
         lines.append(
@@ -223,7 +223,7 @@ def _remarks(r: Row) -> list[str]:
 
 
 def _answers(solved: Sequence[Solved]) -> list[dict[str, str]]:
-    """One line a trial and method: what `plots.py` draws, for other tools."""
+    """One row for each trial and method: what `plots.py` draws, as a table for other tools."""
     return [
         {"condition": trial.condition, "place": trial.place, "method": method}
         | {

@@ -1,16 +1,17 @@
-"""Section 3.5: whole explorations, by the thesis's protocol and by ours, emulated or with a robot.
+"""Section 3.5: whole explorations by the thesis's protocol and by ours, emulated or with a robot.
 
-The thesis's column here is its solver on the full sweep's peak readings of its own protocol, at the
-first stage with a contact; ours is the exploration's answer. Robot time is device time.
+By the thesis's protocol, the answer is that of the thesis's solver on the peak readings of the
+full sweep, at the first stage with a contact. By ours, it is the exploration's. Robot time is
+device time.
 
-With a robot they are made one by one, and can be labelled, resumed and evaluated again:
+With a robot, explorations are made one by one. They can be labelled, resumed and evaluated again:
 
     OUT/exploration/
       robot.toml, trials.jsonl    as `session.py` says
       DATE-...                    run folders, as those of `thigmo explore`
 
-Each trial is two explorations of the same room. Before each the robot is wound in; a dowel that the
-robot leans on when it is vented must be taken away for that, and put back.
+Each trial is two explorations of the same room. Before each of them, the robot is wound in. A dowel
+that the vented robot leans on must be taken away for that, and put back afterwards.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ Trials = Mapping[int, Mapping[Way, Made]]
 
 
 def run(robots: int, context: Context) -> Outcome:
-    """One run of each protocol a seed, in the emulator's default room."""
+    """Explore the emulator's default room once by each protocol for each seed."""
     seeds = [context.seed + robot for robot in range(robots)]
     trials = dict(zip(seeds, context.map(_both, seeds, "explorations"), strict=True))
     return _compared(trials)
@@ -74,8 +75,8 @@ def _both(seed: int) -> dict[Way, Made]:
 def _made(document: RunDocument, dowel: Place, thesis_run: RunFolder | None = None) -> Made:
     """The result of an exploration; its folder is needed if it followed the thesis's protocol.
 
-    On a real robot the point of contact is unknown, so a dowel that touches the body at the mapped
-    point is compared with the measured dowel.
+    On a real robot the point of contact is unknown. The dowel that would touch the body at the
+    mapped point is therefore compared with the measured dowel.
     """
     best = best_contact(document.contacts)
     x = plane = float("inf")
@@ -95,9 +96,9 @@ def _in_words(made: Made) -> str:
 
 
 def _thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
-    """|a - x of the obstacle| of the thesis's solver on the first contact's peak, cm.
+    """|a - x of the obstacle| of the thesis's solver on the peak of the first contact, cm.
 
-    Stages with fewer readings than the thesis's solver needs are skipped, as in the thesis.
+    Stages with fewer readings than the solver needs are skipped, as in the thesis.
     """
     table = SensorTable.of(run.read_config())
     for sweep in recorded_sweeps(run.path):
@@ -143,7 +144,7 @@ def _compared(trials: Trials) -> Outcome:
 
 
 def _figure(runs: list[Record]) -> Figure:
-    """Error on the map against robot time, both protocols."""
+    """Error on the map against robot time, for both protocols."""
     figure, (axis,) = charts.panels(
         size=(7, 4.4), title=f"Exploration of the default room, {len(runs)} seeds"
     )
@@ -170,7 +171,7 @@ def _figure(runs: list[Record]) -> Figure:
 class _Remembers:
     """An operator who need not measure a length that the robot was just brought to.
 
-    Opening the port restarts the board, which then asks for it again.
+    Opening the port restarts the board, which then asks for the length again.
     """
 
     def __init__(self, operator: Operator) -> None:
@@ -181,7 +182,7 @@ class _Remembers:
         self.length_cm: float | None = None
 
     def everted_length_cm(self) -> float:
-        """As remembered, else as measured."""
+        """The remembered length, or else the measured one."""
         if self.length_cm is None:
             self.length_cm = self._measure()
         return self.length_cm
@@ -198,7 +199,7 @@ def run_explorations(
     progress: Progress | None = None,
     say: Say = lambda text: None,
 ) -> bool:
-    """Make the planned explorations, of both protocols, that the folder does not hold yet.
+    """Make those planned explorations, of both protocols, that the folder does not hold yet.
 
     The emulator's seed differs from trial to trial. Returns whether all are done; False if the
     attendant stopped.
@@ -235,7 +236,7 @@ def run_explorations(
 
 
 def _wind_in(url: str, config: RobotConfig, person: _Remembers | None, say: Say) -> None:
-    """A robot that is out from before goes back to its base; an emulated one begins there."""
+    """Wind in a robot that is still everted; an emulated robot starts at its base."""
     with connect(url, operator=person) as robot:
         if robot.scenery() is not None:
             return
@@ -249,10 +250,10 @@ def _wind_in(url: str, config: RobotConfig, person: _Remembers | None, say: Say)
 
 
 def evaluate(folder: Folder) -> Outcome:
-    """Errors of the kept explorations from their run folders, as those of simulated robots.
+    """Compute errors of the kept explorations from their run folders, as for simulated robots.
 
     Raises:
-        DataError: none was kept.
+        DataError: no exploration was kept.
     """
     trials: dict[int, dict[Way, Made]] = defaultdict(dict)
     for line in sorted(folder.kept(), key=lambda line: int(line["number"])):

@@ -1,18 +1,18 @@
-"""The simulated robots' free constants: fitted once to the thesis's section 3.2, then frozen.
+"""Free constants of the simulated robots, fitted once to section 3.2 of the thesis, then frozen.
 
-The thesis's own solver (`alternating`, and its clamped and coupled variants) is run on simulated
-robots, and the four constants are moved until its errors are the thesis's: four means and four
-spreads, each weighted by what five trials at three places leave uncertain. Sections 3.3 to 3.5 are
-not looked at: with the constants frozen they are predictions.
-`thigmo experiment fit --seed 0` repeats this and writes a new `constants.json` into its --out.
+The thesis's own solver (`alternating`, and its clamped and coupled variants) runs on simulated
+robots. The four constants are adjusted until its errors match the thesis's four means and four
+spreads, each weighted by its uncertainty after five trials at three places. Sections 3.3 to 3.5 are
+not used in the fit, so what the frozen constants give for them is a prediction.
+`thigmo experiment fit --seed 0` repeats the fit and writes a new `constants.json` into its --out.
 
-The places come out 2 cm uncertain. The thesis states no centres, and a sensor of 5.5 cm can lie up
-to 2.25 cm off the middle of its pouch of 10 cm.
+The fit finds that the sensors' places are uncertain by 2 cm. That is plausible: the thesis does not
+state their centres, and a sensor of 5.5 cm can lie up to 2.25 cm off the middle of its 10 cm pouch.
 
-`thigmo experiment predictions` says how well 3.3 and 3.4 are predicted, and how that hangs on each
-constant: the solver is run with each of them changed by half of itself, one at a time. Two things
-that the thesis does not state and section 3.2 cannot tell are changed as well: the size of the
-muscle's map and an error of the map in the lab's hands. Nothing is fitted there.
+`thigmo experiment predictions` shows how well sections 3.3 and 3.4 are predicted, and how much that
+depends on each constant: the solver runs with one constant at a time changed by half its value. Two
+more quantities are changed, which the thesis does not state and section 3.2 does not determine: the
+size of the muscle's map, and an error of the map that the lab uses. Nothing is fitted there.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ Cell = dict[str, Any]
 
 
 def table(constants: Constants, robots: int, seed: int = 0) -> dict[str, tuple[float, float]]:
-    """Mean over robots of each row's mean error and of its spread over the trials (cm)."""
+    """Mean error of each row and its spread over the trials, averaged over robots (cm)."""
     found: dict[str, list[tuple[float, float]]] = {row: [] for row in ROWS}
     for robot in range(robots):
         specimen = Specimen(constants, np.random.default_rng([seed, robot]))
@@ -68,7 +68,7 @@ def table(constants: Constants, robots: int, seed: int = 0) -> dict[str, tuple[f
 
 
 def misfit(found: dict[str, tuple[float, float]]) -> float:
-    """Sum of squared deviations from the thesis in units of its own uncertainty."""
+    """Sum of squared deviations from the thesis's results, in units of their uncertainty."""
     total = 0.0
     readings = thesis.TRIALS * len(thesis.SINGLE_ARCS_CM)
     for row, (mean, spread) in found.items():
@@ -80,10 +80,10 @@ def misfit(found: dict[str, tuple[float, float]]) -> float:
 
 
 def fit(seed: int, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
-    """What `constants.json` holds: the constants, the table that they give, and its misfit.
+    """Fit the constants; return them, the table that they give and its misfit, as `constants.json`.
 
-    A random search takes two thirds of the evaluations, a pattern search around its best the rest;
-    all of them with the same noise.
+    A random search takes two thirds of the evaluations, and a pattern search around its best point
+    takes the rest. All evaluations use the same noise.
     """
     rng = np.random.default_rng(seed)
     best, least, done = np.array(astuple(_START)), np.inf, 0
@@ -119,7 +119,7 @@ def fit(seed: int, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
 
 
 def predictions(robots: int, trials: int, context: Context) -> Outcome:
-    """Every setting, over robots drawn for it from the same seed."""
+    """Results of every setting, over robots that are drawn from the same seed."""
     items = [(setting, robots, trials, context.seed) for setting in _settings()]
     found = [cell for some in context.map(_cells, items, "changed constants") for cell in some]
     return Outcome({"cells": found}, notes=remarks(found))
@@ -141,7 +141,7 @@ def _settings() -> Iterator[Setting]:
 
 
 def _cells(item: tuple[Setting, int, int, int]) -> list[Cell]:
-    """One setting on every row of sections 3.2 to 3.4 that the plain solver made."""
+    """Results of one setting on every row of sections 3.2 to 3.4 that the plain solver produced."""
     (changed, constants, options), robots, trials, seed = item
     trials_of: dict[tuple[str, str], list[Trial]] = defaultdict(list)
     for robot in range(robots):
@@ -164,7 +164,7 @@ def _cells(item: tuple[Setting, int, int, int]) -> list[Cell]:
 
 
 def remarks(found: Sequence[Cell]) -> list[str]:
-    """One sentence a row: fitted or predicted, how near, and which constant moves it most."""
+    """A sentence for each row: fitted or predicted, how close, and which constant moves it most."""
     lines = []
     for cell in [c for c in found if c["changed"] == _FROZEN]:
         row, camera = (cell["experiment"], cell["condition"]), cell["camera_cm"]

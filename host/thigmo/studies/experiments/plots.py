@@ -1,6 +1,6 @@
-"""Figures of the experiments, in the places of the thesis's own.
+"""Figures of the experiments, each the counterpart of a figure in the thesis.
 
-Errors by condition (3.2c, 3.5c, 3.7c), readings and fits (3.3, 3.6).
+They show errors by condition (3.2c, 3.5c, 3.7c), and readings with fits (3.3, 3.6).
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _METHODS = ((THEIRS, ORANGE, "thesis's method, here"), (OURS, BLUE, "ours"))
 
 
 def _groups(solved: Sequence[Solved], what: str) -> list[Group]:
-    """Trials by `condition` or by `place`, in their order."""
+    """Trials grouped by `condition` or by `place`, in their order."""
     names = dict.fromkeys(getattr(one.trial, what) for one in solved)
     return [(n, [one for one in solved if getattr(one.trial, what) == n]) for n in names]
 
 
 def _compare(axis: Axes, groups: Sequence[Group], contact: int) -> None:
-    """Boxes of both methods' errors in the workspace, and the bound, a group a place."""
+    """Draw boxes of both methods' errors in the workspace, and the bound, for each group."""
     for at, (_, solved) in enumerate(groups):
         for shift, (method, color, label) in zip((-0.2, 0.2), _METHODS, strict=True):
             found = [workspace_errors(*pair)[contact] for pair in answered(solved, method)]
@@ -54,7 +54,7 @@ def _compare(axis: Axes, groups: Sequence[Group], contact: int) -> None:
 
 
 def _levels(solved: Sequence[Solved], experiment: str, title: str) -> Figure:
-    """A panel a condition of one contact: errors by place, and the thesis's mean."""
+    """Draw a panel for each condition of one contact: errors by place, and the thesis's mean."""
     conditions = _groups(solved, "condition")
     figure, axes = charts.panels(1, len(conditions), size=(5.2, 4.2), title=title)
     for axis, (condition, mine) in zip(axes, conditions, strict=True):
@@ -68,7 +68,7 @@ def _levels(solved: Sequence[Solved], experiment: str, title: str) -> Figure:
 
 
 def _readings(axis: Axes, one: Solved, title: str) -> None:
-    """One trial: readings, and both methods' curvature along the body (thesis, figure 3.3)."""
+    """Draw one trial: readings, and both methods' curvature along the body (thesis, figure 3.3)."""
     trial = one.trial
     s = np.linspace(0.0, trial.length_cm, 400)
     axis.plot(trial.position, trial.curvature, "ko", markersize=5, label="readings")

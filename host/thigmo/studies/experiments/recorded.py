@@ -1,11 +1,11 @@
-"""The thesis's static trials with a robot: how each is taken, kept, resumed and evaluated again.
+"""The thesis's static trials with a robot: how they are taken, kept, resumed and evaluated again.
 
 OUT/EXPERIMENT/
   robot.toml, trials.jsonl  as `session.py` says
   run-1.mcap                every frame of the first session's link, run-2.mcap of the next
 
-Each trial starts with the robot straight, vented and zeroed, as in the thesis; one second of
-readings is averaged while the dowels press, and before an actuated robot touches its dowel.
+Each trial starts with the robot straight, vented and zeroed, as in the thesis. One second of
+readings is averaged while the dowels press, and another before an actuated robot touches its dowel.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def run_trials(
     count: int,
     say: Say = lambda text: None,
 ) -> bool:
-    """Take this many trials of each place and condition, but for those that the folder holds.
+    """Take this many trials of each place and condition, except those that the folder holds.
 
     Returns whether all are done; False if the attendant stopped.
     """
@@ -69,7 +69,7 @@ def run_trials(
 
 
 def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
-    """Configure, arm, grow to the full length stage by stage, and let every sensor settle."""
+    """Configure and arm, grow to the full length stage by stage, and let every sensor settle."""
     robot.configure(config)
     robot.known_length_cm()
     if robot.status().state == "safe":
@@ -81,7 +81,7 @@ def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
 
 
 def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planned) -> Row:
-    """Take one trial, vent the robot, and return what is kept of it beside its plan."""
+    """Take one trial, vent the robot, and return what is kept in addition to the plan."""
     attendant.clear()
     robot.vent()
     zero(robot, lambda text: None)
@@ -125,7 +125,7 @@ def trials(folder: Folder) -> list[Trial]:
     """The kept trials, for `evaluate`.
 
     Raises:
-        DataError: a damaged line.
+        DataError: a line is damaged.
     """
     kept = folder.kept()
     try:
@@ -137,7 +137,7 @@ def trials(folder: Folder) -> list[Trial]:
 
 
 def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
-    """A line of the table as a trial: usable sensors only, free curvature by the map."""
+    """A line of the table as a trial with usable sensors only, and free curvature from the map."""
     table, scale_se = SensorTable.of(config), scale_errors(config)
     side: Side = row["side"]
     muscle, sign = config.muscle(side), SIGN[side]
@@ -168,10 +168,10 @@ def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
 
 
 def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> Floats:
-    """What the untouched robot showed of its sensors' gains at 6 psi, (N,).
+    """Gains of the sensors as the untouched robot showed them at 6 psi, (N,).
 
-    As `Specimen.learn_gains`; but what a reading errs by on a real robot (its zero, its hysteresis)
-    is much the same in all trials, so that many of them tell no more than one.
+    As `Specimen.learn_gains`. On a real robot, however, the errors of a reading (zero, hysteresis)
+    are much the same in all trials, so that many trials say no more than one.
     """
     table, muscle = SensorTable.of(config), config.muscle(side)
     mine = [row for row in rows if row["side"] == side and row["passed_psi"]]

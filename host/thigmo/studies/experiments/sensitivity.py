@@ -1,9 +1,9 @@
 """The sensitivity study: noise x sensors x norm, for the thesis's solver and for exact ones.
 
-The thesis needs five readings with the 1-norm and two or three with the 2-norm without noise
-(chapter 4). The question is whether the norm or the solver sets that limit. Its alternation is run
-with both norms: it leaves a start at the tip only along a smooth objective, and so many kinks as
-few sensors have stop it. The exact minimum of the 1-norm has no such limit.
+Without noise, the thesis needs five readings with the 1-norm and two or three with the 2-norm
+(chapter 4). The question is whether the norm or the solver sets that limit. The thesis's solver is
+run with both norms. It starts at the tip and moves away only where the objective is smooth; with
+few sensors, the kinks of the 1-norm stop it. The exact minimum of the 1-norm has no such limit.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _WORKS_CM = 2.0
 
 
 def _draw(rng: np.random.Generator, noise: float, sensors: float) -> tuple[Case, float]:
-    """A contact between 60 % of the length and the tip, 0.7 of the fold's moment.
+    """A contact between 60 % of the length and the tip, with 0.7 of the moment that folds the base.
 
-    Sensors are spread evenly from 5 to 45 cm, one at a place, so that two of them already span the
-    body; so few must lie before the contact, or nobody can place it.
+    Sensors are spread evenly from 5 to 45 cm, one at each place, so that two of them already span
+    the body. Two or three sensors all lie before the contact; otherwise no method could place it.
     """
     arc = float(rng.uniform(0.6 * LENGTH, LENGTH))
     where = np.linspace(5.0, 45.0, int(sensors)) * (
@@ -51,7 +51,7 @@ STUDY = Stress(
 
 
 def run(trials: int, context: Context) -> Outcome:
-    """Trials in each cell; the study shows that the limit is the solver's, not the norm's."""
+    """Run the trials of each cell; they show whether the solver or the norm sets the limit."""
     errors = errors_of(context, STUDY, trials)
     means = {
         name: np.array([[mean_and_failures(cell)[0] for cell in row] for row in errors[..., m]])
@@ -74,7 +74,7 @@ def run(trials: int, context: Context) -> Outcome:
 
 
 def _remark(name: str, quiet: Floats) -> str:
-    """From how many sensors on a method works without noise, and its errors."""
+    """How many sensors a method needs without noise, and its errors."""
     bad = [n for n, mean in zip(STUDY.columns, quiet, strict=True) if not mean <= _WORKS_CM]
     works = [n for n in STUDY.columns if n > max(bad, default=0)]
     start = f"from {works[0]:g} sensors on" if works else "with no number of them"
@@ -85,7 +85,7 @@ def _remark(name: str, quiet: Floats) -> str:
 
 
 def _figure(means: dict[str, Floats]) -> Figure:
-    """Mean error over the number of sensors, a panel a noise."""
+    """Mean error against the number of sensors, with a panel for each noise."""
     figure, axes = charts.panels(
         1, len(STUDY.rows), size=(3.2, 4.4), share=True,
         title="Sensitivity to noise, sensors and norm (dotted: the thesis's limit of five)",

@@ -1,14 +1,15 @@
-"""A session beside a robot: who attends it, and the folder that keeps what is taken, one by one.
+"""A session beside a robot: its attendant, and the folder that keeps each trial.
 
-An attendant places the dowels, measures them and judges: a person who is asked, or an emulated
-room. A rehearsal is both: the person answers every prompt, the room does the work.
+An attendant places the dowels, measures them and judges the trials. It is a person who is asked, or
+an emulated room. In a rehearsal it is both: the person answers every prompt, and the room does the
+work.
 
     FOLDER/
-      robot.toml      the robot's constants as used; with the first line they are fixed
-      trials.jsonl    a line a trial, on disk as soon as it is judged
+      robot.toml      the robot's constants as used; they are fixed once a line is kept
+      trials.jsonl    a line for each trial, on disk as soon as it is judged
 
-Trials (`recorded.py`) and whole explorations (`explorations.py`) are taken so. The same command
-goes on after the last line.
+Trials (`recorded.py`) and whole explorations (`explorations.py`) are taken in this way. The same
+command, given again, continues after the last line.
 """
 
 from __future__ import annotations
@@ -41,13 +42,13 @@ _WORDS: dict[str, Verdict] = {"": "keep", "r": "redo", "s": "skip", "q": "quit"}
 
 @dataclass
 class Attendant:
-    """The person beside a robot, who takes dowels away, sets and measures them, and judges."""
+    """The person beside a robot, who removes, sets and measures dowels, and judges trials."""
 
     # puts a question to the person there; None: nobody is, and everything is kept
     ask: Callable[[str], str] | None = None
     # measures the dowels' centres, base first; None: they are typed in
     camera: Callable[[], list[Place]] | None = None
-    robot: Robot | None = None  # an emulated one, whose room does what is asked for
+    robot: Robot | None = None  # an emulated robot, if its room does what is asked for
 
     def _request(self, text: str) -> None:
         if self.ask:
@@ -55,18 +56,18 @@ class Attendant:
 
     @property
     def _hands(self) -> Any:
-        """In the emulated room; None on a bench."""
+        """The hands in the emulated room; None on a bench."""
         return self.robot and self.robot.operator
 
     def clear(self) -> None:
-        """Take all dowels away; return when the robot lies free."""
+        """Take all dowels away, and return when the robot lies free."""
         self._request("Take all dowels away and lay the robot straight, then press Enter.")
         if self._hands:
             self._hands.push_aside([], 0.0)
             self._hands.place_pegs([])
 
     def push_aside(self, trial: Planned, pushes_cm: Sequence[float]) -> None:
-        """Push the robot's axis to those y where the trial's dowels touch it, and hold it."""
+        """Push the robot's axis to these y where the trial's dowels touch it, and hold it."""
         parts = []
         for arc, y in zip(trial.arcs_cm, pushes_cm, strict=True):
             # With two contacts each dowel stands on the side from which its own force comes.
@@ -107,7 +108,7 @@ class Attendant:
         )
 
     def dowels(self, count: int, known: Sequence[Place] = ()) -> list[Place]:
-        """Centres of this many dowels, cm, base first.
+        """Centres of this many dowels, cm, base to tip.
 
         `known` is what an emulated room says, if another robot than ours is in it.
 
@@ -142,7 +143,7 @@ class Attendant:
             return x, y
 
     def truth(self) -> dict[str, list[float]]:
-        """What an emulated room knows of the contacts, base first, as trials are kept with it."""
+        """The true contacts in an emulated room, base to tip, as they are kept with a trial."""
         touching = self.robot.scenery().contacts if self.robot else []
         return {
             "true_arcs_cm": [float(contact.arc) for contact in touching],
@@ -151,7 +152,7 @@ class Attendant:
         }
 
     def verdict(self, summary: str) -> Verdict:
-        """Whether to keep what was just taken."""
+        """Ask whether to keep what was just taken."""
         if self.ask is None:
             return "keep"
         question = f"{summary}. Enter = keep, r = redo, s = skip, q = stop here and go on later:"
@@ -161,7 +162,7 @@ class Attendant:
 
 
 class Folder:
-    """What was taken of one experiment: `things`, with the robot of `config`, or only read.
+    """Trials of one experiment (`things`), taken with the robot of `config`, or only read.
 
     Raises:
         DataError: the folder cannot be made or read, or its lines are of another robot.toml.
@@ -183,7 +184,7 @@ class Folder:
             self.config.save(file)
 
     def kept(self) -> list[Row]:
-        """Lines that were kept, not skipped."""
+        """Lines of trials that were kept, not skipped."""
         return [row for row in self._rows().values() if row["state"] == "kept"]
 
     def _rows(self) -> dict[str, Row]:
@@ -192,7 +193,7 @@ class Folder:
     def missing(
         self, planned: Mapping[str, Plan], say: Say, what: str
     ) -> list[tuple[str, str, Plan]]:
-        """What is planned and not there, each with its place among all and its key."""
+        """Planned trials that the folder lacks, each with its place among all and its key."""
         held, total = self._rows(), len(planned)
         found = [
             (f"{what} {number} of {total}: {key}", key, one)
@@ -210,10 +211,10 @@ class Folder:
         judge: Callable[[str], Verdict],
         say: Say,
     ) -> bool:
-        """Take one after the other of `missing`, each again until it is kept or skipped.
+        """Take the `missing` trials one after the other, each again until it is kept or skipped.
 
-        `take` returns what is kept of one beside its plan, and a summary for the judge. Returns
-        whether all are done; False if the judge stopped.
+        `take` returns what is kept of a trial in addition to its plan, and a summary for the judge.
+        Returns whether all are done; False if the judge stopped.
         """
         try:
             for text, key, planned in todo:

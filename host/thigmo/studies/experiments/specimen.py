@@ -1,9 +1,9 @@
 """Simulated robots of the thesis: what an imperfect robot reads when dowels press on it.
 
-Truth is the large-deflection rod (`thigmo.mechanics.push`); what spoils it are four constants,
-each apart: white noise of an averaged reading, spread of the sensors' gains, errors of their
-places, and the angle of the base's fold at high force. `fit.py` finds them once, from section 3.2;
-everything else is then prediction.
+The true shape is that of a large-deflection rod (`thigmo.mechanics.push`). Four constants describe
+the imperfections, each of its own kind: the white noise of an averaged reading, the spread of the
+sensors' gains, the errors of their places, and the angle of the base's fold at high force. `fit.py`
+finds them once, from section 3.2; everything else is then a prediction.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _BOUND_STEP_CM = 0.02  # of the differences that the bound is made of
 
 @dataclass(frozen=True)
 class Constants:
-    """What the thesis does not state, and its results imply."""
+    """Constants that the thesis does not state but its results imply."""
 
     noise: float  # standard deviation of an averaged reading, 1/cm
     gain_spread: float  # relative standard deviation of the sensors' gains
@@ -57,7 +57,7 @@ def pushed(
     length_cm: float = thesis.LENGTH_CM,
     diameter_cm: float = thesis.DIAMETER_CM,
 ) -> Solution:
-    """A body under normal forces (1/cm^2) at arcs, with a fold of the base."""
+    """The body under normal forces (1/cm^2) at arcs, with its base folded."""
     return push(
         np.array(forces), np.array(arcs_cm), free_curvature=0.0, length=length_cm,
         tube=Tube(diameter_cm), fold_angle=fold_rad,
@@ -66,7 +66,7 @@ def pushed(
 
 @cache
 def bent(arc_cm: float, touch: float, free: float) -> tuple[Solution, Peg]:
-    """The body, of free curvature `free`, and the dowel that it met there at the one of `touch`."""
+    """The body of free curvature `free`, and the dowel that it met at free curvature `touch`."""
     tube = Tube(thesis.DIAMETER_CM, thesis.CRITICAL)
     heading = touch * arc_cm
     reach = tube.radius_cm + thesis.DOWEL_CM
@@ -79,11 +79,11 @@ def bent(arc_cm: float, touch: float, free: float) -> tuple[Solution, Peg]:
 
 
 class Specimen:
-    """One robot as built: its gains and places are drawn once and stay.
+    """One robot as built; the gains and places of its sensors are drawn once and stay.
 
-    `rng` draws the robot, then the hands and the noise of its trials. The left muscle's map is the
-    emulated robot's unless given; `map_error` is relative, of the free curvature that the lab
-    believes.
+    `rng` draws the robot, then the errors of the hands and the noise in its trials. The left
+    muscle's map is the emulated robot's unless given. `map_error` is the relative error of the free
+    curvature that the lab believes.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Specimen:
         return self._bent(planned) if experiment == "actuated" else [*map(self.press, planned)]
 
     def press(self, planned: Planned) -> Trial:
-        """Readings while dowels push where it is planned."""
+        """Readings while dowels push as planned."""
         # Hands do not press twice alike: five per cent. A folded base presses evenly.
         low = planned.condition == thesis.LEVELS[1]
         hand = 1.0 + 0.05 * float(self._rng.standard_normal()) if low else 1.0
@@ -122,9 +122,9 @@ class Specimen:
     def _bent(self, plans: Sequence[Planned]) -> list[Trial]:
         """Section 3.4: the left muscle bends the robot into a dowel that it just touches at 6 psi.
 
-        Only the right column reads. Each inflation passes 6 psi untouched: what the sensors say
-        there of themselves counts for all of the robot's trials. Where along the body the dowel
-        bears later, and whether on the side or on the tip's end, is for the mechanics to say.
+        Only the right column reads. Each inflation passes 6 psi untouched, and the gains that the
+        sensors show there are used in all of the robot's trials. The mechanics determine where on
+        the body the dowel presses later, and whether that is the side or the end of the tip.
         """
         touch, scale = self._muscle.curvature(thesis.TOUCH_PSI), 1 + self._map_error
         untouched, read = [], []
@@ -143,7 +143,7 @@ class Specimen:
         ]  # fmt: skip
 
     def learn_gains(self, readings: Floats, believed: float) -> None:
-        """Take readings (R, N) of the untouched robot: all sensors bend alike there."""
+        """Take readings (R, N) of the untouched robot, in which all sensors bend alike."""
         noise, spread = max(self.constants.noise, 1e-9), max(self.constants.gain_spread, 1e-9)
         # The calibrated gain, 1 to within its spread, and these readings (Bayesian regression).
         precision = 1 / spread**2 + len(readings) * (believed / noise) ** 2
@@ -168,7 +168,7 @@ class Specimen:
         free: float,
         bound_cm: tuple[float, ...] | None = None,
     ) -> Trial:
-        """A trial of a body (N,) readings; the bound is that of its forces unless given."""
+        """A trial from readings (N,) of a body; the bound is that of its forces unless given."""
         contacts = sorted(body.contacts, key=lambda contact: contact.arc)
         arcs, forces = (tuple(getattr(c, what) for c in contacts) for what in ("arc", "normal"))
         count = readings.size
@@ -196,7 +196,7 @@ class Specimen:
 
 
 def _slope(position: Floats, curvature: Floats) -> Floats:
-    """Change of the readings along the body (1/cm^2) at each sensor, both columns together."""
+    """Slope of the readings along the body (1/cm^2) at each sensor, both columns together."""
     places, index = np.unique(position, return_inverse=True)
     mean = np.bincount(index, curvature) / np.bincount(index)
     slope: Floats = np.gradient(mean, places)[index]
@@ -205,17 +205,17 @@ def _slope(position: Floats, curvature: Floats) -> Floats:
 
 @cache
 def obstacle_bound(peg: Peg, free: float, constants: Constants, gain_error: float) -> float:
-    """Cramer-Rao bound of a dowel that a robot of a free curvature has bent into.
+    """Cramer-Rao bound for a dowel that a robot of a free curvature has bent into.
 
-    Unknown are the two coordinates of the dowel; every reading has its noise, and the errors of its
-    sensor's gain and place. Bounded is the x of the contact, as mean absolute error (cm) of a
-    Gaussian estimator; infinite if singular.
+    The unknowns are the two coordinates of the dowel. Every reading has its noise and the errors
+    of its sensor's gain and place. The bound is on the x of the contact, given as the mean absolute
+    error (cm) of a Gaussian estimator; infinite if the information is singular.
     """
     tube = Tube(thesis.DIAMETER_CM, thesis.CRITICAL)
     at, step = np.array(thesis.CENTERS_CM), _BOUND_STEP_CM
 
     def seen(dx: float, dy: float, ahead: float = 0.0) -> tuple[Floats, float]:
-        """Clean readings with the dowel moved, and x of the contact."""
+        """Readings without noise with the dowel moved, and x of the contact."""
         moved = Peg(peg.x + dx, peg.y + dy, peg.radius)
         body = solve(free, thesis.LENGTH_CM, tube=tube, pegs=[moved])
         x = body.contacts[-1].x if body.contacts else float("nan")

@@ -1,9 +1,9 @@
-"""The thesis's conditions and published results: the numbers to repeat and to beat.
+"""The thesis's conditions and published results, which are to be repeated and improved on.
 
 Source: M. Bryant, Tactile Perception for Growing Robots via Discrete Curvature Measurements, UC
 San Diego, 2022, chapter 3. Errors are mean and standard deviation of |x error| in cm over five
-trials a condition. What the thesis does not state (how large its two forces are, where the sensors
-sit) is chosen here and says so.
+trials of each condition. Comments mark what the thesis does not state and is therefore chosen here,
+such as the size of its two forces and the places of the sensors.
 """
 
 from __future__ import annotations

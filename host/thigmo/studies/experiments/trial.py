@@ -1,7 +1,7 @@
-"""A trial of the thesis's static experiments: as it is planned, and what was read in it.
+"""A trial of the thesis's static experiments: its plan, and what was read in it.
 
-Simulated robots (`specimen.py`) and robots on the bench (`recorded.py`) follow one plan and give
-the same record, so that one table compares the methods on either.
+Simulated robots (`specimen.py`) and robots on the bench (`recorded.py`) follow the same plan and
+give the same record, so that one table compares the methods on both.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STATIC = ("single-contact", "two-contacts", "actuated")
 
 @dataclass(frozen=True)
 class Planned:
-    """One trial to take."""
+    """A trial that is planned."""
 
     # experiment, condition, place, number: its label; trials of a condition count from 1
     experiment: str
@@ -35,12 +35,12 @@ class Planned:
 
     @property
     def key(self) -> str:
-        """What names it in a folder."""
+        """The trial's name in a folder."""
         return f"{self.condition} | {self.place} | {self.number}"
 
     @property
     def label(self) -> str:
-        """What names it to a person."""
+        """The trial's name for a person."""
         return f"{self.experiment}, {self.condition}, {self.place}, trial {self.number}"
 
     @property
@@ -50,11 +50,11 @@ class Planned:
 
     @property
     def sign(self) -> float:
-        """Of the distal force: a dowel on the left pushes to the right."""
+        """Sign of the distal force: a dowel on the left pushes to the right."""
         return -SIGN[self.side]
 
     def fold(self, angle_rad: float) -> float:
-        """The base's fold, signed, where the push folds it by an angle."""
+        """The signed fold of the base (rad) if the push folds it by `angle`."""
         return self.sign * angle_rad if self.folds else 0.0
 
 
@@ -64,12 +64,12 @@ def plan(
     length_cm: float = thesis.LENGTH_CM,
     critical: float = thesis.CRITICAL,
 ) -> list[Planned]:
-    """All trials of an experiment of STATIC, in the thesis's order; sides in turn.
+    """All trials of an experiment in STATIC, in the thesis's order, with alternating sides.
 
     Places scale with the robot's length, forces with the contact curvature that folds its base.
 
     Raises:
-        DataError: a robot too short for the experiment.
+        DataError: the robot is too short for the experiment.
     """
     arcs = [length_cm / thesis.LENGTH_CM * arc for arc in thesis.SINGLE_ARCS_CM]
     places = list(zip(thesis.PLACES, arcs, strict=True))
@@ -115,9 +115,9 @@ def plan(
 def _opposed_forces(gap_cm: float, length_cm: float, critical: float) -> tuple[float, float]:
     """Forces (1/cm^2) of a proximal contact and of an opposed distal one at the tip.
 
-    The thesis does not state them. Here the distal one bends the body by three quarters of the
-    critical moment at the proximal contact, and the proximal one pushes the base back to as much
-    of the other sign: both are then well visible, and nothing folds.
+    The thesis does not state them. Here the distal force causes three quarters of the critical
+    moment at the proximal contact. The proximal force brings the moment at the base to as much of
+    the opposite sign. Both contacts are then well visible, and nothing folds.
     """
     distal = 0.75 * critical / gap_cm
     return (-0.75 * critical - distal * length_cm) / (length_cm - gap_cm), distal
@@ -125,7 +125,7 @@ def _opposed_forces(gap_cm: float, length_cm: float, critical: float) -> tuple[f
 
 @dataclass(frozen=True)
 class Trial:
-    """One set of readings and its truth."""
+    """One set of readings, and the true contacts."""
 
     condition: str  # level of force or separation, in words
     place: str  # where the dowels were meant to be, in words
@@ -161,6 +161,6 @@ def arc_bound_cm(
     sigma: Floats,
     length_cm: float,
 ) -> tuple[float, ...]:
-    """Mean absolute error, of a Gaussian estimator, of each arc at the beam model's bound."""
+    """Mean absolute error of each arc for a Gaussian estimator at the beam model's bound."""
     stated = np.array(arcs_cm), np.array(forces), position, span, np.maximum(sigma, 1e-9)
     return tuple((np.sqrt(2 / np.pi) * arc_bounds(*stated, length_cm)).tolist())
