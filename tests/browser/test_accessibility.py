@@ -110,7 +110,7 @@ def test_no_number_has_a_hyphen_for_a_minus_sign_and_none_follows_a_dash(
     assert any("−" in words for words in shown)  # the axes go below zero
     assert page.evaluate(HYPHENS) == []
     # What leads to a label ends upright: a level stroke before a number is a minus sign.
-    for path in page.locator('#room [data-layer="contacts"] g path').all():
+    for path in page.locator('#room [data-layer="labels"] g path').all():
         assert "V" in (path.get_attribute("d") or "")
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
+from pathlib import Path
 
 import aiohttp
 import pytest
 from browsing import Looking, Served
 from playwright.sync_api import Page, expect
 from scripted import ScriptedRun
+
+from thigmo.exploration.states import State
 
 
 def _rows(page: Page) -> int:
@@ -257,3 +260,52 @@ def test_page_fits_a_phone(looking: Looking, served: Served, run: ScriptedRun, s
     assert box is not None
     assert box["width"] > 340
     assert 844 - 100 < box["y"] < 844 - 60  # under the thumb, wherever the page is scrolled to
+
+
+@pytest.mark.parametrize("width", [1440, 1280, 768, 390])
+def test_header_shows_all_of_the_longest_sentence_beside_its_buttons(
+    looking: Looking, served: Served, run: ScriptedRun, width: int
+) -> None:
+    run.state(doing=f"{max(State, key=len)} at 50 cm")
+    for _ in range(2):  # the second one has another button
+        page = looking.open(served.address, viewport={"width": width, "height": 900})
+        expect(page.locator("#doing")).to_contain_text("at 50 cm")
+        _expect_connected(page)
+        cut = page.evaluate(
+            "[...document.querySelectorAll('header *')].filter((each) => each.offsetParent && "
+            "each.scrollWidth > each.clientWidth + 1 && each.clientWidth).map((each) => each.id)"
+        )
+        assert cut == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+# Labels of contacts that lie on the body or on a peg, at any of 60 points of each.
+COVERING = """[...document.querySelectorAll('#room [data-layer="labels"] text')].filter((label) => {
+  const { x, y, width, height } = label.getBBox();
+  const things = document.querySelectorAll(
+    '#room [data-layer="body"] path:first-child, #room [data-layer="truth"] circle');
+  return [...Array(60).keys()].some((n) => {
+    const point = new DOMPoint(x + (n % 20) / 19 * width, y + Math.floor(n / 20) / 2 * height);
+    return [...things].some((thing) => thing.isPointInFill(point));
+  });
+}).map((label) => label.textContent)"""
+
+
+def test_label_of_a_contact_covers_neither_the_body_nor_a_peg(
+    looking: Looking, served: Served, tmp_path: Path
+) -> None:
+    peg = {"x_cm": 25.0, "y_cm": -8.0, "radius_cm": 0.6}
+    (tmp_path / "contacts.json").write_text(json.dumps({"truth": {"pegs": [peg]}}))
+    with ScriptedRun(folder=str(tmp_path)) as run:
+        page = looking.open(served.address)
+        run.state()
+        run.feel(x_cm=20.0, y_cm=-4.6)
+        run.read(20)
+        labels = page.locator('#room [data-layer="labels"] text')
+        expect(labels).to_have_count(2)
+        expect(page.locator('#room [data-layer="truth"] circle')).to_have_count(1)
+        assert page.evaluate(COVERING) == []
+        before = labels.first.get_attribute("y") or ""
+        run.bend(-0.014)  # onto the label
+        expect(labels.first).not_to_have_attribute("y", before)
+        assert page.evaluate(COVERING) == []

@@ -23,7 +23,7 @@ class State(StrEnum):
     SETTLE = "letting sensors settle"
     ZERO = "zeroing the sensors"
     SWEEP = "sweeping"
-    REST = "standing still to know how young sensors creep"
+    REST = "holding still to measure the creep of young sensors"
     PRESS = "setting the body pressure for a measurement"
     MEASURE = "sweeping again to measure a contact"
     LOCALIZE = "localizing"

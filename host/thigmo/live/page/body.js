@@ -66,7 +66,7 @@ function drawDensity({ y0, y1 }, X) {
     const muscle = muscles().find((each) => each.side === side)?.name ?? side;
     words = `${what}${posterior.sweeping ? " so far" : ""}, ${muscle} muscle: ${posterior.status}${certain}`;
   } else if (posterior) {
-    words = posterior.status;
+    words = `${posterior.sweeping ? "this sweep so far" : "the last sweep"}: ${posterior.status}`;
   }
   text(layer, PAD.left, y0 - 8, words, { fill: "var(--soft)" });
   for (const contact of contacts?.contacts ?? []) {
@@ -108,7 +108,10 @@ function drawLegend() {
     const shape = side === "left" ? "" : ";border-radius:1px;transform:rotate(45deg)";
     return element("span", {}, element("i", { class: "dot", style: `background:var(--${side})${shape}` }), `${name} sensor`);
   });
-  $("body-legend").replaceChildren(...key, element("span", {}, element("i"), "what the free body would read"));
+  $("body-legend").replaceChildren(
+    ...key, element("span", {}, "pale: inflated side"), element("span", {}, element("i"), "what the free body would read"),
+    element("span", {}, element("i", { class: "bar" }), "contact, 95 %"),
+  );
 }
 
 sized(svg, () => { drawn = ""; drawBodyChart(); });

@@ -1,25 +1,30 @@
 // The room from above: what was swept, what is occupied, the robot, and its contacts with what is
 // known of their place. x runs along the straight robot, y to its left, in cm.
 
+import { COST, arrange, box } from "./labels.js";
 import { $, columns, css, latest, pointEstimate, posterior, shade, store, time, COLUMN } from "./store.js";
 import { line, make, minus, sized, text, ticks } from "./svg.js";
 
 const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
 const RIBBON_CM = 3.5; // height of the posterior at its peak
 const FRESH_S = .3; // for which a posterior of mid-sweep moves with the body
+const PAD = { left: 40, right: 10, top: 8, bottom: 34 };
+const NONE = { contacts: [], words: [] };
 const svg = $("room");
 const layers = {};
-for (const name of ["grid", "map", "reach", "swept", "truth", "body", "posterior", "contacts", "words"]) {
+for (const name of ["grid", "map", "reach", "swept", "truth", "body", "posterior", "contacts", "labels"]) {
   layers[name] = make("g", { "data-layer": name }, svg);
 }
 const bounds = { x0: -8, x1: 60, y0: -28, y1: 28 };
 let frame = "", scale = 1, left = 0, top = 0, drawn = {};
+let labels = []; // of the contacts: each with its place beside the contact, once it has one
 
 const X = (x) => left + (x - bounds.x0) * scale;
 const Y = (y) => top + (bounds.y1 - y) * scale;
 
 export function forget() {
   drawn = {};
+  labels = [];
   Object.assign(bounds, { x0: -8, x1: 60, y0: -28, y1: 28 });
 }
 
@@ -32,11 +37,10 @@ function include(x, y, margin = 3) {
 
 function fit() {
   const width = svg.clientWidth, height = svg.clientHeight;
-  const pad = { left: 40, right: 10, top: 8, bottom: 34 };
-  const room = { w: width - pad.left - pad.right, h: height - pad.top - pad.bottom };
+  const room = { w: width - PAD.left - PAD.right, h: height - PAD.top - PAD.bottom };
   scale = Math.min(room.w / (bounds.x1 - bounds.x0), room.h / (bounds.y1 - bounds.y0));
-  left = pad.left + (room.w - scale * (bounds.x1 - bounds.x0)) / 2;
-  top = pad.top + (room.h - scale * (bounds.y1 - bounds.y0)) / 2;
+  left = PAD.left + (room.w - scale * (bounds.x1 - bounds.x0)) / 2;
+  top = PAD.top + (room.h - scale * (bounds.y1 - bounds.y0)) / 2;
   const key = [width, height, ...Object.values(bounds)].join();
   if (key === frame) return;
   frame = key;
@@ -44,21 +48,21 @@ function fit() {
   // The grid fills the card; its numbers stand at the edges.
   const layer = layers.grid;
   layer.replaceChildren();
-  const x0 = bounds.x0 - (left - pad.left) / scale, x1 = bounds.x1 + (width - pad.right - X(bounds.x1)) / scale;
-  const y1 = bounds.y1 + (top - pad.top) / scale, y0 = bounds.y0 - (height - pad.bottom - Y(bounds.y0)) / scale;
+  const x0 = bounds.x0 - (left - PAD.left) / scale, x1 = bounds.x1 + (width - PAD.right - X(bounds.x1)) / scale;
+  const y1 = bounds.y1 + (top - PAD.top) / scale, y0 = bounds.y0 - (height - PAD.bottom - Y(bounds.y0)) / scale;
   const count = Math.max(4, Math.round(width / 90));
   const step = (n) => { const [a, b] = ticks(x0, x1, n); return b - a; };
   const every = step(count);
   for (let x = Math.ceil(x0 / every) * every; x <= x1; x += every) {
-    make("line", { x1: X(x), x2: X(x), y1: pad.top, y2: height - pad.bottom, stroke: "var(--grid)" }, layer);
-    text(layer, X(x), height - pad.bottom + 15, minus(x), { "text-anchor": "middle", fill: "var(--faint)" });
+    make("line", { x1: X(x), x2: X(x), y1: PAD.top, y2: height - PAD.bottom, stroke: "var(--grid)" }, layer);
+    text(layer, X(x), height - PAD.bottom + 15, minus(x), { "text-anchor": "middle", fill: "var(--faint)" });
   }
   for (let y = Math.ceil(y0 / every) * every; y <= y1; y += every) {
-    make("line", { y1: Y(y), y2: Y(y), x1: pad.left, x2: width - pad.right, stroke: "var(--grid)" }, layer);
-    text(layer, pad.left - 7, Y(y) + 4, minus(y), { "text-anchor": "end", fill: "var(--faint)" });
+    make("line", { y1: Y(y), y2: Y(y), x1: PAD.left, x2: width - PAD.right, stroke: "var(--grid)" }, layer);
+    text(layer, PAD.left - 7, Y(y) + 4, minus(y), { "text-anchor": "end", fill: "var(--faint)" });
   }
-  text(layer, width - pad.right, height - 5, "x, along the straight robot, cm", { "text-anchor": "end" });
-  text(layer, 12, pad.top, "y, to its left, cm", { transform: `rotate(-90 12 ${pad.top})`, "text-anchor": "end" });
+  text(layer, width - PAD.right, height - 5, "x, along the straight robot, cm", { "text-anchor": "end" });
+  text(layer, 12, PAD.top, "y, to its left, cm", { transform: `rotate(-90 12 ${PAD.top})`, "text-anchor": "end" });
 }
 
 export function drawRoom() {
@@ -75,23 +79,25 @@ export function drawRoom() {
   }
   fit();
   changed("map", last.grid, drawMap);
-  changed("truth", page?.truth, drawTruth);
-  changed("contacts", last.contacts, drawContacts);
+  const moved = [changed("truth", page?.truth, drawTruth), changed("contacts", last.contacts ?? NONE, drawContacts)];
   const length = latest(COLUMN.length) ?? page?.length_cm ?? 0;
   changed("reach", page?.mode === "idle" && page.body, drawReach);
   const shape = last.shape ?? (length > 0.5 ? straight(length) : null);
-  changed("body", shape && (last.shape ?? length.toFixed(1)), () => drawBody(shape));
+  moved.push(changed("body", shape && (last.shape ?? length.toFixed(1)), () => drawBody(shape)));
   changed("swept", store.trail.length ? store.trail.at(-1) : null, drawTrail);
   const felt = posterior(), moves = felt?.sweeping && store.now - time(felt.t_s) < FRESH_S;
   const poses = moves ? last.shape?.poses : store.touched;
-  changed("posterior", felt && poses && [felt.t_s, felt.side, moves && last.shape.t_s].join(), () => drawPosterior(felt, poses, moves));
+  moved.push(changed("posterior", felt && poses && [felt.t_s, felt.side, moves && last.shape.t_s].join(), () => drawPosterior(felt, poses, moves)));
+  if (moved.some(Boolean)) drawLabels(shape?.poses ?? [], felt && poses || []);
 }
 
+// Draw a layer again if what it shows has changed; returns whether it has.
 function changed(name, value, draw) {
-  if (name in drawn && drawn[name] === value) return;
+  if (name in drawn && drawn[name] === value) return false;
   drawn[name] = value;
   layers[name].replaceChildren();
   if (value) draw(value);
+  return true;
 }
 
 const straight = (length) => ({
@@ -151,7 +157,7 @@ function tube(poses, radius) {
 
 function drawTrail() {
   const radius = store.last.shape?.radius_cm ?? 2.4;
-  const group = make("g", { opacity: .55 }, layers.swept);
+  const group = make("g", { opacity: .35 }, layers.swept);
   make("path", { d: store.trail.map((poses) => tube(poses, radius)).join(""), fill: "var(--trail)", "fill-rule": "nonzero" }, group);
 }
 
@@ -213,8 +219,8 @@ function drawPosterior({ places_cm: places, probability, side }, poses, moves) {
 }
 
 function drawContacts({ contacts, words }) {
-  const layer = layers.contacts;
-  const placed = [];
+  const layer = layers.contacts, before = labels;
+  layers.labels.replaceChildren();
   for (const [n, contact] of contacts.entries()) {
     if (contact.surface.length > 1) drawWall(layer, contact);
     const x = X(contact.x_cm), y = Y(contact.y_cm), sure = contact.status === "localized";
@@ -230,8 +236,8 @@ function drawContacts({ contacts, words }) {
       transform: `rotate(${(-Math.atan2(2 * b, a - d) / 2 * 180 / Math.PI).toFixed(2)} ${x} ${y})`,
     }, layer);
     make("circle", { cx: x, cy: y, r: 5.5, fill: sure ? "var(--contact)" : "var(--card)", stroke: sure ? "var(--card)" : "var(--contact)", "stroke-width": 2 }, layer);
-    label(layer, contact, words[n], x, y, placed);
   }
+  labels = contacts.map((contact, n) => label(contact, words[n], before[n]?.place));
 }
 
 // The surface that the tip slid along: whole where it is a wall to 95 %, else in dashes.
@@ -241,27 +247,54 @@ function drawWall(layer, { surface, wall_probability: wall }) {
   for (const [x, y] of points) make("rect", { x: x - 2.5, y: y - 2.5, width: 5, height: 5, fill: "var(--ink)" }, layer);
 }
 
-// Where it is along the body, beside the contact, away from the robot and from other labels.
-function label(layer, contact, words, x, y, placed) {
+// Where a contact is along the body, in two lines, which `drawLabels` puts beside the contact.
+function label(contact, words, place) {
   const range = pointEstimate(contact) ? words.interval : `95 %: ${minus(words.interval)}`;
-  const up = contact.y_cm >= 0 ? -1 : 1;
-  const width = 158, anchor = x + 20 + width > svg.clientWidth - 12 ? "end" : "start";
-  const out = anchor === "start" ? 1 : -1, tx = x + 20 * out;
-  let ty = y + up * 30;
-  while (placed.some((at) => Math.abs(at.y - ty) < 32 && Math.abs(at.x - tx) < width)) ty += up * 8;
-  placed.push({ x: tx, y: ty });
-  const group = make("g", { "text-anchor": anchor }, layer);
-  // It ends at an upright bar: a stroke that ends before a number is its minus sign.
-  const bar = tx - 6 * out;
-  make("path", { d: `M${x} ${y + up * 7}L${bar} ${ty + 3}M${bar} ${ty - 9}V${ty + 16}`, fill: "none", stroke: "var(--contact)", "stroke-width": 1 }, group);
+  const group = make("g", {}, layers.labels);
+  const leader = make("path", { fill: "none", stroke: "var(--contact)", "stroke-width": 1 }, group);
   const halo = { stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke", "stroke-linejoin": "round" };
-  text(group, tx, ty, `${contact.kind}, ${minus(words.along)}`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo });
-  text(group, tx, ty + 14, range, { fill: "var(--contact)", ...halo });
+  const lines = [
+    text(group, 0, 0, `${contact.kind}, ${minus(words.along)}`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo }),
+    text(group, 0, 0, range, { fill: "var(--contact)", ...halo }),
+  ];
+  return {
+    group, leader, lines, place, x: X(contact.x_cm), y: Y(contact.y_cm), away: contact.y_cm >= 0 ? -1 : 1,
+    width: Math.max(...lines.map((each) => each.getComputedTextLength())),
+  };
+}
+
+// Put the labels where they cover neither pegs nor the body, if there is room.
+function drawLabels(poses, felt) {
+  const { last, page } = store;
+  const radius = (last.shape?.radius_cm ?? 2.4) * scale;
+  const circle = ([x, y], r, cost) => ({ x: X(x), y: Y(y), r, cost });
+  const things = [
+    ...poses.map((pose) => circle(pose, radius, COST.body)),
+    ...felt.map((pose) => circle(pose, radius, COST.faint)),
+    ...(page?.truth ?? []).map((peg) => circle([peg.x_cm, peg.y_cm], peg.radius_cm * scale + 3, COST.named)),
+  ];
+  for (const { x_cm: x, y_cm: y, surface, track } of last.contacts?.contacts ?? []) {
+    things.push(circle([x, y], 8, COST.named), ...[...surface, ...track].map((point) => circle(point, 4, COST.faint)));
+  }
+  arrange(labels, things, { x0: PAD.left, x1: svg.clientWidth - PAD.right, y0: PAD.top, y1: svg.clientHeight - PAD.bottom });
+  for (const label of labels) {
+    const { x, y, group, leader, lines, place: { side } } = label;
+    const { near, foot } = box(label, label.place);
+    group.setAttribute("text-anchor", side > 0 ? "start" : "end");
+    lines.forEach((each, n) => {
+      each.setAttribute("x", near);
+      each.setAttribute("y", foot + 14 * n);
+    });
+    // It ends at an upright bar: a stroke that ends before a number is its minus sign.
+    const bar = near - 6 * side, length = Math.hypot(bar - x, foot + 3 - y);
+    const from = [x + 7 * (bar - x) / length, y + 7 * (foot + 3 - y) / length];
+    leader.setAttribute("d", `M${from}L${bar} ${foot + 3}M${bar} ${foot - 9}V${foot + 16}`);
+  }
 }
 
 $("room-legend").innerHTML = `
   <span><i class="area" style="background:var(--free)"></i>free</span>
-  <span><i class="area" style="background:var(--trail);opacity:.55"></i>swept at this stage</span>
+  <span><i class="area" style="background:var(--trail);opacity:.35"></i>swept at this stage</span>
   <span><i class="area" style="background:var(--contact);opacity:.45"></i>where a contact may be</span>
   <span><i class="dot" style="background:var(--contact)"></i>contact</span>
   <span><i style="border-top-width:3px;color:var(--ink)"></i>wall, dashed: likely</span>

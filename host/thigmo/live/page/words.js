@@ -19,6 +19,8 @@ forget();
 
 // As a sentence: events come as clauses.
 const sentence = (words) => words && words[0].toUpperCase() + words.slice(1) + (/[.!?:]$/.test(words) ? "" : ".");
+// Lines break after a semicolon and before a bracket only: a number stays with its unit.
+const unbroken = (words) => minus(words).replaceAll(/(?<!;) (?!\()/g, "\u00a0");
 const fixed = (value, digits) => Number.isFinite(value) ? rounded(value, digits) : "–";
 
 export function drawWords(lost) {
@@ -31,7 +33,6 @@ export function drawWords(lost) {
   $("run-url").title = [run?.url, run?.folder].filter(Boolean).join("\n");
   document.title = run ? `${title} · thigmo` : "thigmo";
   $("doing").textContent = doing(lost);
-  $("stage").textContent = state?.stage_cm ? `stage ${fixed(state.stage_cm, 0)} cm` : "";
   const done = rounded(100 * (state?.done ?? 0), 0);
   $("done").style.width = `${done}%`;
   $("done").parentElement.setAttribute("aria-valuenow", done);
@@ -90,11 +91,11 @@ function drawContactRows() {
   document.querySelector(".contacts table").hidden = !found.length;
   $("contact-rows").replaceChildren(...found.map((contact, n) => {
     const { place, along, interval, force, certainty } = contacts.words[n];
-    const chip = element("span", { class: contact.status === "localized" ? "chip" : "chip ambiguous" }, certainty);
+    const chip = element("span", { class: contact.status === "localized" ? "chip" : "chip ambiguous" }, unbroken(certainty));
     return element("tr", {},
       element("td", {}, element("b", {}, minus(place))),
       element("td", {}, element("b", {}, minus(along)), " ", element("span", { class: "muted" }, minus(interval))),
-      element("td", {}, minus(force)),
+      element("td", {}, unbroken(force)),
       element("td", {}, chip));
   }));
   drawWhy();
