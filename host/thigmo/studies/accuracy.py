@@ -286,7 +286,7 @@ def _stated_figure(rows: list[Row]) -> Figure:
     first.set_yticks(at, names, fontsize=8)
     first.set(xlabel="intervals that hold the contact (%)", xlim=(40, 100), ylim=(len(pairs), -1))
     second.set_xlabel("localized where nothing is (% of frames)")
-    legend_below(figure, panel=1)
+    legend_below(figure, second)
     return figure
 
 

@@ -94,7 +94,7 @@ def named(
     The figure must have been drawn. A name without room goes to the right margin. Stairs are the
     points of a line of steps, each of which follows its point.
     """
-    frame = axis.get_window_extent()
+    frame = axis.get_window_extent().padded(-1)
     taken = [Bbox.from_bounds(x - 6, y - 6, 12, 12) for x, y in axis.transData.transform(points)]
     for (x0, y0), (x1, y1) in pairwise(axis.transData.transform(np.reshape(stairs, (-1, 2)))):
         taken += [Bbox.from_extents(x0, y0 - 2, x1, y0 + 2), Bbox.from_extents(x1, y1, x1, y0)]
@@ -120,9 +120,12 @@ def named(
             )  # fmt: skip
 
 
-def legend_below(figure: Figure, *, panel: int = 0, title: str | None = None) -> None:
-    """Put one panel's legend below all panels, where it covers nothing."""
-    handles, labels = figure.axes[panel].get_legend_handles_labels()
+def legend_below(figure: Figure, *panels: Axes, title: str | None = None) -> None:
+    """Put the legend of some panels, or of the first, below all panels, where it covers nothing."""
+    named = [panel.get_legend_handles_labels() for panel in panels or figure.axes[:1]]
+    handles, labels = (
+        [each for part in parts for each in part] for parts in zip(*named, strict=True)
+    )
     figure.legend(
         handles, labels, loc="outside lower center", ncols=6 if title else 4, fontsize=7,
         title=title, title_fontsize=7, frameon=False,

@@ -505,7 +505,7 @@ def _dial_claims(rows: list[Record]) -> list[Claim]:
 
 def dial_figure(rows: Sequence[Record]) -> Figure:
     """Error, contacts missed and contacts localized wrong, against robot time."""
-    figure, axes = charts.panels(2, len(DIALLED), size=(3.4, 2.6))
+    figure, axes = charts.panels(2, len(DIALLED), size=(3.4, 2.9))
     most_cm = max((float(row["error_cm"]) for row in rows if row["contacts"]), default=1.0)
     most = max(max(float(row["missed"]), float(row["wrong"])) for row in rows)
     named = []
@@ -515,23 +515,29 @@ def dial_figure(rows: Sequence[Record]) -> Figure:
         budgets = [row for row in mine if str(row["setting"])[0].isdigit()]
         x = [row["time_s"] for row in budgets]
         upper.plot(x, [row["error_cm"] for row in budgets], "o-", color=BLUE, label="a budget")
-        for what, color, marker in (("missed", RED, "X"), ("wrong", ORANGE, "^")):
+        efforts = [row for row in mine if row not in budgets and row["setting"] != "thesis"]
+        thesis = [row for row in mine if row["setting"] == "thesis"]
+        for those, label, color, marker in (
+            (efforts, "an effort", GREEN, "D"), (thesis, "the thesis's protocol", "0.4", "s"),
+        ):  # fmt: skip
+            upper.scatter([row["time_s"] for row in those], [row["error_cm"] for row in those], 40,
+                          marker=marker, color=color, label=label)  # fmt: skip
+        for what, label, color, marker, face in (
+            ("missed", "contacts missed", RED, "X", RED),
+            ("wrong", "localized ones that are wrong", ORANGE, "^", "none"),
+        ):
             y = [100 * float(row[what]) for row in mine]
-            label = "contacts missed" if what == "missed" else "localized ones that are wrong"
-            lower.scatter([row["time_s"] for row in mine], y, 24, marker=marker, color=color,
-                          label=label)  # fmt: skip
-        for row in (row for row in mine if row not in budgets):
-            thesis = row["setting"] == "thesis"
-            upper.scatter(row["time_s"], row["error_cm"], 40, marker="s" if thesis else "D",
-                          color="0.4" if thesis else GREEN)  # fmt: skip
+            lower.scatter([row["time_s"] for row in mine], y, 24, marker=marker, edgecolors=color,
+                          facecolors=face, label=label)  # fmt: skip
         named.append((upper, mine, budgets))
         upper.set_title(kind, fontsize=9)
-        upper.set(xlim=(0, None), ylim=(0, 1.15 * most_cm))
-        lower.set(xlabel="robot time (s)", xlim=(0, None), ylim=(-2, 115 * most + 2))
+        for axis in (upper, lower):
+            axis.set_xlim(-20, None)  # room for the first name
+        upper.set_ylim(0, 1.15 * most_cm)
+        lower.set(xlabel="robot time (s)", ylim=(-2, 115 * most + 2))
     axes[0].set_ylabel("mean error in the plane (cm)")
     axes[len(DIALLED)].set_ylabel("share (%)")
-    axes[0].legend(fontsize=7)
-    axes[len(DIALLED) + 1].legend(loc="center right", fontsize=7)
+    charts.legend_below(figure, axes[0], axes[len(DIALLED)])
     figure.draw_without_rendering()
     for axis, mine, budgets in named:
         points, line = (

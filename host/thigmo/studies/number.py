@@ -163,7 +163,8 @@ def _calibration_figure(rows: list[dict[str, Any]], curve: list[dict[str, Any]])
         np.array([row[what] for row in rows]) for what in ("said", "correct", "count")
     )
     error = np.sqrt(np.maximum(hit * (1.0 - hit), 0.25 / count) / count)
-    first.errorbar(said, hit, 1.96 * error, fmt="o", color=BLUE, markersize=4, linewidth=1.0)
+    bars = np.minimum(1.96 * error, [hit, 1.0 - hit])  # shares end at 0 and 1
+    first.errorbar(said, hit, bars, fmt="o", color=BLUE, markersize=4, linewidth=1.0)
     first.set(
         xlabel="probability of the likeliest number", ylabel="share of frames with that number",
         xlim=(0.25, 1.02), ylim=(0, 1.05),
@@ -198,10 +199,10 @@ def _trade_figure(traded: list[Traded], priced: list[dict[str, Any]]) -> Figure:
     at = np.arange(len(priced))
     for shift, what, color in ((-0.2, "said", BLUE), (0.2, "not_said", ORANGE)):
         values = [100 * row[f"localized_{what}"] for row in priced]
-        label = "end and fold said" if what == "said" else "nothing said"
+        label = "end and fold stated" if what == "said" else "nothing stated"
         axes[2].bar(at + shift, values, 0.4, color=color, label=label)
     axes[2].set_xticks(at, [row["group"].replace(", ", ",\n") for row in priced], fontsize=6)
-    axes[2].set(ylabel="localized (%)", title="price of saying nothing")
+    axes[2].set(ylabel="localized (%)", title="price of stating nothing")
     axes[2].legend(fontsize=6, frameon=False)
     legend_below(figure)
     return figure
