@@ -6,6 +6,7 @@ import math
 import os
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -79,12 +80,20 @@ class ScriptedRun(Closing):
     def ask(self, question: str) -> None:
         self.hub.publish(Question(*self._now(), question))
 
-    def believe(self, *, sweeping: bool, status: str = "localized", message: str = "") -> None:
-        places = tuple(0.5 * n for n in range(81))
-        weights = [math.exp(-0.5 * ((place - 31.2) / 1.1) ** 2) for place in places]
+    def believe(
+        self,
+        *,
+        sweeping: bool,
+        status: str = "localized",
+        message: str = "",
+        places: Sequence[float] = tuple(0.25 + 0.5 * n for n in range(80)),
+        weights: Sequence[float] = (),
+    ) -> None:
+        """Tell a posterior; without weights, one of a contact at 31.2 cm."""
+        weights = weights or [math.exp(-0.5 * ((place - 31.2) / 1.1) ** 2) for place in places]
         self.hub.publish(
             Posterior(
-                *self._now(), "left", 40.0, places, tuple(w / sum(weights) for w in weights),
+                *self._now(), "left", 40.0, tuple(places), tuple(w / sum(weights) for w in weights),
                 status, "one contact", message, 0.97, sweeping,
             )
         )  # fmt: skip

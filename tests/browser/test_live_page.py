@@ -117,6 +117,18 @@ def test_page_that_comes_in_the_next_sweep_shows_no_posterior_of_the_last_one(
     expect(page.locator("#body")).to_contain_text("probability density of a contact, left")
 
 
+def test_posterior_that_is_even_along_the_body_is_drawn_level_in_uneven_cells(
+    page: Page, run: ScriptedRun
+) -> None:
+    widths = [0.5] * 40 + [0.1, 0.3] * 40 + [4.0]  # of 40 cm in all
+    middles = [sum(widths[:n]) + width / 2 for n, width in enumerate(widths)]
+    run.believe(sweeping=False, places=middles, weights=widths)
+    expect(page.locator("#body")).to_contain_text("probability density of a contact")
+    drawn = page.locator("#body path").nth(1).get_attribute("d") or ""
+    heights = {float(point.split()[1]) for point in drawn[1:].split("L")}
+    assert len(heights) == 1
+
+
 def test_fault_stands_at_the_top_with_what_to_do_next(page: Page, run: ScriptedRun) -> None:
     run.event("flex_open", "fault", "Left sensor 2 is open.", "Look at its plug.")
     run.read(10, faults=("flex_open",))

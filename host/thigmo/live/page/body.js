@@ -1,7 +1,7 @@
 // Along the body: what the localizer believes of a contact's place, over what every sensor reads
 // against what the free body would read there. Both share the axis, from the base to the tip.
 
-import { $, COLUMN, SENSORS, columns, element, index, muscles, pointEstimate, posterior as shown, store } from "./store.js";
+import { $, COLUMN, SENSORS, columns, density, element, index, muscles, pointEstimate, posterior as shown, store } from "./store.js";
 import { line, make, rounded, sized, text, ticks } from "./svg.js";
 import { percent } from "./words.js";
 
@@ -49,16 +49,12 @@ function drawDensity({ y0, y1 }, X) {
   text(layer, 14, (y0 + y1) / 2, "1/cm", { transform: `rotate(-90 14 ${(y0 + y1) / 2})`, "text-anchor": "middle" });
   let words = "no contact measured at this stage yet";
   if (posterior?.places_cm.length > 1) {
-    const { places_cm: places, probability, side } = posterior;
-    const density = probability.map((mass, n) => {
-      const near = places[Math.max(n - 1, 0)], far = places[Math.min(n + 1, places.length - 1)];
-      return mass / ((far - near) / (n && n < places.length - 1 ? 2 : 1));
-    });
-    const most = Math.max(...density), Y = (value) => y1 - value / most * (y1 - y0 - 12);
-    const curve = places.map((arc, n) => [X(arc), Y(density[n])]);
+    const { places_cm: places, side } = posterior, dense = density(posterior);
+    const most = Math.max(...dense), Y = (value) => y1 - value / most * (y1 - y0 - 12);
+    const curve = places.map((arc, n) => [X(arc), Y(dense[n])]);
     make("path", { d: `${line([[X(places[0]), y1], ...curve, [X(places.at(-1)), y1]])}Z`, fill: "var(--contact)", "fill-opacity": .22 }, layer);
     make("path", { d: line(curve), fill: "none", stroke: "var(--contact)", "stroke-width": 1.6 }, layer);
-    for (const value of ticks(0, most, 2).slice(1)) {
+    for (const value of ticks(0, most, 3).slice(1)) {
       text(layer, PAD.left - 8, Y(value) + 4, +value.toPrecision(3), { "text-anchor": "end", fill: "var(--faint)" });
     }
     const certain = posterior.contact_probability === null ? "" : `, ${percent(posterior.contact_probability)}`;

@@ -2,7 +2,7 @@
 // known of their place. x runs along the straight robot, y to its left, in cm.
 
 import { COST, arrange, box } from "./labels.js";
-import { $, columns, css, latest, pointEstimate, posterior, shade, store, time, COLUMN } from "./store.js";
+import { $, columns, css, density, latest, pointEstimate, posterior, shade, store, time, COLUMN } from "./store.js";
 import { line, make, minus, sized, text, ticks } from "./svg.js";
 
 const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
@@ -199,8 +199,8 @@ function along(poses, arc) {
 }
 
 // The density along the body, as a ribbon on the skin that leads the bend.
-function drawPosterior({ places_cm: places, probability, side }, poses, moves) {
-  const most = Math.max(...probability);
+function drawPosterior(posterior, poses, moves) {
+  const { places_cm: places, side } = posterior, dense = density(posterior), most = Math.max(...dense);
   const radius = store.last.shape?.radius_cm ?? 2.4;
   const turned = poses.at(-1)[2] - poses[0][2];
   const sign = Math.abs(turned) > .02 ? Math.sign(turned) : side === "left" ? 1 : -1;
@@ -209,7 +209,7 @@ function drawPosterior({ places_cm: places, probability, side }, poses, moves) {
     const pose = along(poses, arc);
     if (!pose) return;
     skin.push(...beside([pose], sign * (radius + .25)));
-    top.push(...beside([pose], sign * (radius + .25 + RIBBON_CM * probability[n] / most)));
+    top.push(...beside([pose], sign * (radius + .25 + RIBBON_CM * dense[n] / most)));
   });
   if (skin.length < 2) return;
   const layer = layers.posterior;

@@ -99,6 +99,16 @@ export function posterior() {
   return before ? null : posterior;
 }
 
+// A posterior's density, 1/cm, at the middle of each of its cells: they lie end to end from the base.
+export function density({ places_cm: places, probability }) {
+  let edge = 0;
+  return places.map((middle, n) => {
+    const width = 2 * (middle - edge);
+    edge += width;
+    return probability[n] / width;
+  });
+}
+
 // The shape on which a posterior lies: the last one while the sweep goes on, else the one measured.
 function under({ places_cm, side, sweeping }, shapes) {
   if (!places_cm.length) return null;
