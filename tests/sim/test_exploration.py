@@ -81,6 +81,17 @@ def test_the_terminal_shows_a_contact_on_one_line_of_80_columns(
     assert len(row.rstrip()) <= 80
 
 
+def test_a_terminal_too_narrow_for_a_contact_breaks_its_status_between_its_parts(
+    default: ExplorationResult, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "72")
+    Console(quiet=True).result(default)
+    _, row, rest = capsys.readouterr().out.splitlines()[:3]
+    status, kinds = default.contacts[0].certainty_text.split("; ")
+    assert row.rstrip().endswith(f" {status};")
+    assert rest.strip() == kinds
+
+
 def test_the_run_folder_is_whole(default: ExplorationResult) -> None:
     folder = RunFolder(default.folder)
     assert folder.read_document() == default.document

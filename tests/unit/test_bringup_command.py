@@ -57,7 +57,7 @@ def test_a_later_stage_can_be_tried_on_the_emulator_whose_board_is_new_each_time
     code, out, _ = astuple(thigmo("bringup", "--robot", "emulator://empty", "--from", "motor"))
     assert code == 0
     assert "valves" not in out
-    assert "good  home: home: the spool stalls twice at one place; length 0.0 cm" in out
+    assert "good  home: the spool stalls twice at one place; length 0.0 cm" in out
 
 
 def test_it_ends_with_what_is_built(thigmo: Thigmo) -> None:
@@ -78,7 +78,7 @@ def test_what_is_wrong_ends_with_1_and_the_way_on(thigmo: Thigmo, tmp_path: Path
     url = f"emulator://{scene}"
     code, out, _ = astuple(thigmo("bringup", "--robot", url))
     assert code == 1
-    assert "WRONG flex: flex left 0: open; plug it in, check J6.2" in out
+    assert "WRONG flex left 0: open; plug it in, check J6.2" in out
     assert f"thigmo bringup --robot {url} --from flex" in out
 
 

@@ -132,6 +132,7 @@ def test_a_discarded_reading_is_named_with_its_line(tmp_path: Path, thigmo: Thig
         ("position,curvature\n5,nan\n", "no reading is finite"),
         ("position,bend\n5,1\n", "no column `curvature`"),
         (GOOD.replace("45,", "55,"), "centred at 55, off a body of 53"),
+        (GOOD.replace("45,", "150,"), "off a body of 53; check positions and units"),
         ("", "is empty"),
         ("position,curvature,span\n5,0.01,-1\n", "span"),
         (GOOD.replace("5,", "50,"), "looks like mm where the length is in cm"),

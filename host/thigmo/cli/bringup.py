@@ -11,7 +11,7 @@ import typer
 
 from thigmo.cli.console import Console
 from thigmo.cli.held import HeldOption, held
-from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, show
+from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, filled, show
 from thigmo.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -96,7 +96,9 @@ def bringup(
     def tell(finding: Finding) -> None:
         mark, cure = ("good ", "") if finding.good else ("WRONG", f"; {finding.cure}")
         if not as_json:
-            typer.echo(f"{mark} {finding.stage}: {finding.subject}: {finding.what}{cure}")
+            same = finding.subject.startswith(finding.stage)
+            subject = finding.subject if same else f"{finding.stage}: {finding.subject}"
+            typer.echo(filled(f"{mark} {subject}: {finding.what}{cure}", indent=6))
 
     with console.interruptible(), connect(robot, seed=seed, operator=console) as machine:
         if config is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, show
+from thigmo.cli.output import JsonOption, filled, show
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -82,13 +82,14 @@ def sheet(
         made.save(sheet_file)
     for path in written:
         typer.echo(f"wrote {path}")
-    typer.echo(
+    next_steps = (
         "Print at 100 % and measure the 10 cm bar: its length over 10 is print_scale in "
         f"{sheet_file}. Lay the cards' crosses where that file says (origin: the robot's base, "
         "x along the straight robot), or write where they lie. Then show the lens board "
         "(`thigmo camera lens`), or write the lens's height above the table (camera_height_cm), or "
         "stand one card on a box (its z_cm); then `thigmo camera locate`."
     )
+    typer.echo(filled(next_steps))
 
 
 def _one_picture(source: str | Path) -> Picture:

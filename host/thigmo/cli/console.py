@@ -147,14 +147,18 @@ class Console:
             known = any(c.force_n is not None for c in document.contacts)
             force = "force, N" if known else "force / EI"
             heads = ("x, cm", "y, cm", "arc, cm", "95 %, cm", force, "status")
-            table = Table(*heads, box=None, padding=(0, 1, 0, 0))  # a contact a line, in 80 columns
-            for c in document.contacts:
-                table.add_row(
-                    f"{c.x_cm:.1f}", f"{c.y_cm:.1f}", c.along_text.removesuffix(" cm"),
-                    c.interval_text.removesuffix(" cm"),
-                    c.force_text.removesuffix(" N").removesuffix(" 1/cm² (over EI)"),
-                    c.certainty_text,
-                )  # fmt: skip
+            for status_ends in ("; ", ";\n"):  # a contact a line, if that fits
+                table = Table(*heads, box=None, padding=(0, 1, 0, 0))
+                for c in document.contacts:
+                    table.add_row(
+                        f"{c.x_cm:.1f}", f"{c.y_cm:.1f}", c.along_text.removesuffix(" cm"),
+                        c.interval_text.removesuffix(" cm"),
+                        c.force_text.removesuffix(" N").removesuffix(" 1/cm² (over EI)"),
+                        c.certainty_text.replace("; ", status_ends),
+                    )  # fmt: skip
+                wide = self.out.options.update_width(1000)
+                if self.out.measure(table, options=wide).maximum <= self.out.width:
+                    break
             say(table)
         if document.error_x_cm is not None:
             say(

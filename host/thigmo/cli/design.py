@@ -85,7 +85,7 @@ def _show(found: Identifiability, out: Path) -> None:
     table = RichTable(
         "base moment (1/cm)",
         *(f"at {found.arc[a]:.1f} cm" for a in arcs),
-        title="bound of one contact's arc (cm); - where it is too weak to be reported",
+        title="bound of one contact's arc (cm); -: too weak to be reported, inf: not fixed",
     )
     for m, moment in enumerate(found.moment):
         cells = [f"{found.bound[m, a]:.2f}" if found.detected[m, a] else "-" for a in arcs]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import TextWrapper
 from typing import Annotated, Any
 
 import typer
@@ -58,6 +60,13 @@ def show(as_json: bool, value: Any, *lines: object) -> None:
     else:
         for line in lines:
             typer.echo(line)
+
+
+def filled(text: str, indent: int = 0) -> str:
+    """A sentence in lines that fit the terminal; those after the first are indented."""
+    words = TextWrapper(get_terminal_size().columns, subsequent_indent=" " * indent)
+    words.break_long_words = words.break_on_hyphens = False  # names and paths stay whole
+    return words.fill(text)
 
 
 def _finite(value: Any) -> Any:

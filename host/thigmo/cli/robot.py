@@ -6,13 +6,11 @@ import tomllib
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from shutil import get_terminal_size
-from textwrap import TextWrapper
 from typing import Annotated, Any, Literal
 
 import typer
 
-from thigmo.cli.output import JsonOption, show
+from thigmo.cli.output import JsonOption, filled, show
 
 # The emulator is reached by name, as the URL that opens it does: no layer above depends on it.
 _REACH = "thigmo.emulator.reach"
@@ -64,9 +62,9 @@ def new(
     written, said = [str(out / "robot.toml")], []
     reach: Any = import_module(_REACH)
     if beyond := beyond_board(config):
-        said = [f"no scene: {what}; {cure}" for what, cure in beyond]
+        said = [filled(f"no scene: {what}; {cure}") for what, cure in beyond]
     elif refused := unexplored(config):
-        said = [f"explore does not work with it: {refused.what}; {refused.cure}"]
+        said = [filled(f"explore does not work with it: {refused.what}; {refused.cure}")]
     else:
         room = reach.room_for(config, seed)
         room.save(out / "scene.toml")
@@ -97,9 +95,7 @@ def check(file: _FileArgument, as_json: JsonOption = False) -> None:
     from thigmo.design import judge
 
     found = judge(RobotConfig.load(file))
-    words = TextWrapper(get_terminal_size().columns, subsequent_indent=" " * 8)
-    words.break_long_words = words.break_on_hyphens = False  # names and paths stay whole
-    lines = [words.fill(f"{one.mark:8}{one.what}: {one.text}") for one in found]
+    lines = [filled(f"{one.mark:8}{one.what}: {one.text}", indent=8) for one in found]
     show(as_json, {"findings": [asdict(one) for one in found]}, *lines)
     if any(one.mark == "bad" for one in found):
         raise typer.Exit(1)

@@ -160,12 +160,12 @@ def check_layout(position: Array, span: Array, total: float, **errors: Array) ->
     slack = 1e-9 * total
     if not -slack <= nearest <= farthest <= total + slack:
         where = farthest if farthest > total else nearest
-        cure = _same_unit(where, total) or "check positions and units"
+        cure = _same_unit(where, total, least=0.4) or "check positions and units"
         if total < where <= 1.25 * total:
             cure = "leave out sensors that are not everted yet, or check the length"
         raise DataError(f"a sensor is centred at {where:g}, off a body of {total:g}", cure)
     if span.max() > total:
-        cure = _same_unit(span.max(), total) or "check spans and units"
+        cure = _same_unit(span.max(), total, least=0.05) or "check spans and units"
         raise DataError(f"a span of {span.max():g} is longer than the body, {total:g}", cure)
     if position.size < 3:
         return
@@ -178,9 +178,10 @@ def check_layout(position: Array, span: Array, total: float, **errors: Array) ->
         )
 
 
-def _same_unit(given: float, total: float) -> str:
+def _same_unit(given: float, total: float, *, least: float) -> str:
+    """A hint, if `given` in a smaller unit would be at least this share of the body."""
     for factor, unit, meant in ((10.0, "mm", "cm"), (100.0, "cm", "m"), (1000.0, "mm", "m")):
-        if 0.05 * total <= given / factor <= total:
+        if least * total <= given / factor <= total:
             return f"it looks like {unit} where the length is in {meant}: use one unit"
     return ""
 
