@@ -100,14 +100,31 @@ def test_a_touch_is_known_among_the_bends_of_a_body_of_any_length(
     length_cm: float, bend: float
 ) -> None:
     bends = bend_grid(length_cm)
-    touched = touch_mass(_half("left", -1.2 * bend, 12.0, bend=bend), "left", bends)
+    touched = touch_mass(_half("left", -1.2 * bend, 12.0, bend=bend), "left", bends, 5e-4)
     assert touched @ bends == pytest.approx(12.0 * bend, abs=3e-4)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_touch_is_where_the_excess_grows_faster_whatever_the_zero_and_the_map(side: Side) -> None:
+    bends, way = bend_grid(53.0), SIGN[side]
+    frames = [
+        replace(frame, excess=frame.excess - way * 0.002 + 0.03 * frame.free_curvature)
+        for frame in _half(side, -1.2 * way / 600, 8.0, noise=3e-4)
+    ]
+    touched = touch_mass(frames, side, bends, 1.6e-3)
+    spread = np.sqrt(touched @ (bends - 8.0 / 600) ** 2)
+    assert touched @ bends == pytest.approx(8.0 / 600, abs=5e-4)
+    assert spread < 1e-3
 
 
 def test_a_touch_beyond_all_bends_tells_nothing() -> None:
     """Two obstacles would share the last of them."""
-    touched = touch_mass(_half("left", -0.004, 12.0, bend=1 / 300), "left", bend_grid(53.0))
-    assert np.ptp(touched) == 0.0
+    touched = touch_mass(_half("left", -0.004, 12.0, bend=1 / 300), "left", bend_grid(53.0), 5e-4)
+    assert touched.max() < 1.1 / len(touched)
+
+
+def test_without_a_trigger_no_bend_is_a_touch() -> None:
+    assert np.ptp(touch_mass(_half("left", 0.0, 0.0), "left", bend_grid(53.0), 5e-4)) == 0.0
 
 
 def _free_sweep(gain: float, constant: float, rng: np.random.Generator) -> SweepResult:

@@ -26,13 +26,15 @@ LEVEL = 0.95  # of the set that an interval spans, and of what is called sure
 # touch to the moment at which the base is held back by the trigger's threshold, a touched body
 # bends on by this much: 0.005 1/cm over the slope of held-back over free curvature.
 TRIGGER_LATE = 0.0042
-# One sigma of where a touch began. Over 344 pairs of emulated stages that touched one peg, the two
-# differ by 1.7e-4 in half of them and by 5e-4 in one of ten.
-_TOUCH_STD = 2.5e-4
 # One sigma by which it differs between bodies of two lengths: a share of it, and at least.
 BEND_SHARE, BEND_LEAST = 0.02, 2e-4
-# The line through these readings of a held base (1/cm) crosses the trigger's threshold.
-_LINE_LOW, _LINE_HIGH = 0.0025, 0.0085
+# From the touch on the base is held back by so much of what the free body bends on, with one sigma:
+# 1.5 (1 - x / s) for the base's reading at x and a contact at s, that of a thin beam.
+_SLOPE, _SLOPE_STD = 1.25, 0.25
+_TILT = 0.05  # one sigma of the slope before it: what is left of errors of map and gain
+_SLIDES = 0.01  # 1/cm of held-back base from which the contact may slide, or the base fold
+_ALIKE = 3.0  # frames that count as one: swings and hysteresis last longer than a frame
+_STATED = 4.0  # weight of the stated noise, in such frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,43 +95,38 @@ def contact_mass(marginal: Marginal | None, arcs: Floats) -> Floats:
     return normalised
 
 
-def touch_mass(frames: Sequence[SweepFrame], side: Side, bends: Floats) -> Floats:
-    """Posterior of which of `bends` a side's first touch began at.
+def touch_mass(
+    frames: Sequence[SweepFrame], side: Side, bends: Floats, noise_per_cm: float
+) -> Floats:
+    """Posterior of which of `bends` a side's first touch began at; flat as far as at none of them.
 
-    Flat without a trigger, and where it began beyond them all.
-    """
-    triggered = _triggered_at(frames, side)
-    if triggered is None or triggered - TRIGGER_LATE > bends[-1]:
-        return np.full(len(bends), 1 / len(bends))
-    began = max(triggered - TRIGGER_LATE, float(bends[0]))
-    mass = np.exp(-0.5 * ((bends - began) / _TOUCH_STD) ** 2)
-    normalised: Floats = mass / mass.sum()
-    return normalised
-
-
-def _triggered_at(frames: Sequence[SweepFrame], side: Side) -> float | None:
-    """Bend at which a side's base was held back by the trigger's threshold.
-
-    Frames are a twentieth of a second apart, in which the bend moves by more than its error; the
-    line through those around the threshold is finer.
+    Over the free curvature, what holds the base back is a line, which the errors of the free body
+    and of the base's zero make, and a steeper one from the touch on. Both lines and the noise, of
+    which one sigma is stated, are integrated out. Without a trigger there was no touch.
     """
     held = held_back(frames, side)
-    over = np.flatnonzero(held > TRIGGER_PER_CM)
-    if not over.size:
-        return None
+    if not (held > TRIGGER_PER_CM).any():
+        return np.full(len(bends), 1 / len(bends))
     mine = [frame for frame in frames if frame.side == side]
-    bend = np.abs([frame.free_curvature for frame in mine])
-    against = -SIGN[side]
-    first = last = int(over[0])
-    while first > 0 and held[first - 1] > _LINE_LOW:
-        first -= 1
-    while last + 1 < len(mine) and held[last + 1] < _LINE_HIGH and bend[last + 1] > bend[last]:
-        last += 1
-    excess = against * np.array([frame.excess for frame in mine[first : last + 1]])
-    if last - first < 2 or not np.ptp(excess) > 0:
-        return float(bend[over[0]])
-    slope, intercept = np.polyfit(excess, bend[first : last + 1], 1)
-    return float(np.clip(slope * TRIGGER_PER_CM + intercept, bend[first], bend[last]))
+    top = int(np.argmax([frame.pressure_psi for frame in mine]))
+    end = min([top, *np.flatnonzero(held > _SLIDES)[:1]]) + 1
+    bend = np.abs([frame.free_curvature for frame in mine[:end]])
+    beyond = np.concatenate([bends, bends + bends[-1]])
+    further = np.maximum(bend - beyond[:, None], 0.0)
+    effect = np.stack([np.ones_like(further), np.broadcast_to(bend, further.shape), further], -1)
+    excess = -SIGN[side] * np.array([frame.excess for frame in mine[:end]])
+    left = excess - _SLOPE * further
+    # In units of the noise.
+    prior = np.diag([1.0, noise_per_cm / _TILT, noise_per_cm / _SLOPE_STD]) ** 2
+    precision = effect.swapaxes(1, 2) @ effect / _ALIKE + prior
+    vector = (left[:, None] @ effect)[:, 0] / _ALIKE
+    explained = np.sum(vector * np.linalg.solve(precision, vector[..., None])[..., 0], axis=1)
+    misfit = (np.sum(left**2, axis=1) / _ALIKE - explained) / noise_per_cm**2
+    log = -0.5 * (_STATED + end / _ALIKE) * np.log(_STATED + misfit)
+    log -= 0.5 * np.linalg.slogdet(precision)[1]
+    mass = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+    inside = mass[: len(bends)]
+    return np.asarray(inside + (1 - inside.sum()) / len(bends))
 
 
 def passed_before(touch: Floats, bends: Floats, peak: Peak) -> Passed:

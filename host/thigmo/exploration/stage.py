@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from thigmo import wiring
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
@@ -57,6 +58,7 @@ class Interpreter:
         self._method = method
         self._prior = prior
         self._table = SensorTable.of(config)
+        self._base_noise = float(self._table.noise[wiring.base_inputs(config)].max(initial=0.0))
         self._response = FreeResponse(config)
         self._bends = bend_grid(config.body.length_cm)
         self.map = ContactMap(config, prior)  # contacts so far
@@ -91,7 +93,7 @@ class Interpreter:
             final = mean_peak(again[side] or [peak])
             # A slow sweep swings less as it begins, and has more frames around its touch.
             slowest = measuring if measuring and again[side] else sweep
-            touch = touch_mass(slowest.frames, side, self._bends)
+            touch = touch_mass(slowest.frames, side, self._bends, self._base_noise)
             at = measured_zone if again[side] else zone
             answer = self._localize(final, at, self._response, touch)
             certain = any(sighting.contact.probability > _CERTAIN for sighting in answer.sightings)
@@ -112,7 +114,7 @@ class Interpreter:
             return None
         response = deepcopy(self._response)
         _learn(response, so_far, peak.side, zone, touch_curvature(so_far.frames, peak.side))
-        touch = touch_mass(so_far.frames, peak.side, self._bends)
+        touch = touch_mass(so_far.frames, peak.side, self._bends, self._base_noise)
         return self._localize(peak, zone, response, touch)
 
     def _localize(self, peak: Peak, zone: int, response: FreeResponse, touch: Floats) -> PeakAnswer:
