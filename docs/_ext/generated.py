@@ -36,6 +36,7 @@ _WHERE = {
     "calibrate": "Calibration",
     "camera": "The camera",
     "bringup": "Bring-up",
+    "design": "Layouts and designs",
     "emulator": "The emulator and its scenes",
     "live": "The page",
     "mechanics": "Mechanics",

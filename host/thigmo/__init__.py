@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from thigmo.config import RobotConfig
+    from thigmo.design import Identifiability, arc_bounds, identifiability
     from thigmo.errors import ThigmoError
     from thigmo.exploration.explore import explore
     from thigmo.exploration.replay import replay
@@ -20,14 +21,11 @@ if TYPE_CHECKING:
         Body,
         Contact,
         Errors,
-        Identifiability,
         Localizer,
         LocalizeResult,
         Priors,
         Sensors,
-        arc_bounds,
         from_headings,
-        identifiability,
         localize,
         localize_batch,
     )
@@ -46,12 +44,12 @@ __version__ = "0.2.0"
 
 _NAMES = {
     "config": ["RobotConfig"],
+    "design": ["Identifiability", "arc_bounds", "identifiability"],
     "errors": ["ThigmoError"],
     "exploration": ["ExplorationResult", "explore", "open_run", "replay"],
     "localization": [
-        "BatchResult", "Body", "Contact", "Errors", "Identifiability",
-        "LocalizeResult", "Localizer", "Priors", "Sensors", "arc_bounds", "from_headings",
-        "identifiability", "localize", "localize_batch",
+        "BatchResult", "Body", "Contact", "Errors", "LocalizeResult", "Localizer", "Priors",
+        "Sensors", "from_headings", "localize", "localize_batch",
     ],
     "record": [
         "MapContact", "ObstacleMap", "OccupancyGrid", "RunDocument", "read_obstacles",

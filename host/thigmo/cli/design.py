@@ -10,7 +10,7 @@ import typer
 from thigmo.cli.output import JsonOption, print_json
 
 if TYPE_CHECKING:
-    from thigmo.localization import Identifiability
+    from thigmo.design import Identifiability
 
 
 def design(
@@ -40,8 +40,8 @@ def design(
     if columns < 1:
         raise DataError(f"--columns is {columns}", "give 1 or more")
     require("plot", "the figure of a design")
-    from thigmo.localization import identifiability
-    from thigmo.report.design_figure import draw_design
+    from thigmo.design import identifiability
+    from thigmo.design.figure import draw_design
     from thigmo.report.files import write_files
 
     position = places * columns

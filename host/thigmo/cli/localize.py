@@ -180,7 +180,7 @@ def localize(
     if frames is not None:
         _answer_rows(frames, plot, length, as_json, stated)
         return
-    from thigmo.localization.hints import hints
+    from thigmo.cli.hints import hints
 
     stated["length"] = length
     result = thigmo.localize(table.curvature, table.position, **stated)

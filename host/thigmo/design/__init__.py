@@ -1,6 +1,7 @@
-"""Designs a robot before it is built: drafts it from a few numbers, and judges the draft."""
+"""Designs a robot: drafts it from a few numbers, judges the draft, and bounds its layout."""
 
+from thigmo.design.bounds import Identifiability, arc_bounds, identifiability
 from thigmo.design.draft import draft
 from thigmo.design.judge import Finding, judge
 
-__all__ = ["Finding", "draft", "judge"]
+__all__ = ["Finding", "Identifiability", "arc_bounds", "draft", "identifiability", "judge"]

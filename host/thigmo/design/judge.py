@@ -31,10 +31,10 @@ from thigmo.config import (
     Sensor,
     Side,
 )
+from thigmo.design.bounds import arc_bounds
 from thigmo.errors import ConfigError
 from thigmo.exploration.plan import stage_lengths
 from thigmo.link.protocol import PARAMETERS, parameters
-from thigmo.localization import arc_bounds
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from thigmo.localization.batch import BatchResult
-from thigmo.localization.bounds import Identifiability, arc_bounds, identifiability
 from thigmo.localization.headings import CurvatureRows, from_headings
 from thigmo.localization.localizer import METHODS, Localizer, check_method, localize, localize_batch
 from thigmo.localization.newtons import Newtons, Quantity
@@ -17,17 +16,14 @@ __all__ = [
     "Contact",
     "CurvatureRows",
     "Errors",
-    "Identifiability",
     "LocalizeResult",
     "Localizer",
     "Newtons",
     "Priors",
     "Quantity",
     "Sensors",
-    "arc_bounds",
     "check_method",
     "from_headings",
-    "identifiability",
     "localize",
     "localize_batch",
 ]

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from thigmo.localization import Localizer, arc_bounds
+from thigmo.design import arc_bounds
+from thigmo.localization import Localizer
 from thigmo.studies import contact_scenes
 from thigmo.studies.contact_scenes import Draw, Scenes, holds, signs, straight
 from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, share

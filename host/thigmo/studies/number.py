@@ -19,7 +19,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from thigmo.localization import Localizer, LocalizeResult, arc_bounds, priors
+from thigmo.design import arc_bounds
+from thigmo.localization import Localizer, LocalizeResult, priors
 from thigmo.mechanics.closed_forms import phi
 from thigmo.report.axes import BLUE, ORANGE
 from thigmo.studies import contact_scenes

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import thigmo
-from thigmo.localization import arc_bounds
+from thigmo.design import arc_bounds
 from thigmo.studies.rod import readings as true_readings
 from thigmo.studies.rod import solve
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.config import SIGN, Side
+from thigmo.design import arc_bounds
 from thigmo.errors import DataError
-from thigmo.localization import arc_bounds
 from thigmo.studies.experiments import thesis
 from thigmo.studies.rod import Floats
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from thigmo.cli.hints import hints
 from thigmo.errors import DataError
 from thigmo.localization import localize
-from thigmo.localization.hints import hints
 
 POSITION = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 NOISE = 6e-4

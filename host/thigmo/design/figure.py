@@ -13,7 +13,7 @@ from thigmo.report.axes import INK, MUTED, small
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from thigmo.localization import Identifiability
+    from thigmo.design.bounds import Identifiability
 
 
 def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.ArrayLike) -> Figure:
