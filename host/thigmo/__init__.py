@@ -25,10 +25,10 @@ if TYPE_CHECKING:
         LocalizeResult,
         Priors,
         Sensors,
-        from_headings,
         localize,
         localize_batch,
     )
+    from thigmo.mechanics import from_headings
     from thigmo.record import (
         MapContact,
         ObstacleMap,
@@ -49,8 +49,9 @@ _NAMES = {
     "exploration": ["ExplorationResult", "explore", "open_run", "replay"],
     "localization": [
         "BatchResult", "Body", "Contact", "Errors", "LocalizeResult", "Localizer", "Priors",
-        "Sensors", "from_headings", "localize", "localize_batch",
+        "Sensors", "localize", "localize_batch",
     ],
+    "mechanics": ["from_headings"],
     "record": [
         "MapContact", "ObstacleMap", "OccupancyGrid", "RunDocument", "read_obstacles",
         "read_readings", "read_ros_map",

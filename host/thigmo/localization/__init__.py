@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from thigmo.localization.batch import BatchResult
-from thigmo.localization.headings import CurvatureRows, from_headings
 from thigmo.localization.localizer import METHODS, Localizer, check_method, localize, localize_batch
 from thigmo.localization.newtons import Newtons, Quantity
 from thigmo.localization.options import Body, Errors, Priors, Sensors
@@ -14,7 +13,6 @@ __all__ = [
     "BatchResult",
     "Body",
     "Contact",
-    "CurvatureRows",
     "Errors",
     "LocalizeResult",
     "Localizer",
@@ -23,7 +21,6 @@ __all__ = [
     "Quantity",
     "Sensors",
     "check_method",
-    "from_headings",
     "localize",
     "localize_batch",
 ]

@@ -18,8 +18,10 @@ from thigmo.mechanics.elastica import (
     push_tip,
     solve,
 )
+from thigmo.mechanics.headings import CurvatureRows, from_headings
 
 __all__ = [
+    "CurvatureRows",
     "Model",
     "ModelChoice",
     "Peg",
@@ -29,6 +31,7 @@ __all__ = [
     "Tube",
     "critical_moment",
     "fold_share",
+    "from_headings",
     "peg_for",
     "phi",
     "push",
