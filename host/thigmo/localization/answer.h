@@ -260,8 +260,8 @@ class Posterior {
   double most_ = 0.0;
 };
 
-inline void conclude(Explanations& weighing, const Priors& priors, const Settings& settings,
-                     Answer& out) {
+inline void conclude(Explanations& weighing, const Options& options, Answer& out) {
+  const Priors& priors = options.priors;
   constexpr double kNearEnd = 0.95;  // from here on a contact and a hold of the end are one place
   weighing.run();
   const Readings& readings = weighing.readings;
@@ -277,16 +277,16 @@ inline void conclude(Explanations& weighing, const Priors& priors, const Setting
     (out.hypotheses[k].shares.contacts.empty() ? none : out.touched) += out.probability[k];
   }
   out.log_odds = std::log(std::max(out.touched, 1e-300) / std::max(none, 1e-300));
-  const Posterior posterior(out.hypotheses, out.probability, settings.contacts);
+  const Posterior posterior(out.hypotheses, out.probability, options.contacts);
   out.number = posterior.felt;
-  out.radius = settings.radius;
+  out.radius = options.radius;
   std::size_t count = 1;
   for (std::size_t k = 2; k < 4; ++k) {
     if (posterior.listed[k] > posterior.listed[count]) count = k;
   }
   // Likelier than not; or five standard errors off a free body whose readings are all good.
   if (out.touched < 0.5 && weighing.explained < priors.five_sigma) count = 0;
-  if (settings.contacts >= 0) count = static_cast<std::size_t>(settings.contacts);
+  if (options.contacts >= 0) count = static_cast<std::size_t>(options.contacts);
   double most = -1.0;
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
     if (out.hypotheses[k].shares.contacts.size() == count && out.probability[k] > most) {
@@ -309,12 +309,12 @@ inline void conclude(Explanations& weighing, const Priors& priors, const Setting
     if (h.numbers >= readings.frame.size() - (h.bad >= 0)) open += out.probability[k];
   }
   // A hand that holds the end explains what a contact beside it does.
-  const bool perhaps = settings.held_end == Settings::Held::perhaps &&
+  const bool perhaps = options.held_end == Options::Held::perhaps &&
                        std::min(held, all - held) > priors.held_excluded * all;
-  const bool asked = settings.contacts > 0;
+  const bool asked = options.contacts > 0;
   const bool sure = out.touched > 1.0 - priors.excluded && open <= priors.excluded * all &&
-                    (asked || out.number[count] >= settings.number_level);
-  const Window within = count == 1 ? settings.within : Window{0.0, 1.0};
+                    (asked || out.number[count] >= options.number_level);
+  const Window within = count == 1 ? options.within : Window{0.0, 1.0};
   Row medians(count);
   for (std::size_t j = 0; j < count; ++j) {
     const auto ordinal = [&](const FeltSet& set) {
@@ -335,7 +335,7 @@ inline void conclude(Explanations& weighing, const Priors& priors, const Setting
     felt.high = felt.pieces.back().second;
     felt.force = mixture.cells.force[mixture.cell(felt.arc)];
     const bool placed = sure && (asked || felt.probability > 1.0 - priors.excluded) &&
-                        felt.high - felt.low <= settings.width_limit;
+                        felt.high - felt.low <= options.width_limit;
     felt.localized = placed && (!perhaps || felt.arc >= kNearEnd);
     out.end_open |= placed && !felt.localized;
     if (felt.arc >= 1.0 - priors.end_cell) {  // on the end: where, says its likeliest load
@@ -344,7 +344,7 @@ inline void conclude(Explanations& weighing, const Priors& priors, const Setting
         const Hypothesis& h = out.hypotheses[k];
         if (h.on_end() && h.shares.contacts.size() == 1 && out.probability[k] > heaviest) {
           heaviest = out.probability[k];
-          felt.offset = h.offset(settings.radius);
+          felt.offset = h.offset(options.radius);
           felt.arc = 1.0;
           felt.force = h.shares.contacts[0].force[0];
         }
@@ -371,12 +371,12 @@ inline void conclude(Explanations& weighing, const Priors& priors, const Setting
   }
 }
 
-inline Answer answer(const Input& input, const Priors& priors, const Settings& settings) {
+inline Answer answer(const Input& input, const Options& options) {
   Answer out;
-  std::tie(out.problem, out.shows) = problem_of(input);
+  std::tie(out.problem, out.shows) = problem_of(input, options);
   if (out.problem != Problem::none) return out;
-  Explanations weighing(normalised(input, priors), input, priors, settings);
-  conclude(weighing, priors, settings, out);
+  Explanations weighing(normalised(input, options), input, options);
+  conclude(weighing, options, out);
   return out;
 }
 

@@ -19,21 +19,6 @@
 
 namespace thigmo {
 
-struct Settings {
-  double critical, critical_error;  // base moment that folds it, and its relative standard error
-  bool folds_perhaps;               // at a moment that is not known
-  double radius;                    // of the tube
-  // Whether something holds the end, so that it bears any couple: surely, surely not, or perhaps.
-  enum class Held { no, perhaps, yes } held_end;
-  // Log prior odds, against a contact on the side, of one on the end and of a held end; NaN: usual.
-  double log_end, log_held;
-  int contacts;  // how many there are known to be, or -1
-  Window within;
-  double width_limit;
-  double number_level;  // probability of the number, below which nothing is localized
-  std::optional<Space> space;
-};
-
 struct Hypothesis {
   const Explanation* of;
   double log_weight;             // log evidence plus log prior odds
@@ -88,22 +73,20 @@ class Explanations {
   std::vector<Hypothesis> found;
   double explained = 0.0;  // misfit of a free body that one contact takes away, if more than half
 
-  Explanations(Readings&& given, const Input& in, const Priors& priors, const Settings& settings)
+  Explanations(Readings&& given, const Input& in, const Options& options)
       : readings(std::move(given)),
         frame_(readings.frame),
-        priors_(priors),
-        settings_(settings),
-        prior_{priors.moments,          priors.least_lever, settings.critical,
-               settings.critical_error, priors.felt,        priors.swept},
+        options_(options),
+        priors_(options.priors),
         body_(body(in)),
         white_(frame_, frame_.shared),
-        contact_(readings.known ? priors.contact : priors.contact_unsure),
+        contact_(readings.known ? priors_.contact : priors_.contact_unsure),
         marks_(readings.bad),
         mark_odds_(readings.log_bad),
         kinks_(frame_.size()) {
     found.reserve(2 * frame_.size() + 8);
-    limit_ = misfit_at(priors.misfit_deviate);
-    if (!settings.space) add_kinks();
+    limit_ = misfit_at(priors_.misfit_deviate);
+    if (!body_->in_space()) add_kinks();
   }
 
   const Body& body() const { return *body_; }
@@ -129,23 +112,25 @@ class Explanations {
     const Row bent = found[one].bent;
     const double turn = body_->turn_of(bent);
     const bool bends = body_->turn > priors_.end_turn, two_or_more = frame_.size() > 1;
-    const auto odds = [](double given, double usual) { return std::isnan(given) ? usual : given; };
-    const double face = odds(settings_.log_end, bends ? priors_.end : priors_.end_straight);
-    const bool held = settings_.held_end == Settings::Held::yes;
+    const auto odds = [](double given, double usual) {
+      return std::isnan(given) ? usual : std::log(given);
+    };
+    const double face = odds(options_.end_odds, bends ? priors_.end : priors_.end_straight);
+    const bool held = options_.held_end == Options::Held::yes;
     std::size_t end = kNone;
     if (two_or_more && !held && face > -INFINITY &&
         std::max(body_->turn, turn) > priors_.end_turn) {
       end = weigh(kEnd, contact_ + face, bent);
     }
     const double moment = std::abs(bent[0] - body_->rest[0]);
-    if (settings_.critical < INFINITY &&
-        (misfit || moment > priors_.near_fold * settings_.critical)) {
+    if (options_.critical < INFINITY &&
+        (misfit || moment > priors_.near_fold * options_.critical)) {
       const double folded = contact_ + std::log(std::max(folded_share(), 1e-12));
       if (end != kNone) weigh(kEndFolded, folded + priors_.end, found[end].bent);
       for (const double side : {-1.0, 1.0}) weigh(kOneFolded, folded - std::log(2.0), bent, side);
     }
     const auto several = [&](int count) {
-      if (settings_.contacts >= 0) return two_or_more && settings_.contacts >= count;
+      if (options_.contacts >= 0) return two_or_more && options_.contacts >= count;
       return frame_.size() >= count;
     };
     bool poor = misfit;
@@ -159,10 +144,10 @@ class Explanations {
       }
     }
     // What bends a straight body so far may hold its end.
-    const bool perhaps = settings_.held_end == Settings::Held::perhaps;
+    const bool perhaps = options_.held_end == Options::Held::perhaps;
     if (two_or_more && (held || (perhaps && (poor || (turn > priors_.straight && !bends))))) {
       double weight = contact_;
-      if (perhaps) weight += odds(settings_.log_held, bends ? priors_.held : priors_.held_straight);
+      if (perhaps) weight += odds(options_.held_odds, bends ? priors_.held : priors_.held_straight);
       if (body_->twists()) weight -= std::log(2.0);
       if (body_->twists()) weigh(kHeldTwisted, weight, bent);
       weigh(kHeld, weight, bent);
@@ -177,10 +162,8 @@ class Explanations {
   static constexpr std::size_t kNone = -1;
 
   std::unique_ptr<Body> body(const Input& in) {
-    if (settings_.space) {
-      return std::make_unique<SpaceBody>(readings, in, *settings_.space, priors_, settings_.radius);
-    }
-    return std::make_unique<PlaneBody>(readings, in, priors_, prior_, settings_.radius);
+    if (options_.direction.rows > 0) return std::make_unique<SpaceBody>(readings, in, options_);
+    return std::make_unique<PlaneBody>(readings, in, options_);
   }
 
   // Chi-squared that one contact which is right passes as seldom as a standard normal number passes
@@ -200,7 +183,7 @@ class Explanations {
   double folded_share() const {
     double share = 0.0;
     for (const double moment : priors_.moments) {
-      share += std::erfc(std::min(settings_.critical / (std::numbers::sqrt2 * moment), 30.0));
+      share += std::erfc(std::min(options_.critical / (std::numbers::sqrt2 * moment), 30.0));
     }
     return share / static_cast<double>(priors_.moments.size());
   }
@@ -225,8 +208,8 @@ class Explanations {
       marks_.add(first, column);
       kinks_.push_back(middle);
       // Where the caller does not say at which moment the base folds, it is likelier there.
-      const double near = 4.0 * settings_.radius;
-      const bool fold = settings_.folds_perhaps && middle < near;
+      const double near = 4.0 * options_.radius;
+      const bool fold = options_.folds_perhaps && middle < near;
       mark_odds_.push_back(std::log(width) +
                            (fold ? priors_.base_fold - std::log(near) : priors_.hinge));
       kink_odds_.push_back(std::log(width) + priors_.hinge);
@@ -346,8 +329,8 @@ class Explanations {
     Grid& grid = grids[&of];
     prepare(of, side, grid);
     const int count = grid.count();
-    const bool asked = settings_.contacts == count, all = asked && count > 1;
-    const bool certain = &of == &kOne || asked || settings_.held_end == Settings::Held::yes;
+    const bool asked = options_.contacts == count, all = asked && count > 1;
+    const bool certain = &of == &kOne || asked || options_.held_end == Options::Held::yes;
     const double matters = count == 1 ? -INFINITY : best() - odds + kSeveralMatter;
     const bool twists = of.loads.back().twists;
     body_->begin(of, std::any_of(of.loads.begin(), of.loads.end(), [](const Load& load) {
@@ -359,7 +342,7 @@ class Explanations {
     for (int turn = 0, passes = 0; turn < kMostTurns; ++turn) {
       body_->take(shape, std::exchange(step, 1.0));
       const Whitened& read = lay(grid, white, shared, room);
-      if (!grid.weigh(prior_)) return kNone;
+      if (!grid.weigh(options_)) return kNone;
       const double log_evidence = evidence(grid, whole);
       // The first shape may be far from that of the loads.
       double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
@@ -420,14 +403,14 @@ class Explanations {
       if (!whole) {  // beside another mark the contacts may lie anywhere
         for (Placed& p : grid.placed) p.window = {0.0, 1.0};
         lay(grid, white, frame_.shared, room);
-        grid.weigh(prior_);
+        grid.weigh(options_);
       }
       const double plain = evidence(grid, true) + weight, matter = best() + kMatters;
       const Row gain = grid.gains(read, marks_, marks);
       for (int e = 0; e < marks; ++e) {
         if (plain + gain[e] + mark_odds_[e] < best() + priors_.hopeless) continue;
         Grid beside = grid.beside(read, marks_[e]);
-        if (!beside.weigh(prior_)) continue;
+        if (!beside.weigh(options_)) continue;
         add(beside, weight + mark_odds_[e] + evidence(beside, true), e);
         if (found.back().log_weight < matter) continue;
         doubts_.push_back({std::move(found.back()), &of, weight, side, e});
@@ -447,7 +430,7 @@ class Explanations {
       p.load = &load, p.cells = load.where == Load::Where::anywhere ? of.cells : 1;
       p.window = {0.0, 1.0};
       p.across = load.across ? across : 0;
-      const double mean = load.critical ? side / prior_.tolerance : 0.0;
+      const double mean = load.critical ? side / options_.critical_error : 0.0;
       p.number.assign(p.across, {!load.critical, mean, 0.0});
       if (load.along) p.number.push_back({true, 0.0, load.pushes ? 1.0 : 0.0});
       if (load.couples != Load::Couples::none) p.number.resize(p.number.size() + across);
@@ -465,7 +448,7 @@ class Explanations {
       if (p.load->where == Load::Where::anywhere) volume += std::log(++free * p.width);
     }
     if (whole && free > 0) volume = -std::log(static_cast<double>(grid.size()));
-    return grid.top + std::log(grid.total / static_cast<double>(prior_.scales.size())) + volume;
+    return grid.top + std::log(grid.total / static_cast<double>(priors_.moments.size())) + volume;
   }
 
   // Lays finer windows around the mass where a cell holds more than `coarse` of it.
@@ -485,9 +468,8 @@ class Explanations {
   }
 
   const Frame& frame_;
+  const Options& options_;
   const Priors& priors_;
-  const Settings& settings_;
-  ForcePrior prior_;
   std::unique_ptr<Body> body_;
   Whitened white_;
   double contact_;  // log prior odds of one

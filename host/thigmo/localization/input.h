@@ -22,19 +22,39 @@ struct Priors {
 #undef THIGMO_PRIOR
 };
 
-// What the caller gives: arrays of N numbers, or of one for all sensors.
-struct Input {
-  Row curvature, position, span, free, body, noise, gain, bad_odds;
-  Matrix shared;  // (K, N) in the caller's unit
-  double offset, map, length, radius;
+struct Window {
+  double near, far;
+  bool operator==(const Window&) const = default;
 };
 
-// A body in space: its readings' directions, and what bends it beside contacts.
-struct Space {
-  std::vector<Vector> direction;  // (N,) axis of the turn that each measures
-  Matrix curvature_map;           // (2 cells, N) the body's bends in each cell, from readings
-  Vector compliance;              // EI over the stiffness against each component of a moment
-  Vector weight;                  // of a body of length one, over EI
+// What holds for all frames of the same sensors, under the names that localizer.py gives. Rows have
+// N numbers, or one for all sensors.
+struct Options {
+  Row position, span, noise, gain, bad_odds;
+  Matrix shared;  // (K, N) in the caller's unit
+  double offset, map_scale, length;
+  double radius;                    // of the tube, over the length
+  double critical, critical_error;  // base moment that folds it, and its relative standard error
+  bool folds_perhaps;               // at a moment that is not known
+  // Whether something holds the end, so that it bears any couple: surely not, perhaps, or surely.
+  enum class Held { no, perhaps, yes } held_end;
+  // Prior odds, against a contact on the side, of one on the end and of a held end; NaN: usual.
+  double end_odds, held_odds;
+  int contacts;  // how many there are known to be, or -1
+  Window within;
+  double width_limit;
+  double number_level;  // probability of the number, below which nothing is localized
+  // Of a body in space: its readings' directions, and what bends it beside contacts.
+  Matrix direction;      // (N, 3) axis of the turn that each measures; none in a plane
+  Matrix curvature_map;  // (2 cells, N) the body's bends in each cell, from readings
+  Row compliance;        // EI over the stiffness against each component of a moment
+  Row weight;            // of a body of length one, over EI
+  Priors priors;
+};
+
+// One frame: rows have N numbers, or one for all sensors.
+struct Input {
+  Row curvature, free, body;
 };
 
 struct Readings {
@@ -52,14 +72,14 @@ enum class Problem { none, infinite, no_reading, free, too_tight, constant };
 inline double pick(const Row& values, std::size_t i) { return values[values.size() == 1 ? 0 : i]; }
 
 // Where a sensor begins and ends on the body, over the length.
-inline std::pair<double, double> ends_of_sensor(const Input& in, std::size_t i) {
-  const double half = 0.5 * pick(in.span, i);
-  const auto on_body = [&](double x) { return std::clamp(x, 0.0, in.length) / in.length; };
-  return {on_body(in.position[i] - half), on_body(in.position[i] + half)};
+inline std::pair<double, double> ends_of_sensor(const Options& of, std::size_t i) {
+  const double half = 0.5 * pick(of.span, i);
+  const auto on_body = [&](double x) { return std::clamp(x, 0.0, of.length) / of.length; };
+  return {on_body(of.position[i] - half), on_body(of.position[i] + half)};
 }
 
 // The problem, and a number that shows it.
-inline std::pair<Problem, double> problem_of(const Input& in) {
+inline std::pair<Problem, double> problem_of(const Input& in, const Options& options) {
   const std::size_t n = in.curvature.size();
   double tightest = 0.0;
   std::size_t finite = 0;
@@ -76,7 +96,7 @@ inline std::pair<Problem, double> problem_of(const Input& in) {
     ++finite;
   }
   if (finite == 0) return {Problem::no_reading, 0.0};
-  if (tightest * in.radius > 1.0) return {Problem::too_tight, tightest};
+  if (tightest * options.radius * options.length > 1.0) return {Problem::too_tight, tightest};
   // A body that nothing bends reads no constant curvature but zero.
   if (n >= 3 && same && passive && finite == n && in.curvature[0] != 0.0) {
     return {Problem::constant, in.curvature[0]};
@@ -103,8 +123,9 @@ inline Row rest_of(const Row& body, const Row& position, double length) {
   return rest;
 }
 
-inline Readings normalised(const Input& in, const Priors& priors) {
-  const double length = in.length;
+inline Readings normalised(const Input& in, const Options& options) {
+  const Priors& priors = options.priors;
+  const double length = options.length;
   Readings out;
   Frame& frame = out.frame;
   double most = 1e-6, square = 0.0;
@@ -118,20 +139,20 @@ inline Readings normalised(const Input& in, const Priors& priors) {
   for (std::size_t i = 0; i < in.curvature.size(); ++i) {
     if (std::isnan(in.curvature[i])) continue;
     const double g = pick(in.free, i);
-    const auto [low, high] = ends_of_sensor(in, i);
+    const auto [low, high] = ends_of_sensor(options, i);
     const double excess = (in.curvature[i] - g) * length;
     out.index.push_back(static_cast<int>(i));
     frame.excess.push_back(excess);
     frame.low.push_back(low);
     frame.high.push_back(high);
-    frame.noise.push_back(in.noise.empty() ? 1.0 : pick(in.noise, i) * length);
+    frame.noise.push_back(options.noise.empty() ? 1.0 : pick(options.noise, i) * length);
     // A share of the curvature, which is near what is read, or that of the free body.
-    frame.gain.push_back(pick(in.gain, i) * length *
+    frame.gain.push_back(pick(options.gain, i) * length *
                          std::max(std::abs(in.curvature[i]), std::abs(g)));
     free.push_back(g * length);
     out.bad.push_back(
         std::sqrt(priors.bad_deviation * priors.bad_deviation + g * g * length * length));
-    out.log_bad.push_back(std::log(std::max(pick(in.bad_odds, i), 1e-300)));
+    out.log_bad.push_back(std::log(std::max(pick(options.bad_odds, i), 1e-300)));
     most = std::max({most, std::abs(excess), std::abs(g * length)});
     out.turn = std::max(out.turn, std::abs(g * length));
     square += excess * excess;
@@ -139,7 +160,7 @@ inline Readings normalised(const Input& in, const Priors& priors) {
   const int n = frame.size();
   const double trust = priors.trust * most;
   for (double& gain : frame.gain) gain = std::sqrt(gain * gain + trust * trust);
-  out.known = !in.noise.empty();
+  out.known = !options.noise.empty();
   frame.levels = {{1.0, 0.0}};
   if (!out.known) {
     const double scale = std::max(std::sqrt(square / n), trust);
@@ -148,14 +169,14 @@ inline Readings normalised(const Input& in, const Priors& priors) {
     for (const double level : priors.noise_levels) frame.levels.push_back({level * scale, odds});
   }
   for (const double noise : frame.noise) out.noise += noise / n / length;
-  const int own = (in.offset > 0.0) + (in.map > 0.0);
-  frame.shared = Matrix(own + in.shared.rows, n);
+  const int own = (options.offset > 0.0) + (options.map_scale > 0.0);
+  frame.shared = Matrix(own + options.shared.rows, n);
   for (int i = 0; i < n; ++i) {
     int k = 0;
-    if (in.offset > 0.0) frame.shared[k++][i] = in.offset * length;
-    if (in.map > 0.0) frame.shared[k++][i] = in.map * free[i];
-    for (int j = 0; j < in.shared.rows; ++j) {
-      frame.shared[k++][i] = in.shared[j][out.index[i]] * length;
+    if (options.offset > 0.0) frame.shared[k++][i] = options.offset * length;
+    if (options.map_scale > 0.0) frame.shared[k++][i] = options.map_scale * free[i];
+    for (int j = 0; j < options.shared.rows; ++j) {
+      frame.shared[k++][i] = options.shared[j][out.index[i]] * length;
     }
   }
   return out;

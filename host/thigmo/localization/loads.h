@@ -13,7 +13,7 @@
 #include <bit>
 #include <cstdint>
 
-#include "whitening.h"
+#include "input.h"
 
 namespace thigmo {
 
@@ -67,24 +67,6 @@ inline const Explanation kHeldTwisted{"end wrench", {kTwist}, 1};
 inline const Explanation kOneAndHeld{"one contact, end wrench", {kTouch, kGrip}, 24};
 inline const Explanation kOneFolded{"one contact, folded base", {kFolding, kFold}, 60};
 inline const Explanation kEndFolded{"end wrench, folded base", {kFace, kFold}, 1};
-
-struct ForcePrior {
-  Row scales;        // standard deviations of the largest moment, equally likely
-  double least;      // the prior widens no more than at this share of the largest lever
-  double critical;   // base moment at which the base folds; infinite if it does not
-  double tolerance;  // its relative standard error
-  double felt;       // standard errors by which a contact that counts moves the readings
-  double swept;      // share of contacts that a sweep brought about
-
-  // Of a contact's place on a body of length one, in a plane. A bend of the whole body carries each
-  // point across an area that grows as the square of its arc.
-  double density(double arc) const { return 1.0 - swept + 3.0 * swept * arc * arc; }
-};
-
-struct Window {
-  double near, far;
-  bool operator==(const Window&) const = default;
-};
 
 constexpr double kResolved = 0.35;          // mass of a cell above which the grid is too coarse
 constexpr double kOutside = 1e-5;           // mass of a cell below which the grid may leave it out
@@ -407,20 +389,21 @@ class Grid {
 
   // Weighs all sets, over levels of the noise and scales of the forces. Returns whether any of them
   // is possible.
-  THIGMO_WIDEST(bool, weigh, const ForcePrior& prior, prior)
+  THIGMO_WIDEST(bool, weigh, const Options& options, options)
   template <int N>
-  [[gnu::always_inline]] bool weigh_by(const ForcePrior& prior) {
-    const std::size_t scales = prior.scales.size();
+  [[gnu::always_inline]] bool weigh_by(const Options& options) {
+    const Row& moments = options.priors.moments;
+    const std::size_t scales = moments.size();
     weight_.resize(static_cast<int>(levels_.size() * scales), padded());
     ways_.clear();
     mass.assign(padded(), 0.0), total = 0.0, top = -INFINITY;
     Row volumes(padded());
-    const bool folds = may_fold(prior);
+    const bool folds = may_fold(options.critical);
     const bool bounded = folds || std::any_of(number_.begin(), number_.end(),
                                               [](const Number& n) { return n.side != 0.0; });
     for (int r = 0; r < weight_.rows; ++r) {
       const Products& of = levels_[r / scales];
-      const Scaled by = scaled(prior.scales[r % scales]);
+      const Scaled by = scaled(moments[r % scales]);
       double* __restrict weight = weight_[r], * __restrict volume = volumes.data();
       numbers([&]<int K>() __attribute__((always_inline)) {
         for (int s = 0; s < padded(); s += N) {
@@ -436,7 +419,7 @@ class Grid {
         lanes<N>(weight + s) = lanes<N>(&density_[s]) * exponential(lanes<N>(weight + s) + shift) /
                                root(lanes<N>(volume + s));
       }
-      if (bounded) bound(prior.critical, folds, of, by, weight);
+      if (bounded) bound(options.critical, folds, of, by, weight);
     }
     double peak = 0.0;
     std::erase_if(ways_, [&](const Way& way) { return way.share < top - kNothing; });
@@ -446,11 +429,11 @@ class Grid {
       const double most = share * largest(weight, padded());
       for (int s = 0; s < sets_; ++s) mass[s] += share * weight[s];
       if (most <= peak) continue;
-      peak = most, level = r / scales, scale_ = prior.scales[r % scales];
+      peak = most, level = r / scales, scale_ = moments[r % scales];
       best_ = static_cast<int>(std::max_element(weight, weight + sets_) - weight);
     }
     total = sum_from(0.0, mass);
-    prior_ = &prior;
+    priors_ = &options.priors;
     return total > 0.0;
   }
 
@@ -462,7 +445,7 @@ class Grid {
     using Numbers = typename Lanes<N>::Type;
     const int contacts = count();
     for (Matrix* each : {&mean, &spread, &felt}) each->resize(contacts, padded());
-    const int scales = static_cast<int>(prior_->scales.size());
+    const int scales = static_cast<int>(priors_->moments.size());
     // `Single`: whether each contact has one number, and nothing else has any.
     const auto run = [&]<int K, bool Single>() __attribute__((always_inline)) {
       constexpr int kContacts = std::min<int>(K, kMostContacts);
@@ -516,7 +499,7 @@ class Grid {
           } else {
             moved = times[j] * part, told = root(likely[j] * part - moved * moved);
           }
-          lanes<N>(felt[j] + s) = probability_felt(moved, told, prior_->felt);
+          lanes<N>(felt[j] + s) = probability_felt(moved, told, priors_->felt);
           for (int lane = 0; lane < N; ++lane) unit[lane] = placed[j].unit[cell_[j][s + lane]];
           lanes<N>(mean[j] + s) = one * unit,
                              lanes<N>(spread[j] + s) = loose * (unit > 0.0 ? unit : -unit);
@@ -578,7 +561,8 @@ class Grid {
   // Log likelihood that each column adds at most to that of the likeliest set, whichever set that
   // then is, at the noise that suits the set or at less of it. Readies `beside`.
   THIGMO_WIDE Row gains(const Whitened& readings, const Columns& columns, int count) {
-    const Scaled widest = scaled(*std::max_element(prior_->scales.begin(), prior_->scales.end()));
+    const Scaled widest =
+        scaled(*std::max_element(priors_->moments.begin(), priors_->moments.end()));
     Row out(count, -INFINITY);
     double plain = -INFINITY;
     for (std::size_t s = 0; s < levels_.size(); ++s) {
@@ -802,11 +786,11 @@ class Grid {
   }
 
   // Whether touches may fold the base instead.
-  bool may_fold(const ForcePrior& prior) const {
+  bool may_fold(double critical) const {
     const auto touches = [](const Placed& p) {
       return p.load->where == Load::Where::anywhere && !p.load->critical;
     };
-    return prior.critical < INFINITY && std::all_of(placed.begin(), placed.end(), touches);
+    return critical < INFINITY && std::all_of(placed.begin(), placed.end(), touches);
   }
   // Leaves of each set's weight the share in which numbers are on their side, and the moment at the
   // base is below the critical one.
@@ -855,7 +839,7 @@ class Grid {
   std::vector<std::pair<std::array<int, 3>, std::size_t>> blocks_;
   std::size_t ends_ = 0;
   Row both_, density_;
-  const ForcePrior* prior_ = nullptr;
+  const Priors* priors_ = nullptr;
   double scale_ = 0.0;  // of the forces, and index, of the likeliest set
   int best_ = 0, sets_ = 0;
 };

@@ -239,7 +239,7 @@ class Localizer:
             offset=positive(errors.offset_error, "offset_error"),
             map_scale=positive(errors.map_error, "map_error"),
             length=total,
-            radius=radius,
+            radius=radius / total,
             critical=moment,
             critical_error=max(slack, 1e-3),
             folds_perhaps=critical is None,

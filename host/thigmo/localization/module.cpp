@@ -63,14 +63,6 @@ void write(const Answer& from, double length, double* row, double* contact) {
   }
 }
 
-// What holds for all frames of the same sensors.
-struct Localizer {
-  Input sensors;
-  Settings settings;
-  Priors priors;
-  Answer answer_to(const Input& input) const { return answer(input, priors, settings); }
-};
-
 }  // namespace
 
 NB_MODULE(_posterior, m) {
@@ -192,63 +184,44 @@ NB_MODULE(_posterior, m) {
       .def_ro("touched", &Answer::touched)
       .def_prop_ro("bend", [](const Answer& a) { return array(a.bend); }, nb::rv_policy::reference);
 
-  nb::class_<Localizer>(m, "Localizer")
+  nb::class_<Options>(m, "Localizer")
       .def("__init__",
-           [](Localizer* self, nb::kwargs of) {
-             const auto number = [&](const char* name) { return nb::cast<double>(of[name]); };
-             const auto numbers = [&](const char* name) {
-               return row(nb::cast<Numbers>(of[name]));
-             };
-             const auto table = [&](const char* name) { return nb::cast<Table>(of[name]); };
-             Input in{};
-             in.position = numbers("position"), in.span = numbers("span");
-             in.noise = numbers("noise"), in.gain = numbers("gain");
-             in.bad_odds = numbers("bad_odds"), in.shared = matrix(table("shared"));
-             in.offset = number("offset"), in.map = number("map_scale");
-             in.length = number("length"), in.radius = number("radius");
-             std::optional<Space> space;
-             if (const Table direction = table("direction"); direction.shape(0) > 0) {
-               const auto vector = [](const double* from) {
-                 return Vector{from[0], from[1], from[2]};
-               };
-               space.emplace();
-               for (std::size_t i = 0; i < direction.shape(0); ++i) {
-                 space->direction.push_back(vector(direction.data() + 3 * i));
+           [](Options* self, nb::kwargs of) {
+             auto* options = new (self) Options{};
+             const auto take = [&]<class T>(const char* name, T& to) {
+               if constexpr (std::is_same_v<T, Row>) {
+                 to = row(nb::cast<Numbers>(of[name]));
+               } else if constexpr (std::is_same_v<T, Matrix>) {
+                 to = matrix(nb::cast<Table>(of[name]));
+               } else if constexpr (std::is_enum_v<T>) {
+                 to = T(nb::cast<int>(of[name]));
+               } else {
+                 to = nb::cast<T>(of[name]);
                }
-               space->curvature_map = matrix(table("curvature_map"));
-               space->compliance = vector(numbers("compliance").data());
-               space->weight = vector(numbers("weight").data());
-             }
-             const auto [near, far] = nb::cast<std::pair<double, double>>(of["within"]);
-             Settings settings{};
-             settings.critical = number("critical");
-             settings.critical_error = number("critical_error");
-             settings.folds_perhaps = nb::cast<bool>(of["folds_perhaps"]);
-             settings.radius = in.radius / in.length;
-             settings.held_end = Settings::Held(nb::cast<int>(of["held_end"]));
-             settings.log_end = std::log(number("end_odds"));
-             settings.log_held = std::log(number("held_odds"));
-             settings.contacts = nb::cast<int>(of["contacts"]);
-             settings.within = {near, far};
-             settings.width_limit = number("width_limit");
-             settings.number_level = number("number_level");
-             settings.space = space;
-             new (self) Localizer{in, settings, nb::cast<Priors>(of["priors"])};
+             };
+#define TAKE(name) take(#name, options->name)
+             TAKE(position), TAKE(span), TAKE(noise), TAKE(gain), TAKE(bad_odds), TAKE(shared);
+             TAKE(offset), TAKE(map_scale), TAKE(length), TAKE(radius);
+             TAKE(critical), TAKE(critical_error), TAKE(folds_perhaps);
+             TAKE(held_end), TAKE(end_odds), TAKE(held_odds), TAKE(contacts);
+             TAKE(width_limit), TAKE(number_level);
+             TAKE(direction), TAKE(curvature_map), TAKE(compliance), TAKE(weight), TAKE(priors);
+#undef TAKE
+             std::tie(options->within.near, options->within.far) =
+                 nb::cast<std::pair<double, double>>(of["within"]);
            })
-      .def_prop_ro("length", [](const Localizer& self) { return self.sensors.length; })
-      .def_prop_ro("count", [](const Localizer& self) { return self.sensors.position.size(); })
+      .def_prop_ro("length", [](const Options& self) { return self.length; })
+      .def_prop_ro("count", [](const Options& self) { return self.position.size(); })
       .def("localize",
-           [](const Localizer& self, Numbers curvature, Numbers free, Numbers body) {
-             Input input = self.sensors;
-             input.curvature = row(curvature), input.free = row(free), input.body = row(body);
+           [](const Options& self, Numbers curvature, Numbers free, Numbers body) {
+             const Input input{row(curvature), row(free), row(body)};
              nb::gil_scoped_release released;
-             return self.answer_to(input);
+             return answer(input, self);
            })
       // Rows of a table: `free` has one row of one or N numbers for each row, or one for all.
-      .def("localize_rows", [](const Localizer& self, Table curvature, Table free) {
+      .def("localize_rows", [](const Options& self, Table curvature, Table free) {
         const std::size_t n = curvature.shape(1), count = curvature.shape(0);
-        Input input = self.sensors;
-        input.curvature.resize(n), input.free.resize(free.shape(1));
+        Input input{Row(n), Row(free.shape(1)), {}};
         Row rows(count * kOfRow), contacts(count * kContacts * kOfContact, NAN);
         {
           nb::gil_scoped_release released;
@@ -257,7 +230,7 @@ NB_MODULE(_posterior, m) {
             const std::size_t from = free.shape(0) == 1 ? 0 : m;
             std::copy_n(free.data() + from * free.shape(1), free.shape(1), input.free.begin());
             input.body = input.free;
-            write(self.answer_to(input), input.length, &rows[m * kOfRow],
+            write(answer(input, self), self.length, &rows[m * kOfRow],
                   &contacts[m * kContacts * kOfContact]);
           }
         }

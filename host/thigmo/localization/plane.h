@@ -2,17 +2,14 @@
 #pragma once
 
 #include "body.h"
-#include "input.h"
 
 namespace thigmo {
 
 class PlaneBody : public Body {
  public:
-  // `fold` (N,): what a fold of one radian adds to each reading.
-  PlaneBody(const Readings& readings, const Input& in, const Priors& priors,
-            const ForcePrior& prior, double radius)
-      : frame_(readings.frame), priors_(priors), prior_(prior), radius_(radius) {
-    start = rest = rest_of(in.body, in.position, in.length);
+  PlaneBody(const Readings& readings, const Input& in, const Options& options)
+      : frame_(readings.frame), options_(options), priors_(options.priors) {
+    start = rest = rest_of(in.body, options.position, options.length);
     turn = readings.turn;
   }
 
@@ -21,11 +18,11 @@ class PlaneBody : public Body {
   void take(const Row& curvature, double) override {
     straight_ = straight_ && turn_of(curvature) < priors_.straight;
     if (straight_) {
-      least_ = prior_.least;
+      least_ = priors_.least_lever;
       return;
     }
     shape_ = Shape(curvature);
-    least_ = prior_.least * largest_lever(shape_.at(1.0));
+    least_ = priors_.least_lever * largest_lever(shape_.at(1.0));
   }
 
   bool keeps(const Row& curvature) const override {
@@ -37,7 +34,7 @@ class PlaneBody : public Body {
     const int n = frame_.size(), cells = p.cells;
     Row now;  // what a straight body's columns hang on
     if (straight_ && load.where == Load::Where::anywhere && !load.critical) {
-      now = {p.window.near, p.window.far, prior_.least, prior_.swept};
+      now = {p.window.near, p.window.far, priors_.least_lever, priors_.swept};
       now.insert(now.end(), frame_.low.begin(), frame_.low.end());
       now.insert(now.end(), frame_.high.begin(), frame_.high.end());
       if (now == p.laid) return;
@@ -47,7 +44,7 @@ class PlaneBody : public Body {
     p.unit.resize(p.column.columns), p.base.assign(p.column.columns, 0.0);
     if (load.where == Load::Where::anywhere) {
       p.place = p.density = middles(p.window, cells);
-      for (double& each : p.density) each = prior_.density(each);
+      for (double& each : p.density) each = density(each);
     } else {
       p.place = {load.where == Load::Where::end ? 1.0 : 0.0};
     }
@@ -79,9 +76,9 @@ class PlaneBody : public Body {
     for (int m = 0; m < cells; ++m) {
       const double lever = std::max(std::abs(load.critical ? levers.base[m] : levers.largest[m]),
                                     std::max(least_, 1e-12));
-      force[m] = load.critical
-                     ? std::copysign(prior_.tolerance * prior_.critical / lever, levers.base[m])
-                     : 1.0 / lever;
+      force[m] = load.critical ? std::copysign(options_.critical_error * options_.critical / lever,
+                                               levers.base[m])
+                               : 1.0 / lever;
     }
     if (load.across) fill(levers, force);
     if (load.along) lay(true), fill(levers, force);
@@ -92,7 +89,7 @@ class PlaneBody : public Body {
         const double span = frame_.high[i] - frame_.low[i], before = p.place[m] - frame_.low[i];
         levers.sensor[i][m] = span < kPoint ? before > 0.0 : std::clamp(before / span, 0.0, 1.0);
       }
-      force[m] = load.holds() ? 1.0 : radius_ * force[m];
+      force[m] = load.holds() ? 1.0 : options_.radius * force[m];
     }
     fill(levers, force);
   }
@@ -131,6 +128,9 @@ class PlaneBody : public Body {
   }
 
  private:
+  // Of a contact's place. A bend of the whole body carries each point across an area that grows as
+  // the square of its arc.
+  double density(double arc) const { return 1.0 - priors_.swept + 3.0 * priors_.swept * arc * arc; }
   double largest_lever(const Point& of) const {
     const double own = of.x * of.c + of.y * of.s;
     double most = std::abs(own);
@@ -140,16 +140,16 @@ class PlaneBody : public Body {
 
   // What a fold of one radian, spread over one diameter from the base, adds to a reading.
   double fold_of(int i) const {
-    const double diameter = 2.0 * radius_, span = frame_.high[i] - frame_.low[i];
+    const double diameter = 2.0 * options_.radius, span = frame_.high[i] - frame_.low[i];
     if (span < kPoint) return (frame_.low[i] < diameter) / diameter;
     const double inside = std::min(frame_.high[i], diameter) - frame_.low[i];
     return std::max(inside, 0.0) / span / diameter;
   }
 
   const Frame& frame_;
+  const Options& options_;
   const Priors& priors_;
-  const ForcePrior& prior_;
-  double radius_, least_ = 0.0;
+  double least_ = 0.0;
   bool straight_ = true;
   Shape shape_{Row(kNodes)};
 };

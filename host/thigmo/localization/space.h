@@ -12,10 +12,10 @@
 #include <optional>
 
 #include "body.h"
-#include "input.h"
 
 namespace thigmo {
 
+inline Vector vector(const double* from) { return {from[0], from[1], from[2]}; }
 inline double dot(const Vector& a, const Vector& b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
@@ -210,15 +210,18 @@ struct Wrenches {
 class SpaceBody : public Body {
  public:
   // Takes what weight adds to the free body's readings out of the frame.
-  SpaceBody(Readings& readings, const Input& in, const Space& space, const Priors& priors,
-            double radius)
-      : readings_(readings), priors_(priors), space_(space), radius_(radius) {
+  SpaceBody(Readings& readings, const Input& in, const Options& options)
+      : readings_(readings),
+        options_(options),
+        priors_(options.priors),
+        compliance_(vector(options.compliance.data())),
+        weight_(vector(options.weight.data())) {
     const Frame& frame = readings.frame;
     components = 3;
-    for (const int i : readings.index) direction_.push_back(space.direction[i]);
+    for (const int i : readings.index) direction_.push_back(vector(options.direction[i]));
     // The free body, and that which the readings show: with what is missing as if it were free.
     Row shown(in.curvature.size());
-    for (std::size_t i = 0; i < shown.size(); ++i) shown[i] = pick(in.body, i) * in.length;
+    for (std::size_t i = 0; i < shown.size(); ++i) shown[i] = pick(in.body, i) * options.length;
     unweighed_ = rest = curvature_of(shown);
     for (int i = 0; i < frame.size(); ++i) shown[readings.index[i]] += frame.excess[i];
     start = curvature_of(shown);
@@ -239,7 +242,7 @@ class SpaceBody : public Body {
     least_ = std::max(priors_.least_lever * shape_->largest_lever(shape_->end()), 1e-6);
     known_.clear();
     for (int i = 0; weighs() && i < readings_.frame.size(); ++i) {
-      known_.push_back(lines_->by_weight(i, *shape_, space_.weight) - hanging_[i]);
+      known_.push_back(lines_->by_weight(i, *shape_, weight_) - hanging_[i]);
     }
     if (!unseen_ || before_.empty()) return;
     twist_ += step * (before_.back().value[kAboutEnd] - twist_);
@@ -248,7 +251,7 @@ class SpaceBody : public Body {
 
   bool keeps(const Row&) const override { return false; }
   Row known() const override { return known_; }
-  bool twists() const override { return space_.compliance[0] > 0.0; }
+  bool twists() const override { return compliance_[0] > 0.0; }
   bool in_space() const override { return true; }
 
   void place(Placed& p) const override {
@@ -289,7 +292,7 @@ class SpaceBody : public Body {
   // one whatever explains it.
   Row shown(const Row& bent, const Row& left, int bad) const override {
     Row out = bent;
-    Row all(space_.curvature_map.columns);
+    Row all(options_.curvature_map.columns);
     for (std::size_t i = 0; i < left.size(); ++i) {
       if (static_cast<int>(i) != bad) all[readings_.index[i]] = left[i];
     }
@@ -325,12 +328,12 @@ class SpaceBody : public Body {
 
  private:
   static constexpr int kAboutEnd = 5;  // the number of a couple about the body
-  bool weighs() const { return dot(space_.weight, space_.weight) > 0.0; }
-  SpaceShape bent_to(const Row& curvature) const { return {curvature, space_.compliance}; }
+  bool weighs() const { return dot(weight_, weight_) > 0.0; }
+  SpaceShape bent_to(const Row& curvature) const { return {curvature, compliance_}; }
 
   // Curvature of a body that these readings show.
   Row curvature_of(const Row& of) const {
-    const Matrix& map = space_.curvature_map;
+    const Matrix& map = options_.curvature_map;
     Row out(map.rows / 2 * 3);
     for (int r = 0; r < map.rows; ++r) {
       out[r / 2 * 3 + 1 + r % 2] = Whitener::dot(map[r], of.data(), map.columns);
@@ -354,7 +357,7 @@ class SpaceBody : public Body {
     const SpaceShape shape = bent_to(hanging);
     const Lines lines(shape, frame, direction_);
     for (int i = 0; i < frame.size(); ++i) {
-      hanging_.push_back(lines.by_weight(i, shape, space_.weight));
+      hanging_.push_back(lines.by_weight(i, shape, weight_));
       frame.excess[i] -= hanging_[i];
     }
     rest = base(shape);
@@ -369,7 +372,7 @@ class SpaceBody : public Body {
   Row base(const SpaceShape& shape) const {
     Row out = unweighed_;
     for (int c = 0; weighs() && c < shape.cells(); ++c) {
-      const Vector by = shape.by_weight(shape.at((c + 0.5) / shape.cells()), space_.weight);
+      const Vector by = shape.by_weight(shape.at((c + 0.5) / shape.cells()), weight_);
       for (int j = 0; j < 3; ++j) out[3 * c + j] += by[j];
     }
     return out;
@@ -377,7 +380,7 @@ class SpaceBody : public Body {
 
   Wrenches wrenches(const Load& load, const Section& at, double lever) const {
     Wrenches out;
-    const double unit = 1.0 / lever, couple = load.holds() ? 1.0 : radius_ * unit;
+    const double unit = 1.0 / lever, couple = load.holds() ? 1.0 : options_.radius * unit;
     const auto add = [&](const Vector& axis, double size, bool is_couple) {
       (is_couple ? out.couple : out.force)[out.count] = plus({}, size, axis);
       out.unit[out.count++] = size;
@@ -423,16 +426,17 @@ class SpaceBody : public Body {
         const auto before = lines_->response(i, at), after = lines.response(i, turned);
         const double change = dot(after.first, two.first) + dot(after.second, two.second) -
                               dot(before.first, one.first) - dot(before.second, one.second);
-        slope_[i] += space_.compliance[0] * change / kStep;
+        slope_[i] += compliance_[0] * change / kStep;
       }
     }
     for (int i = 0; i < n; ++i) known_[i] -= slope_[i] * twist_;
   }
 
   const Readings& readings_;
+  const Options& options_;
   const Priors& priors_;
-  const Space& space_;
-  double radius_, least_ = 0.0;
+  Vector compliance_, weight_;
+  double least_ = 0.0;
   std::vector<Vector> direction_;
   Row unweighed_;
   Row hanging_;            // what weight adds to the readings of the free body

@@ -9,9 +9,12 @@ using namespace thigmo;
 
 int main() {
   const Load couple{.where = Load::Where::anywhere, .couples = Load::Couples::any};
-  Priors priors{};
+  Options options{};
+  Priors& priors = options.priors;
   priors.moments = {0.15, 0.6, 2.4}, priors.least_lever = 0.02, priors.straight = 0.25;
-  const ForcePrior prior{priors.moments, priors.least_lever, INFINITY, 0.1, 3.0, 0.0};
+  priors.felt = 3.0;
+  options.critical = INFINITY, options.critical_error = 0.1;
+  options.length = 1.0, options.radius = 0.03;
   Readings readings;
   Frame& frame = readings.frame;
   for (int i = 0; i < 10; ++i) {  // a couple of 0.2 at 0.6 of the body
@@ -21,9 +24,7 @@ int main() {
   }
   frame.shared = Matrix(0, 10), frame.levels = {{1.0, 0.0}};
   readings.turn = 0.0;
-  Input in{};
-  in.body = {0.0}, in.length = 1.0;
-  PlaneBody body(readings, in, priors, prior, 0.03);
+  PlaneBody body(readings, {{}, {}, {0.0}}, options);
   const Whitened white(frame, frame.shared);
   for (const Load& load : {couple, kTouch}) {
     const Explanation alone{"a load of its own", {load}, 60};
@@ -32,8 +33,8 @@ int main() {
     placed.width = 1.0 / alone.cells;
     body.begin(alone, false), body.take(body.start, 1.0), body.place(placed);
     grid.list(), grid.take(white);
-    if (!grid.weigh(prior)) return 1;
-    const double scales = static_cast<double>(prior.scales.size() * alone.cells);
+    if (!grid.weigh(options)) return 1;
+    const double scales = static_cast<double>(priors.moments.size() * alone.cells);
     const Grid::Likeliest found = grid.likeliest(frame);
     std::printf("%g %g %g\n", grid.top + std::log(grid.total / scales) - white.log_density(),
                 found.loads[0].arc, found.loads[0].value[0]);
