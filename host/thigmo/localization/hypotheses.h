@@ -79,7 +79,7 @@ class Explanations {
         options_(options),
         priors_(options.priors),
         body_(body(in)),
-        white_(frame_, frame_.shared),
+        white_(frame_),
         contact_(readings.known ? priors_.contact : priors_.contact_unsure),
         marks_(readings.bad),
         mark_odds_(readings.log_bad),
@@ -103,7 +103,7 @@ class Explanations {
       const Row bent = found[one].bent;
       readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
                                {priors_.noise_factor, std::log(priors_.noise_odds)}};
-      white_ = Whitened(frame_, frame_.shared);
+      white_ = Whitened(frame_);
       doubtful_ = INFINITY;
       found.clear(), doubts_.clear();
       free();
@@ -242,21 +242,12 @@ class Explanations {
     Frame frame;
     std::optional<Whitened> white;
   };
-  const Whitened& left(const Whitened& white, const Matrix& shared, Left& of) const {
+  const Whitened& left(const Whitened& white, Left& of) const {
     const Row known = body_->known();
     if (known.empty()) return white;
-    of.frame = frame_;
+    of.frame = *white.frame;
     for (std::size_t i = 0; i < known.size(); ++i) of.frame.excess[i] -= known[i];
-    return of.white.emplace(of.frame, shared);
-  }
-
-  // Shared columns of the errors with one mark more; those alone for -1.
-  Matrix shared_with(int mark) const {
-    if (mark < 0) return frame_.shared;
-    Matrix more(1, frame_.size());
-    const Columns::Column column = marks_[mark];
-    std::copy_n(column.value, column.count, more[0] + column.from);
-    return stacked(frame_.shared, more);
+    return of.white.emplace(of.frame);
   }
 
   // An explanation beside a mark, on the grid and the shape that suit it without.
@@ -302,14 +293,14 @@ class Explanations {
   }
 
   // Lays the grid on the body's shape; returns the readings as that leaves them.
-  const Whitened& lay(Grid& grid, const Whitened& white, const Matrix& shared, Left& room) const {
+  const Whitened& lay(Grid& grid, const Whitened& white, Left& room) const {
     for (Placed& p : grid.placed) {
       const bool anywhere = p.load->where == Load::Where::anywhere;
       p.width = anywhere ? (p.window.far - p.window.near) / p.cells : priors_.end_cell;
       body_->place(p);
     }
     grid.list();
-    const Whitened& read = left(white, shared, room);
+    const Whitened& read = left(white, room);
     grid.take(read);
     return read;
   }
@@ -319,10 +310,10 @@ class Explanations {
   // it is of no account.
   std::size_t weigh(const Explanation& of, double weight, Row shape, double side = 0.0,
                     int mark = -1) {
-    const Matrix shared = shared_with(mark);
+    Frame marked;
     std::optional<Whitened> own;
-    if (mark >= 0) own.emplace(frame_, shared);
-    const Whitened& white = mark < 0 ? white_ : *own;
+    if (mark >= 0) marked = frame_, marked.share(marks_[mark]), own.emplace(marked);
+    const Whitened& white = own ? *own : white_;
     const double odds = weight + (mark < 0 ? 0.0 : mark_odds_[mark]);
     const int bad = mark < frame_.size() ? mark : -1;
     thread_local std::map<const Explanation*, Grid> grids;  // whose memory the next frame needs
@@ -341,7 +332,7 @@ class Explanations {
     double last = INFINITY, step = 1.0;
     for (int turn = 0, passes = 0; turn < kMostTurns; ++turn) {
       body_->take(shape, std::exchange(step, 1.0));
-      const Whitened& read = lay(grid, white, shared, room);
+      const Whitened& read = lay(grid, white, room);
       if (!grid.weigh(options_)) return kNone;
       const double log_evidence = evidence(grid, whole);
       // The first shape may be far from that of the loads.
@@ -402,7 +393,7 @@ class Explanations {
       if (marks == 0) return index;
       if (!whole) {  // beside another mark the contacts may lie anywhere
         for (Placed& p : grid.placed) p.window = {0.0, 1.0};
-        lay(grid, white, frame_.shared, room);
+        lay(grid, white, room);
         grid.weigh(options_);
       }
       const double plain = evidence(grid, true) + weight, matter = best() + kMatters;

@@ -19,26 +19,6 @@ struct Level {
   double factor, log_odds;
 };
 
-// One frame, normalised by the length.
-struct Frame {
-  Row excess;     // (N,) readings above the free ones
-  Row low, high;  // (N,) ends of the sensors on the body
-  Row noise;      // (N,) standard deviation of white noise, or its share where that is unknown
-  Row gain;       // (N,) standard deviation of a reading's gain error
-  Matrix shared;  // (K, N) effect of each shared error of one standard deviation
-  std::vector<Level> levels;  // of the noise; their odds sum to one
-  int size() const { return static_cast<int>(excess.size()); }
-};
-
-// Shared columns of a frame with more of them below.
-inline Matrix stacked(const Matrix& shared, const Matrix& more) {
-  if (more.rows == 0) return shared;
-  Matrix both(shared.rows + more.rows, more.columns);
-  std::copy(shared.value.begin(), shared.value.end(), both.value.begin());
-  std::copy(more.value.begin(), more.value.end(), both.value.begin() + shared.value.size());
-  return both;
-}
-
 // Effects, in units of their deviation, that are zero but on a few neighbouring readings.
 class Columns {
  public:
@@ -68,17 +48,32 @@ class Columns {
   Row value_;
 };
 
+// One frame, normalised by the length.
+struct Frame {
+  Row excess;     // (N,) readings above the free ones
+  Row low, high;  // (N,) ends of the sensors on the body
+  Row noise;      // (N,) standard deviation of white noise, or its share where that is unknown
+  Row gain;       // (N,) standard deviation of a reading's gain error
+  Matrix shared;  // (K, N) effect of each shared error of one standard deviation
+  std::vector<Level> levels;  // of the noise; their odds sum to one
+  int size() const { return static_cast<int>(excess.size()); }
+  void share(const Columns::Column& error) {
+    shared.value.resize(shared.value.size() + excess.size());
+    std::copy_n(error.value, error.count, shared[shared.rows++] + error.from);
+  }
+};
+
 class Whitener {
  public:
   double log_det;  // of V^(-1/2), of N standard normal densities, and of the noise's odds
 
-  Whitener(const Frame& frame, const Level& level, const Matrix& shared)
+  Whitener(const Frame& frame, const Level& level)
       : log_det(level.log_odds - 0.5 * frame.size() * std::log(2.0 * std::numbers::pi)),
         inverse_(frame.size()),
-        column_(shared),
-        raised_(shared.rows, frame.size()),
-        factor_(shared.rows),
-        taken_(shared.rows) {
+        column_(frame.shared),
+        raised_(column_.rows, frame.size()),
+        factor_(column_.rows),
+        taken_(column_.rows) {
     const int n = frame.size();
     double product = 1.0;
     for (int i = 0; i < n; ++i) {
@@ -90,7 +85,7 @@ class Whitener {
         product = 1.0;
       }
     }
-    for (int k = 0; k < shared.rows; ++k) {
+    for (int k = 0; k < column_.rows; ++k) {
       double* own = column_[k];
       whiten(own, 1, k);
       const double square = dot(own, own, n);
@@ -209,10 +204,10 @@ struct Whitened {
   const Frame* frame;
   std::vector<At> levels;
 
-  Whitened(const Frame& of, const Matrix& shared) : frame(&of) {
+  explicit Whitened(const Frame& of) : frame(&of) {
     levels.reserve(of.levels.size());
     for (const Level& level : of.levels) {
-      At& at = levels.emplace_back(At{level.factor, {of, level, shared}, {}, {}, 0.0, 0.0});
+      At& at = levels.emplace_back(At{level.factor, {of, level}, {}, {}, 0.0, 0.0});
       at.read = at.by(of.excess);
       at.raised = at.by.raised(at.read);
       at.square = Whitener::dot(at.read.data(), at.read.data(), of.size());

@@ -25,7 +25,7 @@ int main() {
   frame.shared = Matrix(0, 10), frame.levels = {{1.0, 0.0}};
   readings.turn = 0.0;
   PlaneBody body(readings, {{}, {}, {0.0}}, options);
-  const Whitened white(frame, frame.shared);
+  const Whitened white(frame);
   for (const Load& load : {couple, kTouch}) {
     const Explanation alone{"a load of its own", {load}, 60};
     Grid grid;
