@@ -81,11 +81,11 @@ class Explanations {
         body_(body(in)),
         white_(frame_),
         contact_(readings.known ? priors_.contact : priors_.contact_unsure),
-        marks_(readings.bad),
         mark_odds_(readings.log_bad),
         kinks_(frame_.size()) {
     found.reserve(2 * frame_.size() + 8);
     limit_ = misfit_at(priors_.misfit_deviate);
+    for (int i = 0; i < frame_.size(); ++i) marks_.push_back({i, {readings.bad[i]}});
     if (!body_->in_space()) add_kinks();
   }
 
@@ -205,7 +205,7 @@ class Explanations {
         column.back() = priors_.angle / (frame_.high[i] - frame_.low[i]);
       }
       if (column.empty()) continue;
-      marks_.add(first, column);
+      marks_.push_back({first, column});
       kinks_.push_back(middle);
       // Where the caller does not say at which moment the base folds, it is likelier there.
       const double near = 4.0 * options_.radius;
@@ -230,7 +230,7 @@ class Explanations {
       found.back().log_weight = weight, found.back().bad = i;
     }
     Row each;
-    for (int e = n; e < marks_.size(); ++e) each.push_back(with[e] + kink_odds_[e - n]);
+    for (std::size_t e = n; e < marks_.size(); ++e) each.push_back(with[e] + kink_odds_[e - n]);
     if (each.empty()) return;
     Hypothesis& kinked = found.emplace_back(Hypothesis{&kHinge, log_sum_exp(each), body_->rest});
     kinked.numbers = 1;
@@ -389,7 +389,7 @@ class Explanations {
       if (mark >= 0) return index;
       const double misfit = found[index].misfit;
       int marks = misfit > limit_ ? frame_.size() : 0;
-      if (&of == &kOne) marks = misfit > doubtful_ ? 0 : marks_.size();
+      if (&of == &kOne) marks = misfit > doubtful_ ? 0 : static_cast<int>(marks_.size());
       if (marks == 0) return index;
       if (!whole) {  // beside another mark the contacts may lie anywhere
         for (Placed& p : grid.placed) p.window = {0.0, 1.0};
@@ -465,7 +465,7 @@ class Explanations {
   Whitened white_;
   double contact_;  // log prior odds of one
   // Bad readings, then kinks: columns that readings share, log odds of each beside loads.
-  Columns marks_;
+  std::vector<Column> marks_;
   Row mark_odds_, kinks_, kink_odds_;  // place of each; log odds of kinks of a free body
   std::vector<Doubt> doubts_;
   double limit_;     // misfit beyond which an explanation is poor

@@ -560,7 +560,7 @@ class Grid {
 
   // Log likelihood that each column adds at most to that of the likeliest set, whichever set that
   // then is, at the noise that suits the set or at less of it. Readies `beside`.
-  THIGMO_WIDE Row gains(const Whitened& readings, const Columns& columns, int count) {
+  THIGMO_WIDE Row gains(const Whitened& readings, const std::vector<Column>& columns, int count) {
     const Scaled widest =
         scaled(*std::max_element(priors_->moments.begin(), priors_->moments.end()));
     Row out(count, -INFINITY);
@@ -597,7 +597,7 @@ class Grid {
   }
 
   // The same sets beside a further column, to be weighed.
-  THIGMO_WIDE Grid beside(const Whitened& readings, const Columns::Column& column) const {
+  THIGMO_WIDE Grid beside(const Whitened& readings, const Column& column) const {
     Grid out = *this;
     for (std::size_t s = 0; s < levels_.size(); ++s) {
       const Whitened::At::Beside beside = readings.levels[s].beside(column);
@@ -735,12 +735,11 @@ class Grid {
   }
 
   // Products of a column, times its scale, with those of each set, whose levels are raised.
-  [[gnu::always_inline]] void along(const Columns::Column& column, double scale,
-                                    const Products& of) {
+  [[gnu::always_inline]] void along(const Column& column, double scale, const Products& of) {
     const int count = static_cast<int>(number_.size());
     along_.resize(count, padded());
     Row sum(column_.columns);
-    for (int i = 0; i < column.count; ++i) {
+    for (std::size_t i = 0; i < column.value.size(); ++i) {
       const double share = scale * column.value[i];
       const double* row = of.white[column.from + i];
       for (int c = 0; c < of.white.columns; ++c) sum[c] += share * row[c];

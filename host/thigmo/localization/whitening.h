@@ -8,7 +8,6 @@
 #pragma once
 
 #include <numbers>
-#include <numeric>
 
 #include "shape.h"
 
@@ -19,33 +18,10 @@ struct Level {
   double factor, log_odds;
 };
 
-// Effects, in units of their deviation, that are zero but on a few neighbouring readings.
-class Columns {
- public:
-  struct Column {
-    int from, count;
-    const double* value;
-  };
-  Columns() = default;
-  // One for each reading, on that one only.
-  explicit Columns(const Row& each) : from_(each.size()), at_(each.size()), value_(each) {
-    std::iota(from_.begin(), from_.end(), 0);
-    std::iota(at_.begin(), at_.end(), 0);
-  }
-  void add(int from, const Row& value) {
-    from_.push_back(from), at_.push_back(value_.size());
-    value_.insert(value_.end(), value.begin(), value.end());
-  }
-  int size() const { return static_cast<int>(from_.size()); }
-  Column operator[](int e) const {
-    const std::size_t end = e + 1 < size() ? at_[e + 1] : value_.size();
-    return {from_[e], static_cast<int>(end - at_[e]), value_.data() + at_[e]};
-  }
-
- private:
-  std::vector<int> from_;
-  std::vector<std::size_t> at_;
-  Row value_;
+// An effect of one standard deviation that is zero but on a few neighbouring readings.
+struct Column {
+  int from;
+  Row value;
 };
 
 // One frame, normalised by the length.
@@ -57,9 +33,9 @@ struct Frame {
   Matrix shared;  // (K, N) effect of each shared error of one standard deviation
   std::vector<Level> levels;  // of the noise; their odds sum to one
   int size() const { return static_cast<int>(excess.size()); }
-  void share(const Columns::Column& error) {
+  void share(const Column& error) {
     shared.value.resize(shared.value.size() + excess.size());
-    std::copy_n(error.value, error.count, shared[shared.rows++] + error.from);
+    std::copy(error.value.begin(), error.value.end(), shared[shared.rows++] + error.from);
   }
 };
 
@@ -117,22 +93,22 @@ class Whitener {
   }
 
   // Squared length of a whitened column.
-  double square(const Columns::Column& of) const {
+  double square(const Column& of) const {
     double sum = 0.0;
-    for (int i = 0; i < of.count; ++i) {
+    for (std::size_t i = 0; i < of.value.size(); ++i) {
       const double value = of.value[i] * inverse_[of.from + i];
       sum += value * value;
     }
     for (int k = 0; k < raised_.rows; ++k) {
-      const double share = dot(of.value, raised_[k] + of.from, of.count);
+      const double share = dot(of.value.data(), raised_[k] + of.from, of.value.size());
       sum -= taken_[k] * share * share;
     }
     return std::max(sum, 0.0);
   }
 
-  static double dot(const double* a, const double* b, int n) {
+  static double dot(const double* a, const double* b, std::size_t n) {
     double sum = 0.0;
-    for (int i = 0; i < n; ++i) sum += a[i] * b[i];
+    for (std::size_t i = 0; i < n; ++i) sum += a[i] * b[i];
     return sum;
   }
 
@@ -194,10 +170,10 @@ struct Whitened {
     struct Beside {
       double scale, told, gain;
     };
-    Beside beside(const Columns::Column& column) const {
+    Beside beside(const Column& column) const {
       const double c = 1.0 + by.square(column), scale = 1.0 / std::sqrt(c);
-      const double told =
-          scale * Whitener::dot(column.value, raised.data() + column.from, column.count);
+      const double told = scale * Whitener::dot(column.value.data(), raised.data() + column.from,
+                                                column.value.size());
       return {scale, told, 0.5 * (told * told - std::log(c))};
     }
   };
@@ -230,12 +206,12 @@ struct Whitened {
   }
 
   // The same, with each of the columns added by itself.
-  Row log_densities(const Columns& columns) const {
-    Row out(columns.size()), each(levels.size());
-    for (int e = 0; e < columns.size(); ++e) {
+  Row log_densities(const std::vector<Column>& columns) const {
+    Row out, each(levels.size());
+    for (const Column& column : columns) {
       std::transform(levels.begin(), levels.end(), each.begin(),
-                     [&](const At& at) { return at.log_density + at.beside(columns[e]).gain; });
-      out[e] = log_sum_exp(each);
+                     [&](const At& at) { return at.log_density + at.beside(column).gain; });
+      out.push_back(log_sum_exp(each));
     }
     return out;
   }
