@@ -7,7 +7,6 @@
 // probability.
 #pragma once
 
-#include <deque>
 #include <tuple>
 
 #include "hypotheses.h"
@@ -45,23 +44,32 @@ struct Answer {
   double radius = 0.0;  // of the tube, over the length
 };
 
+// A share of the posterior: its mass, and that times the means of a force and of its square.
+struct Moments {
+  double mass = 0.0, force = 0.0, square = 0.0;
+  void add(double share, const Moments& of) {
+    mass += share * of.mass, force += share * of.force, square += share * of.square;
+  }
+};
+
 // A contact's places over hypotheses, whose grids cut the body into cells between `edges`.
 class Mixture {
  public:
-  Row edges;
-  Marginal cells;
+  Row edges, mass, force, spread;  // of each cell its mass; force there, and standard deviation
 
-  Mixture(const std::vector<std::pair<double, const Marginal*>>& parts, Window within) {
-    edges.reserve(parts.empty() ? 2 : parts[0].second->place.size() + 3);
+  // What lies in the cells of a grid.
+  struct Part {
+    const Cells* cells;
+    std::vector<Moments> of;
+  };
+  Mixture(const std::vector<Part>& parts, Window within) {
+    edges.reserve(parts.empty() ? 2 : parts[0].of.size() + 3);
     edges.push_back(within.near);
-    const Marginal* before = nullptr;
-    for (const auto& [weight, part] : parts) {
-      if (before && part->place == before->place) continue;
+    for (const auto& [cells, of] : parts) {
       const auto from = static_cast<std::ptrdiff_t>(edges.size());
-      for (const double place : part->place) add_edge(place - 0.5 * part->width, within);
-      add_edge(part->place.back() + 0.5 * part->width, within);
+      for (const double place : cells->place) add_edge(place - 0.5 * cells->width, within);
+      add_edge(cells->place.back() + 0.5 * cells->width, within);
       std::inplace_merge(edges.begin(), edges.begin() + from, edges.end());
-      before = part;
     }
     edges.push_back(within.far);
     edges.erase(
@@ -69,30 +77,29 @@ class Mixture {
         edges.end());
     edges.back() = within.far;
     const std::size_t count = edges.size() - 1;
-    cells.mass = cells.force = cells.spread = cells.felt = Row(count);
-    double total = 0.0;
-    for (const auto& [weight, part] : parts) {
-      const double near = part->place.front() - 0.5 * part->width;
-      const int last = static_cast<int>(part->place.size()) - 1;
+    std::vector<Moments> all(count);
+    for (const auto& [cells, of] : parts) {
+      const double near = cells->place.front() - 0.5 * cells->width, per = 1.0 / cells->width;
       for (std::size_t c = 0; c < count; ++c) {
-        const double middle = 0.5 * (edges[c] + edges[c + 1]);
-        const int m = middle < near ? -1 : static_cast<int>((middle - near) / part->width);
-        if (m < 0 || m > last) continue;
-        const double share = weight * part->mass[m] * (edges[c + 1] - edges[c]) / part->width;
-        cells.add(c, share, part->force[m], part->spread[m]);
-        total += share;
+        const double into = (0.5 * (edges[c] + edges[c + 1]) - near) * per;
+        if (into < 0.0 || into >= static_cast<double>(of.size())) continue;
+        all[c].add((edges[c + 1] - edges[c]) * per, of[static_cast<std::size_t>(into)]);
       }
     }
-    cells.average();
+    double total = 0.0;
+    for (const Moments& each : all) total += each.mass;
+    mass = force = spread = Row(count);
     for (std::size_t c = 0; c < count; ++c) {
+      const auto& [own, first, second] = all[c];
       // Where nothing of the posterior is within, that is all that is known.
-      double& mass = cells.mass[c];
-      mass = total > 0.0 ? mass / total : (edges[c + 1] - edges[c]) / (within.far - within.near);
+      mass[c] = total > 0.0 ? own / total : (edges[c + 1] - edges[c]) / (within.far - within.near);
+      if (own == 0.0) continue;
+      force[c] = first / own;
+      spread[c] = std::sqrt(std::max(second / own - force[c] * force[c], 0.0));
     }
   }
 
   double quantile(double share) const {
-    const Row& mass = cells.mass;
     double below = 0.0;
     for (std::size_t c = 0; c < mass.size(); ++c) {
       if (below + mass[c] >= share && mass[c] > 0.0) {
@@ -112,7 +119,7 @@ class Mixture {
   // as dense as the one that completes the share (Hyndman, Am. Stat. 50 (1996)). Cells that another
   // grid's edge cuts in two are equally dense but for rounding.
   std::vector<std::pair<double, double>> densest(double share) const {
-    Row density = cells.mass;
+    Row density = mass;
     const int count = static_cast<int>(density.size());
     for (int c = 0; c < count; ++c) density[c] /= edges[c + 1] - edges[c];
     std::vector<int> order(count);
@@ -120,7 +127,7 @@ class Mixture {
     std::sort(order.begin(), order.end(), [&](int a, int b) { return density[a] > density[b]; });
     double held = 0.0, least = 0.0;
     for (int k = 0; k < count && held < share * (1.0 - 1e-12); ++k) {
-      held += cells.mass[order[k]], least = (1.0 - 1e-9) * density[order[k]];
+      held += mass[order[k]], least = (1.0 - 1e-9) * density[order[k]];
     }
     std::vector<std::pair<double, double>> pieces;
     for (int c = 0; c < count; ++c) {
@@ -139,8 +146,8 @@ class Mixture {
     double total = 0.0, square = 0.0;
     for (const auto& [near, far] : pieces) {
       for (std::size_t c = cell(near); c + 1 < edges.size() && edges[c] < far; ++c) {
-        const double mass = cells.mass[c], off = cells.force[c] - value, own = cells.spread[c];
-        total += mass, square += mass * (off * off + own * own);
+        const double off = force[c] - value;
+        total += mass[c], square += mass[c] * (off * off + spread[c] * spread[c]);
       }
     }
     return std::sqrt(square / total);
@@ -161,15 +168,10 @@ class Posterior {
     for (std::size_t k = 0; k < hypotheses.size(); ++k) {
       const Hypothesis& h = hypotheses[k];
       if (h.shares.contacts.empty()) felt[0] += probability[k];
-      for (const Marginal& of : h.shares.contacts) {
-        for (std::size_t m = 0; m < of.mass.size(); ++m) {
-          const double share = probability[k] * of.mass[m];
-          listed[1] += share, felt[1] += share * of.felt[m], felt[0] += share * (1.0 - of.felt[m]);
-        }
-      }
       for (const FeltSet& set : h.shares.sets) {
         listed[set.count] += probability[k] * set.mass;
-        felt[set.count] += probability[k] * set.mass;
+        felt[set.count] += probability[k] * set.mass * set.felt;
+        felt[0] += probability[k] * set.mass * (1.0 - set.felt);
       }
       if (counts(h)) most_ = std::max(most_, probability[k]);
     }
@@ -182,37 +184,27 @@ class Posterior {
   // Probability of so many contacts that are felt; and of so many to be listed, one at least.
   std::array<double, 4> felt{}, listed{};
 
-  // Where the contacts lie that `choose` picks: of a set it returns one's index, or -1; a contact
-  // that is felt alone is a set as well.
+  // Where the contacts lie that `choose` picks: of a set it returns one's index, or -1.
   template <class Choose>
   Mixture mixture(Window within, const Choose& choose) const {
     constexpr double kNegligible = 1e-3;  // share of a hypothesis that changes no interval
-    std::vector<std::pair<double, const Marginal*>> parts;
-    std::deque<Marginal> kept;
+    std::vector<Mixture::Part> parts;
     for (std::size_t k = 0; k < hypotheses_.size(); ++k) {
       const Hypothesis& h = hypotheses_[k];
       if (!counts(h) || probability_[k] <= kNegligible * most_) continue;
-      const bool alone = choose(FeltSet{.count = 1}) == 0;
-      if (h.shares.contacts.size() == 1) {
-        if (alone) parts.emplace_back(probability_[k], &h.shares.contacts[0]);
-        continue;
-      }
-      const std::size_t from = kept.size();
-      for (const Marginal& of : h.shares.contacts) {
-        Marginal& to = kept.emplace_back(of);
-        for (std::size_t m = 0; m < of.mass.size(); ++m) {
-          to.force[m] = to.spread[m] = to.mass[m] = 0.0;
-          if (alone) to.add(m, of.mass[m], of.force[m], of.spread[m]);
+      const auto& [contacts, sets] = h.shares;
+      std::array<std::size_t, kMostContacts> part;  // of each contact
+      for (std::size_t j = 0; j < contacts.size(); ++j) {
+        if (parts.empty() || contacts[j] != *parts.back().cells) {
+          parts.push_back({&contacts[j], std::vector<Moments>(contacts[j].place.size())});
         }
+        part[j] = parts.size() - 1;
       }
-      for (const FeltSet& set : h.shares.sets) {
+      for (const FeltSet& set : sets) {
         const int i = choose(set);
         if (i < 0) continue;
-        kept[from + set.contact[i]].add(set.cell[i], set.mass, set.force[i], set.spread[i]);
-      }
-      for (std::size_t j = from; j < kept.size(); ++j) {
-        kept[j].average();
-        parts.emplace_back(probability_[k], &kept[j]);
+        parts[part[set.contact[i]]].of[set.cell[i]].add(probability_[k] * set.mass,
+                                                        {1.0, set.force[i], set.square[i]});
       }
     }
     return Mixture(parts, within);
@@ -222,13 +214,7 @@ class Posterior {
   Row present(const Row& of) const {
     Row out(of.size());
     for (std::size_t k = 0; k < hypotheses_.size(); ++k) {
-      const Hypothesis& h = hypotheses_[k];
-      for (const Marginal& contact : h.shares.contacts) {
-        for (std::size_t m = 0; m < contact.place.size(); ++m) {
-          out[nearest(of.data(), of.size(), contact.place[m])] += probability_[k] * contact.mass[m];
-        }
-      }
-      for (const FeltSet& set : h.shares.sets) {
+      for (const FeltSet& set : hypotheses_[k].shares.sets) {
         std::array<bool, kMostContacts> there{};
         for (int i = 0; i < set.count; ++i) there[nearest(of.data(), of.size(), set.arc[i])] = true;
         for (std::size_t j = 0; j < of.size(); ++j) {
@@ -333,7 +319,7 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
     felt.pieces = mixture.densest(priors.level);
     felt.low = felt.pieces.front().first;
     felt.high = felt.pieces.back().second;
-    felt.force = mixture.cells.force[mixture.cell(felt.arc)];
+    felt.force = mixture.force[mixture.cell(felt.arc)];
     const bool placed = sure && (asked || felt.probability > 1.0 - priors.excluded) &&
                         felt.high - felt.low <= options.width_limit;
     felt.localized = placed && (!perhaps || felt.arc >= kNearEnd);
@@ -346,7 +332,7 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
           heaviest = out.probability[k];
           felt.offset = h.offset(options.radius);
           felt.arc = 1.0;
-          felt.force = h.shares.contacts[0].force[0];
+          felt.force = h.shares.sets[0].force[0];
         }
       }
     }
@@ -355,8 +341,8 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
       const double size = std::sqrt(std::max(dot(best.forces[j], best.forces[j]), 1e-300));
       felt.vector = plus({}, felt.force / size, best.forces[j]);
     }
-    felt.edges = std::move(mixture.edges), felt.mass = std::move(mixture.cells.mass);
-    felt.force_at = std::move(mixture.cells.force), felt.spread = std::move(mixture.cells.spread);
+    felt.edges = std::move(mixture.edges), felt.mass = std::move(mixture.mass);
+    felt.force_at = std::move(mixture.force), felt.spread = std::move(mixture.spread);
     out.contacts.push_back(std::move(felt));
   }
   if (count == 0 || (asked && out.touched < 0.5)) {

@@ -188,40 +188,31 @@ inline Window support(const double* mass, int cells, Window window, double outsi
           window.near + std::min(last + 1 + more, cells) * width};
 }
 
-// Posterior of one contact's place, over M cells of the body.
-struct Marginal {
-  Row place;           // (M,) middles of the cells
-  double width = 0.0;  // of a cell
-  Row mass;            // (M,) of sum one
-  Row force, spread;   // (M,) its mean and standard deviation
-  Row felt;            // (M,) probability that it moves the readings by enough to count
-  // Adds a force's moments; `average` then makes mean and deviation of their sums.
-  void add(std::size_t cell, double share, double mean, double deviation) {
-    mass[cell] += share, force[cell] += share * mean;
-    spread[cell] += share * (mean * mean + deviation * deviation);
-  }
-  void average() {
-    for (std::size_t m = 0; m < mass.size(); ++m) {
-      if (mass[m] == 0.0) continue;
-      force[m] /= mass[m], felt[m] /= mass[m];
-      spread[m] = std::sqrt(std::max(spread[m] / mass[m] - force[m] * force[m], 0.0));
-    }
-  }
+// Even cells of the body, in which a contact may lie.
+struct Cells {
+  Row place;     // (M,) their middles
+  double width;  // of each
+  bool operator==(const Cells&) const = default;
 };
 
 // Contacts that are felt together, base to tip: of each its index among those that were placed, its
-// cell there and its arc, and its force.
+// cell there and its arc, and the means of its force and of that squared. A contact is alone where
+// no other is felt.
 struct FeltSet {
-  double mass = 0.0;
+  double mass;
+  double felt;  // probability that they are; less than one if a contact is alone
   int count = 0;
   std::array<std::uint8_t, kMostContacts> contact{}, cell{};
-  std::array<double, kMostContacts> arc{}, force{}, spread{};
+  std::array<double, kMostContacts> arc{}, force{}, square{};
+  void add(int index, int in, double place, double mean, double mean_square) {
+    contact[count] = static_cast<std::uint8_t>(index), cell[count] = static_cast<std::uint8_t>(in);
+    arc[count] = place, force[count] = mean, square[count++] = mean_square;
+  }
 };
 
-// Posterior of the contacts of an explanation. In `contacts` is the mass of sets of which no other
-// contact is felt, in `sets` that of the others.
+// Posterior of the contacts of an explanation, if it has any: cells of each, and sets of sum one.
 struct Shares {
-  std::vector<Marginal> contacts{};
+  std::vector<Cells> contacts{};
   std::vector<FeltSet> sets{};
 };
 
@@ -334,11 +325,11 @@ class Grid {
                                           [](const Placed& p) { return p.load->is_contact(); }));
   }
   int cell(int load, int set) const { return cell_[load][set]; }
-  double width(int load) const { return placed[load].width; }
   // A load on the end is drawn as one on the last cell.
-  Row places(int load) const {
+  Cells cells(int load) const {
     const Placed& p = placed[load];
-    return p.load->where == Load::Where::anywhere ? p.place : Row{1.0 - 0.5 * p.width};
+    const bool anywhere = p.load->where == Load::Where::anywhere;
+    return {anywhere ? p.place : Row{1.0 - 0.5 * p.width}, p.width};
   }
 
   // Lists all sets whose contacts are half a cell apart at least.
@@ -845,53 +836,63 @@ class Grid {
 
 // Shares the mass of a grid that is solved out among the contacts that are felt. All are taken for
 // felt if `all` says so. Leaves out sets that hold a share of less than `nothing`.
-inline Shares share_out(const Grid& sets, bool all, double nothing) {
+inline Shares share_out(const Grid& grid, bool all, double nothing) {
   constexpr double kUnlikely = 1e-3;
-  const int count = sets.count();
+  const int count = grid.count();
   Shares out;
+  struct Alone {
+    double mass = 0.0, felt = 0.0, force = 0.0, square = 0.0;
+  };
+  std::array<std::vector<Alone>, kMostContacts> alone;  // of each contact in each of its cells
   for (int j = 0; j < count; ++j) {
-    Row places = sets.places(j);
-    const Row none(places.size(), 0.0);
-    out.contacts.push_back({std::move(places), sets.width(j), none, none, none, none});
+    out.contacts.push_back(grid.cells(j));
+    alone[j].resize(out.contacts[j].place.size());
   }
-  const double least = nothing * sets.total;
-  const double kept = sum_from(least, sets.mass);
-  if (count > 1) out.sets.reserve(sets.size());
-  for (int s = 0; s < sets.size(); ++s) {
-    if (sets.mass[s] < least) continue;
-    // Of each way in which some are felt, a bit each: its share of the set.
-    std::array<double, 1 << kMostContacts> share{1.0};
+  const double least = nothing * grid.total;
+  const double kept = sum_from(least, grid.mass);
+  out.sets.reserve(grid.size());
+  for (int s = 0; s < grid.size(); ++s) {
+    if (grid.mass[s] < least) continue;
+    const double whole = grid.mass[s] / kept;
+    // Of each way in which some are felt, a bit each: its mass.
+    std::array<double, 1 << kMostContacts> share{whole};
+    std::array<double, kMostContacts> mean{}, square{};
+    std::array<int, kMostContacts> cell{};
     int strongest = 0;
     double most = 0.0;
     for (int j = 0; j < count; ++j) {
-      const double likely = all ? 1.0 : sets.felt[j][s];
+      cell[j] = grid.cell(j, s), mean[j] = grid.mean[j][s];
+      square[j] = mean[j] * mean[j] + grid.spread[j][s] * grid.spread[j][s];
+      const double likely = all ? 1.0 : grid.felt[j][s];
       if (likely > most) most = likely, strongest = j;
       for (int way = 0; way < 1 << j; ++way) {
         share[way | 1 << j] = share[way] * likely, share[way] *= 1.0 - likely;
       }
     }
-    const double whole = sets.mass[s] / kept;
     for (unsigned way = 0; way < 1u << count; ++way) {
-      if (share[way] < kUnlikely) continue;
-      const double mass = share[way] * whole;
+      const double mass = share[way];
+      if (mass < kUnlikely * whole) continue;
       if ((way & (way - 1)) == 0) {  // one at most
-        const int only = way ? std::countr_zero(way) : strongest, cell = sets.cell(only, s);
-        out.contacts[only].add(cell, mass, sets.mean[only][s], sets.spread[only][s]);
-        if (way) out.contacts[only].felt[cell] += mass;
+        const int only = way ? std::countr_zero(way) : strongest;
+        Alone& to = alone[only][cell[only]];
+        to.mass += mass, to.force += mass * mean[only], to.square += mass * square[only];
+        if (way) to.felt += mass;
         continue;
       }
-      FeltSet& set = out.sets.emplace_back();
-      set.mass = mass;
+      FeltSet& set = out.sets.emplace_back(FeltSet{mass, 1.0});
       for (int j = 0; j < count; ++j) {
-        if (!(way >> j & 1)) continue;
-        const int cell = sets.cell(j, s);
-        set.contact[set.count] = j, set.cell[set.count] = cell;
-        set.arc[set.count] = out.contacts[j].place[cell];
-        set.force[set.count] = sets.mean[j][s], set.spread[set.count++] = sets.spread[j][s];
+        if (way >> j & 1) set.add(j, cell[j], out.contacts[j].place[cell[j]], mean[j], square[j]);
       }
     }
   }
-  for (Marginal& contact : out.contacts) contact.average();
+  for (int j = 0; j < count; ++j) {
+    for (std::size_t m = 0; m < alone[j].size(); ++m) {
+      const auto& [mass, felt, force, square] = alone[j][m];
+      if (mass == 0.0) continue;
+      out.sets.emplace_back(FeltSet{mass, felt / mass})
+          .add(j, static_cast<int>(m), out.contacts[j].place[m], force / mass, square / mass);
+    }
+  }
   return out;
 }
 

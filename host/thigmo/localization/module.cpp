@@ -167,7 +167,7 @@ NB_MODULE(_posterior, m) {
                    [](const Answer& a) -> nb::object {
                      const Hypothesis& h = a.hypotheses[a.best];
                      if (h.shares.contacts.size() != 2) return nb::none();
-                     const auto edges = [](const Marginal& of) {
+                     const auto edges = [](const Cells& of) {
                        Row out{of.place.front() - 0.5 * of.width};
                        for (const double place : of.place) out.push_back(place + 0.5 * of.width);
                        return array(out);
@@ -176,7 +176,7 @@ NB_MODULE(_posterior, m) {
                      const std::size_t far = h.shares.contacts[1].place.size();
                      Row mass(near * far);
                      for (const FeltSet& set : h.shares.sets) {
-                       mass[set.cell[0] * far + set.cell[1]] += set.mass;
+                       if (set.count == 2) mass[set.cell[0] * far + set.cell[1]] += set.mass;
                      }
                      return nb::make_tuple(edges(h.shares.contacts[0]), edges(h.shares.contacts[1]),
                                            array<2>(std::move(mass), {near, far}));
