@@ -228,7 +228,7 @@ struct Normal {
 template <int K, int N = 4>
 struct Eliminated {
   using Numbers = typename Lanes<N>::Type;
-  Numbers lower[K][K], inverse[K], left[K], gain{}, volume = 1.0 + Numbers{};
+  Numbers lower[K][K], inverse[K], left[K], gain{}, inverse_volume = 1.0 + Numbers{};
   [[gnu::always_inline]] explicit Eliminated(const Normal<K, N>& of) {
 #pragma GCC unroll 8
     for (int j = 0; j < K; ++j) {
@@ -246,7 +246,7 @@ struct Eliminated {
       }
       own = own > of.prior[j] ? own : of.prior[j];  // no less, but for rounding
       inverse[j] = 1.0 / own;
-      gain += left[j] * left[j] * inverse[j], volume *= own;
+      gain += left[j] * left[j] * inverse[j], inverse_volume *= inverse[j];
     }
   }
   // Means and variances.
@@ -388,18 +388,19 @@ class Grid {
     weight_.resize(static_cast<int>(levels_.size() * scales), padded());
     ways_.clear();
     mass.assign(padded(), 0.0), total = 0.0, top = -INFINITY;
-    Row volumes(padded());
+    Row remaining(padded());  // share of the prior's volume that readings leave, squared
     const bool folds = may_fold(options.critical);
     const bool bounded = folds || std::any_of(number_.begin(), number_.end(),
                                               [](const Number& n) { return n.side != 0.0; });
     for (int r = 0; r < weight_.rows; ++r) {
       const Products& of = levels_[r / scales];
       const Scaled by = scaled(moments[r % scales]);
-      double* __restrict weight = weight_[r], * __restrict volume = volumes.data();
+      double* __restrict weight = weight_[r], * __restrict left = remaining.data();
       numbers([&]<int K>() __attribute__((always_inline)) {
         for (int s = 0; s < padded(); s += N) {
           const Eliminated<K, N> found(normal<K, N>(of, by, s));
-          lanes<N>(weight + s) = 0.5 * found.gain, lanes<N>(volume + s) = found.volume * by.wider;
+          lanes<N>(weight + s) = 0.5 * found.gain;
+          lanes<N>(left + s) = found.inverse_volume * by.tighter;
         }
       });
       const double most = largest(weight, padded()) + of.constant + by.constant;
@@ -407,8 +408,8 @@ class Grid {
       ways_.push_back({r, by, most}), top = std::max(top, most);
       const double shift = of.constant + by.constant - most;
       for (int s = 0; s < padded(); s += N) {
-        lanes<N>(weight + s) = lanes<N>(&density_[s]) * exponential(lanes<N>(weight + s) + shift) /
-                               root(lanes<N>(volume + s));
+        lanes<N>(weight + s) = lanes<N>(&density_[s]) * exponential(lanes<N>(weight + s) + shift) *
+                               root(lanes<N>(left + s));
       }
       if (bounded) bound(options.critical, folds, of, by, weight);
     }
@@ -618,7 +619,7 @@ class Grid {
   // Prior precisions of the numbers at one scale of the forces, and what they add to a log weight.
   struct Scaled {
     std::array<double, 2 * kMostOfLoad> tight;
-    double wider = 1.0, constant = 0.0;
+    double tighter = 1.0, constant = 0.0;
   };
 
   // A row of the weights, of one level and one scale; its share of the mass, a log while weighed.
@@ -748,7 +749,7 @@ class Grid {
     Scaled out;
     for (std::size_t k = 0; k < number_.size(); ++k) {
       const double tight = number_[k].scaled ? 1.0 / (scale * scale) : 1.0;
-      out.tight[k] = tight, out.wider /= tight;
+      out.tight[k] = tight, out.tighter *= tight;
       out.constant -= 0.5 * tight * number_[k].mean * number_[k].mean;
     }
     return out;
