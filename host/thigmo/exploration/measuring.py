@@ -61,7 +61,8 @@ def caught_sides(sweep: SweepResult) -> set[Side]:
     caught: set[Side] = set()
     for side in SIDES:
         free = np.array([abs(f.free_curvature) for f in sweep.frames if f.side == side])
-        over = np.abs(held_back(sweep.frames, side)) - free / _GIVES_UP
+        held = held_back(sweep.frames, side)
+        over = np.abs(held) - free[: len(held)] / _GIVES_UP
         if np.count_nonzero(over > _CAUGHT_PER_CM) >= _SMOOTH:
             caught.add(side)
     return caught
@@ -75,13 +76,15 @@ def touch_curvature(frames: Sequence[SweepFrame], side: Side) -> float | None:
 
 
 def held_back(frames: Sequence[SweepFrame], side: Side) -> Floats:
-    """By how much the base was held back in each frame of a side, 1/cm, against the bend's way.
+    """By how much the base was held back in each frame of a side's way up, 1/cm.
 
-    A running median keeps edges and drops single frames, also the last one.
+    A running median keeps edges and drops single frames, also the last one. On the way down the
+    body may straighten sooner than the map says, as if it were held back.
     """
-    against = -SIGN[side]
-    excess = np.array([f.excess for f in frames if f.side == side], dtype=np.float64)
-    return np.asarray(against * median_filter(excess, _SMOOTH, mode="mirror"))
+    mine = [(f.excess, f.free_curvature) for f in frames if f.side == side]
+    excess, free = np.array(mine, dtype=np.float64).reshape(-1, 2).T
+    smooth = -SIGN[side] * median_filter(excess, _SMOOTH, mode="mirror")
+    return np.asarray(smooth[: int(np.argmax(SIGN[side] * free)) + 1] if mine else smooth)
 
 
 def held_now(frames: Sequence[SweepFrame], side: Side) -> float:
@@ -129,16 +132,15 @@ def measuring_pressure(
 ) -> float:
     """Pressure (psi) to which to sweep a side again for the measurement.
 
-    The lowest pressure on the way up at which the base's excess curvature reaches its share of the
-    fold's moment, or else the pressure of its largest excess; never more than the muscle holds.
+    The lowest pressure on the way up at which the base is held back by its share of the fold's
+    moment, or else that at which it is held back most; never more than the muscle holds.
     """
     highest = config.muscle(side).max_pressure_psi
     mine = [frame for frame in frames if frame.side == side]
     if len(mine) < _SMOOTH:
         return highest
     pressure = np.array([frame.pressure_psi for frame in mine])
-    rising = slice(0, int(pressure.argmax()) + 1)
-    smooth = np.abs(held_back(frames, side))
-    reached = np.flatnonzero(smooth[rising] >= _SHARE * fold_moment(config, zone))
-    at = reached[0] if reached.size else int(smooth[rising].argmax())
+    held = held_back(frames, side)
+    reached = np.flatnonzero(held >= _SHARE * fold_moment(config, zone))
+    at = reached[0] if reached.size else int(held.argmax())
     return float(min(max(pressure[at], _LOWEST_PSI), highest))
