@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thigmo.config import Side
-from thigmo.exploration.measuring import caught_sides, held_sides
+from thigmo.config import RobotConfig, Side
+from thigmo.exploration.measuring import caught_sides
+from thigmo.exploration.stage import Interpreter
 from thigmo.robot import SweepFrame, SweepResult
+
+felt_sides = Interpreter(RobotConfig()).felt_sides
 
 
 def _sweep(side: Side, held_at_rest: float, gives_up: float) -> SweepResult:
@@ -26,7 +29,7 @@ def _sweep(side: Side, held_at_rest: float, gives_up: float) -> SweepResult:
 def test_a_peg_beside_a_straight_body_is_felt(side: Side) -> None:
     sweep = _sweep(side, 0.0, 1.2)
     assert caught_sides(sweep) == set()
-    assert held_sides(sweep) == {side}
+    assert felt_sides(sweep) == {side}
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -36,4 +39,4 @@ def test_a_body_that_is_bent_either_way_before_its_muscle_bends_it_is_caught(
 ) -> None:
     sweep = _sweep(side, held, 1.2)
     assert caught_sides(sweep) == {side}
-    assert held_sides(sweep) == set()
+    assert felt_sides(sweep) == set()

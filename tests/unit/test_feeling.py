@@ -11,16 +11,18 @@ import pytest
 from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.exploration.measuring import (
     fold_moment,
-    held_sides,
+    held_back,
     measuring_pressure,
     pressing_zone,
     touch_curvature,
 )
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.sighting import bend_grid, touch_mass
-from thigmo.robot import SweepFrame, SweepResult
+from thigmo.exploration.stage import Interpreter
+from thigmo.robot import TRIGGER_PER_CM, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
+felt_sides = Interpreter(CONFIG).felt_sides
 
 
 def _half(
@@ -56,6 +58,20 @@ def test_a_weak_contact_is_measured_where_it_is_strongest() -> None:
     assert measuring_pressure([], "left", CONFIG, 2) == 18.0
 
 
+def test_a_base_that_reads_too_much_is_measured_where_it_is_held_back_most() -> None:
+    frames = [
+        replace(frame, excess=frame.excess + 0.16 * frame.free_curvature)
+        for frame in _half("left", -0.0009, 10.0)
+    ]
+    assert measuring_pressure(frames, "left", CONFIG, 2) > 17.5
+
+
+def test_a_body_that_straightens_sooner_than_its_map_says_is_not_held_back() -> None:
+    frames = _half("left", 0.0, 6.0)
+    vented = [replace(frame, excess=-0.006) if frame.t_s > 6.0 else frame for frame in frames]
+    assert held_back(vented, "left").max() < 1e-9
+
+
 @pytest.mark.parametrize(
     ("slope", "onset_psi", "zone"),
     [
@@ -86,12 +102,12 @@ def test_the_fold_moment_grows_with_body_pressure() -> None:
 def test_only_what_holds_the_bend_back_is_a_touch(side: Side) -> None:
     back = -1 if side == "left" else 1
     held = SweepResult(frames=_half(side, 0.002 * back, 6.0, noise=4e-4))
-    assert held_sides(held) == {side}
+    assert felt_sides(held) == {side}
     onset = touch_curvature(held.frames, side)
     assert onset is not None
     assert abs(onset) == pytest.approx((6.0 + 2.5) / 600, rel=0.1)
     further = SweepResult(frames=_half(side, -0.002 * back, 6.0, noise=4e-4))
-    assert held_sides(further) == set()
+    assert felt_sides(further) == set()
     assert touch_curvature(further.frames, side) is None
 
 
@@ -123,8 +139,24 @@ def test_a_touch_beyond_all_bends_tells_nothing() -> None:
     assert touched.max() < 1.1 / len(touched)
 
 
-def test_without_a_trigger_no_bend_is_a_touch() -> None:
-    assert np.ptp(touch_mass(_half("left", 0.0, 0.0), "left", bend_grid(53.0), 5e-4)) == 0.0
+@pytest.mark.parametrize("gain", [0.0, 0.12])
+def test_a_body_that_bends_less_than_its_map_touches_nothing(gain: float) -> None:
+    frames = [
+        replace(frame, excess=frame.excess - 2 * gain * frame.free_curvature)
+        for frame in _half("left", 0.0, 0.0, noise=4e-4)
+    ]
+    assert (held_back(frames, "left").max() > TRIGGER_PER_CM) == (gain > 0)
+    assert felt_sides(SweepResult(frames=frames)) == set()
+
+
+@pytest.mark.parametrize("zero", [-0.001, 0.001])
+def test_a_touch_that_holds_back_by_less_than_the_trigger_takes_is_felt(zero: float) -> None:
+    frames = [
+        replace(frame, excess=frame.excess + zero)
+        for frame in _half("left", -1.2 / 600, 16.2, noise=4e-4)
+    ]
+    assert held_back(frames, "left").max() < TRIGGER_PER_CM
+    assert felt_sides(SweepResult(frames=frames)) == {"left"}
 
 
 def _free_sweep(gain: float, constant: float, rng: np.random.Generator) -> SweepResult:
@@ -187,10 +219,10 @@ def test_a_touch_of_a_body_that_bends_more_than_its_map_is_known(bends: float) -
         replace(frame, excess=each) for frame, each in zip(sweep.frames, base.tolist(), strict=True)
     ]
     against = response.against(sweep, 2)
-    assert held_sides(against) == {"left"}
+    assert felt_sides(against) == {"left"}
     onset = touch_curvature(against.frames, "left")
     if bends > 1.0:
-        assert held_sides(sweep) == set()
+        assert touch_curvature(sweep.frames, "left") is None
         assert onset == pytest.approx(0.025, abs=1e-3)
     else:  # by the map, as without learning
         assert onset == touch_curvature(sweep.frames, "left")

@@ -17,10 +17,9 @@ import numpy as np
 
 from thigmo.config import SIDES, RobotConfig
 from thigmo.display import POINT_ESTIMATE
-from thigmo.exploration.peak import LIKELY
 from thigmo.exploration.prior import match
 from thigmo.exploration.room import Found, Room
-from thigmo.exploration.sighting import LEVEL, Passed, Sighting, arc_grid, shortest
+from thigmo.exploration.sighting import LEVEL, LIKELY, Passed, Sighting, arc_grid, shortest
 from thigmo.exploration.stall import Lean, Obstruction, causes
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
 from thigmo.localization import Contact

@@ -2,7 +2,7 @@
 
 The sweep that finds a contact goes to the muscle's highest pressure, and there the body may have
 folded at its base or slipped off the peg: its peak is where the thesis measured, and not where a
-contact is felt best. So a side on which the trigger fired is swept once more, to the pressure at
+contact is felt best. So a side that touched something is swept once more, to the pressure at
 which the contact's moment came near the fold, and measured at that sweep's peak. If the fold limits
 that moment, and somebody is there to raise the body pressure, the contact is pressed harder at a
 higher one, where it takes a larger moment to fold the base.
@@ -40,17 +40,6 @@ def fold_moment(config: RobotConfig, zone: int) -> float:
     return critical_moment(
         body.critical_curvature, body.critical_pressure_psi, body.zones[zone].pressure_psi
     )
-
-
-def held_sides(sweep: SweepResult) -> set[Side]:
-    """Sides whose base was held back by the trigger's threshold for a while.
-
-    The board answers within milliseconds, so noise can fire it; a peg holds on.
-    """
-    held = {
-        side for side in SIDES if held_back(sweep.frames, side).max(initial=0.0) > TRIGGER_PER_CM
-    }
-    return held - caught_sides(sweep)
 
 
 def caught_sides(sweep: SweepResult) -> set[Side]:

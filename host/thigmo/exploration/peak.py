@@ -19,7 +19,14 @@ from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.room import touch_point
-from thigmo.exploration.sighting import Sighting, arc_grid, bend_grid, contact_mass, median
+from thigmo.exploration.sighting import (
+    LIKELY,
+    Sighting,
+    arc_grid,
+    bend_grid,
+    contact_mass,
+    median,
+)
 from thigmo.exploration.workspace import Bend, centreline, common_error, excess_knots, skin_point
 from thigmo.localization import LocalizeResult, localize
 from thigmo.localization.priors import WIDTH_SHARE
@@ -31,7 +38,6 @@ from thigmo.robot.curvature import Floats
 # Least relative standard error of the critical moment, which goes with a pressure set by hand.
 _LEAST_FOLD_ERROR = 0.1
 _PLACED = ("localized", "ambiguous")
-LIKELY = 0.5  # probability from which a contact that the localizer lists goes on the map
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,6 @@ from thigmo.exploration.effort import EFFORTS, THESIS, Effort
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import (
     held_now,
-    held_sides,
     measuring_pressure,
     pressed_enough,
     pressing_zone,
@@ -336,7 +335,7 @@ class Exploration:
             enough=None if thesis else self._enough,
         )
         self._knows.has_looked(looked, self._zone)
-        fired = held_sides(self._knows.looked)
+        fired = self._found.felt_sides(self._knows.looked)
         if not fired:
             return "no contact"
         if thesis:
@@ -409,7 +408,7 @@ class Exploration:
 
     def _unplaced(self) -> set[Side]:
         """Sides with a contact that the first sweep does not place well enough."""
-        return held_sides(self._knows.looked) - self._known
+        return self._found.felt_sides(self._knows.looked) - self._known
 
     def _measure(self) -> str:
         frames, zone, unplaced = self._knows.looked.frames, self._measured_zone, self._unplaced()

@@ -22,6 +22,7 @@ from thigmo.robot.curvature import Floats
 
 _GRID_CM = 0.25
 LEVEL = 0.95  # of the set that an interval spans, and of what is called sure
+LIKELY = 0.5  # probability from which a contact that the localizer lists goes on the map
 # These belong to the trigger and to the base's reading, and so to bodies of all lengths. From a
 # touch to the moment at which the base is held back by the trigger's threshold, a touched body
 # bends on by this much: 0.005 1/cm over the slope of held-back over free curvature.
@@ -98,20 +99,21 @@ def contact_mass(marginal: Marginal | None, arcs: Floats) -> Floats:
 def touch_mass(
     frames: Sequence[SweepFrame], side: Side, bends: Floats, noise_per_cm: float
 ) -> Floats:
-    """Posterior of which of `bends` a side's first touch began at; flat as far as at none of them.
+    """Posterior of which of `bends` a side's first touch began at; flat if nothing was touched.
 
     Over the free curvature, what holds the base back is a line, which the errors of the free body
     and of the base's zero make, and a steeper one from the touch on. Both lines and the noise, of
-    which one sigma is stated, are integrated out. Without a trigger there was no touch.
+    which one sigma is stated, are integrated out. Something was touched if two lines are likelier
+    than one: to 95 %, or at all where the base was held back by the trigger's threshold.
     """
+    flat = np.full(len(bends), 1 / len(bends))
     held = held_back(frames, side)
-    if not (held > TRIGGER_PER_CM).any():
-        return np.full(len(bends), 1 / len(bends))
+    if not len(held):
+        return flat
     mine = [frame for frame in frames if frame.side == side]
-    top = int(np.argmax([frame.pressure_psi for frame in mine]))
-    end = min([top, *np.flatnonzero(held > _SLIDES)[:1]]) + 1
+    end = min([len(held) - 1, *np.flatnonzero(held > _SLIDES)[:1]]) + 1
     bend = np.abs([frame.free_curvature for frame in mine[:end]])
-    beyond = np.concatenate([bends, bends + bends[-1]])
+    beyond = np.concatenate([bends, bends + bends[-1], [bend.max()]])  # the last: no touch
     further = np.maximum(bend - beyond[:, None], 0.0)
     effect = np.stack([np.ones_like(further), np.broadcast_to(bend, further.shape), further], -1)
     excess = -SIGN[side] * np.array([frame.excess for frame in mine[:end]])
@@ -120,13 +122,19 @@ def touch_mass(
     prior = np.diag([1.0, noise_per_cm / _TILT, noise_per_cm / _SLOPE_STD]) ** 2
     precision = effect.swapaxes(1, 2) @ effect / _ALIKE + prior
     vector = (left[:, None] @ effect)[:, 0] / _ALIKE
-    explained = np.sum(vector * np.linalg.solve(precision, vector[..., None])[..., 0], axis=1)
+    fitted = np.linalg.solve(precision, vector[..., None])[..., 0]
+    explained = np.sum(vector * fitted, axis=1)
     misfit = (np.sum(left**2, axis=1) / _ALIKE - explained) / noise_per_cm**2
     log = -0.5 * (_STATED + end / _ALIKE) * np.log(_STATED + misfit)
     log -= 0.5 * np.linalg.slogdet(precision)[1]
-    mass = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
-    inside = mass[: len(bends)]
-    return np.asarray(inside + (1 - inside.sum()) / len(bends))
+    log[fitted[:, 2] < -_SLOPE] = -np.inf  # no obstacle pulls
+    mass = np.exp(log - log.max())
+    reached = mass[:-1][beyond[:-1] < bend.max()]
+    even = reached.mean() / (reached.mean() + mass[-1]) if reached.size else 0.0
+    if not even >= (LIKELY if held.max() > TRIGGER_PER_CM else LEVEL):
+        return flat
+    inside = mass[: len(bends)] / mass[:-1].sum()
+    return np.asarray(inside + (1 - inside.sum()) * flat)
 
 
 def passed_before(touch: Floats, bends: Floats, peak: Peak) -> Passed:

@@ -17,16 +17,14 @@ from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     caught_sides,
     held_back,
-    held_sides,
     pressed_enough,
-    touch_curvature,
 )
-from thigmo.exploration.peak import LIKELY, PeakAnswer, localize_peak
+from thigmo.exploration.peak import PeakAnswer, localize_peak
 from thigmo.exploration.reference import FreeResponse, gain_errors
 from thigmo.exploration.scoring import judged
 from thigmo.exploration.sighting import (
     LEVEL,
-    TRIGGER_LATE,
+    LIKELY,
     bend_grid,
     passed_before,
     passed_freely,
@@ -67,6 +65,14 @@ class Interpreter:
         """The sweep with its base's excess against what the sweeps before have taught."""
         return self._response.against(sweep, zone)
 
+    def felt_sides(self, sweep: SweepResult) -> set[Side]:
+        """Sides on which a sweep touched something, and whose body was not caught before."""
+        touched = {side for side in SIDES if np.ptp(self._touch(sweep, side)) > 0}
+        return touched - caught_sides(sweep)
+
+    def _touch(self, sweep: SweepResult, side: Side) -> Floats:
+        return touch_mass(sweep.frames, side, self._bends, self._base_noise)
+
     def localize(
         self, sweep: SweepResult, measuring: SweepResult | None, zone: int, measured_zone: int
     ) -> list[PeakAnswer]:
@@ -74,7 +80,7 @@ class Interpreter:
 
         Of a side that was measured again, that peak counts.
         """
-        held, caught = held_sides(sweep), caught_sides(sweep)
+        felt, caught = self.felt_sides(sweep), caught_sides(sweep)
         if measuring:
             caught |= caught_sides(measuring)
         again = {
@@ -86,22 +92,21 @@ class Interpreter:
             side = peak.side
             if side in caught or not self._table.usable(side, peak.sensors).any():
                 continue  # no sensor is everted and healthy
-            touched = touch_curvature(sweep.frames, side)
-            _learn(self._response, sweep, side, zone, touched)
+            touch = self._touch(sweep, side)
+            if measuring and again[side] and np.ptp(slow := self._touch(measuring, side)) > 0:
+                touch = slow  # it swings less as it begins, and has more frames around its touch
+            self._learn(self._response, sweep, side, zone, touch)
             if measuring:
-                _learn(self._response, measuring, side, measured_zone, touched)
+                self._learn(self._response, measuring, side, measured_zone, touch)
             final = mean_peak(again[side] or [peak])
-            # A slow sweep swings less as it begins, and has more frames around its touch.
-            slowest = measuring if measuring and again[side] else sweep
-            touch = touch_mass(slowest.frames, side, self._bends, self._base_noise)
             at = measured_zone if again[side] else zone
             answer = self._localize(final, at, self._response, touch)
             certain = any(sighting.contact.probability > _CERTAIN for sighting in answer.sightings)
-            if side in held or certain:
+            if side in felt or certain:
                 answers.append(answer)
             elif not any(sighting.contact.probability > LIKELY for sighting in answer.sightings):
                 self._response.learn(sweep, side, zone)
-            if side in held:
+            if side in felt:
                 self.map.add_passed(passed_before(touch, self._bends, peak))
             elif answer.result.status == "no contact":
                 self.map.add_passed(passed_freely(self._bends, peak))
@@ -113,9 +118,17 @@ class Interpreter:
         if not self._table.usable(peak.side, peak.sensors).any():
             return None
         response = deepcopy(self._response)
-        _learn(response, so_far, peak.side, zone, touch_curvature(so_far.frames, peak.side))
-        touch = touch_mass(so_far.frames, peak.side, self._bends, self._base_noise)
+        touch = self._touch(so_far, peak.side)
+        self._learn(response, so_far, peak.side, zone, touch)
         return self._localize(peak, zone, response, touch)
+
+    def _learn(
+        self, response: FreeResponse, sweep: SweepResult, side: Side, zone: int, touch: Floats
+    ) -> None:
+        """Learn from a sweep what it read before its touch, if it has one."""
+        if np.ptp(touch) > 0:
+            surely = np.searchsorted(np.cumsum(touch), 1 - LEVEL)
+            response.learn(sweep, side, zone, float(self._bends[surely]))
 
     def _localize(self, peak: Peak, zone: int, response: FreeResponse, touch: Floats) -> PeakAnswer:
         return localize_peak(peak, self._config, zone, response, touch, self._prior, self._method)
@@ -172,14 +185,6 @@ class Interpreter:
             document, contacts=self.map.contacts, stall=self.map.stall or document.stall
         )
         return judged(known, self._config, self._prior)
-
-
-def _learn(
-    response: FreeResponse, sweep: SweepResult, side: Side, zone: int, touch: float | None
-) -> None:
-    """Learn from a sweep what it read before its touch, at a free curvature, if it has one."""
-    if touch is not None:
-        response.learn(sweep, side, zone, abs(touch) - TRIGGER_LATE)
 
 
 def _swept_shapes(
