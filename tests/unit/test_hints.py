@@ -41,6 +41,8 @@ def test_each_mistake_gets_its_own_hint() -> None:
     straight = _readings(40.0, -8e-4, 0.0, np.random.default_rng(3))
     assert "other sign" in _hints(-right, POSITION, 0.03)
     assert "from the tip" in _hints(straight, 53.0 - POSITION, 0.0)
+    assert "--free-curvature" in _hints(right, POSITION, 0.0)
+    assert "--free-curvature" in _hints(right / 100.0, POSITION, 0.03)
     both = np.concatenate((straight, -straight)), np.tile(POSITION, 2)
     assert "the two sensors at 5, 15, 25, 35, 45" in _hints(*both, 0.0)
     weak = np.array([0.0104, 0.0083, 0.006, 0.0041, 0.0017])  # taken for a larger noise
@@ -60,3 +62,12 @@ def test_noise_alone_is_no_column_of_the_other_sign() -> None:
 def test_a_sensor_just_beyond_the_body_is_said_to_be_one_that_is_not_everted() -> None:
     with pytest.raises(DataError, match="not everted yet"):
         localize(np.full(5, 0.01), POSITION, length=43.0)
+
+
+@pytest.mark.parametrize("bad", [4, 9])
+def test_one_bad_sensor_of_two_at_the_end_is_not_taken_for_a_missing_free_curvature(
+    bad: int,
+) -> None:
+    right = np.tile(_readings(40.0, -2e-4, 0.03, np.random.default_rng(2)), 2)
+    right[bad] = 0.0
+    assert "--free-curvature" not in _hints(right, np.tile(POSITION, 2), 0.03)

@@ -41,6 +41,20 @@ def hints(
             f"the two sensors at {opposite} read opposite curvatures: change the sign of the "
             "column that faces the other way"
         )
+    elif (
+        options.get("direction") is None
+        and options.get("held_end") is not True
+        and _bends_the_end(
+            (curvature - free)[seen],
+            result.length - position[seen],
+            result.noise if noise is None else noise,
+        )
+    ):
+        found.append(
+            "the readings near the end differ from the free curvature by more than a contact can "
+            "cause: give the bend of the inflated muscle as --free-curvature, in the readings' "
+            "unit (or is a sensor there bad, or does something hold the end?)"
+        )
     turned = localize(curvature, result.length - position, **options)
     # Counted from the tip, a contact's moment grows towards the end, as that of a held end does.
     held = result.hypotheses.get("end wrench", 0.0) > _HELD
@@ -50,6 +64,21 @@ def hints(
             + (" (or does something hold the end?)" if held else "")
         )
     return tuple(found)
+
+
+def _bends_the_end(excess: Array, to_end: Array, noise: float) -> bool:
+    """Whether the sensors nearest to the end read more excess (n,) than a contact causes there.
+
+    The moment of one contact falls linearly to zero at the contact, so it falls at least as fast
+    towards the end as that of a contact at the end does. `to_end` (n,) is the distance to the end.
+    """
+    last = to_end == to_end.min(initial=np.inf)
+    if last.all():
+        return False
+    most = to_end.min() * np.max(np.abs(excess[~last]) / to_end[~last])
+    # Sensors at one place have to agree: one of them may be bad.
+    agreed = max(excess[last].min(), -excess[last].max())
+    return bool(agreed > most + _SIGMAS * noise)
 
 
 def _mirrored(one: Array, other: Array, noise: float) -> bool:
