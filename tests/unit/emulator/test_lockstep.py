@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from silent_board import SilentBoard
 
-from thigmo.emulator.faults import FaultInjector
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport, parse_url
@@ -129,15 +128,6 @@ def test_slipping_spool_turns_the_braked_motor(board: SilentBoard) -> None:
     lockstep = Lockstep(faulty(kind="spool_slip", at_s=0.0, value=3.0), board)
     run(lockstep, 200)
     assert board.encoder[-1][1] - board.encoder[0][0] == pytest.approx(76 * 3.0 * 2.0, rel=0.05)
-
-
-def test_fault_can_be_injected_while_running(board: SilentBoard) -> None:
-    lockstep = Lockstep(Scene(), board)
-    lockstep.advance()
-    assert isinstance(lockstep.faults, FaultInjector)
-    lockstep.faults.inject(FaultTable(kind="estop", at_s=0.0))
-    lockstep.advance()
-    assert board.estop == [False, True]
 
 
 def transport(board: SilentBoard, scene: Scene | None = None) -> EmulatorTransport:
