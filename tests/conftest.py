@@ -15,6 +15,7 @@ from command import Thigmo, thigmo_command
 from emulated import Serve, last_stages, room_file
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
+from served import ServedRobot
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
@@ -121,8 +122,6 @@ def thigmo(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) 
 @pytest.fixture
 def serve() -> Iterator[Serve]:
     """Puts an emulated robot behind a serial port, in real time, until the test is over."""
-    from served import ServedRobot  # has no import where there are no terminals
-
     with ExitStack() as stack:
 
         def served(scene: Scene) -> ServedRobot:

@@ -13,7 +13,7 @@ from thigmo.link.client import Client
 from thigmo.robot import Robot
 
 if TYPE_CHECKING:
-    from served import ServedRobot  # has no import where there are no terminals
+    from served import ServedRobot  # which imports this module
 
 Serve = Callable[[Scene], "ServedRobot"]  # the fixture `serve`
 

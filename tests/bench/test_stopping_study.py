@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 
 import pytest
@@ -10,10 +9,7 @@ import pytest
 from thigmo.errors import DataError
 from thigmo.studies import stopping
 
-pytestmark = [
-    pytest.mark.realtime,
-    pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals"),
-]
+pytestmark = pytest.mark.realtime
 
 
 @pytest.mark.parametrize("way", ["Ctrl-C", "emergency stop", "cable"])

@@ -101,7 +101,6 @@ def exploration(
 
 
 @pytest.mark.realtime
-@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
 @pytest.mark.parametrize("hangs", [False, True], ids=["running", "stopped by SIGSTOP"])
 def test_stop_in_mid_sweep_takes_the_current_off_the_valves_within_300_ms_of_the_click(
     looking: Looking,
@@ -130,7 +129,6 @@ def test_stop_in_mid_sweep_takes_the_current_off_the_valves_within_300_ms_of_the
 
 
 @pytest.mark.realtime
-@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
 @pytest.mark.parametrize("terminal", [True, False], ids=["at a terminal", "in the background"])
 def test_question_of_a_run_reaches_a_page_that_comes_later_and_again(
     looking: Looking,
@@ -180,7 +178,6 @@ def test_question_of_a_run_reaches_a_page_that_comes_later_and_again(
 
 
 @pytest.mark.realtime
-@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
 def test_run_on_a_port_asks_its_operator_on_the_page(
     looking: Looking, serve_page: ServePage, robot: ServedRobot, config: Path, tmp_path: Path
 ) -> None:

@@ -21,10 +21,7 @@ from thigmo.robot import connect
 
 ServePage = Callable[..., Served]
 
-pytestmark = [
-    pytest.mark.realtime,
-    pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals"),
-]
+pytestmark = pytest.mark.realtime
 
 # From the last sign of life to the outputs off, in the robot's time: 1.5 s, and a quarter of a
 # second between two looks; the rest is for a busy computer.

@@ -264,14 +264,6 @@ def test_the_sequence_wraps(host: RawHost) -> None:
     assert host.seq == 3
 
 
-def test_replies_carry_seq_and_session_of_their_command(host: RawHost) -> None:
-    host.seq = (host.seq + 1) & 0xFFFF
-    host.send(wire.GetStatus())
-    frame = host.next_frame(lambda f: f.id == wire.StatusReport.ID, 0.5)
-    assert frame is not None
-    assert (frame.seq, frame.session) == (host.seq, host.session)
-
-
 def test_a_save_answers_in_progress_until_it_is_committed(host: RawHost) -> None:
     before = host.get(wire.GetStatus()).config_generation
     host.seq = (host.seq + 1) & 0xFFFF
@@ -657,15 +649,6 @@ def test_a_latched_fault_refuses_all_that_moves(desk: Desk, command: wire.Messag
     assert host.refusal(wire.Arm())[0] is R.FAULT_LATCHED  # latched until cleared
     assert host.get(wire.ClearFaults(0xFFFF)).detail == 0
     host.get(wire.Arm())
-
-
-def test_a_fault_is_an_event(desk: Desk) -> None:
-    board = desk.simulated()
-    host = desk.ready()
-    board.set_estop(True)
-    heard = events(host.listen(0.3))
-    board.set_estop(False)
-    assert (wire.EventCode.FAULT, wire.Fault.ESTOP) in {(e.code, e.arg) for e in heard}
 
 
 def test_parameters_are_applied_as_a_whole_or_not_at_all(host: RawHost) -> None:

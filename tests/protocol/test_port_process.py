@@ -40,10 +40,7 @@ from thigmo.link.stop_socket import OTHER_PLACE
 from thigmo.link.transport import open_transport
 from thigmo.robot.stopping import stop_robot
 
-pytestmark = [
-    pytest.mark.realtime,
-    pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals"),
-]
+pytestmark = pytest.mark.realtime
 LIMIT_S = 0.5  # the board's default limit of host silence
 SETTLE = wire.PARAMETERS["settle_ms"].index
 

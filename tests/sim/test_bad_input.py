@@ -150,7 +150,6 @@ def test_a_parameter_that_is_set_and_not_stored_is_said_to_be_lost(thigmo: Thigm
         assert re.fullmatch(said, ran.err.strip()), ran.err
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
 @pytest.mark.realtime
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_emulated_robot_is_served_until_it_is_told_to_end(

@@ -22,10 +22,7 @@ from thigmo.link.client import Client
 from thigmo.link.transport import open_transport
 from thigmo.robot.stopping import stop_robot
 
-pytestmark = [
-    pytest.mark.realtime,
-    pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals"),
-]
+pytestmark = pytest.mark.realtime
 LIMIT_S = 0.6  # of silence, and one period of the heart
 Host = subprocess.Popen[bytes]
 Start = Callable[[str], Host]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +97,6 @@ def port(scene: Scene, serve: Serve) -> str:
     return serve(scene).port
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
 def test_an_operator_explores_through_a_port_stops_and_evaluates(
     port: str, scene: Scene, tmp_path: Path
 ) -> None:

@@ -106,10 +106,7 @@ def watched(own_sockets: None, tmp_path: Path) -> Iterator[Any]:
         each.close()
 
 
-pytestmark = [
-    pytest.mark.ci,
-    pytest.mark.skipif(sys.platform != "linux", reason="finds the page's process in /proc"),
-]
+pytestmark = pytest.mark.ci
 
 
 def test_page_is_opened_and_follows_the_run_whose_result_is_the_only_output(watched: Any) -> None:

@@ -23,7 +23,6 @@ from thigmo.record import RunFolder
 
 pytestmark = [
     pytest.mark.usefixtures("own_sockets"),
-    pytest.mark.skipif(sys.platform == "win32", reason="needs limits of the size of files"),
 ]
 Explore = Callable[..., "subprocess.CompletedProcess[str]"]
 

@@ -12,7 +12,6 @@ import pytest
 from command import run_python
 from served import comes
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs FIFOs and signals")
 BOTH = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 
 LOADING = """

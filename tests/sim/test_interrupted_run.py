@@ -27,10 +27,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.framing import decode
 from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles, read_ros_map
 
-pytestmark = [
-    pytest.mark.realtime,
-    pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals"),
-]
+pytestmark = pytest.mark.realtime
 LIMIT_S = 0.6  # of silence, and one period of the heart
 
 

@@ -16,11 +16,7 @@ from served import comes
 from thigmo.link import stop_socket
 from thigmo.record import RunFolder
 
-pytestmark = [
-    pytest.mark.realtime,
-    pytest.mark.usefixtures("own_sockets"),
-    pytest.mark.skipif(sys.platform == "win32", reason="needs sockets of files"),
-]
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_sockets")]
 URL = "emulator://mid_body"
 Explore = Callable[..., "subprocess.Popen[str]"]
 

@@ -19,7 +19,6 @@ from thigmo.record import RunFolder
 pytestmark = [
     pytest.mark.ci,
     pytest.mark.usefixtures("own_sockets"),
-    pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full and terminals"),
 ]
 
 

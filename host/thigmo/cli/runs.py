@@ -11,14 +11,8 @@ import typer
 from thigmo.cli.output import JsonOption, method_option, print_json, robot_option, show
 
 _OF_THE_RUN = ("name", "url", "started", "thigmo", "outcome")
-_OF_THE_HOST = (
-    "thigmo",
-    "url",
-    "seed",
-    "started",
-    "protocol",
-    "effort",
-)  # in a record's metadata; the rest: the board's
+# In a record's metadata; the rest is the board's.
+_OF_THE_HOST = ("thigmo", "url", "seed", "started", "protocol", "effort")
 
 
 def replay(

@@ -123,9 +123,8 @@ class SimulatedMega:
                 self.boots += 1
             self._origin = chip.tick_origin
             self._exchange_bytes()
-            for enable, pin in enumerate(
-                ENABLES
-            ):  # once a tick is as often as the firmware toggles
+            # Once a tick is as often as the firmware toggles.
+            for enable, pin in enumerate(ENABLES):
                 if (level := self._level(pin)) != self._enable_levels[enable]:
                     self._enable_levels[enable] = level
                     self._enable_edges[enable] = self._grid

@@ -82,6 +82,9 @@ class MicroPythonBoard:
 
     Attributes:
         bus: Where it reads IMUs; set it before time passes. Only a large board asks it.
+        direction: 1 pays out, -1 winds in.
+        running: Whether the controller runs.
+        powered: False after a power cut, until `reset`.
     """
 
     bus: ImuBus | None = None
@@ -123,25 +126,25 @@ class MicroPythonBoard:
         self._encoder_origin = np.int32(0)
         self._now_ms = 0
         self._ticks = 0  # of the running firmware
-        self._direction = 1
+        self.direction = 1
         self.boots = 0
-        self.power_on(ResetCause.POWER_ON)
+        self.reset(ResetCause.POWER_ON)
 
     # --- life -------------------------------------------------------------------------------------
-    def power_on(self, cause: ResetCause) -> None:
-        """Begin a start for a cause; the program runs when the boot time is over."""
+    def reset(self, cause: int) -> None:
+        """Begin a start for a `ResetCause`; the program runs when the boot time is over."""
         self._kill()
-        if cause is ResetCause.POWER_ON:
+        if cause == ResetCause.POWER_ON:
             self._stop = (0, 0)
-        self._cause = cause
+        self._cause = ResetCause(cause)
         self._boot_left = BOOT_MS  # until the program runs
         self._hung = False
-        self._powered = True
+        self.powered = True
         self._off()
         self._sent.clear()
 
     def _off(self) -> None:
-        self._running = False
+        self.running = False
         self._drive = (-1,) * self._muscles
         self.motor = 0
         self.air = self.motor_enables = (False, False)
@@ -170,7 +173,7 @@ class MicroPythonBoard:
                 "see firmware/micropython/README.md, and correct main.py and pins.py",
             )
         self._ticks = 0
-        self._running = True
+        self.running = True
         self.boots += 1
 
     def _launch(self, its: socket.socket) -> subprocess.Popen[bytes]:
@@ -317,18 +320,18 @@ class MicroPythonBoard:
         except OSError:  # Python itself has ended, and the pins float
             self._off()
             return
-        self._running = bool(state & _RUNS)
+        self.running = bool(state & _RUNS)
         # A controller that restarts in the next step begins with tick 0.
-        self._ticks = self._ticks + count if self._running else 0
-        self._powered = bool(state & _POWERED)
+        self._ticks = self._ticks + count if self.running else 0
+        self.powered = bool(state & _POWERED)
         self._drive = tuple(drive)
         self.motor = motor
         if motor:
-            self._direction = 1 if state & _OUT else -1
+            self.direction = 1 if state & _OUT else -1
         self.air = (bool(state & _MUSCLE_AIR), bool(state & _BODY_AIR))
         self.motor_enables = (bool(state & _MOTOR_SUPPLY), bool(state & _BRAKE_OPEN))
         if state & _BITES:
-            self.power_on(ResetCause.WATCHDOG)
+            self.reset(ResetCause.WATCHDOG)
 
     def _serve_bus(self, bus: ImuBus, kind: bytes) -> None:
         """Do on the bus what the firmware wants."""
@@ -409,21 +412,6 @@ class MicroPythonBoard:
         """The motor driver brakes while its PWM input is low."""
         return self.motor == 0
 
-    @property
-    def direction(self) -> int:
-        """1 pays out, -1 winds in."""
-        return self._direction
-
-    @property
-    def running(self) -> bool:
-        """Whether the controller runs."""
-        return self._running
-
-    @property
-    def powered(self) -> bool:
-        """False after a power cut, until `reset`."""
-        return self._powered
-
     # --- faults and the store ---------------------------------------------------------------------
     @property
     def eeprom(self) -> bytes:
@@ -433,10 +421,6 @@ class MicroPythonBoard:
     def cut_power_after(self, n_bytes: int) -> None:
         """Cut the power after this many more bytes have been written to the flash."""
         self._tell(b"C" + struct.pack("<I", n_bytes))
-
-    def reset(self, cause: int) -> None:
-        """Restart for a `ResetCause`."""
-        self.power_on(ResetCause(cause))
 
     def hang(self) -> None:
         """The controller's loop stops; the watchdog will bite."""

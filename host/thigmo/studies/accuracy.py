@@ -56,16 +56,12 @@ class Error:
     tell: Callable[[Frame], dict[str, Any]] | None = None
     # changes a frame without noise
     clean: Callable[[np.random.Generator, Frame], Frame] = lambda rng, frame: frame
-    noise: Callable[[np.random.Generator, int], Floats] = (
-        _noise  # draws noise of a number of readings
-    )
+    # draws noise of a number of readings
+    noise: Callable[[np.random.Generator, int], Floats] = _noise
     # changes readings with noise
     read: Callable[[np.random.Generator, Floats], Floats] = lambda rng, readings: readings
-    groups: tuple[str, ...] = (
-        *TOUCHED,
-        "free",
-        "free, bent",
-    )  # groups of scenes that it is applied to
+    # groups of scenes that it is applied to
+    groups: tuple[str, ...] = (*TOUCHED, "free", "free, bent")
 
     def spoil(self, rng: np.random.Generator, frame: Frame) -> Frame:
         """The frame with this error and noise."""

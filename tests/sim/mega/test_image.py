@@ -14,7 +14,7 @@ from thigmo.emulator.mega_build import firmware_elf
 from thigmo.emulator.mega_sim import DRIVES, MOTOR_PWM, SimulatedMega
 from thigmo.emulator.scene import Scene
 from thigmo.link import protocol as wire
-from thigmo.link.framing import Decoder, encode
+from thigmo.link.framing import encode
 
 EVEN = [10, 11, 0, 5, 1, 2, 3, 4]
 ODD = [10, 11, 0, 5, 6, 7, 8, 9]
@@ -30,17 +30,6 @@ def test_nothing_moves_from_reset_to_the_first_command() -> None:
     assert mega.running
     start_ms = mega.chip.tick_origin / CYCLES_PER_MS
     assert 840 < start_ms < 840 + 300, "the boot loader's second, and the check of the whole image"
-
-
-def test_it_announces_itself_after_the_boot_loader() -> None:
-    mega = SimulatedMega(2)
-    mega.step(800)
-    assert not mega.read()
-    mega.step(400)
-    announce = Decoder().feed(mega.read())[0].message()
-    assert isinstance(announce, wire.Announce)
-    assert announce.schema_hash == wire.SCHEMA_HASH
-    assert announce.reset_cause is wire.ResetCause.POWER_ON
 
 
 def test_sampling_instants_are_exact_whatever_else_happens() -> None:

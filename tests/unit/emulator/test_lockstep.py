@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from silent_board import SilentBoard
 
-from thigmo.emulator.faults import FaultInjector
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport, parse_url
@@ -24,11 +23,15 @@ def faulty(**entries: Any) -> Scene:
     return scene
 
 
+def run(lockstep: Lockstep, exchanges: int) -> None:
+    for _ in range(exchanges):
+        lockstep.advance()
+
+
 def test_exchange_is_continuous_and_in_the_boards_time(board: SilentBoard) -> None:
     lockstep = Lockstep(Scene(), board)
     board.motor, board.braked = 300, False
-    for _ in range(50):
-        lockstep.advance()
+    run(lockstep, 50)
     assert board.now_us == 500_000
     assert lockstep.t_s == 0.5
     for before, after in zip(board.encoder, board.encoder[1:], strict=False):
@@ -44,9 +47,8 @@ def test_finer_exchange_passes_the_same_levels(board: SilentBoard) -> None:
     for each in (board, other):
         each.drive, each.drive_enabled = (500, 0), (True, False)
         each.motor, each.braked = -200, False
-    for _ in range(60):
-        coarse.advance()
-        fine.advance()
+    run(coarse, 60)
+    run(fine, 60)
     assert len(other.analog) == 10 * len(board.analog)
     assert other.analog[9][:, 1] == pytest.approx(board.analog[0][:, 1])
     assert other.analog[-1][:, 1] == pytest.approx(board.analog[-1][:, 1])
@@ -103,14 +105,11 @@ def test_fault_does_what_it_is_named_for(
     board: SilentBoard, kind: str, extra: dict[str, Any], seen: Any
 ) -> None:
     lockstep = Lockstep(faulty(kind=kind, at_s=0.1, duration_s=0.2, **extra), board)
-    for _ in range(8):
-        lockstep.advance()
+    run(lockstep, 8)
     assert not seen(lockstep, board)
-    for _ in range(8):
-        lockstep.advance()
+    run(lockstep, 8)
     assert seen(lockstep, board)
-    for _ in range(30):
-        lockstep.advance()
+    run(lockstep, 30)
     if kind not in ("hang", "power_cut_saving"):
         assert not seen(lockstep, board)
     if kind.startswith("power_cut"):
@@ -119,28 +118,16 @@ def test_fault_does_what_it_is_named_for(
 
 def test_power_cut_without_an_end_lasts_a_second(board: SilentBoard) -> None:
     lockstep = Lockstep(faulty(kind="power_cut", at_s=0.0), board)
-    for _ in range(99):
-        lockstep.advance()
+    run(lockstep, 99)
     assert board.now_us == 0
-    for _ in range(10):
-        lockstep.advance()
+    run(lockstep, 10)
     assert board.now_us > 0
 
 
 def test_slipping_spool_turns_the_braked_motor(board: SilentBoard) -> None:
     lockstep = Lockstep(faulty(kind="spool_slip", at_s=0.0, value=3.0), board)
-    for _ in range(200):
-        lockstep.advance()
+    run(lockstep, 200)
     assert board.encoder[-1][1] - board.encoder[0][0] == pytest.approx(76 * 3.0 * 2.0, rel=0.05)
-
-
-def test_fault_can_be_injected_while_running(board: SilentBoard) -> None:
-    lockstep = Lockstep(Scene(), board)
-    lockstep.advance()
-    assert isinstance(lockstep.faults, FaultInjector)
-    lockstep.faults.inject(FaultTable(kind="estop", at_s=0.0))
-    lockstep.advance()
-    assert board.estop == [False, True]
 
 
 def transport(board: SilentBoard, scene: Scene | None = None) -> EmulatorTransport:

@@ -92,6 +92,16 @@ class Heard:
     message: wire.Message
 
 
+def free(psi: float) -> float:
+    """The guessed map, 1/cm."""
+    return 0.04 * math.tanh(psi / 10)
+
+
+def bend(left: float, right: float) -> float:
+    """Curvature of a body that follows the guessed map, 1/cm."""
+    return free(left) - free(right)
+
+
 @dataclass
 class Bench:
     """One board, its inputs, and a host."""
@@ -239,12 +249,24 @@ class Bench:
             if e.code == code and (arg is None or e.arg == arg)
         ]
 
+    def ended(self, activity: wire.Activity) -> bool:
+        """Whether an activity has ended by itself."""
+        return bool(self.event(wire.EventCode.ACTIVITY_DONE, activity))
+
+    def highest_psi(self, ms: int) -> float:
+        """Highest pressure in a muscle over a time."""
+        most = 0.0
+        for _ in range(ms // STEP_MS):
+            self.step()
+            most = max(most, *self.air.psi)
+        return most
+
     def faults(self) -> tuple[wire.Fault, ...]:
         return wire.Fault.from_mask(self.status().faults)
 
     # --- to a useful place -----------------------------------------------------------------------
 
-    def prepare(self, **parameters: int) -> None:
+    def prepare(self, **parameters: int) -> Bench:
         """Hello, defaults and these parameters in memory, faults cleared, armed."""
         self.hello()
         self.do(wire.LoadDefaults())
@@ -255,19 +277,22 @@ class Bench:
         self.do(wire.ApplyParameters())
         assert self.do(wire.ClearFaults(0xFFFF)) == 0
         self.do(wire.Arm())
+        return self
 
-    def grown(self, length_um: int = 100_000, **parameters: int) -> None:
+    def grown(self, length_um: int = 100_000, **parameters: int) -> Bench:
         """Prepared, of confirmed length, in zone 0, settled."""
         self.prepare(**parameters)
         self.do(wire.ConfirmLength(length_um, 1))
         self.do(wire.SelectZone(0))
+        return self
 
-    def zeroed(self, length_um: int = 100_000, **parameters: int) -> None:
+    def zeroed(self, length_um: int = 100_000, **parameters: int) -> Bench:
         """Grown, with zeros for all that has everted."""
         self.grown(length_um, **parameters)
         mask = self.status().everted_mask
         self.do(wire.ZeroSensors(mask))
         self.until(lambda: bool(self.event(wire.EventCode.ZEROED)))
+        return self
 
     def grow(self, length_um: int = 200_000) -> None:
         """Begin to grow; the motor turns."""

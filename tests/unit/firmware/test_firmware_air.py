@@ -14,8 +14,7 @@ HOLD_MS = 60  # what the charge pump stores, at most
 
 def breathing() -> Bench:
     """Armed, with air in the body."""
-    bench = Bench()
-    bench.prepare()
+    bench = Bench().prepare()
     bench.do(wire.BodyAir(1))
     bench.step(20)
     assert bench.board.air == (True, True)
@@ -36,8 +35,7 @@ def test_no_air_before_the_robot_is_armed() -> None:
 
 
 def test_arming_lets_air_to_the_muscles_alone() -> None:
-    bench = Bench()
-    bench.prepare()
+    bench = Bench().prepare()
     bench.step(20)
     assert bench.board.air == (True, False)
 

@@ -18,26 +18,16 @@ While a muscle bends the body, the trigger works on the base sensors that this m
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-from firmware_bench import Bench, flex_count, pressure_count
+from firmware_bench import Bench, bend, flex_count, pressure_count
 
 from thigmo.link import protocol as wire
 
 GUARD = 5  # input of the base sensor that the first muscle leaves at rest
 SWEEP = wire.Sweep((1500, 0), 8000, 1, 0)
-
-
-def free(psi: float) -> float:
-    """The guessed map, 1/cm."""
-    return 0.04 * math.tanh(psi / 10)
-
-
-def bend(first: float, second: float) -> float:
-    return free(first) - free(second)
 
 
 def held(first: float, second: float) -> float:
@@ -46,9 +36,7 @@ def held(first: float, second: float) -> float:
 
 
 def ready(body: Callable[[float, float], float] = bend) -> Bench:
-    bench = Bench(body=body)
-    bench.zeroed()
-    return bench
+    return Bench(body=body).zeroed()
 
 
 def read_by_guard(bench: Bench, gain: float) -> None:
@@ -156,7 +144,7 @@ def test_a_former_muscle_that_seems_to_keep_a_little_pressure_mutes_one_half_and
     bench.until(lambda: bool(bench.event(wire.EventCode.PEAK, 0)))
     bench.step(1800)
     bench.override[10] = pressure_count(1.0)
-    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING)))
+    bench.until(lambda: bench.ended(wire.Activity.SWEEPING))
     assert contacts(bench) == [0]
     bench.step(2000)
     assert not bench.status().conditions & wire.Condition.VENTED.mask

@@ -11,15 +11,9 @@ O = wire.Output  # noqa: E741
 R = wire.Reason
 
 
-def armed() -> Bench:
-    bench = Bench()
-    bench.prepare()
-    return bench
-
-
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_valve_carries_the_current_asked_for_and_then_none(side: int) -> None:
-    bench = armed()
+    bench = Bench().prepare()
     bench.do(wire.TestOutput(O.TRANSDUCER, side, 336, 300))
     bench.step(20)
     assert bench.board.drive[side] == 336
@@ -34,7 +28,7 @@ def test_a_valve_carries_the_current_asked_for_and_then_none(side: int) -> None:
 
 @pytest.mark.parametrize("duty", [150, -150])
 def test_the_motor_turns_with_the_length_unknown(duty: int) -> None:
-    bench = armed()
+    bench = Bench().prepare()
     bench.do(wire.TestOutput(O.MOTOR, 0, duty, 200))
     bench.step(100)
     assert bench.board.motor == duty
@@ -44,7 +38,7 @@ def test_the_motor_turns_with_the_length_unknown(duty: int) -> None:
 
 
 def test_repeated_in_time_it_goes_on() -> None:
-    bench = armed()
+    bench = Bench().prepare()
     for _ in range(5):
         bench.do(wire.TestOutput(O.TRANSDUCER, 0, 336, 500))
         bench.step(400)
@@ -56,7 +50,7 @@ def test_repeated_in_time_it_goes_on() -> None:
 
 
 def test_a_minute_of_it_is_no_fault() -> None:
-    bench = armed()
+    bench = Bench().prepare()
     for _ in range(150):
         bench.do(wire.TestOutput(O.TRANSDUCER, 0, 400, 500))
         bench.step(400)
@@ -77,15 +71,14 @@ def test_a_minute_of_it_is_no_fault() -> None:
     ],
 )
 def test_what_is_too_much_is_refused(command: wire.TestOutput, reason: wire.Reason) -> None:
-    bench = armed()
+    bench = Bench().prepare()
     assert bench.refused(command) == reason
     bench.step(50)
     assert bench.safe()
 
 
 def test_interlocks() -> None:
-    bench = Bench()
-    bench.prepare()
+    bench = Bench().prepare()
     bench.do(wire.TestOutput(O.TRANSDUCER, 0, 400, 500))
     bench.step(300)
     assert bench.refused(wire.TestOutput(O.MOTOR, 0, 100, 100)) == R.NOT_VENTED
@@ -97,7 +90,7 @@ def test_interlocks() -> None:
 
 
 def test_a_silent_host_ends_it() -> None:
-    bench = armed()
+    bench = Bench().prepare()
     bench.do(wire.TestOutput(O.MOTOR, 0, 100, 500))
     bench.beating = False
     bench.step(505)

@@ -8,21 +8,12 @@ from itertools import pairwise
 import crcmod.predefined
 import numpy as np
 import pytest
-from firmware_bench import Bench, flex_count, pressure_count
+from firmware_bench import Bench, bend, flex_count, free, pressure_count
 
 from thigmo.emulator._board import SCHEMA_HASH, VirtualBoard
 from thigmo.link import protocol as wire
 from thigmo.link.framing import encode
 from thigmo.link.stored import StoredConfiguration
-
-
-def free(psi: float) -> float:
-    """The guessed map, 1/cm."""
-    return 0.04 * math.tanh(psi / 10)
-
-
-def bend(left: float, right: float) -> float:
-    return free(left) - free(right)
 
 
 def test_a_blank_board_announces_itself_and_names_its_fault() -> None:
@@ -44,8 +35,7 @@ def test_a_blank_board_announces_itself_and_names_its_fault() -> None:
 
 def test_same_seed_same_bytes_and_another_seed_others() -> None:
     def run(seed: int) -> bytes:
-        bench = Bench(seed=seed, body=bend)
-        bench.zeroed()
+        bench = Bench(seed=seed, body=bend).zeroed()
         bench.do(wire.Sweep((1500, 1200), 4000, 1, 0))
         bench.step(5000)
         return bytes(bench.raw)
@@ -94,25 +84,8 @@ def test_a_recorded_trace_gives_the_same_telemetry() -> None:
     assert (again == trace).all()
 
 
-def test_telemetry_comes_every_5_ms_without_loss() -> None:
-    bench = Bench()
-    bench.prepare()
-    before = len(bench.heard)
-    bench.step(2000)
-    frames = [h for h in bench.heard[before:] if isinstance(h.message, wire.Telemetry)]
-    assert len(frames) == pytest.approx(400, abs=2)
-    seqs = [f.seq for f in frames]
-    assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
-    times = [f.message.t_us for f in frames]
-    assert {b - a for a, b in pairwise(times)} == {5000}
-    sums = np.array([f.message.flex_sum for f in frames])
-    # 16 conversions, each floored: half a count below the ideal.
-    assert sums.mean(axis=0) == pytest.approx(16 * (flex_count(0.0) - 0.5), abs=2.0)
-
-
 def test_telemetry_faster_than_the_line_is_dropped_and_counted() -> None:
-    bench = Bench()
-    bench.prepare(telemetry_ms=1)
+    bench = Bench().prepare(telemetry_ms=1)
     bench.step(1000)
     frames = [h.seq for h in bench.heard if isinstance(h.message, wire.Telemetry)][-200:]
     assert len(set(frames)) == len(frames)
@@ -129,8 +102,7 @@ def test_telemetry_faster_than_the_line_is_dropped_and_counted() -> None:
 @pytest.mark.parametrize("period_ms", [0, 10_000])
 def test_growth_is_told_of_whatever_the_period_of_telemetry(period_ms: int) -> None:
     """By it the port's process ends the growth of a host that hangs."""
-    bench = Bench()
-    bench.prepare(telemetry_ms=period_ms)
+    bench = Bench().prepare(telemetry_ms=period_ms)
     bench.do(wire.ConfirmLength(0, 1))
     bench.heard.clear()
     bench.do(wire.GrowTo(20_000, 0))
@@ -148,8 +120,7 @@ def test_growth_is_told_of_whatever_the_period_of_telemetry(period_ms: int) -> N
 
 
 def test_growth_follows_the_profile_and_ends_at_the_target() -> None:
-    bench = Bench()
-    bench.prepare()
+    bench = Bench().prepare()
     bench.do(wire.ConfirmLength(0, 1))
     bench.do(wire.GrowTo(100_000, 0))
     start = bench.board.now_us
@@ -209,8 +180,7 @@ def test_homing_touches_the_base_twice_and_a_length_that_agrees_becomes_zero() -
 
 def test_homing_with_an_unknown_length_leaves_it_to_the_operator() -> None:
     """A jam stalls twice at the same place, too."""
-    bench = Bench()
-    bench.prepare()
+    bench = Bench().prepare()
     bench.spool.wall = -300.0
     assert homed(bench).code == wire.EventCode.ACTIVITY_DONE
     assert not knows_length(bench)
@@ -224,8 +194,7 @@ def test_homing_that_disagrees_with_a_known_length_forgets_it(
     length_cm: float, off_cm: float
 ) -> None:
     """The spool jams for winding in, away from the base."""
-    bench = Bench()
-    bench.grown(round(1e4 * length_cm))
+    bench = Bench().grown(round(1e4 * length_cm))
     bench.spool.wall = 152.0 * (off_cm - length_cm)
     ended = homed(bench)
     assert (ended.code, ended.value) == (
@@ -239,8 +208,7 @@ def test_homing_that_disagrees_with_a_known_length_forgets_it(
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("failure", ["motor", "encoder"])
 def test_homing_fails_when_nothing_turns_or_nobody_sees_it(failure: str, known: bool) -> None:
-    bench = Bench()
-    bench.grown(400_000) if known else bench.prepare()
+    bench = Bench().grown(400_000) if known else Bench().prepare()
     bench.spool.jammed = failure == "motor"
     bench.spool.unseen = failure == "encoder"
     begun = bench.spool.counts
@@ -256,8 +224,7 @@ def test_homing_fails_when_nothing_turns_or_nobody_sees_it(failure: str, known: 
 
 
 def test_a_second_touch_elsewhere_is_no_base() -> None:
-    bench = Bench()
-    bench.grown(20_000)
+    bench = Bench().grown(20_000)
     bench.spool.wall = -304.0
     bench.do(wire.Home())
     bench.until(lambda: bench.board.motor > 0)
@@ -267,8 +234,7 @@ def test_a_second_touch_elsewhere_is_no_base() -> None:
 
 
 def test_a_base_sensor_that_no_muscle_leaves_at_rest_allows_no_sweep() -> None:
-    bench = Bench()
-    bench.zeroed()
+    bench = Bench().zeroed()
     sweep = wire.Sweep((1800, 0), 20_000, 1, 0)
     for element in (0, 5):
         bench.set("trigger_when", 0x80, element=element)  # while none is driven
@@ -280,8 +246,7 @@ def test_a_base_sensor_that_no_muscle_leaves_at_rest_allows_no_sweep() -> None:
 
 
 def test_a_sweep_needs_a_base_sensor() -> None:
-    bench = Bench()
-    bench.grown(0)
+    bench = Bench().grown(0)
     sweep = wire.Sweep((1800, 0), 20_000, 1, 0)
     assert bench.refused(sweep) == wire.Reason.NO_BASE_SENSOR
     bench.do(wire.ConfirmLength(100_000, 1))
@@ -297,8 +262,7 @@ def test_a_sweep_needs_a_base_sensor() -> None:
 
 @pytest.mark.parametrize("dead_zone", [0, 60, wire.PARAMETERS["spool_dead_zone"].high])
 def test_homing_stalls_with_every_dead_zone(dead_zone: int) -> None:
-    bench = Bench()
-    bench.grown(20_000, spool_dead_zone=dead_zone)
+    bench = Bench().grown(20_000, spool_dead_zone=dead_zone)
     bench.spool.wall = -304.0
     assert homed(bench).code == wire.EventCode.ACTIVITY_DONE
     assert bench.safe()
@@ -306,8 +270,7 @@ def test_homing_stalls_with_every_dead_zone(dead_zone: int) -> None:
 
 
 def test_homing_without_a_base_leaves_the_length_unknown() -> None:
-    bench = Bench()
-    bench.prepare(full_length_um=20_000)
+    bench = Bench().prepare(full_length_um=20_000)
     bench.do(wire.Home())
     bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_ABORTED)))
     aborted = bench.event(wire.EventCode.ACTIVITY_ABORTED)[0]
@@ -316,8 +279,7 @@ def test_homing_without_a_base_leaves_the_length_unknown() -> None:
 
 
 def test_retraction_winds_in_only() -> None:
-    bench = Bench()
-    bench.grown(100_000)
+    bench = Bench().grown(100_000)
     bench.do(wire.RetractTo(90_000, 10_000))
     while not bench.event(wire.EventCode.ACTIVITY_DONE):
         bench.step()
@@ -326,11 +288,10 @@ def test_retraction_winds_in_only() -> None:
 
 
 def test_a_sweep_is_followed_and_its_peak_captured() -> None:
-    bench = Bench(body=bend)
-    bench.zeroed()
+    bench = Bench(body=bend).zeroed()
     bench.do(wire.Sweep((1500, 1000), 8000, 1, 0))
     before = len(bench.heard)
-    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING)))
+    bench.until(lambda: bench.ended(wire.Activity.SWEEPING))
     trace = [h.message for h in bench.heard[before:] if isinstance(h.message, wire.Telemetry)]
     sets = np.array([t.set_cpsi for t in trace])
     psi = np.array([t.pressure_cpsi for t in trace])
@@ -355,8 +316,7 @@ def test_a_sweep_is_followed_and_its_peak_captured() -> None:
 
 
 def test_free_curvature_is_the_maps_of_zone_side_and_branch() -> None:
-    bench = Bench(body=bend)
-    bench.zeroed()
+    bench = Bench(body=bend).zeroed()
     points = range(0, 2001, 200)
     for zone in range(3):
         for side in range(2):
@@ -382,8 +342,7 @@ def test_free_curvature_is_the_maps_of_zone_side_and_branch() -> None:
 
 
 def test_a_zero_is_taken_after_stillness_and_drift_forbids_it() -> None:
-    bench = Bench()
-    bench.grown()
+    bench = Bench().grown()
     bench.do(wire.ZeroSensors(0b0000100001))
     bench.until(lambda: bool(bench.event(wire.EventCode.ZEROED)))
     report = bench.get(wire.GetSensor(0), wire.SensorReport)
@@ -412,8 +371,7 @@ def test_a_zero_is_taken_after_stillness_and_drift_forbids_it() -> None:
 
 def _latency_ticks(**parameters: int) -> float:
     """Ticks from a step of base curvature to the contact event, noise-free."""
-    bench = Bench(noise=0.0)
-    bench.zeroed(**parameters)
+    bench = Bench(noise=0.0).zeroed(**parameters)
     assert not bench.event(wire.EventCode.CONTACT)
     tick = bench.board.now_us // 1000
     bench.curvature[:] = 0.02
@@ -438,8 +396,7 @@ def test_only_a_base_that_is_held_back_in_its_bend_fires(
     side: int, held_back: float, fires: bool
 ) -> None:
     """A peg takes curvature from the bend; a base that bends further is the map's error."""
-    bench = Bench(body=bend)
-    bench.zeroed()
+    bench = Bench(body=bend).zeroed()
     psi = (1500, 0) if side == 0 else (0, 1500)
     bench.do(wire.Sweep(psi, 8000, 1, 0))
     towards = 1.0 if side == 0 else -1.0
@@ -451,8 +408,7 @@ def test_only_a_base_that_is_held_back_in_its_bend_fires(
 
 
 def test_a_body_that_swings_back_after_a_vent_fires_only_if_it_stays_bent() -> None:
-    bench = Bench(body=bend)
-    bench.zeroed()
+    bench = Bench(body=bend).zeroed()
     bench.do(wire.SetPressure((1500, 0), 0))
     bench.step(3000)
     bench.do(wire.Vent())
@@ -465,8 +421,7 @@ def test_a_body_that_swings_back_after_a_vent_fires_only_if_it_stays_bent() -> N
 
 
 def test_a_contact_is_latched_with_its_snapshot_and_can_hold_the_sweep() -> None:
-    bench = Bench(body=bend)
-    bench.zeroed()
+    bench = Bench(body=bend).zeroed()
     assert bench.refused(wire.GetSnapshot(255)) == wire.Reason.NO_SNAPSHOT
     bench.do(wire.Sweep((1500, 0), 8000, 1, wire.SweepOption.HOLD_ON_CONTACT.mask))
     # The free body reaches 8 psi, then an obstacle takes 0.001 1/cm for each further psi.
@@ -496,16 +451,16 @@ def test_a_contact_is_latched_with_its_snapshot_and_can_hold_the_sweep() -> None
 
 
 def test_without_hold_the_sweep_goes_on_after_a_contact() -> None:
-    bench = Bench(body=lambda left, right: bend(left, right) - 0.002 * max(0.0, left - 8.0))
-    bench.zeroed()
+    bench = Bench(
+        body=lambda left, right: bend(left, right) - 0.002 * max(0.0, left - 8.0)
+    ).zeroed()
     bench.do(wire.Sweep((1500, 1500), 8000, 1, 0))
-    bench.until(lambda: bool(bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING)))
+    bench.until(lambda: bench.ended(wire.Activity.SWEEPING))
     assert [e.arg for e in bench.event(wire.EventCode.CONTACT)] == [0]
 
 
 def test_the_pressurised_sides_readings_do_not_count() -> None:
-    bench = Bench(body=bend)
-    bench.zeroed()
+    bench = Bench(body=bend).zeroed()
     bench.do(wire.Sweep((1500, 1500), 8000, 1, 0))
     while not bench.event(wire.EventCode.ACTIVITY_DONE, wire.Activity.SWEEPING):
         # Wrinkles on the active side, of twice the threshold.
@@ -531,8 +486,7 @@ def renamed(eeprom: bytes, old_id: int, new_id: int) -> bytes:
 
 
 def test_stored_parameters_survive_another_firmware_and_the_board_tells_which_did_not() -> None:
-    bench = Bench()
-    bench.prepare(settle_ms=44_000)
+    bench = Bench().prepare(settle_ms=44_000)
     settle, stall = wire.PARAMETERS["settle_ms"], wire.PARAMETERS["stall_ms"]
     bench.set("stall_ms", 456)
     bench.do(wire.SaveConfig())
@@ -559,8 +513,7 @@ def test_stored_parameters_survive_another_firmware_and_the_board_tells_which_di
 
 
 def test_a_vent_counts_both_muscles_pressures() -> None:
-    bench = Bench()
-    bench.grown()
+    bench = Bench().grown()
     vented = wire.Condition.VENTED.mask
     assert bench.status().conditions & vented
     bench.override[11] = pressure_count(0.8)
