@@ -206,28 +206,15 @@ def test_frames_before_the_touch_teach_a_map_that_is_a_tenth_off() -> None:
 
 
 @pytest.mark.parametrize("bends", [1.1, 0.9])
-def test_a_touch_of_a_body_that_bends_more_than_its_map_is_known(bends: float) -> None:
-    """Such a body is held back by less than the trigger's threshold against the map."""
-    rng, response = np.random.default_rng(6), FreeResponse(CONFIG)
-    for _ in range(4):
-        response.learn(_free_sweep(bends, 0.0, rng), "left", 2)
-    sweep = _free_sweep(bends, 0.0, rng)
-    free = np.array([frame.free_curvature for frame in sweep.frames])
-    sweep.curvature[:] -= np.where(free > 0.025, 0.0065, 0.0)[:, None]
-    base = sweep.curvature[:, 5] - free
-    sweep.frames[:] = [
-        replace(frame, excess=each) for frame, each in zip(sweep.frames, base.tolist(), strict=True)
+def test_a_touch_of_a_body_that_bends_otherwise_than_its_map_is_felt(bends: float) -> None:
+    frames = [
+        replace(frame, excess=frame.excess + (bends - 1.0) * frame.free_curvature)
+        for frame in _half("left", -1.3 / 600, 14.0, noise=4e-4)
     ]
-    against = response.against(sweep, 2)
-    assert felt_sides(against) == {"left"}
-    onset = touch_curvature(against.frames, "left")
-    if bends > 1.0:
-        assert touch_curvature(sweep.frames, "left") is None
-        assert onset == pytest.approx(0.025, abs=1e-3)
-    else:  # by the map, as without learning
-        assert onset == touch_curvature(sweep.frames, "left")
-    unread = replace(sweep, curvature=np.full_like(sweep.curvature, np.nan))
-    assert response.against(unread, 2).frames == sweep.frames
+    sweep = SweepResult(frames=frames)
+    assert felt_sides(sweep) == {"left"}
+    touch = touch_mass(frames, "left", bend_grid(53.0), 1.6e-3)
+    assert touch @ bend_grid(53.0) == pytest.approx(14 / 600, abs=1e-3)
 
 
 def test_a_body_that_swings_as_a_sweep_begins_does_not_bend_the_map() -> None:

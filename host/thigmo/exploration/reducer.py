@@ -118,12 +118,10 @@ class Reducer:
 
     def has_looked(self, sweep: SweepResult, zone: int) -> None:
         """A sweep for contacts has ended, in a zone of body pressure."""
-        self.looked = self.found.against_learnt(sweep, zone)
-        self.measured, self.answers, self._zone = None, [], zone
+        self.looked, self.measured, self.answers, self._zone = sweep, None, [], zone
 
     def has_measured(self, sweep: SweepResult, zone: int) -> None:
         """The sides with a contact were swept again, for the first time or once more, in a zone."""
-        sweep = self.found.against_learnt(sweep, zone)
         if self.measured:
             sweep = replace(SweepResult.joined([self.measured, sweep]), truth=sweep.truth)
         self.measured, self._measured_zone = sweep, zone

@@ -18,14 +18,13 @@ errors that readings share. The thesis compared with the map alone.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo import wiring
-from thigmo.config import SIDES, SIGN, RobotConfig, Side
+from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.robot import SensorTable, SweepResult
 from thigmo.robot.curvature import Floats
 
@@ -169,30 +168,6 @@ class FreeResponse:
         effect[:, self._scale + zone] = free
         effect[:, self._offset + zone] = 1.0
         return effect
-
-    def against(self, sweep: SweepResult, zone: int) -> SweepResult:
-        """The sweep with its base's excess against the free body, if that bends more than mapped.
-
-        By the map alone such a body seems to be touched late, or never. Where it seems to bend less
-        the map stands: a contact that was taken for the free body would hide itself from then on.
-        """
-        frames, bases = list(sweep.frames), np.array(wiring.base_inputs(self._config), dtype=int)
-        for side in self._config.sides:
-            mine = np.flatnonzero([frame.side == side for frame in frames])
-            use = bases[self._table.usable(side, sweep.sensors)[bases]]
-            if not (mine.size and use.size):
-                continue
-            mean = self._posterior(SIDES.index(side))[0]
-            free = np.array([frames[n].free_curvature for n in mine])
-            learnt = [
-                self._effect(np.full(mine.size, n), zone, free, sweep.curvature[mine, n]) @ mean
-                for n in use
-            ]
-            # A record with a gap may lack a sensor's zero.
-            more = np.fmax(SIGN[side] * np.mean(learnt, axis=0), 0.0)
-            for n, each in zip(mine, (SIGN[side] * more).tolist(), strict=True):
-                frames[n] = replace(frames[n], excess=frames[n].excess - each)
-        return replace(sweep, frames=frames)
 
     def expected(
         self, side: Side, zone: int, free_curvature: float, curvature: Floats, use: Mask

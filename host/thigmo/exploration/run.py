@@ -348,7 +348,6 @@ class Exploration:
 
         The latter is measured again, slowly, with every sensor.
         """
-        so_far = self._found.against_learnt(so_far, self._zone)
         side = so_far.peaks[-1].side
         held = held_now(so_far.frames, side)
         if held <= TRIGGER_PER_CM:
@@ -367,7 +366,6 @@ class Exploration:
         Publishes what it feels so far to viewers.
         """
         zone = self._measured_zone
-        so_far = self._found.against_learnt(so_far, zone)
         if self.live.due and (answer := self._found.so_far(so_far, zone)) is not None:
             self.live.posterior(self.length_cm, answer, sweeping=True)
         held = held_now(so_far.frames, so_far.peaks[-1].side)

@@ -32,7 +32,7 @@ BEND_SHARE, BEND_LEAST = 0.02, 2e-4
 # From the touch on the base is held back by so much of what the free body bends on, with one sigma:
 # 1.5 (1 - x / s) for the base's reading at x and a contact at s, that of a thin beam.
 _SLOPE, _SLOPE_STD = 1.25, 0.25
-_TILT = 0.05  # one sigma of the slope before it: what is left of errors of map and gain
+_TILT = 0.09  # one sigma of the slope before it: errors of the map and of the base's gain
 _SLIDES = 0.01  # 1/cm of held-back base from which the contact may slide, or the base fold
 _ALIKE = 3.0  # frames that count as one: swings and hysteresis last longer than a frame
 _STATED = 4.0  # weight of the stated noise, in such frames

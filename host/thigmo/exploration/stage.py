@@ -61,10 +61,6 @@ class Interpreter:
         self._bends = bend_grid(config.body.length_cm)
         self.map = ContactMap(config, prior)  # contacts so far
 
-    def against_learnt(self, sweep: SweepResult, zone: int) -> SweepResult:
-        """The sweep with its base's excess against what the sweeps before have taught."""
-        return self._response.against(sweep, zone)
-
     def felt_sides(self, sweep: SweepResult) -> set[Side]:
         """Sides on which a sweep touched something, and whose body was not caught before."""
         touched = {side for side in SIDES if np.ptp(self._touch(sweep, side)) > 0}
