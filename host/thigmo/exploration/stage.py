@@ -40,10 +40,10 @@ _AVERAGED = 5  # frames behind a shape, a quarter of a second
 # A 95 % interval this narrow ends a sweep, in diameters of the tube. Contacts on the tip's end need
 # it: at 5 cm they were 0.8 cm farther off on a tube of 3.5 cm, for 7 s of robot time less.
 ENOUGH = 3.0 / 3.5
-# Probability from which a contact counts although the base was not held back.
+# Probability from which a contact counts although the base shows no touch.
 _CERTAIN = 0.99
 _CAUGHT = "the body was held bent before the muscle bent it: its tip is caught, place unknown"
-_NOT_HELD = "the base was not held back for a quarter of a second: noise, and no peg"
+_NO_TOUCH = "the base was not held back as by an obstacle: noise, or a map that bends too much"
 
 
 class Interpreter:
@@ -72,7 +72,7 @@ class Interpreter:
     def localize(
         self, sweep: SweepResult, measuring: SweepResult | None, zone: int, measured_zone: int
     ) -> list[PeakAnswer]:
-        """Contacts of a stage: where the base was held back, or the readings leave no doubt.
+        """Contacts of a stage: where a touch was found, or the readings leave no doubt.
 
         Of a side that was measured again, that peak counts.
         """
@@ -164,7 +164,7 @@ class Interpreter:
             shapes=[*shapes, *(answer.shape for answer in answers)],
             triggers=[
                 Trigger(
-                    t.side, t.t_s, t.excess_per_cm, *said.get(t.side, ("no contact", _NOT_HELD))
+                    t.side, t.t_s, t.excess_per_cm, *said.get(t.side, ("no contact", _NO_TOUCH))
                 )
                 for t in sweep.triggers
             ],
