@@ -343,7 +343,7 @@ LONG = (
     "camera",
 )
 # The rules were chosen while looking at rooms of the usual seed: the table has others.
-SEEDS = {"exploration": ("--seed", "30")}
+SEEDS = {"exploration": ("--seed", "31")}
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,
     "robots": _robots,
