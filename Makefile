@@ -5,8 +5,8 @@ BIN    := $(VENV)/bin
 # Rebuild the extensions when their sources, the schema or the packaging change.
 CORE   := $(shell find firmware/core firmware/virtual host/thigmo -name '*.h' -o -name '*.cpp') CMakeLists.txt pyproject.toml
 
-# Tests run on this many cores. Those in real time mostly wait for it: more of them run at once, but
-# with browsers among them one after the other.
+# Tests run on this many cores. Tests in real time mostly wait, so more of them run at once, except
+# where a browser takes part: those run one after the other.
 WORKERS  ?= 2
 WAITING  ?= 6
 PYTEST  := $(BIN)/pytest -q
@@ -22,7 +22,7 @@ help:
 	@echo "make install  set up $(VENV) only"
 	@echo "make lint     types, style, layers, generated files"
 	@echo "make bench    the large studies (minutes)"
-	@echo "make soak     an hour of random commands and faults on the simulated Mega (a quarter of one)"
+	@echo "make soak     an hour of robot time with random commands and faults on the simulated Mega"
 	@echo "make figures  run everything behind the figures in docs/ and README, and write them there"
 	@echo "make docs     build the site into build/site; every command and cell on it runs"
 	@echo "make firmware the Mega's image, with its size (needs avr-gcc)"
@@ -41,9 +41,10 @@ $(BIN)/python:
 	$(BIN)/pip install --quiet --no-build-isolation --editable '.[all,dev,bench]'
 	@touch $@
 
-# ROS 2 itself with the package ros/thigmo_ros, for the tests to talk to: in an environment of its
-# own, for it takes over the interpreter of the one that it is in. The wheels leave out some of what
-# they need (the second half of the list), and name folders of the machine that built them.
+# ROS 2 itself with the package ros/thigmo_ros, for the tests to talk to. It has an environment of
+# its own, because it replaces the interpreter of the environment that it is installed in. Its wheels
+# leave out some of what they need (the second half of the list), and name folders of the machine
+# that built them.
 ROS := $(addprefix ros-jazzy-, rclpy rmw-fastrtps-cpp nav-msgs sensor-msgs diagnostic-msgs std-srvs \
        visualization-msgs \
        rosidl-default-generators ament-cmake \

@@ -67,25 +67,25 @@ class Kind:
 TRUE, MORE = CALIBRATED = ("as calibrated", "one to three pegs")  # of the default scene's robot
 WALLS, STALLS = "walls, corners, gaps", "stalls, empty"
 KINDS: dict[str, Kind] = {
-    TRUE: Kind(20),
-    "bends 10 % less": Kind(7, bend=0.9),
-    "bends 5 % less": Kind(7, bend=0.95),
-    "bends 5 % more": Kind(6, bend=1.05),
-    "bends 10 % more": Kind(7, bend=1.1),
-    "gains 5 % off": Kind(6, gains=0.05),
-    "gains 10 % off": Kind(7, gains=0.1),
-    MORE: Kind(40, more=True),
-    WALLS: Kind(60, wall=True, rubs=0.6),
-    STALLS: Kind(20, peg=False, friction=(0.006, 0.012)),
-    "scene noisy": Kind(10, scene="noisy"),
-    "empty": Kind(10, peg=False),
-    "empty, scene noisy": Kind(10, scene="noisy", peg=False),
-    "empty, 4 times the noise": Kind(10, noise=4.0, peg=False),
+    TRUE: Kind(60),
+    "bends 10 % less": Kind(20, bend=0.9),
+    "bends 5 % less": Kind(20, bend=0.95),
+    "bends 5 % more": Kind(20, bend=1.05),
+    "bends 10 % more": Kind(20, bend=1.1),
+    "gains 5 % off": Kind(20, gains=0.05),
+    "gains 10 % off": Kind(20, gains=0.1),
+    MORE: Kind(80, more=True),
+    WALLS: Kind(240, wall=True, rubs=0.6),
+    STALLS: Kind(40, peg=False, friction=(0.006, 0.012)),
+    "scene noisy": Kind(20, scene="noisy"),
+    "empty": Kind(20, peg=False),
+    "empty, scene noisy": Kind(20, scene="noisy", peg=False),
+    "empty, 4 times the noise": Kind(20, noise=4.0, peg=False),
 }
 _OTHERS = tuple(name for name, kind in KINDS.items() if kind.bend != 1.0 or kind.gains)
 _NOISY = tuple(name for name in KINDS if "noisy" in name or "empty," in name or name == "empty")
 # Rooms of each kind in which every effort is tried: what is promised of them is of one peg.
-DIALLED = {TRUE: 20, MORE: 6, WALLS: 6}
+DIALLED = {TRUE: 40, MORE: 12, WALLS: 12}
 BUDGETS_S = (60.0, 100.0, 150.0, 250.0, 400.0)
 SETTINGS = ("thesis", *EFFORTS, *(f"{time_s:g} s" for time_s in BUDGETS_S))
 _NEAR_CM = 1.5  # distance to a surface within which an occupied cell is right
@@ -418,30 +418,33 @@ def _claims(found: list[Explored]) -> list[Claim]:
     def total(some: list[Explored], what: str) -> float:
         return float(sum(getattr(one, what) for one in some))
 
+    def per(rooms: int, some: list[Explored], what: str) -> float:
+        return rooms * total(some, what) / max(len(some), 1)
+
     def missed(some: list[Explored]) -> float:
         return 100 * total(some, "touched_missed") / max(total(some, "touched"), 1.0)
 
     walls, stalls, several, pegs = of(WALLS), of(STALLS), of(MORE), of(TRUE, *_OTHERS)
     noisy = share([one.far > 0 for one in of(*_NOISY)])
-    held = total(walls, "contacts_localized") - total(walls, "contacts_wrong")
+    held = per(60, walls, "contacts_localized") - per(60, walls, "contacts_wrong")
     stalled = [one for one in stalls if one.cause]
     one_peg, off = f"one peg, {len(pegs)} rooms", f"{_OFF_CM:g} cm"
     empty, more = f"{STALLS}, {len(stalls)} rooms", f"{MORE}, {len(several)} rooms"
     walled = f"{WALLS}, {len(walls)} rooms"
     return [
-        Claim(f"{walled}: localized wrong", total(walls, "contacts_wrong"), 1.0),
-        Claim(f"{WALLS}: localized, and held", held, 8.0, False),
-        Claim(f"{WALLS}: false contacts, a room", total(walls, "far") / max(len(walls), 1), 0.3),
+        Claim(f"{walled}: localized wrong, of 60 rooms", per(60, walls, "contacts_wrong"), 1.0),
+        Claim(f"{WALLS}: localized, and held, of 60 rooms", held, 8.0, False),
+        Claim(f"{WALLS}: false contacts, a room", per(1, walls, "far"), 0.3),
         Claim(f"{WALLS}: contacts missed by {off}", missed(walls), 20.0, unit="%"),
         Claim(f"{empty}: localized", total(stalls, "contacts_localized"), 0.0),
         Claim(
             f"{STALLS}: of {len(stalled)} that stalled, the cause is true after a trial",
             share([one.cause == "pressure" for one in stalled]), 0.8, False,
         ),
-        Claim(f"{one_peg}: missed by {off}", total(pegs, "touched_missed"), 1.0),
-        Claim(f"{one_peg}: false contacts", total(pegs, "far"), 1.0),
-        Claim(f"{one_peg}: localized wrong", total(pegs, "contacts_wrong"), 1.0),
-        Claim(f"{more}: localized wrong", total(several, "contacts_wrong"), 2.0),
+        Claim(f"{one_peg}: missed by {off}, of 60 rooms", per(60, pegs, "touched_missed"), 1.0),
+        Claim(f"{one_peg}: false contacts, of 60 rooms", per(60, pegs, "far"), 1.0),
+        Claim(f"{one_peg}: localized wrong, of 60 rooms", per(60, pegs, "contacts_wrong"), 1.0),
+        Claim(f"{more}: localized wrong, of 40 rooms", per(40, several, "contacts_wrong"), 2.0),
         Claim(f"{MORE}: contacts missed by {off}", missed(several), 10.0, unit="%"),
         Claim(f"{TRUE}: median |x error|", _median_x(of(TRUE)), 3.0, unit="cm"),
         Claim("noisy or empty: runs with false contacts", noisy, 0.03),
