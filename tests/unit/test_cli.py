@@ -265,6 +265,7 @@ def test_every_bad_argument_is_one_clear_line(
         (["explor"], r"No such command 'explor'.*'explore'.*`thigmo --help`"),
         (["localize"], r"Missing argument .*`thigmo localize --help`"),
         (["localize", "r.csv"], r"Missing option '--length'"),
+        (["localize", "--length"], r"requires an argument; see `thigmo localize --help`"),
         (["params"], r"Missing option '--robot'"),
         (["watch", ""], r"Invalid value for .*: it is empty"),
         (["ros", ""], r"Invalid value for .*: it is empty"),

@@ -47,12 +47,12 @@ class _Thigmo(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the subcommand."""
-        with _reported():
+        with _reported(ctx):
             return super().invoke(ctx)
 
 
 @contextmanager
-def _reported() -> Iterator[None]:
+def _reported(group: Any = None) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
@@ -62,7 +62,9 @@ def _reported() -> Iterator[None]:
         if type(error).show is not _UsageError.show:  # no argument at all: its help is shown
             raise
         said = " ".join(error.format_message().split()).rstrip(".").replace("Value error, ", "")
-        path = error.ctx.command_path if error.ctx else "thigmo"
+        # An option without its argument is reported without the context of its command.
+        command = f" {group.invoked_subcommand}" if group else ""
+        path = error.ctx.command_path if error.ctx else f"thigmo{command}"
         typer.echo(f"thigmo: {said}; see `{path} --help`", err=True)
         raise typer.Exit(error.exit_code) from None
 
