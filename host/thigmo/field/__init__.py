@@ -1,0 +1,1 @@
+"""Where obstacles stand beside the body: one fit to every frame of all sweeps of a side."""

@@ -1,0 +1,331 @@
+"""One side's readings as a function of what stands in the plane, with calibration's errors.
+
+  a frame's readings = mechanics(what stands in the plane, bend of the free body) + errors
+
+Obstacles stand still, so the same few numbers explain all sweeps at all everted lengths, those that
+felt nothing included. Calibration's errors are Gaussian and small: they are integrated out around
+their best fit (Laplace). An unknown relative error of the mechanics has a few levels, which the
+posterior weighs: where a body is not the model's, answers widen. docs/methods.md derives it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.field.hypotheses import (
+    FOLD,
+    FRICTION,
+    NOTHING,
+    Body,
+    Hypothesis,
+    untouched,
+)
+from thigmo.field.readings import Errors, Floats, Readings
+from thigmo.mechanics import Rod, Tube
+
+# Rows of a table of the mechanics: turns (rad) of the whole body between them, and the share of a
+# sweep's highest bend up to which errors of the map may take it.
+ROW_TURN, BEYOND = 0.037, 1.15
+CELL = 3.0 / 53  # of the length, of the elastica's mesh: an error below 1e-4 1/cm
+# Bins that count as one reading: swings and loops of hysteresis outlast a bin.
+ALIKE = 2.0
+# Standard deviation of the logarithm by which gains and maps have drifted more than stated.
+SPREAD_STD = 0.4
+MOST_PASSES = 12
+_DAMPING, _LEAST_DAMPING, _RAISED = 1e-2, 1e-4, 6.0
+_TRIES = 5  # of a step, each with more damping
+_GAIN = 0.02  # log likelihood below which a pass ends the fit
+_LARGEST_TURN = 0.13  # rad at the end of the body, of one step of the touch's bend
+
+
+class Touch(NamedTuple):
+    """Contacts by bend (k) and peg (p) at one stage; NaN where there is none."""
+
+    arc: Floats  # (k, p) cm
+    x: Floats  # (k, p) of the touched skin, cm
+    y: Floats
+    normal: Floats  # (k, p) direction from the centreline to the contact, rad
+    force: Floats  # (k, p) across the body, over EI, 1/cm^2
+
+
+class Tables(NamedTuple):
+    """The mechanics of what stands there, by stage (s), bend (k) and sensor (m)."""
+
+    mean: Floats  # (s, k, m) what sensors read, 1/cm
+    shift: Floats  # (s, k, m) by how much that grows for each cm farther out
+    touch: tuple[Touch | None, ...]  # of each stage; None: it reaches nothing
+    folds: bool  # whether the base folds in any row
+
+
+class Departures(NamedTuple):
+    """Whitened departures of the readings from a prediction."""
+
+    z: Floats  # (n m,)
+    effect: Floats  # (n m, count) derivatives of the prediction by the errors, whitened
+    weight: Floats  # (n, m) of the whitening, for `whitened`
+    along: Floats  # (n, m) bin's error of the bend, whitened
+    volume: float  # logarithm of the noise's volume
+    value: Floats  # (n, m) prediction
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A most probable explanation."""
+
+    hypothesis: Hypothesis
+    q: Floats  # (unknowns,)
+    xi: Floats  # (count,) errors in standard deviations
+    tables: Tables
+    cost: float  # -2 log posterior, less what all share
+    precision: Floats  # (unknowns, unknowns) with the errors integrated out
+
+
+class FieldFit:
+    """One side's readings with the errors of calibration; `model` is the mechanics' error."""
+
+    def __init__(
+        self, readings: Readings, errors: Errors, *, model: float = 0.0, row: float = 1.0
+    ) -> None:
+        """`model`: relative error of what a contact adds to a reading; `row`: coarser tables."""
+        self.readings, self.errors, self.model, self.row = readings, errors, model, row
+        self.longest = max(stage.length for stage in readings.stages)
+        self.step = row * ROW_TURN / self.longest
+        top = BEYOND * float(readings.bend.max()) + 2 * self.step
+        self.bends = np.arange(0.0, top + self.step, self.step)
+        self.body = Body(readings.radius, self.longest, float(self.bends[-1]), errors.fold)
+        self.missing = ~np.isfinite(readings.curvature)
+        self._sd = np.where(self.missing, np.inf, readings.noise * np.sqrt(ALIKE))
+        highest = [readings.bend[readings.stage == s].max() for s in range(len(readings.stages))]
+        self._rows = [
+            min(int(BEYOND * g / self.step) + 4, self.bends.size) for g in np.maximum(highest, 0.0)
+        ]
+        # Half a centimetre to either side: the derivative by a sensor's place.
+        m = readings.centers.size
+        aside = 0.5
+        self._places = np.concatenate(
+            [readings.centers, readings.centers - aside, readings.centers + aside]
+        )
+        self._spans, self._read = np.tile(readings.spans, 3), np.empty(3 * m)
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """What each error of one sigma adds to the bend (n, .) and to a reading (n, m, .)."""
+        r, e = self.readings, self.errors
+        g, (n, m) = r.bend[:, None], r.curvature.shape
+        zone = np.array([s.zone for s in r.stages])[r.stage]
+        zones = np.eye(r.fold_moment.size)[zone]
+        sweeps, zeroings = np.eye(r.sweep.max() + 1)[r.sweep], np.eye(r.zeroing.max() + 1)[r.zeroing]
+        on_bend = [e.map * g, e.map_zone * g * zones, e.map_offset * zones]
+        on_bend += [e.sweep * g * sweeps, e.sweep_offset * sweeps, e.lag_s * r.rate[:, None]]
+        self.on_bend = np.hstack(on_bend)
+        parts = [
+            np.einsum("nc,m,mj->nmcj", times, sd, np.eye(m)).reshape(n, m, -1)
+            for times, sd in (
+                (np.ones((n, 1)), e.zero), (zeroings, e.zero_zeroing), (sweeps, e.zero_sweep)
+            )
+        ]  # fmt: skip
+        if e.shared.size:
+            parts.append(np.einsum("nc,mj->nmcj", sweeps, e.shared).reshape(n, m, -1))
+        self.on_zero = np.concatenate(parts, axis=2)
+        self._drifts = np.zeros(self.on_bend.shape[1], dtype=bool)
+        self._drifts[: 1 + zones.shape[1]] = True  # the map's scales
+        self._gain = self.on_bend.shape[1]
+        self._place, self._against = self._gain + m, self._gain + 2 * m
+        self._zero = self._against + 1
+        self._modelled = self._zero + self.on_zero.shape[2]
+        self.count = self._modelled + (m if self.model else 0)
+
+    def free(self) -> Floats:
+        """(count,) errors that are all nil."""
+        return np.zeros(self.count)
+
+    def tables(self, hypothesis: Hypothesis, q: Floats) -> Tables:
+        """The mechanics of q; nearly all of the time goes here."""
+        r, m = self.readings, self.readings.centers.size
+        pegs = hypothesis.place(q, r.radius)
+        mean = np.tile(self.bends[:, None], (len(r.stages), 1, m))
+        shift = np.zeros(mean.shape)
+        touches: list[Touch | None] = []
+        folds = False
+        out = self._read
+        for s, (length, zone) in enumerate(r.stages):
+            rows, touch = self._rows[s], None
+            bends = self.bends[:rows]
+            first = min((untouched(p, length, r.radius, bends) for p in pegs), default=rows)
+            if first < rows:
+                where = np.full((5, rows, len(pegs)), np.nan)
+                tube = Tube(2 * r.radius, float(r.fold_moment[zone] * np.exp(q[FOLD])))
+                rod = Rod(
+                    tube, pegs, model="auto", cell_cm=CELL * self.longest,
+                    friction=abs(float(q[FRICTION])),
+                )  # fmt: skip
+                rod.assume_free(float(bends[first]), length)
+                for k in range(first, rows):
+                    rod.step(float(bends[k]), length)
+                    rod.averages_into(self._places, self._spans, out)
+                    mean[s, k], shift[s, k] = out[:m], out[2 * m :] - out[m : 2 * m]
+                    if rod.touching:
+                        folds |= rod.fold_angle != 0.0
+                        for peg, arc, _, normal, *_, x, y, force_x, force_y in rod._contacts():
+                            away = float(np.arctan2(-force_y, -force_x))
+                            where[:, k, peg] = arc, x, y, away, normal
+                mean[s, rows:], shift[s, rows:] = mean[s, rows - 1], shift[s, rows - 1]
+                touch = Touch(*where)
+            touches.append(touch)
+        return Tables(mean, shift, tuple(touches), folds)
+
+    def bend(self, xi: Floats, spread: float = 1.0) -> Floats:
+        """(n,) bends of the free body as the errors have it; `spread` scales drifts."""
+        along = xi[: self._gain] * np.where(self._drifts, spread, 1.0)
+        bend: Floats = np.clip(self.readings.bend + self.on_bend @ along, 0.0, self.bends[-2])
+        return bend
+
+    def predict(
+        self, tables: Tables, xi: Floats, spread: float = 1.0
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Readings (n, m), their slope over the bend, derivatives (n, m, count) by xi, the bend.
+
+        `xi` are the errors in their standard deviations: each is N(0, 1) beforehand.
+        """
+        e, r, m = self.errors, self.readings, self.readings.centers.size
+        j, p, b, o = self._gain, self._place, self._against, self._zero
+        gain, place = 1 + spread * e.gain * xi[j:p], e.place * xi[p:b]
+        bend = self.bend(xi, spread)
+        whole, part = np.divmod(bend / self.step, 1)
+        k, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[:, None]
+        low, high = tables.mean[r.stage, k], tables.mean[r.stage, k + 1]
+        shift = tables.shift[r.stage, k] * (1 - u) + tables.shift[r.stage, k + 1] * u
+        true = low * (1 - u) + high * u + shift * place
+        back = true < 0  # a flex sensor answers less to a bend against its valid direction
+        answer = np.where(back, e.against[0] + e.against[1] * xi[b], 1.0)
+        slope = gain * answer * (high - low) / self.step
+        effect = np.zeros((*true.shape, self.count))
+        along = self.on_bend * np.where(self._drifts, spread, 1.0)
+        effect[..., :j] = slope[..., None] * along[:, None]
+        sensors = np.arange(m)
+        effect[:, sensors, j + sensors] = spread * e.gain * answer * true
+        effect[:, sensors, p + sensors] = e.place * gain * answer * shift
+        effect[..., b] = e.against[1] * gain * true * back
+        effect[..., o : self._modelled] = self.on_zero
+        value = gain * answer * true + self.on_zero @ xi[o : self._modelled]
+        if self.model:
+            added = self.model * (true - bend[:, None])
+            effect[:, sensors, self._modelled + sensors] = added
+            value = value + added * xi[self._modelled :]
+        return value, slope, effect, bend
+
+    def departures(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Departures:
+        """Departures from a prediction.
+
+        The noise is white, plus the mechanics' error, plus each bin's error of the bend, which all
+        of its sensors share (a rank-one update).
+        """
+        value, slope, effect, bend = self.predict(tables, xi, spread)
+        added = self.model * (value - bend[:, None]) / self._sd
+        weight = 1 / (self._sd * np.sqrt(1 + added**2))
+        along = weight * slope * self.errors.bend_bin
+        volume = float(np.log1p((along**2).sum(axis=1)).sum() + np.log1p(added**2).sum())
+        left = np.where(self.missing, 0.0, self.readings.curvature - value)
+        white = whitened(left, weight, along), whitened(effect, weight, along)
+        return Departures(*white, weight, along, volume, value)
+
+    def evidence(
+        self, tables: Tables, xi: Floats, *, spread: float = 1.0, passes: int = 2
+    ) -> tuple[float, Floats, float]:
+        """log p(readings | q) with errors integrated out, their best fit, and the misfit.
+
+        The evidence lacks what all q share. The misfit is the sum of squares that the best errors
+        leave: the mean is about the number of readings if the model holds.
+        """
+        for left in range(passes, -1, -1):
+            z, effect, _, _, volume, _ = self.departures(tables, xi, spread)
+            factor = np.linalg.cholesky(effect.T @ effect + np.eye(self.count))
+            if left:
+                right = np.linalg.solve(factor, effect.T @ z - xi)
+                xi = xi + np.linalg.solve(factor.T, right)
+        inside = 2 * float(np.log(np.diag(factor)).sum())
+        misfit = float(z @ z + xi @ xi)
+        return -0.5 * (misfit + inside + volume), xi, misfit
+
+    def nothing(self) -> Mode:
+        """The readings' explanation by errors alone."""
+        tables = self.tables(NOTHING, np.zeros(0))
+        log, xi, _ = self.evidence(tables, self.free())
+        return Mode(NOTHING, np.zeros(0), xi, tables, -2 * log, np.zeros((0, 0)))
+
+    def solve(
+        self,
+        hypothesis: Hypothesis,
+        q: Floats,
+        xi: Floats | None = None,
+        *,
+        passes: int = MOST_PASSES,
+        held: tuple[int, ...] = (),
+    ) -> Mode:
+        """The most probable q and errors near a start: Gauss-Newton, damped. q[held] stay."""
+        q = np.array(q, dtype=float)
+        xi = self.free() if xi is None or xi.size != self.count else xi
+        unit = self.longest
+        tiny = hypothesis.columns((0.005 * unit, 5e-3 / unit, 0.15), 0.03, 0.02)
+        most = hypothesis.columns((0.06 * unit, _LARGEST_TURN / unit, 0.6), 0.15, 0.3)
+        mean, spread = hypothesis.bells(self.body)
+        precision = np.concatenate([1 / spread**2, np.ones(self.count)])
+
+        def cost_at(q: Floats, xi: Floats) -> tuple[float, Tables, Departures]:
+            tables = self.tables(hypothesis, q)
+            d = self.departures(tables, xi)
+            prior = -2 * hypothesis.log_prior(q, self.body)
+            return float(d.z @ d.z + xi @ xi + d.volume + prior), tables, d
+
+        cost, tables, d = cost_at(q, xi)
+        damping, hessian = _DAMPING, np.eye(q.size + self.count)
+        for _ in range(passes):
+            fixed = set(held)
+            fixed |= set() if tables.folds else {q.size + FOLD}
+            if not any(touch is not None for touch in tables.touch):
+                fixed |= {q.size + FRICTION}
+            by_q = np.zeros((*d.value.shape, q.size))
+            for i in set(range(q.size)) - fixed:
+                moved = self.tables(hypothesis, q + tiny * (np.arange(q.size) == i))
+                by_q[..., i] = (self.predict(moved, xi)[0] - d.value) / tiny[i]
+            jacobian = np.hstack([whitened(by_q, d.weight, d.along), d.effect])
+            hessian = jacobian.T @ jacobian + np.diag(precision)
+            slope = jacobian.T @ d.z - np.concatenate([(q - mean) / spread**2, xi])
+            slope[list(held)] = 0.0
+            ahead = None
+            for _ in range(_TRIES):
+                damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
+                by = np.linalg.solve(damped, slope)
+                by[: q.size] /= max(1.0, float(np.max(np.abs(by[: q.size]) / most)))
+                by[list(held)] = 0.0
+                trial = q + by[: q.size]
+                if hypothesis.possible(trial, self.body):
+                    better = cost_at(trial, xi + by[q.size :])
+                    if better[0] < cost:
+                        ahead = trial, xi + by[q.size :]
+                        break
+                damping *= _RAISED
+            if ahead is None:
+                break
+            gained, damping = cost - better[0], max(damping / _RAISED, _LEAST_DAMPING)
+            (q, xi), (cost, tables, d) = ahead, better
+            if gained < _GAIN:
+                break
+        k = q.size
+        inner = hessian[:k, k:] @ np.linalg.solve(hessian[k:, k:], hessian[k:, :k])
+        return Mode(hypothesis, q, xi, tables, cost, hessian[:k, :k] - inner)
+
+
+def whitened(x: npt.NDArray[np.float64], weight: Floats, along: Floats) -> Floats:
+    """Whiten x (n, m, ...) by weights (n, m) and a rank-one part of each bin; (n m, ...)."""
+    squared = np.sum(along**2, axis=1)
+    share = (1 - 1 / np.sqrt(1 + squared)) / np.maximum(squared, 1e-30)
+    z = x * weight.reshape(*weight.shape, *[1] * (x.ndim - 2))
+    common = np.einsum("n,nm,nm...->n...", share, along, z)
+    z = z - np.einsum("nm,n...->nm...", along, common)
+    white: Floats = z.reshape(-1, *x.shape[2:])
+    return white

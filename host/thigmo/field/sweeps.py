@@ -1,0 +1,134 @@
+"""From a robot's sweeps and its robot.toml to what the fit takes.
+
+Frames of a half sweep's way up are averaged into bins; sensors that have not settled count by their
+average at the peak alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from thigmo import wiring
+from thigmo.config import SIGN, RobotConfig, Side
+from thigmo.field.readings import Errors, Floats, Readings, Stage
+from thigmo.mechanics import critical_moment
+from thigmo.robot import SensorTable, SweepResult
+
+_FRAMES = 5  # of 20 Hz, in a bin
+_SWINGS_S = 0.7  # at its start a half sweep swings
+_FLOOR = 1e-4  # 1/cm, least error of a bin: the board's rounding
+_PEAK_FRAMES = 10
+_ENOUGH = 8  # frames whose scatter says the noise
+# Drift of a gain since its calibration, relative [assumed]. Shares of `zero_se` that stay for a run,
+# change with each zeroing and with each sweep; a loop of hysteresis keeps to one side while the
+# pressure rises.
+_GAIN_DRIFT = 0.04
+_ZERO_PARTS = 1.1, 0.4, 0.28
+_CENTER_CM = 0.1  # one sigma of a sensor's centre, as by a ruler
+_ZONE_DRIFT, _LEAST_OFFSET = 0.01, 8e-4
+_FOLD = 0.1  # least relative error of the moment that folds: a body regulator is set by hand
+
+
+class Swept(NamedTuple):
+    """A sweep, and the zone of body pressure in which it was made."""
+
+    sweep: SweepResult
+    zone: int
+
+
+def fold_moment(config: RobotConfig, zone: int) -> float:
+    """Contact moment over EI (1/cm) at which the base folds, at a zone's body pressure."""
+    body = config.body
+    return critical_moment(
+        body.critical_curvature, body.critical_pressure_psi, body.zones[zone].pressure_psi
+    )
+
+
+def read(sweeps: Sequence[Swept], side: Side, config: RobotConfig) -> tuple[Readings, Errors] | None:
+    """Readings of a side's sweeps in their order, with their errors; None where there are none."""
+    table, sign = SensorTable.of(config), SIGN[side]
+    rows: list[tuple[int, Stage, Floats, Floats, int, float, float]] = []
+    scatter = []
+    for number, (sweep, zone) in enumerate(sweeps):
+        frames, curvature = sweep.half(side)
+        peaks = [peak for peak in sweep.peaks if peak.side == side]
+        if not frames or not peaks:
+            continue
+        stage = Stage(round(peaks[0].length_cm, 2), zone)
+        t_s, psi, free = np.array(
+            [(f.t_s, f.pressure_psi, f.free_curvature) for f in frames]
+        ).T  # fmt: skip
+        use = table.usable(side, sweep.sensors) & np.isfinite(curvature).all(axis=0)
+        rising = (np.arange(t_s.size) <= psi.argmax()) & (t_s >= t_s[0] + _SWINGS_S)
+        chosen = np.flatnonzero(rising)
+        if chosen.size > _ENOUGH:  # white noise: what is left of second differences
+            rough = np.diff(curvature[chosen], 2, axis=0).std(axis=0) / 6**0.5
+            scatter.append(np.where(use, rough, np.nan))
+        rate = np.gradient(free, t_s) if t_s.size > 1 else np.zeros(t_s.size)
+        for part in np.array_split(chosen, max(1, chosen.size // _FRAMES)):
+            if part.size and use.any():
+                y = np.where(use, curvature[part].mean(axis=0), np.nan)
+                mean = float(free[part].mean()), float(rate[part].mean())
+                rows.append((number, stage, y, 0.0 * y, part.size, *mean))
+        for peak in peaks:
+            young = table.usable(side, peak.sensors) & np.isfinite(peak.curvature) & ~use
+            if young.any():
+                y = np.where(young, peak.curvature, np.nan)
+                noise = peak.added_noise
+                rows.append((number, stage, y, noise, _PEAK_FRAMES, peak.free_curvature, 0.0))
+    if not rows:
+        return None
+    number, stage, y, added, count, free, rate = zip(*rows, strict=True)
+    curvature = np.array(y)
+    some = np.isfinite(curvature).any(axis=0)
+    white = _white(np.array(scatter).reshape(-1, curvature.shape[1]), table.white)
+    noise = np.sqrt(white**2 / np.array(count)[:, None] + np.nan_to_num(added) ** 2 + _FLOOR**2)
+    stages = tuple(sorted(set(stage)))
+    lengths = np.round([s.length for s in stage])
+    readings = Readings(
+        curvature=sign * curvature[:, some],
+        noise=noise[:, some],
+        bend=sign * np.array(free),
+        rate=sign * np.array(rate),
+        stage=np.array([stages.index(s) for s in stage], dtype=np.intp),
+        sweep=np.unique(number, return_inverse=True)[1],
+        zeroing=np.unique(lengths, return_inverse=True)[1],
+        stages=stages,
+        centers=table.center_cm[some],
+        spans=table.span_cm[some],
+        fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.zones))]),
+        radius=config.body.radius_cm,
+    )
+    return readings, stated(config, side, some)
+
+
+def _white(scatter: Floats, stated: Floats) -> Floats:
+    """(n,) white noise of each sensor: the median of the sweeps', or the stated one."""
+    seen = [column[np.isfinite(column)] for column in scatter.T]
+    return np.array(
+        [np.median(s) if s.size else w for s, w in zip(seen, stated, strict=True)]
+    )  # fmt: skip
+
+
+def stated(config: RobotConfig, side: Side, use: np.ndarray) -> Errors:
+    """Errors of the sensors in `use` as robot.toml states them, with drifts since calibration."""
+    table, muscle, body = SensorTable.of(config), config.muscle(side), config.body
+    rows = [sensor for sensor, used in zip(wiring.rows(config), use, strict=True) if used]
+    zero = np.array([sensor.zero_error if sensor else 0.0 for sensor in rows])
+    constant, zeroing, sweep = (share * zero for share in _ZERO_PARTS)
+    gain = np.array([sensor.gain_error if sensor else 0.0 for sensor in rows])
+    shared = table.shared[use]
+    return Errors(
+        gain=np.hypot(gain, _GAIN_DRIFT),
+        place=np.full(len(rows), _CENTER_CM),
+        zero=constant,
+        zero_zeroing=zeroing,
+        zero_sweep=sweep,
+        shared=shared[:, np.any(shared != 0.0, axis=0)],
+        map_zone=np.hypot([zone.scale_se for zone in muscle.maps], _ZONE_DRIFT),
+        map_offset=max(muscle.offset_se, _LEAST_OFFSET),
+        fold=max(body.critical_curvature_se / body.critical_curvature, _FOLD),
+    )
