@@ -11,8 +11,8 @@ from functools import partial
 
 from thigmo.localization import thesis
 from thigmo.localization.thesis import Array
-from thigmo.studies.baselines import general
-from thigmo.studies.baselines.general import Problem
+from thigmo_bench.baselines import general
+from thigmo_bench.baselines.general import Problem
 
 Baseline = Callable[[Problem], tuple[Array, Array]]
 

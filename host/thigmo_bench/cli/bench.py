@@ -37,18 +37,14 @@ def bench(
     import os
     from contextlib import nullcontext
 
-    from thigmo.extras import require_sources
-
-    require_sources("thigmo.studies", "`thigmo bench`")
-
     # Single calls are timed on one core; idle threads of a linear-algebra library only disturb.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-    from thigmo.cli.studies import conduct
     from thigmo.errors import DataError
-    from thigmo.studies import STUDIES, Context, load
-    from thigmo.studies.engine import connect_cluster
+    from thigmo_bench.cli.studies import conduct
+    from thigmo_bench.studies import STUDIES, Context, load
+    from thigmo_bench.studies.engine import connect_cluster
 
     if studies == ["list"]:
         for name, text in STUDIES.items():

@@ -12,14 +12,13 @@ import typer
 from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOption
 from thigmo.cli.output import JsonOption, KnownConfigOption, print_json, robot_option
 from thigmo.errors import DataError
-from thigmo.extras import require_sources
 from thigmo.files import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from thigmo.studies.engine import Outcome
-    from thigmo.studies.experiments.session import Place
+    from thigmo_bench.experiments.session import Place
+    from thigmo_bench.studies.engine import Outcome
 
 
 def experiment(
@@ -76,11 +75,10 @@ def experiment(
     on a bench you are asked for each step, on emulator:// an emulated operator takes it. The same
     command resumes after a stop. Each trial of exploration is then one run with each protocol.
     """
-    require_sources("thigmo.studies", "`thigmo experiment`")
-    from thigmo.cli.studies import conduct, report
-    from thigmo.studies.engine import Context
-    from thigmo.studies.experiments import EXPERIMENTS
-    from thigmo.studies.experiments.trial import STATIC
+    from thigmo_bench.cli.studies import conduct, report
+    from thigmo_bench.experiments import EXPERIMENTS
+    from thigmo_bench.experiments.trial import STATIC
+    from thigmo_bench.studies.engine import Context
 
     names = list(EXPERIMENTS) if name == "all" else [name]
     if name not in (*EXPERIMENTS, "all", "fit"):
@@ -114,8 +112,8 @@ def experiment(
 
 
 def _fit(seed: int, out: Path) -> None:
-    from thigmo.cli.studies import study_progress
-    from thigmo.studies.experiments.fit import fit
+    from thigmo_bench.cli.studies import study_progress
+    from thigmo_bench.experiments.fit import fit
 
     with study_progress("fit to section 3.2") as tell:
         found = json.dumps(fit(seed, tell), indent=1)
@@ -131,7 +129,7 @@ def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float],
     from thigmo.camera import CameraModel, open_source
     from thigmo.cli.camera import load_sheet
     from thigmo.config import Body
-    from thigmo.studies.experiments import thesis
+    from thigmo_bench.experiments import thesis
 
     located = open_source(camera), CameraModel.load(camera_file), load_sheet(sheet_file)
 
@@ -161,9 +159,9 @@ def _take(
     from thigmo.cli.console import Console
     from thigmo.config import RobotConfig
     from thigmo.robot import connect
-    from thigmo.studies.experiments.explorations import run_explorations
-    from thigmo.studies.experiments.recorded import run_trials
-    from thigmo.studies.experiments.session import Attendant, Folder
+    from thigmo_bench.experiments.explorations import run_explorations
+    from thigmo_bench.experiments.recorded import run_trials
+    from thigmo_bench.experiments.session import Attendant, Folder
 
     def say(text: str) -> None:
         if not quiet:
@@ -202,10 +200,10 @@ def _take(
 
 def _evaluated(name: str, folder: Path, jobs: int) -> Outcome:
     """What the trials in a folder say."""
-    from thigmo.studies.engine import Context
-    from thigmo.studies.experiments import explorations, recorded
-    from thigmo.studies.experiments.evaluate import evaluate
-    from thigmo.studies.experiments.session import Folder
+    from thigmo_bench.experiments import explorations, recorded
+    from thigmo_bench.experiments.evaluate import evaluate
+    from thigmo_bench.experiments.session import Folder
+    from thigmo_bench.studies.engine import Context
 
     if name == "exploration":
         return explorations.evaluate(Folder(folder))

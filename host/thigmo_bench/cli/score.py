@@ -25,9 +25,9 @@ def score(
     """
     from dataclasses import asdict
 
-    from thigmo.benchmark.score import FOLDER, AnswersError, table
-    from thigmo.benchmark.score import score as scored
     from thigmo.errors import DataError
+    from thigmo_bench.benchmark.score import FOLDER, AnswersError, table
+    from thigmo_bench.benchmark.score import score as scored
 
     try:
         found = scored(answers, truth or FOLDER / "truth.csv")

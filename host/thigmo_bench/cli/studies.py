@@ -20,7 +20,7 @@ from thigmo.cli import ending
 from thigmo.cli.output import print_json
 
 if TYPE_CHECKING:
-    from thigmo.studies.engine import Context, Outcome, Record, Scale, Study
+    from thigmo_bench.studies.engine import Context, Outcome, Record, Scale, Study
 
 Tell = Callable[[str, int, int], None]
 
@@ -31,7 +31,7 @@ def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: 
     """Run studies by name, one after the other; write to `out` and print what each found."""
     from dataclasses import replace
 
-    from thigmo.studies.engine import write
+    from thigmo_bench.studies.engine import write
 
     found = []
     for name, study in studies.items():
@@ -53,7 +53,7 @@ def report(
     name: str, outcome: Outcome, out: Path, as_json: bool, scale: Scale = "full"
 ) -> dict[str, Any]:
     """Write what a study found, print it for people, and return it for programs."""
-    from thigmo.studies.engine import write
+    from thigmo_bench.studies.engine import write
 
     paths = write(outcome, name, out)
     if not as_json:

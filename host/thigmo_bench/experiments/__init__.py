@@ -15,11 +15,11 @@ from functools import partial
 
 import numpy as np
 
-from thigmo.studies.engine import Context, Outcome
-from thigmo.studies.experiments import explorations, fit, sensitivity
-from thigmo.studies.experiments.evaluate import evaluate
-from thigmo.studies.experiments.specimen import Specimen, frozen
-from thigmo.studies.experiments.trial import STATIC, Trial
+from thigmo_bench.experiments import explorations, fit, sensitivity
+from thigmo_bench.experiments.evaluate import evaluate
+from thigmo_bench.experiments.specimen import Specimen, frozen
+from thigmo_bench.experiments.trial import STATIC, Trial
+from thigmo_bench.studies.engine import Context, Outcome
 
 __all__ = ["EXPERIMENTS", "Experiment"]
 

@@ -19,10 +19,10 @@ import numpy as np
 
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
 from thigmo.localization import localize
-from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.trial import Trial
-from thigmo.studies.rod import Floats
+from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.experiments import thesis
+from thigmo_bench.experiments.trial import Trial
+from thigmo_bench.studies.rod import Floats
 
 THEIRS = "alternating"
 OURS = "ours"

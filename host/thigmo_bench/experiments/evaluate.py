@@ -13,11 +13,11 @@ import numpy as np
 from scipy import special
 
 from thigmo.errors import DataError
-from thigmo.studies.engine import Claim, Context, Outcome
-from thigmo.studies.experiments import compare, plots, thesis
-from thigmo.studies.experiments.compare import OURS, THEIRS, Solved
-from thigmo.studies.experiments.trial import Trial
-from thigmo.studies.rod import Floats
+from thigmo_bench.experiments import compare, plots, thesis
+from thigmo_bench.experiments.compare import OURS, THEIRS, Solved
+from thigmo_bench.experiments.trial import Trial
+from thigmo_bench.studies.engine import Claim, Context, Outcome
+from thigmo_bench.studies.rod import Floats
 
 # The thesis's remedies for a folded base (section 3.2) beside its solver.
 _REMEDIES = {"base clamped": "clamped", "coupled": "coupled"}

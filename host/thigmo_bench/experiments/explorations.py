@@ -33,12 +33,12 @@ from thigmo.exploration.run import Protocol as Way
 from thigmo.record import RunDocument, RunFolder
 from thigmo.report.axes import BLUE, ORANGE, RED
 from thigmo.robot import Operator, SensorTable, connect
-from thigmo.studies import charts
-from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.engine import Claim, Context, Outcome, Record
-from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.session import Attendant, Folder, Place, Row, Say
-from thigmo.studies.rooms import explored
+from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.experiments import thesis
+from thigmo_bench.experiments.session import Attendant, Folder, Place, Row, Say
+from thigmo_bench.studies import charts
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
+from thigmo_bench.studies.rooms import explored
 
 _URL = "emulator://default"
 _BASE_CM = 0.2

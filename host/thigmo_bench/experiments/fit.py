@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.studies.engine import Context, Outcome
-from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.compare import camera_errors, thesis_method, workspace_errors
-from thigmo.studies.experiments.specimen import Constants, Specimen, emulated_robot, frozen
-from thigmo.studies.experiments.trial import STATIC, Trial
-from thigmo.studies.rod import Floats
+from thigmo_bench.experiments import thesis
+from thigmo_bench.experiments.compare import camera_errors, thesis_method, workspace_errors
+from thigmo_bench.experiments.specimen import Constants, Specimen, emulated_robot, frozen
+from thigmo_bench.experiments.trial import STATIC, Trial
+from thigmo_bench.studies.engine import Context, Outcome
+from thigmo_bench.studies.rod import Floats
 
 # Rows of section 3.2 and the solver that made each.
 ROWS: dict[str, tuple[str, str]] = {

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from thigmo.mechanics import phi
 from thigmo.report.axes import BLUE, GREEN, ORANGE
-from thigmo.studies import charts
-from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.compare import OURS, THEIRS, Solved, answered, workspace_errors
+from thigmo_bench.experiments import thesis
+from thigmo_bench.experiments.compare import OURS, THEIRS, Solved, answered, workspace_errors
+from thigmo_bench.studies import charts
 
 Group = tuple[str, list[Solved]]
 _METHODS = ((THEIRS, ORANGE, "thesis's method, here"), (OURS, BLUE, "ours"))

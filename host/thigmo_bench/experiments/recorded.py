@@ -22,11 +22,11 @@ from thigmo.errors import DataError
 from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
 from thigmo.robot import Reading, Robot, SensorTable
-from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.session import Attendant, Folder, Row, Say
-from thigmo.studies.experiments.specimen import frozen, pushed
-from thigmo.studies.experiments.trial import Planned, Trial, arc_bound_cm, plan
-from thigmo.studies.rod import Floats
+from thigmo_bench.experiments import thesis
+from thigmo_bench.experiments.session import Attendant, Folder, Row, Say
+from thigmo_bench.experiments.specimen import frozen, pushed
+from thigmo_bench.experiments.trial import Planned, Trial, arc_bound_cm, plan
+from thigmo_bench.studies.rod import Floats
 
 _RAMP_PSI_S = 1.0  # slow: an overshoot would turn the muscle over to its other branch
 _LEAST_GAIN_SE = 1e-3

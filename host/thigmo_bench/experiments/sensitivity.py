@@ -11,12 +11,12 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from thigmo.studies import charts
-from thigmo.studies.attempt import mean_and_failures
-from thigmo.studies.engine import Claim, Context, Outcome
-from thigmo.studies.rod import Floats
-from thigmo.studies.scenes import CRITICAL, LENGTH, Case, read, side_of
-from thigmo.studies.stability import DEFAULT, Stress, errors_of, tabulate
+from thigmo_bench.studies import charts
+from thigmo_bench.studies.attempt import mean_and_failures
+from thigmo_bench.studies.engine import Claim, Context, Outcome
+from thigmo_bench.studies.rod import Floats
+from thigmo_bench.studies.scenes import CRITICAL, LENGTH, Case, read, side_of
+from thigmo_bench.studies.stability import DEFAULT, Stress, errors_of, tabulate
 
 _OURS = "posterior (default)"
 METHODS = {

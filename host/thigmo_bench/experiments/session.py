@@ -27,8 +27,8 @@ from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import Peg
 from thigmo.robot import Robot
-from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.trial import Planned
+from thigmo_bench.experiments import thesis
+from thigmo_bench.experiments.trial import Planned
 
 Place = tuple[float, float]
 Verdict = Literal["keep", "redo", "skip", "quit"]

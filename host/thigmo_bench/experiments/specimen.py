@@ -19,9 +19,9 @@ import numpy as np
 from thigmo.config import RobotConfig, TanhMap
 from thigmo.emulator.scene import Scene
 from thigmo.mechanics import Peg, Solution, Tube, peg_for, push, solve
-from thigmo.studies.experiments import thesis
-from thigmo.studies.experiments.trial import Planned, Trial, arc_bound_cm, plan
-from thigmo.studies.rod import Floats
+from thigmo_bench.experiments import thesis
+from thigmo_bench.experiments.trial import Planned, Trial, arc_bound_cm, plan
+from thigmo_bench.studies.rod import Floats
 
 _STEP_CM = 1e-3
 _BOUND_STEP_CM = 0.02  # of the differences that the bound is made of
@@ -39,7 +39,7 @@ class Constants:
 
 def frozen() -> Constants:
     """The constants that the experiments use."""
-    stored = json.loads(files("thigmo.studies.experiments").joinpath("constants.json").read_text())
+    stored = json.loads(files("thigmo_bench.experiments").joinpath("constants.json").read_text())
     return Constants(**stored["constants"])
 
 

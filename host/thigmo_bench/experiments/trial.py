@@ -13,8 +13,8 @@ import numpy as np
 from thigmo.config import SIGN, Side
 from thigmo.design import arc_bounds
 from thigmo.errors import DataError
-from thigmo.studies.experiments import thesis
-from thigmo.studies.rod import Floats
+from thigmo_bench.experiments import thesis
+from thigmo_bench.studies.rod import Floats
 
 STATIC = ("single-contact", "two-contacts", "actuated")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from thigmo.studies.engine import Context, Outcome, Study
+from thigmo_bench.studies.engine import Context, Outcome, Study
 
 STUDIES: dict[str, str] = {
     "speed-accuracy": "speed against accuracy of every method",
@@ -33,5 +33,5 @@ __all__ = ["STUDIES", "Context", "Outcome", "load"]
 
 def load(name: str) -> Study:
     """The study of that name (a key of STUDIES)."""
-    study: Study = import_module(f"thigmo.studies.{name.replace('-', '_')}").run
+    study: Study = import_module(f"thigmo_bench.studies.{name.replace('-', '_')}").run
     return study

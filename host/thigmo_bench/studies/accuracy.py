@@ -20,12 +20,12 @@ from scipy.stats import chi2
 
 from thigmo.localization import LocalizeResult, localize
 from thigmo.report.axes import BLUE, RED
-from thigmo.studies import contact_scenes
-from thigmo.studies.charts import curves, legend_below, panels
-from thigmo.studies.contact_scenes import BENT, GROUPS, TOUCHED, Scenes, holds
-from thigmo.studies.engine import Claim, Context, Outcome, last, parts, share
-from thigmo.studies.rod import Floats, solve
-from thigmo.studies.scenes import LENGTH, ROBOT, SIGMA, SPAN
+from thigmo_bench.studies import contact_scenes
+from thigmo_bench.studies.charts import curves, legend_below, panels
+from thigmo_bench.studies.contact_scenes import BENT, GROUPS, TOUCHED, Scenes, holds
+from thigmo_bench.studies.engine import Claim, Context, Outcome, last, parts, share
+from thigmo_bench.studies.rod import Floats, solve
+from thigmo_bench.studies.scenes import LENGTH, ROBOT, SIGMA, SPAN
 
 BATCH = 250  # scenes in one task: large batches are drawn faster
 RESOLVABLE = 5.0  # cm: errors are compared with Cramer-Rao bounds below this

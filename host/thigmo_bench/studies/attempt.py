@@ -16,8 +16,8 @@ import numpy as np
 
 from thigmo.errors import ThigmoError
 from thigmo.localization import METHODS, Localizer
-from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.scenes import CRITICAL, LENGTH, ROBOT, SIGMA, SPAN, Case
+from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.studies.scenes import CRITICAL, LENGTH, ROBOT, SIGMA, SPAN, Case
 
 FAILURE_CM = 10.0
 # The default method as on a robot: without the number of contacts, and with the calibrated fold.

@@ -21,9 +21,9 @@ from thigmo.camera.model import Picture
 from thigmo.camera.render import BodyShape, PegShape, View, overhead_camera, random_look, render
 from thigmo.camera.sheet import Decal, board, card_decals, tip_decal
 from thigmo.mechanics import traced
-from thigmo.studies.engine import Claim, Context, Outcome, share
-from thigmo.studies.rod import Floats
-from thigmo.studies.scenes import COLUMN, RADIUS, SPAN
+from thigmo_bench.studies.engine import Claim, Context, Outcome, share
+from thigmo_bench.studies.rod import Floats
+from thigmo_bench.studies.scenes import COLUMN, RADIUS, SPAN
 
 _BOX_CM = 8.0  # height of the box under one card
 

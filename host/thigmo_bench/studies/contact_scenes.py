@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.studies.pegs import Part, outline, rooms
-from thigmo.studies.rod import Floats, Profile, solve
-from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
+from thigmo_bench.studies.pegs import Part, outline, rooms
+from thigmo_bench.studies.rod import Floats, Profile, solve
+from thigmo_bench.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
 
 MOST_FREE = 0.05  # 1/cm, largest free curvature of bent bodies
 FRICTION = (0.3, 0.6)  # coefficients, of either sign

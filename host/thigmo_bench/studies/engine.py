@@ -2,7 +2,7 @@
 
 A study is a function from a `Context` to an `Outcome`. Tables become CSV and JSON, figures PNG, SVG
 and PDF; claims are the numbers that the project promises, each with its limit, printed with a
-verdict. Called by `thigmo bench` and `thigmo experiment`; `thigmo.studies` names the studies.
+verdict. Called by `thigmo bench` and `thigmo experiment`; `thigmo_bench.studies` names the studies.
 """
 
 from __future__ import annotations

@@ -33,10 +33,10 @@ from thigmo.mechanics import Peg
 from thigmo.record import RunDocument, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
 from thigmo.report.axes import BLUE, GREEN, ORANGE, RED
-from thigmo.studies import charts
-from thigmo.studies.engine import Claim, Context, Outcome, Record, share
-from thigmo.studies.rooms import explored_scene
-from thigmo.studies.scenes import RADIUS
+from thigmo_bench.studies import charts
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, share
+from thigmo_bench.studies.rooms import explored_scene
+from thigmo_bench.studies.scenes import RADIUS
 
 ROUNDS = 10  # parts of all rooms; the results so far are written after each
 LENGTH_CM = 0.1  # error of the everted length, at which intervals end

@@ -23,7 +23,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.framing import Decoder
 from thigmo.robot import Robot
-from thigmo.studies.engine import Claim, Context, Outcome, Record
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
 
 MAX_PSI = 18.5  # max_pressure_cpsi of robot.toml's 18 psi, with its margin
 START_CM = 20.0

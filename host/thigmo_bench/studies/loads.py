@@ -19,11 +19,11 @@ from scipy.stats import chi2
 
 from thigmo.design import arc_bounds
 from thigmo.localization import Localizer
-from thigmo.studies import contact_scenes
-from thigmo.studies.contact_scenes import Draw, Scenes, holds, signs, straight
-from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, share
-from thigmo.studies.rod import Floats, solve
-from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
+from thigmo_bench.studies import contact_scenes
+from thigmo_bench.studies.contact_scenes import Draw, Scenes, holds, signs, straight
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, last, parts, share
+from thigmo_bench.studies.rod import Floats, solve
+from thigmo_bench.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
 
 BATCH = 50  # frames of a group in one task
 FEW = (2, 3, 5, 10)  # numbers of readings

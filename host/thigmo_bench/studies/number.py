@@ -23,13 +23,13 @@ from thigmo.design import arc_bounds
 from thigmo.localization import Localizer, LocalizeResult, priors
 from thigmo.mechanics.closed_forms import phi
 from thigmo.report.axes import BLUE, ORANGE
-from thigmo.studies import contact_scenes
-from thigmo.studies.charts import curves, legend_below, panels
-from thigmo.studies.contact_scenes import holds, signs
-from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, share
-from thigmo.studies.loads import DENSE, NOTHING_SAID, anywhere
-from thigmo.studies.rod import Floats, solve
-from thigmo.studies.scenes import BOTH, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
+from thigmo_bench.studies import contact_scenes
+from thigmo_bench.studies.charts import curves, legend_below, panels
+from thigmo_bench.studies.contact_scenes import holds, signs
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, last, parts, share
+from thigmo_bench.studies.loads import DENSE, NOTHING_SAID, anywhere
+from thigmo_bench.studies.rod import Floats, solve
+from thigmo_bench.studies.scenes import BOTH, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
 
 BATCH = 100
 BOUNDS = (0.5, 1.0, 1.5, 2.0, 2.5, 4.0, 8.0)  # cm, upper edges of the bins

@@ -13,9 +13,9 @@ from typing import Literal
 
 import numpy as np
 
-from thigmo.studies import scenes
-from thigmo.studies.rod import Bodies, Floats, solve
-from thigmo.studies.scenes import COLUMN, CRITICAL, LENGTH, NEAREST, RADIUS, SPAN
+from thigmo_bench.studies import scenes
+from thigmo_bench.studies.rod import Bodies, Floats, solve
+from thigmo_bench.studies.scenes import COLUMN, CRITICAL, LENGTH, NEAREST, RADIUS, SPAN
 
 Part = Literal["side", "corner", "anywhere"]
 

@@ -24,10 +24,10 @@ from matplotlib.figure import Figure
 from thigmo.localization import Localizer
 from thigmo.mechanics import ModelChoice, Peg, Rod, Tube
 from thigmo.report.axes import GREEN
-from thigmo.studies import charts
-from thigmo.studies.attempt import FAILURE_CM
-from thigmo.studies.engine import Claim, Context, Outcome, Record
-from thigmo.studies.scenes import (
+from thigmo_bench.studies import charts
+from thigmo_bench.studies.attempt import FAILURE_CM
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
+from thigmo_bench.studies.scenes import (
     LENGTH,
     ROBOT,
     SIGMA,

@@ -19,9 +19,9 @@ from thigmo.emulator.scene import Scene
 from thigmo.errors import ThigmoError
 from thigmo.exploration.map import best_contact, of_stage
 from thigmo.record import RunDocument, Truth
-from thigmo.studies.engine import Claim, Context, Outcome, Record, share
-from thigmo.studies.exploration import LENGTH_CM, Explored
-from thigmo.studies.rooms import explored_scene
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, share
+from thigmo_bench.studies.exploration import LENGTH_CM, Explored
+from thigmo_bench.studies.rooms import explored_scene
 
 _ELLIPSE = 5.991  # 95 % of chi-squared of two degrees of freedom
 

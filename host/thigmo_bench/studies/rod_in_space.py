@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thigmo.studies.rod import Floats
+from thigmo_bench.studies.rod import Floats
 
 STEPS = 60  # Runge-Kutta steps between loads: errors of turns below 1e-7
 

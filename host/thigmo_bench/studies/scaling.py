@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.localization import Localizer
-from thigmo.studies import scenes
-from thigmo.studies.engine import Claim, Context, Outcome, Record
-from thigmo.studies.scenes import BOTH, LENGTH, SIGMA, SPAN, Case, one_contact, three_contacts
+from thigmo_bench.studies import scenes
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
+from thigmo_bench.studies.scenes import BOTH, LENGTH, SIGMA, SPAN, Case, one_contact, three_contacts
 
 SENSORS = (5, 10, 20, 50, 100, 200, 500, 1000)
 ROWS = 10_000

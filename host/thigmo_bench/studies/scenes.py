@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.studies.rod import Floats, readings
+from thigmo_bench.studies.rod import Floats, readings
 
 LENGTH = 53.0
 SPAN = 5.5

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from thigmo.localization import Localizer, LocalizeResult
-from thigmo.studies.engine import Claim, Context, Outcome, Record, last, parts, share
-from thigmo.studies.rod import Floats
-from thigmo.studies.rod_in_space import RodsInSpace, solve
-from thigmo.studies.scaling import KINDS, least_us, one_core
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, last, parts, share
+from thigmo_bench.studies.rod import Floats
+from thigmo_bench.studies.rod_in_space import RodsInSpace, solve
+from thigmo_bench.studies.scaling import KINDS, least_us, one_core
 
 GRATINGS, SPAN, SIGMA = 12, 0.04, 0.015  # of a body of length one
 POSITION: Floats = np.repeat(np.linspace(0.05, 0.95, GRATINGS), 2)

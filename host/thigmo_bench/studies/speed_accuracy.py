@@ -22,13 +22,20 @@ from matplotlib.figure import Figure
 
 from thigmo.localization import METHODS
 from thigmo.report.axes import BLUE, GREEN, ORANGE, RED
-from thigmo.studies import charts
-from thigmo.studies.attempt import ON_A_ROBOT, attempt, mean_and_failures, mean_over
-from thigmo.studies.baselines import BASELINES
-from thigmo.studies.engine import Claim, Context, Outcome
-from thigmo.studies.pegs import any_peg
-from thigmo.studies.rod import Floats
-from thigmo.studies.scenes import LENGTH, Case, actuated, few_sensors, one_contact, two_contacts
+from thigmo_bench.baselines import BASELINES
+from thigmo_bench.studies import charts
+from thigmo_bench.studies.attempt import ON_A_ROBOT, attempt, mean_and_failures, mean_over
+from thigmo_bench.studies.engine import Claim, Context, Outcome
+from thigmo_bench.studies.pegs import any_peg
+from thigmo_bench.studies.rod import Floats
+from thigmo_bench.studies.scenes import (
+    LENGTH,
+    Case,
+    actuated,
+    few_sensors,
+    one_contact,
+    two_contacts,
+)
 
 DEFAULT = METHODS[0]
 CLAIMED = "one contact"

@@ -24,12 +24,12 @@ from matplotlib.figure import Figure
 
 from thigmo.localization import METHODS
 from thigmo.mechanics import Peg, Rod, Solution, Tube
-from thigmo.studies import charts
-from thigmo.studies.attempt import FAILURE_CM, attempt, mean_and_failures, mean_over
-from thigmo.studies.contact_scenes import one_contact as rubbed
-from thigmo.studies.engine import Claim, Context, Outcome, Record
-from thigmo.studies.rod import Floats
-from thigmo.studies.scenes import (
+from thigmo_bench.studies import charts
+from thigmo_bench.studies.attempt import FAILURE_CM, attempt, mean_and_failures, mean_over
+from thigmo_bench.studies.contact_scenes import one_contact as rubbed
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
+from thigmo_bench.studies.rod import Floats
+from thigmo_bench.studies.scenes import (
     COLUMN,
     CRITICAL,
     FULL_CURVATURE,

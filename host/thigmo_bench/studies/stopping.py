@@ -28,8 +28,8 @@ from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
 from thigmo.extras import require
 from thigmo.link.stop_socket import OTHER_PLACE
-from thigmo.studies.engine import Claim, Context, Outcome
-from thigmo.studies.watch import EVER_MS, Start, opened_page, running
+from thigmo_bench.studies.engine import Claim, Context, Outcome
+from thigmo_bench.studies.watch import EVER_MS, Start, opened_page, running
 
 _SILENT_MS = 500.0  # of a host: the board's limit
 _LASTS_S = 0.3  # that outputs stay off

@@ -31,9 +31,9 @@ from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.link.protocol import PARAMETERS
 from thigmo.report.axes import CYCLE
-from thigmo.studies import charts
-from thigmo.studies.engine import Claim, Context, Outcome, Record
-from thigmo.studies.trigger_sessions import (
+from thigmo_bench.studies import charts
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
+from thigmo_bench.studies.trigger_sessions import (
     Setting,
     false_alarms,
     halves_of,

@@ -25,7 +25,7 @@ import numpy as np
 
 from thigmo.errors import DataError
 from thigmo.link.stop_socket import OTHER_PLACE
-from thigmo.studies.engine import Claim, Context, Outcome
+from thigmo_bench.studies.engine import Claim, Context, Outcome
 
 _VIEWERS = 3
 _DEAD = 500  # viewers that never read
