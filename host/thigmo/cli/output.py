@@ -36,11 +36,19 @@ KnownConfigOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
-def method_option(default: str) -> Any:
-    """The option that names a localizer's method; `default` says what an omitted one means."""
+def method_option(default: str, *, explores: bool = False) -> Any:
+    """The option that names a localizer's method; `default` says what an omitted one means.
+
+    `explores`: the method may be that of whole explorations.
+    """
+    whole = (
+        "field: one fit to all sweeps of each side, with seconds of computing at each stage; it "
+        "knows one peg on a side, and no walls. "
+    )
     return typer.Option(
         help=f"How contacts are localized: posterior, thesis (the thesis's alternating fit) or l1 "
-        f"(the minimum that this fit searches for). The last two give no intervals. {default}",
+        f"(the minimum that this fit searches for). The last two give no intervals. "
+        f"{whole if explores else ''}{default}",
         show_default=False,
     )
 

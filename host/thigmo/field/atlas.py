@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from thigmo.field.fit import FieldFit, Mode, whitened
 from thigmo.field.hypotheses import PEG, RADIUS_MEAN, untouched
@@ -37,7 +38,7 @@ class Place(NamedTuple):
 
 class _Table(NamedTuple):
     first: int  # the first row that departs from a free body
-    heading: Floats  # (k, cells + 1) beyond the free body's, rad
+    heading: npt.NDArray[np.float32]  # (k, cells + 1) beyond the free body's, rad
 
 
 class Atlas:
@@ -77,24 +78,30 @@ class Atlas:
             return None
         count = int(np.ceil(length / self._cell))
         cell = length / count
-        middles, widths = cell * (np.arange(count) + 0.5), np.full(count, cell)
+        middles: Floats = cell * (np.arange(count, dtype=np.float64) + 0.5)
+        widths: Floats = np.full(count, cell)
         bends = self.bends[first:]
-        mean = np.empty((bends.size, count))
+        mean: Floats = np.empty((bends.size, count), dtype=np.float64)
         rod = Rod(Tube(2 * radius, moment), [peg], model="auto", cell_cm=_MESH * length)
         rod.assume_free(float(bends[0]), length)
         for row, g in zip(mean, bends.tolist(), strict=True):
             rod.step(g, length)
             rod.averages_into(middles, widths, row)
-        heading = np.zeros((bends.size, count + 1), dtype=np.float32)
+        heading: npt.NDArray[np.float32] = np.zeros((bends.size, count + 1), dtype=np.float32)
         heading[:, 1:] = np.cumsum((mean - bends[:, None]) * cell, axis=1)
         return _Table(first, heading)
 
     def search(self, fit: FieldFit, nothing: Mode) -> list[Place]:
-        """The best places for one peg, likeliest first; errors are linearised once."""
-        d = fit.departures(nothing.tables, nothing.xi)
+        """The best places for one peg, likeliest first.
+
+        Errors are linearised where calibration is right: those that explain a touch by no obstacle
+        are far from it.
+        """
+        right = fit.free()
+        d = fit.departures(nothing.tables, right)
         factor = np.linalg.cholesky(d.effect.T @ d.effect + np.eye(fit.count))
         shared = np.linalg.solve(factor, d.effect.T)
-        whole, part = np.divmod(fit.bend(nothing.xi) / self.step, 1)
+        whole, part = np.divmod(fit.bend(right) / self.step, 1)
         rows, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[:, None]
         r = fit.readings
         changes = np.zeros((len(self.touches), *r.curvature.shape))
@@ -139,4 +146,5 @@ def _averages(length: float, cell: float, centers: Floats, spans: Floats) -> Flo
     low, high = np.maximum(centers - width / 2, 0.0), np.minimum(centers + width / 2, length)
     units = np.eye(count + 1)
     weight = [np.interp(high, ends, unit) - np.interp(low, ends, unit) for unit in units]
-    return np.asarray(weight) / np.maximum(high - low, 1e-9)
+    matrix: Floats = np.asarray(weight) / np.maximum(high - low, 1e-9)
+    return matrix

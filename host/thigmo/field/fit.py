@@ -118,7 +118,10 @@ class FieldFit:
         g, (n, m) = r.bend[:, None], r.curvature.shape
         zone = np.array([s.zone for s in r.stages])[r.stage]
         zones = np.eye(r.fold_moment.size)[zone]
-        sweeps, zeroings = np.eye(r.sweep.max() + 1)[r.sweep], np.eye(r.zeroing.max() + 1)[r.zeroing]
+        sweeps, zeroings = (
+            np.eye(r.sweep.max() + 1)[r.sweep],
+            np.eye(r.zeroing.max() + 1)[r.zeroing],
+        )
         on_bend = [e.map * g, e.map_zone * g * zones, e.map_offset * zones]
         on_bend += [e.sweep * g * sweeps, e.sweep_offset * sweeps, e.lag_s * r.rate[:, None]]
         self.on_bend = np.hstack(on_bend)

@@ -30,8 +30,10 @@ RADIUS_MEAN, RADIUS_STD = float(np.log(0.45)), 0.8
 ANOTHER = 0.3  # prior odds that one more obstacle is within a side's reach
 # Area (lengths squared) in which the bodies of one side can touch something: 1500 of 53^2 cm^2.
 REACH = 0.53
-LEAST_BEND = 0.02  # turn (rad) of the whole body before which every touch is one of a straight body
-_CLEAR = 0.03  # tube radii by which a peg may overlap the straight body: errors of what was measured
+LEAST_BEND = 0.02  # turn (rad) of the whole body, before which a touch is one of a straight body
+_CLEAR = (
+    0.03  # tube radii by which a peg may overlap the straight body: errors of what was measured
+)
 _MOST_TURN = 1.9  # rad at the touch: a body bent further touches its own base
 
 
@@ -126,5 +128,5 @@ def untouched(peg: Peg, length: float, tube_radius: float, bends: Floats) -> int
     nearest = np.clip(np.arctan2(peg.x, rho - peg.y) * rho, 0.0, length)
     turn = np.array([nearest, np.full(bends.size, length)]) / rho
     away = np.hypot(rho * np.sin(turn) - peg.x, rho * (1 - np.cos(turn)) - peg.y).min(axis=0)
-    touches = np.flatnonzero(away < tube_radius * 1.0 + peg.radius)
+    touches = np.flatnonzero(away < tube_radius + peg.radius)
     return max(int(touches[0]) - 1, 0) if touches.size else bends.size

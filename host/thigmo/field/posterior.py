@@ -67,8 +67,8 @@ class PegSearch:
         self._levels = [self.fit, *(FieldFit(readings, errors, model=m) for m in MODELS[1:])]
         self.nothing = self.fit.nothing()
         self.places = atlas.search(self.fit, self.nothing)
-        last = np.array([np.flatnonzero(readings.stage == s)[-1] for s in range(len(readings.stages))])
-        self._peaks = last
+        stages = range(len(readings.stages))
+        self._peaks = np.array([np.flatnonzero(readings.stage == s)[-1] for s in stages])
 
     def ridges(self, known: Sequence[Mode] = (), keep: int = 2) -> list[list[Mode]]:
         """Chains of modes along the ridges of the likeliest places; `known`: of earlier sweeps."""
@@ -79,7 +79,7 @@ class PegSearch:
             for log_radius in _STARTS:
                 q = np.array([place.arc, place.bend, log_radius, 0.0, 0.0])
                 if PEG.possible(q, rough.body):
-                    first.append(rough.solve(PEG, q, passes=4, held=(RADIUS, 3, 4)))
+                    first.append(rough.solve(PEG, q, passes=6, held=(RADIUS, 3, 4)))
         first.sort(key=lambda mode: mode.cost)
         begins: list[Floats] = [mode.q for mode in known]
         for mode in first:
@@ -172,7 +172,7 @@ class PegSearch:
             weight = np.exp(logs - logs.max())
             total = float(logs.max() + np.log(weight.sum() / len(proposals)))
             weight /= weight.sum()
-            if 1 > ENOUGH * np.sum(weight**2):
+            if ENOUGH * np.sum(weight**2) < 1:
                 break
             shares = weight @ np.array([d.levels for d in drawn])
             levels = [n for n in levels if shares[n] > _NEGLIGIBLE]
@@ -206,7 +206,8 @@ class PegSearch:
         total = float(np.logaddexp.reduce(logs))
         prior = PEG.log_prior(q, fit.body)
         (peg,) = PEG.place(q, self.readings.radius)
-        skin = np.array([peg.x + peg.radius * np.sin(q[0] * q[1]), peg.y - peg.radius * np.cos(q[0] * q[1])])
+        turn = float(q[0] * q[1])
+        skin = np.array([peg.x + peg.radius * np.sin(turn), peg.y - peg.radius * np.cos(turn)])
         return _Draw(q, total + prior, np.exp(logs - total), touch, skin, least)
 
 
@@ -258,11 +259,13 @@ class _Mixture:
         q[RADIUS] += off
         q[_KEPT] += self._slopes[n] * off
         q[_KEPT] += wide * self._factors[n] @ rng.standard_normal(_KEPT.size)
-        return q
+        drawn: Floats = q
+        return drawn
 
     def nearest(self, q: Floats) -> npt.NDArray[np.intp]:
         """(k,) the points around which unknowns (k, 5) most probably lie."""
-        return np.argmax(self._logs(q), axis=1)
+        nearest: npt.NDArray[np.intp] = np.argmax(self._logs(q), axis=1)
+        return nearest
 
     def log_density(self, q: Floats) -> Floats:
         """(k,) logarithm of the density at unknowns (k, 5)."""
@@ -274,13 +277,14 @@ class _Mixture:
         away = q[:, None, _KEPT] - self._centers[:, _KEPT] - self._slopes * off[..., None]
         z = np.einsum("nij,qnj->qni", self._inverses, away)
         bells = -0.5 * (_DOF + _KEPT.size) * np.log1p(np.sum(z**2, axis=-1) / _DOF)
-        logs: Floats = bells - self._volumes - 0.5 * (off / self._step) ** 2
-        return logs + np.log(np.maximum(self._share, 1e-300))
+        share = np.log(np.maximum(self._share, 1e-300))
+        logs: Floats = share + bells - self._volumes - 0.5 * (off / self._step) ** 2
+        return logs
 
     def around(self, q: Floats, weight: Floats) -> _Mixture:
         """A narrower mixture around weighted samples, each along its ridge."""
         # Tempered until some samples share the weight.
-        while weight.size > _TEMPERED and 1 < _TEMPERED * np.sum(weight**2):
+        while weight.size > _TEMPERED and _TEMPERED * np.sum(weight**2) > 1:
             weight = weight**0.8
             weight = weight / weight.sum()
         near = self.nearest(q)

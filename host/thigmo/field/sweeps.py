@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from thigmo import wiring
 from thigmo.config import SIGN, RobotConfig, Side
@@ -22,12 +23,11 @@ _SWINGS_S = 0.7  # at its start a half sweep swings
 _FLOOR = 1e-4  # 1/cm, least error of a bin: the board's rounding
 _PEAK_FRAMES = 10
 _ENOUGH = 8  # frames whose scatter says the noise
-# Drift of a gain since its calibration, relative [assumed]. Shares of `zero_se` that stay for a run,
-# change with each zeroing and with each sweep; a loop of hysteresis keeps to one side while the
-# pressure rises.
+# Drift of a gain since its calibration, relative [assumed].
 _GAIN_DRIFT = 0.04
+# Shares of `zero_se` that stay for a run, change with each zeroing and with each sweep: a loop of
+# hysteresis keeps to one side while the pressure rises.
 _ZERO_PARTS = 1.1, 0.4, 0.28
-_CENTER_CM = 0.1  # one sigma of a sensor's centre, as by a ruler
 _ZONE_DRIFT, _LEAST_OFFSET = 0.01, 8e-4
 _FOLD = 0.1  # least relative error of the moment that folds: a body regulator is set by hand
 
@@ -39,6 +39,16 @@ class Swept(NamedTuple):
     zone: int
 
 
+class _Bin(NamedTuple):
+    sweep: int
+    stage: Stage
+    curvature: Floats  # (sensors,)
+    added: Floats  # (sensors,) noise beside the white one
+    frames: int
+    bend: float  # of the free body, signed
+    rate: float
+
+
 def fold_moment(config: RobotConfig, zone: int) -> float:
     """Contact moment over EI (1/cm) at which the base folds, at a zone's body pressure."""
     body = config.body
@@ -47,10 +57,12 @@ def fold_moment(config: RobotConfig, zone: int) -> float:
     )
 
 
-def read(sweeps: Sequence[Swept], side: Side, config: RobotConfig) -> tuple[Readings, Errors] | None:
+def read(
+    sweeps: Sequence[Swept], side: Side, config: RobotConfig
+) -> tuple[Readings, Errors] | None:
     """Readings of a side's sweeps in their order, with their errors; None where there are none."""
     table, sign = SensorTable.of(config), SIGN[side]
-    rows: list[tuple[int, Stage, Floats, Floats, int, float, float]] = []
+    rows: list[_Bin] = []
     scatter = []
     for number, (sweep, zone) in enumerate(sweeps):
         frames, curvature = sweep.half(side)
@@ -72,29 +84,30 @@ def read(sweeps: Sequence[Swept], side: Side, config: RobotConfig) -> tuple[Read
             if part.size and use.any():
                 y = np.where(use, curvature[part].mean(axis=0), np.nan)
                 mean = float(free[part].mean()), float(rate[part].mean())
-                rows.append((number, stage, y, 0.0 * y, part.size, *mean))
+                rows.append(_Bin(number, stage, y, 0.0 * y, part.size, *mean))
         for peak in peaks:
             young = table.usable(side, peak.sensors) & np.isfinite(peak.curvature) & ~use
             if young.any():
                 y = np.where(young, peak.curvature, np.nan)
-                noise = peak.added_noise
-                rows.append((number, stage, y, noise, _PEAK_FRAMES, peak.free_curvature, 0.0))
+                added = peak.added_noise
+                rows.append(_Bin(number, stage, y, added, _PEAK_FRAMES, peak.free_curvature, 0.0))
     if not rows:
         return None
-    number, stage, y, added, count, free, rate = zip(*rows, strict=True)
-    curvature = np.array(y)
-    some = np.isfinite(curvature).any(axis=0)
+    curvature = np.array([row.curvature for row in rows])
+    some = np.asarray(np.isfinite(curvature).any(axis=0))
     white = _white(np.array(scatter).reshape(-1, curvature.shape[1]), table.white)
-    noise = np.sqrt(white**2 / np.array(count)[:, None] + np.nan_to_num(added) ** 2 + _FLOOR**2)
-    stages = tuple(sorted(set(stage)))
-    lengths = np.round([s.length for s in stage])
+    count = np.array([row.frames for row in rows])[:, None]
+    beside = np.nan_to_num(np.array([row.added for row in rows]))
+    noise = np.sqrt(white**2 / count + beside**2 + _FLOOR**2)
+    stages = tuple(sorted({row.stage for row in rows}))
+    lengths = np.array([round(row.stage.length) for row in rows])
     readings = Readings(
         curvature=sign * curvature[:, some],
         noise=noise[:, some],
-        bend=sign * np.array(free),
-        rate=sign * np.array(rate),
-        stage=np.array([stages.index(s) for s in stage], dtype=np.intp),
-        sweep=np.unique(number, return_inverse=True)[1],
+        bend=sign * np.array([row.bend for row in rows]),
+        rate=sign * np.array([row.rate for row in rows]),
+        stage=np.array([stages.index(row.stage) for row in rows], dtype=np.intp),
+        sweep=np.unique([row.sweep for row in rows], return_inverse=True)[1],
         zeroing=np.unique(lengths, return_inverse=True)[1],
         stages=stages,
         centers=table.center_cm[some],
@@ -113,7 +126,7 @@ def _white(scatter: Floats, stated: Floats) -> Floats:
     )  # fmt: skip
 
 
-def stated(config: RobotConfig, side: Side, use: np.ndarray) -> Errors:
+def stated(config: RobotConfig, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
     """Errors of the sensors in `use` as robot.toml states them, with drifts since calibration."""
     table, muscle, body = SensorTable.of(config), config.muscle(side), config.body
     rows = [sensor for sensor, used in zip(wiring.rows(config), use, strict=True) if used]
@@ -123,7 +136,7 @@ def stated(config: RobotConfig, side: Side, use: np.ndarray) -> Errors:
     shared = table.shared[use]
     return Errors(
         gain=np.hypot(gain, _GAIN_DRIFT),
-        place=np.full(len(rows), _CENTER_CM),
+        place=np.array([sensor.center_se_cm if sensor else 0.0 for sensor in rows]),
         zero=constant,
         zero_zeroing=zeroing,
         zero_sweep=sweep,
