@@ -16,12 +16,13 @@ from thigmo import wiring
 from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.field.readings import Errors, Floats, Readings, Stage
 from thigmo.mechanics import critical_moment
-from thigmo.robot import SensorTable, SweepResult
+from thigmo.robot import Peak, SensorTable, SweepResult
 
 _FRAMES = 5  # of 20 Hz, in a bin
 _SWINGS_S = 0.7  # at its start a half sweep swings
 _FLOOR = 1e-4  # 1/cm, least error of a bin: the board's rounding
 _PEAK_FRAMES = 10
+_GAP_S = 1.0  # without frames of a side, between two of its sweeps
 _ENOUGH = 8  # frames whose scatter says the noise
 # Drift of a gain since its calibration, relative [assumed].
 _GAIN_DRIFT = 0.04
@@ -64,33 +65,28 @@ def read(
     table, sign = SensorTable.of(config), SIGN[side]
     rows: list[_Bin] = []
     scatter = []
-    for number, (sweep, zone) in enumerate(sweeps):
-        frames, curvature = sweep.half(side)
-        peaks = [peak for peak in sweep.peaks if peak.side == side]
-        if not frames or not peaks:
-            continue
-        stage = Stage(round(peaks[0].length_cm, 2), zone)
-        t_s, psi, free = np.array(
-            [(f.t_s, f.pressure_psi, f.free_curvature) for f in frames]
-        ).T  # fmt: skip
-        use = table.usable(side, sweep.sensors) & np.isfinite(curvature).all(axis=0)
-        rising = (np.arange(t_s.size) <= psi.argmax()) & (t_s >= t_s[0] + _SWINGS_S)
-        chosen = np.flatnonzero(rising)
-        if chosen.size > _ENOUGH:  # white noise: what is left of second differences
-            rough = np.diff(curvature[chosen], 2, axis=0).std(axis=0) / 6**0.5
-            scatter.append(np.where(use, rough, np.nan))
-        rate = np.gradient(free, t_s) if t_s.size > 1 else np.zeros(t_s.size)
-        for part in np.array_split(chosen, max(1, chosen.size // _FRAMES)):
-            if part.size and use.any():
-                y = np.where(use, curvature[part].mean(axis=0), np.nan)
-                mean = float(free[part].mean()), float(rate[part].mean())
-                rows.append(_Bin(number, stage, y, 0.0 * y, part.size, *mean))
-        for peak in peaks:
+    number = 0
+    for sweep, zone in sweeps:
+        for rise in _rises(sweep, side):
+            use = table.usable(side, sweep.sensors) & np.isfinite(rise.curvature).all(axis=0)
+            chosen = np.flatnonzero(rise.t_s >= rise.t_s[0] + _SWINGS_S)
+            if chosen.size > _ENOUGH:  # white noise: what is left of second differences
+                rough = np.diff(rise.curvature[chosen], 2, axis=0).std(axis=0) / 6**0.5
+                scatter.append(np.where(use, rough, np.nan))
+            rate = np.gradient(rise.bend, rise.t_s) if rise.t_s.size > 1 else np.zeros(1)
+            stage = Stage(round(rise.peak.length_cm, 2), zone)
+            for part in np.array_split(chosen, max(1, chosen.size // _FRAMES)):
+                if part.size and use.any():
+                    y = np.where(use, rise.curvature[part].mean(axis=0), np.nan)
+                    mean = float(rise.bend[part].mean()), float(rate[part].mean())
+                    rows.append(_Bin(number, stage, y, 0.0 * y, part.size, *mean))
+            peak = rise.peak
             young = table.usable(side, peak.sensors) & np.isfinite(peak.curvature) & ~use
             if young.any():
                 y = np.where(young, peak.curvature, np.nan)
-                added = peak.added_noise
-                rows.append(_Bin(number, stage, y, added, _PEAK_FRAMES, peak.free_curvature, 0.0))
+                mean = peak.free_curvature, 0.0
+                rows.append(_Bin(number, stage, y, peak.added_noise, _PEAK_FRAMES, *mean))
+            number += 1
     if not rows:
         return None
     curvature = np.array([row.curvature for row in rows])
@@ -116,6 +112,31 @@ def read(
         radius=config.body.radius_cm,
     )
     return readings, stated(config, side, some)
+
+
+class _Rise(NamedTuple):
+    """One way up of a half sweep."""
+
+    t_s: Floats  # (n,)
+    bend: Floats  # (n,) of the free body, signed, 1/cm
+    curvature: Floats  # (n, sensors)
+    peak: Peak
+
+
+def _rises(sweep: SweepResult, side: Side) -> list[_Rise]:
+    """The ways up of one side: several where sweeps were joined, as repeated measurements are."""
+    frames, curvature = sweep.half(side)
+    peaks = [peak for peak in sweep.peaks if peak.side == side]
+    if not frames or not peaks:
+        return []
+    t_s, psi, bend = np.array([(f.t_s, f.pressure_psi, f.free_curvature) for f in frames]).T
+    parts = np.split(np.arange(t_s.size), np.flatnonzero(np.diff(t_s) > _GAP_S) + 1)
+    rises = []
+    for part in parts:
+        up = part[: int(psi[part].argmax()) + 1]
+        peak = min(peaks, key=lambda peak: abs(peak.t_s - t_s[up[-1]]))
+        rises.append(_Rise(t_s[up], bend[up], curvature[up], peak))
+    return rises
 
 
 def _white(scatter: Floats, stated: Floats) -> Floats:
