@@ -145,9 +145,8 @@ Gap Centreline::gap_to_round(double x, double y, double radius, const Outline& o
   double ahead_before = 0.0;
   for (int i = 0; i < count; ++i) {
     const bool end = nodes[i].s >= side - 1e-9;
-    const Pose here = end && nodes[i].s > side
-                          ? pose(side)
-                          : Pose{nodes[i].x, nodes[i].y, nodes[i].heading};
+    const Pose here =
+        end && nodes[i].s > side ? pose(side) : Pose{nodes[i].x, nodes[i].y, nodes[i].heading};
     const auto [ahead, left_of] = seen_from(here);
     if (i > 0 && ahead_before >= 0.0 && ahead < 0.0) {
       // The foot of the perpendicular lies in this cell: Newton on (peg - r) . t = 0.
@@ -199,7 +198,9 @@ Gap Centreline::gap_to_straight(const Peg& wall, const Outline& outline) const {
       best = {away, place, Part::kStraight, along};
     }
   };
-  const auto across = [&](double heading) { return std::sin(heading) * ux - std::cos(heading) * uy; };
+  const auto across = [&](double heading) {
+    return std::sin(heading) * ux - std::cos(heading) * uy;
+  };
   // Whether the wall lies to the left of a section that runs along it.
   const auto on_left = [&](const Pose& at) {
     const double n = (wall.y - at.y) * ux - (wall.x - at.x) * uy;  // along (-uy, ux)

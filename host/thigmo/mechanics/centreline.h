@@ -39,8 +39,9 @@ static_assert(sizeof(Node) == 5 * sizeof(double), "Python reads the table as (n,
 
 enum class Kind { kRightSide, kRightCorner, kFace, kLeftCorner, kLeftSide };
 
-// A place on the skin: the section that carries it, the contact's offsets from that section's centre
-// along the tangent and the left normal, and the outward normal there as (tangential, normal).
+// A place on the skin: the section that carries it, the contact's offsets from that section's
+// centre along the tangent and the left normal, and the outward normal there as (tangential,
+// normal).
 struct Skin {
   double arc, ahead, offset, out_t, out_n;
   Kind kind;

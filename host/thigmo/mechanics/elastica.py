@@ -217,6 +217,8 @@ class Rod(_rod.Rod):
         readings, by_place, by, contacts, approximate = self._sweep(ladder, length, x, width)
         bodies = by.shape[2] - 3
         by_obstacle = by[:, :, :bodies].reshape(*readings.shape, contacts.shape[1], 6)
+        # The solver moves a wall as a whole by x and y; here its last end stays where it is.
+        by_obstacle[..., :2] -= by_obstacle[..., 3:5]
         return Sweep(
             readings, by_place, by_obstacle, by[:, :, bodies:], contacts, approximate.astype(bool)
         )

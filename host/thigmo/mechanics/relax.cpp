@@ -45,8 +45,7 @@ class Descent {
     for (std::size_t j = 0; j < hold_.size(); ++j) {
       if (hold_[j] > 1e-9) {
         const Gap& gap = gaps_[j];
-        relaxed.contacts.push_back(
-            {static_cast<int>(j), hold_[j], gap.place, gap.part, gap.along});
+        relaxed.contacts.push_back({static_cast<int>(j), hold_[j], gap.place, gap.part, gap.along});
       }
     }
     return relaxed;
@@ -60,7 +59,9 @@ class Descent {
     return folds_ ? unknown[room_.cells] : 0.0;
   }
 
-  double base_turn(const std::vector<double>& unknown) const { return turns_ ? unknown.back() : 0.0; }
+  double base_turn(const std::vector<double>& unknown) const {
+    return turns_ ? unknown.back() : 0.0;
+  }
 
   // A peg's force; one that yields is softer by its compliance, and meets the body farther in.
   double pressing(std::size_t peg) const {
@@ -72,8 +73,7 @@ class Descent {
   // Lays the body out, measures all gaps and returns the energy: bending, fold and penalties.
   double lay_out(const std::vector<double>& unknown) {
     const Fold fold{fold_angle(unknown), 2.0 * room_.tube_radius};
-    Section at{};
-    at.heading = base_turn(unknown);
+    Section at = Section::at_origin(base_turn(unknown));
     double energy = turns_ ? 0.5 * at.heading * at.heading / room_.base_compliance : 0.0;
     for (int i = 0; i <= room_.cells; ++i) {
       const double s = i * h_;
@@ -115,7 +115,8 @@ class Descent {
       const double lever = out_x * (y - middle_y) - out_y * (x - middle_x);
       levers[i] = part * lever;
       if (folds_) {
-        levers[room_.cells] += std::max(std::min(i * h_ + part, width) - i * h_, 0.0) / width * lever;
+        levers[room_.cells] +=
+            std::max(std::min(i * h_ + part, width) - i * h_, 0.0) / width * lever;
       }
     }
     if (turns_) levers.back() = out_x * y - out_y * x;
@@ -206,8 +207,9 @@ class Descent {
 
   const Room& room_;
   double h_;
-  bool folds_, turns_;           // whether the base folds, and turns
-  std::vector<double> unknown_;  // contact curvature of each cell, the fold's angle, the base's turn
+  bool folds_, turns_;  // whether the base folds, and turns
+  std::vector<double>
+      unknown_;  // contact curvature of each cell, the fold's angle, the base's turn
   std::vector<Tangent> none_;
   std::vector<Node> nodes_;
   std::vector<double> hold_;  // forces of the augmented Lagrangian

@@ -52,7 +52,7 @@ Rod::Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
       choice_(model),
       tolerance_(tolerance),
       friction_(friction),
-      room_{0.0, 0.5 * diameter, critical, 0.0, checked(std::move(pegs)),
+      room_{0.0, 0.5 * diameter,  critical, 0.0, checked(std::move(pegs)),
             0,   base_compliance, rounding} {
   if (!(cell >= 0.01 && cell <= 10.0)) throw BadInput("cell_cm must lie between 0.01 and 10");
   if (!(friction >= 0.0 && friction <= 2.0)) throw BadInput("friction must lie between 0 and 2");

@@ -6,21 +6,23 @@
 // without its smooth corner): it follows how the skin has moved over the peg since the last
 // equilibrium, the peg's rolling on the skin included. The base folds when the contact moment there
 // reaches the critical one: the moment then stays, and the fold's angle is spread over one
-// diameter. The base itself turns in proportion to that moment, and obstacles yield in proportion to
-// the force on them.
+// diameter. The base itself turns in proportion to that moment, and obstacles yield in proportion
+// to the force on them.
 //
 // Why this form. Forces follow the rod's own skin, so, seen from the tip, everything that acts on
 // the rod is known once each contact's force and place are: integrating from the tip down to the
 // base is an explicit initial-value problem, and so are its derivatives by them. What remains is a
-// Newton iteration in two unknowns a contact for the two coordinates of its peg's centre (a third for
-// the place along a wall), plus the fold's angle when the base folds. The same derivatives say how
-// readings change with where an obstacle stands (see Sweep). When that branch ends (snap-through, slip over the tip), `relax` walks downhill in energy from
-// the last shape, and Newton polishes what it finds.
+// Newton iteration in two unknowns a contact for the two coordinates of its peg's centre (a third
+// for the place along a wall), plus the fold's angle when the base folds. The same derivatives say
+// how readings change with where an obstacle stands (see Sweep). When that branch ends
+// (snap-through, slip over the tip), `relax` walks downhill in energy from the last shape, and
+// Newton polishes what it finds.
 //
 // Python's view of it is elastica.py. See docs/methods.md, bent bodies and buckling.
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <optional>
 #include <stdexcept>
 #include <vector>
@@ -73,27 +75,41 @@ Relaxed relax(const Room& room, std::vector<double> bend, double fold_angle);
 // The derivative of a Section by one unknown, at a fixed arc.
 struct Tangent {
   double x, y, heading, moment, n_x, n_y;
-  double half, full;  // by which the natural turn changes over the coming step's first half, and all
+  double half,
+      full;  // by which the natural turn changes over the coming step's first half, and all
+};
+
+// A direction: the cosine and the sine of its angle.
+struct Heading {
+  double c, d;
+  Heading turned(double angle) const;
 };
 
 // The state of the body at one arc while it is integrated.
 struct Section {
   double x, y, heading;
+  Heading toward;   // the heading again
   double moment;    // of contacts
   double n_x, n_y;  // force carried
   // Go `step` cm towards the base (negative: towards the tip) where the natural curvature turns the
   // body by `half` over the first half and by `full` over all of it, and the derivatives with it.
   void advance(double step, double half, double full, std::vector<Tangent>& by);
+
+  // A section that carries nothing yet.
+  static Section at_origin(double heading) {
+    return {0.0, 0.0, heading, {std::cos(heading), std::sin(heading)}, 0.0, 0.0, 0.0};
+  }
 };
 
 // One integration: contacts' sections, the base, and the derivatives of all by each direction. The
-// directions are the unknowns, the natural curvature and, with friction, each contact's share of it.
+// directions are the unknowns, the natural curvature and, with friction, each contact's share of
+// it.
 struct Shot {
   int directions = 0;
-  Section base{};
+  Section base = Section::at_origin(0.0);
   std::vector<Tangent> base_by;
-  std::vector<Pose> at;          // of contacts; `at_by` follows a contact that moves
-  std::vector<Tangent> at_by;    // [contact][direction]
+  std::vector<Pose> at;        // of contacts; `at_by` follows a contact that moves
+  std::vector<Tangent> at_by;  // [contact][direction]
   // Of contacts, in the room: the obstacle's centre beside them, the direction to it, the force on
   // the body.
   struct Touch {
@@ -119,7 +135,7 @@ struct Sweep {
   std::vector<double> readings;      // [row][sensor], 1/cm
   std::vector<double> by_place;      // [row][sensor], for each cm that the sensor lies farther out
   std::vector<double> by_parameter;  // [row][sensor][parameter]
-  std::vector<double> contacts;      // [row][obstacle][arc, x, y, force], NaN where it is not touched
+  std::vector<double> contacts;  // [row][obstacle][arc, x, y, force], NaN where it is not touched
   std::vector<unsigned char> approximate;  // [row] whether its equilibrium is one of penalties only
 };
 
@@ -143,7 +159,8 @@ class Rod {
   // Take given contacts and a given fold: one integration, nothing is solved.
   void press(std::vector<Contact> contacts, double fold_angle, double natural, double length);
 
-  // Bend the free body of a length through a ladder of natural curvatures, and read sensors at each.
+  // Bend the free body of a length through a ladder of natural curvatures, and read sensors at
+  // each.
   Sweep sweep(const std::vector<double>& naturals, double length,
               const std::vector<double>& centers, const std::vector<double>& spans);
 

@@ -1,5 +1,5 @@
-// A whole sweep of the free body into a room, and how its readings change with each of the room's and
-// the body's numbers: what a fit of the room to recorded sweeps needs.
+// A whole sweep of the free body into a room, and how its readings change with each of the room's
+// and the body's numbers: what a fit of the room to recorded sweeps needs.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -74,8 +74,8 @@ bool Rod::arc_is_clear(double natural, double length) const {
     const double dy = y - 2.0 * half * half / bend;
     const double ahead = dx * std::cos(turn) + dy * std::sin(turn);
     if (ahead < 0.0) continue;
-    const double over = std::fabs(dy * std::cos(turn) - dx * std::sin(turn)) -
-                        (room_.tube_radius - room_.rounding);
+    const double over =
+        std::fabs(dy * std::cos(turn) - dx * std::sin(turn)) - (room_.tube_radius - room_.rounding);
     if (std::hypot(ahead, std::max(over, 0.0)) <= peg.radius + room_.rounding) return false;
   }
   return true;
