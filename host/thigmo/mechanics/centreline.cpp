@@ -119,14 +119,21 @@ double Centreline::mean(double center, double span) const {
 }
 
 Gap Centreline::gap_to(const Peg& peg, const Outline& outline) const {
-  Gap best = gap_to_round(peg.x, peg.y, peg.radius, outline);
-  if (!peg.is_wall()) return best;
-  Gap last = gap_to_round(peg.x + peg.to_x, peg.y + peg.to_y, peg.radius, outline);
-  last.part = Part::kLastEnd;
-  last.along = std::hypot(peg.to_x, peg.to_y);
-  if (last.distance < best.distance) best = last;
-  const Gap straight = gap_to_straight(peg, outline);
-  return straight.distance < best.distance ? straight : best;
+  Gap best = gap_to(peg, Part::kFirstEnd, outline);
+  for (int part = 1; part < (peg.is_wall() ? kParts : 1); ++part) {
+    const Gap gap = gap_to(peg, static_cast<Part>(part), outline);
+    if (gap.distance < best.distance) best = gap;
+  }
+  return best;
+}
+
+Gap Centreline::gap_to(const Peg& peg, Part part, const Outline& outline) const {
+  if (part == Part::kStraight) return gap_to_straight(peg, outline);
+  if (part == Part::kFirstEnd) return gap_to_round(peg.x, peg.y, peg.radius, outline);
+  Gap gap = gap_to_round(peg.x + peg.to_x, peg.y + peg.to_y, peg.radius, outline);
+  gap.part = part;
+  gap.along = std::hypot(peg.to_x, peg.to_y);
+  return gap;
 }
 
 Gap Centreline::gap_to_round(double x, double y, double radius, const Outline& outline) const {

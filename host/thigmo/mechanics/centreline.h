@@ -24,6 +24,7 @@ struct Peg {
 
 // The part of an obstacle that touches: a peg is its own first end.
 enum class Part { kFirstEnd, kLastEnd, kStraight };
+constexpr int kParts = 3;  // of a wall
 
 // The base's fold: its angle (rad), spread evenly over [0, width].
 struct Fold {
@@ -84,8 +85,9 @@ struct Centreline {
   double mean(double center, double span) const;
   // Ends of the part of a span that is cut to the body; nothing if none of it is left.
   bool cut(double center, double span, double& low, double& high) const;
-  // Distance from the tube to an obstacle, and the closest place on the skin.
+  // Distance from the tube to an obstacle, or to a part of it, and the closest place on the skin.
   Gap gap_to(const Peg& peg, const Outline& outline) const;
+  Gap gap_to(const Peg& peg, Part part, const Outline& outline) const;
   // The cell (number of its lower node) that holds an arc.
   int cell_of(double s) const;
   // Curvature with the fold, linear between nodes.

@@ -1,14 +1,16 @@
-"""Large deflections of the body against round pegs, or pushed to a given force.
+"""Large deflections of the body against pegs and walls, or pushed to a given force.
 
 Use `solve` for one equilibrium, `Rod` to follow a robot through time (each step starts from the
-last), `Rod.sweep` for the readings of a whole sweep and their derivatives, and `push` for the shape of the body under a force f at arc a. `push` needs no peg and does
-not iterate, so tests of estimators use it as truth.
+last), `Rod.sweep` for the readings of a whole sweep and their derivatives, and `push` for the shape
+of the body under a force f at arc a. `push` needs no peg and does not iterate, so tests of
+estimators use it as truth.
 
 The model is planar and inextensible with EI = 1 (forces in 1/cm^2, moments in 1/cm) and natural
 curvature g, clamped at the base at (0, 0) heading along x. Contacts are unilateral, and without
 friction unless a `Rod` is given some. The base folds when the contact moment there reaches
 `critical_moment`. The moment then stays at that value, and the angle of the fold is spread over one
-diameter from the base. Base and obstacles may yield in proportion to what acts on them. The compiled extension has the method (`rod.h`).
+diameter from the base. Base and obstacles may yield in proportion to what acts on them. The
+compiled extension has the method (`rod.h`).
 """
 
 from __future__ import annotations

@@ -116,14 +116,16 @@ bool Rod::find_reactions() {
     Gap deepest{0.0, 0.0};
     int overlapping = -1;
     for (int i = 0; i < static_cast<int>(room_.pegs.size()); ++i) {
-      if (std::any_of(contacts.begin(), contacts.end(),
-                      [i](const Contact& contact) { return contact.peg == i; })) {
-        continue;
-      }
-      const Gap gap = centreline().gap_to(room_.pegs[i], room_.outline());
-      if (gap.distance < deepest.distance) {
-        deepest = gap;
-        overlapping = i;
+      const Peg& peg = room_.pegs[i];
+      const bool touched = std::any_of(contacts.begin(), contacts.end(),
+                                       [i](const Contact& contact) { return contact.peg == i; });
+      if (touched && !peg.is_wall()) continue;
+      for (int part = 0; part < (peg.is_wall() ? kParts : 1); ++part) {
+        const Gap gap = centreline().gap_to(peg, static_cast<Part>(part), room_.outline());
+        if (gap.distance < deepest.distance && !(touched && already_touched(i, gap.place))) {
+          deepest = gap;
+          overlapping = i;
+        }
       }
     }
     if (deepest.distance < -kGap) {
@@ -136,6 +138,15 @@ bool Rod::find_reactions() {
     return true;
   }
   return false;
+}
+
+// Whether a contact with an obstacle is at this place of the skin: a wall may be touched at
+// several.
+bool Rod::already_touched(int peg, double place) const {
+  return std::any_of(reactions_.contacts.begin(), reactions_.contacts.end(),
+                     [peg, place](const Contact& contact) {
+                       return contact.peg == peg && std::fabs(contact.place - place) < kApart;
+                     });
 }
 
 // Lets a contact go on from a wall's straight part to one of its ends, and back.

@@ -20,9 +20,14 @@ class Descent {
         folds_(std::isfinite(room.critical)),
         turns_(room.base_compliance > 0.0),
         unknown_(std::move(bend)),
-        nodes_(room.cells + 1),
-        hold_(room.pegs.size(), 0.0),
-        gaps_(room.pegs.size()) {
+        nodes_(room.cells + 1) {
+    for (int i = 0; i < static_cast<int>(room.pegs.size()); ++i) {
+      for (int part = 0; part < (room.pegs[i].is_wall() ? kParts : 1); ++part) {
+        stops_.push_back({i, static_cast<Part>(part)});
+      }
+    }
+    hold_.assign(stops_.size(), 0.0);
+    gaps_.resize(stops_.size());
     // Breaks the symmetry of a straight rod pushed head-on.
     for (int i = 0; i < room_.cells; ++i) unknown_[i] += 1e-6 * (i + 1) / room_.cells;
     if (folds_) unknown_.push_back(fold_angle);
@@ -35,7 +40,7 @@ class Descent {
       double worst = 0.0;
       for (std::size_t j = 0; j < hold_.size(); ++j) {
         hold_[j] = pressing(j);
-        const double gap = gaps_[j].distance + room_.pegs[j].compliance * hold_[j];
+        const double gap = gaps_[j].distance + peg(j).compliance * hold_[j];
         worst = std::max(worst, hold_[j] > 0.0 ? std::fabs(gap) : -gap);
       }
       if (worst < 1e-6) break;
@@ -43,15 +48,28 @@ class Descent {
     Relaxed relaxed{
         {unknown_.begin(), unknown_.begin() + room_.cells}, fold_angle(unknown_), {}, nodes_};
     for (std::size_t j = 0; j < hold_.size(); ++j) {
-      if (hold_[j] > 1e-9) {
-        const Gap& gap = gaps_[j];
-        relaxed.contacts.push_back({static_cast<int>(j), hold_[j], gap.place, gap.part, gap.along});
+      const Gap& gap = gaps_[j];
+      // A wall's end and its straight part may both press where one passes into the other.
+      const bool again = std::any_of(
+          relaxed.contacts.begin(), relaxed.contacts.end(), [&](const Contact& contact) {
+            return contact.peg == stops_[j].peg && std::fabs(contact.place - gap.place) < kApart;
+          });
+      if (hold_[j] > 1e-9 && !again) {
+        relaxed.contacts.push_back({stops_[j].peg, hold_[j], gap.place, gap.part, gap.along});
       }
     }
     return relaxed;
   }
 
  private:
+  // What can press by itself: a peg, or a part of a wall.
+  struct Stop {
+    int peg;
+    Part part;
+  };
+
+  const Peg& peg(std::size_t stop) const { return room_.pegs[stops_[stop].peg]; }
+
   // A peg that presses: how far each unknown moves the skin away from it.
   using Levers = std::vector<double>;
 
@@ -64,11 +82,11 @@ class Descent {
   }
 
   // A peg's force; one that yields is softer by its compliance, and meets the body farther in.
-  double pressing(std::size_t peg) const {
-    return std::max(hold_[peg] - kStiff * gaps_[peg].distance, 0.0) / softening(peg);
+  double pressing(std::size_t stop) const {
+    return std::max(hold_[stop] - kStiff * gaps_[stop].distance, 0.0) / softening(stop);
   }
 
-  double softening(std::size_t peg) const { return 1.0 + kStiff * room_.pegs[peg].compliance; }
+  double softening(std::size_t stop) const { return 1.0 + kStiff * peg(stop).compliance; }
 
   // Lays the body out, measures all gaps and returns the energy: bending, fold and penalties.
   double lay_out(const std::vector<double>& unknown) {
@@ -88,16 +106,16 @@ class Descent {
     }
     if (folds_) energy += room_.critical * (std::hypot(fold.angle, 1e-4) - 1e-4);
     const Centreline line{nodes_.data(), room_.cells + 1, fold};
-    for (std::size_t j = 0; j < room_.pegs.size(); ++j) {
-      gaps_[j] = line.gap_to(room_.pegs[j], room_.outline());
+    for (std::size_t j = 0; j < stops_.size(); ++j) {
+      gaps_[j] = line.gap_to(peg(j), stops_[j].part, room_.outline());
       energy += 0.5 * pressing(j) * pressing(j) * softening(j) / kStiff;
     }
     return energy;
   }
 
-  Levers levers(std::size_t peg) const {
+  Levers levers(std::size_t stop) const {
     const double width = 2.0 * room_.tube_radius;
-    const Skin on = room_.outline().at(gaps_[peg].place, room_.pegs[peg].radius);
+    const Skin on = room_.outline().at(gaps_[stop].place, peg(stop).radius);
     const Pose pose =
         Centreline{nodes_.data(), room_.cells + 1, {fold_angle(unknown_), width}}.pose(on.arc);
     const double c = std::cos(pose.heading);
@@ -146,7 +164,7 @@ class Descent {
       }
       std::vector<Levers> active;
       std::vector<std::size_t> pressed;
-      for (std::size_t j = 0; j < room_.pegs.size(); ++j) {
+      for (std::size_t j = 0; j < stops_.size(); ++j) {
         const double force = pressing(j);
         if (force <= 0.0) continue;
         active.push_back(levers(j));
@@ -206,6 +224,7 @@ class Descent {
   }
 
   const Room& room_;
+  std::vector<Stop> stops_;
   double h_;
   bool folds_, turns_;  // whether the base folds, and turns
   std::vector<double>

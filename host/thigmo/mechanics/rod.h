@@ -61,6 +61,8 @@ struct Room {
   Outline outline() const { return {length, tube_radius, rounding}; }
 };
 
+constexpr double kApart = 1.0;  // cm of skin, between two contacts with one wall
+
 // A minimum of energy to the accuracy of penalties: contact curvature of each cell, and the rest.
 struct Relaxed {
   std::vector<double> bend;
@@ -135,7 +137,7 @@ struct Sweep {
   std::vector<double> readings;      // [row][sensor], 1/cm
   std::vector<double> by_place;      // [row][sensor], for each cm that the sensor lies farther out
   std::vector<double> by_parameter;  // [row][sensor][parameter]
-  std::vector<double> contacts;  // [row][obstacle][arc, x, y, force], NaN where it is not touched
+  std::vector<double> contacts;      // [row][obstacle][arc, x, y, force], NaN if not touched
   std::vector<unsigned char> approximate;  // [row] whether its equilibrium is one of penalties only
 };
 
@@ -208,6 +210,7 @@ class Rod {
   void forget_equations();
   void predict(double change);
   bool find_reactions();
+  bool already_touched(int peg, double place) const;
   bool switch_parts();
   bool newton(int& determinant_sign);
   void shoot(const Reactions& reactions);
@@ -219,7 +222,6 @@ class Rod {
             const std::vector<double>& spans) const;
   void read_free(Sweep& sweep, int row, double natural, double length,
                  const std::vector<double>& centers, const std::vector<double>& spans) const;
-  int directions_of_unknowns() const { return static_cast<int>(residual_.size()); }
   bool arc_is_clear(double natural, double length) const;
   void set_free(std::vector<Node> nodes, double natural, double length);
   double travel(double natural, double length) const;

@@ -102,6 +102,7 @@ void Rod::read(Sweep& sweep, int row, const std::vector<double>& centers,
   const std::vector<double> total = exact ? sensitivity() : std::vector<double>();
   sweep.approximate[row] = !exact;
   std::vector<double> turn_by(directions), by(parameters);
+  const int fold = reactions_.folding != 0 ? static_cast<int>(residual_.size()) - 1 : -1;
   // Adds `sign` times the heading's derivatives at an arc.
   const auto add_heading_by = [&](double s, double sign) {
     const int cell = line.cell_of(s);
@@ -116,7 +117,7 @@ void Rod::read(Sweep& sweep, int row, const std::vector<double>& centers,
     const Fold unit{1.0, diameter()};
     // The fold's turn is linear between nodes up to its width, and so is what Hermite makes of it.
     for (int d = 0; d < directions; ++d) {
-      const bool folds = reactions_.folding != 0 && d == directions_of_unknowns() - 1;
+      const bool folds = d == fold;
       const double at_a = folds ? unit.turn(a.s) : 0.0;
       const double at_b = folds ? unit.turn(b.s) : 0.0;
       const double at_s = folds ? unit.turn(s) : 0.0;
@@ -149,10 +150,12 @@ void Rod::read(Sweep& sweep, int row, const std::vector<double>& centers,
   }
   for (const ContactReport& contact : contacts()) {
     double* out = &sweep.contacts[4 * (row * room_.pegs.size() + contact.peg)];
+    const double force = std::hypot(contact.normal, contact.tangential);
+    if (out[3] > force) continue;  // of a wall's contacts the strongest
     out[0] = contact.arc;
     out[1] = contact.x;
     out[2] = contact.y;
-    out[3] = std::hypot(contact.normal, contact.tangential);
+    out[3] = force;
   }
 }
 
