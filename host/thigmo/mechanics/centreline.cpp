@@ -191,16 +191,25 @@ Gap Centreline::gap_to_round(double x, double y, double radius, const Outline& o
 
 // The straight part touches a side where the body runs along it, and the end at a corner.
 Gap Centreline::gap_to_straight(const Peg& wall, const Outline& outline) const {
+  constexpr double kAround = 2.0;  // cm beyond the wall's line: the body has gone around its end
   const double extent = std::hypot(wall.to_x, wall.to_y);
   const double ux = wall.to_x / extent;
   const double uy = wall.to_y / extent;
   const double around = outline.perimeter(wall.radius);
   const double side = outline.side();
   Gap best{1e30, 0.0};
+  // Distance from the wall's line, counted positive on the side of the base.
+  const double hand = ux * wall.y - uy * wall.x > 0.0 ? -1.0 : 1.0;
+  const auto before = [&](double x, double y) {
+    return hand * (ux * (y - wall.y) - uy * (x - wall.x));
+  };
+  // The direction from a point to the wall, as a sign of (-uy, ux).
+  const auto toward = [&](double x, double y) { return before(x, y) > -kAround ? -hand : hand; };
   // `x`, `y`: a point of the body; `reach`: of the tube around it.
   const auto consider = [&](double x, double y, double reach, double place) {
     const double along = (x - wall.x) * ux + (y - wall.y) * uy;
-    const double away = std::fabs((y - wall.y) * ux - (x - wall.x) * uy) - reach - wall.radius;
+    const double off = before(x, y);
+    const double away = (off > -kAround ? off : -off) - reach - wall.radius;
     if (along >= 0.0 && along <= extent && away < best.distance) {
       best = {away, place, Part::kStraight, along};
     }
@@ -210,8 +219,7 @@ Gap Centreline::gap_to_straight(const Peg& wall, const Outline& outline) const {
   };
   // Whether the wall lies to the left of a section that runs along it.
   const auto on_left = [&](const Pose& at) {
-    const double n = (wall.y - at.y) * ux - (wall.x - at.x) * uy;  // along (-uy, ux)
-    return n * (std::cos(at.heading) * ux + std::sin(at.heading) * uy) > 0.0;
+    return toward(at.x, at.y) * (std::cos(at.heading) * ux + std::sin(at.heading) * uy) > 0.0;
   };
   for (int i = 0; i + 1 < count && nodes[i].s < side; ++i) {
     double low = nodes[i].s;
@@ -233,7 +241,7 @@ Gap Centreline::gap_to_straight(const Peg& wall, const Outline& outline) const {
   for (const double hand : {-1.0, 1.0}) {  // the right corner, and the left one
     const double x = end.x - hand * half_face * d;
     const double y = end.y + hand * half_face * c;
-    const double sign = (wall.y - y) * ux - (wall.x - x) * uy > 0.0 ? 1.0 : -1.0;
+    const double sign = toward(x, y);
     const double out_t = sign * (ux * d - uy * c);
     const double out_n = hand * sign * (ux * c + uy * d);
     if (out_t < 0.0 || out_n < 0.0) continue;
