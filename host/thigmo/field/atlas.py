@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.field.fit import FieldFit, Mode, whitened
-from thigmo.field.hypotheses import PEG, RADIUS_MEAN, untouched
+from thigmo.field.hypotheses import RADIUS_MEAN, touched, untouched
 from thigmo.field.readings import Floats, Readings
 from thigmo.mechanics import Rod, Tube
 
@@ -71,7 +71,7 @@ class Atlas:
     def _table(
         self, radius: float, length: float, moment: float, arc: float, bend: float
     ) -> _Table | None:
-        (peg,) = PEG.place(np.array([arc, bend, RADIUS_MEAN, 0.0, 0.0]), radius)
+        peg = touched(arc, bend, float(np.exp(RADIUS_MEAN)) * radius, radius)
         first = untouched(peg, length, radius, self.bends)
         straight = np.hypot(peg.x - np.clip(peg.x, 0.0, length), peg.y)
         if first == self.bends.size or straight < peg.radius + radius:
@@ -81,12 +81,8 @@ class Atlas:
         middles: Floats = cell * (np.arange(count, dtype=np.float64) + 0.5)
         widths: Floats = np.full(count, cell)
         bends = self.bends[first:]
-        mean: Floats = np.empty((bends.size, count), dtype=np.float64)
-        rod = Rod(Tube(2 * radius, moment), [peg], model="auto", cell_cm=_MESH * length)
-        rod.assume_free(float(bends[0]), length)
-        for row, g in zip(mean, bends.tolist(), strict=True):
-            rod.step(g, length)
-            rod.averages_into(middles, widths, row)
+        rod = Rod(Tube(2 * radius, moment), [peg], cell_cm=_MESH * length)
+        mean = rod.sweep(bends, length, middles, widths).readings
         heading: npt.NDArray[np.float32] = np.zeros((bends.size, count + 1), dtype=np.float32)
         heading[:, 1:] = np.cumsum((mean - bends[:, None]) * cell, axis=1)
         return _Table(first, heading)

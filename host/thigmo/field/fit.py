@@ -17,15 +17,19 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.field.hypotheses import (
+    ARC,
+    BEND,
     FOLD,
     FRICTION,
     NOTHING,
+    PEG_UNKNOWNS,
+    YIELD,
     Body,
     Hypothesis,
     untouched,
 )
 from thigmo.field.readings import Errors, Floats, Readings
-from thigmo.mechanics import Rod, Tube
+from thigmo.mechanics import Peg, Rod, Tube
 
 # Rows of a table of the mechanics: turns (rad) of the whole body between them, and the share of a
 # sweep's highest bend up to which errors of the map may take it.
@@ -39,6 +43,7 @@ MOST_PASSES = 12
 _DAMPING, _LEAST_DAMPING, _RAISED = 1e-2, 1e-4, 6.0
 _TRIES = 5  # of a step, each with more damping
 _GAIN = 0.02  # log likelihood below which a pass ends the fit
+_LEVER = 0.7  # of the longest body, where the force acts for which a yield is stated
 _LARGEST_TURN = 0.13  # rad at the end of the body, of one step of the touch's bend
 
 
@@ -48,8 +53,8 @@ class Touch(NamedTuple):
     arc: Floats  # (k, p) cm
     x: Floats  # (k, p) of the touched skin, cm
     y: Floats
-    normal: Floats  # (k, p) direction from the centreline to the contact, rad
-    force: Floats  # (k, p) across the body, over EI, 1/cm^2
+    normal: Floats  # (k, p) direction from the contact into the peg, rad
+    force: Floats  # (k, p) over EI, 1/cm^2
 
 
 class Tables(NamedTuple):
@@ -57,8 +62,18 @@ class Tables(NamedTuple):
 
     mean: Floats  # (s, k, m) what sensors read, 1/cm
     shift: Floats  # (s, k, m) by how much that grows for each cm farther out
+    by_q: Floats  # (s, k, m, unknowns) by how much for each unknown
     touch: tuple[Touch | None, ...]  # of each stage; None: it reaches nothing
-    folds: bool  # whether the base folds in any row
+
+
+class Prediction(NamedTuple):
+    """Readings of n bins by m sensors, 1/cm."""
+
+    value: Floats  # (n, m)
+    slope: Floats  # (n, m) over the bend
+    effect: Floats  # (n, m, count) derivatives by the errors
+    bend: Floats  # (n,) of the free body, 1/cm
+    by_q: Floats  # (n, m, unknowns) derivatives by what stands there
 
 
 class Departures(NamedTuple):
@@ -70,6 +85,7 @@ class Departures(NamedTuple):
     along: Floats  # (n, m) bin's error of the bend, whitened
     volume: float  # logarithm of the noise's volume
     value: Floats  # (n, m) prediction
+    by_q: Floats  # (n m, unknowns) its derivatives by what stands there, whitened
 
 
 @dataclass(frozen=True)
@@ -96,20 +112,17 @@ class FieldFit:
         self.step = row * ROW_TURN / self.longest
         top = BEYOND * float(readings.bend.max()) + 2 * self.step
         self.bends = np.arange(0.0, top + self.step, self.step)
-        self.body = Body(readings.radius, self.longest, float(self.bends[-1]), errors.fold)
+        force = float(readings.fold_moment.min()) / (_LEVER * self.longest)
+        self.body = Body(
+            readings.radius, self.longest, float(self.bends[-1]), errors.fold,
+            readings.radius / force,
+        )  # fmt: skip
         self.missing = ~np.isfinite(readings.curvature)
         self._sd = np.where(self.missing, np.inf, readings.noise * np.sqrt(ALIKE))
         highest = [readings.bend[readings.stage == s].max() for s in range(len(readings.stages))]
         self._rows = [
             min(int(BEYOND * g / self.step) + 4, self.bends.size) for g in np.maximum(highest, 0.0)
         ]
-        # Half a centimetre to either side: the derivative by a sensor's place.
-        m = readings.centers.size
-        aside = 0.5
-        self._places = np.concatenate(
-            [readings.centers, readings.centers - aside, readings.centers + aside]
-        )
-        self._spans, self._read = np.tile(readings.spans, 3), np.empty(3 * m)
         self._lay_out()
 
     def _lay_out(self) -> None:
@@ -147,39 +160,62 @@ class FieldFit:
         return np.zeros(self.count)
 
     def tables(self, hypothesis: Hypothesis, q: Floats) -> Tables:
-        """The mechanics of q; nearly all of the time goes here."""
+        """The mechanics of q; most of the time goes here."""
         r, m = self.readings, self.readings.centers.size
-        pegs = hypothesis.place(q, r.radius)
+        pegs = hypothesis.place(q, self.body)
         mean = np.tile(self.bends[:, None], (len(r.stages), 1, m))
         shift = np.zeros(mean.shape)
+        by_q = np.zeros((*mean.shape, hypothesis.unknowns))
+        chain = [self._moves(row) for row in np.reshape(q[: PEG_UNKNOWNS * len(pegs)], (-1, 3))]
         touches: list[Touch | None] = []
-        folds = False
-        out = self._read
         for s, (length, zone) in enumerate(r.stages):
             rows, touch = self._rows[s], None
             bends = self.bends[:rows]
             first = min((untouched(p, length, r.radius, bends) for p in pegs), default=rows)
             if first < rows:
-                where = np.full((5, rows, len(pegs)), np.nan)
-                tube = Tube(2 * r.radius, float(r.fold_moment[zone] * np.exp(q[FOLD])))
+                critical = float(r.fold_moment[zone] * np.exp(q[FOLD]))
                 rod = Rod(
-                    tube, pegs, model="auto", cell_cm=CELL * self.longest,
+                    Tube(2 * r.radius, critical), pegs, cell_cm=CELL * self.longest,
                     friction=abs(float(q[FRICTION])),
                 )  # fmt: skip
-                rod.assume_free(float(bends[first]), length)
-                for k in range(first, rows):
-                    rod.step(float(bends[k]), length)
-                    rod.averages_into(self._places, self._spans, out)
-                    mean[s, k], shift[s, k] = out[:m], out[2 * m :] - out[m : 2 * m]
-                    if rod.touching:
-                        folds |= rod.fold_angle != 0.0
-                        for peg, arc, _, normal, *_, x, y, force_x, force_y in rod._contacts():
-                            away = float(np.arctan2(-force_y, -force_x))
-                            where[:, k, peg] = arc, x, y, away, normal
-                mean[s, rows:], shift[s, rows:] = mean[s, rows - 1], shift[s, rows - 1]
-                touch = Touch(*where)
+                sweep = rod.sweep(bends[first:], length, r.centers, r.spans)
+                on = slice(first, rows)
+                mean[s, on], shift[s, on] = sweep.readings, sweep.by_place
+                for p, moves in enumerate(chain):
+                    at = PEG_UNKNOWNS * p
+                    by_q[s, on, :, at : at + 3] = sweep.by_obstacle[:, :, p, :3] @ moves
+                yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
+                by_q[s, on, :, YIELD] = yields * np.sign(q[YIELD])
+                by_q[s, on, :, FOLD] = sweep.by_body[..., 0] * critical
+                by_q[s, on, :, FRICTION] = sweep.by_body[..., 2] * np.sign(q[FRICTION])
+                for part in (mean, shift, by_q):
+                    part[s, rows:] = part[s, rows - 1]
+                touch = self._touch(pegs, sweep.contacts, first, rows)
             touches.append(touch)
-        return Tables(mean, shift, tuple(touches), folds)
+        return Tables(mean, shift, by_q, tuple(touches))
+
+    def _moves(self, peg: Floats) -> Floats:
+        """(3, 3) derivatives of a peg's x, y and radius by its three unknowns."""
+        arc, bend, log_radius = peg.tolist()
+        radius, turn = float(np.exp(log_radius)) * self.body.radius, arc * bend
+        across = 1 / bend - self.body.radius - radius
+        sine, cosine = float(np.sin(turn)), float(np.cos(turn))
+        moves = np.zeros((3, 3))
+        moves[:2, ARC] = bend * across * cosine, bend * across * sine
+        moves[:2, BEND] = (
+            arc * across * cosine - sine / bend**2,
+            arc * across * sine - (1 - cosine) / bend**2,
+        )
+        moves[:, 2] = -radius * sine, radius * cosine, radius
+        return moves
+
+    @staticmethod
+    def _touch(pegs: list[Peg], contacts: Floats, first: int, rows: int) -> Touch:
+        where = np.full((5, rows, len(pegs)), np.nan)
+        arc, x, y, force = np.moveaxis(contacts, 2, 0)
+        away = np.arctan2([p.y for p in pegs] - y, [p.x for p in pegs] - x)
+        where[:, first:] = arc, x, y, away, force
+        return Touch(*where)
 
     def bend(self, xi: Floats, spread: float = 1.0) -> Floats:
         """(n,) bends of the free body as the errors have it; `spread` scales drifts."""
@@ -187,10 +223,8 @@ class FieldFit:
         bend: Floats = np.clip(self.readings.bend + self.on_bend @ along, 0.0, self.bends[-2])
         return bend
 
-    def predict(
-        self, tables: Tables, xi: Floats, spread: float = 1.0
-    ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Readings (n, m), their slope over the bend, derivatives (n, m, count) by xi, the bend.
+    def predict(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Prediction:
+        """What the sensors read, and its derivatives.
 
         `xi` are the errors in their standard deviations: each is N(0, 1) beforehand.
         """
@@ -219,7 +253,12 @@ class FieldFit:
             added = self.model * (true - bend[:, None])
             effect[:, sensors, self._modelled + sensors] = added
             value = value + added * xi[self._modelled :]
-        return value, slope, effect, bend
+        answers = (gain * answer)[..., None]
+        by_q = answers * (
+            tables.by_q[r.stage, k] * (1 - part[:, None, None])
+            + tables.by_q[r.stage, k + 1] * part[:, None, None]
+        )
+        return Prediction(value, slope, effect, bend, by_q)
 
     def departures(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Departures:
         """Departures from a prediction.
@@ -227,14 +266,14 @@ class FieldFit:
         The noise is white, plus the mechanics' error, plus each bin's error of the bend, which all
         of its sensors share (a rank-one update).
         """
-        value, slope, effect, bend = self.predict(tables, xi, spread)
+        value, slope, effect, bend, by_q = self.predict(tables, xi, spread)
         added = self.model * (value - bend[:, None]) / self._sd
         weight = 1 / (self._sd * np.sqrt(1 + added**2))
         along = weight * slope * self.errors.bend_bin
         volume = float(np.log1p((along**2).sum(axis=1)).sum() + np.log1p(added**2).sum())
         left = np.where(self.missing, 0.0, self.readings.curvature - value)
-        white = whitened(left, weight, along), whitened(effect, weight, along)
-        return Departures(*white, weight, along, volume, value)
+        z, effect = whitened(left, weight, along), whitened(effect, weight, along)
+        return Departures(z, effect, weight, along, volume, value, whitened(by_q, weight, along))
 
     def evidence(
         self, tables: Tables, xi: Floats, *, spread: float = 1.0, passes: int = 2
@@ -245,14 +284,15 @@ class FieldFit:
         leave: the mean is about the number of readings if the model holds.
         """
         for left in range(passes, -1, -1):
-            z, effect, _, _, volume, _ = self.departures(tables, xi, spread)
+            d = self.departures(tables, xi, spread)
+            z, effect = d.z, d.effect
             factor = np.linalg.cholesky(effect.T @ effect + np.eye(self.count))
             if left:
                 right = np.linalg.solve(factor, effect.T @ z - xi)
                 xi = xi + np.linalg.solve(factor.T, right)
         inside = 2 * float(np.log(np.diag(factor)).sum())
         misfit = float(z @ z + xi @ xi)
-        return -0.5 * (misfit + inside + volume), xi, misfit
+        return -0.5 * (misfit + inside + d.volume), xi, misfit
 
     def nothing(self) -> Mode:
         """The readings' explanation by errors alone."""
@@ -273,8 +313,7 @@ class FieldFit:
         q = np.array(q, dtype=float)
         xi = self.free() if xi is None or xi.size != self.count else xi
         unit = self.longest
-        tiny = hypothesis.columns((0.005 * unit, 5e-3 / unit, 0.15), 0.03, 0.02)
-        most = hypothesis.columns((0.06 * unit, _LARGEST_TURN / unit, 0.6), 0.15, 0.3)
+        most = hypothesis.columns((0.06 * unit, _LARGEST_TURN / unit, 0.6), 0.15, 0.3, 0.5)
         mean, spread = hypothesis.bells(self.body)
         precision = np.concatenate([1 / spread**2, np.ones(self.count)])
 
@@ -287,15 +326,9 @@ class FieldFit:
         cost, tables, d = cost_at(q, xi)
         damping, hessian = _DAMPING, np.eye(q.size + self.count)
         for _ in range(passes):
-            fixed = set(held)
-            fixed |= set() if tables.folds else {q.size + FOLD}
-            if not any(touch is not None for touch in tables.touch):
-                fixed |= {q.size + FRICTION}
-            by_q = np.zeros((*d.value.shape, q.size))
-            for i in set(range(q.size)) - fixed:
-                moved = self.tables(hypothesis, q + tiny * (np.arange(q.size) == i))
-                by_q[..., i] = (self.predict(moved, xi)[0] - d.value) / tiny[i]
-            jacobian = np.hstack([whitened(by_q, d.weight, d.along), d.effect])
+            by_q = d.by_q.copy()
+            by_q[:, list(held)] = 0.0
+            jacobian = np.hstack([by_q, d.effect])
             hessian = jacobian.T @ jacobian + np.diag(precision)
             slope = jacobian.T @ d.z - np.concatenate([(q - mean) / spread**2, xi])
             slope[list(held)] = 0.0
@@ -330,5 +363,5 @@ def whitened(x: npt.NDArray[np.float64], weight: Floats, along: Floats) -> Float
     z = x * weight.reshape(*weight.shape, *[1] * (x.ndim - 2))
     common = np.einsum("n,nm,nm...->n...", share, along, z)
     z = z - np.einsum("nm,n...->nm...", along, common)
-    white: Floats = z.reshape(-1, *x.shape[2:])
+    white: Floats = z.reshape(x.shape[0] * x.shape[1], *x.shape[2:])
     return white

@@ -20,11 +20,14 @@ Floats = npt.NDArray[np.float64]
 
 # Unknowns of a peg, and those that all obstacles of a side share.
 ARC, BEND, RADIUS = range(3)
-PEG_UNKNOWNS, SHARED_UNKNOWNS = 3, 2
-FOLD, FRICTION = -2, -1
+PEG_UNKNOWNS, SHARED_UNKNOWNS = 3, 3
+FOLD, FRICTION, YIELD = -3, -2, -1
 
 # Friction of fabric and plastic film on what stands in a room is 0 to 0.6: two sigma.
 FRICTION_STD = 0.3
+# Tube radii that an obstacle yields, one sigma, under a force at seven tenths of the longest body
+# that would fold its base: a cushion, a cable, a peg on a foot.
+YIELD_STD = 0.5
 # Logarithm of a peg's radius over the tube's: 0.1 to 2.3 of it, two sigma.
 RADIUS_MEAN, RADIUS_STD = float(np.log(0.45)), 0.8
 ANOTHER = 0.3  # prior odds that one more obstacle is within a side's reach
@@ -45,14 +48,16 @@ class Body:
     longest: float  # everted length of the longest sweep
     most_bend: float  # 1/cm, beyond which the mechanics were not tabulated
     fold_error: float  # of the moment that folds the base, relative
+    yield_unit: float  # compliance (cm^3) of an obstacle that yields one tube radius, as above
 
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
     """A number of pegs.
 
-    Unknowns q (3 pegs + 2): arc, bend and logarithm of the radius over the tube's of each peg;
-    logarithm of the fold's moment over the stated one; friction, of which the sign means nothing.
+    Unknowns q (3 pegs + 3): arc, bend and logarithm of the radius over the tube's of each peg;
+    logarithm of the fold's moment over the stated one; friction; what obstacles yield, over
+    `Body.yield_unit`. The signs of the last two mean nothing.
     """
 
     pegs: int = 0
@@ -62,14 +67,18 @@ class Hypothesis:
         """Number of unknowns; 0 if nothing stands there."""
         return PEG_UNKNOWNS * self.pegs + SHARED_UNKNOWNS if self.pegs else 0
 
-    def columns(self, peg: tuple[float, float, float], fold: float, friction: float) -> Floats:
+    def columns(
+        self, peg: tuple[float, float, float], fold: float, friction: float, yields: float
+    ) -> Floats:
         """(unknowns,) one value for each unknown."""
-        return np.array([*peg * self.pegs, fold, friction]) if self.pegs else np.zeros(0)
+        return np.array([*peg * self.pegs, fold, friction, yields]) if self.pegs else np.zeros(0)
 
-    def place(self, q: Floats, radius: float) -> list[Peg]:
+    def place(self, q: Floats, body: Body) -> list[Peg]:
         """The pegs in the side's plane."""
         rows = np.reshape(q[: PEG_UNKNOWNS * self.pegs], (-1, PEG_UNKNOWNS))
-        return [touched(a, b, float(np.exp(r)) * radius, radius) for a, b, r in rows.tolist()]
+        compliance = abs(float(q[YIELD])) * body.yield_unit if self.pegs else 0.0
+        tube = body.radius
+        return [touched(a, b, float(np.exp(r)) * tube, tube, compliance) for a, b, r in rows]
 
     def possible(self, q: Floats, body: Body) -> bool:
         """Whether the straight body has room, and pegs do not overlap."""
@@ -80,7 +89,7 @@ class Hypothesis:
             low = LEAST_BEND / body.longest
             if not (body.radius < arc and low < bend < min(body.most_bend, _MOST_TURN / arc)):
                 return False
-        pegs, room = self.place(q, body.radius), body.radius * (1 - _CLEAR)
+        pegs, room = self.place(q, body), body.radius * (1 - _CLEAR)
         beside = (np.hypot(p.x - np.clip(p.x, 0.0, body.longest), p.y) > p.radius + room
                   for p in pegs)  # fmt: skip
         apart = (np.hypot(p.x - o.x, p.y - o.y) > p.radius + o.radius
@@ -89,8 +98,10 @@ class Hypothesis:
 
     def bells(self, body: Body) -> tuple[Floats, Floats]:
         """Mean and standard deviation of each unknown; infinite where the plane is even."""
-        mean = self.columns((0.0, 0.0, RADIUS_MEAN), 0.0, 0.0)
-        spread = self.columns((np.inf, np.inf, RADIUS_STD), body.fold_error, FRICTION_STD)
+        mean = self.columns((0.0, 0.0, RADIUS_MEAN), 0.0, 0.0, 0.0)
+        spread = self.columns(
+            (np.inf, np.inf, RADIUS_STD), body.fold_error, FRICTION_STD, YIELD_STD
+        )
         return mean, spread
 
     def log_prior(self, q: Floats, body: Body) -> float:
@@ -111,12 +122,15 @@ class Hypothesis:
 NOTHING, PEG, PEGS = Hypothesis(), Hypothesis(1), Hypothesis(2)
 
 
-def touched(arc: float, bend: float, peg_radius: float, tube_radius: float) -> Peg:
+def touched(
+    arc: float, bend: float, peg_radius: float, tube_radius: float, compliance: float = 0.0
+) -> Peg:
     """The peg that the free body touches at an arc when it is bent so far."""
     turn = arc * bend
     across = tube_radius + peg_radius
     x, y = np.sin(turn) / bend, (1 - np.cos(turn)) / bend
-    return Peg(float(x - across * np.sin(turn)), float(y + across * np.cos(turn)), peg_radius)
+    x, y = x - across * np.sin(turn), y + across * np.cos(turn)
+    return Peg(float(x), float(y), peg_radius, compliance)
 
 
 def untouched(peg: Peg, length: float, tube_radius: float, bends: Floats) -> int:

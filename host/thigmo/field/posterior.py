@@ -22,6 +22,8 @@ from thigmo.field.hypotheses import PEG, RADIUS, RADIUS_MEAN, RADIUS_STD
 from thigmo.field.readings import Errors, Floats, Readings
 
 # Logarithms of radii over the tube's at which the ridge has nodes.
+# Friction and yield from which a fit starts: at none neither has a derivative.
+_LEAST = 0.05, 0.05
 RADII = RADIUS_MEAN + RADIUS_STD * np.linspace(-2.0, 2.0, 12)
 _STARTS = RADIUS_MEAN + RADIUS_STD * np.array([-0.7, 0.6])
 # Levels of the mechanics' relative error, and their prior odds: a body of fabric is no ideal rod.
@@ -38,7 +40,7 @@ _NARROWER = 0.5  # by which they lie nearer
 _NEGLIGIBLE = 1e-3  # share of a level of the mechanics' error that later rounds omit
 ROUND, ROUNDS = 60, 5
 ENOUGH = 50.0  # effective samples
-_KEPT = np.array([0, 1, 3, 4])  # unknowns other than the radius
+_KEPT = np.array([0, 1, 3, 4, 5])  # unknowns other than the radius
 
 
 @dataclass(frozen=True)
@@ -77,9 +79,9 @@ class PegSearch:
         first = []
         for place in self.places:
             for log_radius in _STARTS:
-                q = np.array([place.arc, place.bend, log_radius, 0.0, 0.0])
+                q = PEG.columns((place.arc, place.bend, log_radius), 0.0, *_LEAST)
                 if PEG.possible(q, rough.body):
-                    first.append(rough.solve(PEG, q, passes=6, held=(RADIUS, 3, 4)))
+                    first.append(rough.solve(PEG, q, passes=6, held=(RADIUS, 3, 4, 5)))
         first.sort(key=lambda mode: mode.cost)
         begins: list[Floats] = [mode.q for mode in known]
         for mode in first:
@@ -205,7 +207,7 @@ class PegSearch:
                 touch[s] = np.where(np.isfinite(low), low + u[s] * (high - low), high)
         total = float(np.logaddexp.reduce(logs))
         prior = PEG.log_prior(q, fit.body)
-        (peg,) = PEG.place(q, self.readings.radius)
+        (peg,) = PEG.place(q, fit.body)
         turn = float(q[0] * q[1])
         skin = np.array([peg.x + peg.radius * np.sin(turn), peg.y - peg.radius * np.cos(turn)])
         return _Draw(q, total + prior, np.exp(logs - total), touch, skin, least)

@@ -10,7 +10,8 @@ import pytest
 from thigmo.field import Atlas, Errors, FieldContact, Readings, Stage, contacts
 from thigmo.field.answer import _widened
 from thigmo.field.fit import ALIKE, FieldFit
-from thigmo.field.hypotheses import NOTHING, PEG, Body, touched, untouched
+from thigmo.field.hypotheses import ARC, BEND, NOTHING, PEG, Body, touched, untouched
+from thigmo.field.hypotheses import RADIUS as RADIUS_LOG
 from thigmo.mechanics import Rod, Tube
 from thigmo_bench.studies.pegs import inflate, press
 
@@ -96,11 +97,11 @@ def test_a_place_is_named_by_the_touch_of_the_free_body() -> None:
 
 @pytest.mark.parametrize("scale", [0.5, 2.0])
 def test_a_prior_density_over_touches_is_even_over_the_plane(scale: float) -> None:
-    body = Body(RADIUS * scale, 53.0 * scale, 0.03 / scale, 0.1)
+    body = Body(RADIUS * scale, 53.0 * scale, 0.03 / scale, 0.1, 1.0)
     small = 1e-4
     for arc, bend in ((20.0, 0.01), (45.0, 0.006), (30.0, 0.02)):
         a, b, r = arc * scale, bend / scale, np.log(0.5)
-        q = np.array([a, b, r, 0.0, 0.0])
+        q = PEG.columns((a, b, r), 0.0, 0.0, 0.0)
         corner, along, onward = (
             touched(a + da, b + db, RADIUS * scale * 0.5, RADIUS * scale)
             for da, db in ((0.0, 0.0), (small * a, 0.0), (0.0, small * b))
@@ -110,7 +111,7 @@ def test_a_prior_density_over_touches_is_even_over_the_plane(scale: float) -> No
             - (along.y - corner.y) * (onward.x - corner.x)
         ) / (small * a * small * b)
         dense = PEG.log_prior(q, body) - np.log(swept)
-        other = PEG.log_prior(np.array([25.0 * scale, 0.012 / scale, r, 0.0, 0.0]), body)
+        other = PEG.log_prior(PEG.columns((25.0 * scale, 0.012 / scale, r), 0.0, 0.0, 0.0), body)
         turn = 25.0 * 0.012
         area = (1 - 1.5 * RADIUS * 0.012) * (1 - np.cos(turn)) / (0.012 / scale) ** 2
         assert dense == pytest.approx(other - np.log(area), abs=2e-3)
@@ -148,6 +149,36 @@ def test_a_known_error_of_calibration_is_found() -> None:
     late = fit.readings.bend > 0.018
     apart = value[late, 1] / value[late, 2]
     assert apart.mean() == pytest.approx(1.05, abs=0.015)
+
+
+@pytest.mark.parametrize(
+    ("fold", "friction", "unknowns", "share"),
+    [
+        (0.01, 0.0, [ARC, BEND, RADIUS_LOG, 3, 5], 1e-2),
+        (1.0, 0.2, [4], 0.15),  # what slips has a history, which the solver's derivatives lack
+    ],
+)
+def test_derivatives_are_those_of_the_readings(
+    fold: float, friction: float, unknowns: list[int], share: float
+) -> None:
+    rng = np.random.default_rng(4)
+    rows = {length: _untouched(length, rng) for length in LENGTHS}
+    fit = FieldFit(replace(_readings(rows), fold_moment=np.array([fold])), _errors())
+    q = PEG.columns((34.0, 0.009, -0.6), 0.05, friction, 0.3)
+    xi = 0.1 * rng.standard_normal(fit.count)
+    there = fit.predict(fit.tables(PEG, q), xi)
+    steps = PEG.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3)
+    for i in unknowns:
+        ends = [
+            fit.predict(fit.tables(PEG, q + sign * steps * (np.arange(q.size) == i)), xi).value
+            for sign in (1, -1)
+        ]
+        differences = (ends[0] - ends[1]) / (2 * steps[i])
+        size = np.nanmax(np.abs(differences))
+        assert size > 0.0
+        off = np.abs(there.by_q[..., i] - differences)
+        # The row in which the base folds is another one for a moved peg.
+        assert np.nanquantile(off, 0.9) < share * size
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
