@@ -15,8 +15,8 @@ from thigmo.field.readings import Errors, Floats, Readings
 
 # Log likelihood that a place must gain for a fit: with less, the prior odds of a place refuse it.
 LEAST_GAIN = 3.0
-# Sum of squares over the number of readings beyond which the model does not explain the sweeps, as
-# a multiple of what bins that count as one leave.
+# Sum of squares over the number of independent readings beyond which the model does not explain the
+# sweeps. Below it, what it leaves above one widens the answer.
 UNEXPLAINED = 2.0
 # Exponent of the weights below which samples that were widened place nothing: as if the noise were
 # 1.4 times the stated one.
@@ -52,7 +52,7 @@ class FieldContact:
     doubt: str  # why not, in words
     felt_at_cm: tuple[float, ...]  # everted lengths whose sweeps touched it, ascending
     log_odds: float  # log Bayes factor times prior odds, against nothing
-    misfit: float  # sum of squares over the number of readings
+    misfit: float  # sum of squares over the number of independent readings: 1 if the model holds
     effective: float  # samples
     peg_radius_cm: float  # posterior median
     friction: float  # posterior mean
@@ -97,14 +97,18 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
     arc, x, y, normal, force = samples.touch[on, stage].T
     length = readings.stages[stage].length
     low, high = _quantiles(arc, weight, (0.025, 0.975))
-    interval = max(low - _LENGTH_CM, 0.0), min(high + _LENGTH_CM, length)
     mean = weight @ np.column_stack([arc, x, y])
-    off = np.column_stack([arc, x, y]) - mean
+    leaves = samples.misfit * ALIKE
+    wider = max(1.0, leaves)
+    interval = (
+        max(mean[0] - wider * (mean[0] - low) - _LENGTH_CM, 0.0),
+        min(mean[0] + wider * (high - mean[0]) + _LENGTH_CM, length),
+    )
+    off = wider * (np.column_stack([arc, x, y]) - mean)
     covariance = (weight[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
-    explained = samples.misfit <= UNEXPLAINED / ALIKE
-    doubt = "" if explained else UNEXPLAINED_WORDS
+    doubt = UNEXPLAINED_WORDS if leaves > UNEXPLAINED else ""
     if exponent < _LEAST_EXPONENT:
         doubt = doubt or FEW_WORDS
     felt = sorted({round(readings.stages[s].length, 2) for s in reached})
@@ -125,7 +129,7 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         doubt=doubt,
         felt_at_cm=tuple(felt),
         log_odds=log_odds,
-        misfit=samples.misfit,
+        misfit=leaves,
         effective=samples.effective,
         peg_radius_cm=_quantiles(np.exp(q[:, RADIUS]), weight, (0.5, 0.5))[0] * readings.radius,
         friction=float(weight @ np.abs(q[:, FRICTION])),

@@ -211,7 +211,7 @@ def test_a_peg_of_the_independent_rod_is_found_in_the_plane(
     # The touched skin lies on the peg: the truth is the peg's surface.
     away = abs(np.hypot(contact.x_cm - x, contact.y_cm - y) - peg_radius)
     assert away < 0.6
-    assert contact.misfit < 2.0 / ALIKE
+    assert contact.misfit < 2.0
 
 
 @pytest.mark.sim
