@@ -109,6 +109,12 @@ class FittedMap:
             merged=[length for length in contact.felt_at_cm if length < contact.length_cm - 0.1],
             probability=round(contact.probability, 4),
             peg_probability=round(contact.probability, 4),
+            fit_log_odds=round(contact.log_odds, 2),
+            fit_misfit=round(contact.misfit, 3),
+            fit_samples=round(contact.effective, 1),
+            fit_radius_cm=round(contact.peg_radius_cm, 2),
+            fit_friction=round(contact.friction, 3),
+            fit_yield_cm=round(contact.yield_cm, 3),
         )
         if (newtons := self._newtons(force, contact)) is not None:
             mapped = replace(mapped, force_n=newtons[0], force_interval_n=newtons[1])

@@ -56,6 +56,7 @@ class FieldContact:
     effective: float  # samples
     peg_radius_cm: float  # posterior median
     friction: float  # posterior mean
+    yield_cm: float  # posterior mean, of the peg under its force
 
 
 def contacts(
@@ -133,6 +134,7 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         effective=samples.effective,
         peg_radius_cm=_quantiles(np.exp(q[:, RADIUS]), weight, (0.5, 0.5))[0] * readings.radius,
         friction=float(weight @ np.abs(q[:, FRICTION])),
+        yield_cm=float(weight @ (samples.compliance[on] * np.abs(force))),
     )
 
 

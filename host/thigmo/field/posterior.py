@@ -18,7 +18,7 @@ from scipy.special import gammaln
 
 from thigmo.field.atlas import Atlas
 from thigmo.field.fit import SPREAD_STD, FieldFit, Mode
-from thigmo.field.hypotheses import PEG, RADIUS, RADIUS_MEAN, RADIUS_STD
+from thigmo.field.hypotheses import PEG, RADIUS, RADIUS_MEAN, RADIUS_STD, YIELD
 from thigmo.field.readings import Errors, Floats, Readings
 
 # Logarithms of radii over the tube's at which the ridge has nodes.
@@ -51,6 +51,7 @@ class Samples:
     model: Floats  # (n, levels) posterior of the level of the mechanics' error
     touch: Floats  # (n, stages, 5) arc, x, y, normal, force at each stage's last peak; NaN: none
     weight: Floats  # (n,) of sum one
+    compliance: Floats  # (n,) of the peg, cm^3
     misfit: float  # of the likeliest, over the number of readings
     log_evidence: float  # with the prior odds of the peg
 
@@ -183,6 +184,7 @@ class PegSearch:
         best = drawn[int(np.argmax(weight))]
         return Samples(
             q, np.array([d.levels for d in drawn]), np.array([d.touch for d in drawn]), weight,
+            np.abs(q[:, YIELD]) * fit.body.yield_unit,
             best.misfit / float(np.sum(~fit.missing)), total,
         )  # fmt: skip
 
