@@ -238,7 +238,9 @@ class FieldFit:
         shift = tables.shift[r.stage, k] * (1 - u) + tables.shift[r.stage, k + 1] * u
         true = low * (1 - u) + high * u + shift * place
         back = true < 0  # a flex sensor answers less to a bend against its valid direction
-        answer = np.where(back, e.against[0] + e.against[1] * xi[b], 1.0)
+        against = np.ones(m) if e.against is None else e.against
+        unsure = np.zeros(m) if e.against_error is None else e.against_error
+        answer = np.where(back, against + unsure * xi[b], 1.0)
         slope = gain * answer * (high - low) / self.step
         effect = np.zeros((*true.shape, self.count))
         along = self.on_bend * np.where(self._drifts, spread, 1.0)
@@ -246,7 +248,7 @@ class FieldFit:
         sensors = np.arange(m)
         effect[:, sensors, j + sensors] = spread * e.gain * answer * true
         effect[:, sensors, p + sensors] = e.place * gain * answer * shift
-        effect[..., b] = e.against[1] * gain * true * back
+        effect[..., b] = unsure * gain * true * back
         effect[..., o : self._modelled] = self.on_zero
         value = gain * answer * true + self.on_zero @ xi[o : self._modelled]
         if self.model:

@@ -60,8 +60,9 @@ class Errors:
     # (m, k) columns of one standard error that sensors share in a sweep, 1/cm
     shared: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     map: float = 0.08  # of the map's bend in all zones alike, relative: muscles age
-    # Gain against the valid direction: mean and sigma. A data sheet states one direction only.
-    against: tuple[float, float] = (0.7, 0.3)
+    # (m,) gain against a sensor's valid direction, and its sigma; None: 1 and 0
+    against: Floats | None = None
+    against_error: Floats | None = None
     sweep: float = 0.01  # of the bend's scale from sweep to sweep, relative
     sweep_offset: float = 3e-4  # 1/cm, from sweep to sweep
     lag_s: float = 0.05  # of the delay from pressure to bend

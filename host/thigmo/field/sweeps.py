@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo import wiring
-from thigmo.config import SIGN, RobotConfig, Side
+from thigmo.config import SIGN, FlexSensor, RobotConfig, Side
 from thigmo.field.readings import Errors, Floats, Readings, Stage
 from thigmo.mechanics import critical_moment
 from thigmo.robot import Peak, SensorTable, SweepResult
@@ -24,8 +24,6 @@ _FLOOR = 1e-4  # 1/cm, least error of a bin: the board's rounding
 _PEAK_FRAMES = 10
 _GAP_S = 1.0  # without frames of a side, between two of its sweeps
 _ENOUGH = 8  # frames whose scatter says the noise
-# Drift of a gain since its calibration, relative [assumed].
-_GAIN_DRIFT = 0.04
 # Shares of `zero_se` that stay for a run, change with each zeroing and with each sweep: a loop of
 # hysteresis keeps to one side while the pressure rises.
 _ZERO_PARTS = 1.1, 0.4, 0.28
@@ -154,9 +152,11 @@ def stated(config: RobotConfig, side: Side, use: npt.NDArray[np.bool_]) -> Error
     zero = np.array([sensor.zero_error if sensor else 0.0 for sensor in rows])
     constant, zeroing, sweep = (share * zero for share in _ZERO_PARTS)
     gain = np.array([sensor.gain_error if sensor else 0.0 for sensor in rows])
+    drift = np.array([sensor.drift_se if sensor else 0.0 for sensor in rows])
+    one_way = [s if isinstance(s, FlexSensor) and s.valid_direction else None for s in rows]
     shared = table.shared[use]
     return Errors(
-        gain=np.hypot(gain, _GAIN_DRIFT),
+        gain=np.hypot(gain, drift),
         place=np.array([sensor.center_se_cm if sensor else 0.0 for sensor in rows]),
         zero=constant,
         zero_zeroing=zeroing,
@@ -164,5 +164,11 @@ def stated(config: RobotConfig, side: Side, use: npt.NDArray[np.bool_]) -> Error
         shared=shared[:, np.any(shared != 0.0, axis=0)],
         map_zone=np.hypot([zone.scale_se for zone in muscle.maps], _ZONE_DRIFT),
         map_offset=max(muscle.offset_se, _LEAST_OFFSET),
+        map=muscle.drift_se,
+        against=np.array([s.against_gain if s else 1.0 for s in one_way]),
+        against_error=np.array([s.against_gain_se if s else 0.0 for s in one_way]),
+        sweep=muscle.sweep_se,
+        sweep_offset=muscle.sweep_offset_se,
+        lag_s=muscle.lag_se_s,
         fold=max(body.critical_curvature_se / body.critical_curvature, _FOLD),
     )

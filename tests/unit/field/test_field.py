@@ -124,7 +124,7 @@ def test_the_evidence_is_the_integral_over_the_errors() -> None:
     errors = Errors(
         gain=none, place=none, zero=none, zero_zeroing=none, zero_sweep=none,
         map_zone=np.zeros(1), map_offset=0.0, fold=0.1, map=0.05, sweep=0.0, sweep_offset=0.0,
-        lag_s=0.0, bend_bin=0.0, against=(1.0, 0.0),
+        lag_s=0.0, bend_bin=0.0,
     )  # fmt: skip
     fit = FieldFit(readings, errors)
     found, best, _ = fit.evidence(fit.tables(NOTHING, np.zeros(0)), fit.free())
