@@ -87,7 +87,9 @@ class FoldWatch {
         imu ? turned(i, total, fresh) : swung(i, total, lag, out_of_place(lag, i, c), fresh, d);
     if (!passed) return Verdict::kNone;
     watched_ = static_cast<uint16_t>(watched_ & ~bit);
-    if ((judged_ & bit) == 0) return Verdict::kNone;
+    // A reading that stays out after its top is no fold's that passes.
+    const bool stayed = !imu && lag - top_um_[i] > c.get(Param::kFlexSpanUm, i) / 2;
+    if (stayed || (judged_ & bit) == 0) return Verdict::kNone;
     return pair_[imu].judge(imu ? lag : top_um_[i], place_se_um);
   }
 
