@@ -1,4 +1,4 @@
-"""An encoder that shows too little or too much: the tip must not be far from where it is said to be.
+"""An encoder that shows too little or too much: the tip must be near where it is said to be.
 
 The loop closes on the encoder, so it drives a body too far, or not far enough, without an error of
 its own. Only the motor's speed at its duty, and the sensors that pass the tip's fold, tell.
@@ -7,6 +7,7 @@ its own. Only the motor's speed at its duty, and the sensors that pass the tip's
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -193,7 +194,7 @@ def test_an_encoder_that_shows_too_much_is_noticed_in_growth(share: float, start
     """At twice the counts the board said 52.9 cm, and the body was 26.5 cm long."""
     robot, transport = armed(scene_at(start_cm))
     lose_counts(transport, share)
-    with pytest.raises(RobotFaultError, match="encoder (had counted farther|shows a higher speed)"):
+    with pytest.raises(RobotFaultError, match=r"counted farther|a higher speed"):
         list(grow(robot, transport, 53.0))
     assert -most_off_cm(robot) <= beyond_counted_cm(robot, transport) < -0.1
 
@@ -216,15 +217,11 @@ def test_a_wrong_encoder_is_noticed_in_retraction(share: float, start_cm: float)
 
 
 @pytest.mark.parametrize("share", [0.95, 1.05])
-def test_a_share_too_small_to_tell_keeps_the_tip_near(share: float) -> None:
+def test_an_encoder_that_is_a_little_wrong_keeps_the_tip_near(share: float) -> None:
+    """Noticed or not: over the whole length it is not 3 cm."""
     robot, transport = armed(scene_at(0.0))
     lose_counts(transport, share)
-    off = []
-    try:
+    with suppress(RobotFaultError):
         for _ in grow(robot, transport, 53.0):
-            off.append(beyond_counted_cm(robot, transport))
-        robot.retract_to(0.5)
-    except RobotFaultError:
-        pass
-    off.append(beyond_counted_cm(robot, transport))
-    assert np.abs(off).max() <= OFF_CM
+            assert abs(beyond_counted_cm(robot, transport)) <= OFF_CM
+    assert abs(beyond_counted_cm(robot, transport)) <= OFF_CM

@@ -14,8 +14,8 @@
 //   moved more than was counted.
 //
 // It shows too much if a pair lags by more than a tip lags that pressure barely moves. A swing that
-// still grows there is late already, for its sensor has not reached the fold; one that begins before
-// the fold can have reached the sensor is early.
+// still grows there is late already, for its sensor has not reached the fold; one that begins
+// before the fold can have reached the sensor is early.
 //
 // While a reading still swings out the tip moves: the body then pulls at the tail.
 #ifndef THIGMO_CORE_SENSING_FOLD_WATCH_H_
@@ -97,7 +97,7 @@ class FoldWatch {
   bool moves() const { return moves_ != 0; }
 
  private:
-  static constexpr int32_t kHalfTurnQ4 = 31416 * 16;  // of an IMU: 10 kOhm a radian
+  static constexpr int32_t kHalfTurnQ4 = int32_t{31416} * 16;  // of an IMU: 10 kOhm a radian
   static constexpr int32_t kStraightQ4 = (12000 + static_cast<int32_t>(kDividerOhm)) * 16;
 
   // Lag that is late, of a sensor whose place is known to a standard error.
