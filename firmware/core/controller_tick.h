@@ -244,7 +244,10 @@ inline bool Controller::power_wanted() const {
 inline Enables Controller::enables() const {
   const bool armed = may_energise(state_);
   const bool power = power_wanted();
-  return {armed && !testing_vent(), armed && body_air_, power || proving_stop_, power && !proving_};
+  // Homing's stages follow each other with the brake open.
+  const bool closes = activity_ != Activity::kHoming && winding() && spool_.braked();
+  return {armed && !testing_vent(), armed && body_air_, power || proving_stop_,
+          power && !proving_ && !closes};
 }
 
 // Whether the motor's supply follows its enable, and the emergency stop's contact cuts it.

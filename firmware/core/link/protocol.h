@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x0AA04A2Du;
+constexpr uint32_t kSchemaHash = 0x85575DD2u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -1644,7 +1644,12 @@ enum class Param : uint16_t {
       kSensors,  // Most that the body pulls its tail with: half of its highest pressure times its
                  // section. Growth that the encoder shows beyond what the motor gives at its duty,
                  // helped by this pull, is a spool_stall. (N)
-  kImuFrom = kBodyPullN +
+  kBrakeClosesMs = kBodyPullN +
+      1,  // Time that the brake takes to close after its current ends. At the end of a growth or a
+          // retraction the motor keeps its supply for so long, and for the 30 ms in which the
+          // brake's enable decays. Default: the slowest brake that may be fitted
+          // (docs/hardware/electronics.md). (ms)
+  kImuFrom = kBrakeClosesMs +
       1,  // IMU at which this input's span begins: 128 x its channel of the multiplexer + its I2C
           // address. 0: the base, which does not turn. [kImus]
   kImuTo = kImuFrom + kImus,  // IMU at which this input's span ends, in the same form. 0: this
@@ -1719,6 +1724,7 @@ constexpr ParamKey kParamKeyTable[] THIGMO_PROGMEM = {
     {60, kSensors},        // trigger_when
     {63, kSensors},        // flex_center_se_um
     {64, 1},               // body_pull_n
+    {65, 1},               // brake_closes_ms
 #if THIGMO_IMUS
     {61, kImus},  // imu_from
     {62, kImus},  // imu_to
@@ -1812,6 +1818,7 @@ constexpr ParamRows param_rows() {
   rows.add(kSensors, 0, 255, trigger_when);
   rows.add(kSensors, 0, 20000, 1000);  // flex_center_se_um
   rows.add(1, 0, 2000, 5);             // body_pull_n
+  rows.add(1, 0, 250, 40);             // brake_closes_ms
   rows.add(kImus, 0, 1023, 0);         // imu_from
   rows.add(kImus, 0, 1023, 0);         // imu_to
   return rows;

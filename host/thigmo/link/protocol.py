@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x0AA04A2D
+SCHEMA_HASH = 0x85575DD2
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87

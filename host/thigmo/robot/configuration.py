@@ -60,6 +60,7 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
         "motor_stall_n": [round(spool.stall_n)],
         "line_rating_n": [round(spool.line_rating_n)],
         "brake_fitted": [int(spool.brake)],
+        "brake_closes_ms": [round(spool.brake_closes_s * 1e3)],
         "muscle_fitted": [1] * len(muscles),
         "trigger_when": [
             _counts_while(config, number) if number in bases else 0 for number in range(len(flex))
