@@ -1,8 +1,7 @@
-"""`thigmo robot new | check | convert`: a robot's description, before there is a robot."""
+"""`thigmo robot new | check`: a robot's description, before there is a robot."""
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
@@ -15,7 +14,7 @@ from thigmo.cli.output import JsonOption, filled, show
 # The emulator is reached by name, as the URL that opens it does: no layer above depends on it.
 _REACH = "thigmo.emulator.reach"
 
-robot = typer.Typer(help="Draft a robot, check it, or convert its file.", no_args_is_help=True)
+robot = typer.Typer(help="Draft a robot, or check it.", no_args_is_help=True)
 
 _FileArgument = Annotated[Path, typer.Argument(help="robot.toml.")]
 
@@ -99,15 +98,3 @@ def check(file: _FileArgument, as_json: JsonOption = False) -> None:
     show(as_json, {"findings": [asdict(one) for one in found]}, *lines)
     if any(one.mark == "bad" for one in found):
         raise typer.Exit(1)
-
-
-@robot.command()
-def convert(file: _FileArgument) -> None:
-    """Rewrite a robot.toml of any version in today's format; keep the old file beside it."""
-    from thigmo.config import RobotConfig
-
-    config = RobotConfig.load(file)
-    if tomllib.loads(file.read_text()).get("version") == config.version:
-        typer.echo(f"{file} is of today's version already; nothing is changed")
-        return
-    typer.echo(f"{file} is of today's version; the one before is {config.save(file)}")

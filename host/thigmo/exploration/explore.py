@@ -80,8 +80,8 @@ def explore(
             (docs/figures.md charts it). The protocol "thesis" has no such choice.
         time_s: in place of `effort`, a budget of robot time in seconds, within which the run does
             as much as it can. Time spent waiting for a person counts.
-        method: as for `thigmo.localize`. "l1" and "thesis" give no intervals, so every stage's
-            place is a contact of its own: nothing shows whether two are the same.
+        method: as for `thigmo.localize`. "thesis" gives no intervals, so every stage's place is
+            a contact of its own: nothing shows whether two are the same.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. Readings can overrule it.
         resume: folder of a run that was cut short. The new run continues with what that one had

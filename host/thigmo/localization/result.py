@@ -45,7 +45,7 @@ class Contact:
         interval: hull of `intervals`; the whole body if the status is `point estimate`.
         status: `localized` (the interval is no wider than the limit, and the probability that there
             is a contact is at least 95 %, whatever the number of contacts), `ambiguous`, or
-            `point estimate` (the methods "l1" and "thesis" give no error).
+            `point estimate` (the method "thesis" gives no error).
         intervals: 95 % highest-density set of the place of the contact nearest to `arc`, whatever
             the number of contacts. It has several pieces if the posterior has several modes, and
             none for a `point estimate`.
@@ -152,7 +152,7 @@ class LocalizeResult:
         discarded: indices of the readings that the likeliest explanation takes for bad.
         parameters: further parameters of the likeliest explanation: `fold_angle`, `hinge_arc`,
             `push_back` (force on the end, towards the base), `tip_moment`, `end_offset`.
-        objective: 1-norm of the residual for `l1` and `thesis`, 1/length; else None.
+        objective: 1-norm of the residual for `thesis`, 1/length; else None.
         number: (4,) probabilities that no, one, two or three contacts move the readings by at least
             three standard errors. A weaker contact can never be excluded.
         length: length of the body.
