@@ -28,7 +28,7 @@ def test_an_existing_file_is_kept_aside_each_time(tmp_path: Path) -> None:
     ("text", "named"),
     [
         ("version = 1", "version: Input should be 2"),
-        ("[[sensors.left]]\ncenter_cm = 12", "sensor: Input should be a valid list"),
+        ("[[sensors.left]]\ncenter_cm = 12", "sensors: Input should be a valid list"),
         ("nmae = 'typo'", "nmae"),
         ("[body]\nlength_cm = -1", "body.length_cm"),
         ("[body]\nlength_cm = nan", "body.length_cm"),

@@ -1,7 +1,7 @@
 """The body's axis: a smooth curve through points along it, with the uncertainty of its curvature.
 
-The points come from `thigmo.camera.body`. Calibration depends on the curvature and its error, so the
-fit takes into account that errors of neighbouring points are correlated.
+The points come from `thigmo.camera.body`. Calibration depends on the curvature and its error, so
+the fit takes into account that errors of neighbouring points are correlated.
 """
 
 from __future__ import annotations

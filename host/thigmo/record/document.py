@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator
 
 from thigmo.config import RobotConfig
-from thigmo.display import POINT_ESTIMATE, interval_text
+from thigmo.contact_status import POINT_ESTIMATE, interval_text
 
 RUNNING, KILLED = "running", "killed"
 

@@ -26,8 +26,8 @@ from thigmo.camera import (
     open_source,
 )
 from thigmo.camera.pose import GOOD_CM
-from thigmo.camera.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo.camera.sheet import card_decals, tip_decal
+from thigmo.emulator.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo.errors import ConfigError
 from thigmo_bench.studies.camera import axis_of, board_lens, glimpse, summarise
 

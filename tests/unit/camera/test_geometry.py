@@ -22,8 +22,8 @@ from thigmo.camera import (
 from thigmo.camera.exceptions import CameraError
 from thigmo.camera.model import judge_still
 from thigmo.camera.pose import fit_pose, what_helps
-from thigmo.camera.render import overhead_camera
 from thigmo.camera.sheet import place
+from thigmo.emulator.render import overhead_camera
 from thigmo.errors import DataError
 from thigmo_bench.studies.camera import axis_of
 
