@@ -92,8 +92,8 @@ def explore(
     if resume is None:
         url = url or "emulator://default"
     if watch:
-        from thigmo.cli.watch import open_page
         from thigmo.exploration import open_run
+        from thigmo.live.opening import open_page
 
         where = url or open_run(resume or "").document.url
         open_page(where, out, config)
