@@ -92,6 +92,7 @@ inline Outcome Controller::clear_faults(uint16_t wanted) {
     motion_.restart(encoder_);
     slipping_ = false;
   }
+  assemble_conditions();  // a heartbeat may have come just before
   const uint16_t left = faults_.clear(wanted, causes());
   supervise(0);
   return {Reason::kNone, left};

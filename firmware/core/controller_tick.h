@@ -6,8 +6,7 @@
 
 namespace thigmo {
 
-inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause,
-                              const Latches& kept) {
+inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause, const Latches& kept) {
   derived_.update(config_);
   flex_.set_oversampling(derived_.oversample_log2);
   for (MovingSum& sum : base_sum_) sum.start(derived_.trigger_log2);

@@ -9,8 +9,8 @@
 //
 // All other causes, and a watchdog's under another boot loader, are derived from a record in RAM
 // that no start-up code touches (.noinit): whether it survived, how long the main loop had been
-// silent, and what the supply was. A stop and faults that an operator has not cleared are kept there
-// as well. .noinit lies behind .data and .bss, hence above the boot loader's variables
+// silent, and what the supply was. A stop and faults that an operator has not cleared are kept
+// there as well. .noinit lies behind .data and .bss, hence above the boot loader's variables
 // (0x200..0x20D) and far below its stack (the top 400 bytes); tests/sim checks both.
 //
 // The watchdog runs in pure reset mode: its interrupt would need interrupts, and those may be what

@@ -876,7 +876,7 @@ def test_a_latched_fault_survives_a_restart_until_it_is_cleared(desk: Desk) -> N
     assert said[wire.EventCode.FAULT, wire.Fault.HOST_SILENT] == -1
     assert host.refusal(wire.Arm())[0] is R.FAULT_LATCHED
     host.beat()
-    host.get(wire.ClearFaults(0xFFFF))
+    assert not host.get(wire.ClearFaults(0xFFFF)).detail & silent
     desk.restart()
     desk.host.hello()
     assert not desk.host.get(wire.GetStatus()).faults & silent

@@ -14,8 +14,8 @@
 // A slot that was committed and fails its check is damaged, and so is one whose commit byte is none
 // of blank, spoiled and committed: the other slot's configuration may be an older one then, so the
 // robot is not armed until a host has saved. Only a commit byte of which three bits (to blank) or
-// five (to spoiled) flipped looks like a save that was cut. A power cut while the commit byte itself
-// is being written may leave any value in it, and then counts as damage.
+// five (to spoiled) flipped looks like a save that was cut. A power cut while the commit byte
+// itself is being written may leave any value in it, and then counts as damage.
 //
 // The boot counter makes each boot's nonce differ. It is the sum of four, the first of which is
 // raised; if a cell of that is worn, the next one is. Its bytes are written from the highest
@@ -53,8 +53,8 @@ constexpr uint8_t kNeverWritten = 0xFF;
 static_assert(kSlotSize <= kSlotRoom, "the configuration outgrew its slot");
 static_assert(16 + 2 * kSlotRoom <= kEepromUsed, "the slots outgrew the EEPROM's used part");
 
-// What the start came to; beside `kLoaded`, the value of the fault bad_config. In the order in which
-// one slot's trouble outweighs the other's.
+// What the start came to; beside `kLoaded`, the value of the fault bad_config. In the order in
+// which one slot's trouble outweighs the other's.
 enum class LoadResult : uint8_t {
   kLoaded = 0,
   kBlank = static_cast<uint8_t>(protocol::ConfigCause::kBlank),

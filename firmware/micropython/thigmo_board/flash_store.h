@@ -7,9 +7,9 @@
 // the power is cut: an entry and a header carry check sequences, and the older sector stays until
 // the newer one's header is programmed.
 //
-// Bits may flip later. A header stands twice in its page, so that one that is damaged does not bring
-// back the older sector. A damaged image is handed to the core, whose slots have check sequences
-// (config/store.h).
+// Bits may flip later. A header stands twice in its page, so that one that is damaged does not
+// bring back the older sector. A damaged image is handed to the core, whose slots have check
+// sequences (config/store.h).
 //
 // Wear: a save erases one sector, a boot none until the 112 entries are full. At 100 000 erasures a
 // sector that is 200 000 saves, or 22 million boots.

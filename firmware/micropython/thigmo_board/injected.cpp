@@ -248,10 +248,9 @@ const char* thigmo_begin(const int8_t*) {
     if (!stream_wait()) return "the injected hardware has gone";
   }
   stream_lock();
-  new (board_storage)
-      InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits,
-                    machine.again ? protocol::ResetCause::kExternal : machine.cause,
-                    machine.latches.kept());
+  new (board_storage) InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits,
+                                    machine.again ? protocol::ResetCause::kExternal : machine.cause,
+                                    machine.latches.kept());
   new (robot_storage) Robot<InjectedBoard>(board());
   robot().begin();
   machine.tick = 0;
