@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x9D8A36E5
+SCHEMA_HASH = 0x43386A8B
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
