@@ -92,6 +92,7 @@ inline Outcome Controller::clear_faults(uint16_t wanted) {
     motion_.restart(encoder_);
     slipping_ = false;
   }
+  assemble_conditions();  // a heartbeat may have come just before
   const uint16_t left = faults_.clear(wanted, causes());
   supervise(0);
   return {Reason::kNone, left};
@@ -414,7 +415,7 @@ inline bool Controller::defaults_step() {
     if (changed && item < protocol::kParamCount) take_parameter(item);
     if (defaults_next_ == Configuration::kItems) {
       activity_ = Activity::kIdle;
-      config_valid_ = true;
+      config_valid_ = !store_damaged_;
       assemble_conditions();
       return true;
     }
@@ -433,6 +434,7 @@ inline Outcome Controller::begin_save() {
 inline void Controller::end_save(bool good, uint8_t slot, uint32_t generation) {
   activity_ = Activity::kIdle;
   if (good) {
+    store_damaged_ = false;
     config_valid_ = true;
     post(protocol::EventCode::kSaved, slot, static_cast<int32_t>(generation));
   }

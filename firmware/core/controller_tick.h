@@ -6,15 +6,23 @@
 
 namespace thigmo {
 
-inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause, StopLatch stop) {
+inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause, const Latches& kept) {
   derived_.update(config_);
   flex_.set_oversampling(derived_.oversample_log2);
   for (MovingSum& sum : base_sum_) sum.start(derived_.trigger_log2);
   config_valid_ = loaded == LoadResult::kLoaded;
+  store_damaged_ = loaded == LoadResult::kDamaged;
   if (!config_valid_) raise(Fault::kBadConfig, static_cast<uint8_t>(loaded));
   if (cause == protocol::ResetCause::kWatchdog) raise(Fault::kWatchdog, 0);
   if (cause == protocol::ResetCause::kBrownOut) raise(Fault::kBrownOut, 0);
-  if (stop.latched) this->stop(stop.nonce);
+  // The stop has a latch of its own, and the configuration is judged anew at each start.
+  constexpr uint16_t kJudgedAnew =
+      static_cast<uint16_t>(mask(Fault::kStopped) | mask(Fault::kBadConfig));
+  const uint16_t faults = static_cast<uint16_t>(kept.faults & ~kJudgedAnew);
+  for (uint8_t i = 0; i < protocol::kFaultCount; ++i) {
+    if ((faults >> i & 1) != 0) raise(static_cast<Fault>(i), kBeforeReset);
+  }
+  if (kept.stop.latched) stop(kept.stop.nonce);
 }
 
 inline void Controller::sense(const Inputs& in) {

@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x85575DD2u;
+constexpr uint32_t kSchemaHash = 0x8233D675u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -130,8 +130,8 @@ enum class Reason : uint8_t {
                       // or raise the limit in robot.toml.
   kNoSnapshot = 17,   // No such reading was captured; sweep until after the peak first.
   kEstop = 18,        // The emergency stop is pressed; release it first.
-  kBadConfig = 19,  // The stored configuration is damaged; load defaults, configure and save again.
-  kNotZeroed = 20,  // Sensors have no valid zero; vent, wait for settling, and zero.
+  kBadConfig = 19,    // The stored configuration is missing or damaged; configure and save again.
+  kNotZeroed = 20,    // Sensors have no valid zero; vent, wait for settling, and zero.
   kContradiction = 23,  // Parameters contradict each other, so none of the new values is in use;
                         // correct the parameter that is named.
   kNoBaseSensor =
@@ -145,7 +145,9 @@ enum class Reason : uint8_t {
 };
 constexpr uint8_t kReasonCount = 25;
 
-// Latched faults, by bit number. Each sets the transducers to 0 mA and brakes the motor.
+// Latched faults, by bit number. Each sets the transducers to 0 mA and brakes the motor, and stays
+// latched through every reset except a loss of power. bad_config alone is judged again at each
+// start.
 enum class Fault : uint8_t {
   kHostSilent = 0,  // No heartbeat from the host while the robot was armed; check the cable and the
                     // host, then clear.
@@ -168,10 +170,10 @@ enum class Fault : uint8_t {
                     // then clear and confirm the length.
   kBrownOut = 8,    // The supply voltage fell below its limit; check the power supply, then clear.
   kWatchdog = 9,  // The firmware hung and was restarted; report it with the run folder, then clear.
-  kBadConfig = 10,  // The board has no valid configuration, or one from firmware that had no lists
-                    // of muscles; send robot.toml (every run does so; so does `thigmo params
-                    // --robot PORT --load-defaults`), then clear.
-  kEstop = 11,      // The emergency stop was pressed; release it, then clear.
+  kBadConfig =
+      10,       // The board has no valid configuration; send robot.toml (every run does so; `thigmo
+                // params --robot PORT --load-defaults` stores the defaults instead), then clear.
+  kEstop = 11,  // The emergency stop was pressed; release it, then clear.
   kInterlock = 12,  // During a bend the length became unknown, or a sensor moved into the tip's
                     // fold, so the muscles were vented; clear, confirm the length if it is unknown,
                     // and grow or retract to a whole sensor pitch.
@@ -216,6 +218,16 @@ enum class SlipCause : uint8_t {
 };
 constexpr uint8_t kSlipCauseCount = 6;
 
+// What is wrong with the stored configuration (value of the event of bad_config).
+enum class ConfigCause : uint8_t {
+  kBlank = 1,        // Nothing was ever stored.
+  kInterrupted = 2,  // The first save was cut by a loss of power.
+  kDamaged = 3,  // A configuration that had been stored fails its check, so the one in use may be
+                 // older; it must be stored again.
+  kOutOfLimits = 4,  // A stored value is beyond this firmware's limits, or contradicts another one.
+};
+constexpr uint8_t kConfigCauseCount = 4;
+
 // Condition bits that the supervisor's transition table reads, by bit number.
 enum class Condition : uint8_t {
   kLengthKnown = 0,  // The length was homed or confirmed since the reset.
@@ -241,7 +253,8 @@ constexpr uint8_t kConditionCount = 15;
 
 // What happened. Events stay latched at the board until acknowledged.
 enum class EventCode : uint8_t {
-  kFault = 1,    // A fault was latched: arg = its bit number, value = channel or detail.
+  kFault = 1,  // A fault was latched: arg = its bit number, value = channel or detail; -1 = it was
+               // latched before the last reset.
   kContact = 2,  // The trigger fired: arg = active muscle, value = base curvature minus free
                  // curvature, 1e-5/cm.
   kPeak = 3,  // The readings at a sweep's peak are captured: arg = active muscle, value = how many.

@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x85575DD2
+SCHEMA_HASH = 0x8233D675
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -102,7 +102,7 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     OVER_LIMIT = 16  # The pressure, length or speed exceeds its configured maximum
     NO_SNAPSHOT = 17  # No such reading was captured; sweep until after the peak first.
     ESTOP = 18  # The emergency stop is pressed; release it first.
-    BAD_CONFIG = 19  # The stored configuration is damaged; load defaults, configure and save again.
+    BAD_CONFIG = 19  # The stored configuration is missing or damaged; configure and save again.
     NOT_ZEROED = 20  # Sensors have no valid zero; vent, wait for settling, and zero.
     CONTRADICTION = 23  # Parameters contradict each other, so none of the new values is in use
     NO_BASE_SENSOR = 22  # No base sensor can feel a contact while a muscle is driven (trigger_when)
@@ -124,8 +124,7 @@ class Fault(Documented):  # Latched faults, by bit number.
     SPOOL_SLIP = 7
     BROWN_OUT = 8  # The supply voltage fell below its limit; check the power supply, then clear.
     WATCHDOG = 9  # The firmware hung and was restarted; report it with the run folder, then clear.
-    # The board has no valid configuration, or one from firmware that had no lists of muscles
-    BAD_CONFIG = 10
+    BAD_CONFIG = 10  # The board has no valid configuration; send robot.toml (every run does so
     ESTOP = 11  # The emergency stop was pressed; release it, then clear.
     # During a bend the length became unknown, or a sensor moved into the tip's fold, so the muscles
     # were vented
@@ -167,6 +166,16 @@ class SlipCause(Documented):  # How a spool_slip was noticed (value of its event
     AGAINST = 5
 
 
+# What is wrong with the stored configuration (value of the event of bad_config).
+class ConfigCause(Documented):
+    BLANK = 1  # Nothing was ever stored.
+    INTERRUPTED = 2  # The first save was cut by a loss of power.
+    # A configuration that had been stored fails its check, so the one in use may be older
+    DAMAGED = 3
+    # A stored value is beyond this firmware's limits, or contradicts another one.
+    OUT_OF_LIMITS = 4
+
+
 # Condition bits that the supervisor's transition table reads, by bit number.
 class Condition(Documented):
     LENGTH_KNOWN = 0  # The length was homed or confirmed since the reset.
@@ -190,7 +199,7 @@ class Condition(Documented):
 
 
 class EventCode(Documented):  # What happened. Events stay latched at the board until acknowledged.
-    FAULT = 1  # A fault was latched: arg = its bit number, value = channel or detail.
+    FAULT = 1  # A fault was latched: arg = its bit number, value = channel or detail
     # The trigger fired: arg = active muscle, value = base curvature minus free curvature, 1e-5/cm.
     CONTACT = 2
     PEAK = 3  # The readings at a sweep's peak are captured: arg = active muscle, value = how many.
