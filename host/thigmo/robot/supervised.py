@@ -21,9 +21,11 @@ from thigmo.robot.configuration import get_parameter, send_config, set_parameter
 from thigmo.robot.connected import Connected
 from thigmo.robot.curvature import SensorTable
 from thigmo.robot.fibre import Fibre
+from thigmo.room import Operator, Patient
 from thigmo.wiring import muscle_outputs, sensor_name
 
 if TYPE_CHECKING:
+    from thigmo.link.client import Client
     from thigmo.link.protocol import Ack, Command
 
 R = TypeVar("R", bound=wire.Message)
@@ -47,6 +49,17 @@ _BAD_SENSOR = {wire.Fault.FLEX_OPEN: OPEN, wire.Fault.FLEX_SHORT: SHORT}
 
 class Supervised(Connected):
     """A robot that can be configured, armed and vented."""
+
+    def __init__(self, client: Client, *, url: str = "", operator: Operator | None = None) -> None:
+        super().__init__(client, url=url, operator=operator)
+        if isinstance(self.operator, Patient):
+            self.operator.meanwhile = self.wait
+
+    def close(self) -> None:
+        """Make the robot safe and close the link. May be called twice."""
+        if isinstance(self.operator, Patient):
+            self.operator.meanwhile = None
+        super().close()
 
     # Waiting.
 

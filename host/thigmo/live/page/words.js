@@ -1,5 +1,6 @@
 // What is said in words: the header, banners, contacts and events.
 
+import { question } from "./control.js";
 import { $, COLUMN, muscles, element, latest, store, time } from "./store.js";
 import { minus, rounded } from "./svg.js";
 
@@ -73,6 +74,7 @@ function doing(lost) {
     if (page.starting) return "Starting";
     return page.start ? "Nothing runs yet" : "Waiting for a run: start one with thigmo explore";
   }
+  if (question()) return "Waiting for your answer";
   const { state } = last;
   if (!state) return page.mode === "record" ? "Recorded run" : "Connected";
   if (state.outcome !== "running") return `Ended: ${state.outcome}`;
