@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thigmo.cli.console import Console
-from thigmo.cli.held import HeldOption, held
+from thigmo.cli.held import ByPageOption, held
 from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, filled, show
 from thigmo.errors import ConfigError
 
@@ -134,7 +134,7 @@ def jog(
     wind: Annotated[
         float, typer.Option("--in", help="Centimetres of tip to wind in, at most 5.")
     ] = 0,
-    by_page: HeldOption = False,
+    by_page: ByPageOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Turn the spool a little, slowly; the length need not be known. Muscles must be empty.

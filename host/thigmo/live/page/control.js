@@ -43,7 +43,7 @@ const asked = () => store.last.state?.paused || store.page?.pausing;
 export function drawControl(lost) {
   const { page, last } = store;
   const live = page?.mode === "live" && !page.ended;
-  const moves = live && page.started?.held && page.started.runs;
+  const moves = live && page.started?.runs && page.started.name !== "explore";
   const operates = !!page?.operator && !lost;
   $("start").hidden = !(page?.start && !live);
   $("start").disabled = !operates || page?.starting || page?.latched && !page.start?.virtual;

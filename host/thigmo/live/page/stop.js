@@ -5,6 +5,7 @@
 
 import { $, store } from "./store.js";
 
+const PRESSED = "stopped at"; // kept while this page is open, also when it is loaded again
 const REPEAT_MS = 400; // of a stop that found no server
 const PATIENCE_MS = 5000;
 const button = $("stop");
@@ -53,6 +54,9 @@ export function stopReaches(way, page = null) {
   else sayKeys(); // a field that is hidden loses the focus without an event
 }
 
+// When this page last stopped a robot, by the server's clock.
+export const pressedHere = () => Number(sessionStorage.getItem(PRESSED));
+
 export async function stop() {
   if (document.body.dataset.mode === "record" || pending) return;
   pending = true;
@@ -65,6 +69,7 @@ export async function stop() {
       const answer = await fetch("stop", { method: "POST", keepalive: true, cache: "no-store" });
       const outcome = await answer.json();
       if (outcome.stopped.length || outcome.failed) last_s = outcome.at_s;
+      if (outcome.stopped.length) sessionStorage.setItem(PRESSED, last_s);
       next = outcome.stopped.length ? "stopped" : outcome.failed ? "unconfirmed" : "idle";
       break;
     } catch {
