@@ -451,6 +451,9 @@ class PageServer:
         stopped: list[str] = []
         failed = ""
         with self._stopping:  # two who press at once are one after the other
+            started = self._started
+            if started is not None and self._starting:
+                started.end()  # it would move the robot after the stop
             run, at_s = self._run.moving, time.time()
             try:
                 stopped = stop_run(self._watched, run) if self._watched else stop_port(run)

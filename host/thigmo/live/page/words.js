@@ -102,10 +102,10 @@ function doing(lost) {
   if (!page) return "Connecting";
   const motion = MOTIONS[page.started?.name];
   if (motion && page.started.runs) return motion[0];
+  if (page.starting) return "Starting";
   if (page.latched) return stopped(page.stopped);
   if (motion) return page.started.failure ? `${motion[2]} ended early` : motion[1];
   if (page.mode === "idle") {
-    if (page.starting) return "Starting";
     return page.start ? "Nothing runs yet" : "Waiting for a run: start one with thigmo explore";
   }
   if (question()) return "Waiting for your answer";
