@@ -107,7 +107,7 @@ def occupancy(
 
 def _occupied_lines(obstacle: Obstacle) -> list[list[Point]]:
     """Lines along which something stands for sure: to 95 %, and within a standard deviation."""
-    lines = []
+    lines: list[list[Point]] = []
     if obstacle.cell_cm:
         return lines
     if obstacle.status == "localized" and obstacle.probability >= LEVEL:

@@ -83,7 +83,9 @@ class Obstacle:
         """(n, 4, 2) corners of a ROS map's obstacle's cells, counter-clockwise, cm."""
         angles = self.cell_angle_rad + np.radians([45, 135, 225, 315])
         corners = np.sqrt(0.5) * np.column_stack((np.cos(angles), np.sin(angles)))
-        return np.asarray(self.track)[:, None, :] + self.cell_cm * corners
+        centers = np.array(self.track, dtype=np.float64)
+        cells: NDArray[np.float64] = centers[:, None, :] + self.cell_cm * corners
+        return cells
 
 
 @dataclass(frozen=True, slots=True)

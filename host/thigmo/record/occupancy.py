@@ -198,7 +198,7 @@ def _picture(data: bytes) -> _Picture | None:
             values = data[header.end() - 1 :]  # that line end was the separator and a pixel
         if len(values) < size:
             return None
-        levels = np.frombuffer(values[:size], kind).reshape(rows, columns)
+        levels = np.frombuffer(values[:size], kind).reshape(rows, columns).astype(np.float64)
         brightness = np.minimum(levels / white, 1.0)
         return _Picture(brightness, np.ones((rows, columns), dtype=np.bool_))
     if not data:
@@ -209,8 +209,8 @@ def _picture(data: bytes) -> _Picture | None:
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if decoded is None:
         return None
-    levels = decoded.reshape(*decoded.shape[:2], -1) / np.iinfo(decoded.dtype).max
-    transparency = levels.shape[2] in (2, 4)
-    colours = levels[:, :, :-1] if transparency else levels
-    opaque = levels[:, :, -1] >= 1.0 if transparency else np.ones(levels.shape[:2], dtype=np.bool_)
-    return _Picture(colours.mean(axis=2), opaque)
+    white = 255 if decoded.dtype == np.uint8 else 65535
+    levels = np.atleast_3d(np.asarray(decoded, dtype=np.float64)) / white
+    if levels.shape[-1] in (2, 4):  # the last is opacity
+        return _Picture(levels[..., :-1].mean(axis=-1), levels[..., -1] >= 1.0)
+    return _Picture(levels.mean(axis=-1), np.ones(levels.shape[:-1], dtype=np.bool_))
