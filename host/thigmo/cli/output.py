@@ -46,9 +46,8 @@ def method_option(default: str, *, explores: bool = False) -> Any:
         "knows one peg on a side, and no walls. "
     )
     return typer.Option(
-        help=f"How contacts are localized: posterior, thesis (the thesis's alternating fit) or l1 "
-        f"(the minimum that this fit searches for). The last two give no intervals. "
-        f"{whole if explores else ''}{default}",
+        help="How contacts are localized: posterior, or thesis (the thesis's alternating fit, "
+        f"without intervals). {whole if explores else ''}{default}",
         show_default=False,
     )
 
