@@ -61,8 +61,11 @@ def scale_errors(config: RobotConfig) -> Floats:
 
 
 def gain_errors(config: RobotConfig, drift: float = 1.0) -> Floats:
-    """The same, with what a sensor may have changed by since calibration: `drift` times usual."""
-    drifts = np.array([sensor.drift_se if sensor else 0.0 for sensor in wiring.rows(config)])
+    """The same, with what a sensor may have changed by since calibration: `drift` times usual.
+
+    1 where there is no sensor: its covariance must have an inverse.
+    """
+    drifts = np.array([sensor.drift_se if sensor else 1.0 for sensor in wiring.rows(config)])
     return np.hypot(scale_errors(config), drift * drifts)
 
 
