@@ -5,9 +5,9 @@
     python tools/benchmark.py answer posterior --out answers.csv
     python tools/benchmark.py table              scores of every method, as JSON
 
-Truth is the rod of `thigmo.studies.rod` in the plane, and Kirchhoff's equations in space below; no
-code of a method has a part in it. Answers are made from frames.csv and readings.csv alone. Called
-by developers; docs/benchmark.md says how others enter.
+Truth is the rod of `thigmo_bench.studies.rod` in the plane, and Kirchhoff's equations in space
+below; no code of a method has a part in it. Answers are made from frames.csv and readings.csv
+alone. Called by developers; docs/benchmark.md says how others enter.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from typing import Any
 
 import numpy as np
 
-from thigmo import benchmark
-from thigmo.benchmark.score import score
 from thigmo.errors import ThigmoError
 from thigmo.localization import METHODS, Localizer
-from thigmo.studies import contact_scenes, pegs
-from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.loads import DENSE, two
-from thigmo.studies.rod import Floats
-from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
-from thigmo.studies.speed_accuracy import COMPARED, SLOW
+from thigmo_bench import benchmark
+from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.benchmark.score import score
+from thigmo_bench.studies import contact_scenes, pegs
+from thigmo_bench.studies.loads import DENSE, two
+from thigmo_bench.studies.rod import Floats
+from thigmo_bench.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
+from thigmo_bench.studies.speed_accuracy import COMPARED, SLOW
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = Path(benchmark.__file__).parent
@@ -107,7 +107,7 @@ def touches_one(position: Floats, rng: np.random.Generator, count: int) -> conta
 
 def touches_three(position: Floats, rng: np.random.Generator, count: int) -> contact_scenes.Scenes:
     """Three contacts of alternating forces."""
-    from thigmo.studies.rod import solve
+    from thigmo_bench.studies.rod import solve
 
     arcs = np.array([20.0, 35.0, 50.0]) + rng.uniform(-1.5, 1.5, (count, 3))
     forces = contact_scenes.signs(rng, count)[:, None] * np.array([2.4, -1.6, 1.0]) * 0.6 * CRITICAL

@@ -13,8 +13,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from thigmo.studies.engine import Context, Scale
-from thigmo.studies.faults import run
+from thigmo_bench.studies.engine import Context, Scale
+from thigmo_bench.studies.faults import run
 
 PAGE = Path(__file__).parents[1] / "docs/faults.md"
 HEAD = """\

@@ -440,7 +440,7 @@ def run(name: str) -> None:
 
 def draw_dial() -> None:
     """Draw docs/dial.png from the kept rows of the explorations."""
-    from thigmo.studies.exploration import dial_figure
+    from thigmo_bench.studies.exploration import dial_figure
 
     (study,) = json.loads((RESULTS / "bench-exploration.json").read_text())
     dial_figure(study["dial"]).savefig(ROOT / "docs" / "dial.png", dpi=200)

@@ -50,7 +50,7 @@ NEEDED = (
     r"thigmo-.*/licenses/licenses/nanobind\.txt",
     r"thigmo-.*/licenses/licenses/pico-image\.txt",
 )
-UNWANTED = r".*\.(cpp|h|o)$|.*/(tests|build|studies)/.*|.*/(chip|mega_sim|micropython)\.py"
+UNWANTED = r"thigmo_bench/.*|.*\.(cpp|h|o)$|.*/(tests|build)/.*|.*/(chip|mega_sim|micropython)\.py"
 # What says in one line what to install, or where to get what wheels leave out.
 LACKING = {
     ("watch",): "thigmo[live]",
@@ -60,7 +60,8 @@ LACKING = {
     ("ros",): "thigmo[ros]",
     ("watch", "--foxglove"): "thigmo[live]",
     ("bench", "list"): "make install",
-    ("experiment", "all"): "make install",
+    ("experiment", "all", "--jobs", "2"): "make install",
+    ("score", "answers.csv"): "make install",
     ("info", "--robot", "mega-sim://default"): "make install",
     ("info", "--robot", "micropython://default"): "make install",
 }

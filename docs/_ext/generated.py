@@ -24,7 +24,7 @@ _ERRORS = {
     for name, kind in vars(errors).items()
     if isinstance(kind, type) and issubclass(kind, errors.ThigmoError)
 }
-# Where an operator meets the errors of each folder of host/thigmo.
+# Where an operator meets the errors of each folder of host/thigmo, and those of thigmo_bench.
 _WHERE = {
     "link": "The connection to the board",
     "robot": "The robot",
@@ -40,7 +40,7 @@ _WHERE = {
     "emulator": "The emulator and its scenes",
     "live": "The page",
     "mechanics": "Mechanics",
-    "studies": "Studies and experiments",
+    "thigmo_bench": "Studies and experiments",
 }
 
 
@@ -120,9 +120,10 @@ def _name(node: ast.expr) -> str:
 
 def messages() -> Iterator[tuple[str, str, str, str]]:
     """Folder, class, message and next step of every error with a literal text."""
-    package = ROOT / "host/thigmo"
-    for path in sorted(package.rglob("*.py")):
-        folder = path.relative_to(package).parts[0].removesuffix(".py")
+    host = ROOT / "host"
+    for path in sorted(host.rglob("*.py")):
+        package, folder, *_ = path.relative_to(host).parts
+        folder = folder.removesuffix(".py") if package == "thigmo" else package
         for node in ast.walk(ast.parse(path.read_text())):
             match node:
                 case ast.Call(func=ast.Name(id=kind), args=[first, *rest]):

@@ -185,6 +185,8 @@ class _Sensor(_Placed):
     wrinkles: ClassVar[bool]  # whether a muscle at its side spoils it
     kind: str
     center_cm: Positive
+    # One sigma of its place. Default: a ruler along the tube, read to a millimetre.
+    center_se_cm: NonNegative = 0.1
     span_cm: NonNegative
     scale_se: NonNegative  # relative
     noise: Positive  # 1/cm, white, of an averaged reading

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thigmo.studies import accuracy
-from thigmo.studies.accuracy import BAD, ERRORS, Case, Frame, judge, score
-from thigmo.studies.contact_scenes import GROUPS, TOUCHED, one_contact
-from thigmo.studies.engine import Context
-from thigmo.studies.scenes import COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
+from thigmo_bench.studies import accuracy
+from thigmo_bench.studies.accuracy import BAD, ERRORS, Case, Frame, judge, score
+from thigmo_bench.studies.contact_scenes import GROUPS, TOUCHED, one_contact
+from thigmo_bench.studies.engine import Context
+from thigmo_bench.studies.scenes import COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
 
 
 @pytest.mark.parametrize("group", GROUPS)

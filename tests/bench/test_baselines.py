@@ -9,8 +9,8 @@ import pytest
 
 from thigmo.errors import DataError
 from thigmo.localization.thesis import best_forces, influence, objective
-from thigmo.studies.baselines import BASELINES, Problem
-from thigmo.studies.rod import readings
+from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.studies.rod import readings
 
 LENGTH = 53.0
 BOTH = np.tile([5.0, 15.0, 25.0, 35.0, 45.0], 2)

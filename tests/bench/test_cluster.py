@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from thigmo.cli.main import app
 from thigmo.errors import DataError
-from thigmo.studies import Context, Outcome
-from thigmo.studies.engine import connect_cluster
+from thigmo_bench.studies import Context, Outcome
+from thigmo_bench.studies.engine import connect_cluster
 
 distributed = pytest.importorskip("distributed", reason="needs `pip install thigmo[bench]`")
 
@@ -32,7 +32,7 @@ def study(context: Context) -> Outcome:
 def test_the_command_runs_a_study_on_a_cluster_by_its_address(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("thigmo.studies.load", lambda name: study)
+    monkeypatch.setattr("thigmo_bench.studies.load", lambda name: study)
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as cluster:
@@ -49,7 +49,7 @@ def test_the_command_runs_a_study_on_a_cluster_by_its_address(
 def test_a_scheduler_without_workers_is_an_error_that_says_how_to_start_some(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("thigmo.studies.engine.WORKERS_WITHIN_S", 0.2)
+    monkeypatch.setattr("thigmo_bench.studies.engine.WORKERS_WITHIN_S", 0.2)
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=None) as cluster,
         pytest.raises(DataError, match="dask worker"),

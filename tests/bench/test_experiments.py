@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from thigmo.mechanics import push
-from thigmo.studies.engine import Context, Outcome, write
-from thigmo.studies.experiments import EXPERIMENTS, sensitivity, thesis
-from thigmo.studies.experiments.compare import (
+from thigmo_bench.experiments import EXPERIMENTS, sensitivity, thesis
+from thigmo_bench.experiments.compare import (
     Answer,
     Solved,
     assigned_errors,
@@ -20,10 +19,11 @@ from thigmo.studies.experiments.compare import (
     thesis_method,
     workspace_errors,
 )
-from thigmo.studies.experiments.evaluate import errors, folded
-from thigmo.studies.experiments.fit import misfit, remarks, table
-from thigmo.studies.experiments.specimen import Constants, Specimen, frozen
-from thigmo.studies.experiments.trial import Planned, Trial
+from thigmo_bench.experiments.evaluate import errors, folded
+from thigmo_bench.experiments.fit import misfit, remarks, table
+from thigmo_bench.experiments.specimen import Constants, Specimen, frozen
+from thigmo_bench.experiments.trial import Planned, Trial
+from thigmo_bench.studies.engine import Context, Outcome, write
 
 PERFECT = Constants(noise=0.0, gain_spread=0.0, position_cm=0.0, fold_rad=0.0)
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from thigmo.studies import loads
-from thigmo.studies.contact_scenes import misfit_of_one_contact
-from thigmo.studies.loads import FEW, GROUPS, SEEN_KINK, STANDS_OUT, Seen
-from thigmo.studies.scenes import BOTH, SIGMA
+from thigmo_bench.studies import loads
+from thigmo_bench.studies.contact_scenes import misfit_of_one_contact
+from thigmo_bench.studies.loads import FEW, GROUPS, SEEN_KINK, STANDS_OUT, Seen
+from thigmo_bench.studies.scenes import BOTH, SIGMA
 
 PLAIN = Seen(
     found=1, likely=1, localized=True, ambiguous=False, none=0.0, held=1, wrong=False, off_cm=0.5,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from thigmo.studies import Context, load
-from thigmo.studies.number import _felt, by_prior, calibration, pairs
+from thigmo_bench.studies import Context, load
+from thigmo_bench.studies.number import _felt, by_prior, calibration, pairs
 
 
 def test_the_error_of_calibration_is_that_of_its_bins() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from thigmo.errors import DataError
-from thigmo.studies import stopping
+from thigmo_bench.studies import stopping
 
 pytestmark = pytest.mark.realtime
 

@@ -10,14 +10,14 @@ import pytest
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
-from thigmo.cli.studies import lines
 from thigmo.errors import RunFolderError
-from thigmo.studies import STUDIES, Context, Outcome, load
-from thigmo.studies.attempt import attempt
-from thigmo.studies.engine import Claim, write
-from thigmo.studies.exploration import visit
-from thigmo.studies.speed_accuracy import SCENES, Row, pareto
-from thigmo.studies.stability import DEFAULT
+from thigmo_bench.cli.studies import lines
+from thigmo_bench.studies import STUDIES, Context, Outcome, load
+from thigmo_bench.studies.attempt import attempt
+from thigmo_bench.studies.engine import Claim, write
+from thigmo_bench.studies.exploration import visit
+from thigmo_bench.studies.speed_accuracy import SCENES, Row, pareto
+from thigmo_bench.studies.stability import DEFAULT
 
 
 def test_every_scene_is_found_by_the_default_method() -> None:
@@ -63,7 +63,7 @@ def test_a_stopped_study_leaves_its_finished_parts(
         context.save(Outcome({"first": [{"x": 1}]}, {}, [Claim("c", 1.0, 2.0)]))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("thigmo.studies.load", lambda name: stopped)
+    monkeypatch.setattr("thigmo_bench.studies.load", lambda name: stopped)
     done = CliRunner().invoke(app, ["bench", "loads", "--out", str(tmp_path), "--json"])
     assert done.exit_code == 130
     assert f"finished parts are in {tmp_path}/loads-*" in done.stderr

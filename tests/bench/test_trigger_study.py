@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thigmo.emulator.board import FLEX_RIGHT
-from thigmo.studies.trigger import (
+from thigmo_bench.studies.trigger import (
     DEFAULT,
     THRESHOLD,
     allowed,
@@ -17,7 +17,7 @@ from thigmo.studies.trigger import (
     quantile,
     room,
 )
-from thigmo.studies.trigger_sessions import (
+from thigmo_bench.studies.trigger_sessions import (
     Session,
     Setting,
     false_alarms,

@@ -7,9 +7,9 @@ import pytest
 
 import thigmo
 from thigmo.localization import priors
-from thigmo.studies.pegs import Rooms, rooms
-from thigmo.studies.rod import readings
-from thigmo.studies.scenes import CRITICAL, RADIUS, SIGMA
+from thigmo_bench.studies.pegs import Rooms, rooms
+from thigmo_bench.studies.rod import readings
+from thigmo_bench.studies.scenes import CRITICAL, RADIUS, SIGMA
 
 FRAMES = 6
 LENGTHS = (53.0, 36.0)

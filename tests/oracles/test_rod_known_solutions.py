@@ -13,7 +13,7 @@ from scipy.integrate import quad
 
 from thigmo.errors import DataError
 from thigmo.mechanics import Peg, Tube, peg_for, push, solve
-from thigmo.studies import rod
+from thigmo_bench.studies import rod
 
 CENTERS = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 

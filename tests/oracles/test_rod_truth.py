@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from thigmo.studies.pegs import press, rooms
-from thigmo.studies.rod import readings, solve
-from thigmo.studies.scenes import CRITICAL, RADIUS
+from thigmo_bench.studies.pegs import press, rooms
+from thigmo_bench.studies.rod import readings, solve
+from thigmo_bench.studies.scenes import CRITICAL, RADIUS
 
 LENGTH = 53.0
 COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])

@@ -15,8 +15,8 @@ from test_experiment_trials import Terminal
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError
-from thigmo.studies.experiments.explorations import evaluate, run_explorations
-from thigmo.studies.experiments.session import Attendant, Folder, Place, Verdict
+from thigmo_bench.experiments.explorations import evaluate, run_explorations
+from thigmo_bench.experiments.session import Attendant, Folder, Place, Verdict
 
 pytestmark = pytest.mark.ci
 

@@ -21,10 +21,10 @@ import pytest
 from thigmo.errors import DataError
 from thigmo.record.log import read_log
 from thigmo.robot import Robot, connect
-from thigmo.studies.experiments.evaluate import evaluate
-from thigmo.studies.experiments.recorded import run_trials, trials
-from thigmo.studies.experiments.session import Attendant, Folder, Verdict
-from thigmo.studies.experiments.trial import plan
+from thigmo_bench.experiments.evaluate import evaluate
+from thigmo_bench.experiments.recorded import run_trials, trials
+from thigmo_bench.experiments.session import Attendant, Folder, Verdict
+from thigmo_bench.experiments.trial import plan
 
 pytestmark = pytest.mark.ci
 

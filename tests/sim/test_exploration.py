@@ -23,7 +23,7 @@ from thigmo.exploration.run import Protocol
 from thigmo.link import protocol as wire
 from thigmo.link.framing import decode
 from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles
-from thigmo.studies.rooms import explored
+from thigmo_bench.studies.rooms import explored
 
 FOUND = ("localized", "ambiguous")
 EVERY_PITCH = Effort("every pitch", 6, 1)

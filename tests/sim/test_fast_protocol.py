@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thigmo.studies.rooms import explored
+from thigmo_bench.studies.rooms import explored
 
 SEEDS = (1, 2, 3)
 TIME_SHARE = 0.5

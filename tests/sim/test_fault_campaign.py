@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import pytest
 
-from thigmo.studies.engine import Context, Outcome
-from thigmo.studies.faults import (
+from thigmo_bench.studies.engine import Context, Outcome
+from thigmo_bench.studies.faults import (
     EMPTIED_CM,
     FAILURES,
     QUICK,

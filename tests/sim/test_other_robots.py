@@ -23,9 +23,9 @@ from thigmo.link.client import Client
 from thigmo.mechanics import Peg
 from thigmo.robot import Robot, connect
 from thigmo.stream import Telemetry
-from thigmo.studies.robots import ROBOTS, THESIS, visit
-from thigmo.studies.rooms import explored
 from thigmo.wiring import input_of
+from thigmo_bench.studies.robots import ROBOTS, THESIS, visit
+from thigmo_bench.studies.rooms import explored
 
 OTHERS = [name for name in ROBOTS if name != THESIS]
 

@@ -13,7 +13,7 @@ from thigmo.emulator.scene import PegTable, Scene
 from thigmo.exploration import explore, reducer, replay
 from thigmo.exploration.stall import Lean
 from thigmo.record import OBSTACLES_FILE, read_obstacles
-from thigmo.studies.rooms import explored
+from thigmo_bench.studies.rooms import explored
 
 STALLS = PegTable(x=44.0, y=0.3, radius=0.8)
 

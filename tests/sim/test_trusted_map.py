@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from thigmo.emulator.scene import Scene
-from thigmo.studies.exploration import judge_map, random_pegs
-from thigmo.studies.rooms import explored
+from thigmo_bench.studies.exploration import judge_map, random_pegs
+from thigmo_bench.studies.rooms import explored
 
 
 @pytest.mark.ci

@@ -11,7 +11,7 @@ from emulated import room_file
 
 from thigmo.config import SIDES
 from thigmo.emulator.scene import Scene
-from thigmo.studies.rooms import explored
+from thigmo_bench.studies.rooms import explored
 
 
 @pytest.mark.parametrize("bend", [0.9, 1.1])

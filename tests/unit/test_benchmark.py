@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from thigmo.benchmark import score as scorer
 from thigmo.cli.main import app
 from thigmo.errors import DataError
+from thigmo_bench.benchmark import score as scorer
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOL = ROOT / "tools" / "benchmark.py"

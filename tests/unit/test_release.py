@@ -8,9 +8,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 import thigmo
+from thigmo.cli.added import add_commands
 from thigmo.cli.main import app
 from thigmo.errors import ConfigError, PortError
 from thigmo.extras import NotInstalledError
@@ -59,8 +61,6 @@ def test_an_installation_without_sources_flashes_the_image_that_came_with_it(
         ("calibrate status", "cv2", r"thigmo\[camera\]"),
         ("ros", "cyclonedds", r"thigmo\[ros\]"),
         ("design", "matplotlib", r"thigmo\[plot\]"),
-        ("bench list", "thigmo.studies", "make install"),
-        ("experiment all", "thigmo.studies", "make install"),
         ("info --robot mega-sim://default", "thigmo.emulator.mega_sim", "make install"),
         ("info --robot micropython://default", "thigmo.emulator.micropython", "make install"),
     ],
@@ -74,3 +74,15 @@ def test_a_command_names_what_its_installation_lacks(
     error = CliRunner().invoke(app, command.split()).exception
     assert isinstance(error, NotInstalledError)
     assert re.search(cure, str(error))
+
+
+@pytest.mark.parametrize("command", ["bench list", "experiment all --jobs 2", "score answers.csv"])
+def test_a_wheel_says_how_to_get_the_commands_of_the_studies(
+    command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "thigmo_bench", None)
+    commands = typer.Typer()
+    add_commands(commands)
+    error = CliRunner().invoke(commands, command.split()).exception
+    assert isinstance(error, NotInstalledError)
+    assert "make install" in str(error)

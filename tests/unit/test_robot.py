@@ -128,12 +128,14 @@ def test_the_board_ends_up_with_what_robot_toml_says() -> None:
     config = RobotConfig()
     config.column("left")[2].healthy = False
     config.column("right")[1].center_cm = 14.5
+    config.column("right")[1].center_se_cm = 0.25
     config.muscle("right").lag_s = 0.15
     assert robot.configure(config)
     for name, values in parameter_settings(config).items():
         assert robot.parameter(name) == values, name
     assert robot.parameter("flex_enabled") == [1, 1, 0, 1, 1, 1, 1, 1, 1, 1]
     assert robot.parameter("flex_center_um")[6] == 145_000
+    assert robot.parameter("flex_center_se_um")[5:8] == [1000, 2500, 1000]
     assert robot.parameter("lag_ms") == [200, 150]
     assert len(board.maps) == 12
     assert all(values[-1] < 0 for (_, side, _), values in board.maps.items() if side == 1)

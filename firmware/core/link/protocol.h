@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x6A713CB3u;
+constexpr uint32_t kSchemaHash = 0x244DF1F4u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -1633,7 +1633,9 @@ enum class Param : uint16_t {
                  // of that number bends the body, 7 while none does. A muscle disturbs the sensor
                  // only if it lies over it. Base sensors are the first input and the first of the
                  // upper half; they are converted every ms. [kSensors]
-  kImuFrom = kTriggerWhen +
+  kFlexCenterSeUm = kTriggerWhen + kSensors,  // One sigma of flex_center_um. Default: a ruler along
+                                              // the tube, read to a millimetre. (um) [kSensors]
+  kImuFrom = kFlexCenterSeUm +
       kSensors,  // IMU at which this input's span begins: 128 x its channel of the multiplexer +
                  // its I2C address. 0: the base, which does not turn. [kImus]
   kImuTo = kImuFrom + kImus,  // IMU at which this input's span ends, in the same form. 0: this
@@ -1706,6 +1708,7 @@ constexpr ParamKey kParamKeyTable[] THIGMO_PROGMEM = {
     {48, 1},               // telemetry_ms
     {59, kMuscles},        // muscle_fitted
     {60, kSensors},        // trigger_when
+    {63, kSensors},        // flex_center_se_um
 #if THIGMO_IMUS
     {61, kImus},  // imu_from
     {62, kImus},  // imu_to
@@ -1797,8 +1800,9 @@ constexpr ParamRows param_rows() {
   rows.add(kMuscles, 0, 1, muscle_fitted);
   const int32_t trigger_when[] = {130, 0, 0, 0, 0, 129};
   rows.add(kSensors, 0, 255, trigger_when);
-  rows.add(kImus, 0, 1023, 0);  // imu_from
-  rows.add(kImus, 0, 1023, 0);  // imu_to
+  rows.add(kSensors, 0, 20000, 1000);  // flex_center_se_um
+  rows.add(kImus, 0, 1023, 0);         // imu_from
+  rows.add(kImus, 0, 1023, 0);         // imu_to
   return rows;
 }
 constexpr ParamRows kParamRows THIGMO_PROGMEM = param_rows();

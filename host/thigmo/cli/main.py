@@ -16,12 +16,11 @@ import typer
 from typer.core import TyperGroup
 
 from thigmo.cli import camera, emulator, ending
-from thigmo.cli.bench import bench
+from thigmo.cli.added import add_commands
 from thigmo.cli.board import clear, params, retract, stop
 from thigmo.cli.bringup import bringup, jog, press
 from thigmo.cli.calibrate import calibrate
 from thigmo.cli.design import design
-from thigmo.cli.experiment import experiment
 from thigmo.cli.explore import explore
 from thigmo.cli.feel import feel
 from thigmo.cli.flash import flash
@@ -29,7 +28,6 @@ from thigmo.cli.localize import localize
 from thigmo.cli.robot import robot
 from thigmo.cli.ros import ros
 from thigmo.cli.runs import export, info, replay
-from thigmo.cli.score import score
 from thigmo.cli.watch import watch
 from thigmo.errors import ThigmoError
 
@@ -80,9 +78,10 @@ app = typer.Typer(
 )
 for function in (
     explore, watch, localize, feel, replay, info, export, stop, params, clear, retract, ros, flash,
-    bringup, jog, press, emulator.emulate, calibrate, experiment, bench, score, design,
+    bringup, jog, press, emulator.emulate, calibrate, design,
 ):  # fmt: skip
     app.command()(function)
+add_commands(app)
 groups = {"robot": robot, "scene": emulator.scene, "camera": camera.group}
 for name, group in groups.items():
     app.add_typer(group, name=name)

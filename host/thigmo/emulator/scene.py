@@ -318,6 +318,7 @@ class Scene(Model):
             for sensor in config.column(side):
                 gain = 1 + spread.gain_spread * rng.standard_normal()
                 sensor.scale_se = spread.gain_spread
+                sensor.center_se_cm = spread.position_spread_cm
                 moved = spread.position_spread_cm * rng.standard_normal()
                 sensor.rescale(gain)
                 if isinstance(sensor, HeadingSensor):

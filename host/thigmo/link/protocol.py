@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x6A713CB3
+SCHEMA_HASH = 0x244DF1F4
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87

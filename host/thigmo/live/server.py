@@ -11,16 +11,15 @@ import contextlib
 import errno
 import json
 import logging
-import math
 import secrets
 import socket
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from aiohttp import WSMsgType, web
 from aiohttp.http_exceptions import HttpProcessingError
@@ -32,6 +31,7 @@ from thigmo.live import page_data
 from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.page_data import PastRun, board, body, pegs, row_text, thinned
+from thigmo.live.page_request import PageRequest, parse
 from thigmo.live.relay import Watched, Way, stop_port, stop_run, way_to
 from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.viewer import Viewer
@@ -364,20 +364,16 @@ class PageServer:
             viewer.add_rows(run.history, run.board, most=_HISTORY_ROWS)
 
     async def _obey(self, viewer: Viewer, text: str) -> None:
-        try:
-            request = json.loads(text)
-            command = request.get("command")
-        except (ValueError, AttributeError):
+        if (request := parse(text)) is None:
             return
-        operates = viewer is self._operator
-        if "ack" in request:
+        command, operates = request.command, viewer is self._operator
+        if request.ack is not None:
             viewer.acknowledged()
         elif command == "take" and self._operator is None:
             self._operator = viewer
         elif command == "choose" and operates and self._watched is not None:
-            pid = request.get("pid")
-            if any(each.pid == pid for each in self._choices):
-                self._watched.choose(pid)
+            if any(run.pid == request.pid for run in self._choices):
+                self._watched.choose(request.pid)
         elif command == "hold" and operates and self._started is not None:
             self._started.hold()
             return
@@ -386,23 +382,22 @@ class PageServer:
                 await self._start(command, request)
         elif command in ("pause", "resume", "answer") and operates and self._watched is not None:
             with contextlib.suppress(ThigmoError):  # the run has just ended, which the page sees
-                self._watched.send(command, str(request.get("text", "")))
+                self._watched.send(command, request.text)
                 self._run.pausing = command == "pause"
         if command:
             self._tell()
 
-    async def _start(self, command: str, request: dict[str, Any]) -> None:
+    async def _start(
+        self, command: Literal["start", "clear", "retract", "jog"], request: PageRequest
+    ) -> None:
         """Start an exploration, or what finishes the job of one that has ended."""
         url, port = self.options.url, self._port
         if command == "start" and url is not None:
-            realtime = request.get("realtime") is not False
-            options = (*self.options.explore, *self._chosen(request.get("parameters")))
-            started = await asyncio.to_thread(exploration, url, options, realtime=realtime)
+            options = (*self.options.explore, *self._chosen(request.parameters))
+            started = await asyncio.to_thread(exploration, url, options, realtime=request.realtime)
         elif command != "start" and port is not None:
-            try:
-                arguments = _motion(command, request)
-            except (KeyError, TypeError, ValueError):
-                return  # this page sends numbers
+            if (arguments := _motion(command, request)) is None:
+                return  # this page sends all of them
             started = await asyncio.to_thread(Started, command, "--robot", port, *arguments)
         else:
             return
@@ -410,10 +405,9 @@ class PageServer:
         if self._watched is not None:
             self._watched.choose(started.pid)
 
-    def _chosen(self, given: object) -> list[str]:
+    def _chosen(self, values: Mapping[str, str | float]) -> list[str]:
         """Options of the exploration that the operator gave on the page."""
-        values = given if isinstance(given, dict) else {}
-        offered = (each.flag for each in self.options.parameters)
+        offered = (parameter.flag for parameter in self.options.parameters)
         return [f"{flag}={values[flag]}" for flag in offered if values.get(flag)]
 
     def stop(self, peer: str) -> dict[str, Any]:
@@ -460,22 +454,16 @@ class PageServer:
         return self._run.moving is None and time.monotonic() - self._left_s > _LEAVES_S
 
 
-def _number(given: object) -> str:
-    """A number of a page, as an argument. Raises TypeError or ValueError if it is none."""
-    if not math.isfinite(number := float(given)):  # type: ignore[arg-type]
-        raise ValueError(given)
-    return f"{number:g}"
-
-
-def _motion(command: str, request: dict[str, Any]) -> list[str]:
-    """Arguments of a command that finishes the job. Raises KeyError, TypeError or ValueError for
-    numbers that are none."""
-    if command == "clear":
-        return []
-    if command == "jog":
-        way = {"out": "--out", "in": "--in"}[request["way"]]
-        return [way, _number(request["cm"])]
-    return ["--to", _number(request["to"]), "--length", _number(request["length"])]
+def _motion(command: Literal["clear", "retract", "jog"], request: PageRequest) -> list[str] | None:
+    """Arguments of a command that finishes the job; None if the request lacks some."""
+    match command, request:
+        case "clear", _:
+            return []
+        case "jog", PageRequest(way=str(way), cm=float(cm)):
+            return [f"--{way}", f"{cm:g}"]
+        case "retract", PageRequest(to=float(to), length=float(length)):
+            return ["--to", f"{to:g}", "--length", f"{length:g}"]
+    return None
 
 
 def _run_facts(run: Hello) -> dict[str, Any]:

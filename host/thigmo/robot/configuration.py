@@ -40,6 +40,7 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     return imus | {
         "flex_enabled": [int(s is not None and s.healthy) for s in flex],
         "flex_center_um": [round(s.fold_cm[0] * 1e4) if s else 0 for s in flex],
+        "flex_center_se_um": [round(s.center_se_cm * 1e4) if s else 0 for s in flex],
         "flex_span_um": [round(s.fold_cm[1] * 1e4) if s else 0 for s in flex],
         "flex_scale": [round(s.scale_per_ohm * ratio * 1e9) if s else 0 for s in flex],
         "settle_ms": [round(board.settle_s * 1e3)],

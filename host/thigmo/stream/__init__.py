@@ -26,7 +26,7 @@ from thigmo.stream.messages import (
     to_json,
 )
 from thigmo.stream.recorded import read_messages, recording
-from thigmo.stream.remote import Command, RemoteRun, Server, Watchable, attach, running
+from thigmo.stream.remote import Command, RemoteRun, Server, Text, Watchable, attach, running
 
 __all__ = [
     "CHANNELS",
@@ -48,6 +48,7 @@ __all__ = [
     "Server",
     "Subscription",
     "Telemetry",
+    "Text",
     "Watchable",
     "attach",
     "from_json",

@@ -19,7 +19,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, StringConstraints, ValidationError
 
 from thigmo.closing import Closing
 from thigmo.errors import LinkError, PortError
@@ -28,7 +30,9 @@ from thigmo.stream.hub import Hub, Subscription
 from thigmo.stream.messages import Dropped, Hello, Message, from_json, to_json
 
 Command = Literal["pause", "resume", "stop", "answer"]
-_COMMANDS: tuple[Command, ...] = get_args(Command)
+# What a person types in one line. Control characters mean something to a terminal, and a zero byte
+# ends an argument of a program.
+Text = Annotated[str, StringConstraints(max_length=1000, pattern=r"^[^\x00-\x1f\x7f]*$")]
 _MOST_BYTES = 4096
 _POLL_S = 0.1
 _LINGER_S = 0.01  # a thread that wakes for every message would take the robot's time
@@ -119,14 +123,16 @@ class Server(Closing):
     def _serve(self, connection: Connection, messages: Subscription) -> None:
         """Thread of a client: its commands, until it goes or all is sent."""
         writer = _thread(self._write, connection, messages)
-        with messages, contextlib.suppress(OSError, EOFError), connection:
-            while writer.is_alive():
-                # A thread that waits in a read would keep a closed socket open.
-                if not connection.poll(_POLL_S):
-                    continue
-                command, text = _command_in(connection.recv_bytes(_MOST_BYTES))
-                if command is not None:
-                    self._command(command, text)
+        with connection:
+            with messages, contextlib.suppress(OSError, EOFError):
+                while writer.is_alive():
+                    # A thread that waits in a read would keep a closed socket open.
+                    if not connection.poll(_POLL_S):
+                        continue
+                    request = _request_in(connection.recv_bytes(_MOST_BYTES))
+                    if request is not None:
+                        self._command(request.command, request.text)
+            writer.join()  # it must not write to what is closed, and maybe another file by then
 
     def _write(self, connection: Connection, messages: Subscription) -> None:
         """Thread of a client: messages."""
@@ -151,14 +157,19 @@ def _thread(target: Callable[..., None], *arguments: object) -> threading.Thread
     return thread
 
 
-def _command_in(data: bytes) -> tuple[Command | None, str]:
-    """The command that a client's bytes hold, and its text; None for what a newer one may send."""
+class _Request(BaseModel):
+    """A command of a client, as JSON."""
+
+    command: Command
+    text: Text = ""
+
+
+def _request_in(data: bytes) -> _Request | None:
+    """The request that a client's bytes hold; None for what a newer one may send."""
     try:
-        said = json.loads(data)
-        wanted, text = said.get("command"), str(said.get("text", ""))
-    except (ValueError, AttributeError):
-        return None, ""
-    return next((command for command in _COMMANDS if command == wanted), None), text
+        return _Request.model_validate_json(data)
+    except ValidationError:
+        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +203,7 @@ class RemoteRun(Closing):
             if not self._connection.poll(timeout_s):
                 return None
             return from_json(self._connection.recv_bytes())
-        except OSError as error:
+        except (OSError, TypeError) as error:  # TypeError: it was closed while it was read
             raise EOFError from error
 
     def send(self, command: Command, text: str = "") -> None:
@@ -207,8 +218,9 @@ class RemoteRun(Closing):
             raise LinkError(f"the run {self.hello.name} has ended", "see its run folder") from error
 
     def close(self) -> None:
-        """Stop listening; may be called twice."""
-        self._connection.close()
+        """Stop listening; from any thread, and may be called twice."""
+        with self._sending:  # a descriptor that is closed may be another file's a moment later
+            self._connection.close()
 
     def __iter__(self) -> Iterator[Message]:
         with contextlib.suppress(EOFError):

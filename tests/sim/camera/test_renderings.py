@@ -33,7 +33,7 @@ from thigmo.camera.render import BodyShape, Look, PegShape, View, overhead_camer
 from thigmo.camera.sheet import card_decals, tip_decal
 from thigmo.cli.camera import group
 from thigmo.errors import ConfigError
-from thigmo.studies.camera import axis_of, board_lens, glimpse, summarise
+from thigmo_bench.studies.camera import axis_of, board_lens, glimpse, summarise
 
 pytestmark = pytest.mark.ci
 

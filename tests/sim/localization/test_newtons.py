@@ -8,10 +8,10 @@ import pytest
 import thigmo
 from thigmo.errors import DataError
 from thigmo.localization import Localizer, Quantity
-from thigmo.studies import contact_scenes
-from thigmo.studies.loads import DENSE, MOST_TURN, ROD_CM, ROD_NOISE
-from thigmo.studies.rod import Floats, solve
-from thigmo.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
+from thigmo_bench.studies import contact_scenes
+from thigmo_bench.studies.loads import DENSE, MOST_TURN, ROD_CM, ROD_NOISE
+from thigmo_bench.studies.rod import Floats, solve
+from thigmo_bench.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
 
 EI, ERROR = 400.0, 0.1  # N cm^2
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from thigmo.emulator.mega_sim import SimulatedMega
-from thigmo.studies.faults import FAILURES, Case, visit
+from thigmo_bench.studies.faults import FAILURES, Case, visit
 
 pytestmark = pytest.mark.ci
 

@@ -6,8 +6,8 @@ import pytest
 
 from thigmo.emulator.mega_sim import SimulatedMega
 from thigmo.emulator.plant import STEP_MS
-from thigmo.studies.trigger import DEFAULT, THRESHOLD, room
-from thigmo.studies.trigger_sessions import (
+from thigmo_bench.studies.trigger import DEFAULT, THRESHOLD, room
+from thigmo_bench.studies.trigger_sessions import (
     OTHERS,
     Session,
     Setting,

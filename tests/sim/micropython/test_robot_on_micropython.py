@@ -17,7 +17,7 @@ from thigmo.exploration import explore
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.protocol import ResetCause
-from thigmo.studies.faults import FAILURES, QUICK, Case, visit
+from thigmo_bench.studies.faults import FAILURES, QUICK, Case, visit
 
 Make = Callable[..., Rig[MicroPythonBoard]]
 

@@ -14,7 +14,7 @@ from thigmo.errors import DataError
 from thigmo.mechanics import push
 from thigmo.reading_errors import reading_errors
 from thigmo.record.table import write_table
-from thigmo.studies.rod import Floats
+from thigmo_bench.studies.rod import Floats
 
 EI = 430.0  # N cm^2
 PULLS = np.array([0.05, 0.1, 0.14, -0.05, -0.1, -0.14])  # N at the tip

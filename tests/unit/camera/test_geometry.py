@@ -28,7 +28,7 @@ from thigmo.camera.pose import fit_pose, what_helps
 from thigmo.camera.render import overhead_camera
 from thigmo.camera.sheet import place
 from thigmo.errors import DataError
-from thigmo.studies.camera import axis_of
+from thigmo_bench.studies.camera import axis_of
 
 
 def corners_seen(camera: CameraModel, sheet: Sheet, rng: np.random.Generator) -> dict:

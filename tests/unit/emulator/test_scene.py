@@ -159,6 +159,7 @@ def test_belief_differs_from_truth_by_what_the_scene_says() -> None:
                 gains.append(said.scale_per_ohm / true.scale_per_ohm - 1)
                 places.append(said.center_cm - true.center_cm)
                 assert said.scale_se == 0.05
+                assert said.center_se_cm == 0.1
                 assert said.zero_se >= scene.noise.hysteresis
             for zone, right in zip(
                 config.muscle(side).maps, scene.robot.muscle(side).maps, strict=True
@@ -181,5 +182,6 @@ def test_without_errors_the_host_believes_the_truth() -> None:
     assert known.body.critical_curvature == true.body.critical_curvature
     # And it knows that it does.
     assert {s.scale_se for s in known.column("left")} == {0.0}
+    assert {s.center_se_cm for s in known.column("left")} == {0.0}
     assert {zone.scale_se for zone in known.muscle("left").maps} == {0.0}
     assert known.body.critical_curvature_se == 0.0

@@ -10,8 +10,8 @@ import pytest
 
 import thigmo
 from thigmo.design import arc_bounds
-from thigmo.studies.rod import readings as true_readings
-from thigmo.studies.rod import solve
+from thigmo_bench.studies.rod import readings as true_readings
+from thigmo_bench.studies.rod import solve
 
 LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
 COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])

@@ -8,7 +8,7 @@ import pytest
 import thigmo
 from thigmo.errors import DataError
 from thigmo.mechanics import Peg, Tube, solve
-from thigmo.studies.rod import readings as true_readings
+from thigmo_bench.studies.rod import readings as true_readings
 
 LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
 COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])

@@ -15,9 +15,9 @@ import thigmo
 from thigmo.errors import DataError
 from thigmo.localization import Localizer, priors
 from thigmo.mechanics.closed_forms import phi
-from thigmo.studies import rod
-from thigmo.studies.rod_in_space import solve
-from thigmo.studies.space import AXIS, DIRECTION, POSITION, SIGMA, SPAN, TWIST
+from thigmo_bench.studies import rod
+from thigmo_bench.studies.rod_in_space import solve
+from thigmo_bench.studies.space import AXIS, DIRECTION, POSITION, SIGMA, SPAN, TWIST
 
 READ = {
     "position": POSITION, "direction": DIRECTION, "length": 1.0, "span": SPAN, "noise": SIGMA,

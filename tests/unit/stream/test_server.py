@@ -121,6 +121,24 @@ def test_no_thread_outlives_its_run() -> None:
     assert threading.active_count() <= before  # those of earlier tests may end meanwhile
 
 
+def test_a_connection_that_is_closed_meanwhile_has_ended(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run.hub.publish(a_state(1.0))
+    with attach(run.server.address) as viewer:
+        reading = viewer._connection
+
+        def closed_meanwhile() -> bytes:
+            viewer.close()
+            return os.read(reading._handle, 4)  # type: ignore[attr-defined, no-any-return]
+
+        monkeypatch.setattr(reading, "recv_bytes", closed_meanwhile)
+        with pytest.raises(EOFError):
+            viewer.get()
+        with pytest.raises(LinkError, match="has ended"):
+            viewer.send("pause")
+
+
 def test_what_a_killed_run_left_behind_is_cleared_away(run: Run) -> None:
     left = Path(run.server.address + "x")
     with socket.socket(socket.AF_UNIX) as dead:

@@ -1,0 +1,1 @@
+"""The commands `thigmo bench`, `thigmo experiment` and `thigmo score`."""

@@ -1,0 +1,145 @@
+"""How commands run studies: how far each is, what it found, and its files.
+
+Progress is a bar on a terminal, on a pipe a line now and then; both on stderr. Called by
+`thigmo bench` and `thigmo experiment`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from math import isfinite
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from thigmo.cli import ending
+from thigmo.cli.output import print_json
+
+if TYPE_CHECKING:
+    from thigmo_bench.studies.engine import Context, Outcome, Record, Scale, Study
+
+Tell = Callable[[str, int, int], None]
+
+LINE_EVERY_S = 10.0
+
+
+def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: bool) -> None:
+    """Run studies by name, one after the other; write to `out` and print what each found."""
+    from dataclasses import replace
+
+    from thigmo_bench.studies.engine import write
+
+    found = []
+    for name, study in studies.items():
+        with study_progress(name) as tell:
+            save = partial(write, name=name, folder=out)
+            try:
+                own = replace(context, progress=tell, save=save, samples={})
+                outcome = study(own)
+            except KeyboardInterrupt:
+                typer.echo(f"thigmo: stopped; finished parts are in {out}/{name}-*", err=True)
+                raise typer.Exit(ending.status()) from None
+        outcome.samples = own.samples
+        found.append(report(name, outcome, out, as_json, context.scale))
+    if as_json:
+        print_json(found)
+
+
+def report(
+    name: str, outcome: Outcome, out: Path, as_json: bool, scale: Scale = "full"
+) -> dict[str, Any]:
+    """Write what a study found, print it for people, and return it for programs."""
+    from thigmo_bench.studies.engine import write
+
+    paths = write(outcome, name, out)
+    if not as_json:
+        if outcome.summary:
+            _show(name, outcome.summary)
+        if outcome.samples:
+            cases = "; ".join(f"{part} {count}" for part, count in outcome.samples.items())
+            typer.echo(f"  cases: {cases}")
+        for line in (*(claim.said(scale) for claim in outcome.claims), *outcome.notes):
+            typer.echo(f"  {line}")
+        typer.echo(f"  wrote {len(paths)} files to {out}/{name}-*")
+    return {"study": name, **outcome.record(), "files": [str(path) for path in paths]}
+
+
+_ROW_NAME = 20  # characters that the name of a row has at least
+
+
+def _show(name: str, rows: Sequence[Record]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.measure import Measurement
+    from rich.table import Table as RichTable
+
+    shown = RichTable(title=name, box=box.SIMPLE_HEAD, padding=0, show_edge=False, pad_edge=False)
+    first, *others = rows[0]
+    widest = max(len(str(row[first])) for row in rows)
+    shown.add_column(first, min_width=min(widest, _ROW_NAME))
+    for column in others:
+        shown.add_column(column, justify="right")
+    for row in rows:
+        cells = (
+            str(cell) if not isinstance(cell, float) else f"{cell:.2f}" if isfinite(cell) else "-"
+            for cell in row.values()
+        )
+        shown.add_row(*cells)
+    console = Console()
+    # Words are not cut: a table that needs more width than the terminal has goes beyond it.
+    needed = Measurement.get(console, console.options.update_width(1000), shown).minimum
+    console.width = max(console.width, needed)
+    console.print(shown)
+
+
+@contextmanager
+def study_progress(name: str) -> Iterator[Tell]:
+    """Yields a function of (part, done, total) that shows how far each part of a study is."""
+    from rich import progress
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        write_line = lines(partial(console.print, highlight=False, soft_wrap=True), monotonic)
+        yield lambda part, done, total: write_line(f"{name}, {part}", done, total)
+        return
+    tasks: dict[str, Any] = {}
+    with progress.Progress(
+        progress.TextColumn("{task.description}"), progress.BarColumn(24),
+        progress.MofNCompleteColumn(), progress.TimeElapsedColumn(),
+        progress.TimeRemainingColumn(), console=console,
+    ) as bar:  # fmt: skip
+
+        def tell(part: str, done: int, total: int) -> None:
+            if part not in tasks:
+                tasks[part] = bar.add_task(f"{name}, {part}", total=total)
+            if done == 0:
+                bar.reset(tasks[part], total=total)
+            bar.update(tasks[part], completed=done)
+
+        yield tell
+
+
+def lines(write: Callable[[str], object], clock: Callable[[], float]) -> Tell:
+    """A line a part at its start and end, and one every ten seconds between them."""
+    began: dict[str, float] = {}
+    written_s = clock()
+
+    def tell(part: str, done: int, total: int) -> None:
+        nonlocal written_s
+        now = clock()
+        first = done == 0 or part not in began
+        if first:
+            began[part] = now
+        gone = now - began[part]
+        if not first and done < total and now - written_s < LINE_EVERY_S:
+            return
+        written_s = now
+        rest = f", about {gone / done * (total - done):.0f} s to go" if 0 < done < total else ""
+        write(f"{part}: {done}/{total}, {gone:.0f} s{rest}")
+
+    return tell

@@ -1,0 +1,184 @@
+"""The thesis's static trials with a robot: how they are taken, kept, resumed and evaluated again.
+
+OUT/EXPERIMENT/
+  robot.toml, trials.jsonl  as `session.py` says
+  run-1.mcap                every frame of the first session's link, run-2.mcap of the next
+
+Each trial starts with the robot straight, vented and zeroed, as in the thesis. One second of
+readings is averaged while the dowels press, and another before an actuated robot touches its dowel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from thigmo import __version__
+from thigmo.calibrate.bench import READ_S, STEADY_S, grow_to, set_zone, zero
+from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Side
+from thigmo.errors import DataError
+from thigmo.exploration.reference import scale_errors
+from thigmo.record import LogWriter
+from thigmo.robot import Reading, Robot, SensorTable
+from thigmo_bench.experiments import thesis
+from thigmo_bench.experiments.session import Attendant, Folder, Row, Say
+from thigmo_bench.experiments.specimen import frozen, pushed
+from thigmo_bench.experiments.trial import Planned, Trial, arc_bound_cm, plan
+from thigmo_bench.studies.rod import Floats
+
+_RAMP_PSI_S = 1.0  # slow: an overshoot would turn the muscle over to its other branch
+_LEAST_GAIN_SE = 1e-3
+
+
+def run_trials(
+    robot: Robot,
+    attendant: Attendant,
+    folder: Folder,
+    experiment: str,
+    count: int,
+    say: Say = lambda text: None,
+) -> bool:
+    """Take this many trials of each place and condition, except those that the folder holds.
+
+    Returns whether all are done; False if the attendant stopped.
+    """
+    config, body = folder.config, folder.config.body
+    planned = plan(experiment, count, body.length_cm, body.critical_curvature)
+    todo = folder.missing({one.key: one for one in planned}, say, experiment)
+    if not todo:
+        return True
+    session = 1 + len(list(folder.path.glob("run-*.mcap")))
+    facts = {"thigmo": __version__, "url": robot.url, **robot.identity}
+    with LogWriter(folder.path / f"run-{session}.mcap", facts) as log:
+        robot.record_frames(log.frame)
+
+        def one(trial: Planned) -> tuple[Row, str]:
+            log.note("trial", robot.now(), key=trial.key)
+            row = _take(robot, config, attendant, trial)
+            read = row["curvature"]
+            left, right = read[0], read[len(read) // 2]
+            return row, f"base sensors read {left:+.4f} (left) and {right:+.4f} 1/cm (right)"
+
+        _prepare(robot, config, say)
+        done = folder.take(todo, one, attendant.verdict, say)
+        if done:
+            attendant.clear()
+    return done
+
+
+def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
+    """Configure and arm, grow to the full length stage by stage, and let every sensor settle."""
+    robot.configure(config)
+    robot.known_length_cm()
+    if robot.status().state == "safe":
+        robot.arm()
+    grow_to(robot, config, config.body.length_cm, say)
+    set_zone(robot, config, len(config.body.zones) - 1)
+    say("waiting for the sensors to settle")
+    robot.wait_settled()
+
+
+def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planned) -> Row:
+    """Take one trial, vent the robot, and return what is kept in addition to the plan."""
+    attendant.clear()
+    robot.vent()
+    zero(robot, lambda text: None)
+    passed: list[Reading] = []
+    if trial.pressure_psi > 0:
+        for since, psi in pairwise((0.0, thesis.TOUCH_PSI, trial.pressure_psi)):
+            if since > 0.0:
+                passed.append(robot.read(READ_S))
+            robot.press(DEGREES[trial.side], psi, ramp_psi_s=_RAMP_PSI_S)
+            robot.wait((psi - since) / _RAMP_PSI_S + STEADY_S)
+            if psi == thesis.TOUCH_PSI:
+                attendant.touch(trial)
+    else:
+        shape = pushed(
+            trial.arcs_cm, trial.forces, length_cm=config.body.length_cm,
+            diameter_cm=config.body.diameter_cm, fold_rad=trial.fold(frozen().fold_rad),
+        )  # fmt: skip
+        attendant.push_aside(trial, [round(shape.pose(arc)[1], 2) for arc in trial.arcs_cm])
+        robot.wait(STEADY_S)
+    reading = robot.read(READ_S)
+    dowels = attendant.dowels(len(trial.arcs_cm))
+    truth = attendant.truth()
+    robot.vent()
+    return {
+        **{name: getattr(reading, name) for name in ("t_s", "length_cm")},
+        **{
+            f"{side}_psi": reading.pressure_psi[config.muscle_number(DEGREES[side])]
+            for side in SIDES
+        },
+        "zeroed": robot.status().zeroed,
+        "curvature": reading.curvature.tolist(),
+        "dowel_x_cm": [x for x, _ in dowels],
+        "dowel_y_cm": [y for _, y in dowels],
+        **truth,
+        "passed_psi": [r.pressure_psi[config.muscle_number(DEGREES[trial.side])] for r in passed],
+        "passed_curvature": [r.curvature.tolist() for r in passed],
+    }
+
+
+def trials(folder: Folder) -> list[Trial]:
+    """The kept trials, for `evaluate`.
+
+    Raises:
+        DataError: a line is damaged.
+    """
+    kept = folder.kept()
+    try:
+        return [_trial(row, folder.config, kept) for row in kept]
+    except (LookupError, TypeError, ValueError) as error:
+        raise DataError(
+            f"the table in {folder.path} is damaged: {error!r}", "correct or delete that line"
+        ) from error
+
+
+def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
+    """A line of the table as a trial with usable sensors only, and free curvature from the map."""
+    table, scale_se = SensorTable.of(config), scale_errors(config)
+    side: Side = row["side"]
+    muscle, sign = config.muscle(side), SIGN[side]
+    zone = muscle.maps[-1]
+    read = np.array(row["curvature"])
+    gain: Floats = np.ones(read.size)
+    free, bends = 0.0, bool(row["passed_psi"])
+    if bends:
+        free = sign * zone.inflate.curvature(row[f"{side}_psi"])
+        gain = _shown_gains(rows, config, side)
+        use = table.usable(side, row["zeroed"]) & np.isfinite(read)
+        # The zero, and what scale and map may be off by.
+        more = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free) ** 2
+    else:
+        use, more = table.healthy & (table.direction * read >= 0), np.zeros(read.size)
+    sigma = np.sqrt(table.noise**2 + (scale_se * (read - free)) ** 2 + more)[use]
+    position, span = table.center_cm[use], table.span_cm[use]
+    arcs, forces = tuple(row["true_arcs_cm"] or row["arcs_cm"]), tuple(row["true_forces"])
+    unknown = (float("nan"),) * len(arcs)
+    length = row["length_cm"]
+    bound = arc_bound_cm(arcs, forces, position, span, sigma, length) if forces else unknown
+    return Trial(
+        row["condition"], row["place"], position, span, read[use], free, gain[use], sigma, arcs,
+        forces or unknown, tuple(row["dowel_x_cm"]), tuple(row["true_contact_x_cm"]) or unknown,
+        unknown if bends else bound, muscle.offset_se, length, config.body.critical_curvature,
+        config.body.radius_cm,
+    )  # fmt: skip
+
+
+def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> Floats:
+    """Gains of the sensors as the untouched robot showed them at 6 psi, (N,).
+
+    As `Specimen.learn_gains`. On a real robot, however, the errors of a reading (zero, hysteresis)
+    are much the same in all trials, so that many trials say no more than one.
+    """
+    table, muscle = SensorTable.of(config), config.muscle(side)
+    mine = [row for row in rows if row["side"] == side and row["passed_psi"]]
+    zone, sign = muscle.maps[-1], SIGN[side]
+    spread = np.maximum(np.hypot(scale_errors(config), zone.scale_se), _LEAST_GAIN_SE)
+    believed = np.mean([sign * zone.inflate.curvature(row["passed_psi"][0]) for row in mine])
+    departure = np.mean([row["passed_curvature"][0] for row in mine], axis=0) - believed
+    variance = table.noise**2 + muscle.offset_se**2
+    precision = 1 / spread**2 + believed**2 / variance
+    return np.asarray(1 + np.nan_to_num(believed * departure / variance / precision))

@@ -1,0 +1,86 @@
+"""Error and time of one method on one case, as every study counts them.
+
+The error is the mean |arc - true arc| over the contacts, ordered along the body (cm). It is
+infinite without an answer, or for a wrong number of contacts; more than 10 cm is a failure. The
+time is processor time, because wall time of long calls grows on a busy machine. It is the least of
+up to five calls, because the caches are cold for the first one after another method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from thigmo.errors import ThigmoError
+from thigmo.localization import METHODS, Localizer
+from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.studies.scenes import CRITICAL, LENGTH, ROBOT, SIGMA, SPAN, Case
+
+FAILURE_CM = 10.0
+# The default method as on a robot: without the number of contacts, and with the calibrated fold.
+ON_A_ROBOT = "posterior on a robot"
+_CALLS, _CALLS_US = 5, 5_000.0  # most calls (the quickest counts), and their total time
+
+
+def attempt(
+    case: Case, method: str, *, noise: float = SIGMA, start: float | None = None
+) -> tuple[float, float]:
+    """Error (cm, infinite for no answer) and processor time (us) of a call with known noise (1/cm).
+
+    The localizer is made before, as by any caller with more than one frame. `start` (cm) is the
+    starting arc of baselines that need one.
+    """
+    answer = _asked(case, method, noise, start)
+    times: list[float] = []
+    while len(times) < _CALLS and sum(times) < _CALLS_US:
+        begun = process_time()
+        try:
+            found = answer()
+        except ThigmoError:
+            found = []
+        times.append((process_time() - begun) * 1e6)
+    if len(found) != len(case.arcs):
+        return float("inf"), min(times)
+    return float(np.mean(np.abs(np.subtract(sorted(found), sorted(case.arcs))))), min(times)
+
+
+def _asked(case: Case, method: str, noise: float, start: float | None) -> Callable[[], list[float]]:
+    """The call that is timed; it returns a method's arcs (cm)."""
+    count = len(case.arcs)
+    if method not in (*METHODS, ON_A_ROBOT):
+
+        def baseline() -> list[float]:
+            read = np.isfinite(case.curvature)
+            excess, position = case.curvature[read] - case.free, case.position[read]
+            span = np.full(position.size, SPAN)
+            begin = None if start is None else np.full(count, start)
+            problem = Problem(excess, position, span, LENGTH, count, noise=noise, start=begin)
+            found: list[float] = BASELINES[method](problem)[0].tolist()
+            return found
+
+        return baseline
+    fold: dict[str, Any] = {"critical_curvature": CRITICAL, "critical_curvature_error": 0.1}
+    how = ROBOT | (fold if method == ON_A_ROBOT else {"contacts": count, "method": method})
+    localizer = Localizer.of(
+        position=case.position, length=LENGTH, span=SPAN, noise=noise, **how
+    )  # fmt: skip
+    return lambda: [
+        contact.arc
+        for contact in localizer.localize(case.curvature, free_curvature=case.free).contacts
+    ]
+
+
+def mean_and_failures(errors: np.ndarray) -> tuple[float, float]:
+    """Mean finite error (cm; NaN without any), and the share of failures."""
+    answered = errors[np.isfinite(errors)]
+    mean = float(answered.mean()) if answered.size else float("nan")
+    return mean, float(np.mean(~(errors <= FAILURE_CM)))
+
+
+def mean_over(mine: np.ndarray, other: np.ndarray) -> float:
+    """Mean error of one method over another's, on cases that both answered; NaN without any."""
+    both = np.isfinite(mine) & np.isfinite(other)
+    return float(mine[both].mean() / other[both].mean()) if both.any() else float("nan")

@@ -1,0 +1,584 @@
+"""Whole explorations on the emulator, of robots that agree or disagree with their calibration.
+
+Each peg is drawn where some sweep of the noise-free plant must feel it (`emulator.reach`). The
+robot that explores the room is the default scene's, or one with a body or sensors that differ from
+its robot.toml. Empty rooms are explored as well, where every contact reported is
+false, and so are rooms of walls, corners and gaps, of dowels apart or side by side, and growths
+that tail friction stops without an obstacle. Contacts are compared with the surfaces that were
+touched, never with what was out of reach. The planners' map of every room with pegs is compared
+with the room: it counts cells inside pegs that are called free, separately for pegs that were felt
+and missed. Last, rooms of three kinds are explored with every effort, with budgets of robot time
+and by the thesis's protocol, to show what robot time gains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, nan
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from thigmo.config import RobotConfig
+from thigmo.emulator.reach import first_felt, random_peg
+from thigmo.emulator.scene import PegTable, Scene
+from thigmo.errors import ThigmoError
+from thigmo.exploration.effort import EFFORTS, THESIS, Effort, within
+from thigmo.exploration.map import best_contact, of_stage
+from thigmo.exploration.obstacles import occupancy
+from thigmo.exploration.scoring import felt_pegs, from_line
+from thigmo.mechanics import Peg
+from thigmo.record import RunDocument, Truth
+from thigmo.record.occupancy import FREE, OCCUPIED
+from thigmo.report.axes import BLUE, GREEN, ORANGE, RED
+from thigmo_bench.studies import charts
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, share
+from thigmo_bench.studies.rooms import explored_scene
+from thigmo_bench.studies.scenes import RADIUS
+
+ROUNDS = 10  # parts of all rooms; the results so far are written after each
+LENGTH_CM = 0.1  # error of the everted length, at which intervals end
+_RADII_CM = (0.25, 2.5)
+_MOST_PEGS = 3
+_MOST_DOWELS = 64  # of a scene
+_BETWEEN_CM = 0.5  # pegs stand at least so far apart
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of robot and room."""
+
+    rooms: int  # number of rooms for the published figures
+    scene: str = "default"  # built-in scene of the robot
+    bend: float = 1.0  # bend of the body over that of the host's maps
+    # relative standard deviation of the sensors' gains, which robot.toml does not state
+    gains: float = 0.0
+    noise: float = 1.0  # multiple of the scene's noise and calibration errors
+    peg: bool = True  # whether a peg stands in the room
+    more: bool = False  # whether there are up to two more pegs, for the map
+    wall: bool = False  # whether there is a wall instead
+    # tail friction (psi/cm) at which growth stalls somewhere; None: the scene's
+    friction: tuple[float, float] | None = None
+    rubs: float = 0.0  # largest friction coefficient between body and obstacles
+
+
+TRUE, MORE = CALIBRATED = ("as calibrated", "one to three pegs")  # of the default scene's robot
+WALLS, STALLS = "walls, corners, gaps", "stalls, empty"
+KINDS: dict[str, Kind] = {
+    TRUE: Kind(60),
+    "bends 10 % less": Kind(20, bend=0.9),
+    "bends 5 % less": Kind(20, bend=0.95),
+    "bends 5 % more": Kind(20, bend=1.05),
+    "bends 10 % more": Kind(20, bend=1.1),
+    "gains 5 % off": Kind(20, gains=0.05),
+    "gains 10 % off": Kind(20, gains=0.1),
+    MORE: Kind(80, more=True),
+    WALLS: Kind(240, wall=True, rubs=0.6),
+    STALLS: Kind(40, peg=False, friction=(0.006, 0.012)),
+    "scene noisy": Kind(20, scene="noisy"),
+    "empty": Kind(20, peg=False),
+    "empty, scene noisy": Kind(20, scene="noisy", peg=False),
+    "empty, 4 times the noise": Kind(20, noise=4.0, peg=False),
+}
+_OTHERS = tuple(name for name, kind in KINDS.items() if kind.bend != 1.0 or kind.gains)
+_NOISY = tuple(name for name in KINDS if "noisy" in name or "empty," in name or name == "empty")
+# Rooms of each kind in which every effort is tried: what is promised of them is of one peg.
+DIALLED = {TRUE: 40, MORE: 12, WALLS: 12}
+BUDGETS_S = (60.0, 100.0, 150.0, 250.0, 400.0)
+SETTINGS = ("thesis", *EFFORTS, *(f"{time_s:g} s" for time_s in BUDGETS_S))
+_NEAR_CM = 1.5  # distance to a surface within which an occupied cell is right
+_OFF_CM = 4.0  # distance to all touched surfaces beyond which a contact is false or missed
+
+
+@dataclass
+class Explored:
+    """The result of exploring a room."""
+
+    # kind, seed: of the room
+    kind: str
+    seed: int
+    setting: str = "default"  # an effort, a budget of robot time, or the thesis's protocol
+    time_s: float = nan  # robot time
+    # x_cm, y_cm, radius_cm: of its peg; NaN without one
+    x_cm: float = nan
+    y_cm: float = nan
+    radius_cm: float = nan
+    status: str = "silent"  # of the best contact, "silent", or why the run was aborted
+    error_x_cm: float = nan  # of the best contact; NaN without one
+    # All contacts, against surfaces. touched, touched_missed: true contacts, each as touched last,
+    # and those of them that no contact is near
+    touched: int = 0
+    touched_missed: int = 0
+    # far: contacts that are near no surface that was touched
+    far: int = 0
+    # near: the other contacts; error_cm: their mean distance in the plane from the true contact
+    near: int = 0
+    error_cm: float = nan
+    # contacts_localized, contacts_wrong: those localized, and those of them whose interval holds
+    # no true arc
+    contacts_localized: int = 0
+    contacts_wrong: int = 0
+    cause: str = ""  # the likeliest of a stall: "obstacle", "wall" or "pressure"; empty without one
+
+    def judge(self, document: RunDocument) -> None:
+        """Compare the run's contacts with the room."""
+        self.time_s = document.robot_time_s
+        if (stalled := document.stall) is not None:
+            self.cause = max(
+                "obstacle", "wall", "pressure", key=lambda each: getattr(stalled, each)
+            )
+        if (best := best_contact(document.contacts)) is not None:
+            self.status = best.status
+            self.error_x_cm = nan if document.error_x_cm is None else document.error_x_cm
+        truth = document.truth or Truth()
+        last = {contact.peg: contact for contact in truth.contacts}
+        self.touched = len(last)
+        self.touched_missed = sum(
+            not any(
+                from_line([*c.surface, (c.x_cm, c.y_cm)], true.x_cm, true.y_cm) <= _OFF_CM
+                for c in document.contacts
+            )
+            for true in last.values()
+        )
+        pegs = [truth.pegs[peg] for peg in last]
+        errors: list[float] = []
+        for contact in document.contacts:
+            away = [
+                abs(hypot(contact.x_cm - p.x_cm, contact.y_cm - p.y_cm) - p.radius_cm) for p in pegs
+            ]
+            if min(away, default=np.inf) > _OFF_CM:
+                self.far += 1
+            else:
+                here = [
+                    t
+                    for t in truth.contacts
+                    if of_stage(t, contact.everted_length_cm, contact.side)
+                ]
+                errors.append(
+                    min(
+                        hypot(contact.x_cm - t.x_cm, contact.y_cm - t.y_cm)
+                        for t in here or truth.contacts
+                    )
+                )
+            if contact.status == "localized":
+                low, high = contact.interval_cm
+                self.contacts_localized += 1
+                self.contacts_wrong += not any(
+                    of_stage(true, contact.everted_length_cm, contact.side)
+                    and low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM
+                    for true in truth.contacts
+                )
+        self.near, self.error_cm = len(errors), float(np.mean(errors)) if errors else nan
+
+
+class Mapped(NamedTuple):
+    """Comparison of a run's map with the room."""
+
+    # felt, felt_free: cells inside pegs that were felt, and how many of them are called free
+    felt: int
+    felt_free: int
+    # missed, missed_free: the same for all other pegs
+    missed: int
+    missed_free: int
+    # free, swept: cells called free, and cells that the sweeps seem to cover
+    free: int
+    swept: int
+    # occupied, occupied_near: cells called occupied, and how many of them are near a surface
+    occupied: int
+    occupied_near: int
+
+
+def judge_map(document: RunDocument) -> Mapped:
+    """Compare a run's map with the emulator's room."""
+    grid, _ = occupancy(document, RADIUS)
+    bold, _ = occupancy(document, RADIUS, sigmas=0.0)
+    free, felt = grid.cells == FREE, felt_pegs(document)
+    x, y = grid.centers()
+    counts = np.zeros((2, 2), dtype=np.int64)
+    for index, peg in enumerate(document.truth.pegs if document.truth else ()):
+        inside = np.hypot(x - peg.x_cm, y - peg.y_cm) < peg.radius_cm
+        counts[int(index not in felt)] += inside.sum(), (inside & free).sum()
+    swept = int((bold.cells == FREE).sum())
+    occupied = grid.cells == OCCUPIED
+    near = np.zeros(occupied.shape, dtype=np.bool_)
+    for peg in document.truth.pegs if document.truth else ():
+        away = np.hypot(x - peg.x_cm, y - peg.y_cm) - peg.radius_cm
+        near |= np.abs(away) < _NEAR_CM
+    cells = int(occupied.sum()), int((occupied & near).sum())
+    return Mapped._make([*counts.ravel().tolist(), int(free.sum()), swept, *cells])
+
+
+def random_pegs(seed: int) -> list[PegTable]:
+    """One to three pegs; each alone would be felt."""
+    robot, rng = Scene.load("default").robot, np.random.default_rng([seed, 0x3A9])
+    pegs: list[PegTable] = []
+    for _ in range(rng.integers(1, _MOST_PEGS + 1)):
+        peg, _ = random_peg(robot, rng, radius=_RADII_CM)
+        gaps = (hypot(peg.x - o.x, peg.y - o.y) - peg.radius - o.radius for o in pegs)
+        if all(gap > _BETWEEN_CM for gap in gaps):
+            pegs.append(PegTable(x=peg.x, y=peg.y, radius=peg.radius))
+    return pegs
+
+
+def random_wall(seed: int) -> list[PegTable]:
+    """A wall, a corner, a wall with a gap, or one on each side, beside the path of growth.
+
+    Of dowels apart, or side by side as a smooth wall.
+    """
+    robot, rng = Scene.load("default").robot, np.random.default_rng([seed, 0x3A11])
+    while True:
+        kind, smooth = rng.choice(["wall", "corner", "gap", "two"]), rng.random() < 0.5
+        radius = 0.4 if smooth else float(rng.uniform(0.5, 1.0))
+        spacing = 0.5 if smooth else float(rng.uniform(2.0, 3.0))
+        side = float(rng.choice([-1.0, 1.0]))
+
+        def row(x: float, y: float, angle: float, length: float) -> list[tuple[float, float]]:
+            along = spacing * np.arange(max(round(length / spacing), 1) + 1)  # noqa: B023
+            return list(zip(x + along * np.cos(angle), y + along * np.sin(angle), strict=True))
+
+        def beside(way: float) -> list[tuple[float, float]]:
+            x, y = rng.uniform(10.0, 35.0), way * rng.uniform(4.0, 20.0)
+            return row(x, y, rng.uniform(-0.6, 0.6), rng.uniform(10.0, 30.0))
+
+        places = beside(side)
+        if kind == "corner":
+            (x0, y0), (x1, y1) = places[0], places[-1]
+            turn = float(np.arctan2(y1 - y0, x1 - x0)) + float(rng.choice([-1.0, 1.0])) * np.pi / 2
+            places += row(x1, y1, turn, rng.uniform(6.0, 15.0))[1:]
+        elif kind == "gap":
+            middle, gap = rng.uniform(0.3, 0.7) * len(places), rng.uniform(5.0, 10.0) / spacing
+            places = [p for n, p in enumerate(places) if abs(n - middle) > gap / 2]
+        elif kind == "two":
+            places += beside(-side)
+        clear = robot.body.radius_cm + radius + 0.3
+        pegs = [PegTable(x=x, y=y, radius=radius) for x, y in places if abs(y) > clear and x > 3.0]
+        few = 3 <= len(pegs) <= _MOST_DOWELS
+        if few and first_felt(robot, [Peg(p.x, p.y, p.radius) for p in pegs]) is not None:
+            return pegs
+
+
+Run = tuple[Explored, Mapped | None]
+
+
+def visit(room: tuple[str, int, str]) -> Run:
+    """Explore a room of a kind and seed with a setting; judge its map if it has pegs."""
+    name, seed, setting = room
+    kind, found = KINDS[name], Explored(name, seed, setting)
+    scene = Scene.load(kind.scene)
+    for part in (scene.noise, scene.belief):
+        for what, value in part.model_dump().items():
+            if what != "hysteresis_width":
+                setattr(part, what, value * kind.noise)
+    known = scene.believed(seed)
+    rng = np.random.default_rng([seed, 0x9E6])
+    for side in scene.robot.sides:
+        for zone in scene.robot.muscle(side).maps:
+            zone.inflate.amplitude *= kind.bend
+            zone.deflate.amplitude *= kind.bend
+        for sensor in scene.robot.column(side):
+            sensor.rescale(1.0 / (1.0 + kind.gains * rng.standard_normal()))
+    scene.pegs = random_pegs(seed) if kind.more else random_wall(seed) if kind.wall else []
+    if kind.friction is not None:
+        scene.robot.body.growth_psi_per_cm = float(rng.uniform(*kind.friction))
+    scene.body.friction = float(rng.uniform(0.0, kind.rubs))
+    if kind.peg and not scene.pegs:
+        peg, _ = random_peg(scene.robot, rng, radius=_RADII_CM)
+        found.x_cm, found.y_cm, found.radius_cm = peg.x, peg.y, peg.radius
+        scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
+    protocol = "thesis" if setting == "thesis" else "measure"
+    try:
+        document = explored_scene(
+            scene, seed, config=known, protocol=protocol, effort=_effort(setting, known)
+        )
+    except ThigmoError as error:
+        found.status = f"aborted: {error.what}"
+        return found, None
+    found.judge(document)
+    return found, judge_map(document) if kind.peg else None
+
+
+def _effort(setting: str, config: RobotConfig) -> Effort:
+    if setting == "thesis":
+        return THESIS
+    return EFFORTS[setting] if setting in EFFORTS else within(float(setting.split()[0]), config)
+
+
+def rooms(context: Context) -> list[list[tuple[str, int, str]]]:
+    """All rooms, in rounds: those of the promises, then those of the dial."""
+    rounds: list[list[tuple[str, int, str]]] = [[] for _ in range(2 * ROUNDS)]
+    for number, (name, kind) in enumerate(KINDS.items()):
+        count = context.count(1, kind.rooms)
+        seeds = context.rng(0x0E, number).integers(0, 2**31, count).tolist()
+        for n, seed in enumerate(seeds):
+            rounds[ROUNDS * n // count].append((name, seed, "default"))
+        if name in DIALLED:
+            some = seeds[: context.count(1, DIALLED[name])]
+            for n, seed in enumerate(some):
+                rounds[ROUNDS + ROUNDS * n // len(some)] += [
+                    (name, seed, setting) for setting in SETTINGS if setting != "default"
+                ]
+    return [each for each in rounds if each]
+
+
+def run(context: Context) -> Outcome:
+    """Explore rooms of every kind, and check the promises."""
+    runs: list[Run] = []
+    outcome = Outcome()
+    rounds = rooms(context)
+    for number, some in enumerate(rounds, 1):
+        part = f"rooms, part {number} of {len(rounds)}"
+        runs += context.map(visit, some, part)
+        del context.samples[part]
+        context.samples["rooms"] = len(runs)
+        outcome = _outcome(runs)
+        context.save(outcome)
+    return outcome
+
+
+def _outcome(every: list[Run]) -> Outcome:
+    runs = [(one, mapped) for one, mapped in every if one.setting == "default"]
+    dialled = _dial([one for one, _ in every])
+    found = [one for one, _ in runs]
+    rows = _by_kind(found)
+    maps: dict[str, list[Mapped]] = {
+        name: [] for name in ("robots as calibrated", WALLS, "other robots")
+    }
+    for one, mapped in runs:
+        if mapped:
+            group = one.kind if one.kind == WALLS else "other robots"
+            maps["robots as calibrated" if one.kind in CALIBRATED else group].append(mapped)
+    promised, *others = [
+        row for name, some in maps.items() for row in _map_shares(f"maps of {name}", some)
+    ]
+    total = Mapped._make(
+        sum(one[n] for some in maps.values() for one in some) for n in range(len(Mapped._fields))
+    )
+    near = 100 * total.occupied_near / max(total.occupied, 1)
+    tables: dict[str, Sequence[Record]] = {"runs": [vars(one) for one, _ in every], "rows": rows}
+    figures = {"explorations": _figure(found)}
+    if dialled:
+        tables["dial"], figures["dial"] = dialled, dial_figure(dialled)
+    return Outcome(
+        tables,
+        figures,
+        [
+            *_claims(found),
+            *_dial_claims(dialled),
+            Claim(*promised, 0.1, unit="%"),
+            Claim(f"occupied cells within {_NEAR_CM:g} cm of a surface", near, 60.0, False, "%"),
+        ],
+        [f"{text}: {cells:{'.2g' if cells < 10 else '.0f'}} %" for text, cells in others],
+        rows,
+        kept=("rows", "dial"),
+    )
+
+
+def _map_shares(name: str, maps: list[Mapped]) -> list[tuple[str, float]]:
+    """Shares of wrong cells in per cent; the first is promised for calibrated robots."""
+    total = Mapped._make(sum(one[n] for one in maps) for n in range(len(Mapped._fields)))
+    return [
+        (f"{name}, {len(maps)} rooms: of {total.felt} cells inside pegs that were felt, free",
+         100 * total.felt_free / max(total.felt, 1)),
+        (f"{name}: of {total.missed} cells inside pegs that were missed, free",
+         100 * total.missed_free / max(total.missed, 1)),
+        (f"{name}: free space kept of what the sweeps seem to cover",
+         100 * total.free / max(total.swept, 1)),
+    ]  # fmt: skip
+
+
+def _median_x(found: list[Explored]) -> float:
+    errors = np.array([one.error_x_cm for one in found])
+    return float(np.nanmedian(errors)) if np.isfinite(errors).any() else nan
+
+
+def _by_kind(found: list[Explored]) -> list[Record]:
+    by_kind = {kind: [one for one in found if one.kind == kind] for kind in KINDS}
+    return [
+        {
+            "kind": kind, "rooms": len(mine),
+            "with_false_contacts": sum(one.far > 0 for one in mine),
+            "aborted": sum(one.status.startswith("aborted") for one in mine),
+            "median_error_x_cm": _median_x(mine),
+            **{
+                what: sum(getattr(one, what) for one in mine)
+                for what in ("touched", "touched_missed", "far", "contacts_localized",
+                             "contacts_wrong")
+            },
+        }
+        for kind, mine in by_kind.items()
+    ]  # fmt: skip
+
+
+def _claims(found: list[Explored]) -> list[Claim]:
+    def of(*names: str) -> list[Explored]:
+        return [one for one in found if one.kind in names]
+
+    def total(some: list[Explored], what: str) -> float:
+        return float(sum(getattr(one, what) for one in some))
+
+    def per(rooms: int, some: list[Explored], what: str) -> float:
+        return rooms * total(some, what) / max(len(some), 1)
+
+    def missed(some: list[Explored]) -> float:
+        return 100 * total(some, "touched_missed") / max(total(some, "touched"), 1.0)
+
+    walls, stalls, several, pegs = of(WALLS), of(STALLS), of(MORE), of(TRUE, *_OTHERS)
+    noisy = share([one.far > 0 for one in of(*_NOISY)])
+    held = per(60, walls, "contacts_localized") - per(60, walls, "contacts_wrong")
+    stalled = [one for one in stalls if one.cause]
+    one_peg, off = f"one peg, {len(pegs)} rooms", f"{_OFF_CM:g} cm"
+    empty, more = f"{STALLS}, {len(stalls)} rooms", f"{MORE}, {len(several)} rooms"
+    walled = f"{WALLS}, {len(walls)} rooms"
+    return [
+        Claim(f"{walled}: localized wrong, of 60 rooms", per(60, walls, "contacts_wrong"), 1.0),
+        Claim(f"{WALLS}: localized, and held, of 60 rooms", held, 8.0, False),
+        Claim(f"{WALLS}: false contacts, a room", per(1, walls, "far"), 0.3),
+        Claim(f"{WALLS}: contacts missed by {off}", missed(walls), 20.0, unit="%"),
+        Claim(f"{empty}: localized", total(stalls, "contacts_localized"), 0.0),
+        Claim(
+            f"{STALLS}: of {len(stalled)} that stalled, the cause is true after a trial",
+            share([one.cause == "pressure" for one in stalled]), 0.8, False,
+        ),
+        Claim(f"{one_peg}: missed by {off}, of 60 rooms", per(60, pegs, "touched_missed"), 1.0),
+        Claim(f"{one_peg}: false contacts, of 60 rooms", per(60, pegs, "far"), 1.0),
+        Claim(f"{one_peg}: localized wrong, of 60 rooms", per(60, pegs, "contacts_wrong"), 1.0),
+        Claim(f"{more}: localized wrong, of 40 rooms", per(40, several, "contacts_wrong"), 2.0),
+        Claim(f"{MORE}: contacts missed by {off}", missed(several), 10.0, unit="%"),
+        Claim(f"{TRUE}: median |x error|", _median_x(of(TRUE)), 3.0, unit="cm"),
+        Claim("noisy or empty: runs with false contacts", noisy, 0.03),
+    ]  # fmt: skip
+
+
+def _dial(found: list[Explored]) -> list[Record]:
+    """Results of each setting of robot time in each kind of room."""
+    rows: list[Record] = []
+    seeds = {one.seed for one in found if one.setting != "default"}
+    for kind in DIALLED:
+        for setting in SETTINGS:
+            mine = [o for o in found if (o.kind, o.setting) == (kind, setting) and o.seed in seeds]
+            if not mine:
+                continue
+            near, touched = (sum(getattr(o, what) for o in mine) for what in ("near", "touched"))
+            errors = sum(one.near * one.error_cm for one in mine if one.near)
+            localized = sum(one.contacts_localized for one in mine)
+            rows.append({
+                "kind": kind, "setting": setting, "rooms": len(mine),
+                "time_s": float(np.mean([one.time_s for one in mine])),
+                "longest_s": max(one.time_s for one in mine),
+                "contacts": near,
+                "error_cm": errors / near if near else nan,
+                "missed": sum(one.touched_missed for one in mine) / max(touched, 1),
+                "localized": localized,
+                "wrong": sum(one.contacts_wrong for one in mine) / max(localized, 1),
+            })  # fmt: skip
+    return rows
+
+
+def _dial_claims(rows: list[Record]) -> list[Claim]:
+    """Promises of each effort in rooms with one peg, and of budgets in all rooms."""
+    one = {row["setting"]: row for row in rows if row["kind"] == TRUE}
+    if len(one) < len(SETTINGS):
+        return []
+
+    def of(setting: str, what: str) -> float:
+        return float(one[setting][what])
+
+    claims = [
+        Claim(
+            f"one peg, {setting}: mean error in the plane", of(setting, "error_cm"), most, unit="cm"
+        )
+        for setting, most in (("careful", 0.5), ("default", 1.0), ("quick", 1.3))
+    ]
+    longer = of("careful", "time_s") / of("thesis", "time_s")
+    over = max(
+        float(row["longest_s"]) / float(str(row["setting"]).split()[0])
+        for row in rows
+        if str(row["setting"])[0].isdigit()
+    )
+    return [
+        *claims,
+        Claim("one peg, careful: robot time over the thesis's protocol's", longer, 0.6),
+        Claim("one peg, default: robot time", of("default", "time_s"), 150.0, unit="s"),
+        Claim("one peg, quick: robot time", of("quick", "time_s"), 125.0, unit="s"),
+        Claim("budgets: longest run over its budget", over, 1.1),
+    ]
+
+
+def dial_figure(rows: Sequence[Record]) -> Figure:
+    """Error, contacts missed and contacts localized wrong, against robot time."""
+    figure, axes = charts.panels(2, len(DIALLED), size=(3.4, 2.9))
+    most_cm = max((float(row["error_cm"]) for row in rows if row["contacts"]), default=1.0)
+    most = max(max(float(row["missed"]), float(row["wrong"])) for row in rows)
+    named = []
+    for column, kind in enumerate(DIALLED):
+        upper, lower = axes[column], axes[len(DIALLED) + column]
+        mine = sorted((row for row in rows if row["kind"] == kind), key=lambda row: row["time_s"])
+        budgets = [row for row in mine if str(row["setting"])[0].isdigit()]
+        x = [row["time_s"] for row in budgets]
+        upper.plot(x, [row["error_cm"] for row in budgets], "o-", color=BLUE, label="a budget")
+        efforts = [row for row in mine if row not in budgets and row["setting"] != "thesis"]
+        thesis = [row for row in mine if row["setting"] == "thesis"]
+        for those, label, color, marker in (
+            (efforts, "an effort", GREEN, "D"), (thesis, "the thesis's protocol", "0.4", "s"),
+        ):  # fmt: skip
+            upper.scatter([row["time_s"] for row in those], [row["error_cm"] for row in those], 40,
+                          marker=marker, color=color, label=label)  # fmt: skip
+        for what, label, color, marker, face in (
+            ("missed", "contacts missed", RED, "X", RED),
+            ("wrong", "localized ones that are wrong", ORANGE, "^", "none"),
+        ):
+            y = [100 * float(row[what]) for row in mine]
+            lower.scatter([row["time_s"] for row in mine], y, 24, marker=marker, edgecolors=color,
+                          facecolors=face, label=label)  # fmt: skip
+        named.append((upper, mine, budgets))
+        upper.set_title(kind, fontsize=9)
+        for axis in (upper, lower):
+            axis.set_xlim(-20, None)  # room for the first name
+        upper.set_ylim(0, 1.15 * most_cm)
+        lower.set(xlabel="robot time (s)", ylim=(-2, 115 * most + 2))
+    axes[0].set_ylabel("mean error in the plane (cm)")
+    axes[len(DIALLED)].set_ylabel("share (%)")
+    charts.legend_below(figure, axes[0], axes[len(DIALLED)])
+    figure.draw_without_rendering()
+    for axis, mine, budgets in named:
+        points, line = (
+            [(float(row["time_s"]), float(row["error_cm"])) for row in rows]
+            for rows in (mine, budgets)
+        )
+        x, y = np.array(line).T
+        fine = np.linspace(x[0], x[-1], 200)  # steps fine enough to look like a line
+        steps = list(zip(fine, np.interp(fine, x, y), strict=True))
+        charts.named(axis, points, [str(row["setting"]) for row in mine], steps)
+    return figure
+
+
+def _figure(found: list[Explored]) -> Figure:
+    """Places where pegs were found, and failures by kind."""
+    figure, (first, second) = charts.panels(1, 2, size=(6.5, 5.5))
+    pegs = [one for one in found if np.isfinite(one.x_cm)]
+    for label, marker, color, those in (
+        ("found", "o", GREEN, [e for e in pegs if not e.touched_missed and not e.contacts_wrong]),
+        ("localized, and wrong", "^", ORANGE, [e for e in pegs if e.contacts_wrong]),
+        ("missed", "X", RED, [e for e in pegs if e.touched_missed]),
+    ):
+        x, y = [e.x_cm for e in those], [e.y_cm for e in those]
+        first.scatter(x, y, 14, marker=marker, color=color, label=f"{label} ({len(those)})")
+    first.fill_between([0.0, 53.0], -1.75, 1.75, color="0.85", label="straight robot")
+    first.set(xlabel="x along the straight robot (cm)", ylabel="y (cm)", aspect="equal")
+    rows, at = _by_kind(found), np.arange(len(KINDS))
+    for shift, (label, color, what, of) in enumerate((
+        ("contacts missed", RED, "touched_missed", "touched"),
+        ("localized ones that are wrong", ORANGE, "contacts_wrong", "contacts_localized"),
+        ("rooms with false contacts", "0.5", "with_false_contacts", "rooms"),
+    )):  # fmt: skip
+        shares = [100 * float(row[what]) / max(float(row[of]), 1.0) for row in rows]
+        second.barh(at + 0.25 * (shift - 1), shares, 0.25, color=color, label=label)
+    second.set_yticks(at, list(KINDS), fontsize=8)
+    second.invert_yaxis()
+    second.set(xlabel="share (%)", xlim=(0, None))
+    legend: dict[str, Any] = {"fontsize": 7, "ncols": 2, "frameon": False}
+    figure.legend(*first.get_legend_handles_labels(), loc="outside lower left", **legend)
+    figure.legend(*second.get_legend_handles_labels(), loc="outside lower right", **legend)
+    return figure

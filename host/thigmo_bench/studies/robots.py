@@ -1,0 +1,153 @@
+"""Contacts found and localized by other robots than the thesis's, from their descriptions alone.
+
+Every robot is drafted as by `thigmo robot new`. It explores rooms with a peg that some sweep of the
+noise-free plant must feel (`emulator.reach`), and empty rooms. Its errors of calibration are those
+of the default scene. Promises are pooled over the robots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from math import nan
+
+import numpy as np
+
+from thigmo.config import RobotConfig
+from thigmo.design.draft import Kind, draft
+from thigmo.emulator.reach import room_for
+from thigmo.emulator.scene import Scene
+from thigmo.errors import ThigmoError
+from thigmo.exploration.map import best_contact, of_stage
+from thigmo.record import RunDocument, Truth
+from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, share
+from thigmo_bench.studies.exploration import LENGTH_CM, Explored
+from thigmo_bench.studies.rooms import explored_scene
+
+_ELLIPSE = 5.991  # 95 % of chi-squared of two degrees of freedom
+
+THESIS = "53 cm, 5 a side"
+
+
+@dataclass(frozen=True)
+class _Draft:
+    """Arguments of `draft`."""
+
+    length_cm: float
+    sensors: int
+    muscles: int
+    kind: Kind = "flex"
+
+
+ROBOTS: dict[str, _Draft | None] = {
+    THESIS: None,
+    "120 cm, 8 a side": _Draft(120.0, 8, 2),
+    "30 cm, 1 muscle, 3 sensors": _Draft(30.0, 3, 1),
+    "200 cm, 1 muscle, 16 sensors": _Draft(200.0, 16, 1),
+    "100 cm, string of 12 IMUs": _Draft(100.0, 12, 2, "heading"),
+    "53 cm, fibre of 20 gratings": _Draft(53.0, 20, 2, "fibre"),
+}
+
+
+def robot_named(name: str) -> RobotConfig:
+    """A robot of the study."""
+    made = ROBOTS[name]
+    return Scene.load("default").robot if made is None else draft(**asdict(made))
+
+
+@dataclass
+class Visited(Explored):
+    """A room that one of the robots explored; `kind` is the robot."""
+
+    peg: bool = True
+    length_cm: float = nan  # length of the robot
+    missed: bool = True  # nothing on the map is at a peg
+    # the best contact is localized, and its interval does not hold the true arc
+    wrong: bool = False
+    plane_cm: float = nan  # error of the best contact in the plane; NaN without one
+    # the 95 % ellipse of the best contact does not hold the true point
+    outside: bool = False
+
+    def judge_place(self, document: RunDocument) -> None:
+        """Compare the run's best contact with the true points of its stage."""
+        best, truth = best_contact(document.contacts), document.truth or Truth()
+        if best is None:
+            return
+        here = [
+            true for true in truth.contacts if of_stage(true, best.everted_length_cm, best.side)
+        ]
+        low, high = best.interval_cm
+        held = any(low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM for true in here)
+        self.missed = len(document.contacts) == len(document.false or [])
+        self.wrong = best.status == "localized" and not held
+        apart = [np.array([true.x_cm - best.x_cm, true.y_cm - best.y_cm]) for true in here]
+        if nearest := sorted(apart, key=np.linalg.norm)[:1]:
+            self.plane_cm = float(np.linalg.norm(nearest[0]))
+            squared = nearest[0] @ np.linalg.solve(np.asarray(best.covariance_cm2), nearest[0])
+            self.outside = bool(squared > _ELLIPSE)
+
+
+def visit(room: tuple[str, int, bool]) -> Visited:
+    """Explore a room with or without a peg."""
+    name, seed, peg = room
+    scene = room_for(robot_named(name), seed, peg=peg)
+    found = Visited(name, seed, peg=peg, length_cm=scene.robot.body.length_cm)
+    try:
+        document = explored_scene(scene, seed)
+    except ThigmoError as error:
+        found.status = f"aborted: {error.what}"
+        return found
+    found.judge(document)
+    found.judge_place(document)
+    return found
+
+
+def run(context: Context) -> Outcome:
+    """Explore rooms with every robot, and check the promises."""
+    pegs, empty = context.count(2, 20), context.count(1, 10)
+    seeds = context.rng(0x26).integers(0, 2**31, pegs + empty).tolist()
+    found: list[Visited] = []
+    outcome = Outcome()
+    for name in ROBOTS:
+        rooms = [(name, seed, number < pegs) for number, seed in enumerate(seeds)]
+        found += context.map(visit, rooms, name)
+        outcome = _outcome(found)
+        context.save(outcome)
+    return outcome
+
+
+def _outcome(found: list[Visited]) -> Outcome:
+    names = dict.fromkeys(one.kind for one in found)
+    rows = [_row(name, [one for one in found if one.kind == name]) for name in names]
+    whole = _row("all robots", found)
+    claims = [
+        Claim(f"{text}, all robots", float(whole[column]), limit, unit=unit)
+        for text, column, limit, unit in (
+            ("pegs missed", "missed_percent", 10.0, "%"),
+            ("localized, and wrong", "wrong_percent", 5.0, "%"),
+            ("empty rooms with a localized contact", "empty_localized", 0.0, "rooms"),
+            ("median error in the plane", "error_percent", 3.0, "% of the length"),
+            ("true points outside of the 95 % ellipse", "outside_percent", 10.0, "%"),
+        )
+    ]
+    rows.append(whole)
+    return Outcome({"runs": [vars(one) for one in found], "rows": rows}, {}, claims, [], rows)
+
+
+def _row(name: str, found: list[Visited]) -> Record:
+    there, empty = ([one for one in found if one.peg is peg] for peg in (True, False))
+    localized = [one for one in there if one.status == "localized"]
+    placed = [one for one in there if np.isfinite(one.plane_cm)]
+    errors = [one.plane_cm / one.length_cm for one in placed]
+    return {
+        "robot": name,
+        "rooms": len(there),
+        "missed_percent": 100 * share([one.missed for one in there]),
+        "localized": len(localized),
+        "wrong_percent": 100 * share([one.wrong for one in there]),
+        "error_percent": 100 * float(np.median(errors)) if errors else nan,
+        "worst_percent": 100 * max(errors, default=nan),
+        "outside_percent": 100 * share([one.outside for one in placed]),
+        "empty_rooms": len(empty),
+        "empty_localized": sum(one.status == "localized" for one in empty),
+        "aborted": sum(one.status.startswith("aborted") for one in found),
+    }
