@@ -215,6 +215,7 @@ class Controller {
   bool testing_vent() const { return testing(protocol::Output::kVent); }
   void spool_step();
   void watch_motion(int16_t duty);
+  void watch_fold();
   void watch_power();
   bool brake_fitted() const { return config_.get(Param::kBrakeFitted) != 0; }
   bool power_wanted() const;

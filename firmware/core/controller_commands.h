@@ -169,13 +169,10 @@ inline void Controller::start_spool(Activity activity, int32_t target_counts, in
   spool_.start(encoder_, target_counts, derived_.speed_q16(speed), derived_.accel_q16,
                homing ? derived_.homing_duty : derived_.top_duty);
   // What growth has missed adds up over the moves that follow each other.
-  if (!growing) {
-    motion_.restart(encoder_);
-    fold_.restart();
-  }
+  if (!growing) motion_.restart(encoder_);
   errors_before_ = encoder_errors_;
   moved_from_ = encoder_;
-  if (growing) fold_.begin(length_um_, derived_.enabled_mask, config_);
+  fold_.begin(length_um_, growing, homing ? 0 : derived_.enabled_mask, config_);
   start(activity, growing ? Permit::kGrow : homing ? Permit::kHome : Permit::kRetract);
 }
 

@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x43386A8Bu;
+constexpr uint32_t kSchemaHash = 0x8233D675u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -162,9 +162,9 @@ enum class Fault : uint8_t {
                   // then clear.
   kFlexShort = 5,   // A flex sensor's circuit is shorted; check its wire, or mark it dead in
                     // robot.toml, then clear.
-  kSpoolStall = 6,  // The motor is driven, but the encoder stands still or shows too little motion;
-                    // free the spool and the tail, check the encoder (J5) and its coupling, then
-                    // clear and confirm the length.
+  kSpoolStall = 6,  // The motor is driven, but the encoder stands still or shows too little or too
+                    // much motion; free the spool and the tail, check the encoder (J5) and its
+                    // coupling, then clear and confirm the length.
   kSpoolSlip = 7,   // The spool turned while its motor was off, faster than the motor drives it, or
                     // the wrong way; shut off the body air, check the brake and the motor driver,
                     // then clear and confirm the length.
@@ -196,8 +196,12 @@ enum class StallCause : uint8_t {
   kSlow = 1,     // The encoder shows a lower speed than the motor has at this duty.
   kJumps = 2,    // The encoder's signals skip a state: edges are lost, or there is noise.
   kEverted = 3,  // Two sensors passed the tip before the encoder had counted that far.
+  kLate = 4,     // Two sensors passed the tip after the encoder had counted farther: it shows too
+                 // much, or the tip was held back and the tail is slack.
+  kFast = 5,  // The encoder shows a higher speed than the motor has at this duty, even if the body
+              // pulls as hard as it can.
 };
-constexpr uint8_t kStallCauseCount = 4;
+constexpr uint8_t kStallCauseCount = 6;
 
 // How a spool_slip was noticed (value of its event).
 enum class SlipCause : uint8_t {
@@ -1648,11 +1652,21 @@ enum class Param : uint16_t {
                  // of that number bends the body, 7 while none does. A muscle disturbs the sensor
                  // only if it lies over it. Base sensors are the first input and the first of the
                  // upper half; they are converted every ms. [kSensors]
-  kFlexCenterSeUm = kTriggerWhen + kSensors,  // One sigma of flex_center_um. Default: a ruler along
-                                              // the tube, read to a millimetre. (um) [kSensors]
-  kImuFrom = kFlexCenterSeUm +
-      kSensors,  // IMU at which this input's span begins: 128 x its channel of the multiplexer +
-                 // its I2C address. 0: the base, which does not turn. [kImus]
+  kFlexCenterSeUm = kTriggerWhen +
+      kSensors,  // One sigma of flex_center_um; by it a sensor may pass the tip early or late.
+                 // Default: a ruler along the tube, read to a millimetre. (um) [kSensors]
+  kBodyPullN = kFlexCenterSeUm +
+      kSensors,  // Most that the body pulls its tail with: half of its highest pressure times its
+                 // section. Growth that the encoder shows beyond what the motor gives at its duty,
+                 // helped by this pull, is a spool_stall. (N)
+  kBrakeClosesMs = kBodyPullN +
+      1,  // Time that the brake takes to close after its current ends. At the end of a growth or a
+          // retraction the motor keeps its supply for so long, and for the 30 ms in which the
+          // brake's enable decays. Default: the slowest brake that may be fitted
+          // (docs/hardware/electronics.md). (ms)
+  kImuFrom = kBrakeClosesMs +
+      1,  // IMU at which this input's span begins: 128 x its channel of the multiplexer + its I2C
+          // address. 0: the base, which does not turn. [kImus]
   kImuTo = kImuFrom + kImus,  // IMU at which this input's span ends, in the same form. 0: this
                               // input is a flex sensor on the converter. [kImus]
   kEnd = kImuTo + kImus
@@ -1724,6 +1738,8 @@ constexpr ParamKey kParamKeyTable[] THIGMO_PROGMEM = {
     {59, kMuscles},        // muscle_fitted
     {60, kSensors},        // trigger_when
     {63, kSensors},        // flex_center_se_um
+    {64, 1},               // body_pull_n
+    {65, 1},               // brake_closes_ms
 #if THIGMO_IMUS
     {61, kImus},  // imu_from
     {62, kImus},  // imu_to
@@ -1816,6 +1832,8 @@ constexpr ParamRows param_rows() {
   const int32_t trigger_when[] = {130, 0, 0, 0, 0, 129};
   rows.add(kSensors, 0, 255, trigger_when);
   rows.add(kSensors, 0, 20000, 1000);  // flex_center_se_um
+  rows.add(1, 0, 2000, 5);             // body_pull_n
+  rows.add(1, 0, 250, 40);             // brake_closes_ms
   rows.add(kImus, 0, 1023, 0);         // imu_from
   rows.add(kImus, 0, 1023, 0);         // imu_to
   return rows;

@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x43386A8B
+SCHEMA_HASH = 0x8233D675
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -118,7 +118,8 @@ class Fault(Documented):  # Latched faults, by bit number.
     PRESSURE_STUCK = 3  # Muscle pressure does not follow its set point
     FLEX_OPEN = 4  # A flex sensor's circuit is open
     FLEX_SHORT = 5  # A flex sensor's circuit is shorted
-    SPOOL_STALL = 6  # The motor is driven, but the encoder stands still or shows too little motion
+    # The motor is driven, but the encoder stands still or shows too little or too much motion
+    SPOOL_STALL = 6
     # The spool turned while its motor was off, faster than the motor drives it, or the wrong way
     SPOOL_SLIP = 7
     BROWN_OUT = 8  # The supply voltage fell below its limit; check the power supply, then clear.
@@ -138,6 +139,12 @@ class StallCause(Documented):  # How a spool_stall was noticed (value of its eve
     SLOW = 1  # The encoder shows a lower speed than the motor has at this duty.
     JUMPS = 2  # The encoder's signals skip a state: edges are lost, or there is noise.
     EVERTED = 3  # Two sensors passed the tip before the encoder had counted that far.
+    # Two sensors passed the tip after the encoder had counted farther: it shows too much, or the
+    # tip was held back and the tail is slack.
+    LATE = 4
+    # The encoder shows a higher speed than the motor has at this duty, even if the body pulls as
+    # hard as it can.
+    FAST = 5
 
 
 class SlipCause(Documented):  # How a spool_slip was noticed (value of its event).
