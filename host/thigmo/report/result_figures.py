@@ -27,7 +27,7 @@ def draw_posterior(found: LocalizeResult, axes: Axes | None = None, *, unit: str
     Axes None makes a new figure; `unit` names the unit of length, for the localizer knows none.
     """
     axes = axes or new_axes(7.6, 3.6)
-    density = found.probability / np.diff(found.edges) if found.probability.size else np.zeros(0)
+    density = found.mass / np.diff(found.edges) if found.mass.size else np.zeros(0)
     # The body lies below the density, as thick as a fifth of its height.
     height = float(density.max()) if density.size and density.max() > 0 else 1.0
     body = -0.2 * height
