@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Literal
 from urllib.parse import parse_qs
 
@@ -29,6 +29,7 @@ from thigmo.link.stop_socket import StopListener
 from thigmo.mechanics import Peg
 
 if TYPE_CHECKING:
+    from thigmo.camera import PictureSource, Sheet
     from thigmo.link.transport import Transport
     from thigmo.room import Dowel, Operator
 
@@ -44,6 +45,7 @@ class EmulatedOperator:
         self._plant = transport.lockstep.plant
         self._about = transport.scene.operator
         self._line_cm = self._plant.line_cm
+        self.meanwhile: Callable[[float], None] | None = None
         self._rng = np.random.default_rng([transport.seed, 0x0FE8])
 
     def everted_length_cm(self) -> float:
@@ -83,7 +85,7 @@ class EmulatedOperator:
 
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Set the body's regulator; takes the scene's `operator.takes_s` of virtual time."""
-        self._transport.pass_time(self._about.takes_s)
+        self._take_time()
         self._plant.set_body_pressure(pressure_psi)
 
     def warn(self, danger: str) -> None:
@@ -91,7 +93,7 @@ class EmulatedOperator:
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         """Clear the room and put these pegs into it; takes as long."""
-        self._transport.pass_time(self._about.takes_s)
+        self._take_time()
         self._plant.place_pegs([Peg(peg.x, peg.y, peg.radius) for peg in pegs])
 
     def push_tip(self, y_cm: float | None) -> None:
@@ -100,8 +102,12 @@ class EmulatedOperator:
 
     def push_aside(self, pushes: Sequence[tuple[float, float]], radius_cm: float) -> None:
         """Hold points (arc, y) of the body aside, base first, with dowels; takes as long."""
-        self._transport.pass_time(self._about.takes_s)
+        self._take_time()
         self._plant.hold(pushes, radius_cm)
+
+    def _take_time(self) -> None:
+        """Let the time pass that a request takes; a robot that is connected is read meanwhile."""
+        (self.meanwhile or self._transport.pass_time)(self._about.takes_s)
 
 
 class EmulatorTransport:
@@ -225,6 +231,12 @@ class EmulatorTransport:
     def truth(self) -> Truth:
         """Pegs, contacts and shapes."""
         return self.lockstep.plant.truth()
+
+    def overhead_pictures(self, sheet: Sheet, seed: int) -> tuple[PictureSource, float]:
+        """Pictures of a camera above the room, and the camera's height (cm) by tape."""
+        from thigmo.emulator.overhead import overhead_pictures  # OpenCV is an extra
+
+        return overhead_pictures(self.truth, self.config.body, sheet, seed=seed)
 
     def interrogator(self) -> EmulatedFibre:
         """The interrogator of its fibre; nothing that was sent before is waiting."""

@@ -15,6 +15,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from thigmo.link.transport import emulated
 
@@ -40,10 +41,11 @@ class Started:
     def __init__(self, *command: str) -> None:
         self.name = command[0]
         self.held = self.name in _MOTIONS
+        self.on_robot = self.held or self.name == "clear"  # finishes the job of a run
         self._said: deque[str] = deque(maxlen=_LINES)
         # A session of its own: Ctrl-C at the server's terminal is not meant for it.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "thigmo", *command, *(["--held"] if self.held else [])],
+            [sys.executable, "-m", "thigmo", *command, *(["--by-page"] if self.on_robot else [])],
             stdin=subprocess.PIPE if self.held else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -107,6 +109,11 @@ class Started:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             self._said.append(line.strip())
+
+
+def explore_options(out: Path, config: Path | None) -> tuple[str, ...]:
+    """Options of the explorations that the page starts."""
+    return ("--out", str(out), *(("--config", str(config)) if config else ()))
 
 
 def exploration(url: str, options: Sequence[str], *, realtime: bool) -> Started:

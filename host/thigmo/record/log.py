@@ -25,7 +25,6 @@ from thigmo.closing import Closing
 from thigmo.errors import RunFolderError
 from thigmo.link.protocol import MESSAGES
 from thigmo.record.mcap_file import read_mcap
-from thigmo.record.older import OLDER_SCHEMAS, in_todays_layout
 
 Direction = Literal["tx", "rx"]
 
@@ -281,7 +280,6 @@ def read_log(path: Path) -> Log:
     found = read_mcap(path, {*_TOPICS, _NOTES, _FIBRE})
     epoch = found.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(epoch) if epoch.isdecimal() else 0
-    schema = found.metadata.get("schema_hash", "")
     items: list[Entry | Note | FibreLine] = []
     for topic, log_ns, data in found.messages:
         t_s = (log_ns - epoch_ns) / 1e9
@@ -292,6 +290,5 @@ def read_log(path: Path) -> Log:
             strains = (nan if each is None else each for each in kept["strain_ue"])
             items.append(FibreLine(kept["t_s"], tuple(strains), kept["zero"]))
         else:
-            frame = in_todays_layout(data, schema) if schema in OLDER_SCHEMAS else data
-            items.append(Entry(t_s, _TOPICS[topic], frame))
+            items.append(Entry(t_s, _TOPICS[topic], data))
     return Log(items, found.metadata, found.truncated, found.gaps)
