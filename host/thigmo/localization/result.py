@@ -355,7 +355,7 @@ class LocalizeResult:
         """
         bars = [contact._bar for contact in self.contacts]
         return draw_posterior(
-            self.length, self.edges, self.probability, bars, self._title, self.message,
+            self.length, self.edges, self.mass, bars, self._title, self.message,
             axes=axes, unit=unit,
         )  # fmt: skip
 
