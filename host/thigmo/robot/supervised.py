@@ -21,9 +21,11 @@ from thigmo.robot.configuration import get_parameter, send_config, set_parameter
 from thigmo.robot.connected import Connected
 from thigmo.robot.curvature import SensorTable
 from thigmo.robot.fibre import Fibre
+from thigmo.room import Operator, Patient
 from thigmo.wiring import muscle_outputs, sensor_name
 
 if TYPE_CHECKING:
+    from thigmo.link.client import Client
     from thigmo.link.protocol import Ack, Command
 
 R = TypeVar("R", bound=wire.Message)
@@ -31,12 +33,19 @@ R = TypeVar("R", bound=wire.Message)
 _SLICE_S = 0.25
 _PROMPT_S = 0.1  # where somebody asks meanwhile whether to go on
 _LINES_S = 2.0  # within which an interrogator sends its first lines
+_STRAIGHTENS_S = 1.2  # six times the body's usual lag, and more than the time between two shapes
 _VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
 OPEN, SHORT, _ENABLED = 1 << 3, 1 << 4, 1 << 5  # of sensor_report.flags
 _OF_A_MUSCLE = (
     wire.Fault.OVER_PRESSURE, wire.Fault.PRESSURE_WIRE, wire.Fault.PRESSURE_STUCK,
     wire.Fault.PRESSURE_MISMATCH,
 )  # fmt: skip
+# What the value of a fault's event says, where it is not a channel.
+_CAUSES = {
+    wire.Fault.SPOOL_STALL: wire.StallCause, wire.Fault.SPOOL_SLIP: wire.SlipCause,
+    wire.Fault.BAD_CONFIG: wire.ConfigCause,
+}  # fmt: skip
+_BEFORE_RESET = -1  # value of the event of a fault that was latched before the last reset
 # What a fibre guards, where it is read live; what ends that; and what lays it otherwise.
 _GUARDED = (wire.GrowTo, wire.Sweep, wire.SetPressure)
 _UNGUARDED = (wire.Vent, wire.RetractTo, wire.Home)
@@ -47,6 +56,17 @@ _BAD_SENSOR = {wire.Fault.FLEX_OPEN: OPEN, wire.Fault.FLEX_SHORT: SHORT}
 
 class Supervised(Connected):
     """A robot that can be configured, armed and vented."""
+
+    def __init__(self, client: Client, *, url: str = "", operator: Operator | None = None) -> None:
+        super().__init__(client, url=url, operator=operator)
+        if isinstance(self.operator, Patient):
+            self.operator.meanwhile = self.wait
+
+    def close(self) -> None:
+        """Make the robot safe and close the link. May be called twice."""
+        if isinstance(self.operator, Patient):
+            self.operator.meanwhile = None
+        super().close()
 
     # Waiting.
 
@@ -189,11 +209,12 @@ class Supervised(Connected):
         what, cure = first.words
         others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
         channel = self._fault_channels.get(first)
+        if channel == _BEFORE_RESET:
+            what, channel = f"{what} (before the board's last reset)", None
         if first in _OF_A_MUSCLE and channel is not None:
             what += f" ({muscle_outputs(self.config).get(channel, channel)} muscle)"
-        causes = {wire.Fault.SPOOL_STALL: wire.StallCause, wire.Fault.SPOOL_SLIP: wire.SlipCause}
-        if first in causes and channel is not None:
-            what += f" ({causes[first](channel).doc.rstrip('.')})"
+        if first in _CAUSES and channel is not None:
+            what += f" ({_CAUSES[first](channel).doc.rstrip('.')})"
         if first in _BAD_SENSOR:
             flags = _BAD_SENSOR[first] | _ENABLED
             sensors = range(self._client.capacity.sensors)
@@ -290,13 +311,15 @@ class Supervised(Connected):
             self._wait_vented()
 
     def watch_emptying(self) -> None:
-        """After a stop: keep the link alive until the muscles are empty, so that it is seen.
+        """After a stop: keep the link alive until the muscles are empty and the body has followed,
+        so that it is seen.
 
         Commands nothing, and ends without a word after the time in which they should have been.
         """
         end = self.now() + _VENT_S
         while "vented" not in self.status().conditions and self.now() < end:
             self.wait(0.2, despite_faults=True)
+        self.wait(_STRAIGHTENS_S, despite_faults=True)
 
     def _wait_vented(self) -> None:
         end = self.now() + _VENT_S

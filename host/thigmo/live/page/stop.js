@@ -1,10 +1,11 @@
 // Stop: without confirmation, by a press on the button, the space bar or Escape, wherever the focus
-// is. Each stop is a request of its own, beside the stream, so that a page that is behind with its
+// is; where text is typed, Space is text and Escape alone stops. Each stop is a request of its own, beside the stream, so that a page that is behind with its
 // drawing stops as fast as any. What the button says is what is known: that the board has confirmed
 // it, that it has not, or that no stop would arrive.
 
 import { $, store } from "./store.js";
 
+const PRESSED = "stopped at"; // kept while this page is open, also when it is loaded again
 const REPEAT_MS = 400; // of a stop that found no server
 const PATIENCE_MS = 5000;
 const button = $("stop");
@@ -12,9 +13,14 @@ const [word, says] = button.children;
 let state = "idle", pending = false;
 let last_s = 0, tried = null; // when a stop was last answered, and of which run it was
 
+// What one types into, and where a space is therefore no stop.
+const TYPED = "textarea, [contenteditable], input:not([type=range], [type=checkbox], [type=radio], [type=button])";
+const typed = (target) => target instanceof Element && target.matches(TYPED);
+const keys = () => typed(document.activeElement) ? "Esc" : "Space or Esc";
+
 const WORDS = {
-  idle: ["Stop", "Space or Esc"],
-  ready: ["Stop", "Space or Esc"],
+  idle: ["Stop", keys],
+  ready: ["Stop", keys],
   stopping: ["Stopping", "waiting for the board"],
   stopped: ["Stopped", "the board has confirmed"],
   unconfirmed: ["Not confirmed", "use the e-stop"],
@@ -24,9 +30,17 @@ const WORDS = {
 function show(next) {
   state = next;
   button.dataset.state = { unconfirmed: "lost" }[next] ?? next;
-  [word.textContent, says.textContent] = WORDS[next];
+  word.textContent = WORDS[next][0];
   document.body.dataset.stop = next;
+  sayKeys();
 }
+
+// The keys that stop now: they depend on where the focus is.
+function sayKeys() {
+  const said = WORDS[state][1];
+  says.textContent = typeof said === "string" ? said : said();
+}
+for (const moved of ["focusin", "focusout"]) document.addEventListener(moved, () => setTimeout(sayKeys));
 
 // What is known of the way to the robot: "none" while nothing runs, "lost" where nobody owns its port
 // any more, "offline" where this page has lost its server. What became of a stop is shown until the
@@ -37,7 +51,11 @@ export function stopReaches(way, page = null) {
   if (page?.latched) next = "stopped";
   else if (state === "unconfirmed" && page && page.run?.id === tried) return;
   if (state !== next) show(next);
+  else sayKeys(); // a field that is hidden loses the focus without an event
 }
+
+// When this page last stopped a robot, by the server's clock.
+export const pressedHere = () => Number(sessionStorage.getItem(PRESSED));
 
 export async function stop() {
   if (document.body.dataset.mode === "record" || pending) return;
@@ -51,6 +69,7 @@ export async function stop() {
       const answer = await fetch("stop", { method: "POST", keepalive: true, cache: "no-store" });
       const outcome = await answer.json();
       if (outcome.stopped.length || outcome.failed) last_s = outcome.at_s;
+      if (outcome.stopped.length) sessionStorage.setItem(PRESSED, last_s);
       next = outcome.stopped.length ? "stopped" : outcome.failed ? "unconfirmed" : "idle";
       break;
     } catch {
@@ -68,7 +87,8 @@ button.addEventListener("click", stop); // assistive technology, and Enter
 // Both the press and the release are taken: a browser clicks a focused button on either.
 for (const kind of ["keydown", "keyup"]) {
   window.addEventListener(kind, (event) => {
-    if (event.code !== "Space" && event.key !== " " && event.key !== "Escape") return;
+    const space = event.code === "Space" || event.key === " ";
+    if (event.key !== "Escape" && !(space && !typed(event.target))) return;
     event.preventDefault();
     event.stopImmediatePropagation();
     if (kind === "keydown" && !event.repeat) stop();
