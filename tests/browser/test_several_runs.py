@@ -30,7 +30,7 @@ def test_start_shows_the_run_that_it_started_and_stop_stops_that_one(
         expect(page.locator("#run-name")).to_have_text("empty")
         page.keyboard.press("Space")
         expect(page.locator("#stop")).to_contain_text("the board has confirmed")
-        expect(page.locator("#last-stop")).to_contain_text("pressed on this computer, confirmed by")
+        expect(page.locator("#last-stop")).to_contain_text("pressed on this computer: emulator")
         assert another.asked == []
 
 

@@ -32,11 +32,11 @@ from thigmo.errors import LinkError, NotARobotError, PortError
 from thigmo.link import client as client_module
 from thigmo.link import port_process
 from thigmo.link import protocol as wire
+from thigmo.link.address import OTHER_PLACE
 from thigmo.link.client import Client
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.pipe import Kind, Packet, read_packet
 from thigmo.link.serial_port import SerialTransport, waits_for_operator
-from thigmo.link.stop_socket import OTHER_PLACE
 from thigmo.link.transport import open_transport
 from thigmo.robot.stopping import stop_robot
 
@@ -253,10 +253,26 @@ def test_thigmo_stop_works_beside_a_host_that_hangs(
     command = ["stop", "--robot", str(by_id)] if named else ["stop"]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
-    assert result.output.startswith(f"Stopped: {by_id if named else board.port}. `thigmo clear")
+    where = by_id if named else board.port
+    by = f"its board, through process {process.pid}"
+    said = f"Stopped: {where}, confirmed by {by}. `thigmo clear --robot {where}` ends the stop.\n"
+    assert result.output == said
     assert board.device.stops
     process.send_signal(signal.SIGCONT)
     assert board.silent_for() < LIMIT_S
+
+
+def test_a_press_beside_a_program_that_ends_is_confirmed(
+    board: PtyDevice, host: tuple[subprocess.Popen[bytes], int]
+) -> None:
+    """The second press, just after the one that ended the program."""
+    process, _ = host
+    assert not stop_robot(board.port)[0].failure
+    process.terminate()
+    while process.poll() is None:
+        (pressed,) = stop_robot(board.port)
+        assert not pressed.failure
+    assert not stop_robot(board.port)[0].failure
 
 
 def test_thigmo_stop_opens_a_port_that_nobody_owns(board: PtyDevice) -> None:
@@ -302,8 +318,8 @@ def test_thigmo_stop_names_the_program_that_has_the_port(board: PtyDevice) -> No
         other.stdout.readline()
         result = CliRunner().invoke(app, ["stop", "--robot", board.port])
         assert result.exit_code == 1
-        said = str(result.exception)
-        assert said.startswith(f"NOT stopped: {board.port} is in use by process ")
+        said = result.output
+        assert said.startswith(f"thigmo: NOT stopped: {board.port} is in use by process ")
         assert f"process {other.pid} (" in said
         assert "; use the emergency stop, or close the program" in said
         other.communicate()
@@ -316,8 +332,8 @@ def test_a_stop_that_the_board_does_not_hear_is_repeated_and_told(
     hears = board.device.write
     with board.lock:
         board.device.write = lambda data: None  # type: ignore[method-assign]
-    with pytest.raises(LinkError, match=r"did not confirm the stop; use the emergency stop"):
-        stop_robot(board.port)
+    (stopped,) = stop_robot(board.port)
+    assert "did not confirm the stop; use the emergency stop" in stopped.failure
     with board.lock:
         board.device.write = hears  # type: ignore[method-assign]
     assert comes(lambda: bool(board.device.stops))  # and it goes on trying
@@ -443,32 +459,63 @@ def test_a_port_that_is_not_a_robot(monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
 
-def test_over_a_socket() -> None:
-    """socket:// of pyserial, as a serial server offers it."""
+@pytest.fixture
+def bridge() -> Iterator[str]:
+    """The address of a serial server, as socket:// of pyserial opens it, with a device behind it.
+    It takes connections one after the other.
+    """
     device = ReferenceDevice()
     stop = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.05)
 
         def serve() -> None:
-            peer, _ = server.accept()
-            peer.settimeout(0.005)
             began = time.monotonic()
-            with peer:
-                while not stop.is_set():
-                    with suppress(TimeoutError):
-                        device.write(peer.recv(4096))
-                    device.step(int((time.monotonic() - began) * 1000) - device.now_us // 1000)
-                    with suppress(OSError):  # the host may have closed
-                        peer.sendall(device.read())
+            while not stop.is_set():
+                with suppress(OSError):
+                    peer, _ = server.accept()
+                    peer.settimeout(0.005)
+                    with peer:
+                        talk(peer, began)
+
+        def talk(peer: socket.socket, began: float) -> None:
+            while not stop.is_set():
+                with suppress(TimeoutError):
+                    if not (data := peer.recv(4096)):
+                        return
+                    device.write(data)
+                device.step(int((time.monotonic() - began) * 1000) - device.now_us // 1000)
+                peer.sendall(device.read())
 
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
-        with Client(open_transport(f"socket://127.0.0.1:{server.getsockname()[1]}")) as client:
-            assert client.request(wire.SetParameter(SETTLE, 9)).value == 9
-            assert client.wait_for(lambda: client.stats.telemetry >= 50, EVER_S)
-            assert client.stats.telemetry_lost == 0
+        yield f"socket://127.0.0.1:{server.getsockname()[1]}"
         stop.set()
         thread.join()
+
+
+def test_over_a_socket_from_hello_to_a_quiet_end(
+    bridge: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with Client(open_transport(bridge)) as client:
+        assert client.request(wire.SetParameter(SETTLE, 9)).value == 9
+        assert client.wait_for(lambda: client.stats.telemetry >= 50, EVER_S)
+        assert client.stats.telemetry_lost == 0
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "")
+
+
+def test_two_programs_never_drive_one_serial_server(bridge: str, sockets: Path) -> None:
+    with Client(open_transport(bridge)) as client:
+        other = bridge.replace("127.0.0.1", "localhost")
+        with pytest.raises(PortError, match=rf"is in use by process {os.getpid()} \(.*; close the"):
+            open_transport(other)
+        (stopped,) = stop_robot(other)
+        assert stopped.confirmed_by == f"its board, through process {os.getpid()}"
+        assert client.wait_for(lambda: client.stats.telemetry >= 50, EVER_S)
+    assert [path for path in sockets.iterdir() if path.is_socket()] == []
+    (stopped,) = stop_robot(other)
+    assert stopped.confirmed_by == "its board, over its port, which no program had open"
 
 
 # The backlog for a host that does not read.

@@ -33,6 +33,7 @@ import serial
 from serial.tools.list_ports import comports
 
 from thigmo.errors import LinkError, PortError
+from thigmo.link.address import AddressLock
 from thigmo.link.framing import Decoder
 from thigmo.link.heart import HOLD_AFTER, Heart
 from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
@@ -124,15 +125,25 @@ class PortProcess:
         self._disarmed_until_s = -math.inf  # as far as its telemetry says
         self._leaving = threading.Lock()
         self._end = threading.Event()
+        self._finished = threading.Event()  # nothing more is sent or heard
         self._parent = os.getppid()
 
-    def run(self) -> None:
-        """Relay until the host closes, dies, or the port is lost."""
-        for target in (self._receive, self._beat, self._obey):
-            threading.Thread(target=target, daemon=True).start()
+    def run(self, stops: StopListener) -> None:
+        """Relay until the host closes, dies, or the port is lost. Those who have called for a stop
+        by then are answered; the port may be closed afterwards.
+        """
+        port = [
+            threading.Thread(target=target, daemon=True) for target in (self._receive, self._beat)
+        ]
+        for thread in (*port, threading.Thread(target=self._obey, daemon=True)):
+            thread.start()
         self._end.wait()
         with self._heart_lock:
             self._heart = None
+        stops.close()
+        self._finished.set()
+        for thread in port:
+            thread.join()
 
     def leave(self) -> None:
         """Stop the robot that nobody minds any more, and end."""
@@ -150,6 +161,7 @@ class PortProcess:
         return time.monotonic() > self._disarmed_until_s
 
     def _fail(self, error: Exception) -> None:
+        self.stopper.end()
         if not self._end.is_set():
             number, text = _cause(error)
             lost = LinkError(
@@ -165,17 +177,17 @@ class PortProcess:
                 self._port.write(data)
         except serial.SerialTimeoutException:
             pass  # a device that takes no bytes: the frame is lost, and the client repeats it
-        except (OSError, TypeError) as error:  # TypeError: pyserial's, of a port closed meanwhile
+        except OSError as error:
             self._fail(error)
 
     def _receive(self) -> None:
-        while not self._end.is_set():
+        while not self._finished.is_set():
             try:
                 data = self._port.read(1)
                 # socket:// only says whether there are bytes, not how many: hence the loop.
                 while data and len(data) < _READ_BYTES and (more := self._port.in_waiting):
                     data += self._port.read(min(more, _READ_BYTES))
-            except (OSError, TypeError) as error:
+            except OSError as error:
                 self._fail(error)
                 return
             if data:
@@ -209,7 +221,7 @@ class PortProcess:
 
     def _beat(self) -> None:
         """Thread: the heart, the lease, and the repeats of a stop."""
-        while not self._end.wait(_TICK_S):
+        while not self._finished.wait(_TICK_S):
             if os.getppid() != self._parent and not self._leaving.locked():
                 threading.Thread(target=self.leave, daemon=True).start()
             now = time.monotonic()
@@ -296,12 +308,14 @@ def main() -> int:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     outbox = Outbox(sys.stdout.buffer)
+    program = os.getppid()  # which drives the robot
     try:
+        lock = AddressLock(url, program)
         port = serial.serial_for_url(
             url, baudrate=baud, timeout=_READ_S, write_timeout=1.0, exclusive=True
         )
         relay = PortProcess(port, url, sys.stdin.buffer, outbox)
-        stops = StopListener(url, relay.stopper.stop)
+        stops = StopListener(url, relay.stopper.stop, program=program)
     except (OSError, ValueError, PortError) as error:
         failure = error if isinstance(error, PortError) else port_error(url, error)
         outbox.put(Packet(Kind.FAILED, failure))
@@ -310,9 +324,9 @@ def main() -> int:
     outbox.put(Packet(Kind.OPENED))
     signal.signal(signal.SIGINT, lambda number, frame: relay.stopper.call())
     signal.signal(signal.SIGTERM, lambda number, frame: relay.stopper.call())
-    relay.run()
-    stops.close()
+    relay.run(stops)
     port.close()
+    lock.close()
     outbox.close(0.5)
     # The thread that reads the host's stream may hold its lock; a normal exit would wait for it.
     os._exit(0)

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.errors import DataError
-from thigmo.link.stop_socket import OTHER_PLACE
+from thigmo.link.address import OTHER_PLACE
 from thigmo_bench.studies.engine import Claim, Context, Outcome
 
 _VIEWERS = 3

@@ -1,22 +1,22 @@
 // Stop: without confirmation, by a press on the button, the space bar or Escape, wherever the focus
 // is. Each stop is a request of its own, beside the stream, so that a page that is behind with its
-// drawing stops as fast as any. What the button says is what is known: that the board has confirmed
-// it, that it has not, or that no stop would arrive.
+// drawing stops as fast as any. What the button says is what is known: whom a stop is for, that its
+// board has confirmed it, that it has not, or why no stop would arrive.
 
 import { $, store } from "./store.js";
 
 const REPEAT_MS = 400; // of a stop that found no server
 const PATIENCE_MS = 5000;
 const button = $("stop");
-const [word, says] = button.children;
-let state = "idle", pending = false;
+const [word, says, robot] = button.children;
+let state = "idle", pending = false, outcome = null;
 let last_s = 0, tried = null; // when a stop was last answered, and of which run it was
 
 const WORDS = {
   idle: ["Stop", "Space or Esc"],
   ready: ["Stop", "Space or Esc"],
   stopping: ["Stopping", "waiting for the board"],
-  stopped: ["Stopped", "the board has confirmed"],
+  stopped: ["Stopped", "the board has confirmed"], // or has ended with the run that emulated it
   unconfirmed: ["Not confirmed", "use the e-stop"],
   lost: ["Stop not connected:", "use the e-stop"],
 };
@@ -26,6 +26,21 @@ function show(next) {
   button.dataset.state = { unconfirmed: "lost" }[next] ?? next;
   [word.textContent, says.textContent] = WORDS[next];
   document.body.dataset.stop = next;
+  name();
+}
+
+// Whom the stop is or was for, or why there is nobody.
+function name() {
+  const { page } = store, robots = outcome?.robots ?? [];
+  if (state === "stopped" && robots.length) {
+    robot.textContent = robots.map((each) => each.robot).join(", ");
+    button.title = robots.map((each) => `${each.robot}: confirmed by ${each.confirmed_by}`).join("\n");
+    if (robots.every((each) => each.confirmed_by.startsWith("the end"))) says.textContent = "it has ended with its run";
+    return;
+  }
+  const nobody = state === "idle" || state === "lost";
+  robot.textContent = (nobody && page?.stop_why_not) || (page ? page.stop_robot ?? "all robots in use" : "");
+  button.title = state === "unconfirmed" ? outcome?.failed ?? "" : "";
 }
 
 // What is known of the way to the robot: "none" while nothing runs, "lost" where nobody owns its port
@@ -34,9 +49,11 @@ function show(next) {
 export function stopReaches(way, page = null) {
   if (pending || page && (page.last_stop?.at_s ?? 0) < last_s) return; // it was sent before
   let next = { none: "idle", lost: "lost", offline: "lost" }[way] ?? "ready";
+  if (page?.last_stop) outcome = page.last_stop;
   if (page?.latched) next = "stopped";
   else if (state === "unconfirmed" && page && page.run?.id === tried) return;
   if (state !== next) show(next);
+  else name();
 }
 
 export async function stop() {
@@ -49,9 +66,9 @@ export async function stop() {
   while (performance.now() < end) {
     try {
       const answer = await fetch("stop", { method: "POST", keepalive: true, cache: "no-store" });
-      const outcome = await answer.json();
-      if (outcome.stopped.length || outcome.failed) last_s = outcome.at_s;
-      next = outcome.stopped.length ? "stopped" : outcome.failed ? "unconfirmed" : "idle";
+      outcome = await answer.json();
+      if (outcome.robots.length) last_s = outcome.at_s;
+      next = outcome.failed ? "unconfirmed" : outcome.robots.length ? "stopped" : "idle";
       break;
     } catch {
       show("lost");
