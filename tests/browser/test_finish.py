@@ -86,7 +86,7 @@ def test_stopped_run_is_seen_to_empty_and_is_cleared_jogged_and_retracted(
     expect(page.locator("#sure-text")).to_contain_text("Look at it")
     page.locator("#sure-yes").click()
     expect(banners).to_contain_text("Cleared: stopped.")
-    expect(page.locator("#stop")).to_have_attribute("data-state", "idle")
+    expect(page.locator("#stop")).to_have_attribute("data-state", "ready")
 
     page.locator("#jog-cm").fill("6")  # beyond what `thigmo jog` takes: the browser refuses
     page.locator("#jog button").first.click()

@@ -107,10 +107,8 @@ def test_a_busy_main_thread_starves_no_heart(client: Client, board: PtyDevice) -
 
 @pytest.fixture
 def short_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lease of 2 s instead of 30; what the board said last is not old because the computer is
-    busy.
-    """
-    limits = f"p.LEASE_S, p._STATE_S = 2.0, {EVER_S}"
+    """Leases of 2 s; what the board said last is not old because the computer is busy."""
+    limits = f"p.LEASE_S, p.ENERGISED_LEASE_S, p._STATE_S = 2.0, 2.0, {EVER_S}"
     source = f"import thigmo.link.port_process as p; {limits}; p.main()"
     real = subprocess.Popen
 
@@ -118,7 +116,6 @@ def short_lease(monkeypatch: pytest.MonkeyPatch) -> None:
         assert command[1:3] == ["-m", "thigmo.link.port_process"]
         return real([command[0], "-c", source, *command[3:]], **options)
 
-    assert port_process.LEASE_S == 30.0
     monkeypatch.setattr(subprocess, "Popen", popen)
 
 
@@ -156,6 +153,15 @@ def test_a_host_that_waits_for_its_operator_does_not_hang(board: PtyDevice) -> N
         assert not comes(lambda: bool(board.device.stops), 3.0)
         assert max(gaps(board, began)) < LIMIT_S
         client.poll()  # the answer has come: from now on it may hang again
+        assert comes(lambda: bool(board.device.stops))
+
+
+@pytest.mark.usefixtures("short_lease")
+def test_no_operator_s_thinking_holds_an_output_energised(board: PtyDevice) -> None:
+    board.device.state = wire.State.MOVING
+    with Client(open_transport(board.port)) as client:
+        client.wait_for(lambda: len(board.beats) >= 3, EVER_S)
+        waits_for_operator()
         assert comes(lambda: bool(board.device.stops))
 
 
