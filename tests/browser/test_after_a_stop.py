@@ -73,7 +73,8 @@ def test_a_stopped_robot_is_cleared_retracted_and_started_again(
     moment: str,
 ) -> None:
     connect(robot.port, RobotConfig.load(config)).close()
-    options = ("--config", str(config), "--out", str(tmp_path / "runs"))
+    # The thesis's protocol sweeps at 20 cm; the default one first grows.
+    options = ("--config", str(config), "--out", str(tmp_path / "runs"), "--protocol", "thesis")
     page = looking.open(serve_page(url=robot.port, explore=options).address)
     _reach(page, moment, robot)
     page.keyboard.press("Escape")

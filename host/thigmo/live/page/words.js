@@ -61,7 +61,7 @@ export function drawWords(lost) {
 function emptying() {
   const { board } = store;
   if (!board.faults.includes("stopped")) return "The board has not sent its pressures since.";
-  const psi = muscles().map(({ output }) => latest(COLUMN.pressure + output));
+  const psi = muscles().map(({ output }) => Math.max(latest(COLUMN.pressure + output), 0)); // no -0.0
   const pressures = muscles().map(({ name }, n) => `${name} ${fixed(psi[n], 1)} psi`).join(", ");
   return `The muscles ${Math.max(...psi) < EMPTY_PSI ? "are empty" : "are emptying"}: ${pressures}.`;
 }
