@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from thigmo.config import RobotConfig
@@ -43,11 +43,26 @@ class Operator(Protocol):
 class Viewers(Protocol):
     """Viewers of a run, who may answer its questions to the operator."""
 
-    def ask(self, question: str) -> None:
-        """Show a question, until an empty one takes it away."""
+    def ask(self, question: str, unit: str = "") -> None:
+        """Show a question, until an empty one takes it away.
 
-    def answer(self, seconds: float) -> str | None:
-        """An answer, if one comes in time. Raises StoppedByViewerError if a stop comes instead."""
+        `unit` is that of the number that is asked for; empty if only a confirmation is.
+        """
+
+    def answer(self) -> str | None:
+        """An answer, if one has come."""
+
+
+@runtime_checkable
+class Patient(Operator, Protocol):
+    """An operator who takes time, during which the robot is still read.
+
+    Attributes:
+        meanwhile: lets seconds pass with the link alive, and raises RobotFaultError once a fault or
+            a stop is latched; the robot that asks sets it. None while there is none.
+    """
+
+    meanwhile: Callable[[float], None] | None
 
 
 @runtime_checkable

@@ -17,11 +17,8 @@ from browsing import PATIENCE_MS, Looking, Served
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from scripted import ScriptedRun
 from served import ServedRobot
+from settled import settled_robot
 
-from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.lockstep import Lockstep
-from thigmo.emulator.scene import Scene
-from thigmo.emulator.serve import brought_up
 from thigmo.live.server import WatchOptions
 
 CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
@@ -69,13 +66,7 @@ def looking(chromium: Browser, serve_page: object) -> Iterator[Looking]:
 @pytest.fixture
 def robot() -> Iterator[ServedRobot]:
     """A robot of 20 cm whose sensors have settled, on a port in real time."""
-    scene = Scene.load("empty").model_copy(update={"start_length_cm": 20.0})
-    lockstep = Lockstep(scene, VirtualBoard(3, brought_up()), seed=3)
-    while lockstep.t_s < 60.0:
-        lockstep.advance()
-    served = ServedRobot(lockstep, reset_on_open=False)
-    yield served
-    served.close()
+    yield from settled_robot(20.0)
 
 
 @pytest.fixture

@@ -32,6 +32,7 @@ class ScriptedRun(Closing):
 
     Attributes:
         asked: commands that viewers have sent.
+        answers: what they have answered.
     """
 
     def __init__(
@@ -45,6 +46,7 @@ class ScriptedRun(Closing):
     ) -> None:
         self.hub = Hub()
         self.asked: list[Command] = []
+        self.answers: list[str] = []
         self.heard = threading.Event()
         self.t_s = 0.0
         self._began_s = time.time()
@@ -58,6 +60,8 @@ class ScriptedRun(Closing):
 
     def _command(self, command: Command, text: str) -> None:
         self.asked.append(command)
+        if command == "answer":
+            self.answers.append(text)
         self.heard.set()
 
     def _now(self) -> tuple[float, float]:
@@ -77,8 +81,8 @@ class ScriptedRun(Closing):
         poses = tuple((float(x), half * x * x, 2 * half * x) for x in range(0, 41, 2))
         self.hub.publish(BodyShape(*self._now(), poses, 1.75))
 
-    def ask(self, question: str) -> None:
-        self.hub.publish(Question(*self._now(), question))
+    def ask(self, question: str, unit: str = "") -> None:
+        self.hub.publish(Question(*self._now(), question, unit))
 
     def believe(
         self,

@@ -57,7 +57,7 @@ def test_axe_finds_nothing_before_a_run_in_it_and_after_it(
         run.hub.publish(Contacts(0.0, 0.0, (CONTACT, WALL, replace(CONTACT, status="ambiguous"))))
         run.event("flex_open", "fault", "Left sensor 2 is open.", "Look at its plug.")
         run.event("contact", "warning", "contact")
-        run.ask("How many cm?")
+        run.ask("How many cm?", "cm")
         run.read(200, faults=("flex_open",))
         expect(page.locator("#contact-rows tr")).to_have_count(3)
         expect(page.locator("#question")).to_be_visible()

@@ -165,7 +165,7 @@ def test_question_of_a_run_reaches_a_page_that_comes_later_and_again(
         if terminal:
             os.write(ours, b"\n")  # whoever answers first
         else:
-            page.locator("#answer").press("Enter")
+            page.locator("#answer-send").click()
         expect(page.locator("#question")).to_be_hidden()
         page.wait_for_function("() => thigmo.store.last.state?.stage_cm >= 20")
         page.keyboard.press("Escape")

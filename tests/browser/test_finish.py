@@ -71,7 +71,8 @@ def test_stopped_run_is_seen_to_empty_and_is_cleared_jogged_and_retracted(
     expect(page.locator("#stop")).to_contain_text("the board has confirmed")
     assert robot.off
     banners = page.locator("#banners")
-    expect(banners).to_contain_text("Stopped by this computer: valves off, motor braked.")
+    expect(page.locator("#doing")).to_contain_text("Stopped from this page, ")
+    expect(banners).to_contain_text("Valves off, motor braked.")
     expect(banners).to_contain_text("The muscles are empty: left 0.")
     # All of the way down was seen.
     pressures = page.evaluate("thigmo.store.columns[1].slice(-600)")
@@ -80,12 +81,18 @@ def test_stopped_run_is_seen_to_empty_and_is_cleared_jogged_and_retracted(
 
     page.reload()  # what is latched is known to the server
     expect(page.locator("#stop")).to_have_attribute("data-state", "stopped")
+    expect(page.locator("#doing")).to_contain_text("Stopped from this page, ")
+    expect(page.locator("#phase")).to_have_text("stopped")
+    expect(page.locator("#age")).to_contain_text(" s ago")
+    expect(page.locator("#room.old")).to_be_visible()
     for locked in ("#retract", "#jog button >> nth=0"):
         expect(page.locator(locked)).to_be_disabled()
     page.locator("#clear").click()
     expect(page.locator("#sure-text")).to_contain_text("Look at it")
     page.locator("#sure-yes").click()
-    expect(banners).to_contain_text("Cleared: stopped.")
+    expect(banners).to_have_text("The stop has ended.")
+    expect(page.locator("#doing")).to_have_text("Cleared")
+    expect(page.locator("#phase")).to_have_text("safe")
     expect(page.locator("#stop")).to_have_attribute("data-state", "ready")
 
     page.locator("#jog-cm").fill("6")  # beyond what `thigmo jog` takes: the browser refuses
@@ -101,6 +108,8 @@ def test_stopped_run_is_seen_to_empty_and_is_cleared_jogged_and_retracted(
     expect(page.locator("#doing")).to_have_text("Retracting")
     expect(page.locator("#run-name")).to_have_text("finish")  # its contacts stay shown
     expect(banners).to_contain_text("Retracted to 19.0 cm.")
+    expect(page.locator("#doing")).to_have_text("Retracted")
+    expect(page.locator("#phase")).to_have_text("safe")
     expect(page.locator("#length")).to_have_text("19.0")
     assert robot.plant.length_cm == pytest.approx(19.0, abs=0.6)
     assert robot.off
@@ -138,7 +147,7 @@ def test_motion_ends_without_signs_of_life(configured: ServedRobot, ends: str) -
     robot = configured
     words = [sys.executable, "-m", "thigmo", "retract", "--robot", robot.port, "--length", "20"]
     motion = subprocess.Popen(
-        [*words, "--held"], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*words, "--by-page"], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert motion.stdin is not None
 

@@ -11,6 +11,7 @@ from playwright.sync_api import Page, expect
 from scripted import ScriptedRun
 from served import ServedRobot
 
+from thigmo.cli.watch import parameters
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
@@ -55,6 +56,32 @@ def test_focused_start_does_not_take_the_space_bar(looking: Looking, serve_page:
     expect(page.locator("#stop")).to_have_attribute("data-state", "idle")
     expect(page.locator("#doing")).to_have_text("Nothing runs yet")
     assert page.evaluate("thigmo.store.page.starting") is False
+
+
+def test_a_space_in_a_text_field_is_text_and_escape_stops_there(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    page = looking.open(serve_page(url="emulator://nowhere", parameters=parameters()).address)
+    stops: list[str] = []
+    page.on(
+        "request", lambda request: stops.append(request.url) if "/stop" in request.url else None
+    )
+    says = page.locator("#stop-says")
+    expect(says).to_have_text("Space or Esc")
+    page.locator("#parameters summary").click()
+    for flag in ("--name", "--map", "--seed"):
+        field = page.locator(f'[data-flag="{flag}"]')
+        field.focus()
+        expect(says).to_have_text("Esc")
+        page.keyboard.type("1 2")
+    assert page.locator('[data-flag="--map"]').input_value() == "1 2"
+    assert stops == []
+    with page.expect_request("**/stop"):
+        page.keyboard.press("Escape")
+    page.locator("#start").focus()
+    expect(says).to_have_text("Space or Esc")
+    with page.expect_request("**/stop"):
+        page.keyboard.press("Space")
 
 
 def test_lost_server_says_use_the_e_stop(page: Page, looking: Looking, served: Served) -> None:

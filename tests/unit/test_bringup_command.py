@@ -22,8 +22,8 @@ class AnsweringConsole(Console):
         self.asked: list[str] = []
         self._answers = list(answers)
 
-    def ask(self, question: str) -> str:
-        self.asked.append(question)
+    def _answer(self, question: str, at_terminal: str, unit: str) -> str:
+        self.asked.append(at_terminal)
         return self._answers.pop(0)
 
 

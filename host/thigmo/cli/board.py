@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from thigmo.cli import ending
-from thigmo.cli.held import HeldOption, held
+from thigmo.cli.held import ByPageOption, held, shown
 from thigmo.cli.output import (
     JsonOption,
     RobotOption,
@@ -141,16 +141,21 @@ def params(
     Console().print(table)
 
 
-def clear(robot: RobotOption, as_json: JsonOption = False) -> None:
+def clear(robot: RobotOption, by_page: ByPageOption = False, as_json: JsonOption = False) -> None:
     """End a stop, clear faults whose cause is gone, and list those that remain."""
+    from thigmo.link.protocol import Fault
     from thigmo.robot import connect
 
-    with connect(robot) as machine:
+    stopped = Fault.STOPPED.key
+    with connect(robot) as machine, shown(machine, "clear", by_page):
         latched = machine.status().faults
         machine.clear_stop()  # the operator's word: who types this command has looked
         remaining = machine.clear_faults()
         cleared = [fault for fault in latched if fault not in remaining]
-        outcome = f"Cleared: {', '.join(cleared)}." if cleared else "No fault was cleared."
+        faults = ", ".join(fault for fault in cleared if fault != stopped)
+        outcome = f"Cleared: {faults}." if faults else "No fault was cleared."
+        if stopped in cleared:
+            outcome = f"The stop has ended. {outcome}" if faults else "The stop has ended."
         show(
             as_json,
             {"cleared": cleared, "remaining": list(remaining)},
@@ -169,7 +174,7 @@ def retract(
         ),
     ] = None,
     config: SentConfigOption = None,
-    by_page: HeldOption = False,
+    by_page: ByPageOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Vent the muscles, wait until they are below 0.5 psi (a bent body buckles), and wind in."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from thigmo.cli.console import Console
-from thigmo.cli.held import HeldOption, held
+from thigmo.cli.held import ByPageOption, held
 from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, filled, show
 from thigmo.errors import ConfigError
 
@@ -27,7 +28,7 @@ class _TerminalAttendant:
         self._asked = False
 
     def ready(self, request: str) -> None:
-        self._console.ask(f"{request}. Then press Enter.")
+        self._console.confirm(f"{request}.")
 
     def press_emergency_stop(self, pressed: bool) -> None:
         self.ready(f"{'Press' if pressed else 'Release'} the emergency stop")
@@ -100,13 +101,15 @@ def bringup(
             subject = finding.subject if same else f"{finding.stage}: {finding.subject}"
             typer.echo(filled(f"{mark} {subject}: {finding.what}{cure}", indent=6))
 
-    with console.interruptible(), connect(robot, seed=seed, operator=console) as machine:
+    with console.interruptible(robot), connect(robot, seed=seed, operator=console) as machine:
         if config is not None:
             machine.configure(RobotConfig.load(config))
         if first != STAGES[0]:
             _cured(machine)
         # The emulated robot has an attendant of its own.
         own: Any = machine.operator if machine.virtual else None
+        # Its requests make faults, such as the emergency stop's.
+        console.meanwhile = partial(machine.wait, despite_faults=True)
         attendant = own if hasattr(own, "spool_turned") else _TerminalAttendant(console)
         findings = BringUp(machine, attendant, tell).run(first, last)
     good = all(finding.good for finding in findings)
@@ -131,7 +134,7 @@ def jog(
     wind: Annotated[
         float, typer.Option("--in", help="Centimetres of tip to wind in, at most 5.")
     ] = 0,
-    by_page: HeldOption = False,
+    by_page: ByPageOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Turn the spool a little, slowly; the length need not be known. Muscles must be empty.
@@ -182,7 +185,7 @@ def _robot(robot: str, console: Console) -> Iterator[Robot]:
     """A robot whose configuration is known."""
     from thigmo.robot import connect
 
-    with console.interruptible(), connect(robot) as machine:
+    with console.interruptible(robot), connect(robot) as machine:
         _cured(machine)
         yield machine
 

@@ -150,7 +150,7 @@ def calibrate(
             typer.echo(text)
 
     console = Console(quiet=as_json)
-    with console.interruptible(), connect(robot, seed=seed, operator=console) as machine:
+    with console.interruptible(robot), connect(robot, seed=seed, operator=console) as machine:
         known = machine.known_config
         session = Session(folder, start or (blank(known) if known else None))
         steps = steps_of(session.config) if step == "all" else [step]

@@ -7,12 +7,13 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import typer
 
 from thigmo.cli import ending
-from thigmo.errors import DataError
+from thigmo.errors import DataError, ThigmoError
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from thigmo.room import Dowel, Viewers
 
 Show = Callable[[str, float], None]
-_ANSWER_S = 0.1  # between two looks at the terminal
+_ANSWER_S = 0.1  # between two looks whether somebody has answered
 # What is written to a pipe; a terminal sees every state.
 _LOGGED = ("growing", "sweeping", "mapping", "drawing")
 
@@ -40,6 +41,7 @@ class Console:
         self.quiet = quiet
         self._asks_viewers = asks_viewers
         self.viewers: Viewers | None = None
+        self.meanwhile: Callable[[float], None] | None = None
         self.out = RichConsole()
         self.err = RichConsole(stderr=True)
         self._bar: Progress | None = None
@@ -68,16 +70,24 @@ class Console:
                 self._bar = None
 
     @contextmanager
-    def interruptible(self) -> Iterator[None]:
-        """Say in one line how Ctrl-C or a termination leaves the robot, and end with its status."""
+    def interruptible(self, url: str) -> Iterator[None]:
+        """Say in one line how Ctrl-C or a termination leaves the robot at an address, and end with
+        its status."""
         try:
             yield
         except (KeyboardInterrupt, SystemExit) as stopped:
+            from thigmo.link.transport import emulated
+
             notes = "".join(f" ({note})" for note in getattr(stopped, "__notes__", []))
             status = stopped.code if isinstance(stopped, SystemExit) else ending.status()
+            left = (
+                "the emulated robot has ended with this command"
+                if emulated(url)
+                else "the robot is vented and braked and keeps its length; `thigmo clear` lets it "
+                "move again, then `thigmo retract` winds it in"
+            )
             self.err.print(
-                "thigmo: interrupted; the robot is vented and braked and keeps its length; "
-                f"`thigmo clear` lets it move again, then `thigmo retract` winds it in{notes}",
+                f"thigmo: interrupted; {left}{notes}",
                 highlight=False,
                 soft_wrap=True,
                 markup=False,
@@ -96,48 +106,72 @@ class Console:
 
         return show
 
-    def ask(self, question: str) -> str:
-        """Ask the operator; the bar stands still meanwhile. Raises DataError if nobody is there."""
+    def ask(self, question: str, unit: str = "") -> str:
+        """Ask the operator; the bar stands still meanwhile, and the robot is read on.
+
+        `unit` is that of the number that is asked for, if it is one.
+
+        Raises:
+            DataError: nobody is there to answer.
+            RobotFaultError: the robot was stopped, or latched a fault: the question is void.
+        """
+        return self._answer(question, question, unit)
+
+    def confirm(self, request: str) -> None:
+        """Ask the operator to do something, and wait until it is done; raises as `ask`."""
+        self._answer(request, f"{request} Then press Enter.", "")
+
+    def _answer(self, question: str, at_terminal: str, unit: str) -> str:
+        """The answer to a question, which viewers read without what concerns a terminal."""
         terminal = sys.stdin.isatty()
         if not terminal and not (self.viewers and self._asks_viewers):
             raise DataError(
                 f"nobody can answer: {question}", "run it in a terminal, beside the robot"
             )
-        from thigmo.link.serial_port import waits_for_operator
-
-        waits_for_operator()
         if self._bar:
             self._bar.stop()
         try:
             if terminal:
-                self.err.print(f"[bold]{question}[/bold] ", end="")
+                self.err.print(f"[bold]{at_terminal}[/bold] ", end="")
             if self.viewers:
-                self.viewers.ask(question)
-                if (answer := self._of_viewers(self.viewers, terminal)) is not None:
+                self.viewers.ask(question, unit)
+            while not (terminal and self._typed()):
+                if self.viewers and (answer := self.viewers.answer()) is not None:
+                    if terminal:
+                        self.err.print(answer, highlight=False, markup=False)
                     return answer.strip()
+                if self.meanwhile:
+                    self.meanwhile(_ANSWER_S)
             return input().strip()
         except (EOFError, OSError):  # OSError: of a terminal that was closed
             raise DataError(f"no answer to: {question}", "run it again, and answer") from None
+        except ThigmoError:
+            if terminal:
+                self.err.print()  # the error is a line of its own
+            raise
         finally:
             if self.viewers:
                 self.viewers.ask("")
             if self._bar:
                 self._bar.start()
 
-    def _of_viewers(self, viewers: Viewers, terminal: bool) -> str | None:
-        """A viewer's answer; None once there is one at the terminal."""
-        answer = None
-        while answer is None:
-            if terminal and (sys.platform == "win32" or select.select([sys.stdin], [], [], 0)[0]):
-                return None  # Windows cannot tell, and waits there
-            answer = viewers.answer(_ANSWER_S)
-        if terminal:
-            self.err.print(answer, highlight=False, markup=False)
-        return answer
+    def _typed(self) -> bool:
+        """Whether a line can be read; where nothing goes on meanwhile, it waits for a while.
+
+        Windows cannot tell, and always waits for the line: it says so to the robot's port.
+        """
+        if sys.platform == "win32":
+            from thigmo.link.serial_port import waits_for_operator
+
+            waits_for_operator()
+            return True
+        return bool(select.select([sys.stdin], [], [], 0 if self.meanwhile else _ANSWER_S)[0])
 
     def result(self, result: ExplorationResult) -> None:
         """Say what an exploration found, where it is kept, and what to do next."""
         from rich.table import Table
+
+        from thigmo.link.transport import emulated
 
         say, document = partial(self.out.print, highlight=False), result.document
         if not document.contacts:
@@ -182,27 +216,29 @@ class Console:
         planners = "for planners: obstacles.json and map.yaml beside it."
         drawn = "map.png" if (result.folder / "map.png").exists() else "contacts.json"
         typer.echo(f"Map: {result.folder / drawn}; {planners}")
-        typer.echo(
-            f"The robot is vented and keeps its length of {result.length_cm:.1f} cm. "
-            f"To retract it: thigmo retract --robot {document.url}"
-        )
+        if not emulated(document.url):  # that one has ended with its run
+            typer.echo(
+                f"The robot is vented and keeps its length of {result.length_cm:.1f} cm. "
+                f"To retract it: thigmo retract --robot {document.url}"
+            )
 
     def everted_length_cm(self) -> float:
         """Ask for the everted length until it is a number."""
+        hint = ""
         while True:
-            answer = self.ask("Measure the everted length. How many cm?")
+            answer = self.ask(f"{hint}Measure the everted length. How many cm?", "cm")
             try:
-                value = float(answer.replace(",", ".").removesuffix("cm"))
+                length_cm = float(answer.replace(",", ".").removesuffix("cm"))
             except ValueError:
-                continue
-            if value >= 0:
-                return value
+                length_cm = -1.0
+            if isfinite(length_cm) and length_cm >= 0:
+                return length_cm
+            hint = f"{answer!r} is not a length in cm. " if answer else "The number is missing. "
 
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Ask for the body pressure to be set."""
-        self.ask(
-            f"Set the body pressure to {pressure_psi:g} psi ({pressure_psi * 6.895:.1f} kPa), "
-            "then press Enter."
+        self.confirm(
+            f"Set the body pressure to {pressure_psi:g} psi ({pressure_psi * 6.895:.1f} kPa)."
         )
 
     def warn(self, danger: str) -> None:
@@ -214,14 +250,12 @@ class Console:
         places = "; ".join(
             f"{2 * peg.radius:.1f} cm thick at x = {peg.x:.1f}, y = {peg.y:.1f} cm" for peg in pegs
         )
-        self.ask(f"Take all dowels away, then place: {places or 'none'}. Then press Enter.")
+        self.confirm(f"Take all dowels away, then place: {places or 'none'}.")
 
     def push_tip(self, y_cm: float | None) -> None:
         """Ask for the tip to be pushed aside and held, or let go."""
         if y_cm is None:
-            self.ask("Let go of the tip and lay the robot straight, then press Enter.")
+            self.confirm("Let go of the tip and lay the robot straight.")
             return
         side = "left" if y_cm > 0 else "right"
-        self.ask(
-            f"Push the tip {abs(y_cm):.1f} cm to the {side} and hold it there, then press Enter."
-        )
+        self.confirm(f"Push the tip {abs(y_cm):.1f} cm to the {side} and hold it there.")

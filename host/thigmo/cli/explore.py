@@ -83,25 +83,23 @@ def explore(
     from thigmo.config import RobotConfig
     from thigmo.errors import ConfigError
     from thigmo.exploration import explore as run
+    from thigmo.exploration import open_run
 
     if robot is not None and scene is not None:
         raise ConfigError("--robot and --scene are both given", "give one of them")
     url = f"emulator://{scene}" if scene else robot
     if resume is not None and method is not None:
         raise ConfigError("a resumed run keeps its method", "leave --method out")
-    if resume is None:
-        url = url or "emulator://default"
+    where = url or (open_run(resume).document.url if resume else "emulator://default")
     if watch:
         from thigmo.cli.watch import open_page
-        from thigmo.exploration import open_run
 
-        where = url or open_run(resume or "").document.url
         open_page(where, out, config)
     ending.outlive_terminal()
     console = Console(quiet=as_json, asks_viewers=asks_viewers)
-    with console.progress() as show, console.interruptible():
+    with console.progress() as show, console.interruptible(where):
         result = run(
-            url,
+            where,
             config=RobotConfig.load(config) if config else None,
             seed=seed,
             out=out,

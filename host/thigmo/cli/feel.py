@@ -45,7 +45,7 @@ def feel(
 
     known = None if config is None else RobotConfig.load(config)
     console, found = Console(quiet=as_json), []
-    with console.interruptible(), connect(robot, seed=seed, operator=console) as machine:
+    with console.interruptible(robot), connect(robot, seed=seed, operator=console) as machine:
         if (used := known or machine.known_config) is None:
             raise ConfigError(f"the constants of {robot} are not known", "give --config robot.toml")
         name, psi = _pressed(press, used)

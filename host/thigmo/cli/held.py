@@ -1,4 +1,4 @@
-"""A motion that a page of `thigmo watch` asked for, and that ends when the page has gone.
+"""What a page of `thigmo watch` asked for is shown there, and a motion ends when the page has gone.
 
 The page sends a sign of life four times a second while somebody can see it. The page's server hands
 each on to the command that moves the robot, as a byte on its standard input. A page that is closed,
@@ -12,42 +12,63 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thigmo.errors import StoppedByViewerError
+from thigmo.errors import LinkError, StoppedByViewerError
 
 if TYPE_CHECKING:
     from thigmo.robot import Robot
     from thigmo.stream import Command
 
-HeldOption = Annotated[
-    bool, typer.Option("--held", hidden=True)  # for the page, which starts motions
+ByPageOption = Annotated[
+    bool, typer.Option("--by-page", hidden=True)  # for the page, which starts commands
 ]
 _SILENT_S = 1.5  # six signs
+_SEEN_S = 3.0  # for the page to look at a command that it has started
+_LAST_S = 0.6  # of readings after its end: a board sends two a second at least
+_LOOK_S = 0.05
+
+
+@contextmanager
+def shown(robot: Robot, command: str, wanted: bool) -> Iterator[None]:
+    """Where it is `wanted`: show a command to viewers, up to how it leaves the board."""
+    if not wanted:
+        yield
+        return
+
+    def refuse(command: Command, text: str) -> None:
+        """It cannot be paused; a stop goes to the process that owns the port."""
+
+    with robot.serve(command, "", refuse) as server:
+        until_s = robot.now() + _SEEN_S
+        while not server.viewers and robot.now() < until_s:
+            robot.wait(_LOOK_S, despite_faults=True)
+        try:
+            yield
+        finally:
+            with suppress(LinkError):  # the command itself reports a link that has failed
+                robot.wait(_LAST_S, despite_faults=True)
 
 
 @contextmanager
 def held(robot: Robot, motion: str, wanted: bool) -> Iterator[None]:
-    """Where it is `wanted`: show a motion to viewers, and go on only while the page is there.
+    """As `shown`; the motion goes on only while the page is there, and the robot is then disarmed.
 
-    Raises StoppedByViewerError once it has gone, with the motor braked, the valves at 0 mA, and
-    whether the board has confirmed that.
+    Raises StoppedByViewerError once the page has gone, with the motor braked, the valves at 0 mA,
+    and whether the board has confirmed that.
     """
     if not wanted:
         yield
         return
     signs = _Signs()
     robot.while_waiting(signs.check)
-
-    def refuse(command: Command, text: str) -> None:
-        """A motion cannot be paused; a stop goes to the process that owns the port."""
-
-    with robot.serve(motion, "", refuse):
+    with shown(robot, motion, wanted):
         try:
             yield
+            robot.disarm()
         except StoppedByViewerError as gone:
             confirmed = robot.make_safe()
             gone.add_note("the board has confirmed" if confirmed else "the board does NOT confirm")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
@@ -104,10 +103,10 @@ def check(file: _FileArgument, as_json: JsonOption = False) -> None:
 @robot.command()
 def convert(file: _FileArgument) -> None:
     """Rewrite a robot.toml of any version in today's format; keep the old file beside it."""
-    from thigmo.config import RobotConfig
+    from thigmo.config import RobotConfig, read_toml
 
     config = RobotConfig.load(file)
-    if tomllib.loads(file.read_text()).get("version") == config.version:
+    if read_toml(file).get("version") == config.version:
         typer.echo(f"{file} is of today's version already; nothing is changed")
         return
     typer.echo(f"{file} is of today's version; the one before is {config.save(file)}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Literal
 from urllib.parse import parse_qs
 
@@ -45,6 +45,7 @@ class EmulatedOperator:
         self._plant = transport.lockstep.plant
         self._about = transport.scene.operator
         self._line_cm = self._plant.line_cm
+        self.meanwhile: Callable[[float], None] | None = None
         self._rng = np.random.default_rng([transport.seed, 0x0FE8])
 
     def everted_length_cm(self) -> float:
@@ -84,7 +85,7 @@ class EmulatedOperator:
 
     def set_body_pressure(self, pressure_psi: float) -> None:
         """Set the body's regulator; takes the scene's `operator.takes_s` of virtual time."""
-        self._transport.pass_time(self._about.takes_s)
+        self._take_time()
         self._plant.set_body_pressure(pressure_psi)
 
     def warn(self, danger: str) -> None:
@@ -92,7 +93,7 @@ class EmulatedOperator:
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
         """Clear the room and put these pegs into it; takes as long."""
-        self._transport.pass_time(self._about.takes_s)
+        self._take_time()
         self._plant.place_pegs([Peg(peg.x, peg.y, peg.radius) for peg in pegs])
 
     def push_tip(self, y_cm: float | None) -> None:
@@ -101,8 +102,12 @@ class EmulatedOperator:
 
     def push_aside(self, pushes: Sequence[tuple[float, float]], radius_cm: float) -> None:
         """Hold points (arc, y) of the body aside, base first, with dowels; takes as long."""
-        self._transport.pass_time(self._about.takes_s)
+        self._take_time()
         self._plant.hold(pushes, radius_cm)
+
+    def _take_time(self) -> None:
+        """Let the time pass that a request takes; a robot that is connected is read meanwhile."""
+        (self.meanwhile or self._transport.pass_time)(self._about.takes_s)
 
 
 class EmulatorTransport:

@@ -79,11 +79,10 @@ class RunControl:
         while not self._answers.empty():
             self._answers.get()
 
-    def answer(self, seconds: float) -> str | None:
-        """An answer, if one comes in time; StoppedByViewerError if a stop has come."""
-        self.obey_stop()
+    def answer(self) -> str | None:
+        """An answer, if one has come."""
         with suppress(queue.Empty):
-            return self._answers.get(timeout=seconds)
+            return self._answers.get_nowait()
         return None
 
     def wait(self, seconds: float) -> None:
@@ -105,7 +104,7 @@ class Questions:
         self._control = control
         self.answer = control.answer
 
-    def ask(self, question: str) -> None:
+    def ask(self, question: str, unit: str = "") -> None:
         """Show a question, or take it away."""
         self._control.forget_answers()
-        self._live.tell(Question, question)
+        self._live.tell(Question, question, unit)

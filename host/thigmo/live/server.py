@@ -25,6 +25,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 
 from thigmo.config import RobotConfig
 from thigmo.errors import ThigmoError
+from thigmo.link.protocol import Fault
 from thigmo.link.transport import emulated, open_transport
 from thigmo.live import page_data
 from thigmo.live.door import Door, Stop
@@ -87,12 +88,39 @@ class _Run:
         self.history: deque[str] = deque(maxlen=_HISTORY_ROWS)
         self.history_s = float("-inf")
         self.board = ""
+        self.read_s = float("-inf")  # when the last reading came
         self.past: PastRun | None = None  # once somebody looks back at it
 
     @property
     def moving(self) -> Hello | None:
         """The run, or the motion after it, while it is under way."""
         return None if self.over.is_set() else self.motion or self.hello
+
+
+class _Latch:
+    """Whether the robot is stopped, by its board's word alone: its echo of a stop, its readings and
+    its answer to `clear`."""
+
+    def __init__(self) -> None:
+        self.since_s: float | None = None  # UTC; None: it is not stopped
+        self.by = ""  # who stopped it; empty if no page of this server
+        self._confirmed_s = float("-inf")  # readings from before say nothing of it
+
+    def confirm(self, at_s: float, by: str) -> None:
+        """The board has echoed a stop that was pressed at a time."""
+        self.since_s, self.by, self._confirmed_s = at_s, by, time.time()
+
+    def read(self, reading: Telemetry, *, clears: bool) -> None:
+        """Take a reading; `clears` if one without the fault may be of a board that was cleared."""
+        if Fault.STOPPED.key in reading.faults:
+            if self.since_s is None:
+                self.since_s, self.by = reading.epoch_s, ""
+        elif clears and reading.epoch_s > self._confirmed_s:
+            self.clear()
+
+    def clear(self) -> None:
+        """The stop has ended."""
+        self.since_s, self.by = None, ""
 
 
 class PageServer:
@@ -109,7 +137,7 @@ class PageServer:
         self._started: Started | None = None  # the last command
         self._way: tuple[WayTo, str] = ("none", "")
         self._last_stop: dict[str, Any] | None = None  # it stays shown, whatever runs next
-        self._latched = False  # the robot was stopped from here, and not let go since
+        self._latch = _Latch()
         self._choices: list[Hello] = []  # runs that could be looked at
         self._left_s = time.monotonic()  # when somebody last looked
 
@@ -191,14 +219,14 @@ class PageServer:
     def _begin(self, run: Hello) -> None:
         """Another run is under way, or a motion after the one that is shown, which stays shown."""
         started = self._started
-        if started is not None and started.held and started.pid == run.pid and self._run.hello:
+        if started is not None and started.on_robot and started.pid == run.pid and self._run.hello:
             self._run.motion = run
             self._run.over.clear()
             self._tell()
             return
         self._run = _Run(run)
         if run.virtual:
-            self._latched = False  # it was another board's
+            self._latch = _Latch()  # it was another board's
         if self._started is not None and not self._started.runs:
             self._started = None  # it was another one, and so was its failure
         for viewer in self._viewers:
@@ -230,6 +258,9 @@ class PageServer:
                 run.history.append(row)
                 run.history_s = reading.t_s
         last = kept[-1]
+        run.read_s = time.monotonic()
+        lasts = run.moving is not None and not run.moving.virtual
+        self._latch.read(last, clears=lasts)
         run.board = f'"epoch_s":{last.epoch_s!r},"board":{json.dumps(board(last))}'
         for viewer in self._viewers:
             viewer.add_rows(rows, run.board)
@@ -247,7 +278,7 @@ class PageServer:
             if watched is not None and in_vain is not None and watched.chosen == in_vain:
                 watched.choose(None)
             if started is not None and started.name == "clear" and started.said():
-                self._latched = False
+                self._latch.clear()  # the board's answer, where its readings were not seen
             self._tell()
             await asyncio.sleep(_PULSE_S)
 
@@ -294,7 +325,9 @@ class PageServer:
             "failure": run.failure,
             "robot": self._port,
             "jog_cm": JOG_CM,
-            "latched": self._latched,
+            "latched": self._latch.since_s is not None,
+            "stopped": {"at_s": self._latch.since_s, "by": self._latch.by},
+            "age_s": round(time.monotonic() - run.read_s, 1) if run.board else None,
             "pausing": run.pausing,
             "operator": self._operator is viewer,
             "operated": self._operator not in (None, viewer),
@@ -430,21 +463,24 @@ class PageServer:
         What the page gets of it: each robot, and who has confirmed or why nobody has.
         """
         at_s, target = time.time(), self._target
+        starting = self._started if self._starting else None
         robots = self._watched.stop(target) if self._watched else []
-        started = self._started
-        if not robots and self._starting and started is not None:
-            started.end()
-            robots = [Stopped(str(target.url), f"the end of `thigmo {started.name}` as it began")]
+        if starting is not None:
+            starting.end()  # it would move the robot after the stop
+            if any(robot.failure for robot in robots) and self._watched:
+                robots = self._watched.stop(target)  # it had the port
+            ended = Stopped(str(target.url), f"the end of `thigmo {starting.name}` as it began")
+            robots = robots or [ended]
         stopped = [robot.robot for robot in robots if not robot.failure]
         failed = "; ".join(f"{robot.robot}: {robot.failure}" for robot in robots if robot.failure)
         outcome = {
             "at_s": at_s, "stopped": stopped, "failed": failed,
             "robots": [asdict(robot) for robot in robots],
         }  # fmt: skip
-        self._latched = self._latched or bool(stopped)
+        if stopped:
+            self._latch.confirm(at_s, _named(peer))
         if robots:
-            by = "this computer" if peer in ("127.0.0.1", "::1") else peer
-            self._last_stop = {**outcome, "by": by}
+            self._last_stop = {**outcome, "by": _named(peer)}
         return outcome
 
     async def _looked_back(self) -> PastRun:
@@ -482,6 +518,11 @@ def _motion(command: Literal["clear", "retract", "jog"], request: PageRequest) -
         case "retract", PageRequest(to=float(to), length=float(length)):
             return ["--to", f"{to:g}", "--length", f"{length:g}"]
     return None
+
+
+def _named(peer: str) -> str:
+    """Who is at an address."""
+    return "this computer" if peer in ("127.0.0.1", "::1") else peer
 
 
 def _run_facts(run: Hello) -> dict[str, Any]:

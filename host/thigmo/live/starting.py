@@ -40,10 +40,11 @@ class Started:
     def __init__(self, *command: str) -> None:
         self.name = command[0]
         self.held = self.name in _MOTIONS
+        self.on_robot = self.held or self.name == "clear"  # finishes the job of a run
         self._said: deque[str] = deque(maxlen=_LINES)
         # A session of its own: Ctrl-C at the server's terminal is not meant for it.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "thigmo", *command, *(["--held"] if self.held else [])],
+            [sys.executable, "-m", "thigmo", *command, *(["--by-page"] if self.on_robot else [])],
             stdin=subprocess.PIPE if self.held else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

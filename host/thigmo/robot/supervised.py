@@ -21,9 +21,11 @@ from thigmo.robot.configuration import get_parameter, send_config, set_parameter
 from thigmo.robot.connected import Connected
 from thigmo.robot.curvature import SensorTable
 from thigmo.robot.fibre import Fibre
+from thigmo.room import Operator, Patient
 from thigmo.wiring import muscle_outputs, sensor_name
 
 if TYPE_CHECKING:
+    from thigmo.link.client import Client
     from thigmo.link.protocol import Ack, Command
 
 R = TypeVar("R", bound=wire.Message)
@@ -31,6 +33,7 @@ R = TypeVar("R", bound=wire.Message)
 _SLICE_S = 0.25
 _PROMPT_S = 0.1  # where somebody asks meanwhile whether to go on
 _LINES_S = 2.0  # within which an interrogator sends its first lines
+_STRAIGHTENS_S = 1.2  # six times the body's usual lag, and more than the time between two shapes
 _VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
 OPEN, SHORT, _ENABLED = 1 << 3, 1 << 4, 1 << 5  # of sensor_report.flags
 _OF_A_MUSCLE = (
@@ -47,6 +50,17 @@ _BAD_SENSOR = {wire.Fault.FLEX_OPEN: OPEN, wire.Fault.FLEX_SHORT: SHORT}
 
 class Supervised(Connected):
     """A robot that can be configured, armed and vented."""
+
+    def __init__(self, client: Client, *, url: str = "", operator: Operator | None = None) -> None:
+        super().__init__(client, url=url, operator=operator)
+        if isinstance(self.operator, Patient):
+            self.operator.meanwhile = self.wait
+
+    def close(self) -> None:
+        """Make the robot safe and close the link. May be called twice."""
+        if isinstance(self.operator, Patient):
+            self.operator.meanwhile = None
+        super().close()
 
     # Waiting.
 
@@ -290,13 +304,15 @@ class Supervised(Connected):
             self._wait_vented()
 
     def watch_emptying(self) -> None:
-        """After a stop: keep the link alive until the muscles are empty, so that it is seen.
+        """After a stop: keep the link alive until the muscles are empty and the body has followed,
+        so that it is seen.
 
         Commands nothing, and ends without a word after the time in which they should have been.
         """
         end = self.now() + _VENT_S
         while "vented" not in self.status().conditions and self.now() < end:
             self.wait(0.2, despite_faults=True)
+        self.wait(_STRAIGHTENS_S, despite_faults=True)
 
     def _wait_vented(self) -> None:
         end = self.now() + _VENT_S

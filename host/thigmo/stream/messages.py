@@ -190,6 +190,7 @@ class Question(Message):
     CHANNEL = "question"
 
     text: str  #: empty once it is answered
+    unit: str = ""  #: of the number that is asked for; empty if only a confirmation is
 
 
 CHANNELS: Mapping[str, type[Message]] = {

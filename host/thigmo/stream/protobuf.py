@@ -23,9 +23,11 @@ from google.protobuf.descriptor_pb2 import (
     FileDescriptorSet,
 )
 from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import DecodeError
 from google.protobuf.message import Message as Proto
 from numpy.typing import NDArray
 
+from thigmo.errors import DataError
 from thigmo.stream.blocks import Phase, TelemetryBlock
 from thigmo.stream.foxglove import VIEWS, views
 from thigmo.stream.messages import ADAPTERS, CHANNELS, RECORDED, Message, Telemetry, validated
@@ -195,7 +197,12 @@ def _filled(
 def from_protobuf(channel: str, data: bytes) -> Message:
     """The message of `to_protobuf`'s bytes. Raises DataError if these are of other fields."""
     proto = _proto(channel)()
-    proto.MergeFromString(data)
+    try:
+        proto.MergeFromString(data)
+    except DecodeError as error:
+        raise DataError(
+            f"a message of /{channel} is damaged", "replay the run, which needs its frames only"
+        ) from error
     return validated(channel, _read(proto))
 
 

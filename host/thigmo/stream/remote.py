@@ -86,6 +86,12 @@ class Server(Closing):
             self._listener = Listener(self.address, backlog=8)
         self._accepting = _thread(self._accept)
 
+    @property
+    def viewers(self) -> int:
+        """How many clients there are."""
+        with self._lock:
+            return sum(thread.is_alive() for thread, _ in self._clients)
+
     def close(self) -> None:
         """Stop serving; clients have five seconds to read what remains. May be called twice."""
         with self._lock:

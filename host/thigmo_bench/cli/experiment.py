@@ -170,7 +170,7 @@ def _take(
     console = Console(quiet=quiet)
     given = RobotConfig.load(config) if config else None
     exploration = name == "exploration"
-    with console.interruptible():
+    with console.interruptible(url):
         with connect(url, seed=seed, operator=console) as machine:
             known = given or machine.known_config
             emulated = machine.scenery() is not None

@@ -11,6 +11,7 @@ import { stopReaches } from "./stop.js";
 import { $, add, addRows, reset, store } from "./store.js";
 import { drawWords, forget as forgetWords } from "./words.js";
 
+const AGES_MS = 1000; // a reading grows old also while nothing comes
 let lost = false, asked = false, spent = 0;
 let back = null; // the finished run that is looked back at
 let again = false; // the server is about to tell all of it once more
@@ -55,6 +56,7 @@ async function lookBack() {
 }
 
 function takePage(message) {
+  store.readAt = message.age_s === null || message.age_s === undefined ? null : performance.now() - 1000 * message.age_s;
   // A viewer of a robot that moves must be able to stop it: another run is live.
   if (message.mode === "live" && message.ended && message.run.id === back) message.mode = "record";
   const before = store.page, same = before?.run?.id === message.run?.id;
@@ -80,7 +82,10 @@ function batch(messages) {
   lost = false;
   for (const message of messages) {
     if (message.channel === "page") takePage(message);
-    else if (message.channel === "telemetry") addRows(message);
+    else if (message.channel === "telemetry") {
+      store.readAt ??= performance.now();
+      addRows(message);
+    }
     else if (message.channel === "dropped") {
       store.dropped = message.count;
       store.droppedAt = performance.now();
@@ -94,6 +99,7 @@ const { send } = listen({
   batch,
   lost: () => { lost = true; if (store.page?.mode !== "record") stopReaches("offline"); ask(); },
 });
+setInterval(ask, AGES_MS);
 connectControl(send, lookBack);
 connectPlayer(ask);
 redrawCharts();

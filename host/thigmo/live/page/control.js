@@ -13,7 +13,10 @@ export function connectControl(send, lookBack) {
   $("choice").addEventListener("change", () => send({ command: "choose", pid: Number($("choice").value) }));
   $("question").addEventListener("submit", (event) => {
     event.preventDefault();
-    send({ command: "answer", text: $("answer").value });
+    const text = $("answer").value.trim(), missing = missingIn(text, store.last.question?.unit);
+    $("answer-missing").textContent = missing;
+    if (missing) return $("answer").focus();
+    send({ command: "answer", text });
     $("answer").value = "";
   });
 }
@@ -40,7 +43,7 @@ const asked = () => store.last.state?.paused || store.page?.pausing;
 export function drawControl(lost) {
   const { page, last } = store;
   const live = page?.mode === "live" && !page.ended;
-  const moves = live && page.started?.held && page.started.runs;
+  const moves = live && page.started?.runs && page.started.name !== "explore";
   const operates = !!page?.operator && !lost;
   $("start").hidden = !(page?.start && !live);
   $("start").disabled = !operates || page?.starting || page?.latched && !page.start?.virtual;
@@ -55,10 +58,35 @@ export function drawControl(lost) {
   drawChoices(page, operates);
   $("viewers").textContent = page?.viewers > 1 ? `${page.viewers} pages look at this robot.` : "";
   drawOperate(!!page && !live && !page.starting && page.mode !== "record", operates);
-  const question = live ? last.question?.text ?? "" : "";
-  const fresh = question && $("question").hidden;
+  drawQuestion(question(), operates);
+}
+
+// What the run that is under way asks its operator: its text and the number's unit, or nothing.
+export function question() {
+  const { page, last } = store;
+  return page?.mode === "live" && !page.ended && last.question?.text ? last.question : null;
+}
+
+// A number is typed in; what is only to be done takes a button.
+let asks = null;
+function drawQuestion(question, operates) {
   $("question").hidden = !question;
-  if ($("question-text").textContent !== question) $("question-text").textContent = question;
-  $("answer").disabled = !operates;
-  if (fresh && operates) $("answer").focus();
+  $("answer").disabled = $("answer-send").disabled = !operates;
+  if (question === asks) return;
+  asks = question;
+  if (!question) return;
+  $("question-text").textContent = question.text;
+  $("answer-missing").textContent = "";
+  $("answer-field").hidden = !question.unit;
+  $("answer-unit").textContent = question.unit;
+  $("answer-send").textContent = question.unit ? "Answer" : "Done";
+  if (operates) (question.unit ? $("answer") : $("answer-send")).focus();
+}
+
+// What an answer lacks; nothing if it has all.
+function missingIn(text, unit) {
+  if (!unit) return "";
+  if (!text) return `The number is missing: type it in ${unit}, such as 20.5.`;
+  const number = text.replace(unit, "").trim();
+  return /^\d+([.,]\d*)?$/.test(number) ? "" : `“${text}” is not a number of ${unit}: type one such as 20.5.`;
 }

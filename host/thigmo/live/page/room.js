@@ -2,7 +2,7 @@
 // known of their place. x runs along the straight robot, y to its left, in cm.
 
 import { COST, arrange, box } from "./labels.js";
-import { $, columns, css, density, latest, pointEstimate, posterior, shade, store, time, COLUMN } from "./store.js";
+import { $, COLUMN, age, columns, css, density, latest, pointEstimate, posterior, shade, store, time } from "./store.js";
 import { line, make, minus, sized, text, ticks } from "./svg.js";
 
 const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
@@ -88,6 +88,7 @@ export function drawRoom() {
   const felt = posterior(), moves = felt?.sweeping && store.now - time(felt.t_s) < FRESH_S;
   const poses = moves ? last.shape?.poses : store.touched;
   moved.push(changed("posterior", felt && poses && [felt.t_s, felt.side, moves && last.shape.t_s].join(), () => drawPosterior(felt, poses, moves)));
+  svg.classList.toggle("old", age() > 0);
   if (moved.some(Boolean)) drawLabels(shape?.poses ?? [], felt && poses || []);
 }
 

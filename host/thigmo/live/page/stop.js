@@ -1,10 +1,12 @@
 // Stop: without confirmation, by a press on the button, the space bar or Escape, wherever the focus
-// is. Each stop is a request of its own, beside the stream, so that a page that is behind with its
-// drawing stops as fast as any. What the button says is what is known: whom a stop is for, that its
-// board has confirmed it, that it has not, or why no stop would arrive.
+// is; where text is typed, Space is text and Escape alone stops. Each stop is a request of its own,
+// beside the stream, so that a page that is behind with its drawing stops as fast as any. What the
+// button says is what is known: whom a stop is for, that its board has confirmed it, that it has not,
+// or why no stop would arrive.
 
 import { $, store } from "./store.js";
 
+const PRESSED = "stopped at"; // kept while this page is open, also when it is loaded again
 const REPEAT_MS = 400; // of a stop that found no server
 const PATIENCE_MS = 5000;
 const button = $("stop");
@@ -12,11 +14,18 @@ const [word, says, robot] = button.children;
 let state = "idle", pending = false, outcome = null;
 let last_s = 0, tried = null; // when a stop was last answered, and of which run it was
 
+// What one types into, and where a space is therefore no stop.
+const TYPED = "textarea, [contenteditable], input:not([type=range], [type=checkbox], [type=radio], [type=button])";
+const typed = (target) => target instanceof Element && target.matches(TYPED);
+// Whether what was stopped was emulated, and its program has ended.
+const hasEnded = () => !!outcome?.robots.length && outcome.robots.every((each) => each.confirmed_by.startsWith("the end"));
+const keys = () => typed(document.activeElement) ? "Esc" : "Space or Esc";
+
 const WORDS = {
-  idle: ["Stop", "Space or Esc"],
-  ready: ["Stop", "Space or Esc"],
+  idle: ["Stop", keys],
+  ready: ["Stop", keys],
   stopping: ["Stopping", "waiting for the board"],
-  stopped: ["Stopped", "the board has confirmed"], // or has ended with the run that emulated it
+  stopped: ["Stopped", () => hasEnded() ? "it has ended with its run" : "the board has confirmed"],
   unconfirmed: ["Not confirmed", "use the e-stop"],
   lost: ["Stop not connected:", "use the e-stop"],
 };
@@ -24,8 +33,9 @@ const WORDS = {
 function show(next) {
   state = next;
   button.dataset.state = { unconfirmed: "lost" }[next] ?? next;
-  [word.textContent, says.textContent] = WORDS[next];
+  word.textContent = WORDS[next][0];
   document.body.dataset.stop = next;
+  sayKeys();
   name();
 }
 
@@ -35,13 +45,19 @@ function name() {
   if (state === "stopped" && robots.length) {
     robot.textContent = robots.map((each) => each.robot).join(", ");
     button.title = robots.map((each) => `${each.robot}: confirmed by ${each.confirmed_by}`).join("\n");
-    if (robots.every((each) => each.confirmed_by.startsWith("the end"))) says.textContent = "it has ended with its run";
     return;
   }
   const nobody = state === "idle" || state === "lost";
   robot.textContent = (nobody && page?.stop_why_not) || (page ? page.stop_robot ?? "all robots in use" : "");
   button.title = state === "unconfirmed" ? outcome?.failed ?? "" : "";
 }
+
+// The keys that stop now: they depend on where the focus is.
+function sayKeys() {
+  const said = WORDS[state][1];
+  says.textContent = typeof said === "string" ? said : said();
+}
+for (const moved of ["focusin", "focusout"]) document.addEventListener(moved, () => setTimeout(sayKeys));
 
 // What is known of the way to the robot: "none" while nothing runs, "lost" where nobody owns its port
 // any more, "offline" where this page has lost its server. What became of a stop is shown until the
@@ -53,8 +69,14 @@ export function stopReaches(way, page = null) {
   if (page?.latched) next = "stopped";
   else if (state === "unconfirmed" && page && page.run?.id === tried) return;
   if (state !== next) show(next);
-  else name();
+  else {
+    sayKeys(); // a field that is hidden loses the focus without an event
+    name();
+  }
 }
+
+// When this page last stopped a robot, by the server's clock.
+export const pressedHere = () => Number(sessionStorage.getItem(PRESSED));
 
 export async function stop() {
   if (document.body.dataset.mode === "record" || pending) return;
@@ -68,6 +90,7 @@ export async function stop() {
       const answer = await fetch("stop", { method: "POST", keepalive: true, cache: "no-store" });
       outcome = await answer.json();
       if (outcome.robots.length) last_s = outcome.at_s;
+      if (outcome.stopped.length) sessionStorage.setItem(PRESSED, last_s);
       next = outcome.failed ? "unconfirmed" : outcome.robots.length ? "stopped" : "idle";
       break;
     } catch {
@@ -85,7 +108,8 @@ button.addEventListener("click", stop); // assistive technology, and Enter
 // Both the press and the release are taken: a browser clicks a focused button on either.
 for (const kind of ["keydown", "keyup"]) {
   window.addEventListener(kind, (event) => {
-    if (event.code !== "Space" && event.key !== " " && event.key !== "Escape") return;
+    const space = event.code === "Space" || event.key === " ";
+    if (event.key !== "Escape" && !(space && !typed(event.target))) return;
     event.preventDefault();
     event.stopImmediatePropagation();
     if (kind === "keydown" && !event.repeat) stop();

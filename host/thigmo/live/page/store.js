@@ -36,6 +36,7 @@ const nothing = () => ({
   dropped: 0,
 });
 export const store = {
+  readAt: null, // when the last reading came, by performance.now()
   page: null, // what the server says of itself and of the run
   columns: Array.from({ length: COLUMNS + SENSORS }, () => []),
   drawnEpoch: 0,
@@ -125,6 +126,15 @@ function mostBent(shapes, side) {
     else if (found && bent < most / 2) break; // that was another sweep
   }
   return found;
+}
+
+const OLD_S = 2;
+// How old the last reading is, s; 0 while it is fresh, of a run that is over, or where there is none.
+export function age() {
+  const { page, readAt } = store;
+  if (page?.mode !== "live" || readAt === null) return 0;
+  const seconds = (performance.now() - readAt) / 1000;
+  return seconds < OLD_S ? 0 : seconds;
 }
 
 // A contact of a method that knows no error: nothing of it is drawn but its place.

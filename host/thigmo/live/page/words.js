@@ -1,6 +1,8 @@
 // What is said in words: the header, banners, contacts and events.
 
-import { $, COLUMN, muscles, element, latest, store, time } from "./store.js";
+import { question } from "./control.js";
+import { pressedHere } from "./stop.js";
+import { $, COLUMN, age, muscles, element, latest, store, time } from "./store.js";
 import { minus, rounded } from "./svg.js";
 
 const ICONS = {
@@ -8,7 +10,12 @@ const ICONS = {
   warning: '<svg class="icon" viewBox="0 0 12 12" aria-label="warning"><path d="M6 1.2 11.4 11H.6Z" fill="var(--warn)"/></svg>',
   fault: '<svg class="icon" viewBox="0 0 12 12" aria-label="fault"><path d="M3.6.8h4.8l2.8 2.8v4.8l-2.8 2.8H3.6L.8 8.4V3.6Z" fill="var(--fault)"/></svg>',
 };
-const MOTIONS = { clear: ["Letting it go", "Clear"], retract: ["Retracting", "The retraction"], jog: ["Jogging", "The jog"] };
+// Of each command that finishes the job: while it runs, once it has ended well, and its name.
+const MOTIONS = {
+  clear: ["Clearing the stop", "Cleared", "Clear"],
+  retract: ["Retracting", "Retracted", "The retraction"],
+  jog: ["Jogging", "Jogged", "The jog"],
+};
 const EMPTY_PSI = .5;
 const SHOWN = 300;
 let listed;
@@ -39,7 +46,11 @@ export function drawWords(lost) {
   const any = store.columns[0].length > 0;
   $("clock").textContent = any ? fixed(store.now, 1) : "–";
   $("length").textContent = any ? fixed(latest(COLUMN.length), 1) : "–";
-  $("phase").textContent = board.state ? board.state.replaceAll("_", " ") : "–";
+  $("phase").textContent = phase(board);
+  const old = ago(age());
+  $("age-fact").hidden = !old;
+  $("age").textContent = old;
+  $("room-age").textContent = old && `as read ${old}`;
   $("last-stop").textContent = lastStop();
   drawContactRows();
   drawEvents();
@@ -50,30 +61,54 @@ export function drawWords(lost) {
 function emptying() {
   const { board } = store;
   if (!board.faults.includes("stopped")) return "The board has not sent its pressures since.";
-  const psi = muscles().map(({ output }) => latest(COLUMN.pressure + output));
+  const psi = muscles().map(({ output }) => Math.max(latest(COLUMN.pressure + output), 0)); // no -0.0
   const pressures = muscles().map(({ name }, n) => `${name} ${fixed(psi[n], 1)} psi`).join(", ");
   return `The muscles ${Math.max(...psi) < EMPTY_PSI ? "are empty" : "are emptying"}: ${pressures}.`;
+}
+
+// The board's state, by its last reading.
+function phase({ state, faults }) {
+  if (!state) return "–";
+  return faults.length === 1 && faults[0] === "stopped" ? "stopped" : state.replaceAll("_", " ");
+}
+
+// Since when, in words; nothing for a moment ago.
+function ago(seconds) {
+  if (!seconds) return "";
+  if (seconds < 100) return `${rounded(seconds, 0)} s ago`;
+  return seconds < 5400 ? `${rounded(seconds / 60, 0)} min ago` : `${rounded(seconds / 3600, 0)} h ago`;
+}
+
+const clock = (at_s) => new Date(1000 * at_s).toLocaleTimeString("en-GB");
+
+// Since when the robot is stopped, and from where, as far as it was on a page.
+function stopped({ at_s, by }) {
+  const from = at_s === pressedHere() ? " from this page" : by === "this computer" ? " from another page" : by && ` from ${by}`;
+  return `Stopped${from}, ${clock(at_s)}`;
 }
 
 // Who stopped last, and what came of it: it stays shown, whatever runs next.
 function lastStop() {
   const stop = store.page?.last_stop;
   if (!stop) return "";
-  const at = new Date(1000 * stop.at_s).toLocaleTimeString();
   const came = stop.robots.map(({ robot, confirmed_by, failure }) =>
     failure ? `${robot} NOT confirmed: ${failure}` : `${robot} confirmed by ${confirmed_by}`);
-  return `Last stop: ${at}, pressed on ${stop.by}: ${came.join("; ")}.`;
+  return `Last stop: ${clock(stop.at_s)}, pressed on ${stop.by}: ${came.join("; ")}.`;
 }
 
 function doing(lost) {
   const { page, last } = store;
   if (lost) return "No connection to the page’s server";
   if (!page) return "Connecting";
-  if (page.started?.runs && page.started.name !== "explore") return MOTIONS[page.started.name][0];
+  const motion = MOTIONS[page.started?.name];
+  if (motion && page.started.runs) return motion[0];
+  if (page.starting) return "Starting";
+  if (page.latched) return stopped(page.stopped);
+  if (motion) return page.started.failure ? `${motion[2]} ended early` : motion[1];
   if (page.mode === "idle") {
-    if (page.starting) return "Starting";
     return page.start ? "Nothing runs yet" : "Waiting for a run: start one with thigmo explore";
   }
+  if (question()) return "Waiting for your answer";
   const { state } = last;
   if (!state) return page.mode === "record" ? "Recorded run" : "Connected";
   if (state.outcome !== "running") return `Ended: ${state.outcome}`;
@@ -154,21 +189,20 @@ function drawBanners(lost) {
   if (page?.mode === "live" && !lost && page.silent_s > 2 && !page.ended) {
     banners.push(["warning", `No reading for ${rounded(page.silent_s, 0)} s.`, "The run may hang. Stop works: the process that owns the port takes it."]);
   }
-  const stopped = document.body.dataset.stop === "stopped" && !lost;
-  if (stopped) {
-    const by = page?.last_stop ? ` by ${page.last_stop.by}` : "";
-    banners.push(["note", `Stopped${by}: valves off, motor braked. ${emptying()}`, page?.robot
-      ? "Look at the robot, then Clear lets it move again, and Retract winds it in."
-      : "This robot lives in its run, and ends with it."]);
+  const latched = page?.latched && !lost;
+  if (latched) {
+    banners.push(["note", `Valves off, motor braked. ${emptying()}`, page.robot
+      ? "Look at the robot. Clear lets it move again; then Retract winds it in."
+      : "This robot lives in its run and has ended with it. Start begins a new one."]);
   }
   for (const fault of board.faults) {
-    if (fault === "stopped" && stopped) continue;
+    if (fault === "stopped" && latched) continue;
     const event = events.findLast((each) => each.severity === "fault" && each.name === fault);
     banners.push(["fault", event?.message ?? `Fault: ${fault}.`, event?.next ?? ""]);
   }
   if (page?.failure) banners.push(["fault", "The record cannot be read.", page.failure]);
   const { name, said, failure } = page?.started ?? {};
-  if (failure && !stopped) banners.push(["fault", `${MOTIONS[name]?.[1] ?? "The run"} did not start, or ended early.`, failure]);
+  if (failure && !latched) banners.push(["fault", `${MOTIONS[name]?.[2] ?? "The run"} did not start, or ended early.`, failure]);
   else if (said && name !== "explore") banners.push(["note", said, ""]);
   if (store.dropped && performance.now() - store.droppedAt < 5000) {
     banners.push(["warning", `This page is slow: ${store.dropped} readings were left out.`, "The robot and its record miss nothing."]);
