@@ -127,17 +127,16 @@ class Watched:
         ended, run = self._ended, self._run
         if target.program is None:
             return stop_all() if target.url is None else stop_robot(target.url)
-        if run is None or target.run is None or run.hello != target.run:
-            return stop_robot(target.url or "", target.program)
+        stopped = stop_robot(target.url or "", target.program)
+        confirmed = stopped and not any(result.failure for result in stopped)
+        if confirmed or run is None or run.hello != target.run:
+            return stopped
+        # Its program hangs, ends, or has no board that takes stops: it ends with its run.
         with suppress(LinkError):  # it has just ended
             run.send("stop")
-        stopped = stop_robot(run.hello.url, run.hello.pid)
-        if stopped and not any(each.failure for each in stopped):
-            return stopped
-        # It may be ending, or have no board that takes stops: at its end its robot has ended, too.
         if ended.wait(_STOP_S):
             return [Stopped(run.hello.url, f"the end of its run {run.hello.name}")]
-        failure = f"the run {run.hello.name} does not answer; end its program"
+        failure = f"the run {run.hello.name} does not answer; use the emergency stop, or end it"
         return stopped or [Stopped(run.hello.url, failure=failure)]
 
     def close(self) -> None:
