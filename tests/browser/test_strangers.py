@@ -8,7 +8,7 @@ from browsing import Looking, Served
 from playwright.sync_api import Browser, Page, expect
 from scripted import ScriptedRun
 
-from thigmo.live.opening import OpeningFile
+from thigmo.live.opening_file import OpeningFile
 
 ServePage = Callable[..., Served]
 TRY = """async (address) => {

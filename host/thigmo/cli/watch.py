@@ -67,6 +67,7 @@ def watch(
 
     require("live", "the page")
     from thigmo.live.server import WatchOptions, serve
+    from thigmo.live.starting import explore_options
 
     past = finished_run(target)
     if past is not None and foxglove:
@@ -75,7 +76,7 @@ def watch(
             f"open {past / 'run.mcap'} in Foxglove as a local file",
         )
     url = None if past else target
-    exploring = _exploring(out, config)
+    exploring = explore_options(out, config)
     options = WatchOptions(past, url, config, exploring, parameters(), host, port, leave)
 
     def announce(address: str) -> None:
@@ -101,11 +102,6 @@ def watch(
             asyncio.run(until_interrupted())
         except KeyboardInterrupt:
             raise typer.Exit from None
-
-
-def _exploring(out: Path, config: Path | None) -> tuple[str, ...]:
-    """Options of the explorations that the page starts."""
-    return ("--out", str(out), *(("--config", str(config)) if config else ()))
 
 
 def parameters() -> tuple[Parameter, ...]:
@@ -166,31 +162,6 @@ def _foxglove(url: str | None, port: int) -> Iterator[None]:
             thread.join()
 
 
-def open_page(url: str, out: Path, config: Path | None) -> None:
-    """Serve and open the page of a robot's runs beside this command, as long as it is of use."""
-    import subprocess
-    import threading
-
-    from thigmo.extras import require
-
-    require("live", "--watch")
-    page = subprocess.Popen(
-        [sys.executable, "-m", "thigmo", "watch", url, "--leave", *_exploring(out, config)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-        text=True,
-    )
-
-    # It must not hold this command's own stderr open, which others may read to its end.
-    def tell_address() -> None:
-        assert page.stderr is not None
-        typer.echo(page.stderr.readline(), nl=False, err=True)
-
-    threading.Thread(target=tell_address, daemon=True).start()
-
-
 def _draw_code(address: str) -> None:
     import io
 
@@ -208,7 +179,7 @@ def _open_browser(afterwards: ExitStack, address: str) -> None:
     """
     import subprocess
 
-    from thigmo.live.opening import OpeningFile
+    from thigmo.live.opening_file import OpeningFile
 
     try:
         leads = afterwards.enter_context(OpeningFile(address))

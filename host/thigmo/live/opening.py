@@ -1,43 +1,35 @@
-"""The page's address, handed to a browser by a file that only this user can read.
-
-The address carries the token, and every user of a computer can read the command line of a browser.
-So the browser is given a file that leads to the address, as Jupyter does. The file lies in the home
-folder and is not hidden, because browsers that are installed as snaps can read nothing else.
-"""
+"""Opens the page of a robot's runs beside a command that drives the robot."""
 
 from __future__ import annotations
 
-import os
-import tempfile
-from html import escape
+import subprocess
+import sys
+import threading
 from pathlib import Path
 
-from thigmo.closing import Closing
-
-_LEADS = (
-    '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
-    '<meta http-equiv="refresh" content="0; url={0}"><title>thigmo</title>'
-    '<a href="{0}">The page of the robot</a>\n'
-)
+from thigmo.extras import require
+from thigmo.live.starting import explore_options
 
 
-class OpeningFile(Closing):
-    """A file that leads a browser to an address, until it is closed. Raises OSError."""
+def open_page(url: str, out: Path, config: Path | None) -> None:
+    """Serve and open the page of a robot's runs beside this command, as long as it is of use.
 
-    def __init__(self, address: str) -> None:
-        home = Path.home()
-        folder = home if os.access(home, os.W_OK) else None  # None: the one for temporary files
-        # Mode 600, and no name that others could have taken before.
-        descriptor, name = tempfile.mkstemp(".html", "thigmo-page-", folder)
-        self._path = Path(name)
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(_LEADS.format(escape(address)))
+    Raises NotInstalledError if the page's packages are missing.
+    """
+    require("live", "--watch")
+    page = subprocess.Popen(
+        [sys.executable, "-m", "thigmo", "watch", url, "--leave", *explore_options(out, config)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    )
 
-    @property
-    def url(self) -> str:
-        """What the browser is given."""
-        return self._path.as_uri()
+    # The page must not hold this command's own stderr open, which others may read to its end.
+    def tell_address() -> None:
+        assert page.stderr is not None
+        sys.stderr.write(page.stderr.readline())
+        sys.stderr.flush()
 
-    def close(self) -> None:
-        """Remove the file."""
-        self._path.unlink(missing_ok=True)
+    threading.Thread(target=tell_address, daemon=True).start()
