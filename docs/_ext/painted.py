@@ -6,8 +6,8 @@ import numpy as np
 
 from thigmo.camera import Sheet
 from thigmo.camera.detection import write_picture
-from thigmo.camera.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo.camera.sheet import card_decals, tip_decal
+from thigmo.emulator.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo_bench.studies.camera import axis_of
 
 SHEET = Sheet(camera_height_cm=105.0)

@@ -9,6 +9,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from thigmo import version
+
 if TYPE_CHECKING:
     from thigmo.config import RobotConfig
     from thigmo.design import Identifiability, arc_bounds, identifiability
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
     )
     from thigmo.robot import Robot, connect
 
-__version__ = "0.2.0"
+__version__ = version.VERSION
 
 _NAMES = {
     "config": ["RobotConfig"],

@@ -5,8 +5,7 @@ callers and by the emulator (whose scene describes the *true* robot with the sam
 calibration can be compared with the truth). Lengths in cm, pressures in psi gauge, curvature in
 1/cm, time in s, resistance in ohm.
 
-A robot is lists: muscles, sensors and body pressures, each with what is known of it. Files that
-were written before (version 1, with tables for left and right) are read as well.
+A robot is lists: muscles, sensors and body pressures, each with what is known of it.
 
 Sign convention, everywhere in this project: x runs along the straight robot from its base, y to
 its left; curvature is positive when the body bends to the left (towards +y). A direction is an
@@ -335,7 +334,7 @@ BoardSensor = FlexSensor | HeadingSensor
 
 
 def _kind(data: Any) -> str:
-    """Kind of a sensor's entry; files from before there were kinds have flex sensors."""
+    """Kind of a sensor's entry; an entry that names none is a flex sensor."""
     if isinstance(data, dict):
         return str(data.get("kind", "flex"))
     return data.kind if isinstance(data, _Sensor) else ""
@@ -464,11 +463,6 @@ class RobotConfig(Model):
     spool: Spool = Field(default_factory=Spool)
     board: Board = Field(default_factory=Board)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _of_any_version(cls, data: Any) -> Any:
-        return upgraded(data) if isinstance(data, dict) else data
-
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         first: dict[tuple[bool, float], float] = {}  # of each column: the board's base sensor
@@ -593,39 +587,6 @@ class RobotConfig(Model):
         return backup
 
 
-def upgraded(data: dict[str, Any]) -> dict[str, Any]:
-    """A robot's entries in today's lists, from those of any version.
-
-    Version 1 had tables `sensors` and `actuators` with `left` and `right`, and `body.zones`.
-    """
-    old = data.get("version") == 1 or "actuators" in data or isinstance(data.get("sensors"), dict)
-    body = data.get("body")
-    if not old and not (isinstance(body, dict) and "zones" in body):
-        return data
-    made = {k: v for k, v in data.items() if k not in ("version", "sensors", "actuators")}
-    sensors, actuators = data.get("sensors", {}), data.get("actuators", {})
-    if isinstance(body, dict):
-        made["body"] = {{"zones": "pressure"}.get(k, k): v for k, v in body.items()}
-    if "pitch_cm" in sensors:
-        made["body"] = made.get("body", {}) | {"pitch_cm": sensors["pitch_cm"]}
-    if board := {k: sensors[k] for k in ("divider_ohm", "settle_s") if k in sensors}:
-        made["board"] = board
-    centers = [{"center_cm": sensor.center_cm} for sensor in _default_sensors()[:5]]
-    if sensors:
-        made["sensor"] = [
-            sensor | {"direction_deg": DEGREES[side]}
-            for side in SIDES
-            for sensor in sensors.get(side, centers)
-        ]
-    if actuators:
-        made["muscle"] = [
-            {"name": side, "direction_deg": DEGREES[side]}
-            | {{"maps": "map"}.get(k, k): v for k, v in actuators.get(side, {}).items()}
-            for side in SIDES
-        ]
-    return made
-
-
 M = TypeVar("M", bound=Model)
 
 
@@ -647,7 +608,7 @@ def load_toml(model: type[M], path: str | os.PathLike[str]) -> M:
 def _line_of(error: ValidationError, text: str) -> int:
     """Line of a TOML file, from 1, with its first invalid entry, or the table where one is missing.
 
-    0 if there is none, as in a file of version 1.
+    0 if there is none.
     """
     first = error.errors()[0]
     # A check of the whole file names the table in its sentence; kinds of sensors are no keys.

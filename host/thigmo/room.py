@@ -91,5 +91,10 @@ class Simulated(Protocol):
     def interrogator(self) -> Any:
         """A source of its fibre's lines, as `thigmo.link.interrogator.Source` has it."""
 
+    def overhead_pictures(self, sheet: Any, seed: int) -> Any:
+        """Pictures of a camera above the room (`thigmo.camera.PictureSource`) for a `Sheet` on the
+        table, and the camera's height (cm) as measured with a tape.
+        """
+
     def truth(self) -> Any:
         """What the room knows: pegs, contacts and shapes."""

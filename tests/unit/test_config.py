@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -28,13 +27,14 @@ def test_an_existing_file_is_kept_aside_each_time(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("version = 3", "version"),
+        ("version = 1", "version: Input should be 2"),
+        ("[[sensors.left]]\ncenter_cm = 12", "sensors: Input should be a valid list"),
         ("nmae = 'typo'", "nmae"),
         ("[body]\nlength_cm = -1", "body.length_cm"),
         ("[body]\nlength_cm = nan", "body.length_cm"),
-        ("[body]\nlength_cm = 40\nzones = [{until_cm = 40, pressure_psi = 1}]", "beyond"),
-        ("[[sensors.left]]\ncenter_cm = 51", "sensor[0]"),
-        ("[body]\nzones = [{until_cm = 53, pressure_psi = 1}]", "one for each of body.pressure"),
+        ("[body]\nlength_cm = 40\npressure = [{until_cm = 40, pressure_psi = 1}]", "beyond"),
+        ("[[sensor]]\ncenter_cm = 51", "sensor[0]"),
+        ("[body]\npressure = [{until_cm = 53, pressure_psi = 1}]", "one for each of body.pressure"),
         ("= nonsense", "not valid TOML"),
         ("sensor = ['flex', 5]", "sensor.0: a sensor is a table"),
         ("[[sensor]]\ncenter_cm = 2", "sensor[0] begins before the base"),
@@ -67,37 +67,6 @@ def test_missing_and_unwritable_files_say_what_to_do(tmp_path: Path) -> None:
 )
 def test_zone_boundaries_belong_to_the_zone_below(length_cm: float, zone: int) -> None:
     assert Body().zone_at(length_cm) == zone
-
-
-def test_a_file_of_version_1_is_read_and_written_as_lists(tmp_path: Path) -> None:
-    old = Path(__file__).parent.parent / "data" / "robot_version_1.toml"
-    config = RobotConfig.load(old)
-    before = tomllib.loads(old.read_text())
-    for side, direction in (("left", 90.0), ("right", 270.0)):
-        entries = before["sensors"][side]
-        assert [s.direction_deg for s in config.column(side)] == [direction] * 5
-        for sensor, entry in zip(config.column(side), entries, strict=True):
-            assert entry == sensor.model_dump(include=set(entry))
-        muscle = config.muscle(side).model_dump(by_alias=True)
-        assert muscle["map"] == before["actuators"][side].pop("maps")
-        assert before["actuators"][side].items() <= muscle.items()
-    assert config.body.pitch_cm == before["sensors"]["pitch_cm"]
-    assert config.board.divider_ohm == before["sensors"]["divider_ohm"]
-    assert config.board.settle_s == before["sensors"]["settle_s"]
-    config.save(tmp_path / "robot.toml")
-    written = tomllib.loads((tmp_path / "robot.toml").read_text())
-    assert {"muscle", "sensor"} <= written.keys()
-    assert RobotConfig.load(tmp_path / "robot.toml") == config
-
-
-def test_tables_that_version_1_left_out_are_the_defaults(tmp_path: Path) -> None:
-    path = tmp_path / "robot.toml"
-    path.write_text("version = 1\n[[sensors.left]]\ncenter_cm = 12\n[actuators.right]\nlag_s = 0.4")
-    config = RobotConfig.load(path)
-    assert [s.center_cm for s in config.column("left")] == [12]
-    assert config.column("right") == RobotConfig().column("right")
-    assert config.muscle("left") == RobotConfig().muscle("left")
-    assert config.muscle("right").lag_s == 0.4
 
 
 def test_a_robot_of_one_muscle_has_one_side() -> None:

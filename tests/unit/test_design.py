@@ -224,7 +224,7 @@ def test_a_new_robot_leaves_no_scene_of_the_one_before(tmp_path: Path, thigmo: T
     assert {file.name for file in folder.iterdir()} == {"robot.toml", "robot.toml.1.bak"}
 
 
-def test_the_commands_write_check_and_convert(tmp_path: Path, thigmo: Thigmo) -> None:
+def test_the_commands_write_and_check(tmp_path: Path, thigmo: Thigmo) -> None:
     folder = tmp_path / "long"
     thigmo("robot", "new", "--length", "120", "--sensors", "8", "--muscles", "1", "--out", folder)
     scene = json.loads(thigmo("scene", "check", folder / "scene.toml", "--json").out)
@@ -236,14 +236,6 @@ def test_the_commands_write_check_and_convert(tmp_path: Path, thigmo: Thigmo) ->
     shown = thigmo("robot", "check", folder / "robot.toml").out.splitlines()
     assert max(map(len, shown)) <= 80
     assert {line[:8].strip() for line in shown} <= {"ok", "warning", "bad", ""}
-    old = tmp_path / "robot.toml"
-    old.write_text("version = 1\n[sensors]\nsettle_s = 12.0\n")
-    thigmo("robot", "convert", old)
-    assert "settle_s = 12.0" in old.read_text()
-    assert "[[sensor]]" in old.read_text()
-    assert RobotConfig.load(tmp_path / "robot.toml.1.bak").board.settle_s == 12.0
-    thigmo("robot", "convert", old)
-    assert not (tmp_path / "robot.toml.2.bak").exists()
 
 
 @pytest.mark.parametrize(("muscles", "unguarded"), [(3, []), (4, ["180deg", "0deg"])])

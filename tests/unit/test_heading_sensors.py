@@ -60,12 +60,12 @@ def test_a_string_serves_both_muscles_and_its_base_counts_while_either_bends() -
 def test_a_file_without_kinds_has_flex_sensors_and_an_unknown_kind_is_named(
     tmp_path: Path,
 ) -> None:
-    old = tmp_path / "robot.toml"
-    old.write_text("version = 2\n[[sensor]]\ncenter_cm = 5.0\n")
-    assert RobotConfig.load(old).sensors == [FlexSensor(center_cm=5.0)]
-    old.write_text('version = 2\n[[sensor]]\nkind = "headng"\ncenter_cm = 5.0\n')
+    file = tmp_path / "robot.toml"
+    file.write_text("version = 2\n[[sensor]]\ncenter_cm = 5.0\n")
+    assert RobotConfig.load(file).sensors == [FlexSensor(center_cm=5.0)]
+    file.write_text('version = 2\n[[sensor]]\nkind = "headng"\ncenter_cm = 5.0\n')
     with pytest.raises(ConfigError, match=r"sensor\.0: .* kind is flex, heading or fibre"):
-        RobotConfig.load(old)
+        RobotConfig.load(file)
     CONFIG.save(tmp_path / "new.toml")
     assert RobotConfig.load(tmp_path / "new.toml") == CONFIG
 

@@ -129,7 +129,7 @@ def test_a_result_in_a_notebook_draws_body_and_contact(felt: thigmo.LocalizeResu
     assert felt.message in words
     assert f"{felt.contacts[0].arc:.4g}" in words
     assert {"svg", "path", "circle", "table"} <= set(page.elements)
-    point = thigmo.localize(TOUCHED, X, length=53, span=5.5, method="l1")
+    point = thigmo.localize(TOUCHED, X, length=53, span=5.5, method="thesis")
     assert "path" not in _page(point).elements  # a point fit has no posterior
     free = thigmo.localize(np.zeros(5), X, length=53, span=5.5, noise=6e-4)
     assert "svg" not in _page(free).elements
@@ -204,7 +204,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
         thigmo.open_run(tmp_path)
 
 
-@pytest.mark.parametrize("method", ["posterior", "l1", "thesis"])
+@pytest.mark.parametrize("method", ["posterior", "thesis"])
 def test_a_result_survives_pickle_and_is_plain_data(method: str) -> None:
     felt = thigmo.localize(TOUCHED, X, length=53, span=5.5, method=method)
     again = pickle.loads(pickle.dumps(felt))

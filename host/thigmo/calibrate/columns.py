@@ -50,15 +50,9 @@ def medians(rows: Array) -> Array:
 
 
 def of_sensors(table: Table, what: str, config: RobotConfig) -> Array:
-    """(n, m) values of the columns `WHAT_SENSOR` of a CSV, such as `ohm_left_0` or `ohm_270deg_0`.
-
-    Older files name all sensors by their side: `ohm_right_0`.
-    """
-    found = []
-    for name, (side, k) in zip(sensors_of(config), places_of(config), strict=True):
-        own, older = f"{what}_{wiring.key_of(name)}", f"{what}_{side}_{k}"
-        found.append(table.numbers(older if older in table and own not in table else own))
-    return np.column_stack(found)
+    """(n, m) values of the columns `WHAT_SENSOR` of a CSV: `ohm_left_0` or `ohm_270deg_0`."""
+    keys = [wiring.key_of(name) for name in sensors_of(config)]
+    return np.column_stack([table.numbers(f"{what}_{key}") for key in keys])
 
 
 def sides_of(table: Table) -> list[Side]:

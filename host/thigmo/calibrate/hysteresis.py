@@ -16,7 +16,7 @@ from scipy.stats import median_abs_deviation
 
 from thigmo import wiring
 from thigmo.calibrate.bench import SAME_CM, Bench, growth_rows
-from thigmo.calibrate.columns import Array, grouped, places_of, sensors_of, sides_of
+from thigmo.calibrate.columns import Array, grouped, sensors_of
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
@@ -100,16 +100,9 @@ def of_csv(table: Table, config: RobotConfig) -> HysteresisResult:
 
 
 def _names(table: Table, config: RobotConfig) -> list[str]:
-    """(n,) names of the sensors, from `sensor`, or from `side` and `index` of older files."""
-    names = list(sensors_of(config))
-    if "sensor" in table:
-        known = {wiring.key_of(name): name for name in names}
-        given = table.words("sensor")
-    else:
-        places = [f"{side}_{k}" for side, k in places_of(config)]
-        known = dict(zip(places, names, strict=True))
-        each = zip(sides_of(table), table.whole("index").tolist(), strict=True)
-        given = [f"{side}_{k}" for side, k in each]
+    """(n,) names of the sensors, from the column `sensor`."""
+    known = {wiring.key_of(name): name for name in sensors_of(config)}
+    given = table.words("sensor")
     for one in given:
         if one not in known:
             cure = f"use {', '.join(known)}"

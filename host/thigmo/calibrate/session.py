@@ -96,14 +96,15 @@ class Session:
             ) from error
         return data if good else None
 
-    def keep(self, step: str, result: StepResult) -> list[str]:
-        """Store a result and its figure, and put a good one into robot.toml. Returns messages."""
-        from thigmo.calibrate.step_figures import draw  # takes Matplotlib with it
+    def figure(self, step: str) -> Path:
+        """The file of a step's figure."""
+        return self.folder / f"{step}.png"
 
+    def keep(self, step: str, result: StepResult) -> list[str]:
+        """Store a result, and put a good one into robot.toml. Returns messages."""
         file = self.folder / f"{step}.json"
         with DataError.from_os(f"cannot write {file}", _FULL):
             write_whole(file, json.dumps(result.as_data(), indent=1))
-        draw(result, self.folder / f"{step}.png")
         good, reason, notes = result.verdict.good, result.verdict.reason, result.verdict.notes
         said = [f"{step}: {'good' if good else 'BAD'}: {reason}", *(f"  {note}" for note in notes)]
         made = result.apply(self.config) if good else self.config

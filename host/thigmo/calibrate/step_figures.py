@@ -22,9 +22,9 @@ from thigmo.calibrate.hysteresis import HysteresisResult
 from thigmo.calibrate.noise import NoiseResult
 from thigmo.calibrate.stiffness import StiffnessResult
 from thigmo.calibrate.verdict import StepResult, Verdict
+from thigmo.display.axes import BLUE, CYCLE, GREEN, ORANGE, RED
 from thigmo.errors import DataError
 from thigmo.files import whole_file
-from thigmo.report.axes import BLUE, CYCLE, GREEN, ORANGE, RED
 
 _MARK = {"straight": ("s", "0.5"), "tip": ("o", BLUE), "bend": ("^", GREEN)}
 

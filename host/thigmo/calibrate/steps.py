@@ -128,6 +128,9 @@ def run(bench: Bench, step: str, *, again: bool = False, method: str | None = No
     else:
         bench.start()
     result = STEPS[step].guided(bench, *STEPS[step].other_fit(method))
+    from thigmo.calibrate.step_figures import draw  # takes Matplotlib with it
+
+    draw(result, bench.session.figure(step))
     bench.finish(step, result)
     return result
 

@@ -5,7 +5,6 @@ heavy.
 """
 
 from thigmo.camera.centerline import fit_centerline
-from thigmo.camera.clicks import Clicks
 from thigmo.camera.detection import Detection, Wanted, detect, draw
 from thigmo.camera.exceptions import (
     AxisDoubtfulError,
@@ -30,7 +29,6 @@ __all__ = [
     "CameraError",
     "CameraModel",
     "CameraMovedError",
-    "Clicks",
     "Detection",
     "Lens",
     "MarkerAstrayError",

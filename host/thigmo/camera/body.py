@@ -183,7 +183,7 @@ def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
     if len(steps) * _STEP_CM < 3 * radius_cm or np.mean([whole for *_, whole in steps]) < 0.5:
         raise BodyNotSeenError(
             "no tube of the configured diameter starts at the base",
-            "check body.diameter_cm and the cards' places, or click its axis by hand (`--click`)",
+            "check body.diameter_cm and the cards' places, and clear the view of the body",
         )
     middle, way, width, sound = (np.array(column) for column in zip(*steps, strict=True))
     # Objects of the body's colour beside it make it look wider: the middle is not used where the

@@ -1,7 +1,7 @@
 """The body's axis: a smooth curve through points along it, with the uncertainty of its curvature.
 
-The points come from `thigmo.camera.body`, or from clicks. Calibration depends on the curvature and
-its error, so the fit takes into account that errors of neighbouring points are correlated.
+The points come from `thigmo.camera.body`. Calibration depends on the curvature and its error, so
+the fit takes into account that errors of neighbouring points are correlated.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from thigmo.errors import DataError
 from thigmo.mechanics import traced
 
 Array = NDArray[np.float64]
+_KNOT_CM = 7.0  # distance of the spline's knots
+_POINT_SE_CM = 0.02  # least standard error of a point
 
 
 @dataclass(frozen=True)
@@ -68,8 +70,6 @@ def fit_centerline(
     *,
     constant: bool = False,
     good: NDArray[np.bool_] | None = None,
-    knot_cm: float = 7.0,
-    point_se_cm: float = 0.02,
 ) -> Centerline:
     """Smooth axis through points along the body.
 
@@ -82,15 +82,13 @@ def fit_centerline(
         tip_cm: (2,) end of the body; the last point if not given.
         constant: whether it is a free bend.
         good: (n,) whether to use a point; all if not given.
-        knot_cm: distance of the spline's knots.
-        point_se_cm: least standard error of a point.
 
     Raises:
         DataError: fewer than six points, or points that are not finite.
     """
     points = np.asarray(points_cm, float)
     if points.ndim != 2 or len(points) < 6 or not np.isfinite(points).all():
-        raise DataError("the axis needs six or more finite points", "click more points")
+        raise DataError("the axis needs six or more finite points", "clear the view of the body")
     end = points[-1] if tip_cm is None else np.asarray(tip_cm, float)
     weights = np.ones(len(points))
     if good is not None and good.sum() >= 6:
@@ -101,7 +99,7 @@ def fit_centerline(
     at = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
     last = points[-1] - points[-2]
     total = at[-1] + float((end - points[-1]) @ last) / max(float(np.linalg.norm(last)), 1e-9)
-    fit = partial(_fit, points, weights, constant, knot_cm, point_se_cm)
+    fit = partial(_fit, points, weights, constant)
     fitted = fit(at, total)
     for _ in range(2):
         at = _project(points, at, fitted)
@@ -123,13 +121,11 @@ def _fit(
     points: Array,
     weights: Array,
     constant: bool,
-    knot_cm: float,
-    point_se_cm: float,
     at: Array,
     total: float,
 ) -> Centerline:
     """One fit with fixed arcs of the points."""
-    n = 1 if constant else max(4, int(total / knot_cm) + 3)
+    n = 1 if constant else max(4, int(total / _KNOT_CM) + 3)
     fine = np.linspace(0.0, total, max(60, int(total / 0.1)))
     if constant:
         basis = np.ones((len(fine), 1))
@@ -153,7 +149,7 @@ def _fit(
         away = points - np.column_stack([np.interp(at, fine, x), np.interp(at, fine, y)])
         turn = np.interp(at, fine, heading)
         normal = -np.sin(turn) * away[:, 0] + np.cos(turn) * away[:, 1]
-        return np.concatenate([weights * normal / point_se_cm, roughness @ p[2:]])
+        return np.concatenate([weights * normal / _POINT_SE_CM, roughness @ p[2:]])
 
     chord = float(np.arctan2(points[-1, 1] - points[0, 1], points[-1, 0] - points[0, 0]))
     first = np.concatenate([[points[0, 1], 0.0], np.full(n, 2 * chord / total)])
@@ -167,5 +163,5 @@ def _fit(
     inflation = scale**2 * (1 + lagged) / (1 - lagged)
     slopes = np.asarray(fit.jac, float)
     covariance = np.linalg.pinv(slopes.T @ slopes) * inflation
-    residual_cm = float(np.sqrt(np.mean(errors**2)) * point_se_cm)
+    residual_cm = float(np.sqrt(np.mean(errors**2)) * _POINT_SE_CM)
     return Centerline(fine, *curve(fit.x), residual_cm, fit.x, covariance, integral, points[used])

@@ -1,7 +1,7 @@
 """Detects tip, axis and obstacles in one picture, and lists what is wrong with it.
 
 Calibration and the command line call `detect`. Every failure is either raised (no cards, moved
-camera) or listed in the detection, and points clicked by hand can replace any detection.
+camera) or listed in the detection.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from thigmo.camera.body import Track, bodyness, flatten, follow
 from thigmo.camera.centerline import Centerline, fit_centerline
-from thigmo.camera.clicks import Clicks
 from thigmo.camera.exceptions import (
     AxisDoubtfulError,
     BodyNotSeenError,
@@ -25,7 +24,7 @@ from thigmo.camera.exceptions import (
     TooCoarseError,
 )
 from thigmo.camera.model import CameraModel, Picture, detect_markers, judge_still
-from thigmo.camera.obstacles import OBSTACLE_PX_CM, Obstacle, circle_through, find_obstacles
+from thigmo.camera.obstacles import OBSTACLE_PX_CM, Obstacle, find_obstacles
 from thigmo.camera.sheet import Sheet
 from thigmo.errors import DataError
 from thigmo.files import write_whole
@@ -38,19 +37,18 @@ _TUBE_PX = 14.0  # diameter of the tube
 _GOOD_SHARE = 0.6
 _FLANK = (255, 200, 120)
 _CURE = (
-    "look at it with `thigmo camera check`; give a picture of the empty table, or click the axis"
+    "look at it with `thigmo camera check`; give it a picture of the empty table (`--background`)"
 )
 
 
 @dataclass(frozen=True)
 class TipDetection:
-    """The tip marker, or a clicked tip."""
+    """The tip marker, and the tip behind it."""
 
     x_cm: float  # the robot's tip itself
     y_cm: float
-    heading: float  # heading of the marker, rad (nan if clicked)
-    clicked: bool  # whether it was given by hand
-    center_cm: Array  # (2,) centre of the marker, or the clicked point
+    heading: float  # heading of the marker, rad
+    center_cm: Array  # (2,) centre of the marker
 
 
 @dataclass(frozen=True)
@@ -99,11 +97,10 @@ def detect(
     wanted: Wanted | None = None,
     *,
     background: Picture | None = None,
-    clicks: Clicks | None = None,
 ) -> Detection:
     """Read one picture, (h, w, 3) BGR.
 
-    `background` is the empty table from the same camera; `clicks` replace detection.
+    `background` is the empty table from the same camera.
 
     Raises:
         CameraError: the picture has another size than the camera's.
@@ -113,7 +110,7 @@ def detect(
     """
     camera.lens.require(picture)
     markers = detect_markers(picture, sheet.dictionary)
-    detector = _Detector(picture, camera, sheet, wanted or Wanted(), clicks or Clicks(), markers)
+    detector = _Detector(picture, camera, sheet, wanted or Wanted(), markers)
     detector.require_fine()
     hidden = judge_still(markers, camera, sheet)
     problems: list[CameraError] = []
@@ -145,7 +142,6 @@ class _Detector:
     camera: CameraModel
     sheet: Sheet
     wanted: Wanted
-    clicks: Clicks
     markers: dict[int, Array]  # corners px by id
 
     def require_fine(self) -> None:
@@ -153,10 +149,10 @@ class _Detector:
         px_per_cm = 1 / self.camera.cm_per_px
         wanted, marker_cm = self.wanted, self.sheet.tip_marker_cm
         needs = []
-        if wanted.tip and self.clicks.tip is None:
+        if wanted.tip:
             cell_cm = marker_cm * self.sheet.print_scale / self.sheet.modules
             needs.append((_CELL_PX / cell_cm, f"a tip marker of {marker_cm:g} cm"))
-        if wanted.body and not self.clicks.axis:
+        if wanted.body:
             needs.append((_TUBE_PX / wanted.diameter_cm, f"a tube of {wanted.diameter_cm:g} cm"))
         needed, what = max(needs, default=(0.0, ""))
         if px_per_cm < needed:
@@ -170,12 +166,8 @@ class _Detector:
         return self.wanted.full_cm or self.sheet.length_cm
 
     def tip(self) -> TipDetection:
-        """The tip, clicked or by its marker."""
+        """The tip, by its marker."""
         diameter, marker = self.wanted.diameter_cm, self.sheet.tip_marker_id
-        if self.clicks.tip is not None:
-            # The end of the outline, which is clicked, is at the height of the axis.
-            place = self.camera.to_plane(np.array([self.clicks.tip]), diameter / 2)[0]
-            return TipDetection(float(place[0]), float(place[1]), float("nan"), True, place)
         if marker not in self.markers:
             raise MarkerMissingError(
                 f"the tip marker (id {marker}) is not seen", "turn it face up and clear the view"
@@ -185,7 +177,7 @@ class _Detector:
         heading = float(np.arctan2(ahead[1], ahead[0]))
         center = flat.mean(axis=0)
         tip = center + self.sheet.tip_offset_cm * np.array([np.cos(heading), np.sin(heading)])
-        return TipDetection(float(tip[0]), float(tip[1]), heading, False, center)
+        return TipDetection(float(tip[0]), float(tip[1]), heading, center)
 
     def axis(
         self, tip: TipDetection | None, background: Picture | None
@@ -194,12 +186,6 @@ class _Detector:
         camera, wanted = self.camera, self.wanted
         radius = wanted.diameter_cm / 2
         end = None if tip is None else np.array([tip.x_cm, tip.y_cm])
-        if self.clicks.axis:
-            points = camera.to_plane(np.array(self.clicks.axis), radius)
-            by_hand = fit_centerline(
-                points, end, constant=wanted.constant, point_se_cm=0.15, knot_cm=15.0
-            )
-            return by_hand, []
         flat = flatten(self.picture, camera, radius, self._full_cm)
         empty = None if background is None else flatten(background, camera, radius, self._full_cm)
         cover = None
@@ -220,7 +206,7 @@ class _Detector:
         forward /= max(float(np.linalg.norm(forward)), 1e-9)
         out = float(abs((track.tip - camera.eye_cm[:2]) @ forward))
         seen_end = track.tip - 0.5 * radius * out / float(camera.eye_cm[2]) * forward
-        if cover is not None and tip is not None and not tip.clicked:
+        if cover is not None and tip is not None:
             away = float(np.hypot(*(seen_end - end)))
             if away > radius:
                 raise MarkerAstrayError(
@@ -243,14 +229,11 @@ class _Detector:
         return line, _doubts(track, middle, good, line, wanted, within)
 
     def obstacles(self) -> list[Obstacle]:
-        """Dowels: those clicked, and others that are seen."""
+        """The dowels that are seen."""
         camera, height = self.camera, self.wanted.obstacle_height_cm
-        rims = [np.array(rim) for rim in self.clicks.obstacles]
-        given = [circle_through(camera.to_plane(rim, height)) for rim in rims]
         flat = flatten(self.picture, camera, height, self._full_cm, OBSTACLE_PX_CM)
         ignore = [camera.to_plane(four, height) for four in self.markers.values()]
-        found = find_obstacles(flat, self.wanted.obstacle_radius_cm, ignore)
-        return given + [one for one in found if all(one.apart_cm(g) > g.radius_cm for g in given)]
+        return find_obstacles(flat, self.wanted.obstacle_radius_cm, ignore)
 
 
 def _doubts(

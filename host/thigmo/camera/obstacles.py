@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from thigmo.camera.body import Flat
-from thigmo.errors import DataError
 
 Array = NDArray[np.float64]
 
@@ -32,7 +31,7 @@ class Obstacle:
     x_cm: float  # centre
     y_cm: float  # centre
     radius_cm: float  # radius of its top face
-    rim: float  # share of its rim that was seen, 0..1 (1 for clicked ones)
+    rim: float  # share of its rim that was seen, 0..1
 
     def apart_cm(self, other: Obstacle) -> float:
         """Distance of the centres."""
@@ -147,15 +146,3 @@ def _circle(points: Array, center: Array, radius: float) -> Array:
 
     start = np.array([*center, radius])
     return np.asarray(least_squares(residuals, start, loss="cauchy", f_scale=0.7).x, float)
-
-
-def circle_through(points_cm: Array) -> Obstacle:
-    """Obstacle from points (n, 2) in cm on its rim. Raises DataError if they are too few."""
-    points = np.asarray(points_cm, float)
-    if len(points) < 3:
-        raise DataError("a circle needs three or more points", "click three points of its rim")
-    system = np.column_stack([2 * points, np.ones(len(points))])
-    if np.linalg.matrix_rank(system, tol=1e-6) < 3:
-        raise DataError("the points lie on a line", "click points all round the rim")
-    x, y, rest = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0].tolist()
-    return Obstacle(x, y, float(np.sqrt(rest + x**2 + y**2)), 1.0)

@@ -113,6 +113,7 @@ def calibrate(
     require("camera", "calibration")
     from thigmo.calibrate.bending import from_fold as state_stiffness
     from thigmo.calibrate.session import Session, blank
+    from thigmo.calibrate.step_figures import draw
     from thigmo.calibrate.steps import STEPS, fit_csv, run, steps_of
     from thigmo.config import RobotConfig
 
@@ -128,7 +129,9 @@ def calibrate(
         base = RobotConfig.load(held) if held.exists() else start or RobotConfig()
         # Before a folder is made: a bad file leaves none.
         result = fit_csv(step, csv, base, method) if csv else state_stiffness(base)
-        show(as_json, result.as_data(), *Session(folder, start).keep(step, result))
+        session = Session(folder, start)
+        draw(result, session.figure(step))
+        show(as_json, result.as_data(), *session.keep(step, result))
         if not result.verdict.good:
             raise typer.Exit(2)
         return
@@ -193,14 +196,14 @@ def _overhead_camera(
     machine: Robot, session: Session, camera: str, sheet_file: Path, camera_file: Path, seed: int
 ) -> OverheadCamera:
     """The camera: painted over an emulated robot, opened and located on a real one."""
-    from thigmo.calibrate.overhead import OverheadCamera, emulated_source
+    from thigmo.calibrate.overhead import OverheadCamera
     from thigmo.camera import CameraModel, locate, open_source
     from thigmo.cli.camera import load_sheet
 
     body = session.config.body
     sheet = load_sheet(sheet_file, body.length_cm)
-    if machine.scenery() is not None:
-        source, height = emulated_source(machine, sheet, seed=seed)
+    if (painted := machine.overhead_pictures(sheet, seed)) is not None:
+        source, height = painted
         measured = sheet.model_copy(update={"camera_height_cm": height})
         model = locate(source.read(), measured)
         model.save(session.folder / "camera.json")

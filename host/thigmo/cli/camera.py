@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing, suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +14,7 @@ from thigmo.cli.output import JsonOption, filled, show
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from thigmo.camera import Clicks, Detection, Sheet
+    from thigmo.camera import Detection, Sheet
     from thigmo.camera.model import Picture
 
 group = typer.Typer(
@@ -27,8 +27,7 @@ group = typer.Typer(
     "3. `thigmo camera locate camera:0` (again whenever the camera was touched) finds where it "
     "stands, and says how precisely that is known.\n\n"
     "4. `thigmo camera check camera:0` draws what it sees over the picture: look at check.png.\n\n"
-    "Instead of camera:0, give a video, a picture or a folder of pictures. Click by hand what is "
-    "not found: `check --click tip,axis,obstacles`.",
+    "Instead of camera:0, give a video, a picture or a folder of pictures.",
     no_args_is_help=True,
 )
 
@@ -199,15 +198,6 @@ def check(
     background: Annotated[
         Path | None, typer.Option(help="Picture of the empty table from the same camera.")
     ] = None,
-    tip: Annotated[
-        str | None, typer.Option(help="Place of the tip in the picture, found by hand: X,Y in px.")
-    ] = None,
-    points: Annotated[
-        Path | None, typer.Option(help="File of clicked points (written by --click).")
-    ] = None,
-    click: Annotated[
-        str | None, typer.Option(help="Click these in a window: any of tip,axis,obstacles.")
-    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show what the camera sees, drawn over the picture."""
@@ -226,31 +216,15 @@ def check(
     radii = (0.65, 2.5) if peg_radius is None else (0.8 * peg_radius, 1.2 * peg_radius)
     wanted = Wanted(diameter, peg_height, radii, constant=free_bend, length_cm=length)
     empty = None if background is None else _one_picture(background)
-    clicks = _clicks(picture, tip, points, click)
-    seen = detect(picture, model, used, wanted, background=empty, clicks=clicks)
+    seen = detect(picture, model, used, wanted, background=empty)
     write_picture(out, draw(picture, model, used, seen, wanted))
     show(as_json, {**_facts(seen), "picture": str(out)}, *_lines(seen), f"wrote {out}")
-
-
-def _clicks(
-    picture: Picture, tip: str | None, points: Path | None, click: str | None
-) -> Clicks | None:
-    from thigmo.camera.clicks import Clicks, parse_pixel
-    from thigmo.camera.clicks import click as ask
-
-    clicks = None if click is None else ask(picture, tuple(click.split(",")))
-    if points is not None:
-        if clicks is None:
-            clicks = Clicks.load(points)
-        else:
-            clicks.save(points)
-    return clicks if tip is None else replace(clicks or Clicks(), tip=parse_pixel(tip))
 
 
 def _facts(seen: Detection) -> dict[str, Any]:
     tip, axis = seen.tip, seen.axis
     return {
-        "tip": tip and {key: getattr(tip, key) for key in ("x_cm", "y_cm", "heading", "clicked")},
+        "tip": tip and {key: getattr(tip, key) for key in ("x_cm", "y_cm", "heading")},
         "axis": axis and {
             "length_cm": axis.length_cm,
             "mean_curvature": axis.curvature,
@@ -263,8 +237,6 @@ def _facts(seen: Detection) -> dict[str, Any]:
 
 
 def _lines(seen: Detection) -> Iterator[str]:
-    from thigmo.camera import MarkerMissingError
-
     if seen.tip is not None:
         yield f"tip at x {seen.tip.x_cm:.2f}, y {seen.tip.y_cm:.2f} cm"
     if seen.axis is not None:
@@ -274,6 +246,4 @@ def _lines(seen: Detection) -> Iterator[str]:
         yield f"obstacle at x {o.x_cm:.2f}, y {o.y_cm:.2f}, radius {o.radius_cm:.2f} cm"
     if seen.hidden:
         yield f"hidden cards: {', '.join(seen.hidden)}"
-    for problem in seen.problems:
-        clicked = ", or give the tip with `--tip X,Y`"
-        yield f"{problem}{clicked if isinstance(problem, MarkerMissingError) else ''}"
+    yield from map(str, seen.problems)

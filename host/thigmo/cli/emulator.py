@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from thigmo.cli.output import JsonOption, show
-
-# The emulator is reached by name, as the URL that opens it does: no layer above depends on it.
-_SERVE = "thigmo.emulator.serve"
-_SCENE = "thigmo.emulator.scene"
-
 
 scene = typer.Typer(help="Work with scene files.", no_args_is_help=True)
 
@@ -35,10 +29,11 @@ def emulate(
     ] = None,
 ) -> None:
     """Serve an emulated robot on a pseudo-terminal, in real time, until Ctrl-C or SIGTERM."""
-    serve: Any = import_module(_SERVE)
+    from thigmo.emulator.serve import serve
+
     with suppress(KeyboardInterrupt):  # a service: that is how it ends
         written = config or Path(f"{Path(scene).stem}-robot.toml")
-        serve.serve(scene, seed=seed, link=link, config=written, announce=typer.echo)
+        serve(scene, seed=seed, link=link, config=written, announce=typer.echo)
 
 
 @scene.command()
@@ -47,8 +42,9 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Check a scene file and list what is in it."""
-    scenes: Any = import_module(_SCENE)
-    found = scenes.Scene.load(file)
+    from thigmo.emulator.scene import Scene
+
+    found = Scene.load(file)
     show(
         as_json,
         found.model_dump(mode="json"),

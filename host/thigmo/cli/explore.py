@@ -92,7 +92,7 @@ def explore(
         raise ConfigError("a resumed run keeps its method", "leave --method out")
     where = url or (open_run(resume).document.url if resume else "emulator://default")
     if watch:
-        from thigmo.cli.watch import open_page
+        from thigmo.live.opening import open_page
 
         open_page(where, out, config)
     ending.outlive_terminal()

@@ -31,6 +31,7 @@ from thigmo.cli.ros import ros
 from thigmo.cli.runs import export, info, replay
 from thigmo.cli.watch import watch
 from thigmo.errors import ThigmoError
+from thigmo.version import VERSION
 
 # Wrong options, values and commands; typer has no name of its own for their class.
 _UsageError: Any = typer.BadParameter.__base__
@@ -96,9 +97,7 @@ for each in (app, *groups.values()):
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from thigmo import __version__
-
-        typer.echo(f"thigmo {__version__}")
+        typer.echo(f"thigmo {VERSION}")
         raise typer.Exit
 
 

@@ -39,8 +39,8 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 def method_option(default: str) -> Any:
     """The option that names a localizer's method; `default` says what an omitted one means."""
     return typer.Option(
-        help=f"How contacts are localized: posterior, thesis (the thesis's alternating fit) or l1 "
-        f"(the minimum that this fit searches for). The last two give no intervals. {default}",
+        help="How contacts are localized: posterior, or thesis (the thesis's alternating fit, "
+        f"without intervals). {default}",
         show_default=False,
     )
 

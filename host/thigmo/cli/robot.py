@@ -1,20 +1,16 @@
-"""`thigmo robot new | check | convert`: a robot's description, before there is a robot."""
+"""`thigmo robot new | check`: a robot's description, before there is a robot."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from thigmo.cli.output import JsonOption, filled, show
 
-# The emulator is reached by name, as the URL that opens it does: no layer above depends on it.
-_REACH = "thigmo.emulator.reach"
-
-robot = typer.Typer(help="Draft a robot, check it, or convert its file.", no_args_is_help=True)
+robot = typer.Typer(help="Draft a robot, or check it.", no_args_is_help=True)
 
 _FileArgument = Annotated[Path, typer.Argument(help="robot.toml.")]
 
@@ -49,6 +45,7 @@ def new(
     robot of 3 or 4 muscles bends out of the plane: it does not explore, and gets the empty one.
     """
     from thigmo.design import draft
+    from thigmo.emulator.reach import pressed, room_for
     from thigmo.errors import ConfigError
     from thigmo.wiring import beyond_board, unexplored
 
@@ -59,13 +56,12 @@ def new(
     for older in ("scene.toml", "empty.toml", "grown.toml"):  # of the robot that was there before
         (out / older).unlink(missing_ok=True)
     written, said = [str(out / "robot.toml")], []
-    reach: Any = import_module(_REACH)
     if beyond := beyond_board(config):
         said = [filled(f"no scene: {what}; {cure}") for what, cure in beyond]
     elif refused := unexplored(config):
         said = [filled(f"explore does not work with it: {refused.what}; {refused.cure}")]
     else:
-        room = reach.room_for(config, seed)
+        room = room_for(config, seed)
         room.save(out / "scene.toml")
         written.append(str(out / "scene.toml"))
         said = [f"explore it: thigmo explore --scene {out / 'scene.toml'}"]
@@ -73,11 +69,11 @@ def new(
             room.start_length_cm = config.body.length_cm
             room.save(out / "grown.toml")
             written.append(str(out / "grown.toml"))
-            pressed = reach.pressed(config, room.peg_list())
+            press = pressed(config, room.peg_list())
             at = f"emulator://{out / 'grown.toml'}"
-            said.append(f"feel its peg, grown: thigmo feel --robot {at} --press {pressed}")
+            said.append(f"feel its peg, grown: thigmo feel --robot {at} --press {press}")
     if not beyond:
-        reach.room_for(config, seed, peg=False).save(out / "empty.toml")
+        room_for(config, seed, peg=False).save(out / "empty.toml")
         written.append(str(out / "empty.toml"))
         said.append(f"calibrate it: thigmo calibrate all --robot emulator://{out / 'empty.toml'}")
     said = [f"wrote {', '.join(written)}", f"check it: thigmo robot check {written[0]}", *said]
@@ -98,15 +94,3 @@ def check(file: _FileArgument, as_json: JsonOption = False) -> None:
     show(as_json, {"findings": [asdict(one) for one in found]}, *lines)
     if any(one.mark == "bad" for one in found):
         raise typer.Exit(1)
-
-
-@robot.command()
-def convert(file: _FileArgument) -> None:
-    """Rewrite a robot.toml of any version in today's format; keep the old file beside it."""
-    from thigmo.config import RobotConfig, read_toml
-
-    config = RobotConfig.load(file)
-    if read_toml(file).get("version") == config.version:
-        typer.echo(f"{file} is of today's version already; nothing is changed")
-        return
-    typer.echo(f"{file} is of today's version; the one before is {config.save(file)}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,6 +67,7 @@ def watch(
 
     require("live", "the page")
     from thigmo.live.server import WatchOptions, serve
+    from thigmo.live.starting import explore_options
 
     past = finished_run(target)
     if past is not None and foxglove:
@@ -75,7 +76,7 @@ def watch(
             f"open {past / 'run.mcap'} in Foxglove as a local file",
         )
     url = None if past else target
-    exploring = _exploring(out, config)
+    exploring = explore_options(out, config)
     options = WatchOptions(past, url, config, exploring, parameters(), host, port, leave)
 
     def announce(address: str) -> None:
@@ -83,7 +84,7 @@ def watch(
         if host not in ("127.0.0.1", "::1", "localhost"):
             _draw_code(address)
         if browser:
-            _open_browser(address)
+            _open_browser(afterwards, address)
 
     async def until_interrupted() -> None:
         loop, serving = asyncio.get_running_loop(), asyncio.ensure_future(serve(options, announce))
@@ -94,16 +95,13 @@ def watch(
         finally:
             ending.be_ready()
 
-    with _foxglove(url, foxglove_port) if foxglove else nullcontext():
+    with ExitStack() as afterwards:
+        if foxglove:
+            afterwards.enter_context(_foxglove(url, foxglove_port))
         try:
             asyncio.run(until_interrupted())
         except KeyboardInterrupt:
             raise typer.Exit from None
-
-
-def _exploring(out: Path, config: Path | None) -> tuple[str, ...]:
-    """Options of the explorations that the page starts."""
-    return ("--out", str(out), *(("--config", str(config)) if config else ()))
 
 
 def parameters() -> tuple[Parameter, ...]:
@@ -164,31 +162,6 @@ def _foxglove(url: str | None, port: int) -> Iterator[None]:
             thread.join()
 
 
-def open_page(url: str, out: Path, config: Path | None) -> None:
-    """Serve and open the page of a robot's runs beside this command, as long as it is of use."""
-    import subprocess
-    import threading
-
-    from thigmo.extras import require
-
-    require("live", "--watch")
-    page = subprocess.Popen(
-        [sys.executable, "-m", "thigmo", "watch", url, "--leave", *_exploring(out, config)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-        text=True,
-    )
-
-    # It must not hold this command's own stderr open, which others may read to its end.
-    def tell_address() -> None:
-        assert page.stderr is not None
-        typer.echo(page.stderr.readline(), nl=False, err=True)
-
-    threading.Thread(target=tell_address, daemon=True).start()
-
-
 def _draw_code(address: str) -> None:
     import io
 
@@ -199,12 +172,23 @@ def _draw_code(address: str) -> None:
     typer.echo(drawn.getvalue(), err=True)
 
 
-def _open_browser(address: str) -> None:
-    """Open the page, where there is a browser; in a process of its own, for some never return."""
+def _open_browser(afterwards: ExitStack, address: str) -> None:
+    """Open the page, where there is a browser; in a process of its own, for some never return.
+
+    What it needs is removed `afterwards`.
+    """
     import subprocess
 
+    from thigmo.live.opening_file import OpeningFile
+
+    try:
+        leads = afterwards.enter_context(OpeningFile(address))
+    except OSError as error:
+        reason = f"cannot write a file that leads to the page: {error.strerror}"
+        typer.echo(f"No browser is opened ({reason}). Open the address above.", err=True)
+        return
     subprocess.Popen(
-        [sys.executable, "-m", "webbrowser", address],
+        [sys.executable, "-m", "webbrowser", leads.url],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.display.axes import INK, MUTED, small
 from thigmo.localization.priors import WIDTH_SHARE
-from thigmo.report.axes import INK, MUTED, small
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -26,7 +26,6 @@ from thigmo.config import (
     RobotConfig,
     Side,
     read_toml,
-    upgraded,
     validated,
 )
 from thigmo.errors import ConfigError
@@ -370,7 +369,7 @@ def _merged(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
     """A scene's entries over those of the scene that it extends."""
     if path in below:
         raise ConfigError(f"{path} extends itself", "remove that `extends`")
-    data = _upgraded(read_toml(path), path)
+    data = read_toml(path)
     base = data.get("extends")
     if not isinstance(base, str):
         return data
@@ -379,25 +378,6 @@ def _merged(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
     return _over(start, data)
 
 
-def _upgraded(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """A scene file's entries where they belong today, from those of any time."""
-    robot = data.get("robot", {})
-    if "extends" in data and {"sensors", "actuators"} & robot.keys():
-        raise ConfigError(
-            f"{path}: robot.sensors and robot.actuators are lists now",
-            "write all of [[robot.sensor]] and [[robot.muscle]]; see `thigmo robot new`",
-        )
-    robot = upgraded(robot)
-    for table, keys in _MOVED.items():
-        there = data.get(table, {})
-        if moved := {key: there[key] for key in keys if key in there}:
-            data = data | {table: {k: v for k, v in there.items() if k not in moved}}
-            robot = robot | {table: moved | robot.get(table, {})}
-    return data | {"robot": robot} if robot else data
-
-
-# What was the scene's and is the robot's now.
-_MOVED = {"body": ("growth_psi", "growth_psi_per_cm"), "spool": ("holding_n",)}
 _OWN = ("name", "about", "extends")  # never inherited
 
 

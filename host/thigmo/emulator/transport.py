@@ -30,6 +30,7 @@ from thigmo.link.stop_socket import StopListener
 from thigmo.mechanics import Peg
 
 if TYPE_CHECKING:
+    from thigmo.camera import PictureSource, Sheet
     from thigmo.link.transport import Transport
     from thigmo.room import Dowel, Operator
 
@@ -233,6 +234,12 @@ class EmulatorTransport:
     def truth(self) -> Truth:
         """Pegs, contacts and shapes."""
         return self.lockstep.plant.truth()
+
+    def overhead_pictures(self, sheet: Sheet, seed: int) -> tuple[PictureSource, float]:
+        """Pictures of a camera above the room, and the camera's height (cm) by tape."""
+        from thigmo.emulator.overhead import overhead_pictures  # OpenCV is an extra
+
+        return overhead_pictures(self.truth, self.config.body, sheet, seed=seed)
 
     def interrogator(self) -> EmulatedFibre:
         """The interrogator of its fibre; nothing that was sent before is waiting."""

@@ -13,7 +13,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
 
-from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.effort import EFFORTS, chosen_effort, within
@@ -35,6 +34,7 @@ from thigmo.report import draw_map
 from thigmo.robot import Operator, connect
 from thigmo.room import Reachable
 from thigmo.stream import Event, recording
+from thigmo.version import VERSION
 from thigmo.wiring import unexplored
 
 _ENDINGS: dict[type[BaseException], str] = {
@@ -80,8 +80,8 @@ def explore(
             (docs/figures.md charts it). The protocol "thesis" has no such choice.
         time_s: in place of `effort`, a budget of robot time in seconds, within which the run does
             as much as it can. Time spent waiting for a person counts.
-        method: as for `thigmo.localize`. "l1" and "thesis" give no intervals, so every stage's
-            place is a contact of its own: nothing shows whether two are the same.
+        method: as for `thigmo.localize`. "thesis" gives no intervals, so every stage's place is
+            a contact of its own: nothing shows whether two are the same.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. Readings can overrule it.
         resume: folder of a run that was cut short. The new run continues with what that one had
@@ -125,7 +125,7 @@ def explore(
     check_method(method)
     chosen = chosen_effort(protocol, effort, time_s)
     document = RunDocument(
-        thigmo=__version__, name=label, url=url, started=begun, seed=seed, method=method
+        thigmo=VERSION, name=label, url=url, started=begun, seed=seed, method=method
     )
     if past is not None:
         document = replace(
@@ -184,7 +184,7 @@ def explore(
         folder.write_document(document)
         afterwards.push(draw)  # of what is known, also when the run is cut short
         facts = {
-            "thigmo": __version__,
+            "thigmo": VERSION,
             "url": url,
             "seed": "" if seed is None else str(seed),
             "started": begun,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.config import SIDES, RobotConfig
-from thigmo.display import POINT_ESTIMATE
+from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.exploration.prior import match
 from thigmo.exploration.room import Found, Room
 from thigmo.exploration.sighting import LEVEL, LIKELY, Passed, Sighting, arc_grid, shortest

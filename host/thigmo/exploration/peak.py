@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thigmo.config import RobotConfig
-from thigmo.display import POINT_ESTIMATE
+from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse

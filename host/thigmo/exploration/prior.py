@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thigmo.display import POINT_ESTIMATE
+from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.errors import RunFolderError
 from thigmo.record import (
     OBSTACLES_FILE,

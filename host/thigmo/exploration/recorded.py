@@ -18,7 +18,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import FrameError, decode
 from thigmo.link.inbox import TelemetryFrame
-from thigmo.record import OLDER_SCHEMAS, Entry, FibreLine, Log, Note, Obstacle, RunFolder
+from thigmo.record import Entry, FibreLine, Log, Note, Obstacle, RunFolder
 from thigmo.robot import (
     CreepWatch,
     GrowthWatcher,
@@ -282,7 +282,7 @@ def _check(folder: RunFolder, log: Log) -> None:
         )
     schema = log.metadata.get("schema_hash", "")
     theirs = log.metadata.get("thigmo", "of its time")
-    if schema not in (f"{wire.SCHEMA_HASH:08x}", *OLDER_SCHEMAS):
+    if schema != f"{wire.SCHEMA_HASH:08x}":
         raise RunFolderError(
             f"{folder.path} was recorded with protocol schema {schema or 'unknown'}, and this is "
             f"{wire.SCHEMA_HASH:08x}",

@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from thigmo import __version__
 from thigmo.errors import RunFolderError
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
@@ -20,6 +19,7 @@ from thigmo.exploration.recorded import RecordedRun
 from thigmo.localization import check_method
 from thigmo.record import NamedMuscle, RunDocument, RunFolder
 from thigmo.report import draw_map
+from thigmo.version import VERSION
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +72,10 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
     recorded, log = RecordedRun(folder, logs, config, prior, used), logs[-1]
     if known is None:
         url, started = (log.metadata.get(name, "") for name in ("url", "started"))
-        known = RunDocument(__version__, folder.path.name, url, started, "cut short")
+        known = RunDocument(VERSION, folder.path.name, url, started, "cut short")
     document = replace(
         known,
-        thigmo=__version__,
+        thigmo=VERSION,
         outcome=f"replayed; {known.outcome}",
         stages=recorded.known.stages,
         robot_time_s=log.entries[-1].t_s - log.entries[0].t_s if log.entries else 0.0,

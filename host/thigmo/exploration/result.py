@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thigmo.config import RobotConfig
-from thigmo.display import html_card, html_table
+from thigmo.display.html import html_card, html_table
 from thigmo.exploration.prior import kept_prior
 from thigmo.extras import data_frame
 from thigmo.record import (

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from thigmo.config import RobotConfig
-from thigmo.display import POINT_ESTIMATE
+from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.exploration.map import errors, of_stage
 from thigmo.exploration.obstacles import GONE, occupancy
 from thigmo.exploration.stall import Obstruction

@@ -47,17 +47,9 @@ class Frame(NamedTuple):
 
 def encode(message: Message, seq: int, session: int) -> bytes:
     """A message as bytes on the wire, closing zero included."""
-    return _stuffed(_HEADER.pack(message.ID, seq, session) + message.pack()) + b"\0"
-
-
-def rewritten(frame: Frame, payload: bytes) -> bytes:
-    """A frame with another payload, stuffed, without the closing zero."""
-    return _stuffed(_HEADER.pack(frame.id, frame.seq, frame.session) + payload)
-
-
-def _stuffed(body: bytes) -> bytes:
+    body = _HEADER.pack(message.ID, seq, session) + message.pack()
     stuffed: bytes = cobs.encode(body + _CRC.pack(check_sequence(body)))
-    return stuffed
+    return stuffed + b"\0"
 
 
 def decode(wire: bytes) -> Frame:

@@ -6,7 +6,8 @@ is the monotonic clock, in the emulator reading is what advances virtual time.
 
 from __future__ import annotations
 
-from importlib import import_module
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from typing import Protocol
 
 from thigmo.errors import PortError
@@ -48,19 +49,26 @@ class Transport(Protocol):
         """Close; may be called twice."""
 
 
-# Modules that open the URLs of simulated robots. Named, not imported: the link knows nothing of
-# the emulator, and a session on hardware never loads it.
-_EMULATORS = {
-    "emulator": ("thigmo.emulator.transport", "open_emulator"),
-    "mega-sim": ("thigmo.emulator.mega_sim", "open_mega_sim"),
-    "micropython": ("thigmo.emulator.micropython", "open_micropython"),
-}
+# Entry points that open the URLs of simulated robots, named by their schemes. The link knows
+# nothing of an emulator, and a session on hardware never loads one.
+_EMULATORS = "thigmo.emulators"
 DEFAULT_BAUD = 250_000  # exact on the Mega's 16 MHz; 500 k after a soak test
 
 
 def emulated(url: str) -> bool:
     """Whether the robot at an address lives inside the program that opens it."""
-    return url.partition("://")[0] in _EMULATORS
+    return _scheme(url) in _emulators()
+
+
+def _scheme(url: str) -> str:
+    scheme, separator, _ = url.partition("://")
+    return scheme if separator else ""
+
+
+@cache
+def _emulators() -> dict[str, EntryPoint]:
+    """By scheme. Installed packages do not change while a program runs."""
+    return {found.name: found for found in entry_points(group=_EMULATORS)}
 
 
 def open_transport(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
@@ -69,13 +77,10 @@ def open_transport(url: str, *, seed: int | None = None, realtime: bool = False)
     Raises PortError for a port that is missing, busy or not allowed, or a malformed URL,
     ConfigError for a scene that cannot be used.
     """
-    scheme = url.partition("://")[0]
-    if scheme in _EMULATORS:
-        module, function = _EMULATORS[scheme]
-        require_sources(module, f"{scheme}://")
-        transport: Transport = getattr(import_module(module), function)(
-            url, seed=seed, realtime=realtime
-        )
+    scheme = _scheme(url)
+    if (emulator := _emulators().get(scheme)) is not None:
+        require_sources(emulator.module, f"{scheme}://")
+        transport: Transport = emulator.load()(url, seed=seed, realtime=realtime)
         return transport
     from thigmo.link.serial_port import SerialTransport
 

@@ -15,6 +15,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from thigmo.link.transport import emulated
 
@@ -108,6 +109,11 @@ class Started:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             self._said.append(line.strip())
+
+
+def explore_options(out: Path, config: Path | None) -> tuple[str, ...]:
+    """Options of the explorations that the page starts."""
+    return ("--out", str(out), *(("--config", str(config)) if config else ()))
 
 
 def exploration(url: str, options: Sequence[str], *, realtime: bool) -> Started:

@@ -38,8 +38,8 @@ from thigmo.localization.validation import (
     white_noise,
 )
 
-_MOST_CONTACTS = {"posterior": 3, "l1": 2, "thesis": 3}
-METHODS = tuple(_MOST_CONTACTS)
+_MOST_CONTACTS = 3
+METHODS = ("posterior", "thesis")
 _PARTS = {"body": Body, "sensors": Sensors, "errors": Errors, "priors": Priors}
 _PART_OF = {each.name: name for name, part in _PARTS.items() for each in fields(part)}
 
@@ -55,11 +55,10 @@ class Localizer:
         sensors: where its sensors are.
         errors: standard errors of their readings.
         priors: prior knowledge, and what counts as localized.
-        method: "posterior", or one of two methods without intervals, whose answers have the status
-            `point estimate`. "thesis" is the thesis's alternating fit, with its remedies for a
-            folded base if `critical_curvature` is given; lengths must be in cm. "l1" is the exact
-            minimum of the thesis's objective, the 1-norm of the residual, for one or two contacts.
-            Both fit the number of contacts given, one for "auto", and ignore the errors (source:
+        method: "posterior", or "thesis", whose answers have no intervals and the status
+            `point estimate`. It is the thesis's alternating fit, with its remedies for a folded
+            base if `critical_curvature` is given; lengths must be in cm. It fits the number of
+            contacts given, one for "auto", and ignores the errors (source:
             `thigmo.localization.thesis`).
 
     Raises:
@@ -209,7 +208,7 @@ class Localizer:
             white = np.hypot(white, own["zero_error"])
         check_method(self.method)
         least = 0 if self.method == "posterior" else 1
-        contacts = contact_count(known.contacts, self.method, least, _MOST_CONTACTS[self.method])
+        contacts = contact_count(known.contacts, self.method, least, _MOST_CONTACTS)
         radius, limit = priors.TUBE_RADIUS * total, priors.WIDTH_SHARE
         if body.tube_radius is not None:
             radius = max(positive(body.tube_radius, "tube_radius"), 1e-6 * total)
@@ -255,7 +254,7 @@ class Localizer:
         )
 
     def _point_estimate(self, excess: Array) -> LocalizeResult:
-        """The answer of "thesis" or "l1" for checked readings (N,) less the free curvature."""
+        """The answer of "thesis" for checked readings (N,) less the free curvature."""
         from thigmo.localization import thesis  # its optimiser takes a tenth of a second to import
 
         read = np.isfinite(excess)
@@ -264,21 +263,13 @@ class Localizer:
         count = 1 if self.priors.contacts == "auto" else int(self.priors.contacts)
         critical = self.body.critical_curvature or math.inf
         problem = thesis.Problem(excess[read], x, spans, self.length, count, critical)
-        if self.method == "thesis":
-            arcs, forces = thesis.coupled(problem)
-            problem = thesis.at_centres(problem)
-        else:
-            arcs, forces = thesis.exact(problem)
-        rest = thesis.objective(problem, arcs, forces)
+        arcs, forces = thesis.coupled(problem)
+        rest = thesis.objective(thesis.at_centres(problem), arcs, forces)
         return LocalizeResult.of_point_estimate(arcs, forces, self.method, rest, self.length)
 
 
 def check_method(method: str) -> None:
     """Raises DataError if there is no such method."""
-    if method == "l2":
-        raise DataError(
-            "method l2 has been removed", 'use "posterior", which errs less, or "l1" or "thesis"'
-        )
     if method not in METHODS:
         raise DataError(f"unknown method {method!r}", f"use one of {', '.join(METHODS)}")
 

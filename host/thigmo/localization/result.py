@@ -10,15 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.display import (
-    POINT_ESTIMATE,
-    Bar,
-    body_strip,
-    draw,
-    html_card,
-    html_table,
-    interval_text,
-)
+from thigmo.contact_status import POINT_ESTIMATE, interval_text
+from thigmo.display.bars import Bar
+from thigmo.display.html import body_strip, html_card, html_table
+from thigmo.display.posterior import draw_posterior
 from thigmo.extras import data_frame
 from thigmo.localization import _posterior, priors
 from thigmo.localization.newtons import Newtons, newtons
@@ -45,7 +40,7 @@ class Contact:
         interval: hull of `intervals`; the whole body if the status is `point estimate`.
         status: `localized` (the interval is no wider than the limit, and the probability that there
             is a contact is at least 95 %, whatever the number of contacts), `ambiguous`, or
-            `point estimate` (the methods "l1" and "thesis" give no error).
+            `point estimate` (the method "thesis" gives no error).
         intervals: 95 % highest-density set of the place of the contact nearest to `arc`, whatever
             the number of contacts. It has several pieces if the posterior has several modes, and
             none for a `point estimate`.
@@ -107,6 +102,17 @@ class Contact:
             self.status,
         ]  # fmt: skip
 
+    @property
+    def _bar(self) -> Bar:
+        """The contact as it is drawn on the body."""
+        if self.status == POINT_ESTIMATE:
+            return Bar(self.arc, (), self.status, f"{self.arc:.4g}  ({self.interval_text})")
+        words = (
+            f"{self.arc:.4g}  ({self.interval_text}, 95 %)\n"
+            f"probability {self.probability:.3g}, {self.status}"
+        )
+        return Bar(self.arc, self.intervals or (self.interval,), self.status, words)
+
 
 class Marginal(NamedTuple):
     """Posterior of one contact's place, in M cells along the body."""
@@ -152,7 +158,7 @@ class LocalizeResult:
         discarded: indices of the readings that the likeliest explanation takes for bad.
         parameters: further parameters of the likeliest explanation: `fold_angle`, `hinge_arc`,
             `push_back` (force on the end, towards the base), `tip_moment`, `end_offset`.
-        objective: 1-norm of the residual for `l1` and `thesis`, 1/length; else None.
+        objective: 1-norm of the residual for `thesis`, 1/length; else None.
         number: (4,) probabilities that no, one, two or three contacts move the readings by at least
             three standard errors. A weaker contact can never be excluded.
         length: length of the body.
@@ -235,16 +241,16 @@ class LocalizeResult:
         )
 
     def _repr_html_(self) -> str:
-        title = f"{self.status}: {self.hypothesis}"
         if not self.contacts:
-            return html_card(title, self.message)
-        bars = [
-            Bar(c.arc, () if c.status == POINT_ESTIMATE else c.intervals or (c.interval,), c.status)
-            for c in self.contacts
-        ]
+            return html_card(self._title, self.message)
+        bars = [contact._bar for contact in self.contacts]
         strip = body_strip(self.length, self.edges.tolist(), self.probability.tolist(), bars)
         table = html_table(_COLUMNS, [contact._cells for contact in self.contacts])
-        return html_card(title, self.message, strip, table)
+        return html_card(self._title, self.message, strip, table)
+
+    @property
+    def _title(self) -> str:
+        return f"{self.status}: {self.hypothesis}"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickle: the compiled answer becomes plain arrays."""
@@ -288,7 +294,11 @@ class LocalizeResult:
         Returns:
             The axes.
         """
-        return draw("draw_posterior", self, axes, unit=unit)
+        bars = [contact._bar for contact in self.contacts]
+        return draw_posterior(
+            self.length, self.edges, self.probability, bars, self._title, self.message,
+            axes=axes, unit=unit,
+        )  # fmt: skip
 
     @property
     def marginals(self) -> tuple[Marginal, ...]:

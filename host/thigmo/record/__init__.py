@@ -35,13 +35,11 @@ from thigmo.record.obstacles import (
     write_obstacles,
 )
 from thigmo.record.occupancy import OccupancyGrid, read_ros_map, write_ros_map
-from thigmo.record.older import OLDER_SCHEMAS
 from thigmo.record.swept_shapes import outline, passed
 from thigmo.record.table import FramesTable, ReadingsTable, read_frames, read_readings
 
 __all__ = [
     "OBSTACLES_FILE",
-    "OLDER_SCHEMAS",
     "PRIOR_FILE",
     "RUNNING",
     "Ellipse",

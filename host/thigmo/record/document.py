@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from math import nan
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator
 
 from thigmo.config import RobotConfig
-from thigmo.display import POINT_ESTIMATE, interval_text
+from thigmo.contact_status import POINT_ESTIMATE, interval_text
 
 RUNNING, KILLED = "running", "killed"
 
@@ -294,9 +294,9 @@ class RunDocument:
     robot_time_s: float = 0.0  #: device time that the run took
     wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on
     method: str = "posterior"  #: of the localizer: `thigmo.localize`
-    #: "quick", "default", "careful", "thesis", or a budget such as "120 s"; empty in older runs
+    #: "quick", "default", "careful", "thesis", or a budget such as "120 s"
     effort: str = ""
     skips: str = ""  #: what that effort omitted, and what it costs; empty if it was nothing
     resumes: str = ""  #: folder of the run that was cut short, from which this one goes on
-    muscles: list[NamedMuscle] = field(default_factory=list)  #: empty in version 1
-    version: int = 2
+    muscles: list[NamedMuscle] = field(default_factory=list)
+    version: Literal[2] = 2

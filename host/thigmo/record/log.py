@@ -25,7 +25,6 @@ from thigmo.closing import Closing
 from thigmo.errors import RunFolderError
 from thigmo.link.protocol import MESSAGES
 from thigmo.record.mcap_file import read_mcap
-from thigmo.record.older import OLDER_SCHEMAS, in_todays_layout
 
 Direction = Literal["tx", "rx"]
 
@@ -281,14 +280,12 @@ def read_log(path: Path) -> Log:
     found = read_mcap(path, {*_TOPICS, _NOTES, _FIBRE})
     epoch = found.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(epoch) if epoch.isdecimal() else 0
-    schema = found.metadata.get("schema_hash", "")
     items: list[Entry | Note | FibreLine] = []
     gaps = found.gaps
     for topic, log_ns, data in found.messages:
         t_s = (log_ns - epoch_ns) / 1e9
         if topic in _TOPICS:
-            frame = in_todays_layout(data, schema) if schema in OLDER_SCHEMAS else data
-            items.append(Entry(t_s, _TOPICS[topic], frame))
+            items.append(Entry(t_s, _TOPICS[topic], data))
             continue
         try:
             items.append(_note(t_s, data) if topic == _NOTES else _fibre_line(data))

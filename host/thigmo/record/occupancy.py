@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from thigmo.config import Finite, Positive, invalid_entry
-from thigmo.display import draw, html_card, html_table
+from thigmo.display.grid import draw_grid
+from thigmo.display.html import html_card, html_table
 from thigmo.errors import RunFolderError
 from thigmo.extras import require
 from thigmo.files import CONFIG_BYTES, DATA_BYTES, read_file, why_unreadable
@@ -65,7 +66,9 @@ class OccupancyGrid:
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the cells in the robot's frame; without axes on a new figure of pyplot."""
-        return draw("draw_grid", self, axes)
+        return draw_grid(
+            self.cells == FREE, self.cells == OCCUPIED, self.resolution_cm, self.origin, axes
+        )
 
     def _size(self) -> str:
         rows, columns = self.cells.shape

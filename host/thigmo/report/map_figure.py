@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.config import SIDES
-from thigmo.display import COLORS, OTHER_COLOR, POINT_ESTIMATE
+from thigmo.contact_status import POINT_ESTIMATE
+from thigmo.display.axes import INK, MUTED, new_axes, plain, titled
+from thigmo.display.bars import COLORS, OTHER_COLOR
 from thigmo.errors import RunFolderError
 from thigmo.extras import NotInstalledError, require
 from thigmo.files import whole_file
 from thigmo.record import Ellipse as Spread
 from thigmo.record import outline, passed
-from thigmo.report.axes import INK, MUTED, new_axes, plain, titled
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

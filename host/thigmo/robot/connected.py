@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -30,6 +29,7 @@ from thigmo.robot.strains import Strains
 from thigmo.room import Dowel, Operator, Simulated
 from thigmo.stream import Command, Hello, Message, Server, Telemetry
 from thigmo.stream.hub import QUEUE
+from thigmo.version import VERSION
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client, Tap
@@ -224,7 +224,7 @@ class Connected(Closing):
         """
         now_s = self.now()
         hello = Hello(
-            now_s, self.epoch_s + now_s, self.url, name, folder, os.getpid(), version("thigmo"),
+            now_s, self.epoch_s + now_s, self.url, name, folder, os.getpid(), VERSION,
             self.virtual,
         )  # fmt: skip
         return Server(self.hub, hello, command)
@@ -314,6 +314,13 @@ class Connected(Closing):
     def scenery(self) -> Any:
         """The emulator's own truth (shapes included), for painting pictures; None on hardware."""
         return self._room.truth() if self._room else None
+
+    def overhead_pictures(self, sheet: Any, seed: int = 0) -> Any:
+        """Pictures of a camera above an emulated robot, and its height (cm); None on hardware.
+
+        They are a `thigmo.camera.PictureSource`; `sheet` is the `Sheet` that lies on the table.
+        """
+        return self._room.overhead_pictures(sheet, seed) if self._room else None
 
     def truth(self, side: Side | Literal[""] = "") -> Truth | None:
         """What the emulated room knows now, of the side that is inflated; None on hardware."""

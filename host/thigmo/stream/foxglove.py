@@ -29,7 +29,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.message import Message as Proto
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from thigmo.display import POINT_ESTIMATE
+from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.record import MapContact
 from thigmo.stream.messages import BodyShape, Contacts, Event, Grid, Log, Message
 

@@ -12,6 +12,7 @@ from functools import partial
 from thigmo.localization import thesis
 from thigmo.localization.thesis import Array
 from thigmo_bench.baselines import general
+from thigmo_bench.baselines.exact import exact
 from thigmo_bench.baselines.general import Problem
 
 Baseline = Callable[[Problem], tuple[Array, Array]]
@@ -23,7 +24,8 @@ BASELINES: dict[str, Baseline] = {
     "coordinate": partial(thesis.alternating, barriers=()),
     "clamped": thesis.clamped,
     "coupled": thesis.coupled,
-    "l2": partial(thesis.exact, norm=2),
+    "l1": exact,
+    "l2": partial(exact, norm=2),
     "grid": general.grid,
     **{name: partial(general.optimised, name) for name in general.OPTIMISERS},
     "pwlf": general.pwlf,

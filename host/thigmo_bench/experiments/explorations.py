@@ -24,6 +24,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from thigmo.config import RobotConfig
+from thigmo.display.axes import BLUE, ORANGE, RED
 from thigmo.errors import DataError
 from thigmo.exploration import explore
 from thigmo.exploration.map import best_contact
@@ -31,7 +32,6 @@ from thigmo.exploration.recorded import recorded_sweeps
 from thigmo.exploration.run import Progress
 from thigmo.exploration.run import Protocol as Way
 from thigmo.record import RunDocument, RunFolder
-from thigmo.report.axes import BLUE, ORANGE, RED
 from thigmo.robot import Operator, SensorTable, connect
 from thigmo_bench.baselines import BASELINES, Problem
 from thigmo_bench.experiments import thesis

@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from thigmo.display.axes import BLUE, GREEN, ORANGE
 from thigmo.mechanics import phi
-from thigmo.report.axes import BLUE, GREEN, ORANGE
 from thigmo_bench.experiments import thesis
 from thigmo_bench.experiments.compare import OURS, THEIRS, Solved, answered, workspace_errors
 from thigmo_bench.studies import charts

@@ -15,13 +15,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from thigmo import __version__
 from thigmo.calibrate.bench import READ_S, STEADY_S, grow_to, set_zone, zero
 from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
 from thigmo.robot import Reading, Robot, SensorTable
+from thigmo.version import VERSION
 from thigmo_bench.experiments import thesis
 from thigmo_bench.experiments.session import Attendant, Folder, Row, Say
 from thigmo_bench.experiments.specimen import frozen, pushed
@@ -50,7 +50,7 @@ def run_trials(
     if not todo:
         return True
     session = 1 + len(list(folder.path.glob("run-*.mcap")))
-    facts = {"thigmo": __version__, "url": robot.url, **robot.identity}
+    facts = {"thigmo": VERSION, "url": robot.url, **robot.identity}
     with LogWriter(folder.path / f"run-{session}.mcap", facts) as log:
         robot.record_frames(log.frame)
 

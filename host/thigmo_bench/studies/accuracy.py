@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from thigmo.display.axes import BLUE, RED
 from thigmo.localization import LocalizeResult, localize
-from thigmo.report.axes import BLUE, RED
 from thigmo_bench.studies import contact_scenes
 from thigmo_bench.studies.charts import curves, legend_below, panels
 from thigmo_bench.studies.contact_scenes import BENT, GROUPS, TOUCHED, Scenes, holds

@@ -18,8 +18,8 @@ from scipy.integrate import cumulative_trapezoid
 
 from thigmo.camera import CameraModel, Lens, Sheet, Wanted, calibrate_lens, detect, locate
 from thigmo.camera.model import Picture
-from thigmo.camera.render import BodyShape, PegShape, View, overhead_camera, random_look, render
 from thigmo.camera.sheet import Decal, board, card_decals, tip_decal
+from thigmo.emulator.render import BodyShape, PegShape, View, overhead_camera, random_look, render
 from thigmo.mechanics import traced
 from thigmo_bench.studies.engine import Claim, Context, Outcome, share
 from thigmo_bench.studies.rod import Floats

@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from numpy.typing import ArrayLike
 
-from thigmo.report.axes import CYCLE, small
+from thigmo.display.axes import CYCLE, small
 
 # Figures are drawn at their printed width, so that font sizes are true.
 _PAGE_IN = 7.5

@@ -22,6 +22,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from thigmo.config import RobotConfig
+from thigmo.display.axes import BLUE, GREEN, ORANGE, RED
 from thigmo.emulator.reach import first_felt, random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import ThigmoError
@@ -32,7 +33,6 @@ from thigmo.exploration.scoring import felt_pegs, from_line
 from thigmo.mechanics import Peg
 from thigmo.record import RunDocument, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
-from thigmo.report.axes import BLUE, GREEN, ORANGE, RED
 from thigmo_bench.studies import charts
 from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, share
 from thigmo_bench.studies.rooms import explored_scene

@@ -20,9 +20,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from thigmo.design import arc_bounds
+from thigmo.display.axes import BLUE, ORANGE
 from thigmo.localization import Localizer, LocalizeResult, priors
 from thigmo.mechanics.closed_forms import phi
-from thigmo.report.axes import BLUE, ORANGE
 from thigmo_bench.studies import contact_scenes
 from thigmo_bench.studies.charts import curves, legend_below, panels
 from thigmo_bench.studies.contact_scenes import holds, signs

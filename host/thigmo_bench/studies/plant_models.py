@@ -21,9 +21,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from thigmo.display.axes import GREEN
 from thigmo.localization import Localizer
 from thigmo.mechanics import ModelChoice, Peg, Rod, Tube
-from thigmo.report.axes import GREEN
 from thigmo_bench.studies import charts
 from thigmo_bench.studies.attempt import FAILURE_CM
 from thigmo_bench.studies.engine import Claim, Context, Outcome, Record

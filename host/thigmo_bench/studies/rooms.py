@@ -12,7 +12,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from thigmo import __version__
 from thigmo.config import RobotConfig
 from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult
@@ -20,6 +19,7 @@ from thigmo.exploration.effort import EFFORTS, Effort
 from thigmo.exploration.run import Exploration, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import connect
+from thigmo.version import VERSION
 
 
 def explored(
@@ -45,7 +45,7 @@ def explored(
         assert used is not None  # set for an emulated robot
         folder = RunFolder.create(out, protocol, datetime.now())
         used.save(folder.path / "robot.toml")
-        document = RunDocument(thigmo=__version__, name=protocol, url=url, started="", seed=seed)
+        document = RunDocument(thigmo=VERSION, name=protocol, url=url, started="", seed=seed)
         with folder.open_log(robot.identity, robot.epoch_s) as log:
             if frames:
                 robot.record_frames(log.frame)

@@ -20,8 +20,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from thigmo.display.axes import BLUE, GREEN, ORANGE, RED
 from thigmo.localization import METHODS
-from thigmo.report.axes import BLUE, GREEN, ORANGE, RED
 from thigmo_bench.baselines import BASELINES
 from thigmo_bench.studies import charts
 from thigmo_bench.studies.attempt import ON_A_ROBOT, attempt, mean_and_failures, mean_over

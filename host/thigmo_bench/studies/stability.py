@@ -49,7 +49,7 @@ Draw = Callable[[np.random.Generator, float, float], tuple[Case, float]]
 
 DEFAULT = METHODS[0]
 # Methods quick enough to map; the speed-accuracy chart has the others.
-MAPPED = (*METHODS, "l2", "coordinate", "grid", "slsqp", "pwlf")
+MAPPED = (*METHODS, "l1", "l2", "coordinate", "grid", "slsqp", "pwlf")
 # Methods that start somewhere, beside two that do not.
 STARTLESS = (DEFAULT, "l1")
 STARTED = (*STARTLESS, "alternating", "clamped", "coupled", "slsqp", "nelder-mead")

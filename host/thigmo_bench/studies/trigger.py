@@ -26,11 +26,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from thigmo.config import SIDES
+from thigmo.display.axes import CYCLE
 from thigmo.emulator.board import Floats
 from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.link.protocol import PARAMETERS
-from thigmo.report.axes import CYCLE
 from thigmo_bench.studies import charts
 from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
 from thigmo_bench.studies.trigger_sessions import (

@@ -11,12 +11,13 @@ import thigmo
 from thigmo.calibrate import steps
 from thigmo.calibrate.bench import Bench, Plan, tip_rows
 from thigmo.calibrate.flex_data import FlexReadings
-from thigmo.calibrate.overhead import OverheadCamera, emulated_source
+from thigmo.calibrate.overhead import OverheadCamera
 from thigmo.calibrate.session import Session, blank
 from thigmo.camera import CameraMovedError, MarkerMissingError, Sheet, locate
 from thigmo.camera.sheet import card_decals
 from thigmo.config import SIDES
 from thigmo.design import draft
+from thigmo.emulator.overhead import overhead_pictures
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.errors import DataError
 
@@ -37,8 +38,8 @@ class Lab:
         self.pictures = 0
         self.shove_after = 10**9
         sheet = Sheet()
-        source, sheet.camera_height_cm = emulated_source(
-            self.robot, sheet, seed=3, spoil=self._spoil
+        source, sheet.camera_height_cm = overhead_pictures(
+            self.robot.scenery, self.robot.config.body, sheet, seed=3, spoil=self._spoil
         )
         self.camera = OverheadCamera(source, locate(source.read(), sheet), sheet)
         self.answer: list[str] = []

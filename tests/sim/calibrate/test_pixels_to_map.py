@@ -10,7 +10,7 @@ import pytest
 import thigmo
 from thigmo.calibrate import steps
 from thigmo.calibrate.bench import Bench, Plan
-from thigmo.calibrate.overhead import OverheadCamera, emulated_source
+from thigmo.calibrate.overhead import OverheadCamera
 from thigmo.calibrate.session import Session, blank
 from thigmo.camera import Sheet, locate
 from thigmo.config import SIDES
@@ -59,7 +59,7 @@ def test_from_pixels_to_the_map(tmp_path):
 
     with thigmo.connect(url, seed=4) as robot:
         sheet = Sheet()
-        source, height = emulated_source(robot, sheet, seed=8)
+        source, height = robot.overhead_pictures(sheet, seed=8)
         sheet.camera_height_cm = height
         camera = locate(source.read(), sheet)
         session = Session(tmp_path / "calibration", blank(truth))
@@ -95,7 +95,7 @@ def test_from_pixels_to_the_map(tmp_path):
 
     (peg,) = scene.pegs
     with thigmo.connect(room, seed=4) as robot:
-        source, _ = emulated_source(robot, sheet, seed=8)
+        source, _ = robot.overhead_pictures(sheet, seed=8)
         # The operator has measured the dowels' thickness, not their places.
         seen = OverheadCamera(source, camera, sheet, dowel_radius_cm=0.6).everything().obstacles
     where = seen[0]

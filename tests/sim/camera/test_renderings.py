@@ -8,14 +8,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from thigmo.camera import (
     AxisDoubtfulError,
     BodyNotSeenError,
     CameraError,
     CameraMovedError,
-    Clicks,
     MarkerAstrayError,
     MarkerMissingError,
     Sheet,
@@ -27,11 +25,9 @@ from thigmo.camera import (
     locate,
     open_source,
 )
-from thigmo.camera.detection import write_picture
 from thigmo.camera.pose import GOOD_CM
-from thigmo.camera.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo.camera.sheet import card_decals, tip_decal
-from thigmo.cli.camera import group
+from thigmo.emulator.render import BodyShape, Look, PegShape, View, overhead_camera, render
 from thigmo.errors import ConfigError
 from thigmo_bench.studies.camera import axis_of, board_lens, glimpse, summarise
 
@@ -147,40 +143,13 @@ def test_what_is_seen_is_drawn(picture, model):
     assert (np.abs(patch.astype(int) - [255, 255, 0]).max(axis=1) < 60).any()
 
 
-def test_missing_tip_marker_is_a_problem_with_a_way_out(room, model, tmp_path):
+def test_missing_tip_marker_is_a_problem_with_a_way_out(room, model):
     bare = room.picture(tip=False)
     seen = detect(bare, model, SHEET)
     assert isinstance(seen.problems[0], MarkerMissingError)
-    # The line goes to `thigmo calibrate` too, which takes no clicked tip; `camera check` does.
     assert str(seen.problems[0]).endswith("turn it face up and clear the view")
-    write_picture(tmp_path / "bare.png", bare)
-    model.save(tmp_path / "camera.json")
-    SHEET.save(tmp_path / "sheet.toml")
-    asked = ["check", str(tmp_path / "bare.png"), "--out", str(tmp_path / "check.png")]
-    asked += ["--camera", str(tmp_path / "camera.json"), "--sheet", str(tmp_path / "sheet.toml")]
-    said = CliRunner().invoke(group, asked)
-    assert "clear the view, or give the tip with `--tip X,Y`" in said.output
-    end = room.camera.project(np.array([[room.x[-1], room.y[-1], 1.75]]))[0]
-    clicked = detect(bare, model, SHEET, clicks=Clicks(tip=(end[0] + 1.0, end[1] - 1.0)))
-    assert clicked.tip.clicked
-    assert (clicked.tip.x_cm, clicked.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.2)
     # The body's own end is found without any marker.
     assert seen.axis.tip_cm == pytest.approx((room.x[-1], room.y[-1]), abs=0.3)
-
-
-def test_clicked_axis_and_dowel_replace_detection(room, model):
-    pick = np.arange(20, 400, 30)
-    axis = room.camera.project(np.column_stack([room.x[pick], room.y[pick], np.full(13, 1.75)]))
-    around = np.linspace(0, 5, 4)
-    rim = np.column_stack([30 + np.cos(around), -8 + np.sin(around), np.full(4, 6.0)])
-    clicks = Clicks(
-        tip=tuple(room.camera.project(np.array([[room.x[-1], room.y[-1], 1.75]]))[0]),
-        axis=tuple(map(tuple, axis)),
-        obstacles=(tuple(map(tuple, room.camera.project(rim))),),
-    )
-    seen = detect(room.picture(body=False), model, SHEET, Wanted(constant=True), clicks=clicks)
-    assert seen.axis.coefficients[2] == pytest.approx(0.02, abs=3e-4)
-    assert min(np.hypot(o.x_cm - 30, o.y_cm + 8) for o in seen.obstacles if o.rim == 1.0) < 0.1
 
 
 def test_no_robot_is_said(room, model):

@@ -407,26 +407,18 @@ def test_results_call_sensors_and_muscles_as_robot_toml_does(tmp_path: Path) -> 
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("names", ["as robot.toml", "by side"])
-def test_a_csv_calls_sensors_as_robot_toml_does_or_by_side_as_before(
-    tmp_path: Path, names: str
-) -> None:
+def test_a_csv_calls_sensors_as_robot_toml_does(tmp_path: Path) -> None:
     config, rng = named(), np.random.default_rng(4)
     t, y = decay(rng, 7.5, 0.02)
-    if names == "by side":
-        columns = [f"curvature_{side}_{k}" for side in ("left", "right") for k in range(5)]
-        place = {"side": ["right"] * len(t), "index": [2] * len(t)}
-    else:
-        columns = [f"curvature_port_{k}" for k in range(5)]
-        columns += [f"curvature_270deg_{k}" for k in range(5)]
-        place = {"sensor": ["270deg_2"] * len(t)}
+    columns = [f"curvature_port_{k}" for k in range(5)]
+    columns += [f"curvature_270deg_{k}" for k in range(5)]
     rest = rng.normal(0, 4e-4, (60, 10))
     file = tmp_path / "rest.csv"
     write_table(file, {"t_s": np.arange(60.0)} | dict(zip(columns, rest.T, strict=True)))
     found = fit_csv("noise", file, config)
     assert [each.name for each in found.sensors] == SENSORS
     assert found.sensors[7].white == pytest.approx(4e-4, rel=0.3)
-    write_table(file, place | {"t_s": t, "curvature": y})
+    write_table(file, {"sensor": ["270deg_2"] * len(t), "t_s": t, "curvature": y})
     (fit,) = fit_csv("hysteresis", file, config).sensors
     assert fit.name == "270 deg 2"
 

@@ -1,4 +1,4 @@
-"""Pixels to centimetres without pictures: pose, axis fits, circles, clicks, files."""
+"""Pixels to centimetres without pictures: pose, axis fits, files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 from thigmo.camera import (
     CameraModel,
     CameraMovedError,
-    Clicks,
     Lens,
     PictureError,
     PlaneFitError,
@@ -20,13 +19,11 @@ from thigmo.camera import (
     fit_centerline,
     open_source,
 )
-from thigmo.camera.clicks import click, parse_pixel
 from thigmo.camera.exceptions import CameraError
 from thigmo.camera.model import judge_still
-from thigmo.camera.obstacles import circle_through
 from thigmo.camera.pose import fit_pose, what_helps
-from thigmo.camera.render import overhead_camera
 from thigmo.camera.sheet import place
+from thigmo.emulator.render import overhead_camera
 from thigmo.errors import DataError
 from thigmo_bench.studies.camera import axis_of
 
@@ -155,58 +152,13 @@ def test_axis_fit_survives_a_hidden_stretch_and_wild_points():
         axis.mean_curvature(52.0, 5.5)
 
 
-def test_clicked_circle():
-    around = np.array([0.3, 2.0, 4.5])
-    rim = np.column_stack([12 + 1.2 * np.cos(around), -3 + 1.2 * np.sin(around)])
-    circle = circle_through(rim)
-    assert (circle.x_cm, circle.y_cm, circle.radius_cm) == pytest.approx((12, -3, 1.2))
-    with pytest.raises(DataError, match="on a line"):
-        circle_through(np.array([[0.0, 0], [1, 1], [2, 2]]))
-
-
-def test_clicks_in_a_window_add_undo_and_end(monkeypatch):
-    from matplotlib.backend_bases import KeyEvent, MouseEvent
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    def person(canvas, _timeout):
-        (axes,) = canvas.figure.axes
-        for x, y, button in ((50, 40, 1), (120, 60, 1), (0, 0, 3)):
-            at = axes.transData.transform((x, y))
-            name = "button_press_event"
-            canvas.callbacks.process(name, MouseEvent(name, canvas, *at, button))
-        canvas.callbacks.process("key_press_event", KeyEvent("key_press_event", canvas, "enter"))
-
-    monkeypatch.setattr(FigureCanvasAgg, "start_event_loop", person)
-    monkeypatch.setattr(Figure, "show", lambda figure: None)
-    monkeypatch.setattr("matplotlib.pyplot.get_backend", lambda: "tkagg")
-    clicks = click(np.zeros((100, 200, 3), np.uint8))
-    assert clicks.tip == pytest.approx((50, 40))
-
-
-def test_no_window_is_said_and_points_can_be_typed(tmp_path):
-    with pytest.raises(CameraError, match="--tip X,Y"):
-        click(np.zeros((10, 10, 3), np.uint8))
-    assert parse_pixel("812, 440.5") == (812.0, 440.5)
-    with pytest.raises(CameraError, match="812,440"):
-        parse_pixel("812")
-    clicks = Clicks((1.0, 2.0), ((1.0, 1.0),) * 6, (((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)),))
-    clicks.save(tmp_path / "clicks.json")
-    assert Clicks.load(tmp_path / "clicks.json") == clicks
-    (tmp_path / "clicks.json").write_text("[]")
-    with pytest.raises(CameraError, match="--click` again"):
-        Clicks.load(tmp_path / "clicks.json")
-
-
-def test_sizes_and_words_that_cannot_be_are_refused(tmp_path):
+def test_sizes_that_cannot_be_are_refused(tmp_path):
     with pytest.raises(DataError, match="tube of 0 cm"):
         Wanted(diameter_cm=0.0)
     with pytest.raises(DataError, match="radius above 0"):
         Wanted(obstacle_radius_cm=(-1.0, -2.0))
-    with pytest.raises(CameraError, match="'nose' cannot be clicked"):
-        click(np.zeros((10, 10, 3), np.uint8), ("nose",))
     with pytest.raises(CameraError, match="cannot write"):
-        Clicks().save(tmp_path / "none" / "clicks.json")
+        overhead_camera().save(tmp_path / "none" / "camera.json")
 
 
 def test_sources_say_what_is_wrong(tmp_path):

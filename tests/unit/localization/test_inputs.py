@@ -132,7 +132,7 @@ GOOD = {
         {"zero_error": math.nan},
         {"shared_errors": [1.0, 2.0, 3.0]},
         {"shared_errors": [[math.nan]] * 3},
-        {"method": "l1", "contacts": 3},
+        {"method": "thesis", "contacts": 4},
         {"critical_curvature": math.nan},
         {"tube_radius": -1.0},
         {"width_limit": math.inf},

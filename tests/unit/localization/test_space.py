@@ -266,7 +266,7 @@ def test_readings_of_zero_without_a_noise_have_a_finite_answer(weight):
         ({"direction": 2.0 * AXIS}, "unit vector"),
         ({"weight": (0.0, 1.0)}, "weight"),
         ({"critical_curvature": 1.0}, "no fold is weighed in space"),
-        ({"method": "l1"}, "knows no direction"),
+        ({"method": "thesis"}, "knows no direction"),
         ({"direction": None, "twist": 1.0}, "twist"),
     ],
 )

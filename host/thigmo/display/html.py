@@ -1,47 +1,10 @@
-"""How results show themselves in a notebook: HTML tables, a strip along the body, figures.
-
-Results live in layers that know nothing of matplotlib or of the report.
-"""
+"""HTML of a notebook: tables, cards, and a strip along the body."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from thigmo.extras import require
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-# Of Okabe and Ito's palette, which people with any common colour blindness tell apart.
-COLORS = {"localized": "#d55e00", "ambiguous": "#e69f00"}
-OTHER_COLOR = "#5b6b7a"
-# Status of a contact by a method that gives a place and no measure of its error.
-POINT_ESTIMATE: Literal["point estimate"] = "point estimate"
-
-
-def draw(function: str, result: object, axes: Axes | None, **options: Any) -> Axes:
-    """Have a function of the report draw a result of a layer below, which reaches it by name."""
-    require("plot", "a figure")
-    drawn: Axes = getattr(import_module("thigmo.report"), function)(result, axes, **options)
-    return drawn
-
-
-class Bar(NamedTuple):
-    """A contact on the strip: its place, its interval's pieces, its status."""
-
-    arc: float
-    pieces: Sequence[tuple[float, float]]
-    status: str
-
-
-def interval_text(status: str, interval: tuple[float, float], number: str, unit: str = "") -> str:
-    """An interval for people, its numbers by a format: "36.2 to 43.3"."""
-    if status == POINT_ESTIMATE:
-        return "no interval"
-    low, high = (format(end, number) for end in interval)
-    return f"{low} to {high}{unit}"
+from thigmo.display.bars import OTHER_COLOR, Bar
 
 
 def html_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -95,7 +58,7 @@ def body_strip(
     ]
     if density and max(density) > 0.0:
         scale = (ground - 10.0 - top) / max(density)
-        color = COLORS.get(bars[-1].status if bars else "", OTHER_COLOR)
+        color = bars[-1].color if bars else OTHER_COLOR
         steps = "".join(
             f"L{x(low):.1f} {ground - 8 - d * scale:.1f}L{x(high):.1f} {ground - 8 - d * scale:.1f}"
             for d, low, high in zip(density, edges[:-1], edges[1:], strict=True)
@@ -109,13 +72,12 @@ def body_strip(
         'stroke-opacity="0.25" stroke-width="9" stroke-linecap="round"/>'
     )
     for bar in bars:
-        color = COLORS.get(bar.status, OTHER_COLOR)
         drawn += [
             f'<line x1="{x(low):.1f}" x2="{x(high):.1f}" y1="{ground}" y2="{ground}" '
-            f'stroke="{color}" stroke-opacity="0.55" stroke-width="7"/>'
+            f'stroke="{bar.color}" stroke-opacity="0.55" stroke-width="7"/>'
             for low, high in bar.pieces
         ]
-        drawn.append(f'<circle cx="{x(bar.arc):.1f}" cy="{ground}" r="5" fill="{color}"/>')
+        drawn.append(f'<circle cx="{x(bar.arc):.1f}" cy="{ground}" r="5" fill="{bar.color}"/>')
     style = 'fill="currentColor" font-size="11" font-family="sans-serif"'
     drawn.append(f'<text x="{start}" y="{ground + 20}" {style}>base 0</text>')
     drawn.append(
