@@ -136,7 +136,7 @@ class Watched:
             run.send("stop")
         if ended.wait(_STOP_S):
             return [Stopped(run.hello.url, f"the end of its run {run.hello.name}")]
-        failure = f"the run {run.hello.name} does not answer; use the emergency stop, or end it"
+        failure = f"the run {run.hello.name} does not answer; end its program"
         return stopped or [Stopped(run.hello.url, failure=failure)]
 
     def close(self) -> None:
