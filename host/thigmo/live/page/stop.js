@@ -18,7 +18,12 @@ let last_s = 0, tried = null; // when a stop was last answered, and of which run
 const TYPED = "textarea, [contenteditable], input:not([type=range], [type=checkbox], [type=radio], [type=button])";
 const typed = (target) => target instanceof Element && target.matches(TYPED);
 // Whether what was stopped was emulated, and its program has ended.
-const hasEnded = () => !!outcome?.robots.length && outcome.robots.every((each) => each.confirmed_by.startsWith("the end"));
+const hasEnded = () => stopped().length > 0 && stopped().every((each) => each.confirmed_by.startsWith("the end"));
+// What the last stop on a page came to, if it is the one that lasts: a robot may be stopped elsewhere.
+function stopped() {
+  const { page } = store;
+  return page?.latched && page.stopped.at_s !== outcome?.at_s ? [] : outcome?.robots ?? [];
+}
 const keys = () => typed(document.activeElement) ? "Esc" : "Space or Esc";
 
 const WORDS = {
@@ -41,7 +46,7 @@ function show(next) {
 
 // Whom the stop is or was for, or why there is nobody.
 function name() {
-  const { page } = store, robots = outcome?.robots ?? [];
+  const { page } = store, robots = stopped();
   if (state === "stopped" && robots.length) {
     robot.textContent = robots.map((each) => each.robot).join(", ");
     button.title = robots.map((each) => `${each.robot}: confirmed by ${each.confirmed_by}`).join("\n");
