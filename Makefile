@@ -13,7 +13,7 @@ PYTEST  := $(BIN)/pytest -q
 FAST    := not (bench or browser or ros or ci or nightly)
 LONG    := (bench or browser or ros or ci) and not nightly
 
-.PHONY: help install explore test ci nightly lint bench soak figures docs firmware clean
+.PHONY: help install explore test ci nightly lint bench soak figures docs docs-cells firmware clean
 help:
 	@echo "make explore  set up what a robot needs, then explore the default room on the emulator"
 	@echo "make test     set up everything, then lint, and test units, protocol, simulation and image"
@@ -24,7 +24,8 @@ help:
 	@echo "make bench    the large studies (minutes)"
 	@echo "make soak     an hour of robot time with random commands and faults on the simulated Mega"
 	@echo "make figures  run everything behind the figures in docs/ and README, and write them there"
-	@echo "make docs     build the site into build/site; every command and cell on it runs"
+	@echo "make docs-cells  execute every command and code cell of the site, and keep their output"
+	@echo "make docs     build the site into build/site from that output"
 	@echo "make firmware the Mega's image, with its size (needs avr-gcc)"
 
 install: .stamps/install
@@ -79,6 +80,7 @@ test: lint
 ci: test .stamps/ros
 	$(PYTEST) -n $(WORKERS) --dist worksteal -m "$(LONG) and not realtime"
 	$(PYTEST) -m "$(LONG) and realtime"
+	$(MAKE) docs-cells
 	$(MAKE) docs
 	$(BIN)/python tools/release.py
 
@@ -96,8 +98,15 @@ soak: install
 figures: install
 	$(BIN)/python tools/figures.py
 
+# Every command and code cell on the pages is executed by one target, and kept; the other builds the
+# site from what was kept. A page that fails or is slow is named, and the rest is built.
+SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2
+docs-cells: install .stamps/docs
+	rm -rf build/cells
+	DOCS_EXECUTE=1 $(SPHINX) --fresh-env --builder dummy --doctree-dir build/cells/doctrees docs build/cells/pages
 docs: install .stamps/docs
-	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 docs build/site
+	[ -d build/cells ] || $(MAKE) docs-cells || true
+	$(SPHINX) --fresh-env docs build/site
 .stamps/docs: .stamps/install
 	$(BIN)/pip install --quiet --no-build-isolation --editable '.[docs]'
 	@touch $@

@@ -1,7 +1,8 @@
 """The documentation site: `make docs` builds it, with every warning an error.
 
 Nothing on a page comes from another host: furo uses the system's fonts, formulas are MathML, and
-no script is loaded from outside. Commands and code on the pages run while the site is built.
+no script is loaded from outside. `make docs-cells` runs the commands and code on the pages, and
+keeps what they print for the site (docs/_ext/kept_cells.py).
 """
 
 import os
@@ -13,6 +14,7 @@ import numpy.typing
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
+import kept_cells  # noqa: E402
 
 project = "thigmo"
 author = "the thigmo developers"
@@ -28,6 +30,7 @@ extensions = [
     "closed",
     "console",
     "generated",
+    "kept_cells",
     "mathml",
 ]
 exclude_patterns = ["_build", "_made", "_ext", "results"]
@@ -45,10 +48,11 @@ myst_enable_extensions = ["dollarmath", "deflist", "colon_fence", "attrs_inline"
 myst_heading_anchors = 4
 myst_update_mathjax = False
 
-nb_execution_mode = "force"  # a page is executed whenever it is read
-nb_execution_raise_on_error = True
+nb_execution_mode = "cache"  # docs-cells begins with an empty one
+nb_execution_cache_path = str(kept_cells.NOTEBOOKS)
+nb_execution_excludepatterns = [] if kept_cells.EXECUTES else kept_cells.unexecuted_pages()
 nb_execution_in_temp = True
-nb_execution_timeout = 300
+nb_execution_timeout = 300  # s, of one cell
 nb_merge_streams = True
 nb_ipywidgets_js = {}  # otherwise loaded from other hosts
 # Kernels inherit it: pages show what a terminal of this width shows, wherever they are built.

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.board import virtual_board
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link.client import Client
@@ -27,7 +27,7 @@ def scene_at(length_cm: float, name: str = "empty") -> Scene:
 
 def emulated(scene: Scene, seed: int = 1) -> tuple[Robot, EmulatorTransport]:
     """A robot with a new board."""
-    transport = EmulatorTransport(scene, VirtualBoard(seed), seed=seed)
+    transport = EmulatorTransport(scene, virtual_board(scene.robot, seed), seed=seed)
     return Robot(Client(transport)), transport
 
 

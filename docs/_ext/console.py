@@ -1,4 +1,4 @@
-"""The directive `console`: runs shell commands while the site is built, and shows what they print.
+"""The directive `console`: shell commands, and what they print.
 
     ```{console}
     :exit: 1
@@ -6,8 +6,9 @@
     ```
 
 Each line is one command; a backslash at its end continues it on the next. All commands of a page
-run in one folder of their own, in order. The build fails if the last command ends with another exit
-status than `exit` (0), or one before it with any but 0.
+run in one folder of their own, in order. `make docs-cells` runs them and keeps what they print;
+`make docs` shows what was kept. It is an error of the page if the last command ends with another
+exit status than `exit` (0), one before it with any but 0, or one takes longer than `LIMIT_S`.
 
 `head` and `tail` show the first and last lines only. `picture` is a file, or a pattern, that the
 commands left: it is shown below them, with `alt` as its text. `timed` adds how long they took.
@@ -25,9 +26,10 @@ from typing import Any, ClassVar
 
 from docutils import nodes
 from docutils.parsers.rst import directives
+from kept_cells import EXECUTES, KeptOutput, read_output, write_output
 from sphinx.util.docutils import SphinxDirective
 
-LIMIT_S = 280
+LIMIT_S = 280  # of one command
 
 
 class Console(SphinxDirective):
@@ -46,33 +48,54 @@ class Console(SphinxDirective):
     }
 
     def run(self) -> list[nodes.Node]:
-        """Run the commands; the nodes of what they printed."""
+        """The nodes of what the commands printed, now or when they were run."""
         page = Path(self.env.docname)
-        folder = Path(self.env.app.doctreedir) / "console" / page
-        if not self.env.temp_data.get("console"):
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir(parents=True)
-            self.env.temp_data["console"] = True
-        shown: list[str] = []
-        begun = time.monotonic()
         lines = "\n".join(self.content).replace("\\\n", "\\\0").splitlines()
         commands = [line.replace("\0", "\n") for line in lines if line.strip()]
-        for number, command in enumerate(commands, 1):
-            expected = self.options.get("exit", 0) if number == len(commands) else 0
-            output = self._output(command, folder, expected)
-            shown += ["$ " + command.replace("\n", "\n> "), *output]
-        took = time.monotonic() - begun
+        # What a page's commands print depends on all commands before them.
+        before: list[str] = self.env.temp_data.setdefault("console", [])
+        first = not before
+        before += [*commands, str(self.options.get("exit", 0))]
+        if EXECUTES:
+            kept = self._execute(commands, page, first)
+            write_output(page, before, kept)
+        else:
+            known = read_output(page, before)
+            if known is None:
+                raise self.error("this command has not been run; `make docs-cells` runs it")
+            kept = known
         if "hidden" in self.options:
             return []
+        shown: list[str] = []
+        for command, output in zip(commands, kept.printed, strict=True):
+            shown += ["$ " + command.replace("\n", "\n> "), *self._excerpt(output)]
         text = "\n".join(shown)
-        block = nodes.literal_block(text, text, language="console")
-        found: list[nodes.Node] = [block]
+        made: list[nodes.Node] = [nodes.literal_block(text, text, language="console")]
         if "timed" in self.options:
-            said = f"(It took {took:.0f} s on the computer that built this page.)"
-            found.append(nodes.paragraph(said, said, classes=["timed"]))
+            said = f"(It took {kept.took_s:.0f} s on the computer that ran this page's commands.)"
+            made.append(nodes.paragraph(said, said, classes=["timed"]))
         if "picture" in self.options:
-            found.append(self._picture(folder, page))
-        return found
+            made.append(self._picture(kept.picture, page))
+        return made
+
+    def _execute(self, commands: list[str], page: Path, first: bool) -> KeptOutput:
+        """Run the commands in the page's folder, which the first of them find empty."""
+        folder = Path(self.env.app.doctreedir) / "console" / page
+        if first:
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+        begun = time.monotonic()
+        printed = []
+        for number, command in enumerate(commands, 1):
+            expected = self.options.get("exit", 0) if number == len(commands) else 0
+            printed.append(self._output(command, folder, expected))
+        took_s = time.monotonic() - begun
+        if "picture" not in self.options:
+            return KeptOutput(printed, took_s)
+        pictures = sorted(folder.glob(self.options["picture"]))
+        if not pictures:
+            raise self.error(f"no file {self.options['picture']} after the commands")
+        return KeptOutput(printed, took_s, pictures[-1])
 
     def _output(self, command: str, folder: Path, expected: int) -> list[str]:
         environment = {
@@ -82,20 +105,26 @@ class Console(SphinxDirective):
             "NO_COLOR": "1",
             "PYTHONPATH": str(Path(__file__).parent),  # painted.py
         }
-        done = subprocess.run(
-            ["bash", "-c", command],
-            cwd=folder,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            timeout=LIMIT_S,
-            check=False,
-        )
+        try:
+            done = subprocess.run(
+                ["bash", "-c", command],
+                cwd=folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                timeout=LIMIT_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as late:
+            raise self.error(f"`{command}` took longer than {LIMIT_S} s") from late
         if done.returncode != expected:
             raise self.error(f"`{command}` ended with {done.returncode}:\n{done.stdout}")
-        lines = [line.rstrip() for line in done.stdout.rstrip().splitlines()]
+        return [line.rstrip() for line in done.stdout.rstrip().splitlines()]
+
+    def _excerpt(self, lines: list[str]) -> list[str]:
+        """The lines that the options `head` and `tail` leave."""
         head, tail = self.options.get("head"), self.options.get("tail")
         if head is None and tail is None:
             return lines
@@ -104,17 +133,15 @@ class Console(SphinxDirective):
             return lines
         return [*first, "...", *last]
 
-    def _picture(self, folder: Path, page: Path) -> nodes.Node:
-        pattern = self.options["picture"]
-        made = sorted(folder.glob(pattern))
-        if not made:
-            raise self.error(f"no file {pattern} after the commands")
-        kept = Path("_made") / "-".join([*page.parts, str(self.lineno), made[-1].name])
-        (Path(self.env.srcdir) / kept).parent.mkdir(exist_ok=True)
-        shutil.copy(made[-1], Path(self.env.srcdir) / kept)
+    def _picture(self, picture: Path | None, page: Path) -> nodes.Node:
+        if picture is None:
+            raise self.error("this picture has not been made; `make docs-cells` makes it")
+        copy = Path("_made") / "-".join([*page.parts, str(self.lineno), picture.name])
+        (Path(self.env.srcdir) / copy).parent.mkdir(exist_ok=True)
+        shutil.copy(picture, Path(self.env.srcdir) / copy)
         return nodes.image(
-            uri=f"/{kept.as_posix()}",
-            alt=self.options.get("alt", made[-1].name),
+            uri=f"/{copy.as_posix()}",
+            alt=self.options.get("alt", picture.name),
             width=self.options.get("width", "100%"),
         )
 

@@ -25,6 +25,7 @@
 
 #include "capacity.h"
 #include "flash.h"
+#include "latches.h"
 #include "link/protocol.h"
 
 namespace thigmo {
@@ -82,13 +83,6 @@ enum class Task : uint8_t {
 // because a long queue would delay events.
 constexpr uint16_t kRxRing = 256;
 constexpr uint16_t kTxRing = 256;
-
-// Whether somebody has stopped the robot, and which stop that was. Kept through resets (keep_stop),
-// so that no program gets round it by opening the port, which resets a Mega.
-struct StopLatch {
-  bool latched = false;
-  uint32_t nonce = 0;
-};
 
 // The longest silence of the main loop after which a board may still run on; the spool's top speed
 // allows for it (config/configuration.h).
@@ -169,9 +163,10 @@ class BoardPolicy {
 
   // --- start and stop ----------------------------------------------------------------------------
   protocol::ResetCause reset_cause();  // of this start
-  // What was last kept, if power has been on since; else none. Written only when it changes.
-  StopLatch kept_stop();
-  void keep_stop(StopLatch stop);
+  // What was last kept, if power has been on since; else none. LatchRecord (latches.h) does this
+  // for RAM that no start-up code touches. Kept anew in each tick and after each command.
+  Latches kept_latches();
+  void keep_latches(const Latches& latches);
   void task(uint8_t id);  // a part of the pass begins (Task); may do nothing
   void kick_watchdog();   // every tick; time-out 120..kWatchdogMs
 };

@@ -26,16 +26,7 @@ class Commands {
 
   void heartbeat() { controller_.beat(); }
   void hello(bool same_host) { controller_.greet(same_host); }
-  void stop(uint32_t nonce) {
-    controller_.stop(nonce);
-    stop_changed_ = true;
-  }
-  // Whether a stop has come or gone since the last call.
-  bool stop_changed() {
-    const bool changed = stop_changed_;
-    stop_changed_ = false;
-    return changed;
-  }
+  void stop(uint32_t nonce) { controller_.stop(nonce); }
 
   Handled execute(const Frame& command, Frame* reply) {
     Reply answer = {reply, command.seq(), command.session()};
@@ -50,7 +41,6 @@ class Commands {
         return answer.ack(controller_.disarm());
       case protocol::kClearStop: {
         const auto m = read<protocol::ClearStop>(command);
-        stop_changed_ = true;
         return answer.ack(controller_.clear_stop(m.nonce));
       }
       case protocol::kClearFaults: {
@@ -280,7 +270,6 @@ class Commands {
   Session& session_;
   ConfigStore& store_;
   Timing timing_ = {};
-  bool stop_changed_ = false;
 };
 
 }  // namespace thigmo

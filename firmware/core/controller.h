@@ -66,7 +66,7 @@ class Controller {
   // A tick's conversions are complete so long after it.
   explicit Controller(uint16_t frame_us) : frame_us_(frame_us) {}
 
-  void begin(LoadResult loaded, protocol::ResetCause cause, StopLatch stop);
+  void begin(LoadResult loaded, protocol::ResetCause cause, const Latches& kept);
 
   // One tick's work: conversions into readings; the loops whose turn it is; then trigger, peak,
   // zeroing, faults and supervisor. In this order, once each.
@@ -128,7 +128,7 @@ class Controller {
   int32_t length_um() const { return length_um_; }
   bool body_air() const { return body_air_; }
   Enables enables() const;
-  StopLatch stop_latch() const { return stop_; }
+  Latches latches() const { return {stop_, faults_.latched()}; }
 
  private:
   static constexpr uint8_t kTelemetryPhase = 3;
@@ -167,6 +167,8 @@ class Controller {
   static constexpr uint16_t kPowerMs = 300;
   // The emergency stop's own contact cuts the motor's supply: the enable waits for so long, to see.
   static constexpr uint16_t kStopProofMs = 100;
+  // Value of a fault's event that was latched before the last reset.
+  static constexpr int32_t kBeforeReset = -1;
 
   bool enabled(uint8_t sensor) const { return (derived_.enabled_mask >> sensor & 1) != 0; }
   // Sensors that read curvature now, as bits.
@@ -209,6 +211,7 @@ class Controller {
   bool testing_vent() const { return testing(protocol::Output::kVent); }
   void spool_step();
   void watch_motion(int16_t duty);
+  void watch_fold();
   void watch_power();
   bool brake_fitted() const { return config_.get(Param::kBrakeFitted) != 0; }
   bool power_wanted() const;
@@ -336,6 +339,7 @@ class Controller {
   bool beaten_ = false;
   bool length_known_ = false;
   bool config_valid_ = false;
+  bool store_damaged_ = false;  // until a host has saved
   bool estop_ = false;
   bool slipping_ = false;
   bool motor_power_ = false;

@@ -92,6 +92,7 @@ inline Outcome Controller::clear_faults(uint16_t wanted) {
     motion_.restart(encoder_);
     slipping_ = false;
   }
+  assemble_conditions();  // a heartbeat may have come just before
   const uint16_t left = faults_.clear(wanted, causes());
   supervise(0);
   return {Reason::kNone, left};
@@ -168,13 +169,11 @@ inline void Controller::start_spool(Activity activity, int32_t target_counts, in
   spool_.start(encoder_, target_counts, derived_.speed_q16(speed), derived_.accel_q16,
                homing ? derived_.homing_duty : derived_.top_duty);
   // What growth has missed adds up over the moves that follow each other.
-  if (activity != Activity::kGrowing) {
-    motion_.restart(encoder_);
-    fold_.restart();
-  }
+  const bool growing = activity == Activity::kGrowing;
+  if (!growing) motion_.restart(encoder_);
   errors_before_ = encoder_errors_;
   moved_from_ = encoder_;
-  if (activity == Activity::kGrowing) fold_.begin(length_um_, derived_.enabled_mask, config_);
+  fold_.begin(length_um_, growing, homing ? 0 : derived_.enabled_mask, config_);
   start(activity);
 }
 
@@ -416,7 +415,7 @@ inline bool Controller::defaults_step() {
     if (changed && item < protocol::kParamCount) take_parameter(item);
     if (defaults_next_ == Configuration::kItems) {
       activity_ = Activity::kIdle;
-      config_valid_ = true;
+      config_valid_ = !store_damaged_;
       assemble_conditions();
       return true;
     }
@@ -435,6 +434,7 @@ inline Outcome Controller::begin_save() {
 inline void Controller::end_save(bool good, uint8_t slot, uint32_t generation) {
   activity_ = Activity::kIdle;
   if (good) {
+    store_damaged_ = false;
     config_valid_ = true;
     post(protocol::EventCode::kSaved, slot, static_cast<int32_t>(generation));
   }

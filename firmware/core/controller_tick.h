@@ -6,15 +6,23 @@
 
 namespace thigmo {
 
-inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause, StopLatch stop) {
+inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause, const Latches& kept) {
   derived_.update(config_);
   flex_.set_oversampling(derived_.oversample_log2);
   for (MovingSum& sum : base_sum_) sum.start(derived_.trigger_log2);
   config_valid_ = loaded == LoadResult::kLoaded;
+  store_damaged_ = loaded == LoadResult::kDamaged;
   if (!config_valid_) raise(Fault::kBadConfig, static_cast<uint8_t>(loaded));
   if (cause == protocol::ResetCause::kWatchdog) raise(Fault::kWatchdog, 0);
   if (cause == protocol::ResetCause::kBrownOut) raise(Fault::kBrownOut, 0);
-  if (stop.latched) this->stop(stop.nonce);
+  // The stop has a latch of its own, and the configuration is judged anew at each start.
+  constexpr uint16_t kJudgedAnew =
+      static_cast<uint16_t>(mask(Fault::kStopped) | mask(Fault::kBadConfig));
+  const uint16_t faults = static_cast<uint16_t>(kept.faults & ~kJudgedAnew);
+  for (uint8_t i = 0; i < protocol::kFaultCount; ++i) {
+    if ((faults >> i & 1) != 0) raise(static_cast<Fault>(i), kBeforeReset);
+  }
+  if (kept.stop.latched) stop(kept.stop.nonce);
 }
 
 inline void Controller::sense(const Inputs& in) {
@@ -85,11 +93,8 @@ inline void Controller::run_phase(uint8_t phase) {
   switch (phase) {
     case 0:
       if (activity_ == Activity::kSweeping) advance_sweep();
-      // Muscles rest while the body grows, so this turn has room.
-      if (activity_ == Activity::kGrowing && derived_.judges_encoder &&
-          fold_.step(flex_, length_um_, config_, derived_)) {
-        stall(protocol::StallCause::kEverted);
-      }
+      // Muscles rest while the body moves, so this turn has room.
+      if (winding() && length_known_ && derived_.judges_encoder) watch_fold();
       for (uint8_t i = 0; i < kMuscles; i += 2) pressure_step(i);
       break;
     case 1:
@@ -217,10 +222,24 @@ inline void Controller::watch_motion(int16_t duty) {
   motion_.step(encoder_, duty, winding() ? spool_.wanted_q16() : 0, growing,
                pulls ? config_.get(Param::kPullDuty, zone_) : 0, config_, derived_);
   if (growing && motion_.missed(derived_)) stall(protocol::StallCause::kSlow);
+  if (growing && motion_.exceeds(derived_)) stall(protocol::StallCause::kFast);
   if (!winding()) return;
   const uint16_t jumps = static_cast<uint16_t>(encoder_errors_ - errors_before_);
   if (jumps > kJumps && jumps > magnitude(encoder_ - moved_from_) >> 5) {
     stall(protocol::StallCause::kJumps);
+  }
+}
+
+THIGMO_NOINLINE inline void Controller::watch_fold() {
+  switch (fold_.step(flex_, length_um_, config_, derived_)) {
+    case FoldWatch::Verdict::kNone:
+      break;
+    case FoldWatch::Verdict::kEarly:
+      stall(protocol::StallCause::kEverted);
+      break;
+    case FoldWatch::Verdict::kLate:
+      stall(protocol::StallCause::kLate);
+      break;
   }
 }
 
@@ -233,7 +252,10 @@ inline bool Controller::power_wanted() const {
 inline Enables Controller::enables() const {
   const bool armed = may_energise(state_);
   const bool power = power_wanted();
-  return {armed && !testing_vent(), armed && body_air_, power || proving_stop_, power && !proving_};
+  // Homing's stages follow each other with the brake open.
+  const bool closes = activity_ != Activity::kHoming && winding() && spool_.braked();
+  return {armed && !testing_vent(), armed && body_air_, power || proving_stop_,
+          power && !proving_ && !closes};
 }
 
 // Whether the motor's supply follows its enable, and the emergency stop's contact cuts it.

@@ -29,7 +29,7 @@ class Robot {
   void begin() {
     write_outputs();
     const LoadResult loaded = store_.begin(board_, controller_.mutable_configuration());
-    controller_.begin(loaded, board_.reset_cause(), board_.kept_stop());
+    controller_.begin(loaded, board_.reset_cause(), board_.kept_latches());
   }
 
   // One pass of the main loop.
@@ -75,7 +75,7 @@ class Robot {
     if (!session_.heard()) return;
     session_.answer(board_.micros(), commands_);
     write_outputs();  // a stop takes effect now, not at the next tick
-    if (commands_.stop_changed()) board_.keep_stop(controller_.stop_latch());
+    board_.keep_latches(controller_.latches());
   }
 
   void tick(const AdcFrame* frame) {
@@ -93,6 +93,7 @@ class Robot {
     controller_.control();
     board_.task(static_cast<uint8_t>(Task::kDecide));
     controller_.decide();
+    board_.keep_latches(controller_.latches());
     if (controller_.configure_step()) session_.finish({protocol::Status::kOk, Reason::kNone, 0});
     refresh_one();
     write_outputs();

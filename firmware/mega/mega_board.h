@@ -99,8 +99,8 @@ class MegaBoard {
   static void eeprom_commit() {}  // a byte written is permanent
 
   static protocol::ResetCause reset_cause() { return Restart::cause(); }
-  static StopLatch kept_stop() { return Restart::kept_stop(); }
-  static void keep_stop(StopLatch stop) { Restart::keep_stop(stop); }
+  static Latches kept_latches() { return Restart::kept_latches(); }
+  static void keep_latches(const Latches& latches) { Restart::keep_latches(latches); }
   static void kick_watchdog() {
     Restart::note_supply(Sampler::bandgap() > kBandgapMv * 1024 / kLowMv);
     Restart::kick();

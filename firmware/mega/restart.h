@@ -9,10 +9,9 @@
 //
 // All other causes, and a watchdog's under another boot loader, are derived from a record in RAM
 // that no start-up code touches (.noinit): whether it survived, how long the main loop had been
-// silent, and what the supply was. A stop that an operator has not cleared is kept there as well.
-// .noinit lies behind .data and .bss, hence above the boot
-// loader's variables (0x200..0x20D) and far below its stack (the top 400 bytes); tests/sim checks
-// both.
+// silent, and what the supply was. A stop and faults that an operator has not cleared are kept
+// there as well. .noinit lies behind .data and .bss, hence above the boot loader's variables
+// (0x200..0x20D) and far below its stack (the top 400 bytes); tests/sim checks both.
 //
 // The watchdog runs in pure reset mode: its interrupt would need interrupts, and those may be what
 // hangs.
@@ -33,8 +32,7 @@ struct RestartRecord {
   volatile uint16_t silent_ms;  // since the main loop last kicked the watchdog
   volatile uint8_t supply_low;  // at the last look
   uint8_t mcusr;                // of this start, before it was cleared; the entry's included
-  uint32_t stop_nonce;          // of the stop that is latched
-  uint32_t stop_mark;           // its complement if one is
+  LatchRecord latches;
 };
 RestartRecord restart_record __attribute__((section(".noinit")));
 
@@ -46,19 +44,11 @@ class Restart {
     restart_record.magic = kMagic;
     restart_record.silent_ms = 0;
     restart_record.supply_low = 0;
-    if (cause_ == protocol::ResetCause::kPowerOn) keep_stop(StopLatch{});
+    if (cause_ == protocol::ResetCause::kPowerOn) keep_latches(Latches{});
   }
 
-  static StopLatch kept_stop() {
-    StopLatch stop;
-    stop.latched = restart_record.stop_mark == ~restart_record.stop_nonce;
-    if (stop.latched) stop.nonce = restart_record.stop_nonce;
-    return stop;
-  }
-  static void keep_stop(StopLatch stop) {
-    restart_record.stop_nonce = stop.nonce;
-    restart_record.stop_mark = stop.latched ? ~stop.nonce : stop.nonce;
-  }
+  static Latches kept_latches() { return restart_record.latches.kept(); }
+  static void keep_latches(const Latches& latches) { restart_record.latches.keep(latches); }
 
   static protocol::ResetCause cause() { return cause_; }
 

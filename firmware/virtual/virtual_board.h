@@ -104,7 +104,7 @@ class VirtualBoard {
   // Restarts the chip: outputs off, rings empty, boot loader, then the firmware from its start.
   void reset(protocol::ResetCause cause) {
     cause_ = cause;
-    if (cause == protocol::ResetCause::kPowerOn) stop_ = StopLatch{};
+    if (cause == protocol::ResetCause::kPowerOn) kept_ = Latches{};
     robot_.reset();
     running_ = false;
     powered_ = true;
@@ -216,8 +216,8 @@ class VirtualBoard {
   }
 
   protocol::ResetCause reset_cause() { return cause_; }
-  StopLatch kept_stop() { return stop_; }
-  void keep_stop(StopLatch stop) { stop_ = stop; }
+  Latches kept_latches() { return kept_; }
+  void keep_latches(const Latches& latches) { kept_ = latches; }
   void kick_watchdog() { kicked_us_ = now_us_; }
   void task(uint8_t) {}
 
@@ -311,7 +311,7 @@ class VirtualBoard {
   protocol::ResetCause cause_ = protocol::ResetCause::kPowerOn;
   bool estop_ = false;
   bool motor_power_ = false;
-  StopLatch stop_;  // kept through resets, as RAM is
+  Latches kept_;  // through resets, as RAM is
   bool running_ = false;
   bool powered_ = true;
   bool hung_ = false;

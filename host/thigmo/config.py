@@ -435,6 +435,7 @@ class Spool(Model):
     # Pull that friction holds at rest: more than the 4.9 N with which 1.47 psi pulls at 3.5 cm.
     holding_n: NonNegative = 6.0
     brake: bool = False  # a spring-applied brake, and contacts in the motor's supply
+    brake_closes_s: NonNegative = 0.04  # after its current ends; the most that BR1 may take
 
 
 _SCENE_KEYS = {"extends", "robot", "pegs"}  # of a scene, and in no version of robot.toml

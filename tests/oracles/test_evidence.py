@@ -129,6 +129,41 @@ def test_several_contacts_are_weighed_as_dense_normal_densities(count, cells, lo
     assert found[load, -1] == pytest.approx(weight, abs=1e-6)
 
 
+def test_a_bad_reading_that_rescues_two_contacts_is_weighed_as_dense_normal_densities():
+    # Two contacts are hopeless until the bad reading is left out.
+    rng = np.random.default_rng(5)
+    curvature = 3e-5 * (phi(46.0, POSITION, SPAN) - 1.5 * phi(24.0, POSITION, SPAN))
+    curvature += NOISE * rng.standard_normal(10)
+    curvature[3] += 0.01
+    found = weighed(curvature, 0.0, critical_curvature=np.inf, held_end=False, end_face_odds=0.0)
+    middles = (np.arange(24) + 0.5) / 24
+    arcs = np.stack(np.meshgrid(middles, middles, indexing="ij"), -1).reshape(-1, 2)
+    arcs = arcs[arcs[:, 0] < arcs[:, 1]]
+    bad = priors.BAD_DEVIATION * np.broadcast_to(np.arange(10) == 3, (len(arcs), 1, 10))
+
+    def two(beside):
+        logs = [
+            dense(
+                curvature,
+                np.concatenate(
+                    [
+                        scale / np.maximum(arcs, priors.LEAST_LEVER)[..., None] * levers_at(arcs),
+                        beside,
+                    ],
+                    axis=1,
+                ),
+                doubted=True,
+            )
+            for scale in priors.MOMENTS
+        ]
+        logs += np.log(priors.place_density(arcs)).sum(axis=1)
+        return mean_of(logs) + priors.CONTACT + priors.ANOTHER
+
+    rescued = two(bad) + math.log(priors.BAD_READING)
+    assert two(np.zeros((len(arcs), 1, 10))) < rescued - 15.0
+    assert found["two contacts", 3] == pytest.approx(rescued, abs=0.05)
+
+
 def kinks():
     """(H, N) readings of one deviation of a kink between all ends of sensors, and their widths."""
     low, high = ((POSITION + side * SPAN / 2) / LENGTH for side in (-1.0, 1.0))

@@ -862,15 +862,39 @@ def test_a_stop_survives_a_restart(desk: Desk) -> None:
     assert not desk.host.get(wire.GetStatus()).faults & STOPPED
 
 
-def test_power_on_forgets_a_stop(desk: Desk) -> None:
+def test_a_latched_fault_survives_a_restart_until_it_is_cleared(desk: Desk) -> None:
+    host = desk.ready()
+    host.beating = False
+    host.listen(0.8)
+    silent = wire.Fault.HOST_SILENT.mask
+    assert host.get(wire.GetStatus()).faults & silent
+    desk.restart()
+    host = desk.host
+    host.hello()
+    assert host.get(wire.GetStatus()).faults & silent
+    said = {(e.code, e.arg): e.value for e in events(host.listen(0.5))}
+    assert said[wire.EventCode.FAULT, wire.Fault.HOST_SILENT] == -1
+    assert host.refusal(wire.Arm())[0] is R.FAULT_LATCHED
+    host.beat()
+    assert not host.get(wire.ClearFaults(0xFFFF)).detail & silent
+    desk.restart()
+    desk.host.hello()
+    assert not desk.host.get(wire.GetStatus()).faults & silent
+
+
+def test_power_on_forgets_a_stop_and_faults(desk: Desk) -> None:
     board = desk.simulated()
-    desk.calm().stop(0x5EED)
+    host = desk.ready()
+    host.beating = False
+    host.listen(0.8)
+    host.stop(0x5EED)
+    assert host.get(wire.GetStatus()).faults & wire.Fault.HOST_SILENT.mask
     board.reset(wire.ResetCause.POWER_ON)
     desk.host.drop_pending()
     desk.wait_for_boot()
     desk.host.hello()
     report = desk.host.get(wire.GetStatus())
-    assert not report.faults & STOPPED
+    assert not report.faults & ~wire.Fault.BAD_CONFIG.mask
     assert report.stop_nonce == 0
 
 

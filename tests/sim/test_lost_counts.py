@@ -1,12 +1,13 @@
-"""An encoder that loses counts: the tip must not grow far beyond what was asked.
+"""An encoder that shows too little or too much: the tip must be near where it is said to be.
 
-The loop closes on the encoder, so it drives a body further than asked without an error of its own.
-Only the motor's speed at its duty, and the sensors that pass the tip's fold, tell.
+The loop closes on the encoder, so it drives a body too far, or not far enough, without an error of
+its own. Only the motor's speed at its duty, and the sensors that pass the tip's fold, tell.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -35,6 +36,14 @@ def lose_counts(transport: EmulatorTransport, share: float) -> None:
     """From now on the encoder shows this share of its counts."""
     fault = FaultTable(kind="encoder_share", at_s=transport.now(), value=share)
     transport.lockstep.faults.inject(fault)
+
+
+OFF_CM = 3.0  # or half a pitch, where that is more
+
+
+def most_off_cm(robot: Robot) -> float:
+    """How far the tip may be from the length shown when the fault comes."""
+    return max(OFF_CM, robot.config.body.pitch_cm / 2)
 
 
 def beyond_counted_cm(robot: Robot, transport: EmulatorTransport) -> float:
@@ -177,3 +186,42 @@ def test_a_spool_speed_that_is_not_judged_stays_unjudged() -> None:
     lose_counts(transport, 0.5)
     robot.grow_to(48.0)
     assert transport.lockstep.plant.length_cm > 49.5
+
+
+@pytest.mark.parametrize("start_cm", [0, 2, 8, 12, 20])
+@pytest.mark.parametrize("share", [1.1, 1.2, 1.3, 1.5, 1.7, 2.0])
+def test_an_encoder_that_shows_too_much_is_noticed_in_growth(share: float, start_cm: float) -> None:
+    """At twice the counts the board said 52.9 cm, and the body was 26.5 cm long."""
+    robot, transport = armed(scene_at(start_cm))
+    lose_counts(transport, share)
+    with pytest.raises(RobotFaultError, match=r"counted farther|a higher speed"):
+        list(grow(robot, transport, 53.0))
+    assert -most_off_cm(robot) <= beyond_counted_cm(robot, transport) < -0.1
+
+
+@pytest.mark.parametrize("start_cm", [50, 44, 33])
+@pytest.mark.parametrize("share", [0.5, 0.7, 0.8, 0.9, 1.2, 1.5, 2.0])
+def test_a_wrong_encoder_is_noticed_in_retraction(share: float, start_cm: float) -> None:
+    """At nine of ten counts the board said 5.0 cm, and the body was gone.
+
+    A tip that is farther out than it is said to be is in no danger of the base. It is noticed at
+    the next two sensors, a pitch away at most.
+    """
+    robot, transport = armed(scene_at(start_cm))
+    lose_counts(transport, share)
+    with pytest.raises(RobotFaultError, match="spool_stall"):
+        robot.retract_to(0.0)
+    beyond = beyond_counted_cm(robot, transport)
+    assert abs(beyond) > 0.1
+    assert -most_off_cm(robot) <= beyond <= robot.config.body.pitch_cm
+
+
+@pytest.mark.parametrize("share", [0.95, 1.05])
+def test_an_encoder_that_is_a_little_wrong_keeps_the_tip_near(share: float) -> None:
+    """Noticed or not: over the whole length it is not 3 cm."""
+    robot, transport = armed(scene_at(0.0))
+    lose_counts(transport, share)
+    with suppress(RobotFaultError):
+        for _ in grow(robot, transport, 53.0):
+            assert abs(beyond_counted_cm(robot, transport)) <= OFF_CM
+    assert abs(beyond_counted_cm(robot, transport)) <= OFF_CM

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import Thigmo
-from emulated import room_file
+from emulated import armed, room_file
 
 from thigmo import wiring
 from thigmo.config import RobotConfig
@@ -24,7 +24,15 @@ from thigmo.mechanics import Peg
 from thigmo.robot import Robot, connect
 from thigmo.stream import Telemetry
 from thigmo.wiring import input_of
-from thigmo_bench.studies.robots import ROBOTS, THESIS, visit
+from thigmo_bench.studies.robots import (
+    MIXED,
+    ROBOTS,
+    THESIS,
+    THICK_7,
+    THICK_10,
+    robot_named,
+    visit,
+)
 from thigmo_bench.studies.rooms import explored
 
 OTHERS = [name for name in ROBOTS if name != THESIS]
@@ -52,6 +60,39 @@ def test_a_described_robot_finds_pegs_and_says_nothing_in_an_empty_room(name: st
     assert not any(one.plane_cm > 0.06 * one.length_cm for one in placed)
     silent = visit((name, 3, False))
     assert silent.status == "silent"
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("name", [THICK_7, THICK_10, MIXED])
+def test_a_thick_or_mixed_robot_is_sound(name: str) -> None:
+    found = [visit((name, 1, True)), visit((name, 3, False))]
+    assert not [one.status for one in found if one.status.startswith("aborted")]
+
+
+@pytest.mark.parametrize("name", [THICK_7, THICK_10])
+def test_a_thick_body_stands_where_it_stopped(name: str) -> None:
+    """The contacts opened before the brake had closed: 8.4 mm in 50 ms, and spool_slip."""
+    scene = room_for(robot_named(name), 1, peg=False)
+    robot, transport = armed(scene)
+    plant = transport.lockstep.plant
+    for length_cm in (10.0, 20.0, 30.0):
+        robot.grow_to(length_cm)
+        stopped_cm = plant.length_cm
+        robot.wait(0.5)
+        assert plant.length_cm == pytest.approx(stopped_cm, abs=0.01)
+        assert plant.length_cm == pytest.approx(length_cm, abs=0.3)
+    robot.retract_to(5.0)
+    assert plant.length_cm == pytest.approx(5.0, abs=0.3)
+
+
+def test_a_check_says_how_far_a_thick_body_runs_on_until_its_brake_holds() -> None:
+    config = robot_named(THICK_10)
+    said = [finding for finding in judge(config) if "its brake holds" in finding.text]
+    assert [finding.mark for finding in said] == ["ok"] * 3
+    assert "runs on by 2.0 mm until its brake holds, 70 ms later; 3 mm are allowed" in said[0].text
+    config.spool.brake_closes_s = 0.15
+    slow = [finding for finding in judge(config) if "a faster brake" in finding.text]
+    assert [finding.mark for finding in slow] == ["bad", "bad"]
 
 
 def test_a_thick_body_that_the_spool_cannot_hold_is_told_what_to_change(tmp_path: Path) -> None:

@@ -17,13 +17,14 @@ from PIL import Image
 from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.exploration.obstacles import SIGMAS, export_obstacles, occupancy
-from thigmo.exploration.prior import match, read_prior
+from thigmo.exploration.prior import match, read_prior, within_reach
 from thigmo.exploration.scoring import judged
 from thigmo.exploration.workspace import Bend, centreline, place_contact, ramp_knots
 from thigmo.record import (
     Ellipse,
     MapContact,
     Obstacle,
+    OccupancyGrid,
     RunDocument,
     RunFolder,
     Shape,
@@ -33,7 +34,9 @@ from thigmo.record import (
     Truth,
     read_obstacles,
     read_ros_map,
+    write_ros_map,
 )
+from thigmo.record.occupancy import OCCUPIED as OCCUPIED_CELL
 
 CONFIG = RobotConfig()
 RADIUS = CONFIG.body.radius_cm
@@ -220,9 +223,108 @@ def test_a_grid_is_read_with_its_orientation_and_yaw(tmp_path: Path) -> None:
     assert inverted.x_cm < 135.0  # now all the others are occupied
 
 
+DESCRIBED = {"image": "room.pgm", "resolution": 0.05, "origin": [0.0, 0.0, 0.0]}
+
+
+def _ros_map(folder: Path, picture: bytes, **described: object) -> Path:
+    path = folder / "room.yaml"
+    path.write_text(yaml.safe_dump(DESCRIBED | described))
+    (folder / str((DESCRIBED | described)["image"])).write_bytes(picture)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "pixels"),
+    [
+        pytest.param(b"P5\n3 1\n255\n", bytes([254, 205, 0]), id="as map_saver writes it"),
+        pytest.param(b"P5\r\n3 1\r\n255\r\n", bytes([254, 205, 0]), id="Windows line ends"),
+        pytest.param(b"P5 # a\n3 # b\n1 255 ", bytes([254, 205, 0]), id="comments"),
+        pytest.param(b"P5\n3 1\n100\n", bytes([100, 80, 0]), id="white is 100"),
+        pytest.param(b"P5\n3 1\n1000\n", np.array([1000, 800, 0], ">u2").tobytes(), id="16 bits"),
+    ],
+)
+def test_a_pgm_is_read_by_its_own_rules(tmp_path: Path, header: bytes, pixels: bytes) -> None:
+    grid = read_ros_map(_ros_map(tmp_path, header + pixels))
+    assert grid.cells.tolist() == [[0, -1, 100]]
+
+
+def test_a_line_feed_that_is_a_pixel_is_kept(tmp_path: Path) -> None:
+    """The header ends with one white-space character, here a carriage return; then a dark pixel."""
+    grid = read_ros_map(_ros_map(tmp_path, b"P5\n2 1\n255\r" + bytes([10, 254])))
+    assert grid.cells.tolist() == [[100, 0]]
+
+
+def test_raw_pixels_are_percent(tmp_path: Path) -> None:
+    picture = b"P5\n5 1\n255\n" + bytes([0, 19, 50, 100, 255])
+    grid = read_ros_map(_ros_map(tmp_path, picture, mode="raw"))
+    assert grid.cells.tolist() == [[0, 0, -1, 100, -1]]
+
+
+@pytest.mark.parametrize(("mode", "cells"), [("scale", [0, -1]), ("trinary", [0, 100])])
+def test_transparent_pixels_are_unknown_in_mode_scale(
+    tmp_path: Path, mode: str, cells: list[int]
+) -> None:
+    picture = np.array([[[255, 255], [0, 0]]], np.uint8)  # white and opaque, black and transparent
+    Image.fromarray(picture, "LA").save(tmp_path / "room.png")
+    bytes_of_it = (tmp_path / "room.png").read_bytes()
+    grid = read_ros_map(_ros_map(tmp_path, bytes_of_it, image="room.png", mode=mode))
+    assert grid.cells.tolist() == [cells]
+
+
+def _walls(grid: str, resolution_cm: float, origin: tuple[float, float, float]) -> OccupancyGrid:
+    rows = [[OCCUPIED_CELL if mark == "#" else 0 for mark in row] for row in grid.split()][::-1]
+    return OccupancyGrid(np.array(rows, np.int8), resolution_cm, origin)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4])
+@pytest.mark.parametrize(
+    "drawn",
+    [
+        pytest.param("#######\n#.....#\n#.....#\n#######", id="a closed room"),
+        pytest.param("#......\n#......\n#......\n#######", id="an L"),
+        pytest.param("#..\n.#.\n..#", id="a diagonal"),
+    ],
+)
+def test_the_walls_of_a_map_are_occupied_as_drawn(tmp_path: Path, drawn: str, yaw: float) -> None:
+    """Every point of the plane is occupied where the map's own cell is, and nowhere else."""
+    given = _walls(drawn, 10.0, (20.0, 60.0, yaw))
+    write_ros_map(given, tmp_path / "room.yaml")
+    grid, _ = occupancy(_document(), RADIUS, read_prior(tmp_path / "room.yaml"))
+    x, y = grid.centers()
+    along = np.cos(yaw) * (x - 20.0) + np.sin(yaw) * (y - 60.0)
+    up = np.cos(yaw) * (y - 60.0) - np.sin(yaw) * (x - 20.0)
+    column, row = np.floor(along / 10.0).astype(int), np.floor(up / 10.0).astype(int)
+    rows, columns = given.cells.shape
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    wall = np.zeros(grid.cells.shape, dtype=bool)
+    wall[inside] = given.cells[row[inside], column[inside]] == OCCUPIED_CELL
+    assert wall.any()
+    assert ((grid.cells == OCCUPIED_CELL) == wall).all()
+
+
+def test_what_the_robot_cannot_reach_of_a_map_is_left_out(tmp_path: Path) -> None:
+    cells = np.zeros((300, 400), np.int8)
+    cells[150, :] = cells[::7, 0] = OCCUPIED_CELL  # a wall through the base's place, specks far off
+    write_ros_map(OccupancyGrid(cells, 5.0, (-1000.0, -752.5, 0.0)), tmp_path / "room.yaml")
+    near = within_reach(read_prior(tmp_path / "room.yaml"), CONFIG.body)
+    (wall,) = near
+    assert 53.0 < np.abs(np.asarray(wall.track)).max() < 65.0
+    assert within_reach(_known(_contact()), CONFIG.body) == _known(_contact())
+
+
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
+        (
+            "m.yaml",
+            "image: m.yaml\nresolution: 1\norigin: [0, 0, 0]\nmode: other",
+            "'trinary', 'scale' or 'raw'",
+        ),
+        (
+            "m.yaml",
+            "image: m.yaml\nresolution: 1\norigin: [0, 0, 0]\nfree_thresh: 0.9",
+            "free_thresh must not be above",
+        ),
         ("m.json", "{", "m.json"),
         ("m.json", '{"name": "n"}', "started"),
         ("m.yaml", "image: [", "not valid YAML"),

@@ -180,7 +180,8 @@ def test_a_fault_while_waiting_is_raised_in_the_schemas_words() -> None:
         _event(wire.EventCode.FAULT, wire.Fault.SPOOL_STALL),
     ]
     with pytest.raises(
-        RobotFaultError, match=r"too little motion \(The encoder stands still\); free the spool"
+        RobotFaultError,
+        match=r"too little or too much motion \(The encoder stands still\); free the spool",
     ):
         robot.grow_to(10.0)
 

@@ -25,6 +25,13 @@ constexpr int32_t kAstrayUm = 800;
 constexpr int32_t kAstrayUmS = 10000;
 // Growth that the encoder may miss before the motor's speed tells.
 constexpr int32_t kMissedUm = 3000;
+// Growth that it may show beyond what motor and body can have made. The body is then half of the
+// shown growth behind at most.
+constexpr int32_t kExcessUm = 20000;
+// Friction of motor and gearbox changes by this share of the dead zone with wear and temperature.
+constexpr int32_t kFrictionShare = 5;
+// The charge pump that feeds an enable is empty so long after its pin stopped toggling.
+constexpr int32_t kEnableDecayMs = 30;
 // Share of the line's rating for a winding spool's momentum.
 constexpr int32_t kMomentumShare = 4;
 constexpr uint32_t kDividerOhm = 22000;  // between pin and ground (thesis)
@@ -71,14 +78,18 @@ struct Derived {
   int32_t stall_lag_counts;
   int16_t top_duty;  // that the line holds, a sudden stop included
   int16_t homing_duty;
+  int16_t holding_duty;        // by which the body pulls harder than friction holds
   int32_t winding_speed_um_s;  // fastest tip of a retraction
   int32_t home_speed_um_s;
   int32_t motor_slope_q16;   // counts a control step for each duty beyond the dead zone
   int32_t speed_margin_q16;  // the same of speed_margin_duty
+  int32_t helped_q16;        // the same of what the body's pull and less friction save
   int32_t missed_q16;        // counts, in 1/65536
+  int32_t excess_q16;
   int32_t astray_q16;
   int32_t astray_speed_q16;  // counts a control step
   int32_t slew_q8;           // fastest set-point change in a control step, 1/256 of 0.01 psi
+  uint8_t brake_steps;  // until the brake has closed, its enable's decay included; 0 = none fitted
   uint16_t stuck_steps;
   uint16_t stall_steps;
   uint16_t enabled_mask = 0;
@@ -108,6 +119,7 @@ struct Derived {
     update_slew(c);
     update_stuck(c);
     update_stall(c);
+    update_brake(c);
     update_telemetry(c);
   }
 
@@ -137,10 +149,13 @@ struct Derived {
       update_scale(c);
     } else if (within(Param::kSlipUm, 1) || within(Param::kSpoolToleranceUm, 1)) {
       update_distances(c);
-    } else if (within(Param::kSpoolDeadZone, 1) || within(Param::kLineSpeedUmS, 2)) {
+    } else if (within(Param::kSpoolDeadZone, 1) || within(Param::kLineSpeedUmS, 2) ||
+               within(Param::kMotorStallN, 1)) {
       update_motor(c);
       update_force(c);
-    } else if (within(Param::kMotorStallN, 3) || within(Param::kHomeSpeedUmS, 1)) {
+    } else if (within(Param::kBodyPullN, 1)) {
+      update_motor(c);
+    } else if (within(Param::kLineRatingN, 2) || within(Param::kHomeSpeedUmS, 1)) {
       update_force(c);
     } else if (within(Param::kPressureSpan, kMuscles)) {
       update_gain(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kPressureSpan)));
@@ -167,6 +182,8 @@ struct Derived {
       update_stuck(c);
     } else if (within(Param::kStallMs, 1)) {
       update_stall(c);
+    } else if (within(Param::kBrakeFitted, 1) || within(Param::kBrakeClosesMs, 1)) {
+      update_brake(c);
     } else if (within(Param::kTelemetryMs, 1)) {
       update_telemetry(c);
     } else {
@@ -264,7 +281,12 @@ struct Derived {
     const int32_t tip_um_s = c.get(Param::kLineSpeedUmS) * 256 / c.get(Param::kPayoutQ8);
     motor_slope_q16 = speed_q16(tip_um_s) / (kMotorFull - c.get(Param::kSpoolDeadZone));
     speed_margin_q16 = c.get(Param::kSpeedMarginDuty) * motor_slope_q16;
+    const int32_t pull_duty = c.get(Param::kBodyPullN) * kMotorFull / c.get(Param::kMotorStallN);
+    holding_duty = static_cast<int16_t>(
+        limited<int32_t>(pull_duty - c.get(Param::kSpoolDeadZone), 0, kMotorFull / 2));
+    helped_q16 = (pull_duty + c.get(Param::kSpoolDeadZone) / kFrictionShare) * motor_slope_q16;
     judges_encoder = c.get(Param::kSpeedMarginDuty) < kMotorFull;
+    excess_q16 = speed_q16(kExcessUm * kControlHz);
     missed_q16 = speed_q16(kMissedUm * kControlHz);
     astray_q16 = greater<int32_t>(speed_q16(kAstrayUm * kControlHz), 3 * 65536);
     astray_speed_q16 = speed_q16(kAstrayUmS);
@@ -320,6 +342,12 @@ struct Derived {
 
   void update_stall(const Configuration& c) {
     stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);
+  }
+
+  void update_brake(const Configuration& c) {
+    const int32_t closing_ms = c.get(Param::kBrakeClosesMs) + kEnableDecayMs;
+    const int32_t steps = (closing_ms + kControlMs - 1) / kControlMs;
+    brake_steps = static_cast<uint8_t>(c.get(Param::kBrakeFitted) != 0 ? steps : 0);
   }
 
   void update_telemetry(const Configuration& c) {

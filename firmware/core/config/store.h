@@ -6,10 +6,16 @@
 //
 // Two slots are written in turn, so that the older one stays whole until the newer one is: a save
 // first spoils the target slot's commit byte, then writes header, configuration and check sequence,
-// and sets the commit byte last. A power cut at any byte leaves a slot without commit byte, and the
-// other one is loaded. One byte takes 3.4 ms, so a save proceeds a byte at a time, between other
-// work; bytes that already hold their value are skipped, which spares the cells. Every byte written
-// is read back.
+// and sets the commit byte last. A power cut in between leaves a spoiled slot, and the other one is
+// loaded. One byte takes 3.4 ms, so a save proceeds a byte at a time, between other work; bytes
+// that already hold their value are skipped, which spares the cells. Every byte written is read
+// back.
+//
+// A slot that was committed and fails its check is damaged, and so is one whose commit byte is none
+// of blank, spoiled and committed: the other slot's configuration may be an older one then, so the
+// robot is not armed until a host has saved. Only a commit byte of which three bits (to blank) or
+// five (to spoiled) flipped looks like a save that was cut. A power cut while the commit byte
+// itself is being written may leave any value in it, and then counts as damage.
 //
 // The boot counter makes each boot's nonce differ. It is the sum of four, the first of which is
 // raised; if a cell of that is worn, the next one is. Its bytes are written from the highest
@@ -43,19 +49,18 @@ constexpr uint16_t kEntriesSize = kEntryHeader * (protocol::kParamKeys + 1) + si
 constexpr uint16_t kSlotSize = kSlotHeader + kEntriesSize + 2;
 constexpr uint8_t kCommitted = 0xA7;
 constexpr uint8_t kSpoiled = 0x00;
-constexpr uint8_t kTwoSides = 0xA6;  // committed by a firmware that knew a left and a right muscle
-constexpr uint8_t kWholeImage = 0xA5;  // committed by a firmware that stored no ids
+constexpr uint8_t kNeverWritten = 0xFF;
 static_assert(kSlotSize <= kSlotRoom, "the configuration outgrew its slot");
 static_assert(16 + 2 * kSlotRoom <= kEepromUsed, "the slots outgrew the EEPROM's used part");
 
-// What was found at start; the value of the fault bad_config.
+// What the start came to; beside `kLoaded`, the value of the fault bad_config. In the order in
+// which one slot's trouble outweighs the other's.
 enum class LoadResult : uint8_t {
   kLoaded = 0,
-  kBlank = 1,
-  kDamaged = 2,
-  kOldFormat = 3,
-  kOutOfLimits = 4,  // by another firmware's limits, or contradictory by this one's rules
-  kToConfirm = 5,    // kept, of a firmware that knew no lists: the host must say what is fitted
+  kBlank = static_cast<uint8_t>(protocol::ConfigCause::kBlank),
+  kInterrupted = static_cast<uint8_t>(protocol::ConfigCause::kInterrupted),
+  kDamaged = static_cast<uint8_t>(protocol::ConfigCause::kDamaged),
+  kOutOfLimits = static_cast<uint8_t>(protocol::ConfigCause::kOutOfLimits),
 };
 
 // A list of ids: all are counted, the first eight are kept.
@@ -86,7 +91,8 @@ class ConfigStore {
   uint32_t boot_count() const { return boot_count_; }
   const StoredReport& report() const { return report_; }
 
-  // Reads the newest whole slot into the configuration, or loads defaults. Blocks for about 3 ms.
+  // Reads the newest whole slot into the configuration, or loads defaults. If the other slot is
+  // damaged, what was read may be out of date, and the result is kDamaged. Blocks for about 3 ms.
   template <typename Board>
   LoadResult begin(Board& board, Configuration* configuration) {
     boot_count_ = kCounters;  // blank ones are -1 each: the first boot is number 0
@@ -96,31 +102,28 @@ class ConfigStore {
     generation_ = 0;
     slot_ = 1;
     for (uint8_t slot = 0; slot < 2; ++slot) {
-      const LoadResult found = check(board, slot);
-      if (found == LoadResult::kLoaded) {
+      const LoadResult state = check(board, slot);
+      if (state == LoadResult::kLoaded) {
         const uint32_t generation = read32(board, kSlotAt[slot] + 1u);
         if (generation_ == 0 || static_cast<int32_t>(generation - generation_) > 0) {
           generation_ = generation;
           slot_ = slot;
         }
-      } else if (found > worst) {
-        worst = found;
+      } else if (state > worst) {
+        worst = state;
       }
     }
     configuration->load_defaults();
     if (generation_ == 0) return worst;
-    const bool old = board.eeprom_read(kSlotAt[slot_]) == kTwoSides;
-    LoadResult result = old ? LoadResult::kToConfirm : LoadResult::kLoaded;
+    LoadResult result = LoadResult::kLoaded;
     if (!read_entries(board, configuration)) {
       result = LoadResult::kDamaged;
     } else if (configuration->first_out_of_range() >= 0 || configuration->first_conflict() >= 0) {
       result = LoadResult::kOutOfLimits;
     }
     // Never some of the stored values beside some defaults.
-    if (result != LoadResult::kLoaded && result != LoadResult::kToConfirm) {
-      configuration->load_defaults();
-    }
-    return result;
+    if (result != LoadResult::kLoaded) configuration->load_defaults();
+    return worst == LoadResult::kDamaged ? worst : result;
   }
 
   // Starts a save of the configuration, which must not change until step() ends it.
@@ -221,9 +224,9 @@ class ConfigStore {
   static LoadResult check(Board& board, uint8_t slot) {
     const uint16_t at = kSlotAt[slot];
     const uint8_t commit = board.eeprom_read(at);
-    if (commit == 0xFF) return LoadResult::kBlank;
-    if (commit == kWholeImage) return LoadResult::kOldFormat;
-    if (commit != kCommitted && commit != kTwoSides) return LoadResult::kDamaged;
+    if (commit == kNeverWritten) return LoadResult::kBlank;
+    if (commit == kSpoiled) return LoadResult::kInterrupted;
+    if (commit != kCommitted) return LoadResult::kDamaged;
     const uint16_t length = read16(board, at + 5u);
     if (length > kSlotMost) return LoadResult::kDamaged;
     const uint16_t end = static_cast<uint16_t>(at + kSlotHeader + length);

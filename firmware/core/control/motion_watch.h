@@ -1,10 +1,11 @@
 // Whether the spool moves as its motor is driven: by the motor's constant, whatever the loop wants.
 //
-// The speed that a duty must give is known within the tolerance of friction, supply and heat. Two
+// The speed that a duty must give is known within the tolerance of friction, supply and heat. Three
 // sums of what the encoder shows against it (CUSUM, Page 1954) are kept, in counts:
 //
 // - Missed: growth that the motor must have made and the encoder has not shown. A loop that closes
 //   on an encoder which loses counts drives the body further than asked, and nothing else tells.
+// - Excess: growth that the encoder has shown and motor and body together cannot have made.
 // - Astray: motion that neither the motor nor the profile accounts for, either way: a driver that
 //   is shorted, a brake that lets go.
 //
@@ -23,7 +24,7 @@ class MotionWatch {
   // Forgets what was: when the spool winds in, and when a length or a fault's end is confirmed.
   void restart(int32_t counts) {
     last_ = counts;
-    missed_q16_ = astray_q16_[0] = astray_q16_[1] = 0;
+    missed_q16_ = excess_q16_ = astray_q16_[0] = astray_q16_[1] = 0;
   }
 
   // One control step: the encoder, the duty since the last step, the profile's speed (counts a
@@ -42,12 +43,18 @@ class MotionWatch {
           speed_q16_ - (speed_q16_ >> 4) - d.speed_margin_q16 + pull_duty * d.motor_slope_q16;
       const int32_t sum = missed_q16_ + greater<int32_t>(least, 0) - moved_q16;
       missed_q16_ = limited<int32_t>(sum, 0, d.missed_q16 + 1);
+      // A motor that is not driven says nothing of the speed at which the body pulls it.
+      if (beyond > 0) {
+        const int32_t most = speed_q16_ + (speed_q16_ >> 4) + d.helped_q16;
+        excess_q16_ = limited<int32_t>(excess_q16_ + moved_q16 - most, 0, d.excess_q16 + 1);
+      }
     }
     watch(0, moved_q16, greater(speed_q16_, wanted_q16), d);
     watch(1, -moved_q16, greater(-speed_q16_, -wanted_q16), d);
   }
 
   bool missed(const Derived& d) const { return d.judges_encoder && missed_q16_ > d.missed_q16; }
+  bool exceeds(const Derived& d) const { return d.judges_encoder && excess_q16_ > d.excess_q16; }
   bool astray(const Derived& d) const {
     return astray_q16_[0] > d.astray_q16 || astray_q16_[1] > d.astray_q16;
   }
@@ -64,6 +71,7 @@ class MotionWatch {
   int32_t last_ = 0;
   int32_t speed_q16_ = 0;  // that the motor must have, without load
   int32_t missed_q16_ = 0;
+  int32_t excess_q16_ = 0;
   int32_t astray_q16_[2] = {};  // out, in
 };
 

@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x244DF1F4u;
+constexpr uint32_t kSchemaHash = 0x8233D675u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -130,8 +130,8 @@ enum class Reason : uint8_t {
                       // or raise the limit in robot.toml.
   kNoSnapshot = 17,   // No such reading was captured; sweep until after the peak first.
   kEstop = 18,        // The emergency stop is pressed; release it first.
-  kBadConfig = 19,  // The stored configuration is damaged; load defaults, configure and save again.
-  kNotZeroed = 20,  // Sensors have no valid zero; vent, wait for settling, and zero.
+  kBadConfig = 19,    // The stored configuration is missing or damaged; configure and save again.
+  kNotZeroed = 20,    // Sensors have no valid zero; vent, wait for settling, and zero.
   kContradiction = 23,  // Parameters contradict each other, so none of the new values is in use;
                         // correct the parameter that is named.
   kNoBaseSensor =
@@ -145,7 +145,9 @@ enum class Reason : uint8_t {
 };
 constexpr uint8_t kReasonCount = 25;
 
-// Latched faults, by bit number. Each sets the transducers to 0 mA and brakes the motor.
+// Latched faults, by bit number. Each sets the transducers to 0 mA and brakes the motor, and stays
+// latched through every reset except a loss of power. bad_config alone is judged again at each
+// start.
 enum class Fault : uint8_t {
   kHostSilent = 0,  // No heartbeat from the host while the robot was armed; check the cable and the
                     // host, then clear.
@@ -160,18 +162,18 @@ enum class Fault : uint8_t {
                   // then clear.
   kFlexShort = 5,   // A flex sensor's circuit is shorted; check its wire, or mark it dead in
                     // robot.toml, then clear.
-  kSpoolStall = 6,  // The motor is driven, but the encoder stands still or shows too little motion;
-                    // free the spool and the tail, check the encoder (J5) and its coupling, then
-                    // clear and confirm the length.
+  kSpoolStall = 6,  // The motor is driven, but the encoder stands still or shows too little or too
+                    // much motion; free the spool and the tail, check the encoder (J5) and its
+                    // coupling, then clear and confirm the length.
   kSpoolSlip = 7,   // The spool turned while its motor was off, faster than the motor drives it, or
                     // the wrong way; shut off the body air, check the brake and the motor driver,
                     // then clear and confirm the length.
   kBrownOut = 8,    // The supply voltage fell below its limit; check the power supply, then clear.
   kWatchdog = 9,  // The firmware hung and was restarted; report it with the run folder, then clear.
-  kBadConfig = 10,  // The board has no valid configuration, or one from firmware that had no lists
-                    // of muscles; send robot.toml (every run does so; so does `thigmo params
-                    // --robot PORT --load-defaults`), then clear.
-  kEstop = 11,      // The emergency stop was pressed; release it, then clear.
+  kBadConfig =
+      10,       // The board has no valid configuration; send robot.toml (every run does so; `thigmo
+                // params --robot PORT --load-defaults` stores the defaults instead), then clear.
+  kEstop = 11,  // The emergency stop was pressed; release it, then clear.
   kInterlock = 12,  // During a bend the length became unknown, or a sensor moved into the tip's
                     // fold, so the muscles were vented; clear, confirm the length if it is unknown,
                     // and grow or retract to a whole sensor pitch.
@@ -193,8 +195,12 @@ enum class StallCause : uint8_t {
   kSlow = 1,     // The encoder shows a lower speed than the motor has at this duty.
   kJumps = 2,    // The encoder's signals skip a state: edges are lost, or there is noise.
   kEverted = 3,  // Two sensors passed the tip before the encoder had counted that far.
+  kLate = 4,     // Two sensors passed the tip after the encoder had counted farther: it shows too
+                 // much, or the tip was held back and the tail is slack.
+  kFast = 5,  // The encoder shows a higher speed than the motor has at this duty, even if the body
+              // pulls as hard as it can.
 };
-constexpr uint8_t kStallCauseCount = 4;
+constexpr uint8_t kStallCauseCount = 6;
 
 // How a spool_slip was noticed (value of its event).
 enum class SlipCause : uint8_t {
@@ -211,6 +217,16 @@ enum class SlipCause : uint8_t {
                  // or the encoder's (J5.2 and J5.3) are swapped.
 };
 constexpr uint8_t kSlipCauseCount = 6;
+
+// What is wrong with the stored configuration (value of the event of bad_config).
+enum class ConfigCause : uint8_t {
+  kBlank = 1,        // Nothing was ever stored.
+  kInterrupted = 2,  // The first save was cut by a loss of power.
+  kDamaged = 3,  // A configuration that had been stored fails its check, so the one in use may be
+                 // older; it must be stored again.
+  kOutOfLimits = 4,  // A stored value is beyond this firmware's limits, or contradicts another one.
+};
+constexpr uint8_t kConfigCauseCount = 4;
 
 // Condition bits that the supervisor's transition table reads, by bit number.
 enum class Condition : uint8_t {
@@ -237,7 +253,8 @@ constexpr uint8_t kConditionCount = 15;
 
 // What happened. Events stay latched at the board until acknowledged.
 enum class EventCode : uint8_t {
-  kFault = 1,    // A fault was latched: arg = its bit number, value = channel or detail.
+  kFault = 1,  // A fault was latched: arg = its bit number, value = channel or detail; -1 = it was
+               // latched before the last reset.
   kContact = 2,  // The trigger fired: arg = active muscle, value = base curvature minus free
                  // curvature, 1e-5/cm.
   kPeak = 3,  // The readings at a sweep's peak are captured: arg = active muscle, value = how many.
@@ -1633,11 +1650,21 @@ enum class Param : uint16_t {
                  // of that number bends the body, 7 while none does. A muscle disturbs the sensor
                  // only if it lies over it. Base sensors are the first input and the first of the
                  // upper half; they are converted every ms. [kSensors]
-  kFlexCenterSeUm = kTriggerWhen + kSensors,  // One sigma of flex_center_um. Default: a ruler along
-                                              // the tube, read to a millimetre. (um) [kSensors]
-  kImuFrom = kFlexCenterSeUm +
-      kSensors,  // IMU at which this input's span begins: 128 x its channel of the multiplexer +
-                 // its I2C address. 0: the base, which does not turn. [kImus]
+  kFlexCenterSeUm = kTriggerWhen +
+      kSensors,  // One sigma of flex_center_um; by it a sensor may pass the tip early or late.
+                 // Default: a ruler along the tube, read to a millimetre. (um) [kSensors]
+  kBodyPullN = kFlexCenterSeUm +
+      kSensors,  // Most that the body pulls its tail with: half of its highest pressure times its
+                 // section. Growth that the encoder shows beyond what the motor gives at its duty,
+                 // helped by this pull, is a spool_stall. (N)
+  kBrakeClosesMs = kBodyPullN +
+      1,  // Time that the brake takes to close after its current ends. At the end of a growth or a
+          // retraction the motor keeps its supply for so long, and for the 30 ms in which the
+          // brake's enable decays. Default: the slowest brake that may be fitted
+          // (docs/hardware/electronics.md). (ms)
+  kImuFrom = kBrakeClosesMs +
+      1,  // IMU at which this input's span begins: 128 x its channel of the multiplexer + its I2C
+          // address. 0: the base, which does not turn. [kImus]
   kImuTo = kImuFrom + kImus,  // IMU at which this input's span ends, in the same form. 0: this
                               // input is a flex sensor on the converter. [kImus]
   kEnd = kImuTo + kImus
@@ -1709,6 +1736,8 @@ constexpr ParamKey kParamKeyTable[] THIGMO_PROGMEM = {
     {59, kMuscles},        // muscle_fitted
     {60, kSensors},        // trigger_when
     {63, kSensors},        // flex_center_se_um
+    {64, 1},               // body_pull_n
+    {65, 1},               // brake_closes_ms
 #if THIGMO_IMUS
     {61, kImus},  // imu_from
     {62, kImus},  // imu_to
@@ -1801,6 +1830,8 @@ constexpr ParamRows param_rows() {
   const int32_t trigger_when[] = {130, 0, 0, 0, 0, 129};
   rows.add(kSensors, 0, 255, trigger_when);
   rows.add(kSensors, 0, 20000, 1000);  // flex_center_se_um
+  rows.add(1, 0, 2000, 5);             // body_pull_n
+  rows.add(1, 0, 250, 40);             // brake_closes_ms
   rows.add(kImus, 0, 1023, 0);         // imu_from
   rows.add(kImus, 0, 1023, 0);         // imu_to
   return rows;

@@ -1,14 +1,21 @@
-// What a growing body's own sensors say of its length: the tip's fold bends each as it passes.
+// What a moving body's own sensors say of its length: the tip's fold bends each as it passes.
 //
-// A sensor in the tail rests. While the fold passes, its reading swings out and back, and is
-// furthest out when its centre is in the fold. How far a sensor swings is not needed, only that it
-// does. Where the encoder then is, less the sensor's centre, is its lag. Sensors are judged in
-// pairs, in the order in which they pass, for one may be bad: two that agree by their mean, others
-// by the one that accuses less. The encoder loses counts if a pair
+// A flex sensor rests before and behind the fold. While the fold passes, its reading swings out and
+// back, and is furthest out when its centre is in the fold; how far it swings is not needed. An IMU
+// looks back along the body while it is in the tail, and has turned half of that when it is in the
+// fold itself. Where the encoder then is, along the motion and less the sensor's place, is its lag.
+//
+// Sensors are judged in pairs of one kind, in the order in which they pass, for one may be bad: two
+// that agree by their mean, others by the one that accuses less. The encoder shows too little if a
+// pair
 //
 // - lags by less than places and the confirmed length may be off, or
 // - lags by less than the pair before it, beyond what places are in doubt: between the two the body
-//   grew more than was counted. How far apart the two of a pair pass shows that doubt.
+//   moved more than was counted.
+//
+// It shows too much if a pair lags by more than a tip lags that pressure barely moves. A swing that
+// still grows there is late already, for its sensor has not reached the fold; one that begins
+// before the fold can have reached the sensor is early.
 //
 // While a reading still swings out the tip moves: the body then pulls at the tail.
 #ifndef THIGMO_CORE_SENSING_FOLD_WATCH_H_
@@ -22,47 +29,140 @@ namespace thigmo {
 
 class FoldWatch {
  public:
+  enum class Verdict : uint8_t { kNone, kEarly, kLate };
+
   static constexpr int32_t kSwingE5 = 5000;  // 0.05/cm: more than a sensor in the tail is bent
-  // A top is noticed some 0.7 cm behind the centre, once an eighth of the swing is gone. Places of
-  // sensors and the confirmed length may be off by 1.1 cm.
-  static constexpr int32_t kEarlyUm = 4000;
-  // Between two pairs only the sensors' places are in doubt: by the largest spread of a pair so
-  // far.
+  // What a confirmed length is off by, and the way between two looks at a sensor.
+  static constexpr int32_t kDoubtUm = 8000;
+  // Between two pairs only the sensors' places are in doubt, and those looks.
   static constexpr int32_t kApartUm = 4000;
-  static constexpr int32_t kApartSpreads = 3;
-  static constexpr int32_t kAgreeUm = 10000;  // lags of a pair
+  static constexpr int32_t kSigmas = 3;  // of the stated error of a sensor's place
+  // The tip may be 3 cm off; a share of that is for what passes until a late sensor is seen.
+  static constexpr int32_t kLateUm = 20000;
   // A swing that grows by so much, more than noise, is of a tip that moved within the last looks.
   static constexpr int32_t kRiseE5 = 200;
   static constexpr uint8_t kMovesSteps = 30;
 
-  // Growth begins from here. A sensor whose near end lies in the fold already still swings enough.
-  void begin(int32_t length_um, uint16_t enabled, const Configuration& c) {
-    watched_ = 0;
+  // The body grows, or is wound in, from here. Sensors that it passed by count only stay watched
+  // until the fold has come, however often the spool stops. One that the fold has entered by a
+  // quarter has no resting value: it shows no more than that the tip moves.
+  void begin(int32_t length_um, bool grows, uint16_t enabled, const Configuration& c) {
+    if (grows != grows_) restart();
+    grows_ = grows;
     for (uint8_t i = 0; i < kSensors; ++i) {
-      const bool ahead = length_um < c.get(Param::kFlexCenterUm, i) - 2 * kEarlyUm;
-      if (ahead) watched_ = static_cast<uint16_t>(watched_ | (enabled & 1u << i));
+      const uint16_t bit = static_cast<uint16_t>(1u << i);
+      const int32_t lag = lag_um(length_um, i, c);
+      if ((watched_ & bit) != 0 || lag >= -kDoubtUm) continue;
+      watched_ = static_cast<uint16_t>(watched_ | bit);
+      unseen_ = static_cast<uint16_t>(unseen_ | bit);
+      const bool clear = lag < -kDoubtUm - (c.get(Param::kFlexSpanUm, i) >> 2);
+      judged_ = static_cast<uint16_t>(clear ? judged_ | bit : judged_ & ~bit);
     }
-    unseen_ = watched_;
+    watched_ = static_cast<uint16_t>(watched_ & enabled);
     next_ = moves_ = 0;
   }
 
-  // Forgets what earlier growth felt: when the spool winds in, and when a length is confirmed.
+  // Forgets what earlier motion felt: when the spool turns the other way, and when a length is
+  // confirmed.
   void restart() {
-    waits_ = false;
-    before_um_ = -kEarlyUm;
-    spread_um_ = 0;
+    for (Pair& pair : pair_) pair = Pair{};
+    watched_ = 0;
   }
 
-  // Looks at one sensor, in turn. True when a pair has passed the tip too early.
-  bool step(const FlexReadings& flex, int32_t length_um, const Configuration& c, const Derived& d) {
+  // Looks at one sensor, in turn. Says what a pair that has passed the tip shows.
+  Verdict step(const FlexReadings& flex, int32_t length_um, const Configuration& c,
+               const Derived& d) {
     if (moves_ != 0) --moves_;
     const uint8_t i = next_;
     next_ = static_cast<uint8_t>(next_ + 1 == kSensors ? 0 : next_ + 1);
     const uint16_t bit = static_cast<uint16_t>(1u << i);
-    if ((watched_ & bit) == 0) return false;
+    if ((watched_ & bit) == 0) return Verdict::kNone;
     const int32_t total = total_ohm_q4(count_q6(flex.latest(i), flex.log2()));
-    if ((unseen_ & bit) != 0) {
-      unseen_ = static_cast<uint16_t>(unseen_ & ~bit);
+    const bool fresh = (unseen_ & bit) != 0;
+    unseen_ = static_cast<uint16_t>(unseen_ & ~bit);
+    const int32_t lag = lag_um(length_um, i, c);
+    const bool imu = is_imu(i, c);
+    const int32_t place_se_um = c.get(Param::kFlexCenterSeUm, i);
+    const bool passed =
+        imu ? turned(i, total, fresh) : swung(i, total, lag, out_of_place(lag, i, c), fresh, d);
+    if (!passed) return Verdict::kNone;
+    watched_ = static_cast<uint16_t>(watched_ & ~bit);
+    // A reading that stays out after its top is no fold's that passes.
+    const bool stayed = !imu && lag - top_um_[i] > c.get(Param::kFlexSpanUm, i) / 2;
+    if (stayed || (judged_ & bit) == 0) return Verdict::kNone;
+    return pair_[imu].judge(imu ? lag : top_um_[i], place_se_um);
+  }
+
+  // Whether a sensor in the fold shows that the tip moves.
+  bool moves() const { return moves_ != 0; }
+
+ private:
+  static constexpr int32_t kHalfTurnQ4 = int32_t{31416} * 16;  // of an IMU: 10 kOhm a radian
+  static constexpr int32_t kStraightQ4 = (12000 + static_cast<int32_t>(kDividerOhm)) * 16;
+
+  // Lag that is late, of a sensor whose place is known to a standard error.
+  static int32_t late_um(int32_t place_se_um) {
+    return greater(kLateUm, kDoubtUm + kSigmas * place_se_um);
+  }
+
+  // The last two sensors of a kind, and the pair before them.
+  struct Pair {
+    static constexpr int32_t kNever = -1000000000;  // um: no pair has passed
+
+    Verdict judge(int32_t lag, int32_t place_se_um) {
+      waits = !waits;
+      if (waits) {
+        first_um = lag;
+        first_se_um = place_se_um;
+        return Verdict::kNone;
+      }
+      const int32_t places_um = kSigmas * greater(first_se_um, place_se_um);
+      const int32_t most = greater(first_um, lag);
+      const int32_t least = lesser(first_um, lag);
+      const int32_t doubt_um = kDoubtUm + places_um;
+      const bool agree = most - least < doubt_um;
+      const int32_t mean = least + (most - least) / 2;
+      const int32_t earliest = greater(-doubt_um, before_um - kApartUm - places_um);
+      if ((agree ? mean : most) < earliest) return Verdict::kEarly;
+      if ((agree ? mean : least) > late_um(lesser(first_se_um, place_se_um))) return Verdict::kLate;
+      before_um = agree ? mean : least;
+      return Verdict::kNone;
+    }
+
+    int32_t first_um = 0;  // lag of a pair's first sensor
+    int32_t first_se_um = 0;
+    int32_t before_um = kNever;  // lag of the pair before
+    bool waits = false;          // a pair's first sensor for the second
+  };
+
+  static bool is_imu(uint8_t sensor, const Configuration& c) {
+#if THIGMO_IMUS
+    return c.get(Param::kImuTo, sensor) != 0;
+#else
+    static_cast<void>(sensor);
+    static_cast<void>(c);
+    return false;
+#endif
+  }
+
+  int32_t lag_um(int32_t length_um, uint8_t sensor, const Configuration& c) const {
+    const int32_t beyond = length_um - c.get(Param::kFlexCenterUm, sensor);
+    return grows_ ? beyond : -beyond;
+  }
+
+  // Whether a sensor that swings out here does so too early, before the fold can have reached its
+  // near end, or too late.
+  static bool out_of_place(int32_t lag, uint8_t sensor, const Configuration& c) {
+    const int32_t place_se_um = c.get(Param::kFlexCenterSeUm, sensor);
+    const int32_t reach_um =
+        c.get(Param::kFlexSpanUm, sensor) / 2 + c.get(Param::kFoldMarginUm) + kDoubtUm;
+    return lag > late_um(place_se_um) || lag < -reach_um - kSigmas * place_se_um;
+  }
+
+  // Whether a flex sensor's reading has swung back by an eighth, or swings out where it must not;
+  // top_um_ then is its lag.
+  bool swung(uint8_t i, int32_t total, int32_t lag, bool misplaced, bool fresh, const Derived& d) {
+    if (fresh) {
       rest_[i] = total;
       top_e5_[i] = 0;
       return false;
@@ -70,45 +170,33 @@ class FoldWatch {
     const int32_t swing = magnitude(curvature_e5(total, rest_[i], d.flex_gain_q16[i]));
     if (swing > top_e5_[i] + kRiseE5) {
       top_e5_[i] = saturated16(swing);
+      top_um_[i] = lag;
       moves_ = kMovesSteps;
-      return false;
+      return swing >= kSwingE5 && misplaced;
     }
-    if (top_e5_[i] < kSwingE5 || swing > top_e5_[i] - (top_e5_[i] >> 3)) return false;
-    watched_ = static_cast<uint16_t>(watched_ & ~bit);
-    return judge(length_um - c.get(Param::kFlexCenterUm, i));
+    return top_e5_[i] >= kSwingE5 && swing <= top_e5_[i] - (top_e5_[i] >> 3);
   }
 
-  // Whether a sensor in the fold shows that the tip moves.
-  bool moves() const { return moves_ != 0; }
-
- private:
-  bool judge(int32_t lag_um) {
-    waits_ = !waits_;
-    if (waits_) {
-      first_um_ = lag_um;
-      return false;
-    }
-    const int32_t most = greater(first_um_, lag_um);
-    const int32_t least = lesser(first_um_, lag_um);
-    const bool agree = most - least < kAgreeUm;
-    const int32_t mean = least + (most - least) / 2;
-    spread_um_ = greater(spread_um_, most - least);
-    const int32_t doubt = kApartUm + kApartSpreads * spread_um_;
-    if ((agree ? mean : most) < greater(-kEarlyUm, before_um_ - doubt)) return true;
-    before_um_ = agree ? mean : least;
-    return false;
+  // Whether an IMU has turned over in the fold: out of the tail it looks the way that the one
+  // before it looks, and in the tail it did not; rest_ is 1 while the two look opposite ways. Wound
+  // in it is the other way round.
+  bool turned(uint8_t i, int32_t total, bool fresh) {
+    const bool opposite = total - kStraightQ4 > kHalfTurnQ4 / 2;
+    const bool was_opposite = rest_[i] != 0;
+    rest_[i] = opposite ? 1 : 0;
+    return !fresh && opposite != was_opposite && opposite != grows_;
   }
 
-  int32_t first_um_ = 0;           // lag of a pair's first sensor
-  int32_t before_um_ = -kEarlyUm;  // lag of the pair before
-  int32_t spread_um_ = 0;          // largest difference within a pair
-  int32_t rest_[kSensors] = {};    // total resistance, in the tail
+  Pair pair_[kImus != 0 ? 2 : 1];  // of flex sensors; of IMUs
+  int32_t rest_[kSensors] = {};    // total resistance, at rest
+  int32_t top_um_[kSensors] = {};  // lag when it swung out furthest
   int16_t top_e5_[kSensors] = {};
   uint16_t watched_ = 0;
+  uint16_t judged_ = 0;  // with a resting value
   uint16_t unseen_ = 0;  // no resting value yet
   uint8_t next_ = 0;
-  bool waits_ = false;  // a pair's first sensor for the second
-  uint8_t moves_ = 0;   // control steps for which the tip counts as moving
+  uint8_t moves_ = 0;  // control steps for which the tip counts as moving
+  bool grows_ = true;
 };
 
 }  // namespace thigmo

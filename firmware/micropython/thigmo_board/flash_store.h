@@ -7,6 +7,10 @@
 // the power is cut: an entry and a header carry check sequences, and the older sector stays until
 // the newer one's header is programmed.
 //
+// Bits may flip later. A header stands twice in its page, so that one that is damaged does not
+// bring back the older sector. A damaged image is handed to the core, whose slots have check
+// sequences (config/store.h).
+//
 // Wear: a save erases one sector, a boot none until the 112 entries are full. At 100 000 erasures a
 // sector that is 200 000 saves, or 22 million boots.
 #ifndef THIGMO_MICROPYTHON_FLASH_STORE_H_
@@ -38,14 +42,16 @@ class FlashStore {
     sector_ = 1;
     next_entry_ = kEntries;  // the first commit writes an image
     for (uint8_t sector = 0; sector < 2; ++sector) {
-      Header header;
-      memcpy(&header, at(sector), sizeof header);
-      if (header.check != check(header) || header.image != image_check(at(sector) + kImageAt)) {
-        continue;
+      for (const uint16_t place : kHeaderAt) {
+        Header header;
+        memcpy(&header, at(sector) + place, sizeof header);
+        if (header.check != check(header)) continue;
+        if (generation_ != 0 && static_cast<int32_t>(header.generation - generation_) <= 0) {
+          continue;
+        }
+        generation_ = header.generation;
+        sector_ = sector;
       }
-      if (generation_ != 0 && static_cast<int32_t>(header.generation - generation_) <= 0) continue;
-      generation_ = header.generation;
-      sector_ = sector;
     }
     clean();
     if (generation_ == 0) return;
@@ -85,7 +91,7 @@ class FlashStore {
   static constexpr uint8_t kEntryData = 8;
   struct Header {
     uint32_t generation;
-    uint16_t image;  // check sequence of the image
+    uint16_t reserved;
     uint16_t check;  // of the fields before it
   };
   struct Entry {
@@ -96,6 +102,7 @@ class FlashStore {
     uint16_t reserved;
     uint16_t check;  // of the fields before it
   };
+  static constexpr uint16_t kHeaderAt[2] = {0, kFlashPage / 2};
   static constexpr uint16_t kImageAt = kFlashPage;
   static constexpr uint16_t kJournalAt = kImageAt + kEepromUsed;
   static constexpr uint16_t kEntries = (kFlashSector - kJournalAt) / sizeof(Entry);
@@ -107,12 +114,6 @@ class FlashStore {
   static uint16_t check(const Record& record) {
     return crc16(reinterpret_cast<const uint8_t*>(&record),
                  static_cast<uint8_t>(sizeof record - sizeof record.check));
-  }
-
-  static uint16_t image_check(const uint8_t* image) {
-    Crc crc;
-    for (uint16_t i = 0; i < kEepromUsed; ++i) crc.add(image[i]);
-    return crc.value();
   }
 
   static bool blank(const Entry& entry) {
@@ -152,11 +153,11 @@ class FlashStore {
     }
     Header header;
     header.generation = generation_ + 1 == 0 ? 1 : generation_ + 1;
-    header.image = image_check(image_);
+    header.reserved = 0;
     header.check = check(header);
     uint8_t page[kFlashPage];
     memset(page, 0xFF, sizeof page);
-    memcpy(page, &header, sizeof header);
+    for (const uint16_t place : kHeaderAt) memcpy(page + place, &header, sizeof header);
     flash_.program(base, page);
     generation_ = header.generation;
     sector_ = sector;
@@ -170,6 +171,9 @@ class FlashStore {
   uint16_t next_entry_;
   uint8_t sector_;
 };
+
+template <typename Flash>
+constexpr uint16_t FlashStore<Flash>::kHeaderAt[2];
 
 }  // namespace thigmo
 

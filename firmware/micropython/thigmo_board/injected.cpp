@@ -1,7 +1,8 @@
 // The controller on injected hardware, and the messages of the stream.
 //
 // Little-endian. From the host:
-//   'I' cause u8, latched u8, nonce u32, adc_bits u8, frame_us u16, flash 8192   power or reset
+//   'I' cause u8, latched u8, nonce u32, faults u16, adc_bits u8, frame_us u16, flash 8192   power
+//       or reset
 //   'S' ticks u8, flags u8, supply_mv u16, encoder_errors u16, count u16, bytes of the line, then
 //   for
 //       each tick the counts 8 x u16 and the encoder at each pass 4 x i32; flags: 1 estop, 2 the
@@ -14,7 +15,7 @@
 //   'S' flags u8, drive 2 x i16, motor i16, count u16, bytes of the line; flags: 1 runs, 2 powered,
 //       4 the watchdog bites, 8 pays out, 16 muscle air, 32 body air, 64 motor's supply, 128 brake
 //       open
-//   'G' latched u8, nonce u32, erasures 2 x u32, flash 8192, the store's bytes 2048
+//   'G' latched u8, nonce u32, faults u16, erasures 2 x u32, flash 8192, the store's bytes 2048
 //   'B' now_us u32, address u8, read u8, count u8, 21 bytes that are written: an I2C transfer
 //   'N'                                  nine clocks on that bus, then a STOP
 // A build for more has counts and drives for what it holds, and a larger flash and store.
@@ -37,8 +38,7 @@ constexpr uint16_t kMostLine = 4096;
 // first: no start-up code of the Cortex-M3 runs constructors.
 struct Machine {
   InjectedFlash flash;
-  bool stopped;  // latched; which stop that was
-  uint32_t stop_nonce;
+  LatchRecord latches;
   protocol::ResetCause cause;
   uint8_t adc_bits;
   uint16_t frame_us;
@@ -53,13 +53,6 @@ struct Machine {
 Machine machine;
 alignas(InjectedBoard) uint8_t board_storage[sizeof(InjectedBoard)];
 alignas(Robot<InjectedBoard>) uint8_t robot_storage[sizeof(Robot<InjectedBoard>)];
-
-StopLatch kept() {
-  StopLatch stop;
-  stop.latched = machine.stopped;
-  stop.nonce = machine.stop_nonce;
-  return stop;
-}
 
 InjectedBoard& board() { return *reinterpret_cast<InjectedBoard*>(board_storage); }
 Robot<InjectedBoard>& robot() { return *reinterpret_cast<Robot<InjectedBoard>*>(robot_storage); }
@@ -127,8 +120,7 @@ void step(const uint8_t* at) {
 #endif
       if (instants[pass] == machine.frame_us) board().convert(machine.tick, counts, c);
       if ((flags & 2) == 0) robot().loop();
-      machine.stopped = board().kept_stop().latched;
-      machine.stop_nonce = board().kept_stop().nonce;
+      machine.latches.keep(board().kept_latches());
       if (!machine.flash.powered) end();
     }
     if (!machine.alive) break;
@@ -166,23 +158,28 @@ void step(const uint8_t* at) {
 
 void describe(const uint8_t* at) {
   machine.cause = static_cast<protocol::ResetCause>(take<uint8_t>(at));
-  machine.stopped = take<uint8_t>(at) != 0;
-  machine.stop_nonce = take<uint32_t>(at);
+  Latches latches;
+  latches.stop.latched = take<uint8_t>(at) != 0;
+  latches.stop.nonce = take<uint32_t>(at);
+  latches.faults = take<uint16_t>(at);
+  machine.latches.keep(latches);
   machine.adc_bits = take<uint8_t>(at);
   machine.frame_us = take<uint16_t>(at);
   memcpy(machine.flash.cells, at, kFlashSize);
   machine.flash.cut_after = UINT32_MAX;
   machine.flash.powered = true;
   new (board_storage)
-      InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits, machine.cause, kept());
+      InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits, machine.cause, latches);
   machine.known = true;
 }
 
 void give() {
   uint8_t* out = machine.answer;
   put<uint8_t>(out, 'G');
-  put<uint8_t>(out, machine.stopped);
-  put<uint32_t>(out, machine.stop_nonce);
+  const Latches latches = machine.latches.kept();
+  put<uint8_t>(out, latches.stop.latched);
+  put<uint32_t>(out, latches.stop.nonce);
+  put<uint16_t>(out, latches.faults);
   for (const uint32_t erased : machine.flash.erased) put<uint32_t>(out, erased);
   memcpy(out, machine.flash.cells, kFlashSize);
   out += kFlashSize;
@@ -194,7 +191,7 @@ void give() {
 uint32_t message_size(const uint8_t* at, uint32_t filled) {
   switch (at[0]) {
     case 'I':
-      return 10 + kFlashSize;
+      return 12 + kFlashSize;
     case 'S': {
       if (filled < kStepHeader) return kStepHeader;
       uint16_t count;
@@ -251,9 +248,9 @@ const char* thigmo_begin(const int8_t*) {
     if (!stream_wait()) return "the injected hardware has gone";
   }
   stream_lock();
-  new (board_storage)
-      InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits,
-                    machine.again ? protocol::ResetCause::kExternal : machine.cause, kept());
+  new (board_storage) InjectedBoard(machine.flash, machine.frame_us, machine.adc_bits,
+                                    machine.again ? protocol::ResetCause::kExternal : machine.cause,
+                                    machine.latches.kept());
   new (robot_storage) Robot<InjectedBoard>(board());
   robot().begin();
   machine.tick = 0;

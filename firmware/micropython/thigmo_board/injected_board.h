@@ -131,8 +131,8 @@ class InjectedBoard {
   static constexpr uint32_t kNever = UINT32_MAX;
 
   InjectedBoard(InjectedFlash& flash, uint16_t frame_us, uint8_t adc_bits,
-                protocol::ResetCause cause, StopLatch stop)
-      : store_(flash), narrowing_(adc_bits), frame_us_(frame_us), cause_(cause), stop_(stop) {
+                protocol::ResetCause cause, const Latches& kept)
+      : store_(flash), narrowing_(adc_bits), frame_us_(frame_us), cause_(cause), kept_(kept) {
     for (int16_t& duty : drive_) duty = -1;
     store_.begin();
   }
@@ -240,8 +240,8 @@ class InjectedBoard {
   void eeprom_commit() { store_.commit(); }
 
   protocol::ResetCause reset_cause() { return cause_; }
-  StopLatch kept_stop() { return stop_; }
-  void keep_stop(StopLatch stop) { stop_ = stop; }
+  Latches kept_latches() { return kept_; }
+  void keep_latches(const Latches& latches) { kept_ = latches; }
   void task(uint8_t) {}
   void kick_watchdog() { kicked_us_ = now_us_; }
 
@@ -272,7 +272,7 @@ class InjectedBoard {
   Narrowing narrowing_;
   const uint16_t frame_us_;
   const protocol::ResetCause cause_;
-  StopLatch stop_;
+  Latches kept_;
   uint32_t now_us_ = 0;
   uint32_t kicked_us_ = 0;
   uint32_t arrival_us_ = 0;    // when the first byte on the way to the board is whole

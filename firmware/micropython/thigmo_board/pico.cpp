@@ -45,7 +45,8 @@ constexpr int8_t kOutputs[] = {
 };
 
 PicoFlash flash;
-Kept kept __attribute__((section(".uninitialized_data")));
+// RAM that no start-up code touches.
+LatchRecord kept __attribute__((section(".uninitialized_data")));
 bool again;  // the program has begun before, without a reset
 bool alive;
 int8_t pin[THIGMO_PINS];
@@ -195,7 +196,7 @@ const char* thigmo_begin(const int8_t* given) {
   static_cast<void>(*const_cast<const volatile char*>(signature.magic));  // stays in the image
   set_up();
   const protocol::ResetCause why = cause();
-  if (why == protocol::ResetCause::kPowerOn) kept = Kept{0, 0};
+  if (why == protocol::ResetCause::kPowerOn) kept.keep(Latches{});
   again = true;
   new (board_storage) PicoBoard(pin, flash, kept, why);
   new (robot_storage) Robot<PicoBoard>(board());

@@ -57,12 +57,6 @@ class PicoFlash {
   }
 };
 
-// What survives every reset but a loss of power: RAM that no start-up code touches.
-struct Kept {
-  uint32_t stop_nonce;
-  uint32_t stop_mark;  // its complement if a stop is latched
-};
-
 class PicoBoard {
  public:
   static constexpr protocol::Board kKind = protocol::Board::kPico;
@@ -70,7 +64,7 @@ class PicoBoard {
   static constexpr uint16_t kSlotUs = 40;
   static constexpr uint8_t kAlarm = 1;  // 2 and 3 are MicroPython's and the SDK's
 
-  PicoBoard(const int8_t* pins, PicoFlash& flash, Kept& kept, protocol::ResetCause cause)
+  PicoBoard(const int8_t* pins, PicoFlash& flash, LatchRecord& kept, protocol::ResetCause cause)
       : store_(flash), narrowing_(kAdcBitsHere), kept_(kept), cause_(cause) {
     memcpy(pin_, pins, sizeof pin_);
     spi_ = pin_[THIGMO_ADC_SCK] / 8 % 2 == 0 ? spi0_hw : spi1_hw;
@@ -227,16 +221,8 @@ class PicoBoard {
   }
 
   protocol::ResetCause reset_cause() { return cause_; }
-  StopLatch kept_stop() {
-    StopLatch stop;
-    stop.latched = kept_.stop_mark == ~kept_.stop_nonce;
-    if (stop.latched) stop.nonce = kept_.stop_nonce;
-    return stop;
-  }
-  void keep_stop(StopLatch stop) {
-    kept_.stop_nonce = stop.nonce;
-    kept_.stop_mark = stop.latched ? ~stop.nonce : stop.nonce;
-  }
+  Latches kept_latches() { return kept_.kept(); }
+  void keep_latches(const Latches& latches) { kept_.keep(latches); }
   void task(uint8_t) {}
   // The counter falls by two a microsecond (erratum RP2040-E1).
   void kick_watchdog() { watchdog_hw->load = 2000u * kWatchdogMs; }
@@ -315,7 +301,7 @@ class PicoBoard {
   uart_hw_t* uart_;
   FlashStore<PicoFlash> store_;
   Narrowing narrowing_;
-  Kept& kept_;
+  LatchRecord& kept_;
   const protocol::ResetCause cause_;
   volatile bool saving_ = false;
 

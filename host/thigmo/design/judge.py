@@ -30,6 +30,7 @@ from thigmo.config import (
     RobotConfig,
     Sensor,
     Side,
+    Spool,
 )
 from thigmo.design.bounds import arc_bounds
 from thigmo.errors import ConfigError
@@ -51,6 +52,7 @@ from thigmo.wiring import (
     witnesses,
 )
 
+_ENABLE_DECAY_S = 0.03  # of the brake's enable (docs/hardware/electronics.md), as the board has it
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
 _CLOSED_RAD = 2 * pi
 _PROPPED = 1.5  # base moment over EI of a propped cantilever, over its free curvature
@@ -141,9 +143,10 @@ def _growth(config: RobotConfig) -> Iterator[Finding]:
             )
         pull = body.pull_n(zone.pressure_psi)
         pulls = f"the body pulls {pull:.1f} N at the spool at rest"
-        if spool.brake or pull <= spool.holding_n:
-            held = "its brake holds" if spool.brake else f"friction holds {spool.holding_n:g} N"
-            yield Finding(what, "ok", f"{pulls}, and {held}")
+        if spool.brake:
+            yield _braked(what, pulls, spool, pull)
+        elif pull <= spool.holding_n:
+            yield Finding(what, "ok", f"{pulls}, and friction holds {spool.holding_n:g} N")
         else:
             holds = zone.pressure_psi * spool.holding_n / pull
             yield Finding(
@@ -152,6 +155,27 @@ def _growth(config: RobotConfig) -> Iterator[Finding]:
                 f"{pulls}, and friction holds {spool.holding_n:g} N: it slips (spool_slip). Fit a "
                 f"brake, or stay below {holds:.2f} psi",
             )
+
+
+def _braked(what: str, pulls: str, spool: Spool, pull_n: float) -> Finding:
+    """Whether the brake holds before a stopped spool has turned too far.
+
+    Until it has closed, the shorted windings alone slow what friction does not hold.
+    """
+    excess_n = max(pull_n - spool.holding_n, 0.0)
+    line_cm_s = spool.line_speed_cm_s * excess_n / (spool.stall_n - spool.holding_n)
+    closed_s = spool.brake_closes_s + _ENABLE_DECAY_S
+    run_out_mm = 10 * line_cm_s * closed_s / spool.payout_ratio
+    allowed_mm = PARAMETERS["slip_um"].defaults[0] / 1e3
+    text = (
+        f"{pulls}. At a stop the tip runs on by {run_out_mm:.1f} mm until its brake holds, "
+        f"{closed_s * 1e3:.0f} ms later; {allowed_mm:g} mm are allowed (slip_um)"
+    )
+    if run_out_mm <= allowed_mm:
+        return Finding(what, "ok", text)
+    return Finding(
+        what, "bad", f"{text}: it slips (spool_slip). Fit a faster brake, or lower this pressure"
+    )
 
 
 def _bends(config: RobotConfig) -> Iterator[Finding]:

@@ -49,7 +49,8 @@ _MOST_TICKS = 10  # in one message
 _LARGE_BITS = 16  # of the large board's counts, so that a turn keeps 0.1 mrad
 _LARGE_FRAME_US = 320
 _TRANSFER = struct.Struct("<IBBB21s")
-_KEPT = struct.Struct("<BIII")
+_LATCHES = struct.Struct("<BIH")  # whether a stop is latched, its nonce; faults
+_ERASURES = struct.Struct("<II")
 _RUNS, _POWERED, _BITES, _OUT, _MUSCLE_AIR, _BODY_AIR, _MOTOR_SUPPLY, _BRAKE_OPEN = (
     1 << n for n in range(8)
 )
@@ -61,9 +62,10 @@ def flash_of(store: bytes, size: int = STORE_SIZE) -> bytes:
     if not store:
         return b"\xff" * flash_size
     whole = store[:size].ljust(size, b"\xff")
-    header = struct.pack("<IH", 1, check_sequence(whole))
+    header = struct.pack("<IH", 1, 0)
     header += struct.pack("<H", check_sequence(header))
-    return (header.ljust(_PAGE, b"\xff") + whole).ljust(flash_size, b"\xff")
+    page = header.ljust(_PAGE // 2, b"\xff") * 2
+    return (page + whole).ljust(flash_size, b"\xff")
 
 
 class MicroPythonBoard:
@@ -113,7 +115,7 @@ class MicroPythonBoard:
         self._state = struct.Struct(f"<B{self._muscles + 1}hH")
         self._store_size = _LARGE_STORE if large else STORE_SIZE
         self._flash = flash_of(store, self._store_size)
-        self._stop = (0, 0)  # whether one is latched, its nonce
+        self._latches = bytes(_LATCHES.size)
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
         self._console = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the board
@@ -135,7 +137,7 @@ class MicroPythonBoard:
         """Begin a start for a `ResetCause`; the program runs when the boot time is over."""
         self._kill()
         if cause == ResetCause.POWER_ON:
-            self._stop = (0, 0)
+            self._latches = bytes(_LATCHES.size)
         self._cause = ResetCause(cause)
         self._boot_left = BOOT_MS  # until the program runs
         self._hung = False
@@ -156,7 +158,7 @@ class MicroPythonBoard:
         mine.settimeout(_START_S)
         self._socket = mine
         adc_bits, frame_us = self._profile
-        described = struct.pack("<BBIBH", self._cause, *self._stop, adc_bits, frame_us)
+        described = bytes([self._cause]) + self._latches + struct.pack("<BH", adc_bits, frame_us)
         self._tell(b"I" + described + self._flash)
         started, problem = b"", ""
         end = time.monotonic() + _START_S
@@ -267,11 +269,11 @@ class MicroPythonBoard:
             self._kill(keep=False)
 
     def _keep(self) -> bytes:
-        """Take flash, latch and store out of the machine; returns the store."""
+        """Take flash, latches and store out of the machine; returns the store."""
         self._tell(b"G")
         self._hear(1)
-        latched, nonce, *self.erasures = _KEPT.unpack(self._hear(_KEPT.size))
-        self._stop = (latched, nonce)
+        self._latches = self._hear(_LATCHES.size)
+        self.erasures = list(_ERASURES.unpack(self._hear(_ERASURES.size)))
         self._flash = self._hear(len(self._flash))
         return self._hear(self._store_size)
 

@@ -16,7 +16,7 @@ from types import FrameType
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.effort import EFFORTS, chosen_effort, within
-from thigmo.exploration.prior import read_prior
+from thigmo.exploration.prior import read_prior, within_reach
 from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.resume import interrupted
 from thigmo.exploration.run import Exploration, Progress, Protocol
@@ -167,6 +167,7 @@ def explore(
         used.save(folder.path / "robot.toml")
         if past is not None:
             folder.keep_records_of(past.folder)
+        given = within_reach(given, used.body)
         if given:
             kept = ObstacleMap("prior", "", "given", used.body.radius_cm, given)
             write_obstacles(kept, folder.path / PRIOR_FILE)

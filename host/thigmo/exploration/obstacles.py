@@ -95,19 +95,23 @@ def occupancy(
     grid.cells[free] = FREE
     there = [*felt, *(obstacle for obstacle in rest if obstacle.source != GONE)]
     for obstacle in there:
-        for line in (obstacle.track, obstacle.surface):
+        for line in [] if obstacle.cell_cm else [obstacle.track, obstacle.surface]:
             grid.cells[_near_line(grid, obstacle, line, max(sigmas, _SIGMA_95))] = UNKNOWN
     for obstacle in there:
         for line in _occupied_lines(obstacle):
             grid.cells[_near_line(grid, obstacle, line, 1.0)] = OCCUPIED
+    cells = [obstacle.cell_corners() for obstacle in there if obstacle.cell_cm]
+    grid.cells[_within(grid, cells)] = OCCUPIED
     return grid, felt + rest
 
 
 def _occupied_lines(obstacle: Obstacle) -> list[list[Point]]:
     """Lines along which something stands for sure: to 95 %, and within a standard deviation."""
-    lines = []
+    lines: list[list[Point]] = []
+    if obstacle.cell_cm:
+        return lines
     if obstacle.status == "localized" and obstacle.probability >= LEVEL:
-        lines.append(_core(obstacle) if obstacle.normal_rad is not None else obstacle.track)
+        lines.append(_core(obstacle))
     if obstacle.probability * obstacle.wall_probability >= LEVEL:
         lines.append(obstacle.surface)
     return lines
@@ -157,9 +161,10 @@ def _empty_grid(
         points.append(np.array([[stage.everted_length_cm, 0.0]]))
         points += [np.asarray(shape.poses)[:, :2] for shape in stage.shapes]
     for obstacle in obstacles:
-        reach = obstacle.ellipse_95.semi_major_cm
-        point = np.array([[obstacle.x_cm, obstacle.y_cm]])
-        points += [np.asarray(obstacle.track), point - reach, point + reach]
+        reach = obstacle.cell_cm or obstacle.ellipse_95.semi_major_cm
+        track, point = np.asarray(obstacle.track), np.array([[obstacle.x_cm, obstacle.y_cm]])
+        around = track if obstacle.cell_cm else point
+        points += [track, around - reach, around + reach]
         points += [np.asarray(obstacle.surface)] if obstacle.surface else []
     every = np.vstack(points)
     margin = radius_cm + _MARGIN_CM
@@ -206,10 +211,9 @@ def _near_line(
 ) -> Mask:
     """Cells that may hold the obstacle's surface along a line of it, and so far across it."""
     near = np.zeros(grid.cells.shape, dtype=np.bool_)
-    across_cm = 0.0  # standard error
-    if obstacle.normal_rad is not None:
-        normal = np.array([np.cos(obstacle.normal_rad), np.sin(obstacle.normal_rad)])
-        across_cm = float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))
+    assert obstacle.normal_rad is not None
+    normal = np.array([np.cos(obstacle.normal_rad), np.sin(obstacle.normal_rad)])
+    across_cm = float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))  # 1 sigma
     reach = sigmas * across_cm + grid.resolution_cm * np.sqrt(0.5)
     centers = np.stack(grid.centers(), axis=-1)
     for start, end in pairwise(np.asarray([*points, *points[-1:]])):
@@ -221,7 +225,14 @@ def _near_line(
 
 
 def _swept_through(obstacle: Obstacle, grid: OccupancyGrid, free: Mask) -> bool:
-    """Whether an obstacle's place, and all within its standard deviation, was swept freely."""
+    """Whether an obstacle's place, and all within its standard deviation, was swept freely.
+
+    Of a ROS map's obstacle: whether the centres of most of its cells were.
+    """
+    if obstacle.cell_cm:
+        corner = np.array(grid.origin[:2])
+        column, row = ((np.asarray(obstacle.track) - corner) // grid.resolution_cm).astype(int).T
+        return float(free[row, column].mean()) > 0.5
     from scipy.ndimage import distance_transform_edt
 
     distance = distance_transform_edt(free)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thigmo.config import Body
 from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.errors import RunFolderError
 from thigmo.record import (
@@ -61,15 +62,16 @@ def match(prior: Sequence[Obstacle], contact: MapContact) -> int | None:
 
 def _squared(obstacle: Obstacle, points: Floats, covariance: Floats) -> Floats:
     """Squared distance of points from an obstacle, in standard deviations."""
+    from scipy.spatial import KDTree
+
     total = covariance + _FLOOR_CM**2 * np.eye(2)
     places = np.asarray(obstacle.track)
     if obstacle.normal_rad is not None:  # a contact: a point with its covariance
         places = np.array([[obstacle.x_cm, obstacle.y_cm]])
         total = total + np.asarray(obstacle.covariance_cm2)
-    apart = points[:, None, :] - places[None, :, :]
-    inverse = np.linalg.inv(total)
-    squared: Floats = np.einsum("pki,ij,pkj->pk", apart, inverse, apart).min(axis=1)
-    return squared
+    whitened = np.linalg.inv(np.linalg.cholesky(total)).T  # distances in standard deviations
+    distance, _ = KDTree(places @ whitened).query(points @ whitened)
+    return np.asarray(distance) ** 2
 
 
 def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:
@@ -94,6 +96,24 @@ def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:
     )
 
 
+def within_reach(prior: Sequence[Obstacle], body: Body) -> list[Obstacle]:
+    """The obstacles of a map that a robot can touch, without the cells that it cannot.
+
+    A map of a building shows rooms that the robot never reaches.
+    """
+    reach_cm = body.length_cm + body.radius_cm + _SAME_SIGMA * _FLOOR_CM
+    near = []
+    for obstacle in prior:
+        places = np.asarray(obstacle.track)
+        reached = np.hypot(*places.T) <= reach_cm
+        if obstacle.cell_cm and not reached.all():
+            if reached.any():
+                near.append(_patch(places[reached], obstacle.cell_cm, obstacle.cell_angle_rad))
+        elif reached.any():
+            near.append(obstacle)
+    return near
+
+
 def kept_prior(folder: RunFolder) -> list[Obstacle]:
     """Obstacles of the map that a run was given, none without; raises RunFolderError."""
     file = folder.path / PRIOR_FILE
@@ -101,29 +121,37 @@ def kept_prior(folder: RunFolder) -> list[Obstacle]:
 
 
 def _grid_obstacles(grid: OccupancyGrid) -> list[Obstacle]:
-    """One obstacle for each connected patch of occupied cells; its track is the patch's rim."""
-    from scipy.ndimage import binary_erosion, label
+    """One obstacle for each connected patch of occupied cells."""
+    from scipy.ndimage import label
 
-    around = np.ones((3, 3), dtype=np.bool_)
-    labels, count = label(grid.cells == OCCUPIED, around)
+    labels, _ = label(grid.cells == OCCUPIED, np.ones((3, 3)))
+    occupied = np.nonzero(labels)
+    patches = labels[occupied]
+    order = np.argsort(patches, kind="stable")
     x, y = grid.centers()
-    obstacles = []
-    for number in range(1, count + 1):
-        patch = labels == number
-        rim = patch & ~binary_erosion(patch, around)
-        spread = np.cov(np.column_stack((x[patch], y[patch])).T, ddof=0)
-        spread = spread + grid.resolution_cm**2 / 12 * np.eye(2)
-        (xx, xy), (yx, yy) = spread.tolist()
-        covariance = ((xx, xy), (yx, yy))
-        obstacles.append(
-            Obstacle(
-                x_cm=float(x[patch].mean()),
-                y_cm=float(y[patch].mean()),
-                covariance_cm2=covariance,
-                ellipse_95=Ellipse.of(covariance),
-                track=list(zip(x[rim].tolist(), y[rim].tolist(), strict=True)),
-                source="prior",
-                status="localized",
-            )
-        )
-    return obstacles
+    centers = np.column_stack((x[occupied], y[occupied]))[order]
+    borders = np.flatnonzero(np.diff(patches[order])) + 1
+    return [
+        _patch(cells, grid.resolution_cm, grid.origin[2])
+        for cells in np.split(centers, borders)
+        if cells.size
+    ]
+
+
+def _patch(centers: Floats, cell_cm: float, cell_angle_rad: float) -> Obstacle:
+    """The obstacle that fills square cells with these centres, (n, 2) in cm."""
+    spread = np.cov(centers.T, ddof=0) + cell_cm**2 / 12 * np.eye(2)
+    (xx, xy), (yx, yy) = spread.tolist()
+    covariance = ((xx, xy), (yx, yy))
+    x_cm, y_cm = centers.mean(axis=0).tolist()
+    return Obstacle(
+        x_cm=x_cm,
+        y_cm=y_cm,
+        covariance_cm2=covariance,
+        ellipse_95=Ellipse.of(covariance),
+        track=[(x, y) for x, y in centers.tolist()],
+        source="prior",
+        status="localized",
+        cell_cm=cell_cm,
+        cell_angle_rad=cell_angle_rad,
+    )

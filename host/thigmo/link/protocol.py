@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x244DF1F4
+SCHEMA_HASH = 0x8233D675
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -102,7 +102,7 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     OVER_LIMIT = 16  # The pressure, length or speed exceeds its configured maximum
     NO_SNAPSHOT = 17  # No such reading was captured; sweep until after the peak first.
     ESTOP = 18  # The emergency stop is pressed; release it first.
-    BAD_CONFIG = 19  # The stored configuration is damaged; load defaults, configure and save again.
+    BAD_CONFIG = 19  # The stored configuration is missing or damaged; configure and save again.
     NOT_ZEROED = 20  # Sensors have no valid zero; vent, wait for settling, and zero.
     CONTRADICTION = 23  # Parameters contradict each other, so none of the new values is in use
     NO_BASE_SENSOR = 22  # No base sensor can feel a contact while a muscle is driven (trigger_when)
@@ -118,13 +118,13 @@ class Fault(Documented):  # Latched faults, by bit number.
     PRESSURE_STUCK = 3  # Muscle pressure does not follow its set point
     FLEX_OPEN = 4  # A flex sensor's circuit is open
     FLEX_SHORT = 5  # A flex sensor's circuit is shorted
-    SPOOL_STALL = 6  # The motor is driven, but the encoder stands still or shows too little motion
+    # The motor is driven, but the encoder stands still or shows too little or too much motion
+    SPOOL_STALL = 6
     # The spool turned while its motor was off, faster than the motor drives it, or the wrong way
     SPOOL_SLIP = 7
     BROWN_OUT = 8  # The supply voltage fell below its limit; check the power supply, then clear.
     WATCHDOG = 9  # The firmware hung and was restarted; report it with the run folder, then clear.
-    # The board has no valid configuration, or one from firmware that had no lists of muscles
-    BAD_CONFIG = 10
+    BAD_CONFIG = 10  # The board has no valid configuration; send robot.toml (every run does so
     ESTOP = 11  # The emergency stop was pressed; release it, then clear.
     # During a bend the length became unknown, or a sensor moved into the tip's fold, so the muscles
     # were vented
@@ -141,6 +141,12 @@ class StallCause(Documented):  # How a spool_stall was noticed (value of its eve
     SLOW = 1  # The encoder shows a lower speed than the motor has at this duty.
     JUMPS = 2  # The encoder's signals skip a state: edges are lost, or there is noise.
     EVERTED = 3  # Two sensors passed the tip before the encoder had counted that far.
+    # Two sensors passed the tip after the encoder had counted farther: it shows too much, or the
+    # tip was held back and the tail is slack.
+    LATE = 4
+    # The encoder shows a higher speed than the motor has at this duty, even if the body pulls as
+    # hard as it can.
+    FAST = 5
 
 
 class SlipCause(Documented):  # How a spool_slip was noticed (value of its event).
@@ -158,6 +164,16 @@ class SlipCause(Documented):  # How a spool_slip was noticed (value of its event
     # The session's first move went the wrong way: the motor's leads (J4.1 and J4.2) or the
     # encoder's (J5.2 and J5.3) are swapped.
     AGAINST = 5
+
+
+# What is wrong with the stored configuration (value of the event of bad_config).
+class ConfigCause(Documented):
+    BLANK = 1  # Nothing was ever stored.
+    INTERRUPTED = 2  # The first save was cut by a loss of power.
+    # A configuration that had been stored fails its check, so the one in use may be older
+    DAMAGED = 3
+    # A stored value is beyond this firmware's limits, or contradicts another one.
+    OUT_OF_LIMITS = 4
 
 
 # Condition bits that the supervisor's transition table reads, by bit number.
@@ -183,7 +199,7 @@ class Condition(Documented):
 
 
 class EventCode(Documented):  # What happened. Events stay latched at the board until acknowledged.
-    FAULT = 1  # A fault was latched: arg = its bit number, value = channel or detail.
+    FAULT = 1  # A fault was latched: arg = its bit number, value = channel or detail
     # The trigger fired: arg = active muscle, value = base curvature minus free curvature, 1e-5/cm.
     CONTACT = 2
     PEAK = 3  # The readings at a sweep's peak are captured: arg = active muscle, value = how many.

@@ -21,8 +21,9 @@ class Body {
 
   // Begins with the loads of another explanation. `bends`: whether it is never taken as straight.
   virtual void begin(const Explanation&, bool bends) = 0;
-  // Takes a shape; by a share of the step from the one before.
-  virtual void take(const Row& curvature, double step) = 0;
+  // Takes a shape, by a share of the step from the one before. `loads`: those that bent the body to
+  // it, with their numbers; none at the first shape.
+  virtual void take(const Row& curvature, double step, const std::vector<Loaded>& loads) = 0;
   // Whether another curvature gives the shape it has.
   virtual bool keeps(const Row& curvature) const = 0;
   // Lays a load's cells on the shape, with their columns.
@@ -30,7 +31,7 @@ class Body {
   // What the readings are known to have beside the loads, in this shape; empty: nothing.
   virtual Row known() const { return {}; }
   // Curvature that loads on this shape cause.
-  virtual Row bent(const std::vector<Loaded>& loads) = 0;
+  virtual Row bent(const std::vector<Loaded>& loads) const = 0;
   // That of the body that readings show which have so much left: the loads' own, or nearer to it.
   virtual Row shown(const Row& bent, const Row& left, int bad) const = 0;
   // The largest angle of a body with its base.

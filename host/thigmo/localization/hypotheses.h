@@ -330,8 +330,9 @@ class Explanations {
     bool whole = true;
     Left room;
     double last = INFINITY, step = 1.0;
+    std::vector<Loaded> loads;
     for (int turn = 0, passes = 0; turn < kMostTurns; ++turn) {
-      body_->take(shape, std::exchange(step, 1.0));
+      body_->take(shape, std::exchange(step, 1.0), loads);
       const Whitened& read = lay(grid, white, room);
       if (!grid.weigh(options_)) return kNone;
       const double log_evidence = evidence(grid, whole);
@@ -341,18 +342,20 @@ class Explanations {
       const Grid::Likeliest now = grid.likeliest(*read.frame);
       if (!certain && log_evidence + odds < best() + hopeless) {
         if (mark >= 0 || now.misfit < limit_) return kNone;
-        const Row gain = grid.gains(read, marks_, frame_.size());
-        double most = -INFINITY;
-        for (int i = 0; i < frame_.size(); ++i) most = std::max(most, gain[i] + mark_odds_[i]);
-        if (log_evidence + odds + most < best() + hopeless) return kNone;
+        const Row most = evidence_beside(grid, read, grid.precision_weighted(read), frame_.size(),
+                                         log_evidence, now.misfit);
+        double top = -INFINITY;
+        for (int i = 0; i < frame_.size(); ++i) top = std::max(top, most[i] + mark_odds_[i]);
+        if (odds + top < best() + priors_.hopeless) return kNone;
       }
-      if (turn == 0 && count > 2 && !all) {
+      if (turn == 0 && count > 2 && !all && now.misfit < limit_) {
         const double least = best() - odds + kNegligible;
         if (log_evidence < least) return kNone;
         grid.solve(0.0);
         if (log_evidence + std::log(grid.all_felt()) < least) return kNone;
       }
       Row bent = body_->bent(now.loads);
+      loads = now.loads;
       Row next = body_->shown(bent, now.left, bad);
       const double change = apart(next, shape);
       const bool rests = change < priors_.shape_rests || body_->keeps(next);
@@ -396,11 +399,12 @@ class Explanations {
         lay(grid, white, room);
         grid.weigh(options_);
       }
-      const double plain = evidence(grid, true) + weight, matter = best() + kMatters;
-      const Row gain = grid.gains(read, marks_, marks);
+      const double matter = best() + kMatters;
+      const std::vector<Matrix> weighted = grid.precision_weighted(read);
+      const Row most = evidence_beside(grid, read, weighted, marks, evidence(grid, true), misfit);
       for (int e = 0; e < marks; ++e) {
-        if (plain + gain[e] + mark_odds_[e] < best() + priors_.hopeless) continue;
-        Grid beside = grid.beside(read, marks_[e]);
+        if (weight + most[e] + mark_odds_[e] < best() + priors_.hopeless) continue;
+        Grid beside = grid.beside(read, weighted, marks_[e]);
         if (!beside.weigh(options_)) continue;
         add(beside, weight + mark_odds_[e] + evidence(beside, true), e);
         if (found.back().log_weight < matter) continue;
@@ -440,6 +444,16 @@ class Explanations {
     }
     if (whole && free > 0) volume = -std::log(static_cast<double>(grid.size()));
     return grid.top + std::log(grid.total / static_cast<double>(priors_.moments.size())) + volume;
+  }
+
+  // Log evidence that a grid has beside each of the first marks, about, or at most where its sets
+  // leave a misfit: sets that explain it may then differ from those beside the mark.
+  Row evidence_beside(const Grid& grid, const Whitened& read, const std::vector<Matrix>& weighted,
+                      int marks, double log_evidence, double misfit) const {
+    Grid::Densest densest = grid.densest(read, weighted, marks_, marks);
+    if (misfit > limit_) return densest.beside;
+    for (double& log_density : densest.beside) log_density += log_evidence - densest.plain;
+    return densest.beside;
   }
 
   // Lays finer windows around the mass where a cell holds more than `coarse` of it.

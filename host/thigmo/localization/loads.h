@@ -550,59 +550,81 @@ class Grid {
     return out;
   }
 
-  // Log likelihood that each column adds at most to that of the likeliest set, whichever set that
-  // then is, at the noise that suits the set or at less of it. Readies `beside`.
-  THIGMO_WIDE Row gains(const Whitened& readings, const std::vector<Column>& columns, int count) {
+  // V^(-1) times the columns, at each level of the noise.
+  THIGMO_WIDE std::vector<Matrix> precision_weighted(const Whitened& readings) const {
+    std::vector<Matrix> weighted;
+    weighted.reserve(levels_.size());
+    for (std::size_t s = 0; s < levels_.size(); ++s) {
+      weighted.push_back(levels_[s].white);
+      readings.levels[s].by.raise(weighted.back());
+    }
+    return weighted;
+  }
+
+  // Log density of the readings at the likeliest set, without a further column and beside each.
+  struct Densest {
+    double plain;
+    Row beside;
+  };
+  // Bounds of the evidence from above, since evidence is a mean over sets: at the widest scale of
+  // the forces, as if no prior volume were lost, at the noise that suits the likeliest set or at
+  // less of it. `weighted`: of `precision_weighted`.
+  THIGMO_WIDE Densest densest(const Whitened& readings, const std::vector<Matrix>& weighted,
+                              const std::vector<Column>& columns, int count) const {
     const Scaled widest =
         scaled(*std::max_element(priors_->moments.begin(), priors_->moments.end()));
-    Row out(count, -INFINITY);
-    double plain = -INFINITY;
+    const double prior = std::log(*std::max_element(density_.begin(), density_.end()));
+    Densest out{-INFINITY, Row(count, -INFINITY)};
+    Matrix products;  // of a column with those of each set
     for (std::size_t s = 0; s < levels_.size(); ++s) {
       const Whitened::At& at = readings.levels[s];
-      Products& of = levels_[s];
-      at.by.raise(of.white);
+      const Products& of = levels_[s];
       if (at.factor > readings.levels[level].factor) continue;
       for (int e = -1; e < count; ++e) {
         Whitened::At::Beside beside{0.0, 0.0, 0.0};
-        if (e >= 0) beside = at.beside(columns[e]), along(columns[e], beside.scale, of);
+        if (e >= 0) {
+          beside = at.beside(columns[e]);
+          lay_products(columns[e], beside.scale, weighted[s], products);
+        }
         Four most = -INFINITY + Four{};
         numbers([&]<int K>() __attribute__((always_inline)) {
           for (int m = 0; m < sets_; m += 4) {
             Normal<K> normal = this->normal<K>(of, widest, m);
             for (int k = 0; e >= 0 && k < K; ++k) {
-              normal.told[k] -= beside.told * four(along_[k] + m);
+              normal.told[k] -= beside.told * four(products[k] + m);
               for (int l = 0; l <= k; ++l) {
-                normal.lower[k][l] -= four(along_[k] + m) * four(along_[l] + m);
+                normal.lower[k][l] -= four(products[k] + m) * four(products[l] + m);
               }
             }
             const Four gain = Eliminated<K>(normal).gain;
             most = gain > most ? gain : most;
           }
         });
-        const double best = of.constant + beside.gain + 0.5 * largest(most);
-        double& to = e < 0 ? plain : out[e];
+        const double best = of.constant + beside.gain + 0.5 * largest(most) + prior;
+        double& to = e < 0 ? out.plain : out.beside[e];
         to = std::max(to, best);
       }
     }
-    for (double& gain : out) gain -= plain;
     return out;
   }
 
-  // The same sets beside a further column, to be weighed.
-  THIGMO_WIDE Grid beside(const Whitened& readings, const Column& column) const {
+  // The same sets beside a further column, to be weighed. `weighted`: of `precision_weighted`.
+  THIGMO_WIDE Grid beside(const Whitened& readings, const std::vector<Matrix>& weighted,
+                          const Column& column) const {
     Grid out = *this;
+    Matrix products;
     for (std::size_t s = 0; s < levels_.size(); ++s) {
       const Whitened::At::Beside beside = readings.levels[s].beside(column);
       Products& of = out.levels_[s];
-      out.along(column, beside.scale, of);
+      lay_products(column, beside.scale, weighted[s], products);
       of.constant += beside.gain, of.square -= beside.told * beside.told;
       const int count = static_cast<int>(number_.size());
       for (int k = 0; k < count; ++k) {
-        const double* own = out.along_[k];
+        const double* own = products[k];
         for (int m = 0; m < padded(); ++m) of.of[k][m] -= beside.told * own[m];
         for (int l = 0; l <= k; ++l) {
           double* to = of.of[gram(count, k, l)];
-          for (int m = 0; m < padded(); ++m) to[m] -= own[m] * out.along_[l][m];
+          for (int m = 0; m < padded(); ++m) to[m] -= own[m] * products[l][m];
         }
       }
     }
@@ -726,21 +748,23 @@ class Grid {
     return &both_[at];
   }
 
-  // Products of a column, times its scale, with those of each set, whose levels are raised.
-  [[gnu::always_inline]] void along(const Column& column, double scale, const Products& of) {
+  // Products of a column, times its scale, with those of each set. `weighted`: V^(-1) times the
+  // columns.
+  [[gnu::always_inline]] void lay_products(const Column& column, double scale,
+                                           const Matrix& weighted, Matrix& out) const {
     const int count = static_cast<int>(number_.size());
-    along_.resize(count, padded());
+    out.resize(count, padded());
     Row sum(column_.columns);
     for (std::size_t i = 0; i < column.value.size(); ++i) {
       const double share = scale * column.value[i];
-      const double* row = of.white[column.from + i];
-      for (int c = 0; c < of.white.columns; ++c) sum[c] += share * row[c];
+      const double* row = weighted[column.from + static_cast<int>(i)];
+      for (int c = 0; c < weighted.columns; ++c) sum[c] += share * row[c];
     }
     for (int k = 0; k < count; ++k) {
       const auto [j, d] = at_[k];
       const double* from = &sum[first_[j] + d * placed[j].cells];
       const int* cell = cell_[j].data();
-      double* __restrict to = along_[k];
+      double* __restrict to = out[k];
       for (int s = 0; s < padded(); ++s) to[s] = from[cell[s]];
     }
   }
@@ -823,7 +847,7 @@ class Grid {
   std::vector<std::array<int, 2>> at_;  // of each number its load, and which of its own it is
   std::vector<Number> number_;
   std::vector<int> first_;  // column of each load
-  Matrix column_, weight_, along_;
+  Matrix column_, weight_;
   std::vector<Products> levels_;
   std::vector<Way> ways_;
   // Blocks of products of columns, by where they are taken: their first one.

@@ -15,7 +15,7 @@ class PlaneBody : public Body {
 
   void begin(const Explanation&, bool bends) override { straight_ = !bends; }
 
-  void take(const Row& curvature, double) override {
+  void take(const Row& curvature, double, const std::vector<Loaded>&) override {
     straight_ = straight_ && turn_of(curvature) < priors_.straight;
     if (straight_) {
       least_ = priors_.least_lever;
@@ -94,7 +94,7 @@ class PlaneBody : public Body {
     fill(levers, force);
   }
 
-  Row bent(const std::vector<Loaded>& loads) override {
+  Row bent(const std::vector<Loaded>& loads) const override {
     static const Shape straight{Row(kNodes)};
     const Shape& shape = straight_ ? straight : shape_;
     Row out = rest;

@@ -233,10 +233,10 @@ class SpaceBody : public Body {
   // A twist of the end that no sensor measures shows only by how the body bends elsewhere.
   void begin(const Explanation& of, bool) override {
     unseen_ = of.loads.back().twists && !measured_;
-    before_.clear(), twist_ = 0.0;
+    slope_.clear(), twist_ = 0.0;
   }
 
-  void take(const Row& curvature, double step) override {
+  void take(const Row& curvature, double step, const std::vector<Loaded>& loads) override {
     shape_ = bent_to(curvature);
     lines_.emplace(*shape_, readings_.frame, direction_);
     least_ = std::max(priors_.least_lever * shape_->largest_lever(shape_->end()), 1e-6);
@@ -244,9 +244,9 @@ class SpaceBody : public Body {
     for (int i = 0; weighs() && i < readings_.frame.size(); ++i) {
       known_.push_back(lines_->by_weight(i, *shape_, weight_) - hanging_[i]);
     }
-    if (!unseen_ || before_.empty()) return;
-    twist_ += step * (before_.back().value[kAboutEnd] - twist_);
-    twist_column();
+    if (!unseen_ || loads.empty()) return;
+    twist_ += step * (loads.back().value[kAboutEnd] - twist_);
+    lay_twist_column(loads);
   }
 
   bool keeps(const Row&) const override { return false; }
@@ -273,12 +273,11 @@ class SpaceBody : public Body {
     }
     if (!unseen_ || !p.load->twists) return;
     for (int i = 0; i < p.column.rows; ++i) {
-      p.column[i][kAboutEnd] = before_.empty() ? 0.0 : p.column[i][kAboutEnd] + slope_[i];
+      p.column[i][kAboutEnd] = slope_.empty() ? 0.0 : p.column[i][kAboutEnd] + slope_[i];
     }
   }
 
-  Row bent(const std::vector<Loaded>& loads) override {
-    if (unseen_) before_ = loads;
+  Row bent(const std::vector<Loaded>& loads) const override {
     Row out = base(*shape_);
     for (const Loaded& each : loads) {
       const Section at = shape_->at(each.arc);
@@ -406,7 +405,7 @@ class SpaceBody : public Body {
 
   // The column of a couple that twists the end, whose twist turns the directions in which all other
   // loads bend the body: its derivative where the loads were last found (Gauss and Newton).
-  void twist_column() {
+  void lay_twist_column(const std::vector<Loaded>& loads) {
     constexpr double kStep = 1e-4;
     const int n = readings_.frame.size();
     Row u;
@@ -419,7 +418,7 @@ class SpaceBody : public Body {
     const Lines lines(twisted, readings_.frame, direction_);
     slope_.assign(n, 0.0);
     known_.resize(n);
-    for (const Loaded& each : before_) {
+    for (const Loaded& each : loads) {
       const Section at = shape_->at(each.arc), turned = twisted.at(each.arc);
       const auto one = wrench_of(each, at), two = wrench_of(each, turned);
       for (int i = 0; i < n; ++i) {
@@ -444,10 +443,9 @@ class SpaceBody : public Body {
   std::optional<SpaceShape> shape_;
   std::optional<Lines> lines_;
   Row known_;
-  // Of a twist that no sensor measures: the loads that were last found, the couple that bent the
-  // shape, and what one more adds to each reading.
+  // Of a twist that no sensor measures: the couple that bent the shape, and what one more adds to
+  // each reading; empty at the first shape.
   bool unseen_ = false;
-  std::vector<Loaded> before_;
   double twist_ = 0.0;
   Row slope_;
 };

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from thigmo.mechanics.elastica import Kind, Model, ModelChoice, Status
 
 Floats = NDArray[np.float64]
+_PegRow = tuple[float, float, float, float, float, float]
 _ContactRow = tuple[int, float, Kind, float, float, float, float, float, float, float]
 
 class Rod:
@@ -17,11 +18,13 @@ class Rod:
         self,
         diameter: float,
         critical_moment: float | None,
-        pegs: Sequence[tuple[float, float, float]],
+        pegs: Sequence[_PegRow],
         cell: float,
         model: ModelChoice,
         tolerance: float,
         friction: float,
+        base_compliance: float,
+        tip_rounding: float,
     ) -> None:
         """Lay the body down; `elastica.Rod` explains the arguments."""
 
@@ -35,7 +38,7 @@ class Rod:
     def assume_free(self, free_curvature: float, length: float) -> None:
         """Start from a body that touches nothing."""
 
-    def _place(self, pegs: Sequence[tuple[float, float, float]]) -> None: ...
+    def _place(self, pegs: Sequence[_PegRow]) -> None: ...
     def press(
         self, force: Floats, place: Floats, fold_angle: float, free_curvature: float, length: float
     ) -> None:
@@ -62,6 +65,9 @@ class Rod:
     def locate(self, x: float, y: float, radius: float) -> tuple[float, float]:
         """(gap, arc) of a peg: distance from the skin and the arc of the closest point."""
 
+    def _sweep(
+        self, bends: Floats, length: float, centers: Floats, spans: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.uint8]]: ...
     def _contacts(self) -> list[_ContactRow]: ...
     def axial_push(self) -> float:
         """Force (1/cm^2) with which pegs push the tip back towards the base."""
@@ -72,6 +78,8 @@ class Rod:
     length: float  # everted, cm; 0 before the first step
     free_curvature: float  # 1/cm
     diameter_cm: float  # inflated
+    base_compliance_cm: float
+    tip_rounding_cm: float
     critical_moment: float | None  # the base folds there, 1/cm; body pressure changes it
     status: Status  # how the last equilibrium was found; see `Solution`
     model: Model  # of the last step

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace thigmo::mechanics {
 
@@ -9,30 +10,53 @@ double Fold::turn(double s) const {
   return angle == 0.0 ? 0.0 : angle * std::clamp(s, 0.0, width) / width;
 }
 
-Skin skin_at(double place, double length, double tube_radius, double peg_radius) {
-  if (place <= length) {
-    return {std::max(place, 0.0), -tube_radius, 0.0, -1.0, Kind::kRightSide};
+Skin Outline::at(double place, double peg_radius) const {
+  if (place <= side()) {
+    return {std::max(place, 0.0), 0.0, -tube_radius, 0.0, -1.0, Kind::kRightSide};
   }
-  double beyond = place - length;
-  const double quarter = 0.5 * M_PI * peg_radius;
+  double beyond = place - side();
+  const double corner = peg_radius + rounding;
+  const double quarter = 0.5 * M_PI * corner;
+  const double half_face = tube_radius - rounding;
   if (beyond < quarter) {
-    const double angle = beyond / peg_radius;
-    return {length, -tube_radius, std::sin(angle), -std::cos(angle), Kind::kRightCorner};
+    const double t = std::sin(beyond / corner);
+    const double n = -std::cos(beyond / corner);
+    return {side(), rounding * t, rounding * n - half_face, t, n, Kind::kRightCorner};
   }
   beyond -= quarter;
-  if (beyond <= 2.0 * tube_radius) {
-    return {length, beyond - tube_radius, 1.0, 0.0, Kind::kFace};
+  if (beyond <= 2.0 * half_face) {
+    return {side(), rounding, beyond - half_face, 1.0, 0.0, Kind::kFace};
   }
-  beyond -= 2.0 * tube_radius;
+  beyond -= 2.0 * half_face;
   if (beyond < quarter) {
-    const double angle = beyond / peg_radius;
-    return {length, tube_radius, std::cos(angle), std::sin(angle), Kind::kLeftCorner};
+    const double t = std::cos(beyond / corner);
+    const double n = std::sin(beyond / corner);
+    return {side(), rounding * t, rounding * n + half_face, t, n, Kind::kLeftCorner};
   }
-  return {std::max(length - (beyond - quarter), 0.0), tube_radius, 0.0, 1.0, Kind::kLeftSide};
+  return {std::max(side() - (beyond - quarter), 0.0), 0.0, tube_radius, 0.0, 1.0, Kind::kLeftSide};
 }
 
-double perimeter(double length, double tube_radius, double peg_radius) {
-  return 2.0 * length + M_PI * peg_radius + 2.0 * tube_radius;
+Skin Outline::slope(double place, double peg_radius) const {
+  const Skin on = at(place, peg_radius);
+  switch (on.kind) {
+    case Kind::kRightSide:
+      return {1.0, 0.0, 0.0, 0.0, 0.0, on.kind};
+    case Kind::kFace:
+      return {0.0, 0.0, 1.0, 0.0, 0.0, on.kind};
+    case Kind::kLeftSide:
+      return {-1.0, 0.0, 0.0, 0.0, 0.0, on.kind};
+    default: {
+      // The outward normal turns to the left as the place moves on.
+      const double turn = 1.0 / (peg_radius + rounding);
+      const double t = -on.out_n * turn;
+      const double n = on.out_t * turn;
+      return {0.0, rounding * t, rounding * n, t, n, on.kind};
+    }
+  }
+}
+
+double Outline::perimeter(double peg_radius) const {
+  return 2.0 * side() + M_PI * (peg_radius + rounding) + 2.0 * (tube_radius - rounding);
 }
 
 double Centreline::heading_in(int cell, double s) const {
@@ -49,11 +73,15 @@ double Centreline::heading_in(int cell, double s) const {
          width * u * v * (a.curvature * v - b.curvature * u);
 }
 
-Pose Centreline::pose(double s) const {
+int Centreline::cell_of(double s) const {
   const Node* after = std::upper_bound(nodes + 1, nodes + count - 1, s,
                                        [](double arc, const Node& node) { return arc < node.s; });
-  const Node& near = after[-1];
-  const int cell = static_cast<int>(&near - nodes);
+  return static_cast<int>(after - nodes) - 1;
+}
+
+Pose Centreline::pose(double s) const {
+  const int cell = cell_of(s);
+  const Node& near = nodes[cell];
   const double step = s - near.s;
   const double heading = heading_in(cell, s);
   const double middle = heading_in(cell, near.s + 0.5 * step);
@@ -65,61 +93,160 @@ Pose Centreline::pose(double s) const {
   return {x, y, heading};
 }
 
-double Centreline::mean(double center, double span) const {
-  double low = std::max(center - 0.5 * span, 0.0);
-  double high = std::min(center + 0.5 * span, length());
+double Centreline::curvature(double s) const {
+  const int cell = cell_of(s);
+  const Node& a = nodes[cell];
+  const Node& b = nodes[cell + 1];
+  const double u = b.s > a.s ? (s - a.s) / (b.s - a.s) : 0.0;
+  const double folded = s < fold.width && fold.angle != 0.0 ? fold.angle / fold.width : 0.0;
+  return a.curvature + u * (b.curvature - a.curvature) + folded;
+}
+
+bool Centreline::cut(double center, double span, double& low, double& high) const {
+  low = std::max(center - 0.5 * span, 0.0);
+  high = std::min(center + 0.5 * span, length());
   if (span <= 0.0) {
     low = std::max(std::min(center - 5e-4, length() - 1e-3), 0.0);
     high = low + 1e-3;
   }
-  if (high - low < 1e-9) return 0.0;
+  return high - low >= 1e-9;
+}
+
+double Centreline::mean(double center, double span) const {
+  double low, high;
+  if (!cut(center, span, low, high)) return 0.0;
   return (pose(high).heading - pose(low).heading) / (high - low);
 }
 
-Gap Centreline::gap_to(const Peg& peg, double tube_radius) const {
-  const double around = perimeter(length(), tube_radius, peg.radius);
+Gap Centreline::gap_to(const Peg& peg, const Outline& outline) const {
+  Gap best = gap_to(peg, Part::kFirstEnd, outline);
+  for (int part = 1; part < (peg.is_wall() ? kParts : 1); ++part) {
+    const Gap gap = gap_to(peg, static_cast<Part>(part), outline);
+    if (gap.distance < best.distance) best = gap;
+  }
+  return best;
+}
+
+Gap Centreline::gap_to(const Peg& peg, Part part, const Outline& outline) const {
+  if (part == Part::kStraight) return gap_to_straight(peg, outline);
+  if (part == Part::kFirstEnd) return gap_to_round(peg.x, peg.y, peg.radius, outline);
+  Gap gap = gap_to_round(peg.x + peg.to_x, peg.y + peg.to_y, peg.radius, outline);
+  gap.part = part;
+  gap.along = std::hypot(peg.to_x, peg.to_y);
+  return gap;
+}
+
+Gap Centreline::gap_to_round(double x, double y, double radius, const Outline& outline) const {
+  const double around = outline.perimeter(radius);
+  const double side = outline.side();
   Gap best{1e30, 0.0};
   const auto consider = [&best](double distance, double place) {
     if (distance < best.distance) best = {distance, place};
   };
+  // How far the obstacle's centre lies ahead of a section, and to its left.
+  const auto seen_from = [&](const Pose& at) {
+    const double c = std::cos(at.heading);
+    const double d = std::sin(at.heading);
+    return std::make_pair((x - at.x) * c + (y - at.y) * d, (y - at.y) * c - (x - at.x) * d);
+  };
   double ahead_before = 0.0;
   for (int i = 0; i < count; ++i) {
-    const double c = std::cos(nodes[i].heading);
-    const double d = std::sin(nodes[i].heading);
-    const double dx = peg.x - nodes[i].x;
-    const double dy = peg.y - nodes[i].y;
-    const double ahead = dx * c + dy * d;
+    const bool end = nodes[i].s >= side - 1e-9;
+    const Pose here =
+        end && nodes[i].s > side ? pose(side) : Pose{nodes[i].x, nodes[i].y, nodes[i].heading};
+    const auto [ahead, left_of] = seen_from(here);
     if (i > 0 && ahead_before >= 0.0 && ahead < 0.0) {
       // The foot of the perpendicular lies in this cell: Newton on (peg - r) . t = 0.
       const Node& a = nodes[i - 1];
-      const Node& b = nodes[i];
-      double s = a.s + (b.s - a.s) * ahead_before / (ahead_before - ahead);
+      const double last = std::min(nodes[i].s, side);
+      double s = a.s + (last - a.s) * ahead_before / (ahead_before - ahead);
       double left = 0.0;
       for (int k = 0; k < 4; ++k) {
-        const Pose at = pose(s);
-        const double ct = std::cos(at.heading);
-        const double st = std::sin(at.heading);
-        const double miss = (peg.x - at.x) * ct + (peg.y - at.y) * st;
-        left = (peg.y - at.y) * ct - (peg.x - at.x) * st;
-        double curvature = a.curvature + (b.curvature - a.curvature) * (s - a.s) / (b.s - a.s);
-        if (s < fold.width) curvature += fold.angle / fold.width;
-        s = std::clamp(s + miss / std::max(1.0 - curvature * left, 0.1), a.s, b.s);
+        const auto [miss, beside] = seen_from(pose(s));
+        left = beside;
+        s = std::clamp(s + miss / std::max(1.0 - curvature(s) * left, 0.1), a.s, last);
         if (std::fabs(miss) < 1e-12) break;
       }
-      consider(std::fabs(left) - tube_radius - peg.radius, left < 0.0 ? s : around - s);
+      consider(std::fabs(left) - outline.tube_radius - radius, left < 0.0 ? s : around - s);
     }
-    if (i == count - 1 && ahead >= 0.0) {
-      const double left = dy * c - dx * d;
-      const double over = std::fabs(left) - tube_radius;
-      if (over <= 0.0) {
-        // Inside the end of the tube the nearer of face and side counts.
-        consider(ahead - peg.radius, length() + 0.5 * M_PI * peg.radius + tube_radius + left);
-      } else {
-        const double place = length() + peg.radius * std::atan2(ahead, over);
-        consider(std::hypot(ahead, over) - peg.radius, left > 0.0 ? around - place : place);
+    if (end) {
+      if (ahead >= 0.0) {
+        const double corner = radius + outline.rounding;
+        const double half_face = outline.tube_radius - outline.rounding;
+        const double over = std::fabs(left_of) - half_face;
+        if (over <= 0.0) {
+          // Inside the end of the tube the nearer of face and side counts.
+          consider(ahead - corner, side + 0.5 * M_PI * corner + half_face + left_of);
+        } else {
+          const double place = side + corner * std::atan2(ahead, over);
+          consider(std::hypot(ahead, over) - corner, left_of > 0.0 ? around - place : place);
+        }
       }
+      break;
     }
     ahead_before = ahead;
+  }
+  return best;
+}
+
+// The straight part touches a side where the body runs along it, and the end at a corner.
+Gap Centreline::gap_to_straight(const Peg& wall, const Outline& outline) const {
+  constexpr double kAround = 2.0;  // cm beyond the wall's line: the body has gone around its end
+  const double extent = std::hypot(wall.to_x, wall.to_y);
+  const double ux = wall.to_x / extent;
+  const double uy = wall.to_y / extent;
+  const double around = outline.perimeter(wall.radius);
+  const double side = outline.side();
+  Gap best{1e30, 0.0};
+  // Distance from the wall's line, counted positive on the side of the base.
+  const double hand = ux * wall.y - uy * wall.x > 0.0 ? -1.0 : 1.0;
+  const auto before = [&](double x, double y) {
+    return hand * (ux * (y - wall.y) - uy * (x - wall.x));
+  };
+  // The direction from a point to the wall, as a sign of (-uy, ux).
+  const auto toward = [&](double x, double y) { return before(x, y) > -kAround ? -hand : hand; };
+  // `x`, `y`: a point of the body; `reach`: of the tube around it.
+  const auto consider = [&](double x, double y, double reach, double place) {
+    const double along = (x - wall.x) * ux + (y - wall.y) * uy;
+    const double off = before(x, y);
+    const double away = (off > -kAround ? off : -off) - reach - wall.radius;
+    if (along >= 0.0 && along <= extent && away < best.distance) {
+      best = {away, place, Part::kStraight, along};
+    }
+  };
+  const auto across = [&](double heading) {
+    return std::sin(heading) * ux - std::cos(heading) * uy;
+  };
+  // Whether the wall lies to the left of a section that runs along it.
+  const auto on_left = [&](const Pose& at) {
+    return toward(at.x, at.y) * (std::cos(at.heading) * ux + std::sin(at.heading) * uy) > 0.0;
+  };
+  for (int i = 0; i + 1 < count && nodes[i].s < side; ++i) {
+    double low = nodes[i].s;
+    double high = std::min(nodes[i + 1].s, side);
+    if (across(nodes[i].heading) * across(pose(high).heading) > 0.0) continue;
+    double s = low;
+    for (int k = 0; k < 40 && high - low > 1e-10; ++k) {  // bisection: safe, and rarely needed
+      s = 0.5 * (low + high);
+      (across(pose(s).heading) * across(nodes[i].heading) > 0.0 ? low : high) = s;
+    }
+    const Pose at = pose(s);
+    consider(at.x, at.y, outline.tube_radius, on_left(at) ? around - s : s);
+  }
+  const Pose end = pose(side);
+  const double c = std::cos(end.heading);
+  const double d = std::sin(end.heading);
+  const double corner = wall.radius + outline.rounding;
+  const double half_face = outline.tube_radius - outline.rounding;
+  for (const double hand : {-1.0, 1.0}) {  // the right corner, and the left one
+    const double x = end.x - hand * half_face * d;
+    const double y = end.y + hand * half_face * c;
+    const double sign = toward(x, y);
+    const double out_t = sign * (ux * d - uy * c);
+    const double out_n = hand * sign * (ux * c + uy * d);
+    if (out_t < 0.0 || out_n < 0.0) continue;
+    const double place = side + corner * std::atan2(out_t, out_n);
+    consider(x, y, outline.rounding, hand > 0.0 ? around - place : place);
   }
   return best;
 }

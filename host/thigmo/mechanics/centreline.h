@@ -12,10 +12,19 @@ struct Pose {
   double x, y, heading;
 };
 
-// A round obstacle.
+// An obstacle that stands in the plane: a round peg, or a straight wall with round ends. The wall's
+// surface lies one radius from the line between its two ends' centres.
 struct Peg {
   double x, y, radius;
+  double to_x = 0.0, to_y = 0.0;  // from the first end's centre to the last one's; a peg: 0
+  double compliance = 0.0;        // cm it yields for each 1/cm^2 of force on it, so cm^3
+
+  bool is_wall() const { return to_x != 0.0 || to_y != 0.0; }
 };
+
+// The part of an obstacle that touches: a peg is its own first end.
+enum class Part { kFirstEnd, kLastEnd, kStraight };
+constexpr int kParts = 3;  // of a wall
 
 // The base's fold: its angle (rad), spread evenly over [0, width].
 struct Fold {
@@ -31,24 +40,36 @@ static_assert(sizeof(Node) == 5 * sizeof(double), "Python reads the table as (n,
 
 enum class Kind { kRightSide, kRightCorner, kFace, kLeftCorner, kLeftSide };
 
-// A place on the skin: its arc, its offset along the left normal, and the outward normal there as
-// (tangential, normal) components.
+// A place on the skin: the section that carries it, the contact's offsets from that section's
+// centre along the tangent and the left normal, and the outward normal there as (tangential,
+// normal).
 struct Skin {
-  double arc, offset, out_t, out_n;
+  double arc, ahead, offset, out_t, out_n;
   Kind kind;
 };
 
-// The place with one coordinate around the skin, in cm travelled by the centre of a touching peg:
-// from the base up the right side (place = arc), round the right corner of the flat end (peg radius
-// times angle), across the face, round the left corner, and down the left side. It is continuous,
-// so a peg that slides from the side over the corner onto the face is no special case in Newton.
-Skin skin_at(double place, double length, double tube_radius, double peg_radius);
+// The tube's outline around an everted length: two sides, and an end with round corners. A rounding
+// of the tube's radius makes the end a half circle, 0 makes it flat.
+struct Outline {
+  double length, tube_radius, rounding;
 
-// The whole way around, and so the place of the left side's base.
-double perimeter(double length, double tube_radius, double peg_radius);
+  // Where the sides end and the corners begin: the section that carries all of the end.
+  double side() const { return length - rounding; }
+  // The place with one coordinate around the skin, in cm travelled by the centre of a touching peg:
+  // from the base up the right side (place = arc), round the right corner (peg radius and rounding
+  // times angle), across the face, round the left corner, and down the left side. It is continuous,
+  // so a peg that slides from the side over the corner onto the face is no special case in Newton.
+  Skin at(double place, double peg_radius) const;
+  // Derivatives of `at` by the place; the kind does not matter.
+  Skin slope(double place, double peg_radius) const;
+  // The whole way around, and so the place of the left side's base.
+  double perimeter(double peg_radius) const;
+};
 
 struct Gap {
   double distance, place;  // negative distance: overlap
+  Part part = Part::kFirstEnd;
+  double along = 0.0;  // of a wall's straight part, cm from its first end
 };
 
 // A view; the nodes belong to somebody else.
@@ -62,11 +83,20 @@ struct Centreline {
   // Mean curvature over a span, exactly: the turn over the length. A span of 0 gives the value at
   // the centre. What lies beyond the body is cut off; a span wholly beyond it gives 0.
   double mean(double center, double span) const;
-  // Distance from the flat-ended tube to a peg, and the closest place on the skin.
-  Gap gap_to(const Peg& peg, double tube_radius) const;
+  // Ends of the part of a span that is cut to the body; nothing if none of it is left.
+  bool cut(double center, double span, double& low, double& high) const;
+  // Distance from the tube to an obstacle, or to a part of it, and the closest place on the skin.
+  Gap gap_to(const Peg& peg, const Outline& outline) const;
+  Gap gap_to(const Peg& peg, Part part, const Outline& outline) const;
+  // The cell (number of its lower node) that holds an arc.
+  int cell_of(double s) const;
+  // Curvature with the fold, linear between nodes.
+  double curvature(double s) const;
 
  private:
   double heading_in(int cell, double s) const;
+  Gap gap_to_round(double x, double y, double radius, const Outline& outline) const;
+  Gap gap_to_straight(const Peg& wall, const Outline& outline) const;
 };
 
 }  // namespace thigmo::mechanics

@@ -1,14 +1,16 @@
-"""Large deflections of the body against round pegs, or pushed to a given force.
+"""Large deflections of the body against pegs and walls, or pushed to a given force.
 
 Use `solve` for one equilibrium, `Rod` to follow a robot through time (each step starts from the
-last), and `push` for the shape of the body under a force f at arc a. `push` needs no peg and does
-not iterate, so tests of estimators use it as truth.
+last), `Rod.sweep` for the readings of a whole sweep and their derivatives, and `push` for the shape
+of the body under a force f at arc a. `push` needs no peg and does not iterate, so tests of
+estimators use it as truth.
 
 The model is planar and inextensible with EI = 1 (forces in 1/cm^2, moments in 1/cm) and natural
 curvature g, clamped at the base at (0, 0) heading along x. Contacts are unilateral, and without
 friction unless a `Rod` is given some. The base folds when the contact moment there reaches
 `critical_moment`. The moment then stays at that value, and the angle of the fold is spread over one
-diameter from the base. The compiled extension has the method (`rod.h`).
+diameter from the base. Base and obstacles may yield in proportion to what acts on them. The
+compiled extension has the method (`rod.h`).
 """
 
 from __future__ import annotations
@@ -42,6 +44,25 @@ class Peg:
     x: float
     y: float
     radius: float
+    # cm that its centre yields for each 1/cm^2 of force over EI, in the force's direction: cm^3
+    compliance: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """A straight obstacle with round ends: its surface lies `radius` cm from the line between two
+    points (cm).
+    """
+
+    x: float
+    y: float
+    end_x: float
+    end_y: float
+    radius: float
+    compliance: float = 0.0  # as a peg's
+
+
+Obstacle = Peg | Wall
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +91,11 @@ class Tube:
     diameter_cm: float = 3.5  # inflated diameter; also the length over which the fold is spread
     # contact moment (1/cm) at which the base folds; None = never
     critical_moment: float | None = None
+    # rad by which the base turns for each 1/cm of contact moment there: as much as so many cm of
+    # body more; no sensor sees it
+    base_compliance_cm: float = 0.0
+    # radius of the end's corners: 0 is a flat end, the tube's radius a half circle
+    tip_rounding_cm: float = 0.0
 
     @property
     def radius_cm(self) -> float:
@@ -87,7 +113,7 @@ class Solution:
         self.s, self.heading, self.curvature, self.x, self.y = rod.nodes().T
         self.length = rod.length  # everted (cm)
         self.free_curvature = rod.free_curvature  # 1/cm
-        self.tube = Tube(rod.diameter_cm, rod.critical_moment)
+        self.tube = rod.tube
         self.contacts = rod.contacts()  # touching pegs, base first
         self.fold_angle = rod.fold_angle  # rad, with sign; 0 unless the base folds
         self.base_moment = rod.base_moment  # of the contacts (1/cm)
@@ -118,24 +144,45 @@ class Solution:
         return self._body.locate(peg.x, peg.y, peg.radius)
 
 
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """Readings of N sensors along a ladder of K free curvatures, among P obstacles.
+
+    Derivatives are exact where nothing slips: they come from the equilibrium's own equations. They
+    do not know that another obstacle may be touched, or that an end may slip off.
+    """
+
+    readings: Floats  # (K, N) mean curvature over each sensor, fold included, 1/cm
+    by_place: Floats  # (K, N) for each cm that the sensor lies farther out
+    # (K, N, P, 6) for each obstacle's x, y, radius, end_x, end_y (of a wall) and compliance
+    by_obstacle: Floats
+    # (K, N, 3) for the critical moment, the base's compliance and the coefficient of friction
+    by_body: Floats
+    # (K, P, 4) arc (cm), x and y of the contact (cm), and its force (1/cm^2); NaN without contact
+    contacts: Floats
+    # (K,) whether the equilibrium is only as exact as a penalty method; derivatives are 0 there
+    approximate: npt.NDArray[np.bool_]
+
+
 class Rod(_rod.Rod):
     """A body with a history: each `step` starts from the last equilibrium, as on a real robot.
 
     Args:
         tube: section and fold.
-        pegs: obstacles.
+        pegs: obstacles, pegs and walls.
         cell_cm: mesh width; 1 cm gives an error of about 1e-6 cm at a vine robot's bends.
         model: "auto" uses the simplest sufficient model at each step: "arc" without contact, "beam"
             if its error bound meets the tolerance, else "elastica". Any of these three names is
             used for all steps ("arc" ignores pegs).
         tolerance_cm: largest error in position of the automatic choice.
-        friction: Coulomb coefficient between skin and pegs; with it, "auto" never uses "beam".
+        friction: Coulomb coefficient between skin and obstacles. With it, with walls, and with
+            what yields, "auto" never uses "beam".
     """
 
     def __init__(
         self,
         tube: Tube,
-        pegs: Sequence[Peg] = (),
+        pegs: Sequence[Obstacle] = (),
         *,
         cell_cm: float = 1.0,
         model: ModelChoice = "elastica",
@@ -144,10 +191,41 @@ class Rod(_rod.Rod):
     ) -> None:
         super().__init__(
             tube.diameter_cm, tube.critical_moment, _rows(pegs), cell_cm, model, tolerance_cm,
-            friction,
+            friction, tube.base_compliance_cm, tube.tip_rounding_cm,
         )  # fmt: skip
 
-    def place(self, pegs: Sequence[Peg]) -> None:
+    def sweep(
+        self, bends: npt.ArrayLike, length: float, centers: npt.ArrayLike, spans: npt.ArrayLike
+    ) -> Sweep:
+        """Bend the free, straight body through a ladder of free curvatures, and read its sensors.
+
+        The rod itself stays where it is. A body that touches nothing costs next to nothing, one
+        that touches is always the elastica.
+
+        Args:
+            bends: (K,) free curvatures in their order, 1/cm.
+            length: everted length, cm.
+            centers: (N,) arcs of the sensors, cm.
+            spans: (N,) their spans, or one for all; 0 reads the value at the centre.
+
+        Raises:
+            DataError: values that are not finite, or a length that is not positive.
+        """
+        ladder = np.ascontiguousarray(np.asarray(bends, dtype=np.float64))
+        x = np.ascontiguousarray(np.asarray(centers, dtype=np.float64))
+        width = np.ascontiguousarray(np.broadcast_to(np.asarray(spans, dtype=np.float64), x.shape))
+        if not (np.isfinite(ladder).all() and np.isfinite(length) and length > 0.0):
+            raise DataError("free curvatures must be finite numbers, and the length positive")
+        readings, by_place, by, contacts, approximate = self._sweep(ladder, length, x, width)
+        bodies = by.shape[2] - 3
+        by_obstacle = by[:, :, :bodies].reshape(*readings.shape, contacts.shape[1], 6)
+        # The solver moves a wall as a whole by x and y; here its last end stays where it is.
+        by_obstacle[..., :2] -= by_obstacle[..., 3:5]
+        return Sweep(
+            readings, by_place, by_obstacle, by[:, :, bodies:], contacts, approximate.astype(bool)
+        )
+
+    def place(self, pegs: Sequence[Obstacle]) -> None:
         """Replace the pegs in the room.
 
         A body that touches neither old nor new pegs stays as it is. Otherwise it is bent again from
@@ -157,8 +235,10 @@ class Rod(_rod.Rod):
 
     @property
     def tube(self) -> Tube:
-        """Section and fold."""
-        return Tube(self.diameter_cm, self.critical_moment)
+        """Section, fold and end."""
+        return Tube(
+            self.diameter_cm, self.critical_moment, self.base_compliance_cm, self.tip_rounding_cm
+        )
 
     def contacts(self) -> tuple[PegContact, ...]:
         """Touching pegs, base first."""
@@ -169,8 +249,13 @@ class Rod(_rod.Rod):
         return Solution(self)
 
 
-def _rows(pegs: Sequence[Peg]) -> list[tuple[float, float, float]]:
-    return [(peg.x, peg.y, peg.radius) for peg in pegs]
+def _rows(pegs: Sequence[Obstacle]) -> list[tuple[float, float, float, float, float, float]]:
+    return [
+        (peg.x, peg.y, peg.radius, peg.end_x - peg.x, peg.end_y - peg.y, peg.compliance)
+        if isinstance(peg, Wall)
+        else (peg.x, peg.y, peg.radius, 0.0, 0.0, peg.compliance)
+        for peg in pegs
+    ]
 
 
 def solve(
@@ -178,7 +263,7 @@ def solve(
     length: float,
     *,
     tube: Tube | None = None,
-    pegs: Sequence[Peg] = (),
+    pegs: Sequence[Obstacle] = (),
     cell_cm: float = 1.0,
 ) -> Solution:
     """Equilibrium of the body among pegs.

@@ -24,7 +24,7 @@ namespace {
 
 using Values = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using PegRows = std::vector<std::tuple<double, double, double>>;
+using PegRows = std::vector<std::tuple<double, double, double, double, double, double>>;
 
 constexpr const char* kModels[] = {"arc", "beam", "elastica"};
 constexpr const char* kStatuses[] = {"converged", "relaxed", "approximate"};
@@ -49,8 +49,18 @@ double moment_or_none(std::optional<double> critical) {
 
 std::vector<Peg> pegs_of(const PegRows& rows) {
   std::vector<Peg> pegs;
-  for (const auto& [x, y, radius] : rows) pegs.push_back({x, y, radius});
+  for (const auto& [x, y, radius, to_x, to_y, compliance] : rows) {
+    pegs.push_back({x, y, radius, to_x, to_y, compliance});
+  }
   return pegs;
+}
+
+// An array that Python owns.
+template <typename Value, std::size_t N>
+nb::ndarray<nb::numpy, Value> array(std::vector<Value> values, const std::size_t (&shape)[N]) {
+  auto* kept = new std::vector<Value>(std::move(values));
+  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<Value>*>(p); });
+  return nb::ndarray<nb::numpy, Value>(kept->data(), N, shape, owner);
 }
 
 }  // namespace
@@ -70,12 +80,14 @@ NB_MODULE(_rod, m) {
       .def(
           "__init__",
           [](Rod* self, double diameter, std::optional<double> critical, const PegRows& pegs,
-             double cell, const std::string& model, double tolerance, double friction) {
+             double cell, const std::string& model, double tolerance, double friction,
+             double base_compliance, double rounding) {
             new (self) Rod(diameter, moment_or_none(critical), pegs_of(pegs), cell,
-                           model_named(model), tolerance, friction);
+                           model_named(model), tolerance, friction, base_compliance, rounding);
           },
           nb::arg("diameter"), nb::arg("critical_moment").none(), nb::arg("pegs"), nb::arg("cell"),
-          nb::arg("model"), nb::arg("tolerance"), nb::arg("friction"))
+          nb::arg("model"), nb::arg("tolerance"), nb::arg("friction"), nb::arg("base_compliance"),
+          nb::arg("tip_rounding"))
       // Relaxation after a snap takes milliseconds.
       .def("step", &Rod::step, nb::arg("free_curvature"), nb::arg("length"),
            nb::call_guard<nb::gil_scoped_release>())
@@ -108,6 +120,28 @@ NB_MODULE(_rod, m) {
                out.data()[i] = line.mean(centers.data()[i], spans.data()[i]);
              }
            })
+      .def("_sweep",
+           [](const Rod& rod, const Values& naturals, double length, const Values& centers,
+              const Values& spans) {
+             const auto list = [](const Values& values) {
+               return std::vector<double>(values.data(), values.data() + values.size());
+             };
+             if (centers.size() != spans.size()) throw BadInput("a sensor has a centre and a span");
+             Rod swept(rod);  // the rod itself stays where it is
+             Sweep sweep;
+             {
+               nb::gil_scoped_release release;
+               sweep = swept.sweep(list(naturals), length, list(centers), list(spans));
+             }
+             const std::size_t rows = sweep.rows, sensors = sweep.sensors;
+             const std::size_t obstacles = sweep.obstacles, parameters = sweep.parameters();
+             return nb::make_tuple(
+                 array(std::move(sweep.readings), {rows, sensors}),
+                 array(std::move(sweep.by_place), {rows, sensors}),
+                 array(std::move(sweep.by_parameter), {rows, sensors, parameters}),
+                 array(std::move(sweep.contacts), {rows, obstacles, 4}),
+                 array(std::move(sweep.approximate), {rows}));
+           })
       .def("pose",
            [](const Rod& rod, double arc) {
              const Pose pose = rod.centreline().pose(arc);
@@ -115,10 +149,10 @@ NB_MODULE(_rod, m) {
            })
       .def("locate",
            [](const Rod& rod, double x, double y, double radius) {
-             const double tube = 0.5 * rod.diameter();
-             const Gap gap = rod.centreline().gap_to({x, y, radius}, tube);
-             return std::make_tuple(gap.distance,
-                                    skin_at(gap.place, rod.length(), tube, radius).arc);
+             const Outline outline = rod.outline();
+             const Gap gap = rod.centreline().gap_to({x, y, radius}, outline);
+             const Skin on = outline.at(gap.place, radius);
+             return std::make_tuple(gap.distance, on.arc + on.ahead);
            })
       .def("_contacts",
            [](const Rod& rod) {
@@ -136,6 +170,8 @@ NB_MODULE(_rod, m) {
       .def_prop_ro("length", &Rod::length)
       .def_prop_ro("free_curvature", &Rod::natural)
       .def_prop_ro("diameter_cm", &Rod::diameter)
+      .def_prop_ro("base_compliance_cm", &Rod::base_compliance)
+      .def_prop_ro("tip_rounding_cm", &Rod::rounding)
       .def_prop_rw(
           "critical_moment",
           [](const Rod& rod) {

@@ -18,13 +18,20 @@ class Descent {
       : room_(room),
         h_(room.length / room.cells),
         folds_(std::isfinite(room.critical)),
+        turns_(room.base_compliance > 0.0),
         unknown_(std::move(bend)),
-        nodes_(room.cells + 1),
-        hold_(room.pegs.size(), 0.0),
-        gaps_(room.pegs.size()) {
+        nodes_(room.cells + 1) {
+    for (int i = 0; i < static_cast<int>(room.pegs.size()); ++i) {
+      for (int part = 0; part < (room.pegs[i].is_wall() ? kParts : 1); ++part) {
+        stops_.push_back({i, static_cast<Part>(part)});
+      }
+    }
+    hold_.assign(stops_.size(), 0.0);
+    gaps_.resize(stops_.size());
     // Breaks the symmetry of a straight rod pushed head-on.
     for (int i = 0; i < room_.cells; ++i) unknown_[i] += 1e-6 * (i + 1) / room_.cells;
     if (folds_) unknown_.push_back(fold_angle);
+    if (turns_) unknown_.push_back(room_.base_compliance * unknown_[0]);
   }
 
   Relaxed run() {
@@ -33,7 +40,7 @@ class Descent {
       double worst = 0.0;
       for (std::size_t j = 0; j < hold_.size(); ++j) {
         hold_[j] = pressing(j);
-        const double gap = gaps_[j].distance;
+        const double gap = gaps_[j].distance + peg(j).compliance * hold_[j];
         worst = std::max(worst, hold_[j] > 0.0 ? std::fabs(gap) : -gap);
       }
       if (worst < 1e-6) break;
@@ -41,30 +48,51 @@ class Descent {
     Relaxed relaxed{
         {unknown_.begin(), unknown_.begin() + room_.cells}, fold_angle(unknown_), {}, nodes_};
     for (std::size_t j = 0; j < hold_.size(); ++j) {
-      if (hold_[j] > 1e-9) {
-        relaxed.contacts.push_back({static_cast<int>(j), hold_[j], gaps_[j].place});
+      const Gap& gap = gaps_[j];
+      // A wall's end and its straight part may both press where one passes into the other.
+      const bool again = std::any_of(
+          relaxed.contacts.begin(), relaxed.contacts.end(), [&](const Contact& contact) {
+            return contact.peg == stops_[j].peg && std::fabs(contact.place - gap.place) < kApart;
+          });
+      if (hold_[j] > 1e-9 && !again) {
+        relaxed.contacts.push_back({stops_[j].peg, hold_[j], gap.place, gap.part, gap.along});
       }
     }
     return relaxed;
   }
 
  private:
+  // What can press by itself: a peg, or a part of a wall.
+  struct Stop {
+    int peg;
+    Part part;
+  };
+
+  const Peg& peg(std::size_t stop) const { return room_.pegs[stops_[stop].peg]; }
+
   // A peg that presses: how far each unknown moves the skin away from it.
   using Levers = std::vector<double>;
 
   double fold_angle(const std::vector<double>& unknown) const {
-    return folds_ ? unknown.back() : 0.0;
+    return folds_ ? unknown[room_.cells] : 0.0;
   }
 
-  double pressing(std::size_t peg) const {
-    return std::max(hold_[peg] - kStiff * gaps_[peg].distance, 0.0);
+  double base_turn(const std::vector<double>& unknown) const {
+    return turns_ ? unknown.back() : 0.0;
   }
+
+  // A peg's force; one that yields is softer by its compliance, and meets the body farther in.
+  double pressing(std::size_t stop) const {
+    return std::max(hold_[stop] - kStiff * gaps_[stop].distance, 0.0) / softening(stop);
+  }
+
+  double softening(std::size_t stop) const { return 1.0 + kStiff * peg(stop).compliance; }
 
   // Lays the body out, measures all gaps and returns the energy: bending, fold and penalties.
   double lay_out(const std::vector<double>& unknown) {
     const Fold fold{fold_angle(unknown), 2.0 * room_.tube_radius};
-    Section at{};
-    double energy = 0.0;
+    Section at = Section::at_origin(base_turn(unknown));
+    double energy = turns_ ? 0.5 * at.heading * at.heading / room_.base_compliance : 0.0;
     for (int i = 0; i <= room_.cells; ++i) {
       const double s = i * h_;
       const double bend =
@@ -73,28 +101,27 @@ class Descent {
       if (i == room_.cells) break;
       const auto turned = [&](double arc) { return room_.natural * arc + fold.turn(arc); };
       at.moment = unknown[i];
-      at.advance(-h_, turned(s) - turned(s + 0.5 * h_), turned(s) - turned(s + h_));
+      at.advance(-h_, turned(s) - turned(s + 0.5 * h_), turned(s) - turned(s + h_), none_);
       energy += 0.5 * h_ * unknown[i] * unknown[i];
     }
     if (folds_) energy += room_.critical * (std::hypot(fold.angle, 1e-4) - 1e-4);
     const Centreline line{nodes_.data(), room_.cells + 1, fold};
-    for (std::size_t j = 0; j < room_.pegs.size(); ++j) {
-      gaps_[j] = line.gap_to(room_.pegs[j], room_.tube_radius);
-      energy += 0.5 * pressing(j) * pressing(j) / kStiff;
+    for (std::size_t j = 0; j < stops_.size(); ++j) {
+      gaps_[j] = line.gap_to(peg(j), stops_[j].part, room_.outline());
+      energy += 0.5 * pressing(j) * pressing(j) * softening(j) / kStiff;
     }
     return energy;
   }
 
-  Levers levers(std::size_t peg) const {
+  Levers levers(std::size_t stop) const {
     const double width = 2.0 * room_.tube_radius;
-    const Skin on =
-        skin_at(gaps_[peg].place, room_.length, room_.tube_radius, room_.pegs[peg].radius);
+    const Skin on = room_.outline().at(gaps_[stop].place, peg(stop).radius);
     const Pose pose =
         Centreline{nodes_.data(), room_.cells + 1, {fold_angle(unknown_), width}}.pose(on.arc);
     const double c = std::cos(pose.heading);
     const double d = std::sin(pose.heading);
-    const double x = pose.x - on.offset * d;
-    const double y = pose.y + on.offset * c;
+    const double x = pose.x + on.ahead * c - on.offset * d;
+    const double y = pose.y + on.ahead * d + on.offset * c;
     const double out_x = on.out_t * c - on.out_n * d;
     const double out_y = on.out_t * d + on.out_n * c;
     Levers levers(unknown_.size(), 0.0);
@@ -106,9 +133,11 @@ class Descent {
       const double lever = out_x * (y - middle_y) - out_y * (x - middle_x);
       levers[i] = part * lever;
       if (folds_) {
-        levers.back() += std::max(std::min(i * h_ + part, width) - i * h_, 0.0) / width * lever;
+        levers[room_.cells] +=
+            std::max(std::min(i * h_ + part, width) - i * h_, 0.0) / width * lever;
       }
     }
+    if (turns_) levers.back() = out_x * y - out_y * x;
     return levers;
   }
 
@@ -124,15 +153,22 @@ class Descent {
         stiffness[i] = h_ * (1.0 + damping);
       }
       if (folds_) {
-        const double root = std::hypot(unknown_.back(), 1e-4);
-        gradient.back() = room_.critical * unknown_.back() / root;
-        stiffness.back() = room_.critical / root * (1.0 + damping);
+        const double angle = unknown_[room_.cells];
+        const double root = std::hypot(angle, 1e-4);
+        gradient[room_.cells] = room_.critical * angle / root;
+        stiffness[room_.cells] = room_.critical / root * (1.0 + damping);
+      }
+      if (turns_) {
+        gradient.back() = unknown_.back() / room_.base_compliance;
+        stiffness.back() = (1.0 + damping) / room_.base_compliance;
       }
       std::vector<Levers> active;
-      for (std::size_t j = 0; j < room_.pegs.size(); ++j) {
+      std::vector<std::size_t> pressed;
+      for (std::size_t j = 0; j < stops_.size(); ++j) {
         const double force = pressing(j);
         if (force <= 0.0) continue;
         active.push_back(levers(j));
+        pressed.push_back(j);
         for (std::size_t i = 0; i < n; ++i) gradient[i] -= force * active.back()[i];
       }
       // The Hessian is diagonal plus a penalty of rank one for each active peg.
@@ -148,7 +184,7 @@ class Descent {
         for (std::size_t c = 0; c < pegs; ++c) {
           small[r * pegs + c] = over_stiffness(active[r], active[c]);
         }
-        small[r * pegs + r] += 1.0 / kStiff;
+        small[r * pegs + r] += softening(pressed[r]) / kStiff;
       }
       if (solve_linear(small, rhs, static_cast<int>(pegs)) == 0)
         std::fill(rhs.begin(), rhs.end(), 0.0);
@@ -188,9 +224,12 @@ class Descent {
   }
 
   const Room& room_;
+  std::vector<Stop> stops_;
   double h_;
-  bool folds_;
-  std::vector<double> unknown_;  // contact curvature of each cell, then the fold's angle
+  bool folds_, turns_;  // whether the base folds, and turns
+  std::vector<double>
+      unknown_;  // contact curvature of each cell, the fold's angle, the base's turn
+  std::vector<Tangent> none_;
   std::vector<Node> nodes_;
   std::vector<double> hold_;  // forces of the augmented Lagrangian
   std::vector<Gap> gaps_;

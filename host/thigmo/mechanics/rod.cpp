@@ -12,7 +12,7 @@ namespace {
 
 constexpr double kInfinite = std::numeric_limits<double>::infinity();
 constexpr int kLeastCells = 8;
-constexpr double kSlipCm = 0.1;  // slip up to which friction is elastic: the cloth's own give
+constexpr double kPieceCm = 1.0;  // the free tip's way in a piece of a step
 
 // Linear interpolation at x of values at nodes first, first + step, ...; the ends go on.
 double interpolated(const std::vector<double>& values, double first, double step, double x) {
@@ -31,8 +31,11 @@ void check(double natural, double length) {
 
 std::vector<Peg> checked(std::vector<Peg> pegs) {
   for (const Peg& peg : pegs) {
-    if (!(peg.radius > 1e-3 && std::isfinite(peg.x + peg.y + peg.radius))) {
-      throw BadInput("a peg needs finite coordinates and a radius above 0.001 cm");
+    if (!(peg.radius > 1e-3 && std::isfinite(peg.x + peg.y + peg.radius + peg.to_x + peg.to_y))) {
+      throw BadInput("an obstacle needs finite coordinates and a radius above 0.001 cm");
+    }
+    if (!(peg.compliance >= 0.0 && std::isfinite(peg.compliance))) {
+      throw BadInput("an obstacle's compliance must be a finite number, 0 or more");
     }
   }
   return pegs;
@@ -43,14 +46,22 @@ double apart(const Node& a, const Node& b) { return std::hypot(a.x - b.x, a.y - 
 }  // namespace
 
 Rod::Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
-         std::optional<Model> model, double tolerance, double friction)
+         std::optional<Model> model, double tolerance, double friction, double base_compliance,
+         double rounding)
     : cell_(cell),
       choice_(model),
       tolerance_(tolerance),
       friction_(friction),
-      room_{0.0, 0.5 * diameter, critical, 0.0, checked(std::move(pegs)), 0} {
+      room_{0.0, 0.5 * diameter,  critical, 0.0, checked(std::move(pegs)),
+            0,   base_compliance, rounding} {
   if (!(cell >= 0.01 && cell <= 10.0)) throw BadInput("cell_cm must lie between 0.01 and 10");
   if (!(friction >= 0.0 && friction <= 2.0)) throw BadInput("friction must lie between 0 and 2");
+  if (!(base_compliance >= 0.0 && std::isfinite(base_compliance))) {
+    throw BadInput("the base's compliance must be a finite number, 0 or more");
+  }
+  if (!(rounding >= 0.0 && rounding <= 0.5 * diameter)) {
+    throw BadInput("the tip's rounding must lie between 0 and the tube's radius");
+  }
 }
 
 // The choice of the model.
@@ -64,17 +75,24 @@ void Rod::step(double natural, double length) {
   } else if (choice_ == Model::kBeam) {
     try_beam(natural, length, kInfinite);
   } else if (!try_arc(natural, length) &&
-             (friction_ > 0.0 || !try_beam(natural, length, tolerance_))) {
+             (!beam_serves() || !try_beam(natural, length, tolerance_))) {
     take_elastica(natural, length);
   }
   ++counts_[static_cast<int>(model_)];
+}
+
+// Whether the beam knows all that is in the room: flat ends, round pegs, and nothing that gives.
+bool Rod::beam_serves() const {
+  return friction_ == 0.0 && room_.base_compliance == 0.0 && room_.rounding == 0.0 &&
+         std::none_of(room_.pegs.begin(), room_.pegs.end(),
+                      [](const Peg& peg) { return peg.is_wall() || peg.compliance > 0.0; });
 }
 
 // Takes the arc if the body was free, moves little and stays clear of every peg.
 bool Rod::try_arc(double natural, double length) {
   if (touching() > 0) return false;
   if (!room_.pegs.empty()) {
-    if (room_.length > 0.0 ? travel(natural, length) > 1.0 : natural != 0.0) return false;
+    if (room_.length > 0.0 ? travel(natural, length) > kPieceCm : natural != 0.0) return false;
   }
   return lie_clear(natural, length);
 }
@@ -82,8 +100,9 @@ bool Rod::try_arc(double natural, double length) {
 bool Rod::lie_clear(double natural, double length) {
   std::vector<Node> nodes = arc_nodes(natural, length, cells_for(length));
   const Centreline line{nodes.data(), static_cast<int>(nodes.size()), {0.0, diameter()}};
+  const Outline outline{length, room_.tube_radius, room_.rounding};
   for (const Peg& peg : room_.pegs) {
-    if (line.gap_to(peg, room_.tube_radius).distance <= 0.0) return false;
+    if (line.gap_to(peg, outline).distance <= 0.0) return false;
   }
   set_free(std::move(nodes), natural, length);
   return true;
@@ -139,7 +158,7 @@ void Rod::place(std::vector<Peg> pegs) {
 
 void Rod::reset() {
   reactions_ = {};
-  forget_jacobian();
+  forget_equations();
   tip_.reset();
   bend_.clear();
   room_.length = room_.natural = 0.0;
@@ -159,10 +178,10 @@ void Rod::set_critical(double critical) {
     reactions_.folding = 0;
     reactions_.fold_angle = 0.0;
   }
-  forget_jacobian();
+  forget_equations();
 }
 
-void Rod::forget_jacobian() {
+void Rod::forget_equations() {
   jacobian_.clear();
   determinant_sign_ = 0;
 }
@@ -176,7 +195,7 @@ double Rod::travel(double natural, double length) const {
   return change * longer * longer / 2.0 + std::fabs(length - room_.length);
 }
 
-// The way is cut into pieces in which the free tip would travel at most 1 cm.
+// The way is cut into pieces in which the free tip would travel at most a centimetre.
 void Rod::follow(double natural, double length) {
   if (room_.length == 0.0) {
     // Start straight, except that a rod that no peg can touch starts where it is.
@@ -185,7 +204,7 @@ void Rod::follow(double natural, double length) {
   }
   const double from = room_.natural, length_from = room_.length;
   const double way = travel(natural, length);
-  const int pieces = std::max(1, static_cast<int>(std::ceil(way)));
+  const int pieces = std::max(1, static_cast<int>(std::ceil(way / kPieceCm)));
   for (int i = 1; i <= pieces; ++i) {
     const double u = static_cast<double>(i) / pieces;
     advance(from + u * (natural - from), length_from + u * (length - length_from), way / pieces);
@@ -193,7 +212,11 @@ void Rod::follow(double natural, double length) {
 }
 
 void Rod::advance(double natural, double length, double travel) {
-  if (length != room_.length) remesh(length);
+  if (length != room_.length) {
+    remesh(length);
+  } else {
+    predict(natural - room_.natural);
+  }
   room_.natural = natural;
   solve(travel);
 }
@@ -237,8 +260,8 @@ void Rod::press(std::vector<Contact> contacts, double fold_angle, double natural
   room_.cells = cells_for(length);
   room_.natural = natural;
   reactions_ = {std::move(contacts), 0, fold_angle};
-  std::vector<Pose> frames;
-  base_moment_ = shoot(reactions_, frames, &nodes_).moment;
+  shoot(reactions_);
+  base_moment_ = shot_.base.moment;
   model_ = Model::kElastica;
 }
 
@@ -253,18 +276,20 @@ void Rod::solve(double travel) {
   if (!found) {
     status_ = Status::kRelaxed;
     Relaxed relaxed = relax(room_, bend_, fold_before);
+    nodes_ = relaxed.nodes;
     Reactions near{std::move(relaxed.contacts), 0, 0.0};
+    for (Contact& contact : near.contacts) contact.onward = way_along(contact);
     if (std::fabs(relaxed.fold_angle) > 1e-3) {
       near.folding = relaxed.fold_angle > 0.0 ? 1 : -1;
       near.fold_angle = relaxed.fold_angle;
     }
-    forget_jacobian();
+    forget_equations();
     reactions_ = near;
     found = find_reactions() && apart(nodes_.back(), relaxed.nodes.back()) <= 1.0;
     if (!found) {
       // The relaxed shape is an equilibrium to the accuracy of penalties.
       status_ = Status::kApproximate;
-      forget_jacobian();
+      forget_equations();
       reactions_ = std::move(near);
       nodes_ = std::move(relaxed.nodes);
       base_moment_ = relaxed.bend[0];
@@ -286,37 +311,10 @@ void Rod::solve(double travel) {
   }
 }
 
-// Friction.
-
-// The share of the largest friction that acts on a contact, positive towards larger places.
-double Rod::rubbing(const Contact& contact) const {
-  const double slip = contact.place - contact.last_place;
-  return std::clamp(contact.rubbing + slip / kSlipCm, -1.0, 1.0);
-}
-
-Rod::Push Rod::push(const Contact& contact) const {
-  const Skin on = skin(contact);
-  const double share = friction_ * rubbing(contact);
-  return {-contact.force * (on.out_t + share * on.out_n),
-          -contact.force * (on.out_n - share * on.out_t)};
-}
-
-// What this equilibrium leaves for the next. A body that turns by itself rolls over the peg.
-void Rod::remember_touches() {
-  for (Contact& contact : reactions_.contacts) {
-    const double heading = centreline().pose(skin(contact).arc).heading;
-    const double before = std::isnan(contact.last_heading) ? heading : contact.last_heading;
-    const double rolled = room_.pegs[contact.peg].radius * (heading - before);
-    contact.rubbing = std::clamp(rubbing(contact) + rolled / kSlipCm, -1.0, 1.0);
-    contact.last_place = contact.place;
-    contact.last_heading = heading;
-  }
-}
-
 // What is known.
 
 Skin Rod::skin(const Contact& contact) const {
-  return skin_at(contact.place, room_.length, room_.tube_radius, room_.pegs[contact.peg].radius);
+  return room_.outline().at(contact.place, room_.pegs[contact.peg].radius);
 }
 
 Centreline Rod::centreline() const {
@@ -337,8 +335,9 @@ std::vector<ContactReport> Rod::contacts() const {
     const double c = std::cos(pose.heading);
     const double d = std::sin(pose.heading);
     const Push by = push(contact);
-    reports.push_back({contact.peg, on.arc, on.kind, by.normal, by.tangential,
-                       -on.offset * by.tangential, pose.x - on.offset * d, pose.y + on.offset * c,
+    reports.push_back({contact.peg, on.arc + on.ahead, on.kind, by.normal, by.tangential,
+                       on.ahead * by.normal - on.offset * by.tangential,
+                       pose.x + on.ahead * c - on.offset * d, pose.y + on.ahead * d + on.offset * c,
                        by.tangential * c - by.normal * d, by.tangential * d + by.normal * c});
   }
   std::stable_sort(reports.begin(), reports.end(),

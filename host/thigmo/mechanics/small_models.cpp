@@ -137,7 +137,7 @@ std::optional<Beam> bend_beam(double g, double length, double tube_radius, doubl
   for (std::size_t j = 0; j < stops.size(); ++j) {
     const auto& [at, side, level, active, force] = stops[j];
     if (!active) continue;
-    const double around = perimeter(length, tube_radius, pegs[j].radius);
+    const double around = Outline{length, tube_radius, 0.0}.perimeter(pegs[j].radius);
     beam.contacts.push_back(
         {static_cast<int>(j), std::fabs(force), force >= 0.0 ? at : around - at});
   }

@@ -10,13 +10,18 @@
 
 namespace thigmo::mechanics {
 
-// A touching peg: the force with which it pushes (1/cm^2) and where on the skin (see skin_at).
+// A touching obstacle: the force with which it pushes (1/cm^2), where on the skin (see Outline),
+// and the part of it that touches (of a wall's straight part, how far from its first end).
 struct Contact {
   int peg;
   double force, place;
-  // What friction remembers of the last equilibrium: the place, the body's heading there (NaN for a
-  // new touch), and the share of the largest friction that acted, positive towards larger places.
-  double last_place = place, last_heading = NAN, rubbing = 0.0;
+  Part part = Part::kFirstEnd;
+  double along = 0.0;
+  // What friction remembers of the last equilibrium: the places on skin and wall, the body's
+  // heading there (NaN for a new touch), and the share of the largest friction that acted, positive
+  // towards larger places.
+  double last_place = place, last_along = along, last_heading = NAN, rubbing = 0.0;
+  double onward = 1.0;  // -1 where larger places lie towards a wall's first end
 };
 
 // Nodes of a free body of one natural curvature: exactly a circular arc.

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from thigmo.record.document import Number
@@ -51,13 +52,13 @@ class Obstacle:
     y_cm: float
     covariance_cm2: Covariance  # of that point
     ellipse_95: Ellipse  # the same, drawn out
-    # the 95 % interval along the skin, in the room; of a grid's obstacle, its outline
+    # the 95 % interval along the skin, in the room; of a ROS map's obstacle, its cells' centres
     track: list[Point]
     # "felt" in this run; "prior", shown by the map given and not reached; "felt, prior"; "prior,
     # not felt", where the robot swept through its place
     source: str
     status: str  # "localized", "ambiguous" or "point estimate", as in contacts.json
-    # direction from the body into the obstacle; None for a grid's obstacle
+    # direction from the body into the obstacle; None for a ROS map's obstacle
     normal_rad: float | None = None
     # part of the robot that it touched: a side or "tip"; empty for a grid's
     body_side: str = ""
@@ -74,6 +75,17 @@ class Obstacle:
     wall_probability: Number = 0.0  # that all its stages felt one wall
     # of a wall: points of its surface; between them it is drawn straight
     surface: list[Point] = field(default_factory=list)
+    # of a ROS map's obstacle: side of its square cells, and their turn from x; 0 for a contact
+    cell_cm: float = 0.0
+    cell_angle_rad: float = 0.0
+
+    def cell_corners(self) -> NDArray[np.float64]:
+        """(n, 4, 2) corners of a ROS map's obstacle's cells, counter-clockwise, cm."""
+        angles = self.cell_angle_rad + np.radians([45, 135, 225, 315])
+        corners = np.sqrt(0.5) * np.column_stack((np.cos(angles), np.sin(angles)))
+        centers = np.array(self.track, dtype=np.float64)
+        cells: NDArray[np.float64] = centers[:, None, :] + self.cell_cm * corners
+        return cells
 
 
 @dataclass(frozen=True, slots=True)

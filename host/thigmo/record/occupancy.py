@@ -1,9 +1,12 @@
 """Occupancy grids as ROS's map_server keeps them: a PGM picture and a YAML file that describes it.
 
-A pixel x stands for the occupancy (255 - x) / 255 (negate: 0); above `occupied_thresh` a cell is
-occupied, below `free_thresh` it is free, and else unknown. The picture's first row is the map's
-farthest in y; `origin` is the pose of its lower left corner, in m and rad (wiki.ros.org/map_server,
-map format; REP 103 for units). The grey values are those of ROS's own map_saver.
+A pixel stands for an occupancy: its darkness, from 0 (white) to 1 (black), or its brightness where
+`negate` is 1. Above `occupied_thresh` a cell is occupied, below `free_thresh` it is free, and else
+unknown. `mode: scale` differs from `trinary` in that transparent pixels are unknown. `mode: raw`
+keeps the occupancy itself, in percent, as the pixel's value; values over 100 are unknown. The
+picture's first row is the map's farthest in y; `origin` is the pose of its lower left corner, in m
+and rad (wiki.ros.org/map_server, map format; nav2_map_server, map_io; REP 103 for units). The grey
+values are those of ROS's own map_saver.
 """
 
 from __future__ import annotations
@@ -12,12 +15,12 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from thigmo.config import Finite, Positive, invalid_entry
 from thigmo.display.grid import draw_grid
@@ -33,6 +36,8 @@ if TYPE_CHECKING:
 FREE, UNKNOWN, OCCUPIED = 0, -1, 100  # as in nav_msgs/OccupancyGrid
 _OCCUPIED_ABOVE, _FREE_BELOW = 0.65, 0.196
 _CM_PER_M = 100.0
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +98,18 @@ class _Description(BaseModel):
     """map.yaml; keys that other tools add (`cost_translation_table`) are kept."""
 
     image: str
-    mode: str = "trinary"
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
     resolution: Positive
     origin: tuple[Finite, Finite, Finite]
     negate: Literal[0, 1] = 0
-    occupied_thresh: Finite = _OCCUPIED_ABOVE
-    free_thresh: Finite = _FREE_BELOW
+    occupied_thresh: Share = _OCCUPIED_ABOVE
+    free_thresh: Share = _FREE_BELOW
+
+    @model_validator(mode="after")
+    def _thresholds_are_in_order(self) -> Self:
+        if self.free_thresh > self.occupied_thresh:
+            raise ValueError("free_thresh must not be above occupied_thresh")
+        return self
 
 
 def write_ros_map(grid: OccupancyGrid, path: Path) -> None:
@@ -143,16 +154,21 @@ def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
         raise RunFolderError(
             f"{path} is not valid YAML: {reason}", "give a ROS map's YAML file, or a run folder"
         ) from error
-    picture = _grey(data)
+    picture = _picture(data)
     if picture is None:
         raise RunFolderError(
             f"{described.image}, named by {path}, is not a picture", "give the map's own picture"
         )
-    level = picture[::-1].astype(np.float64) / 255.0
-    occupancy = level if described.negate else 1.0 - level
-    cells = np.full(picture.shape, UNKNOWN, dtype=np.int8)
-    cells[occupancy < described.free_thresh] = FREE
-    cells[occupancy > described.occupied_thresh] = OCCUPIED
+    brightness = picture.brightness[::-1]
+    if described.mode == "raw":
+        occupancy = np.rint(255 * brightness) / 100.0
+        known = occupancy <= 1.0
+    else:
+        occupancy = brightness if described.negate else 1.0 - brightness
+        known = picture.opaque[::-1] | (described.mode == "trinary")
+    cells = np.full(occupancy.shape, UNKNOWN, dtype=np.int8)
+    cells[known & (occupancy < described.free_thresh)] = FREE
+    cells[known & (occupancy > described.occupied_thresh)] = OCCUPIED
     x, y, yaw = described.origin
     return OccupancyGrid(
         cells, described.resolution * _CM_PER_M, (x * _CM_PER_M, y * _CM_PER_M, yaw)
@@ -163,20 +179,46 @@ def _yaml(path: str | os.PathLike[str]) -> object:
     return yaml.safe_load(read_file(path, CONFIG_BYTES).decode())
 
 
-_PGM = re.compile(rb"P5\s+(?:#.*\n)*(\d+)\s+(\d+)\s+255\s")
+class _Picture(NamedTuple):
+    """A map's picture, (rows, columns) from its top."""
+
+    brightness: NDArray[np.float64]  # 0 black to 1 white, the mean of a pixel's colours
+    opaque: NDArray[np.bool_]
 
 
-def _grey(data: bytes) -> NDArray[np.uint8] | None:
-    """The grey values (rows, columns) of a picture; None if it is none."""
+# Width, height and the value of white, then one white-space character (netpbm's pgm format); lines
+# may end as on Windows. Comments run to the end of a line.
+_SPACE = rb"(?:\s|#[^\r\n]*[\r\n])+"
+_PGM = re.compile(rb"P5" + 3 * (_SPACE + rb"(\d{1,9})") + rb"(?:\r\n|\s)")
+
+
+def _picture(data: bytes) -> _Picture | None:
+    """Decode a picture; None if it is none. A PGM needs no OpenCV."""
     header = _PGM.match(data)
     if header is not None:
-        columns, rows = map(int, header.groups())
-        values = np.frombuffer(data, np.uint8, offset=header.end())
-        return values.reshape(rows, columns) if values.size == rows * columns else None
+        columns, rows, white = map(int, header.groups())
+        if not (0 < white < 65536 and rows and columns):
+            return None
+        kind = np.dtype(np.uint8 if white < 256 else ">u2")
+        size = rows * columns * kind.itemsize
+        values = data[header.end() :]
+        if len(values) == size - 1 and data[header.end() - 2 : header.end()] == b"\r\n":
+            values = data[header.end() - 1 :]  # that line end was the separator and a pixel
+        if len(values) < size:
+            return None
+        levels = np.frombuffer(values[:size], kind).reshape(rows, columns).astype(np.float64)
+        brightness = np.minimum(levels / white, 1.0)
+        return _Picture(brightness, np.ones((rows, columns), dtype=np.bool_))
     if not data:
         return None
     require("camera", "a map's picture that is no PGM")
     import cv2
 
-    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
-    return None if decoded is None else decoded.astype(np.uint8)
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if decoded is None:
+        return None
+    white = 255 if decoded.dtype == np.uint8 else 65535
+    levels = np.atleast_3d(np.asarray(decoded, dtype=np.float64)) / white
+    if levels.shape[-1] in (2, 4):  # the last is opacity
+        return _Picture(levels[..., :-1].mean(axis=-1), levels[..., -1] >= 1.0)
+    return _Picture(levels.mean(axis=-1), np.ones(levels.shape[:-1], dtype=np.bool_))

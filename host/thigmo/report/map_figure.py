@@ -94,10 +94,7 @@ def plot_map(
     def room(on: Axes) -> None:
         _robot(on, document.stages, swept, radius_cm)
         for obstacle in prior:
-            on.plot(
-                *np.asarray(obstacle.track).T, "s", color=_PRIOR, ms=3.5, mfc="none", mew=0.9,
-                zorder=4, label="map given",
-            )  # fmt: skip
+            _expected(on, obstacle)
         for number, contact in enumerate(document.contacts, 1):
             _contact(on, contact, number if len(document.contacts) > 1 else None)
         if document.truth is not None:
@@ -108,6 +105,22 @@ def plot_map(
     _zooms(axes, document.contacts, swept, room)
     _legend(axes)
     return axes
+
+
+def _expected(axes: Axes, obstacle: Obstacle) -> None:
+    """An obstacle of the map that the run was given: its cells, or the track of a contact."""
+    if not obstacle.cell_cm:
+        axes.plot(
+            *np.asarray(obstacle.track).T, "s", color=_PRIOR, ms=3.5, mfc="none", mew=0.9,
+            zorder=4, label="map given",
+        )  # fmt: skip
+        return
+    from matplotlib.collections import PolyCollection
+
+    cells = list(obstacle.cell_corners())
+    axes.add_collection(
+        PolyCollection(cells, color=_PRIOR, alpha=0.5, lw=0, zorder=1, label="map given")
+    )
 
 
 def _zooms(

@@ -7,7 +7,7 @@ does not take.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import radians, sin
+from math import ceil, radians, sin
 from typing import TYPE_CHECKING
 
 from thigmo import wiring
@@ -56,9 +56,11 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
         "spool_accel_um_s2": [round(spool.acceleration_cm_s2 * 1e4)],
         "line_speed_um_s": [round(spool.line_speed_cm_s * 1e4)],
         "pull_duty": pulls,
+        "body_pull_n": [ceil(max(body.pull_n(zone.pressure_psi) for zone in body.zones))],
         "motor_stall_n": [round(spool.stall_n)],
         "line_rating_n": [round(spool.line_rating_n)],
         "brake_fitted": [int(spool.brake)],
+        "brake_closes_ms": [round(spool.brake_closes_s * 1e3)],
         "muscle_fitted": [1] * len(muscles),
         "trigger_when": [
             _counts_while(config, number) if number in bases else 0 for number in range(len(flex))

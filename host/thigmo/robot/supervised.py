@@ -40,6 +40,12 @@ _OF_A_MUSCLE = (
     wire.Fault.OVER_PRESSURE, wire.Fault.PRESSURE_WIRE, wire.Fault.PRESSURE_STUCK,
     wire.Fault.PRESSURE_MISMATCH,
 )  # fmt: skip
+# What the value of a fault's event says, where it is not a channel.
+_CAUSES = {
+    wire.Fault.SPOOL_STALL: wire.StallCause, wire.Fault.SPOOL_SLIP: wire.SlipCause,
+    wire.Fault.BAD_CONFIG: wire.ConfigCause,
+}  # fmt: skip
+_BEFORE_RESET = -1  # value of the event of a fault that was latched before the last reset
 # What a fibre guards, where it is read live; what ends that; and what lays it otherwise.
 _GUARDED = (wire.GrowTo, wire.Sweep, wire.SetPressure)
 _UNGUARDED = (wire.Vent, wire.RetractTo, wire.Home)
@@ -203,11 +209,12 @@ class Supervised(Connected):
         what, cure = first.words
         others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
         channel = self._fault_channels.get(first)
+        if channel == _BEFORE_RESET:
+            what, channel = f"{what} (before the board's last reset)", None
         if first in _OF_A_MUSCLE and channel is not None:
             what += f" ({muscle_outputs(self.config).get(channel, channel)} muscle)"
-        causes = {wire.Fault.SPOOL_STALL: wire.StallCause, wire.Fault.SPOOL_SLIP: wire.SlipCause}
-        if first in causes and channel is not None:
-            what += f" ({causes[first](channel).doc.rstrip('.')})"
+        if first in _CAUSES and channel is not None:
+            what += f" ({_CAUSES[first](channel).doc.rstrip('.')})"
         if first in _BAD_SENSOR:
             flags = _BAD_SENSOR[first] | _ENABLED
             sensors = range(self._client.capacity.sensors)

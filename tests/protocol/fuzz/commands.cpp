@@ -84,8 +84,8 @@ class Board {
   protocol::ResetCause reset_cause() { return protocol::ResetCause::kPowerOn; }
   void task(uint8_t) {}
   void kick_watchdog() {}
-  thigmo::StopLatch kept_stop() { return kept_; }
-  void keep_stop(thigmo::StopLatch stop) { kept_ = stop; }
+  thigmo::Latches kept_latches() { return kept_; }
+  void keep_latches(const thigmo::Latches& latches) { kept_ = latches; }
 
   void receive(uint8_t byte) { rx_[rx_in_++] = byte; }
   bool waits() const { return rx_out_ != rx_in_; }
@@ -114,7 +114,7 @@ class Board {
   uint8_t rx_[256] = {};
   uint8_t rx_in_ = 0, rx_out_ = 0;
   uint8_t eeprom_[thigmo::kEepromUsed];
-  thigmo::StopLatch kept_;
+  thigmo::Latches kept_;
   FrameDecoder out_;
 };
 
@@ -143,10 +143,12 @@ struct Rig {
     const bool may = state == thigmo::State::kReady || state == thigmo::State::kMoving;
     require(may || board.off());
     require(!board.both());
-    const thigmo::StopLatch now = robot.controller().stop_latch();
+    const thigmo::StopLatch now = robot.controller().latches().stop;
     if (stop.latched && !now.latched) require(clearing && cleared == stop.nonce);
     if (now.latched) require(state == thigmo::State::kFault && board.off());
-    require(board.kept_stop().latched == now.latched && board.kept_stop().nonce == now.nonce);
+    const thigmo::Latches kept = board.kept_latches();
+    require(kept.stop.latched == now.latched && kept.stop.nonce == now.nonce);
+    require(kept.faults == robot.controller().faults());
     stop = now;
   }
 

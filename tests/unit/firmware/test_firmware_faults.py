@@ -493,6 +493,38 @@ def test_reset_in_a_sweep(cause: wire.ResetCause) -> None:
     assert (F.BROWN_OUT in bench.faults()) == (cause == wire.ResetCause.BROWN_OUT)
 
 
+RESETS = [cause for cause in wire.ResetCause if cause is not wire.ResetCause.UNKNOWN]
+
+
+@pytest.mark.parametrize("cause", RESETS)
+@pytest.mark.parametrize("name", ["25 psi", "left wire", "jam", "slip in growth", "4.2 V"])
+def test_a_fault_outlives_every_reset_but_a_loss_of_power(
+    name: str, cause: wire.ResetCause
+) -> None:
+    latched = CAUSES[name]
+    bench = latched.busy()
+    latched.provoke(bench)
+    bench.until(lambda: bool(bench.event(wire.EventCode.FAULT, latched.fault)), 10_000)
+    restore(bench)
+    for _ in range(2):
+        bench.board.reset(cause)
+        bench.heard.clear()
+        bench.events.clear()
+        bench.hello()
+        if cause is wire.ResetCause.POWER_ON:
+            assert bench.faults() == (F.BAD_CONFIG,)  # nothing was saved
+            return
+        assert latched.fault in bench.faults()
+        (event,) = bench.event(wire.EventCode.FAULT, latched.fault)
+        assert event.value == (-1 if latched.fault.key != cause.key else 0)
+        assert bench.refused(wire.Arm()) == R.FAULT_LATCHED
+    recover(bench)
+    bench.board.reset(cause)
+    bench.heard.clear()
+    bench.hello()
+    assert latched.fault not in bench.faults() or latched.fault.key == cause.key
+
+
 def test_half_everted_in_a_bend() -> None:
     # 1.2 cm short of the next sensor's keep-out; slip counts as such only beyond 3 cm.
     bench = Bench().zeroed(108_000, slip_um=30_000, trigger_e5=10_000)
@@ -528,9 +560,44 @@ def test_bad_configuration_after_a_cut_save() -> None:
     bench.events.clear()
     bench.hello()
     assert bench.faults() == (F.BAD_CONFIG,)
-    assert bench.event(wire.EventCode.FAULT, F.BAD_CONFIG)[0].value == 2  # damaged
+    event = bench.event(wire.EventCode.FAULT, F.BAD_CONFIG)[0]
+    assert event.value == wire.ConfigCause.INTERRUPTED
     assert bench.refused(wire.Arm()) == R.FAULT_LATCHED
     recover(bench)
+
+
+def stored_twice() -> bytes:
+    """A store of two configurations, the newer one for 10 psi and the older one for 18."""
+    bench = Bench().prepare()
+    for most in (1850, 1000):
+        bench.set("max_pressure_cpsi", most)
+        bench.do(wire.SaveConfig(), 10_000)
+    return bench.board.eeprom
+
+
+SLOTS = (16, 1032)  # firmware/core/config/store.h
+
+
+@pytest.mark.parametrize("slot", SLOTS)
+@pytest.mark.parametrize(("byte", "bit"), [(0, 0), (0, 5), (2, 1), (5, 7), (40, 3), (400, 6)])
+def test_a_flipped_bit_of_the_store_refuses_arming_until_a_host_has_saved(
+    slot: int, byte: int, bit: int
+) -> None:
+    store = bytearray(stored_twice())
+    store[slot + byte] ^= 1 << bit
+    bench = Bench(eeprom=bytes(store))
+    bench.hello()
+    assert bench.faults() == (F.BAD_CONFIG,)
+    assert bench.event(wire.EventCode.FAULT, F.BAD_CONFIG)[0].value == wire.ConfigCause.DAMAGED
+    bench.do(wire.LoadDefaults())  # of the board's memory: the store is as it was
+    persists(bench, F.BAD_CONFIG)
+    assert bench.refused(wire.Arm()) == R.FAULT_LATCHED
+    bench.do(wire.SaveConfig(), 10_000)
+    assert bench.do(wire.ClearFaults(0xFFFF)) == 0
+    bench.do(wire.Arm())
+    again = Bench(eeprom=bench.board.eeprom)
+    again.hello()
+    assert again.faults() == ()
 
 
 # --- interlocks ----------------------------------------------------------------------------------

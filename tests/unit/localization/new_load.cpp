@@ -31,7 +31,7 @@ int main() {
     Grid grid;
     Placed& placed = grid.placed.emplace_back(Placed{&alone.loads[0], alone.cells, {{}}});
     placed.width = 1.0 / alone.cells;
-    body.begin(alone, false), body.take(body.start, 1.0), body.place(placed);
+    body.begin(alone, false), body.take(body.start, 1.0, {}), body.place(placed);
     grid.list(), grid.take(white);
     if (!grid.weigh(options)) return 1;
     const double scales = static_cast<double>(priors.moments.size() * alone.cells);
