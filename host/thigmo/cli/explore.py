@@ -37,8 +37,9 @@ def explore(
     protocol: Annotated[
         Literal["measure", "thesis"] | None,
         typer.Option(
-            help="How a contact is measured. measure: by a second sweep, to the pressure at which "
-            "it is felt best. thesis: at the peak of the full sweep. Default: measure, or the "
+            help="How a contact is measured. measure: by a second, slower sweep, up to the "
+            "pressure at which the sensors show it most clearly. thesis: at the peak of the full "
+            "sweep. Default: measure, or the "
             "protocol of the run that is resumed."
         ),
     ] = None,
