@@ -45,7 +45,7 @@ inline void Controller::prove_brake() {
   test_tick_ = tick_;
   proof_count_ = encoder_;
   proving_ = true;
-  start(Activity::kTesting);
+  start(Activity::kTesting, Permit::kArm);
 }
 
 inline Outcome Controller::vent() {
@@ -155,7 +155,7 @@ inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
       loop_[i].set_target(wanted.set_cpsi[i], step_q8);
     }
   }
-  if (!release && activity_ == Activity::kIdle) start(Activity::kPressing);
+  if (!release && activity_ == Activity::kIdle) start(Activity::kPressing, Permit::kPress);
   return {Reason::kNone, unguarded};
 }
 
@@ -167,7 +167,9 @@ inline void Controller::start_spool(Activity activity, int32_t target_counts, in
   target_speed_um_s_ = speed_um_s;
   errors_before_ = encoder_errors_;
   moved_from_ = encoder_;
-  start(activity);
+  const bool growing = activity == Activity::kGrowing;
+  const bool homing = activity == Activity::kHoming;
+  start(activity, growing ? Permit::kGrow : homing ? Permit::kHome : Permit::kRetract);
 }
 
 THIGMO_NOINLINE inline void Controller::begin_move() {
@@ -280,7 +282,9 @@ inline Outcome Controller::test_output(const protocol::TestOutput& wanted) {
   }
   test_ = wanted;
   test_tick_ = tick_;
-  if (activity_ == Activity::kIdle) start(Activity::kTesting);
+  if (activity_ == Activity::kIdle) {
+    start(Activity::kTesting, motor ? Permit::kTestMotor : Permit::kTestValve);
+  }
   return kAccepted;
 }
 
@@ -301,7 +305,7 @@ inline Outcome Controller::sweep(const protocol::Sweep& wanted) {
   }
   sweep_options_ = wanted.options;
   sweep_.start(wanted.amplitude_cpsi, wanted.period_ms, wanted.cycles, tick_);
-  start(Activity::kSweeping);
+  start(Activity::kSweeping, Permit::kBend);
   begin_half();
   return kAccepted;
 }
@@ -321,7 +325,7 @@ inline Outcome Controller::zero_sensors(uint16_t wanted) {
   zeroing_next_ = 0;
   drift_.begin_window(tick_);
   zeroing_window_ = drift_.closed();
-  start(Activity::kZeroing);
+  start(Activity::kZeroing, Permit::kZero);
   return kAccepted;
 }
 
