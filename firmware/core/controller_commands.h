@@ -167,9 +167,9 @@ inline void Controller::start_spool(Activity activity, int32_t target_counts, in
   target_speed_um_s_ = speed_um_s;
   errors_before_ = encoder_errors_;
   moved_from_ = encoder_;
-  const bool growing = activity == Activity::kGrowing;
-  const bool homing = activity == Activity::kHoming;
-  start(activity, growing ? Permit::kGrow : homing ? Permit::kHome : Permit::kRetract);
+  start(activity, activity == Activity::kGrowing  ? Permit::kGrow
+                  : activity == Activity::kHoming ? Permit::kHome
+                                                  : Permit::kRetract);
 }
 
 THIGMO_NOINLINE inline void Controller::begin_move() {

@@ -360,8 +360,9 @@ inline void Controller::body_step() {
   const int32_t limit = config_.get(Param::kVentCpsi);
   bool low = true, driven = false, doubtful = false;
   for (uint8_t i = 0; i < kMuscles; ++i) {
-    low = low && pressure_[i].cpsi() < limit;
     driven = driven || outputs_.drive[i] >= 0;
+    if (!fitted(i)) continue;
+    low = low && pressure_[i].cpsi() < limit;
     doubtful = doubtful || pressure_[i].doubtful();
   }
   if (!doubtful) unvented_.add(!low, kPressureSteps);
