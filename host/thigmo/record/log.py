@@ -18,9 +18,6 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import IO, Any, Literal, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from thigmo.closing import Closing
 from thigmo.errors import RunFolderError
 from thigmo.link.protocol import MESSAGES
@@ -192,15 +189,6 @@ class LogWriter(Closing):
         t_ns = self._epoch_ns + max(int(t_s * 1e9), 0)
         self._writer.add_message(channel, t_ns, data, t_ns)
         self._end_piece()  # a chunk that closed with it, out of this process's reach
-
-    def messages(self, channel: int, data: NDArray[np.uint8], t_s: NDArray[np.float64]) -> None:
-        """Keep messages of one channel and one size: bytes (n, size) and times (n,)."""
-        if self._closed or self._refused is not None:
-            return
-        t_ns = self._epoch_ns + np.maximum(t_s * 1e9, 0.0).astype(np.uint64)
-        for each_ns, row in zip(t_ns.tolist(), data, strict=True):
-            self._writer.add_message(channel, each_ns, row.tobytes(), each_ns)
-        self._end_piece()
 
     def check(self) -> None:
         """Raise RunFolderError if the disk has not taken what was to be kept."""
