@@ -21,6 +21,12 @@ ServePage = Callable[..., Served]
 pytestmark = pytest.mark.realtime
 
 SWEEPS = "() => Math.max(thigmo.store.columns[1].at(-1), thigmo.store.columns[2].at(-1)) > 4"
+# Keeps what the header says from now on; what it says at the first change may be of before.
+LISTEN = """() => {
+  window.said = [];
+  const doing = document.getElementById("doing");
+  new MutationObserver(() => said.push(doing.textContent)).observe(doing, { childList: true });
+}"""
 MOMENTS = {"in a question": 20.0, "in growth": 15.0, "in a sweep": 20.0}  # everted lengths, cm
 
 
@@ -77,12 +83,15 @@ def test_a_stopped_robot_is_cleared_retracted_and_started_again(
     options = ("--config", str(config), "--out", str(tmp_path / "runs"), "--protocol", "thesis")
     page = looking.open(serve_page(url=robot.port, explore=options).address)
     _reach(page, moment, robot)
+    page.evaluate(LISTEN)
     page.keyboard.press("Escape")
     doing, phase, banners = (page.locator(f"#{name}") for name in ("doing", "phase", "banners"))
     expect(doing).to_contain_text("Stopped from this page, ")
     expect(page.locator("#question")).to_be_hidden()
     assert comes(lambda: robot.off)
     expect(page.locator("#clear")).to_be_visible()  # the run has ended by itself
+    said = page.evaluate("said")
+    assert {words.partition(",")[0] for words in said[1:]} <= {"Stopped from this page"}
     expect(phase).to_have_text("stopped")
     expect(page.locator("#start")).to_be_disabled()
     expect(page.locator(".banner")).to_have_count(1)
