@@ -262,7 +262,10 @@ class PageServer:
         last = kept[-1]
         run.read_s = time.monotonic()
         lasts = run.moving is not None and not run.moving.virtual
+        before_s = self._latch.since_s
         self._latch.read(last, clears=lasts)
+        if self._latch.since_s != before_s:
+            self._tell()  # before the run says how it ended
         run.board = f'"epoch_s":{last.epoch_s!r},"board":{json.dumps(board(last))}'
         for viewer in self._viewers:
             viewer.add_rows(rows, run.board)
