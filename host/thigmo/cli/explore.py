@@ -12,7 +12,7 @@ from thigmo.cli.output import (
     AnyRobotOption,
     JsonOption,
     KnownConfigOption,
-    MethodOption,
+    method_option,
     print_json,
 )
 
@@ -54,7 +54,7 @@ def explore(
         float | None,
         typer.Option("--time", min=0, help="Budget of robot time, in seconds; replaces --effort."),
     ] = None,
-    method: MethodOption = None,
+    method: Annotated[str | None, method_option("Default: posterior.", explores=True)] = None,
     prior: Annotated[
         Path | None,
         typer.Option(
