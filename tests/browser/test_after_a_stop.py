@@ -104,7 +104,7 @@ def test_a_stopped_robot_is_cleared_retracted_and_started_again(
     expect(doing).to_have_text("Cleared")
     expect(phase).to_have_text("safe")
     expect(banners).to_have_text("The stop has ended.")
-    expect(page.locator("#stop")).to_have_attribute("data-state", "idle")
+    expect(page.locator("#stop")).to_have_attribute("data-state", "ready")
 
     length_cm = robot.plant.length_cm
     page.locator("#retract").click()
