@@ -239,6 +239,8 @@ class PageServer:
         readings = [each for each in messages if isinstance(each, Telemetry)]
         if readings:
             self._pass_readings(readings)
+        if any(isinstance(each, RunState) and each.outcome != "running" for each in messages):
+            self._tell()  # of a stop, before the run says that it has ended
         shapes = [each for each in messages if isinstance(each, BodyShape)]
         others = [each for each in messages if not isinstance(each, Telemetry | BodyShape)]
         for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *others]:
@@ -262,10 +264,7 @@ class PageServer:
         last = kept[-1]
         run.read_s = time.monotonic()
         lasts = run.moving is not None and not run.moving.virtual
-        before_s = self._latch.since_s
         self._latch.read(last, clears=lasts)
-        if self._latch.since_s != before_s:
-            self._tell()  # before the run says how it ended
         run.board = f'"epoch_s":{last.epoch_s!r},"board":{json.dumps(board(last))}'
         for viewer in self._viewers:
             viewer.add_rows(rows, run.board)
