@@ -15,7 +15,7 @@ from thigmo_bench.cli.studies import lines
 from thigmo_bench.studies import STUDIES, Context, Outcome, load
 from thigmo_bench.studies.attempt import attempt
 from thigmo_bench.studies.engine import Claim, write
-from thigmo_bench.studies.exploration import visit
+from thigmo_bench.studies.exploration import DRAWN, judged, visit
 from thigmo_bench.studies.speed_accuracy import SCENES, Row, pareto
 from thigmo_bench.studies.stability import DEFAULT
 
@@ -97,3 +97,22 @@ def test_every_study_named_can_be_loaded(name: str) -> None:
 def test_a_trigger_before_the_pressure_has_risen_does_not_end_the_run() -> None:
     """At four times the noise the base fires in this room before the sweep has a frame."""
     assert visit(("empty, 4 times the noise", 16, "default"))[0].status == "silent"
+
+
+def test_a_robot_beside_its_calibration_is_explored_and_judged() -> None:
+    run, mapped = visit(("base turns to 0.05 rad", 2, "default"))
+    assert run.touched == 1
+    assert run.ellipses == 1
+    outcome = judged([(run, mapped)])
+    (row,) = outcome.tables["rows"]
+    assert row["kind"] in DRAWN
+    assert row["error_cm"] == run.error_cm
+    claims = {claim.text: claim.value for claim in outcome.claims}
+    assert claims["base turns to 0.05 rad: 95 % ellipses without the truth"] == 100.0 * (
+        run.ellipses_missed
+    )
+
+
+def test_the_most_cases_of_a_group_are_those_asked_for() -> None:
+    assert Context(most=2).count(1, 60) == 1 + 1
+    assert Context(scale="quick", most=2).count(1, 60) == 1

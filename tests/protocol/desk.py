@@ -4,30 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Protocol
 
 import numpy as np
 import pytest
 from channel import LoopTransport
-from numpy.typing import NDArray
 from raw_host import RawHost
 
+from thigmo.emulator.board import Board
 from thigmo.link import protocol as wire
 from thigmo.link.transport import Transport, open_transport
 
 SILENCE_S = 1.6
 MAPS = list(product(range(3), range(2), wire.Branch))
-
-
-class Board(Protocol):
-    """A simulated board, as thigmo.emulator.board has it."""
-
-    def step(self, ticks: int) -> None: ...
-    def write(self, data: bytes) -> None: ...
-    def read(self) -> bytes: ...
-    def reset(self, cause: int) -> None: ...
-    def set_analog(self, counts: NDArray[np.float64]) -> None: ...
-    def set_estop(self, pressed: bool) -> None: ...
 
 
 @dataclass

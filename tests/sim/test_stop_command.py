@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,8 +15,13 @@ import pytest
 from command import Thigmo
 from served import comes
 
+from thigmo.errors import PortError
+from thigmo.link import protocol as wire
 from thigmo.link import stop_socket
+from thigmo.link.client import Client
+from thigmo.link.transport import open_transport
 from thigmo.record import RunFolder
+from thigmo.robot.stopping import Stopped, stop_robot
 
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("own_sockets")]
 URL = "emulator://mid_body"
@@ -104,3 +110,21 @@ def test_every_robot_is_listed_with_its_result(explore: Explore, thigmo: Thigmo)
     assert json.loads(answer.out)["stopped"] == [URL]
     assert answer.err.startswith("thigmo: NOT stopped: emulator-mid_body: the program behind ")
     assert runs.wait() == 1
+
+
+@pytest.mark.parametrize("scheme", ["emulator", "mega-sim", "micropython"])
+def test_every_emulated_board_takes_a_stop(scheme: str) -> None:
+    url = f"{scheme}://empty"
+    results: list[Stopped] = []
+    try:
+        transport = open_transport(url)
+    except PortError as error:  # its compiler or simulator is not installed
+        pytest.skip(str(error))
+    with Client(transport) as client:
+        stopping = threading.Thread(target=lambda: results.extend(stop_robot(url)))
+        stopping.start()
+        while stopping.is_alive():
+            client.poll(0.01)
+        report = client.request(wire.GetStatus())
+    assert [result.failure for result in results] == [""]
+    assert wire.Fault.STOPPED in wire.Fault.from_mask(report.faults)

@@ -440,4 +440,5 @@ def open_micropython(url: str, *, seed: int | None = None, realtime: bool = Fals
     transport = EmulatorTransport(scene, board, seed=used, realtime=realtime, name=url)
     if large:
         board.bus = string_bus(scene.robot, transport.lockstep.plant.imus)
+    transport.take_stops()
     return transport

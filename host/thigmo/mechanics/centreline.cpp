@@ -191,35 +191,26 @@ Gap Centreline::gap_to_round(double x, double y, double radius, const Outline& o
 
 // The straight part touches a side where the body runs along it, and the end at a corner.
 Gap Centreline::gap_to_straight(const Peg& wall, const Outline& outline) const {
-  constexpr double kAround = 2.0;  // cm beyond the wall's line: the body has gone around its end
   const double extent = std::hypot(wall.to_x, wall.to_y);
   const double ux = wall.to_x / extent;
   const double uy = wall.to_y / extent;
   const double around = outline.perimeter(wall.radius);
   const double side = outline.side();
   Gap best{1e30, 0.0};
-  // Distance from the wall's line, counted positive on the side of the base.
-  const double hand = ux * wall.y - uy * wall.x > 0.0 ? -1.0 : 1.0;
-  const auto before = [&](double x, double y) {
-    return hand * (ux * (y - wall.y) - uy * (x - wall.x));
-  };
-  // The direction from a point to the wall, as a sign of (-uy, ux).
-  const auto toward = [&](double x, double y) { return before(x, y) > -kAround ? -hand : hand; };
-  // `x`, `y`: a point of the body; `reach`: of the tube around it.
-  const auto consider = [&](double x, double y, double reach, double place) {
+  // Distance from the wall's line, to the left of its direction.
+  const auto beside = [&](double x, double y) { return ux * (y - wall.y) - uy * (x - wall.x); };
+  // `x`, `y`: a point of the body; `hand`: the side of the line where that part of the body lies,
+  // however far the point is beyond it; `reach`: of the tube around it.
+  const auto consider = [&](double x, double y, double hand, double reach, double place) {
     const double along = (x - wall.x) * ux + (y - wall.y) * uy;
-    const double off = before(x, y);
-    const double away = (off > -kAround ? off : -off) - reach - wall.radius;
+    const double away = hand * beside(x, y) - reach - wall.radius;
     if (along >= 0.0 && along <= extent && away < best.distance) {
       best = {away, place, Part::kStraight, along};
     }
   };
+  const auto side_of = [&](const Pose& at) { return beside(at.x, at.y) < 0.0 ? -1.0 : 1.0; };
   const auto across = [&](double heading) {
     return std::sin(heading) * ux - std::cos(heading) * uy;
-  };
-  // Whether the wall lies to the left of a section that runs along it.
-  const auto on_left = [&](const Pose& at) {
-    return toward(at.x, at.y) * (std::cos(at.heading) * ux + std::sin(at.heading) * uy) > 0.0;
   };
   for (int i = 0; i + 1 < count && nodes[i].s < side; ++i) {
     double low = nodes[i].s;
@@ -231,22 +222,25 @@ Gap Centreline::gap_to_straight(const Peg& wall, const Outline& outline) const {
       (across(pose(s).heading) * across(nodes[i].heading) > 0.0 ? low : high) = s;
     }
     const Pose at = pose(s);
-    consider(at.x, at.y, outline.tube_radius, on_left(at) ? around - s : s);
+    const double hand = side_of(at);
+    const double left = -hand * (std::cos(at.heading) * ux + std::sin(at.heading) * uy);
+    consider(at.x, at.y, hand, outline.tube_radius, left > 0.0 ? around - s : s);
   }
   const Pose end = pose(side);
   const double c = std::cos(end.heading);
   const double d = std::sin(end.heading);
   const double corner = wall.radius + outline.rounding;
   const double half_face = outline.tube_radius - outline.rounding;
-  for (const double hand : {-1.0, 1.0}) {  // the right corner, and the left one
-    const double x = end.x - hand * half_face * d;
-    const double y = end.y + hand * half_face * c;
-    const double sign = toward(x, y);
-    const double out_t = sign * (ux * d - uy * c);
-    const double out_n = hand * sign * (ux * c + uy * d);
+  // The end may have passed the line by a step's way; a radius behind it the body has not.
+  const double hand = side_of(pose(std::max(side - outline.tube_radius, 0.0)));
+  for (const double corner_of : {-1.0, 1.0}) {  // the right one, and the left one
+    const double x = end.x - corner_of * half_face * d;
+    const double y = end.y + corner_of * half_face * c;
+    const double out_t = -hand * (ux * d - uy * c);
+    const double out_n = -corner_of * hand * (ux * c + uy * d);
     if (out_t < 0.0 || out_n < 0.0) continue;
     const double place = side + corner * std::atan2(out_t, out_n);
-    consider(x, y, outline.rounding, hand > 0.0 ? around - place : place);
+    consider(x, y, hand, outline.rounding, corner_of > 0.0 ? around - place : place);
   }
   return best;
 }

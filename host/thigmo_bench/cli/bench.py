@@ -19,6 +19,10 @@ def bench(
     scale: Annotated[
         str, typer.Option(help="quick (small, for a first look) or full (the published figures).")
     ] = "full",
+    most: Annotated[
+        int | None,
+        typer.Option(min=1, help="Most cases of a group, such as rooms of a kind; all if omitted."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     jobs: Annotated[int, typer.Option(help="Processes on this machine.")] = 1,
     backend: Annotated[
@@ -60,6 +64,6 @@ def bench(
         raise DataError(f"--backend is {backend!r}", "choose loky or dask")
     if backend == "dask" and not scheduler:
         raise DataError("--backend dask needs a cluster", "give --scheduler ADDRESS")
-    context = Context(seed, "quick" if scale == "quick" else "full", jobs, backend)
+    context = Context(seed, "quick" if scale == "quick" else "full", most, jobs, backend)
     with connect_cluster(scheduler) if backend == "dask" and scheduler else nullcontext():
         conduct({name: load(name) for name in names}, context, out, as_json)

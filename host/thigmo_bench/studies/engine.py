@@ -116,6 +116,7 @@ class Context:
 
     seed: int = 0  # every random number of a study comes from it
     scale: Scale = "full"  # "quick" for a look (a minute a study), "full" for the published figures
+    most: int | None = None  # cases of a group, whatever the scale; None: no limit
     jobs: int = 1  # processes on this machine (ignored by the dask backend)
     backend: str = "loky"  # joblib's: "loky" (processes here) or "dask" (a cluster)
     # called with (part, done, total) as items finish
@@ -127,7 +128,8 @@ class Context:
 
     def count(self, quick: int, full: int) -> int:
         """Number of cases at this scale."""
-        return quick if self.scale == "quick" else full
+        cases = quick if self.scale == "quick" else full
+        return cases if self.most is None else min(cases, self.most)
 
     def rng(self, *key: int) -> np.random.Generator:
         """An independent generator for a part of a study."""

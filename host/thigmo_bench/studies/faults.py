@@ -101,6 +101,8 @@ FAILURES = (
     Failure("encoder dead", "encoder_lost", covered=NO_DRIVE),
     Failure("encoder loses three counts of ten", "encoder_share", {"value": 0.7},
             covered=NO_DRIVE),
+    Failure("encoder shows twice its counts", "encoder_share", {"value": 2.0},
+            covered=NO_DRIVE),
     Failure("line snapped", "line_snapped", spool=True, covered=SNAPPED),
     Failure("tail jammed", "tail_jam", covered=NO_DRIVE),
     Failure("brake stuck open", "brake_open",
