@@ -28,6 +28,7 @@ import numpy as np
 
 from thigmo.errors import ThigmoError
 from thigmo.localization import METHODS, Localizer
+from thigmo.reading_errors import SETTLED
 from thigmo_bench import benchmark
 from thigmo_bench.baselines import BASELINES, Problem
 from thigmo_bench.benchmark.score import score
@@ -290,6 +291,7 @@ def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list
                 "gain_error": float(row["gain_error"]),
                 "offset_error": float(row["offset_error_per_cm"]),
                 "map_error": float(row["map_error"]),
+                **SETTLED,
             }  # fmt: skip
             localizer = Localizer.of(**(options | around))
             found = localizer.localize(curvature, free_curvature=free).contacts

@@ -19,6 +19,15 @@ from thigmo.errors import DataError
 
 Floats = npt.NDArray[np.float64]
 
+# What calibrating a robot settles beside the standard errors: mistakes that `localize` need not
+# weigh. Noise is averaged over a frame, so it may still exceed what calibration measured.
+SETTLED: dict[str, Any] = {
+    "largest_noise_factor": 2.4,
+    "noise_correlation": 0.0,
+    "base_fold_error": 0.0,
+    "contact_couple_odds": 0.0,
+}
+
 # A fold's moment goes with body pressure; for one e times another than measured, so far [a guess].
 _FOLD_LAW_SE = 0.05
 
@@ -40,7 +49,8 @@ class ReadingErrors:
 
     def arguments(self) -> dict[str, Any]:
         """Keywords of `thigmo.localize`; nothing holds the end of a robot that everts."""
-        return {"held_end": False} | {each.name: getattr(self, each.name) for each in fields(self)}
+        stated = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {"held_end": False} | SETTLED | stated
 
 
 def imus_of(sensors: Sequence[HeadingSensor]) -> tuple[Floats, npt.NDArray[np.intp]]:

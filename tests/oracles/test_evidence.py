@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 import thigmo
 from thigmo.localization import Localizer, localize_batch, priors
 from thigmo.mechanics.closed_forms import phi
+from thigmo_bench.studies.scenes import STATED
 
 LENGTH, SPAN, NOISE = 53.0, 5.5, 6e-4
 POSITION = np.tile(np.arange(5.0, 50.0, 10.0), 2)
@@ -20,6 +21,7 @@ ERRORS = {"gain_error": 0.05, "offset_error": 3e-4, "map_error": 0.04}
 
 def weighed(curvature, free, **options):
     """{(load, bad reading): log weight} of one frame, summed over a kink's places."""
+    options = STATED | options
     options |= {"position": POSITION, "length": LENGTH, "span": SPAN, "noise": NOISE}
     localizer = Localizer.of(**options)._compiled
     own = np.full(1, free)
@@ -47,7 +49,10 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
     curvature[3] += 4e-3
     found = weighed(curvature, free, **ERRORS)
     # One reading fits no contact, so the noise may be larger than stated.
-    levels = ((1.0, 1.0 - priors.NOISE_ODDS), (priors.NOISE_FACTOR, priors.NOISE_ODDS))
+    levels = (
+        (1.0, 1.0 - sum(priors.NOISE_ODDS)),
+        (priors.NOISE_FACTORS[0], sum(priors.NOISE_ODDS)),
+    )
 
     def log_density(more, bad=False):
         each = []
@@ -80,8 +85,8 @@ def dense(curvature, columns, *, doubted, mean=0.0):
     levels = ((1.0, 0.0),)
     if doubted:
         levels = (
-            (1.0, np.log1p(-priors.NOISE_ODDS)),
-            (priors.NOISE_FACTOR, np.log(priors.NOISE_ODDS)),
+            (1.0, np.log1p(-sum(priors.NOISE_ODDS))),
+            (priors.NOISE_FACTORS[0], np.log(sum(priors.NOISE_ODDS))),
         )
     y = curvature * LENGTH
     left = np.broadcast_to(y - mean, (len(columns), y.size))
@@ -242,9 +247,46 @@ def test_a_folded_base_is_weighed_as_dense_normal_densities():
     assert found["one contact, folded base", -1] == pytest.approx(weight, abs=0.05)
 
 
+def fold_shares(radius):
+    """(N,) readings of a fold of one radian over the first diameter of the body."""
+    low, high = ((POSITION + side * SPAN / 2) / LENGTH for side in (-1.0, 1.0))
+    return np.maximum(np.minimum(high, 2.0 * radius) - low, 0.0) / (high - low) / (2.0 * radius)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5])
+def test_mistakes_are_weighed_as_dense_normal_densities(correlation):
+    free = 0.004
+    curvature = free + 8e-5 * phi(40.0, POSITION, SPAN)
+    curvature += NOISE * np.random.default_rng(5).standard_normal(10)
+    unstated = dict.fromkeys(("map_error", "offset_error", "base_fold_error"))
+    found = weighed(
+        curvature, free, **unstated, largest_noise_factor=1.0, noise_correlation=correlation
+    )
+    y, g = curvature * LENGTH, np.full(10, free * LENGTH)
+    floor = priors.TRUST * max(np.abs(y - g).max(), np.abs(g).max())
+    white = (NOISE * LENGTH) ** 2 + floor**2
+    rank = np.argsort(np.argsort(POSITION, kind="stable"))
+    own = white * correlation ** np.abs(rank[:, None] - rank)
+    slight = [priors.SLIGHT_MAP * g, np.full(10, priors.SLIGHT_OFFSET * NOISE * LENGTH)]
+    fold = priors.SMALL_FOLD * fold_shares(priors.TUBE_RADIUS)
+    rows = [
+        (priors.SLIGHT_ODDS, 0.0, slight),
+        (priors.TURNED_ODDS, 2.0 * g, slight),
+        (priors.TURNED_ODDS, g, slight),
+        (priors.FAR_ODDS, 0.0, [g, np.ones(10)]),
+        (priors.SMALL_FOLD_ODDS, 0.0, [fold]),
+    ]
+    rows.append((1.0 - sum(odds for odds, *_ in rows), 0.0, []))
+    each = []
+    for odds, shift, columns in rows:
+        total = own + sum((np.outer(column, column) for column in columns), np.zeros((10, 10)))
+        each.append(np.log(odds) + multivariate_normal(np.zeros(10), total).logpdf(y - g + shift))
+    assert found["free body", -1] == pytest.approx(logsumexp(each), abs=1e-6)
+
+
 def test_an_edited_prior_changes_the_answers_of_the_next_localizer(monkeypatch):
     curvature = 2.5e-5 * phi(45.0, POSITION, SPAN)
-    options = {"length": LENGTH, "span": SPAN, "noise": NOISE}
+    options = {"length": LENGTH, "span": SPAN, "noise": NOISE, **STATED}
     before = thigmo.localize(curvature, POSITION, **options).log_odds
     monkeypatch.setattr(priors, "CONTACT", priors.CONTACT - 1.0)
     after = thigmo.localize(curvature, POSITION, **options).log_odds
@@ -265,7 +307,7 @@ def test_a_batch_is_localize_row_by_row(jobs):
     )
     for m, (row, g) in enumerate(zip(rows, free, strict=True)):
         one = thigmo.localize(row, POSITION, length=LENGTH, free_curvature=g, **options)
-        assert (batch.status[m], batch.contacts[m]) == (one.status, len(one.contacts))
+        assert (batch.status[m], batch.count[m]) == (one.status, len(one.contacts))
         assert batch.log_odds[m] == one.log_odds
         assert not batch.localized[m, len(one.contacts) :].any()
         for j, contact in enumerate(one.contacts):
@@ -289,7 +331,7 @@ def test_strong_and_near_the_base_is_listed_with_its_probability():
     for odds in (1e-3, 0.05):
         result = thigmo.localize(
             curvature, base, length=LENGTH, span=SPAN, free_curvature=free, noise=NOISE,
-            tube_radius=1.75, bad_reading_odds=odds,
+            tube_radius=1.75, bad_reading_odds=odds, **STATED,
         )  # fmt: skip
         (contact,) = result.contacts
         assert contact.interval[0] < 12.0

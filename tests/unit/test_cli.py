@@ -91,7 +91,8 @@ def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(
     spelt = json.loads(
         thigmo(
             *stated, "--noise", 6e-4, "--gain-error", 0.03, "--offset-error", 2e-4, "--map-error",
-            0.01, "--critical-curvature", 0.01108, "--tube-radius", 1.75,
+            0.01, "--critical-curvature", 0.01108, "--tube-radius", 1.75, "--base-fold-error", 0,
+            "--noise-correlation", 0, "--largest-noise-factor", 2.4, "--contact-couple-odds", 0,
         ).out
     )  # fmt: skip
     assert known["status"] != "no contact"

@@ -210,7 +210,7 @@ def test_a_result_survives_pickle_and_is_plain_data(method: str) -> None:
     again = pickle.loads(pickle.dumps(felt))
     assert repr(again) == repr(felt)
     assert again.edges.tolist() == felt.edges.tolist()
-    assert again.probability.tolist() == felt.probability.tolist()
+    assert again.mass.tolist() == felt.mass.tolist()
     assert again.bend.tolist() == felt.bend.tolist()
     plain = json.loads(json.dumps(felt.to_dict()))
     assert plain["contacts"][0]["arc"] == felt.contacts[0].arc

@@ -13,7 +13,7 @@ import numpy as np
 from thigmo.localization.localizer import localize
 from thigmo.localization.result import Array, LocalizeResult
 
-# Gain in log odds from which positions seem to be counted from the tip.
+# Gain in log evidence from which positions seem to be counted from the tip.
 _TURNED = 7.0
 _HELD = 0.9  # probability of a held end from which any gain counts
 # Sum of squares of the differences over that of the sums, below which two sets agree.
@@ -25,7 +25,8 @@ def hints(
     result: LocalizeResult, curvature: Array, position: Array, **options: Any
 ) -> tuple[str, ...]:
     """Likely mistakes in the readings (N,) of a result; `options` are those of its `localize`."""
-    free = np.broadcast_to(options.get("free_curvature", 0.0), curvature.shape)
+    given = options.get("free_curvature")
+    free = np.broadcast_to(0.0 if given is None else given, curvature.shape)
     seen = np.isfinite(curvature)
     stated = options.get("noise")
     noise = None if stated is None else float(np.sqrt(np.mean(np.square(stated))))
@@ -58,7 +59,7 @@ def hints(
     turned = localize(curvature, result.length - position, **options)
     # Counted from the tip, a contact's moment grows towards the end, as that of a held end does.
     held = result.hypotheses.get("end wrench", 0.0) > _HELD
-    if turned.log_odds - result.log_odds > (0.0 if held else _TURNED):
+    if turned.log_evidence - result.log_evidence > (0.0 if held else _TURNED):
         found.append(
             "the readings look as if positions were counted from the tip: count them from the base"
             + (" (or does something hold the end?)" if held else "")

@@ -32,8 +32,13 @@ def localize(
         float, typer.Option(help="Active length of the sensors, if there is no column span.")
     ] = 0.0,
     free_curvature: Annotated[
-        float, typer.Option("--free-curvature", help="Curvature that the muscles alone give.")
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            "--free-curvature",
+            help="Curvature that the muscles alone give; 0 without any. If omitted, a body that "
+            "bends by itself is weighed, too.",
+        ),
+    ] = None,
     noise: Annotated[
         float | None, typer.Option(help="Standard deviation of a reading; estimated if omitted.")
     ] = None,
@@ -46,6 +51,17 @@ def localize(
     map_error: Annotated[
         float | None,
         typer.Option(help="Relative standard deviation of the free curvature's scale."),
+    ] = None,
+    base_fold_error: Annotated[
+        float | None,
+        typer.Option(help="Standard deviation of the angle of a small fold at the base, rad."),
+    ] = None,
+    noise_correlation: Annotated[
+        float | None, typer.Option(help="Correlation of neighbouring sensors' noise.")
+    ] = None,
+    largest_noise_factor: Annotated[
+        float | None,
+        typer.Option(help="Factor by which the noise may at most exceed --noise; 1 if certain."),
     ] = None,
     critical_curvature: Annotated[
         float | None, typer.Option(help="Contact moment over EI at which the base folds.")
@@ -63,6 +79,10 @@ def localize(
     end_face_odds: Annotated[
         float | None,
         typer.Option(help="Prior odds of a contact on the end's face; 0 rules it out."),
+    ] = None,
+    contact_couple_odds: Annotated[
+        float | None,
+        typer.Option(help="Prior odds of a contact that bears a couple; 0 rules it out."),
     ] = None,
     stiffness: Annotated[
         str | None,
@@ -156,6 +176,10 @@ def localize(
         "gain_error": gain_error,
         "offset_error": offset_error,
         "map_error": map_error,
+        "base_fold_error": base_fold_error,
+        "noise_correlation": noise_correlation,
+        "largest_noise_factor": largest_noise_factor,
+        "contact_couple_odds": contact_couple_odds,
         "critical_curvature": critical_curvature,
         "tube_radius": tube_radius,
         "bad_reading_odds": bad_reading_odds,

@@ -31,6 +31,7 @@ from thigmo.exploration.workspace import Bend, centreline, common_error, excess_
 from thigmo.localization import LocalizeResult, localize
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics.closed_forms import fold_share
+from thigmo.reading_errors import SETTLED
 from thigmo.record import Obstacle, Shape
 from thigmo.robot import Peak, SensorTable
 from thigmo.robot.curvature import Floats
@@ -75,7 +76,12 @@ def localize_peak(
         free_curvature=free.mean,
         body_curvature=free.body_curvature,
         noise=np.hypot(table.white, peak.added_noise)[use],
+        # The free response has the errors of map, offset and gains among its shared ones.
+        offset_error=0.0,
+        map_error=0.0,
+        gain_error=0.0,
         shared_errors=np.hstack([free.shared_errors, table.shared[use]]),
+        **SETTLED,
         critical_curvature=fold_moment(config, zone),
         critical_curvature_error=max(
             body.critical_curvature_se / body.critical_curvature, _LEAST_FOLD_ERROR

@@ -48,7 +48,7 @@ class Live:
             answer.shape.side,
             length_cm,
             tuple(result.places.tolist()),
-            tuple(result.probability.tolist()),
+            tuple(result.mass.tolist()),
             result.status,
             result.hypothesis,
             result.message,

@@ -17,6 +17,13 @@ class Answer:
     end_open: bool
     noise: float
     log_odds: float
+    log_evidence: float
+    mistakes: list[float]
+    kinked: float
+    residual: _Array
+    misfit: float
+    freedom: int
+    correlation: float
     weighed: list[tuple[str, int, float]]
     hypothesis: str
     hypotheses: dict[str, float]
@@ -33,4 +40,6 @@ class Localizer:
     count: int
     def __init__(self, **options: Any) -> None: ...
     def localize(self, curvature: _Array, free: _Array, body: _Array) -> Answer: ...
-    def localize_rows(self, curvature: _Array, free: _Array) -> tuple[_Array, _Array]: ...
+    def localize_rows(
+        self, curvature: _Array, free: _Array, body: _Array, residuals: bool
+    ) -> tuple[_Array, _Array, list[str], _Array]: ...

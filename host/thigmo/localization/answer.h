@@ -41,6 +41,16 @@ struct Answer {
   int discarded = -1;
   bool end_open = false;  // only the end, which something may hold, leaves a place open
   double noise = 0.0, log_odds = 0.0;
+  double log_evidence = 0.0;  // of the readings, in the caller's unit
+  // Probability of each mistake, and of a noise larger than stated.
+  std::array<double, kMistakes + 1> mistakes{};
+  double kinked = 0.0;  // probability of a hinge or a fold
+  // Of the best: readings less what it predicts, in the caller's order; the
+  // squared whitened residual; how many numbers less than readings it has;
+  // lag-one correlation of neighbours, in standard errors, NaN in space.
+  Row residual;
+  double misfit = NAN, correlation = NAN;
+  int freedom = 0;
   double radius = 0.0;  // of the tube, over the length
 };
 
@@ -246,6 +256,41 @@ class Posterior {
   double most_ = 0.0;
 };
 
+// Compares the readings with what a hypothesis predicts of them: its loads, its
+// mistake, and the likeliest size of all shared errors. What is left is the
+// readings' own noise.
+inline void check(const Readings& readings, const Hypothesis& hypothesis, const Options& options,
+                  Answer& out) {
+  Frame frame = readings.frame;
+  frame.excess = hypothesis.left;
+  const int bad = hypothesis.bad, n = frame.size();
+  if (bad >= 0) frame.share({bad, {readings.bad[bad]}});
+  const Whitener by(frame, hypothesis.level);
+  Row rest = frame.excess_by(hypothesis.level);
+  const Row white = by(rest), weighted = by.raised(white);
+  out.misfit = Whitener::dot(white.data(), white.data(), n);
+  out.freedom = n - hypothesis.numbers - (bad >= 0);
+  if (bad >= 0) {  // what is bad of a reading stays in its residual
+    --frame.shared.rows;
+    frame.shared.value.resize(static_cast<std::size_t>(frame.shared.rows) * n);
+  }
+  const Matrix shared = frame.shared_by(hypothesis.level);
+  for (int k = 0; k < shared.rows; ++k) {
+    const double size = Whitener::dot(shared[k], weighted.data(), n);
+    for (int i = 0; i < n; ++i) rest[i] -= size * shared[k][i];
+  }
+  out.residual.assign(options.position.size(), NAN);
+  double square = 0.0, product = 0.0, before = 0.0;
+  for (int i = 0; i < n; ++i) {
+    out.residual[readings.index[i]] = rest[i] / options.length;
+    if (i == bad) continue;
+    const double own = rest[i] / frame.noise[i];
+    square += own * own, product += own * before, before = own;
+  }
+  if (options.direction.rows == 0 && square > 0.0)
+    out.correlation = product / square * std::sqrt(n);
+}
+
 inline void conclude(Explanations& weighing, const Options& options, Answer& out) {
   const Priors& priors = options.priors;
   constexpr double kNearEnd = 0.95;  // from here on a contact and a hold of the end are one place
@@ -260,8 +305,16 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
   }
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
     out.probability[k] /= total;
-    (out.hypotheses[k].shares.contacts.empty() ? none : out.touched) += out.probability[k];
+    const Hypothesis& h = out.hypotheses[k];
+    (h.shares.contacts.empty() ? none : out.touched) += out.probability[k];
+    for (std::size_t m = 0; m < out.mistakes.size(); ++m) {
+      out.mistakes[m] += out.probability[k] * h.mistakes[m];
+    }
+    const bool kinks =
+        std::any_of(h.loads.begin(), h.loads.end(), [](const Loaded& l) { return l.load->kinks; });
+    if (kinks || !std::isnan(h.at)) out.kinked += out.probability[k];
   }
+  out.log_evidence = top + std::log(total) + readings.frame.size() * std::log(options.length);
   out.log_odds = std::log(std::max(out.touched, 1e-300) / std::max(none, 1e-300));
   const Posterior posterior(out.hypotheses, out.probability, options.contacts);
   out.number = posterior.felt;
@@ -282,8 +335,9 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
   }
   const Hypothesis& best = out.hypotheses[out.best];
   out.bend = weighing.body().above(best.bent);
-  out.noise = best.noise * readings.noise;
+  out.noise = best.level.factor * readings.noise;
   if (best.bad >= 0) out.discarded = readings.index[best.bad];
+  check(readings, best, options, out);
   if (best.shares.contacts.size() != count) count = best.shares.contacts.size();
   // What fits as many numbers as there are good readings explains nothing.
   double all = 0.0, open = 0.0, held = 0.0;
@@ -354,6 +408,10 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
     const bool all_localized = std::all_of(out.contacts.begin(), out.contacts.end(),
                                            [](const FeltContact& c) { return c.localized; });
     out.status = all_localized ? Status::localized : Status::ambiguous;
+  }
+  // From here on in the caller's order.
+  for (Hypothesis& h : out.hypotheses) {
+    if (h.bad >= 0) h.bad = readings.index[h.bad];
   }
 }
 

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from thigmo.errors import DataError
 from thigmo.extras import data_frame
-from thigmo.localization.result import STATUSES, Array, Status
+from thigmo.localization.doubts import MISTAKES, remarks
+from thigmo.localization.result import STATUSES, Array, Status, message
 from thigmo.localization.validation import refusal
 
 if TYPE_CHECKING:
@@ -24,27 +25,48 @@ class BatchResult:
 
     Each row has room for three contacts; entries beyond its last contact are NaN or False.
 
+    Names mean what they mean in `LocalizeResult` and `Contact`.
+
     Attributes:
-        status: (M,) status of each row, as in `localize`.
-        contacts: (M,) number of contacts listed.
+        status: (M,) status of each row.
+        message: (M,) one sentence for the operator.
+        hypothesis: (M,) likeliest explanation.
+        count: (M,) number of contacts listed.
         arc, force: (M, 3) place of each contact, and its force over EI.
         low, high: (M, 3) ends of its 95 % interval.
         localized: (M, 3) whether its status is `localized`.
-        probability: (M,) probability that there is any contact.
+        probability: (M, 3) probability that a contact lies nearer to it than to the others.
+        touched: (M,) probability of any contact.
         log_odds: (M,) log odds of any contact against none.
+        log_evidence: (M,) log density of the readings over all explanations.
+        doubts: probabilities (M,) of each mistake in the readings, by its name.
+        reduced_chi2: (M,) squared residual over its errors for each degree of freedom.
+        correlation: (M,) correlation of neighbouring residuals in standard errors.
+        noise: (M,) standard deviation of a reading's white noise.
         discarded: (M,) index of the reading taken for bad; -1 if there is none.
+        predicted, residuals: (M, N) if they were asked for; else None.
     """
 
     status: list[Status]
-    contacts: npt.NDArray[np.int64]
+    message: list[str]
+    hypothesis: list[str]
+    count: npt.NDArray[np.int64]
     arc: Array
     force: Array
     low: Array
     high: Array
     localized: npt.NDArray[np.bool_]
     probability: Array
+    touched: Array
     log_odds: Array
+    log_evidence: Array
+    doubts: dict[str, Array]
+    reduced_chi2: Array
+    correlation: Array
+    noise: Array
     discarded: npt.NDArray[np.int64]
+    predicted: Array | None = None
+    residuals: Array | None = None
 
     def __len__(self) -> int:
         return len(self.arc)
@@ -54,17 +76,20 @@ class BatchResult:
 
         A row without a contact has one line, with NaN for the contact. Needs `thigmo[tables]`.
         """
-        listed = np.maximum(self.contacts, 1)
+        listed = np.maximum(self.count, 1)
         row = np.repeat(np.arange(len(self)), listed)
         number = np.arange(row.size) - np.repeat(np.cumsum(listed) - listed, listed)
-        of_contact = ("arc", "low", "high", "force", "localized")
+        of_contact = ("arc", "low", "high", "force", "localized", "probability")
         return data_frame(
             {
                 "row": row,
                 "contact": number,
                 "status": np.asarray(self.status)[row],
                 **{name: getattr(self, name)[row, number] for name in of_contact},
-                "probability": self.probability[row],
+                "touched": self.touched[row],
+                "hypothesis": np.asarray(self.hypothesis)[row],
+                "reduced_chi2": self.reduced_chi2[row],
+                "message": np.asarray(self.message)[row],
                 "discarded": self.discarded[row],
             }
         )
@@ -75,22 +100,58 @@ class BatchResult:
         return f"BatchResult({len(self)} rows{': ' if parts else ''}{parts})"
 
     @classmethod
-    def of(cls, of_row: Array, of_contact: Array, length: float) -> BatchResult:
+    def of(
+        cls, of_row: Array, of_contact: Array, hypothesis: list[str], length: float, *,
+        noise_stated: bool, sensors: npt.NDArray[np.int64],
+        predicted: Array | None, residuals: Array | None,
+    ) -> BatchResult:  # fmt: skip
         """The result from the compiled code's arrays of rows and of contacts.
 
         Raises:
             DataError: a row cannot be used; the message has its number.
         """
-        status, contacts, problem, shows, probability, log_odds, discarded = of_row.T
-        wrong = np.flatnonzero(problem)
+        numbers = dict(zip(_OF_ROW, of_row.T, strict=True))
+        wrong = np.flatnonzero(numbers["problem"])
         if wrong.size:
             row = int(wrong[0])
-            error = refusal(int(problem[row]), float(shows[row]), length)
+            shows = float(numbers["shows"][row])
+            error = refusal(int(numbers["problem"][row]), shows, length)
             raise DataError(f"row {row}: {error.what}", error.next_step)
-        arc, force, low, high, localized = np.moveaxis(of_contact, 2, 0)
+        arc, force, low, high, localized, probability = np.moveaxis(of_contact, 2, 0)
+        status = [STATUSES[int(code)] for code in numbers["status"].tolist()]
+        count = numbers["count"].astype(np.int64)
+        mistakes = np.column_stack([numbers[name] for name in MISTAKES])
+        number = np.column_stack([numbers[name] for name in _NUMBER])
+        freedom = numbers["freedom"]
+        messages = [
+            message(
+                status[row], int(count[row]), number[row].tolist(), float(numbers["touched"][row]),
+                end_open=bool(numbers["end_open"][row]),
+                discarded=bool(numbers["discarded"][row] >= 0.0),
+                kinked=float(numbers["kinked"][row]), freedom=int(freedom[row]),
+                looks=remarks(
+                    mistakes[row].tolist(), float(numbers["misfit"][row]), int(freedom[row]),
+                    float(numbers["correlation"][row]), sensors=int(sensors[row]),
+                    noise_stated=noise_stated,
+                ),
+            )
+            for row in range(len(of_row))
+        ]  # fmt: skip
+        with np.errstate(invalid="ignore", divide="ignore"):
+            chi2 = np.where(freedom > 0.0, numbers["misfit"] / freedom, np.nan)
         return cls(
-            [STATUSES[int(each)] for each in status.tolist()],
-            contacts.astype(np.int64),
-            arc, force, low, high, localized == 1.0,
-            probability, log_odds, discarded.astype(np.int64),
+            status, messages, hypothesis, count,
+            arc, force, low, high, localized == 1.0, probability,
+            numbers["touched"], numbers["log_odds"], numbers["log_evidence"],
+            {name: numbers[name] for name in MISTAKES},
+            chi2, numbers["correlation"], numbers["noise"],
+            numbers["discarded"].astype(np.int64), predicted, residuals,
         )  # fmt: skip
+
+
+_NUMBER = ("none", "one", "two", "three")
+# In the order in which module.cpp writes them.
+_OF_ROW = (
+    "status", "count", "problem", "shows", "touched", "log_odds", "discarded", "noise", "end_open",
+    "kinked", "misfit", "freedom", "correlation", "log_evidence", *_NUMBER, *MISTAKES,
+)  # fmt: skip

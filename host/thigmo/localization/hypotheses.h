@@ -1,12 +1,16 @@
 // Which explanations of a frame are weighed, and how likely each is.
 //
-// Every frame weighs a free body, one contact, each of them with one bad reading or kink, two
-// contacts, and three, whose grid is laid finer unless the evidence on it leaves them negligible.
-// What a scene calls for comes in order of cost: a contact on the end of a bent body, a folded base
-// near its critical moment, and a held end. What leaves a misfit is weighed with one bad reading,
-// of those that may bring it within reach of the best. All evidences are densities of the same
-// readings, so they compare directly; prior odds are those of priors.py. One loop settles the shape
-// and splits the grid, whatever the loads, in a plane and in space.
+// Every frame weighs a free body, one contact, each of them with one bad
+// reading or kink, two contacts, and three, whose grid is laid finer unless the
+// evidence on it leaves them negligible. What a scene calls for comes in order
+// of cost: a contact on the end of a bent body, a folded base near its critical
+// moment, and a held end. What leaves a misfit is weighed with one bad reading,
+// of those that may bring it within reach of the best. All evidences are
+// densities of the same readings, so they compare directly; prior odds are
+// those of priors.py. Mistakes in the readings' stated errors (the rows of
+// input.h) are weighed for every explanation alike, unless the readings as
+// stated are those of a free body. One loop settles the shape and splits the
+// grid, whatever the loads, in a plane and in space.
 #pragma once
 
 #include <map>
@@ -21,10 +25,16 @@ namespace thigmo {
 
 struct Hypothesis {
   const Explanation* of;
-  double log_weight;             // log evidence plus log prior odds
-  Row bent{};                    // curvature of the body that its likeliest loads bend
-  double misfit = INFINITY;      // of the likeliest loads: squared whitened residual
-  double noise = 1.0;            // likeliest factor of the noise
+  double log_weight;         // log evidence plus log prior odds
+  Row bent{};                // curvature of the free body, and by its likeliest loads
+  Row shape{};               // the same, with what the model of the errors says bends the
+                             // body
+  double misfit = INFINITY;  // of the likeliest loads: squared whitened residual
+  Level level{1.0, 0.0};     // likeliest model of the errors
+  Row left{};                // (N,) readings less those of the likeliest loads
+  // Probability of each mistake, and of a noise larger than stated.
+  std::array<double, kMistakes + 1> mistakes{};
+  Row level_shares{};            // probability of each model of the errors
   int numbers = 0;               // how many numbers of its own it fits
   int bad = -1;                  // index of the bad reading
   double at = NAN;               // place of a kink
@@ -79,7 +89,7 @@ class Explanations {
         options_(options),
         priors_(options.priors),
         body_(body(in)),
-        white_(frame_),
+        white_(whitened_as_stated()),
         contact_(readings.known ? priors_.contact : priors_.contact_unsure),
         mark_odds_(readings.log_bad),
         kinks_(frame_.size()) {
@@ -92,24 +102,22 @@ class Explanations {
   const Body& body() const { return *body_; }
 
   void run() {
-    free();
+    weigh_free_body();
     // Beyond this misfit the noise may be larger than stated.
     doubtful_ = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
     std::size_t one = weigh(kOne, contact_, body_->start);
+    if (frame_.rows.size() > 1 && !looks_free()) {
+      one = weigh_again(each_row(frame_.levels), found[one].shape);
+    }
     const bool misfit = readings.known && found[one].misfit > limit_;
     if (readings.known) explained = found[0].misfit - found[one].misfit;
     if (explained < found[one].misfit) explained = 0.0;
     if (found[one].misfit > doubtful_) {
-      const Row bent = found[one].bent;
-      readings.frame.levels = {{1.0, std::log1p(-priors_.noise_odds)},
-                               {priors_.noise_factor, std::log(priors_.noise_odds)}};
-      white_ = Whitened(frame_);
       doubtful_ = INFINITY;
-      found.clear(), doubts_.clear();
-      free();
-      one = weigh(kOne, contact_, bent);
+      one = weigh_again(each_noise(frame_.levels), found[one].shape);
     }
-    const Row bent = found[one].bent;
+    drop_unlikely_levels();
+    const Row bent = found[one].shape;
     const double turn = body_->turn_of(bent);
     const bool bends = body_->turn > priors_.end_turn, two_or_more = frame_.size() > 1;
     const auto odds = [](double given, double usual) {
@@ -122,25 +130,30 @@ class Explanations {
         std::max(body_->turn, turn) > priors_.end_turn) {
       end = weigh(kEnd, contact_ + face, bent);
     }
-    const double moment = std::abs(bent[0] - body_->rest[0]);
+    const double moment = std::abs(found[one].bent[0] - body_->rest[0]);
     if (options_.critical < INFINITY &&
         (misfit || moment > priors_.near_fold * options_.critical)) {
       const double folded = contact_ + std::log(std::max(folded_share(), 1e-12));
-      if (end != kNone) weigh(kEndFolded, folded + priors_.end, found[end].bent);
+      if (end != kNone) weigh(kEndFolded, folded + priors_.end, found[end].shape);
       for (const double side : {-1.0, 1.0}) weigh(kOneFolded, folded - std::log(2.0), bent, side);
     }
     const auto several = [&](int count) {
       if (options_.contacts >= 0) return two_or_more && options_.contacts >= count;
       return frame_.size() >= count;
     };
-    bool poor = misfit;
+    if (options_.couple_odds > 0.0 && frame_.size() > 2) {
+      weigh(kOneWithCouple, contact_ + std::log(options_.couple_odds), bent);
+    }
+    // A mistake that alone explains the readings hides a held end, which
+    // explains the same.
+    bool poor = misfit || found[one].level.row > 0;
     Row bent_by_two = bent;
     if (several(2)) {
       const std::size_t two = weigh(kTwo, contact_ + priors_.another, bent);
       if (two != kNone) {
         // Noise that is not known hides a misfit.
         poor |= !readings.known && found[two].log_weight > found[one].log_weight;
-        bent_by_two = found[two].bent;
+        bent_by_two = found[two].shape;
       }
     }
     // What bends a straight body so far may hold its end.
@@ -216,10 +229,125 @@ class Explanations {
     }
   }
 
+  // Whitens by the errors as stated, beside which the table of mistakes is
+  // kept.
+  Whitened whitened_as_stated() {
+    readings.frame.rows = mistakes(readings, options_, body_->in_space() ? Row{} : body_->rest);
+    return Whitened(frame_);
+  }
+
+  // Whether the readings, as stated, are those of a free body: then no mistake
+  // is in doubt.
+  bool looks_free() const {
+    Row others;
+    for (std::size_t k = 1; k < found.size(); ++k) others.push_back(found[k].log_weight);
+    return found[0].misfit < limit_ &&
+           log_sum_exp(others) < found[0].log_weight + priors_.untouched;
+  }
+
+  // Levels, each with every mistake; each with a noise larger than stated.
+  std::vector<Level> each_row(const std::vector<Level>& levels) const {
+    std::vector<Level> out;
+    for (int row = 0; row < static_cast<int>(frame_.rows.size()); ++row) {
+      for (const Level& level : levels) {
+        out.push_back({level.factor, level.log_odds + frame_.rows[row].log_odds, row});
+      }
+    }
+    return out;
+  }
+  std::vector<Level> each_noise(const std::vector<Level>& levels) const {
+    // What is larger than the largest counts as that.
+    Row factors{1.0}, odds{1.0};
+    for (std::size_t k = 0; k < priors_.noise_factors.size(); ++k) {
+      if (priors_.noise_factors[k] <= options_.largest_noise) {
+        factors.push_back(priors_.noise_factors[k]), odds.push_back(0.0);
+      }
+      if (factors.size() > 1)
+        odds.back() += priors_.noise_odds[k], odds[0] -= priors_.noise_odds[k];
+    }
+    std::vector<Level> out;
+    for (std::size_t k = 0; k < factors.size(); ++k) {
+      for (const Level& level : levels) {
+        out.push_back({factors[k] * level.factor, level.log_odds + std::log(odds[k]), level.row});
+      }
+    }
+    return out;
+  }
+
+  // Weighs the free body and one contact by other models of the errors. Returns
+  // the index of one contact.
+  std::size_t weigh_again(std::vector<Level> levels, Row shape) {
+    readings.frame.levels = std::move(levels);
+    white_ = Whitened(frame_);
+    found.clear(), doubts_.clear();
+    weigh_free_body();
+    return weigh(kOne, contact_, std::move(shape));
+  }
+
+  // Leaves models of the errors that explain neither a free body nor one
+  // contact out of what is weighed from here on. Those as stated stay.
+  void drop_unlikely_levels() {
+    const std::size_t count = white_.levels.size();
+    Row log_weight(count, -INFINITY);
+    double top = -INFINITY;
+    for (const Hypothesis& hypothesis : found) {
+      for (std::size_t s = 0; s < hypothesis.level_shares.size(); ++s) {
+        const double own = hypothesis.log_weight + std::log(hypothesis.level_shares[s] + 1e-300);
+        log_weight[s] = std::max(log_weight[s], own), top = std::max(top, own);
+      }
+    }
+    std::size_t kept = 0;
+    for (std::size_t s = 0; s < count; ++s) {
+      const Level& level = frame_.levels[s];
+      const bool stated = level.row == 0 && (level.factor == 1.0 || !readings.known);
+      if (!stated && log_weight[s] < top + priors_.dropped_row) continue;
+      if (kept < s) {
+        readings.frame.levels[kept] = readings.frame.levels[s];
+        white_.levels[kept] = std::move(white_.levels[s]);
+      }
+      ++kept;
+    }
+    readings.frame.levels.resize(kept, {1.0, 0.0});
+    white_.levels.erase(white_.levels.begin() + static_cast<std::ptrdiff_t>(kept),
+                        white_.levels.end());
+  }
+
+  // Probability of each mistake, and of a noise larger than stated, by that of
+  // each level.
+  std::array<double, kMistakes + 1> mistakes_by(const Row& shares) const {
+    std::array<double, kMistakes + 1> out{};
+    for (std::size_t s = 0; s < shares.size(); ++s) {
+      const Level& level = frame_.levels[s];
+      out[static_cast<int>(frame_.rows[level.row].mistake)] += shares[s];
+      if (readings.known && level.factor > 1.0) out[kMistakes] += shares[s];
+    }
+    return out;
+  }
+
+  // Bends a shape by what the likeliest model of the errors says of the free
+  // body: that it bends to the other side, or by a curvature that the caller
+  // did not give.
+  void bend_by_mistake(const Whitened::At& at, const Row& left, Row& shape) const {
+    const ErrorRow& row = frame_.rows[at.level.row];
+    if (body_->in_space()) return;  // where readings, not loads, say how the body bends
+    for (std::size_t k = 0; row.mirrored && k < shape.size(); ++k) shape[k] -= 2.0 * body_->rest[k];
+    if (row.bends.rows == 0) return;
+    Row excess = left;
+    for (std::size_t i = 0; i < row.shift.size(); ++i) excess[i] += row.shift[i];
+    const Row weighted = at.by.raised(at.by(excess));
+    for (int j = 0; j < row.bends.rows; ++j) {
+      const double size = Whitener::dot(row.columns[j], weighted.data(), weighted.size());
+      for (std::size_t k = 0; k < shape.size(); ++k) shape[k] += size * row.bends[j][k];
+    }
+  }
+
   // A free body, and one with a bad reading or a kink.
-  void free() {
+  void weigh_free_body() {
     const Whitened::At& likeliest = white_.likeliest();
-    Hypothesis plain{&kFree, white_.log_density(), body_->rest, likeliest.square, likeliest.factor};
+    Hypothesis plain{&kFree,      white_.log_density(), body_->rest,
+                     body_->rest, likeliest.square,     likeliest.level};
+    plain.left = frame_.excess, plain.level_shares = white_.shares();
+    plain.mistakes = mistakes_by(plain.level_shares);
     found.push_back(plain);
     const Row with = white_.log_densities(marks_);
     const int n = frame_.size();
@@ -232,7 +360,8 @@ class Explanations {
     Row each;
     for (std::size_t e = n; e < marks_.size(); ++e) each.push_back(with[e] + kink_odds_[e - n]);
     if (each.empty()) return;
-    Hypothesis& kinked = found.emplace_back(Hypothesis{&kHinge, log_sum_exp(each), body_->rest});
+    Hypothesis& kinked = found.emplace_back(plain);
+    kinked.of = &kHinge, kinked.log_weight = log_sum_exp(each), kinked.misfit = INFINITY;
     kinked.numbers = 1;
     kinked.at = kinks_[n + (std::max_element(each.begin(), each.end()) - each.begin())];
   }
@@ -264,7 +393,7 @@ class Explanations {
     });
     for (Doubt& doubt : doubts_) {
       if (doubt.rough.log_weight > best() + kMatters) {
-        weigh(*doubt.of, doubt.weight, doubt.rough.bent, doubt.side, doubt.mark);
+        weigh(*doubt.of, doubt.weight, doubt.rough.shape, doubt.side, doubt.mark);
       } else {
         found.push_back(std::move(doubt.rough));
       }
@@ -357,6 +486,7 @@ class Explanations {
       Row bent = body_->bent(now.loads);
       loads = now.loads;
       Row next = body_->shown(bent, now.left, bad);
+      bend_by_mistake(read.levels[grid.level], now.left, next);
       const double change = apart(next, shape);
       const bool rests = change < priors_.shape_rests || body_->keeps(next);
       const bool last_turn = turn + 1 == kMostTurns;
@@ -367,7 +497,7 @@ class Explanations {
       }
       const double coarse = all || log_evidence > matters ? kResolved : kCoarse;
       if (!last_turn && split(grid, coarse)) {
-        whole = false, shape = std::move(next);
+        whole = false, shape = next;
         continue;
       }
       const double nothing =
@@ -375,8 +505,10 @@ class Explanations {
       const auto add = [&](Grid& from, double log_weight, int by) {
         from.solve(nothing);
         const Grid::Likeliest likeliest = from.likeliest(*read.frame);
-        Hypothesis& out = found.emplace_back(
-            Hypothesis{&of, log_weight, bent, likeliest.misfit, read.levels[from.level].factor});
+        Hypothesis& out = found.emplace_back(Hypothesis{
+            &of, log_weight, bent, next, likeliest.misfit, read.levels[from.level].level});
+        out.left = likeliest.left, out.level_shares = from.level_shares();
+        out.mistakes = mistakes_by(out.level_shares);
         out.loads = likeliest.loads, out.forces = body_->forces(out.loads);
         out.shares = share_out(from, all, nothing);
         for (const Placed& p : from.placed) {

@@ -12,11 +12,12 @@ namespace thigmo {
 #define THIGMO_PRIORS(X) \
   X(least_lever) X(contact) X(end) X(end_straight) X(held) X(held_straight) X(another) X(hinge) \
   X(base_fold) X(bad_deviation) X(angle) X(near_fold) X(straight) X(end_turn) X(shape_rests) \
-  X(level) X(excluded) X(held_excluded) X(five_sigma) X(noise_factor) X(noise_odds) X(hopeless) \
-  X(trust) X(end_cell) X(misfit_deviate) X(noise_deviate) X(contact_unsure) X(felt) X(swept)
+  X(level) X(excluded) X(held_excluded) X(five_sigma) X(hopeless) X(slight_odds) X(slight_map) \
+  X(slight_offset) X(turned_odds) X(far_odds) X(not_given_odds) X(small_fold_odds) X(small_fold) \
+  X(correlated_odds) X(dense) X(untouched) X(dropped_row) X(trust) X(end_cell) X(misfit_deviate) X(noise_deviate) X(contact_unsure) X(felt) X(swept)
 // clang-format on
 struct Priors {
-  Row moments, noise_levels;
+  Row moments, noise_levels, noise_factors, noise_odds, correlations;
 #define THIGMO_PRIOR(name) double name;
   THIGMO_PRIORS(THIGMO_PRIOR)
 #undef THIGMO_PRIOR
@@ -32,7 +33,12 @@ struct Window {
 struct Options {
   Row position, span, noise, gain, bad_odds;
   Matrix shared;  // (K, N) in the caller's unit
-  double offset, map_scale, length;
+  double offset, map_scale,
+      length;                       // offset and map: NaN if they are not stated
+  double base_fold;                 // angle of a small fold at the base; NaN: not stated
+  double correlation;               // of neighbouring readings' noise; NaN: not stated
+  double largest_noise;             // factor by which the noise may at most exceed that stated
+  double couple_odds;               // prior odds of a contact that bears a couple
   double radius;                    // of the tube, over the length
   double critical, critical_error;  // base moment that folds it, and its relative standard error
   bool folds_perhaps;               // at a moment that is not known
@@ -52,7 +58,8 @@ struct Options {
   Priors priors;
 };
 
-// One frame: rows have N numbers, or one for all sensors.
+// One frame: rows have N numbers, or one for all sensors. `free` is empty if it
+// is not given.
 struct Input {
   Row curvature, free, body;
 };
@@ -62,14 +69,19 @@ struct Readings {
   std::vector<int> index;  // (N,) places in the caller's arrays
   Row bad;                 // (N,) standard deviation of a bad reading
   Row log_bad;             // (N,) log prior odds of one
-  double noise, turn;      // mean white noise; turn of the free body
+  Row free;                // (N,) free readings over the inverse of the length
+  bool given;              // whether the caller gave those
+  double noise, turn;      // mean white noise, 1/length; turn of the free body
   bool known;              // whether the noise is known
 };
 
 // Why a frame is refused; validation.py has the sentences, and checks what holds for every frame.
-enum class Problem { none, infinite, no_reading, free, too_tight, constant };
+enum class Problem { none, infinite, no_reading, free, too_tight, constant, curls };
 
 inline double pick(const Row& values, std::size_t i) { return values[values.size() == 1 ? 0 : i]; }
+inline double free_of(const Input& in, std::size_t i) {
+  return in.free.empty() ? 0.0 : pick(in.free, i);
+}
 
 // Where a sensor begins and ends on the body, over the length.
 inline std::pair<double, double> ends_of_sensor(const Options& of, std::size_t i) {
@@ -81,22 +93,25 @@ inline std::pair<double, double> ends_of_sensor(const Options& of, std::size_t i
 // The problem, and a number that shows it.
 inline std::pair<Problem, double> problem_of(const Input& in, const Options& options) {
   const std::size_t n = in.curvature.size();
-  double tightest = 0.0;
+  double tightest = 0.0, sum = 0.0;
   std::size_t finite = 0;
   bool same = true, passive = true;
   for (std::size_t i = 0; i < n; ++i) {
-    const double k = in.curvature[i], g = pick(in.free, i);
+    const double k = in.curvature[i], g = free_of(in, i);
     if (std::isinf(k)) return {Problem::infinite, k};
     if (!std::isfinite(g)) return {Problem::free, g};
     tightest = std::max(tightest, std::abs(g));
     passive = passive && g == 0.0;
     if (std::isnan(k)) continue;
-    tightest = std::max(tightest, std::abs(k));
+    tightest = std::max(tightest, std::abs(k)), sum += k;
     same = same && (finite == 0 || k == in.curvature[i - 1]);
     ++finite;
   }
   if (finite == 0) return {Problem::no_reading, 0.0};
   if (tightest * options.radius * options.length > 1.0) return {Problem::too_tight, tightest};
+  // No body of a lab is a whole ring; one in two units looks like several.
+  const double turn = std::abs(sum) / static_cast<double>(finite) * options.length;
+  if (options.direction.rows == 0 && turn > 2.0 * std::numbers::pi) return {Problem::curls, turn};
   // A body that nothing bends reads no constant curvature but zero.
   if (n >= 3 && same && passive && finite == n && in.curvature[0] != 0.0) {
     return {Problem::constant, in.curvature[0]};
@@ -123,6 +138,95 @@ inline Row rest_of(const Row& body, const Row& position, double length) {
   return rest;
 }
 
+// What a fold of one radian, spread over one diameter from the base, adds to a
+// reading.
+inline double fold_of(const Frame& frame, int i, double radius) {
+  const double diameter = 2.0 * radius, span = frame.high[i] - frame.low[i];
+  if (span < kPoint) return (frame.low[i] < diameter) / diameter;
+  const double inside = std::min(frame.high[i], diameter) - frame.low[i];
+  return std::max(inside, 0.0) / span / diameter;
+}
+
+// The table of mistakes: what may be wrong with the readings beyond what the
+// caller stated. Stating an error removes its row. `rest`: curvature of the
+// free body at the nodes, empty in space, where neither folds nor correlated
+// noise are weighed.
+inline std::vector<ErrorRow> mistakes(const Readings& readings, const Options& options,
+                                      const Row& rest) {
+  const Priors& priors = options.priors;
+  const Frame& frame = readings.frame;
+  const int n = frame.size();
+  const bool map_stated = !std::isnan(options.map_scale);
+  const bool offset_stated = !std::isnan(options.offset);
+  const bool in_space = rest.empty();
+  const bool bends = readings.turn > 0.0;
+  std::vector<ErrorRow> out(1);
+  const auto add = [&](Mistake mistake, double odds, int columns) -> ErrorRow& {
+    ErrorRow& row = out.emplace_back();
+    row.mistake = mistake, row.log_odds = std::log(odds), row.columns = Matrix(columns, n);
+    return row;
+  };
+  // The map a little off, and an offset of the size of the noise.
+  const auto slight = [&](ErrorRow& row, int from) {
+    for (int i = 0; i < n; ++i) {
+      int k = from;
+      if (!map_stated && bends) row.columns[k++][i] = priors.slight_map * readings.free[i];
+      if (!offset_stated && readings.known) {
+        row.columns[k++][i] = priors.slight_offset * readings.noise * options.length;
+      }
+    }
+  };
+  const int slight_columns = (!map_stated && bends) + (!offset_stated && readings.known);
+  if (slight_columns > 0) slight(add(Mistake::slight, priors.slight_odds, slight_columns), 0);
+  if (!map_stated && bends) {
+    ErrorRow& sign = add(Mistake::sign, priors.turned_odds, slight_columns);
+    slight(sign, 0), sign.mirrored = true;
+    for (const double g : readings.free) sign.shift.push_back(2.0 * g);
+    ErrorRow& twice = add(Mistake::twice, priors.turned_odds, slight_columns);
+    slight(twice, 0), twice.shift = readings.free;
+  }
+  if (!map_stated) {
+    // A free curvature of any size, constant along the body: in space, towards
+    // both directions.
+    const int towards = in_space ? 2 : 1, scaled = bends;
+    const bool given = readings.given;
+    ErrorRow& far = add(given ? Mistake::far : Mistake::not_given,
+                        given ? priors.far_odds : priors.not_given_odds, scaled + towards);
+    for (int i = 0; i < n; ++i) {
+      if (scaled) far.columns[0][i] = readings.free[i];
+      for (int k = 0; k < towards; ++k) {
+        const int own = readings.index[i];
+        far.columns[scaled + k][i] = in_space ? options.direction[own][k + 1] : 1.0;
+      }
+    }
+    if (!in_space) {
+      far.bends = Matrix(scaled + towards, kNodes);
+      if (scaled) std::copy(rest.begin(), rest.end(), far.bends[0]);
+      std::fill_n(far.bends[scaled], kNodes, 1.0);
+    }
+  }
+  if (!in_space && std::isnan(options.base_fold)) {
+    ErrorRow& fold = add(Mistake::fold, priors.small_fold_odds, 1);
+    double most = 0.0;
+    for (int i = 0; i < n; ++i) {
+      fold.columns[0][i] = priors.small_fold * fold_of(frame, i, options.radius);
+      most = std::max(most, fold.columns[0][i]);
+    }
+    if (most == 0.0) out.pop_back();  // no sensor sees it
+  }
+  if (!in_space && !std::isnan(options.correlation)) {
+    for (ErrorRow& row : out) row.correlation = options.correlation;
+  } else if (!in_space && n >= priors.dense) {
+    for (const double correlation : priors.correlations) {
+      add(Mistake::correlated, priors.correlated_odds, 0).correlation = correlation;
+    }
+  }
+  double rest_of_odds = 1.0;
+  for (std::size_t row = 1; row < out.size(); ++row) rest_of_odds -= std::exp(out[row].log_odds);
+  out[0].log_odds = std::log(rest_of_odds);
+  return out;
+}
+
 inline Readings normalised(const Input& in, const Options& options) {
   const Priors& priors = options.priors;
   const double length = options.length;
@@ -131,14 +235,23 @@ inline Readings normalised(const Input& in, const Options& options) {
   double most = 1e-6, square = 0.0;
   out.turn = out.noise = 0.0;
   Row free;
+  out.given = !in.free.empty();
+  std::vector<int> order(in.curvature.size());
+  std::iota(order.begin(), order.end(), 0);
+  if (options.direction.rows == 0) {
+    std::stable_sort(order.begin(), order.end(),
+                     [&](int a, int b) { return options.position[a] < options.position[b]; });
+  }
   out.index.reserve(in.curvature.size());
   for (Row* each : {&frame.excess, &frame.low, &frame.high, &frame.noise, &frame.gain, &free,
                     &out.bad, &out.log_bad}) {
     each->reserve(in.curvature.size());
   }
-  for (std::size_t i = 0; i < in.curvature.size(); ++i) {
+  for (std::size_t place = 0; place < order.size(); ++place) {
+    const std::size_t i = order[place];
     if (std::isnan(in.curvature[i])) continue;
-    const double g = pick(in.free, i);
+    frame.rank.push_back(static_cast<int>(place));
+    const double g = free_of(in, i);
     const auto [low, high] = ends_of_sensor(options, i);
     const double excess = (in.curvature[i] - g) * length;
     out.index.push_back(static_cast<int>(i));
@@ -169,12 +282,16 @@ inline Readings normalised(const Input& in, const Options& options) {
     for (const double level : priors.noise_levels) frame.levels.push_back({level * scale, odds});
   }
   for (const double noise : frame.noise) out.noise += noise / n / length;
-  const int own = (options.offset > 0.0) + (options.map_scale > 0.0);
+  out.free = free;
+  const int own = (options.offset > 0.0) + (options.map_scale > 0.0) + (options.base_fold > 0.0);
   frame.shared = Matrix(own + options.shared.rows, n);
   for (int i = 0; i < n; ++i) {
     int k = 0;
     if (options.offset > 0.0) frame.shared[k++][i] = options.offset * length;
     if (options.map_scale > 0.0) frame.shared[k++][i] = options.map_scale * free[i];
+    if (options.base_fold > 0.0) {
+      frame.shared[k++][i] = options.base_fold * fold_of(frame, i, options.radius);
+    }
     for (int j = 0; j < options.shared.rows; ++j) {
       frame.shared[k++][i] = options.shared[j][out.index[i]] * length;
     }

@@ -21,8 +21,9 @@ namespace thigmo {
 // in a plane and two in space; a force along it; couples across it; one about it; a kink's angle.
 struct Load {
   enum class Where { anywhere, end, base } where;
-  // Couples of any size, or at most those of the force on the face of the end.
-  enum class Couples { none, of_face, any };
+  // Couples of any size, of a contact or of what holds the end, or at most
+  // those of the force on the face of the end.
+  enum class Couples { none, of_face, of_contact, any };
   bool across = false, along = false;
   Couples couples = Couples::none;
   bool twists = false;    // with a couple about the body
@@ -34,6 +35,8 @@ struct Load {
   bool operator==(const Load&) const = default;
 };
 constexpr Load kTouch{.where = Load::Where::anywhere, .across = true};
+constexpr Load kClamp{
+    .where = Load::Where::anywhere, .across = true, .couples = Load::Couples::of_contact};
 constexpr Load kFolding{.where = Load::Where::anywhere, .across = true, .critical = true};
 constexpr Load kFold{.where = Load::Where::base, .kinks = true};
 constexpr Load kFace{.where = Load::Where::end,
@@ -58,6 +61,7 @@ struct Explanation {
 inline const Explanation kFree{"free body", {}, 0};
 inline const Explanation kHinge{"hinge", {}, 0};
 inline const Explanation kOne{"one contact", {kTouch}, 60};  // 0.9 cm of the 53 cm body
+inline const Explanation kOneWithCouple{"one contact with a couple", {kClamp}, 60};
 inline const Explanation kOneAndHinge{"one contact, hinge", {kTouch}, 60};
 inline const Explanation kTwo{"two contacts", {kTouch, kTouch}, 24};
 inline const Explanation kThree{"three contacts", {kTouch, kTouch, kTouch}, 12};
@@ -317,7 +321,7 @@ class Grid {
   Row mass;                   // of each set
   Matrix mean, spread, felt;  // (contacts, sets) force across the body; probability that it counts
   double total = 0.0, top = -INFINITY;
-  std::size_t level = 0;  // of the noise that suits the likeliest set
+  std::size_t level = 0;  // model of the errors that suits the likeliest set
 
   int size() const { return sets_; }
   int count() const {  // of contacts
@@ -506,6 +510,18 @@ class Grid {
     });
   }
 
+  // Probability of each model of the errors.
+  Row level_shares() const {
+    const std::size_t scales = priors_->moments.size();
+    Row out(levels_.size());
+    for (const Way& way : ways_) {
+      const double* weight = weight_[way.row];
+      out[way.row / scales] += way.share * std::accumulate(weight, weight + sets_, 0.0);
+    }
+    for (double& share : out) share /= total;
+    return out;
+  }
+
   // Probability that all contacts of a set are felt.
   double all_felt() const {
     double sum = 0.0;
@@ -517,7 +533,8 @@ class Grid {
     return sum / total;
   }
 
-  // The likeliest set: its loads, the readings that these leave, and their misfit.
+  // The likeliest set: its loads, the readings that these leave, and their
+  // misfit by the model of the errors that suits it.
   struct Likeliest {
     std::vector<Loaded> loads;
     Row left;
@@ -579,7 +596,7 @@ class Grid {
     for (std::size_t s = 0; s < levels_.size(); ++s) {
       const Whitened::At& at = readings.levels[s];
       const Products& of = levels_[s];
-      if (at.factor > readings.levels[level].factor) continue;
+      if (at.level.factor > readings.levels[level].level.factor) continue;
       for (int e = -1; e < count; ++e) {
         Whitened::At::Beside beside{0.0, 0.0, 0.0};
         if (e >= 0) {

@@ -28,12 +28,14 @@ from thigmo.localization.validation import (
     check_layout,
     columns,
     contact_count,
+    correlation,
     everted_length,
     grip,
     positive,
     refusal,
     share,
     share_of_length,
+    stated,
     vector,
     white_noise,
 )
@@ -44,11 +46,12 @@ _PARTS = {"body": Body, "sensors": Sensors, "errors": Errors, "priors": Priors}
 _PART_OF = {each.name: name for name, part in _PARTS.items() for each in fields(part)}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Localizer:
     """Finds the contacts on a body. Immutable; the options are checked when it is made.
 
-    Each stated error widens the intervals. Omitting an error makes them too narrow.
+    Each stated error widens the intervals. For an error that is not stated, usual mistakes are
+    weighed; state 0 for one that the readings do not have.
 
     Args:
         body: the body.
@@ -67,7 +70,8 @@ class Localizer:
     Example:
         >>> body = thigmo.Body(length=53.0, critical_curvature=0.011)
         >>> sensors = thigmo.Sensors(position=[5, 15, 25, 35, 45], span=5.5)
-        >>> localizer = thigmo.Localizer(body, sensors, thigmo.Errors(noise=6e-4))
+        >>> errors = thigmo.Errors(noise=6e-4, map_error=0.03, offset_error=2e-4)
+        >>> localizer = thigmo.Localizer(body, sensors, errors)
         >>> round(localizer.localize([0.0059, 0.0042, 0.0021, 0.0006, 0.0]).contacts[0].arc, 1)
         38.3
         >>> localizer.localize_batch([[0.0059, 0.0042, 0.0021, 0.0006, 0.0], [0.0] * 5])
@@ -118,14 +122,16 @@ class Localizer:
         self,
         curvature: npt.ArrayLike,
         *,
-        free_curvature: npt.ArrayLike = 0.0,
+        free_curvature: npt.ArrayLike | None = None,
         body_curvature: npt.ArrayLike | None = None,
     ) -> LocalizeResult:
         """Find the contacts in one frame.
 
         Args:
             curvature: (N,) readings, average curvature over each sensor; NaN if one is missing.
-            free_curvature: scalar or (N,) reading of each sensor without contact.
+            free_curvature: scalar or (N,) reading of each sensor without contact; 0 for a body that
+                nothing actuates. None, not given, differs from 0: unless `map_error` is stated, a
+                body is weighed that bends without contact, too.
             body_curvature: scalar or (N,) curvature of the free body at the sensors, if it differs
                 from `free_curvature`.
 
@@ -141,17 +147,31 @@ class Localizer:
             raise DataError(
                 "position and curvature differ in length", "give one position for each reading"
             )
-        free = vector(free_curvature, "free_curvature", count)
-        body = free if body_curvature is None else vector(body_curvature, "body_curvature", count)
+        free = self._free(free_curvature)
+        body = free if free.size else np.zeros(1)
+        body = body if body_curvature is None else vector(body_curvature, "body_curvature", count)
         found = self._compiled.localize(k, free, body)
         if found.problem:
             raise refusal(found.problem, found.shows, self.length)
         if self.method != "posterior":
-            return self._point_estimate(k - free)
-        return LocalizeResult.of(found, self.length, self.body.stiffness)
+            return self._point_estimate(k - free if free.size else k)
+        return LocalizeResult.of(
+            found, k, self.length, self.body.stiffness, noise_stated=self.errors.noise is not None
+        )
+
+    def _free(self, free_curvature: npt.ArrayLike | None) -> Array:
+        if free_curvature is None:
+            return np.zeros(0)
+        return vector(free_curvature, "free_curvature", self._compiled.count)
 
     def localize_batch(
-        self, curvature: npt.ArrayLike, *, free_curvature: npt.ArrayLike = 0.0, jobs: int = 1
+        self,
+        curvature: npt.ArrayLike,
+        *,
+        free_curvature: npt.ArrayLike | None = None,
+        body_curvature: npt.ArrayLike | None = None,
+        residuals: bool = False,
+        jobs: int = 1,
     ) -> BatchResult:
         """Find the contacts in each row of a table, with the same numbers as `localize`.
 
@@ -159,7 +179,10 @@ class Localizer:
 
         Args:
             curvature: (M, N) readings; NaN if one is missing.
-            free_curvature: scalar, (N,), (M, 1) or (M, N) readings without contact.
+            free_curvature: scalar, (N,), (M, 1) or (M, N) readings without contact; None as in
+                `localize`.
+            body_curvature: as `localize` takes it, in the same shapes.
+            residuals: whether the result has `predicted` and `residuals`, (M, N).
             jobs: number of threads.
 
         Raises:
@@ -174,23 +197,45 @@ class Localizer:
                 f"curvature has shape {table.shape}", f"give (M, {width}), a column for each sensor"
             )
         count = len(table)
-        free = np.asarray(free_curvature, dtype=np.float64)
-        if free.ndim < 2:
-            free = vector(free, "free_curvature", width)[None, :]
-        if free.shape[0] not in (1, count) or free.shape[1] not in (1, width):
-            raise DataError(
-                f"free_curvature has shape {free.shape}", "give a scalar, (N,), (M, 1) or (M, N)"
-            )
+
+        def rows_of(values: npt.ArrayLike | None, name: str, default: Array) -> Array:
+            if values is None:
+                return default
+            array = np.asarray(values, dtype=np.float64)
+            if array.ndim < 2:
+                array = vector(array, name, width)[None, :]
+            if array.shape[0] not in (1, count) or array.shape[1] not in (1, width):
+                raise DataError(
+                    f"{name} has shape {array.shape}", "give a scalar, (N,), (M, 1) or (M, N)"
+                )
+            return array
+
+        free = rows_of(free_curvature, "free_curvature", np.zeros((1, 0)))
+        body = rows_of(body_curvature, "body_curvature", free if free.size else np.zeros((1, 1)))
         parts = np.array_split(np.arange(count), max(min(jobs, count), 1))
 
-        def run(rows: npt.NDArray[np.int64]) -> tuple[Array, Array]:
-            own = free if free.shape[0] == 1 else free[rows]
-            return self._compiled.localize_rows(table[rows], np.ascontiguousarray(own))
+        def run(rows: npt.NDArray[np.int64]) -> tuple[Array, Array, list[str], Array]:
+            own = (values if len(values) == 1 else values[rows] for values in (free, body))
+            free_rows, body_rows = (np.ascontiguousarray(values) for values in own)
+            return self._compiled.localize_rows(table[rows], free_rows, body_rows, residuals)
 
         with ThreadPoolExecutor(len(parts)) as pool:
             found = list((pool.map if len(parts) > 1 else map)(run, parts))
-        of_row, of_contact = (np.concatenate(each) for each in zip(*found, strict=True))
-        return BatchResult.of(of_row, of_contact, self.length)
+        of_row, of_contact, names, left = zip(*found, strict=True)
+        rest = np.concatenate(left) if residuals else None
+        return BatchResult.of(
+            np.concatenate(of_row),
+            np.concatenate(of_contact),
+            [name for part in names for name in part],
+            self.length,
+            noise_stated=self.errors.noise is not None,
+            sensors=np.isfinite(table).sum(axis=1),
+            predicted=None if rest is None else table - rest,
+            residuals=rest,
+        )
+
+    def __repr__(self) -> str:
+        return f"Localizer({self._compiled.count} sensors, body of {self.length:g}, {self.method})"
 
     def _checked(self) -> _posterior.Localizer:
         body, errors, known = self.body, self.errors, self.priors
@@ -199,8 +244,10 @@ class Localizer:
         white = white_noise(errors.noise, count)
         widths = vector(self.sensors.span, "span", count)
         own = {
-            name: vector(getattr(errors, name), name, count)
-            for name in ("zero_error", "gain_error")
+            "zero_error": vector(errors.zero_error, "zero_error", count),
+            "gain_error": vector(
+                0.0 if errors.gain_error is None else errors.gain_error, "gain_error", count
+            ),
         }
         odds = vector(known.bad_reading_odds, "bad_reading_odds", count)
         check_layout(x, widths, total, noise=white, bad_reading_odds=odds, **own)
@@ -235,8 +282,16 @@ class Localizer:
             gain=own["gain_error"],
             bad_odds=odds,
             shared=columns(errors.shared_errors, count),
-            offset=positive(errors.offset_error, "offset_error"),
-            map_scale=positive(errors.map_error, "map_error"),
+            offset=stated(errors.offset_error, "offset_error"),
+            map_scale=stated(errors.map_error, "map_error"),
+            base_fold=stated(errors.base_fold_error, "base_fold_error"),
+            correlation=correlation(errors.noise_correlation),
+            largest_noise=math.inf
+            if errors.largest_noise_factor is None
+            else positive(errors.largest_noise_factor, "largest_noise_factor"),
+            couple_odds=priors.COUPLE_ODDS
+            if known.contact_couple_odds is None
+            else positive(known.contact_couple_odds, "contact_couple_odds"),
             length=total,
             radius=radius / total,
             critical=moment,
@@ -279,7 +334,7 @@ def localize(
     position: npt.ArrayLike,
     *,
     length: float,
-    free_curvature: npt.ArrayLike = 0.0,
+    free_curvature: npt.ArrayLike | None = None,
     body_curvature: npt.ArrayLike | None = None,
     **options: Any,
 ) -> LocalizeResult:
@@ -301,7 +356,7 @@ def localize(
         >>> position = [5, 15, 25, 35, 45]
         >>> reading = [0.0059, 0.0042, 0.0021, 0.0006, 0.0]
         >>> thigmo.localize(reading, position, length=53, span=5.5, noise=6e-4)
-        LocalizeResult(ambiguous, one contact: arc 38.28, 30.03 to 47.7; body of 53)
+        LocalizeResult(ambiguous, one contact: arc 38.32, 29.15 to 48.58; body of 53)
         >>> thigmo.localize(reading, position, length=53, span=5.5, noise=1e-4).contacts[0].status
         'localized'
     """
@@ -316,7 +371,9 @@ def localize_batch(
     position: npt.ArrayLike,
     *,
     length: float,
-    free_curvature: npt.ArrayLike = 0.0,
+    free_curvature: npt.ArrayLike | None = None,
+    body_curvature: npt.ArrayLike | None = None,
+    residuals: bool = False,
     jobs: int = 1,
     **options: Any,
 ) -> BatchResult:
@@ -326,7 +383,7 @@ def localize_batch(
         curvature: (M, N) readings; NaN if one is missing.
         position: (N,) sensor centres.
         length: everted length.
-        free_curvature: scalar, (N,), (M, 1) or (M, N) readings without contact.
+        free_curvature, body_curvature, residuals: as in `Localizer.localize_batch`.
         jobs: number of threads.
         options: as in `localize`, the same for all rows.
 
@@ -335,4 +392,10 @@ def localize_batch(
         TypeError: an option is unknown.
     """
     localizer = Localizer.of(position=position, length=length, **options)
-    return localizer.localize_batch(curvature, free_curvature=free_curvature, jobs=jobs)
+    return localizer.localize_batch(
+        curvature,
+        free_curvature=free_curvature,
+        body_curvature=body_curvature,
+        residuals=residuals,
+        jobs=jobs,
+    )

@@ -43,7 +43,7 @@ std::string name_of(const Hypothesis& of) {
 }
 
 // Numbers of many answers: of each row, and of each of its contacts.
-constexpr std::size_t kOfRow = 7, kContacts = 3, kOfContact = 5;
+constexpr std::size_t kOfRow = 27, kContacts = 3, kOfContact = 6;
 
 // Write them in the order in which batch.py names them.
 void write(const Answer& from, double length, double* row, double* contact) {
@@ -53,13 +53,33 @@ void write(const Answer& from, double length, double* row, double* contact) {
                           from.shows,
                           from.touched,
                           from.log_odds,
-                          static_cast<double>(from.discarded)};
+                          static_cast<double>(from.discarded),
+                          from.noise,
+                          static_cast<double>(from.end_open),
+                          from.kinked,
+                          from.misfit,
+                          static_cast<double>(from.freedom),
+                          from.correlation,
+                          from.log_evidence,
+                          from.number[0],
+                          from.number[1],
+                          from.number[2],
+                          from.number[3],
+                          from.mistakes[0],
+                          from.mistakes[1],
+                          from.mistakes[2],
+                          from.mistakes[3],
+                          from.mistakes[4],
+                          from.mistakes[5],
+                          from.mistakes[6],
+                          from.mistakes[7],
+                          from.mistakes[8]};
   static_assert(of_row.size() == kOfRow);
   std::copy(of_row.begin(), of_row.end(), row);
   for (const FeltContact& felt : from.contacts) {
     *contact++ = felt.arc * length, *contact++ = felt.force / (length * length);
     *contact++ = felt.low * length, *contact++ = felt.high * length;
-    *contact++ = felt.localized;
+    *contact++ = felt.localized, *contact++ = felt.probability;
   }
 }
 
@@ -72,6 +92,8 @@ NB_MODULE(_posterior, m) {
       to = nb::cast<std::decay_t<decltype(to)>>(values[name]);
     };
     take("moments", priors->moments), take("noise_levels", priors->noise_levels);
+    take("noise_factors", priors->noise_factors), take("noise_odds", priors->noise_odds);
+    take("correlations", priors->correlations);
 #define THIGMO_PRIOR(name) take(#name, priors->name);
     THIGMO_PRIORS(THIGMO_PRIOR)
 #undef THIGMO_PRIOR
@@ -86,6 +108,14 @@ NB_MODULE(_posterior, m) {
       .def_ro("end_open", &Answer::end_open)
       .def_ro("noise", &Answer::noise)
       .def_ro("log_odds", &Answer::log_odds)
+      .def_ro("log_evidence", &Answer::log_evidence)
+      .def_ro("mistakes", &Answer::mistakes)
+      .def_ro("kinked", &Answer::kinked)
+      .def_prop_ro(
+          "residual", [](const Answer& a) { return array(a.residual); }, nb::rv_policy::reference)
+      .def_ro("misfit", &Answer::misfit)
+      .def_ro("freedom", &Answer::freedom)
+      .def_ro("correlation", &Answer::correlation)
       // The fields of `Contact`, in the caller's unit.
       .def("contacts",
            [](const Answer& a, double length) {
@@ -111,7 +141,7 @@ NB_MODULE(_posterior, m) {
              }
              return out;
            })
-      // Of each hypothesis: name, index of the bad reading among the finite ones or -1, log weight.
+      // Of each hypothesis: name, index of the bad reading or -1, log weight.
       .def_prop_ro("weighed",
                    [](const Answer& a) {
                      nb::list out;
@@ -202,6 +232,7 @@ NB_MODULE(_posterior, m) {
 #define TAKE(name) take(#name, options->name)
              TAKE(position), TAKE(span), TAKE(noise), TAKE(gain), TAKE(bad_odds), TAKE(shared);
              TAKE(offset), TAKE(map_scale), TAKE(length), TAKE(radius);
+             TAKE(base_fold), TAKE(correlation), TAKE(largest_noise), TAKE(couple_odds);
              TAKE(critical), TAKE(critical_error), TAKE(folds_perhaps);
              TAKE(held_end), TAKE(end_odds), TAKE(held_odds), TAKE(contacts);
              TAKE(width_limit), TAKE(number_level);
@@ -218,23 +249,35 @@ NB_MODULE(_posterior, m) {
              nb::gil_scoped_release released;
              return answer(input, self);
            })
-      // Rows of a table: `free` has one row of one or N numbers for each row, or one for all.
-      .def("localize_rows", [](const Options& self, Table curvature, Table free) {
+      // Rows of a table: `free` and `body` have one row of one or N numbers for
+      // each row, or one for all; no numbers if they are not given. Residuals
+      // only if `all` asks for them.
+      .def("localize_rows", [](const Options& self, Table curvature, Table free, Table body,
+                               bool all) {
         const std::size_t n = curvature.shape(1), count = curvature.shape(0);
-        Input input{Row(n), Row(free.shape(1)), {}};
+        Input input{Row(n), {}, {}};
         Row rows(count * kOfRow), contacts(count * kContacts * kOfContact, NAN);
+        Row residuals(all ? count * n : 0);
+        std::vector<std::string> names(count);
+        const auto pick_row = [](const Table& from, std::size_t m, Row& to) {
+          const std::size_t wide = from.shape(1);
+          const double* first = from.data() + (from.shape(0) == 1 ? 0 : m * wide);
+          to.assign(first, first + wide);
+        };
         {
           nb::gil_scoped_release released;
           for (std::size_t m = 0; m < count; ++m) {
-            std::copy_n(curvature.data() + m * n, n, input.curvature.begin());
-            const std::size_t from = free.shape(0) == 1 ? 0 : m;
-            std::copy_n(free.data() + from * free.shape(1), free.shape(1), input.free.begin());
-            input.body = input.free;
-            write(answer(input, self), self.length, &rows[m * kOfRow],
-                  &contacts[m * kContacts * kOfContact]);
+            pick_row(curvature, m, input.curvature);
+            pick_row(free, m, input.free), pick_row(body, m, input.body);
+            const Answer found = answer(input, self);
+            write(found, self.length, &rows[m * kOfRow], &contacts[m * kContacts * kOfContact]);
+            if (found.problem != Problem::none) continue;
+            names[m] = name_of(found.hypotheses[found.best]);
+            if (all) std::copy(found.residual.begin(), found.residual.end(), &residuals[m * n]);
           }
         }
         return nb::make_tuple(array<2>(std::move(rows), {count, kOfRow}),
-                              array<3>(std::move(contacts), {count, kContacts, kOfContact}));
+                              array<3>(std::move(contacts), {count, kContacts, kOfContact}), names,
+                              array<2>(std::move(residuals), {all ? count : 0, n}));
       });
 }

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
 from thigmo.localization import priors
@@ -18,7 +19,7 @@ from thigmo.localization.validation import Array, Range
 
 _TAIL = 0.5 * (1.0 - priors.LEVEL)
 _NEGLIGIBLE = 1e-5  # share of the largest mass below which a cell is left out
-_NODES = 256  # forces at which the distribution is evaluated
+_SIGMAS = 10.0  # within which all quantiles of a normal part lie
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +74,7 @@ def newtons(
     kept = mass > _NEGLIGIBLE * mass.max()
     mean, share = unit * force[kept], mass[kept] / mass[kept].sum()
     wide = np.maximum(np.hypot(unit * deviation[kept], error * mean), 1e-9 * np.abs(mean).max())
-    value = np.linspace((mean - 6.0 * wide).min(), (mean + 6.0 * wide).max(), _NODES)
-    below = share @ ndtr((value - mean[:, None]) / np.maximum(wide, 1e-300)[:, None])
-    low, middle, high = np.interp((_TAIL, 0.5, 1.0 - _TAIL), below, value).tolist()
+    low, middle, high = (_quantile(p, share, mean, wide) for p in (_TAIL, 0.5, 1.0 - _TAIL))
     push, push_wide, couple, couple_wide = end_load
     if np.isnan(push):
         return Newtons(Quantity(middle, (low, high)), None, None)
@@ -89,3 +88,13 @@ def newtons(
         normal(push, push_wide, unit),
         normal(couple, couple_wide, unit * length),
     )
+
+
+def _quantile(probability: float, share: Array, mean: Array, deviation: Array) -> float:
+    """The number below which a mixture of normal parts (M,) has this probability."""
+    low, high = (mean - _SIGMAS * deviation).min(), (mean + _SIGMAS * deviation).max()
+
+    def excess(value: float) -> float:
+        return float(share @ ndtr((value - mean) / deviation)) - probability
+
+    return float(brentq(excess, low, high, xtol=1e-12 * (high - low), rtol=1e-12))

@@ -82,24 +82,41 @@ class Sensors:
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Standard errors of the readings. Omitting one that they have makes answers overconfident.
+    """Standard errors of the readings.
+
+    An error that is not stated (None) is not taken for zero: usual mistakes of its kind are weighed
+    beside every explanation, and `LocalizeResult.doubts` has their probabilities. They widen the
+    answer. Stating an error, or 0, takes its mistakes out.
 
     Attributes:
         noise: white noise of a reading, scalar or (N,), 1/length; None if it is not known.
+        largest_noise_factor: factor by which the noise may at most exceed `noise`; 15 if it is not
+            stated, 1 if the noise is certain.
+        noise_correlation: correlation of neighbouring sensors' noise, from 0 to less than 1. If it
+            is not stated, 0.5 and 0.9 are weighed for 40 sensors or more. Not in space.
         zero_error: error of each sensor's zero, scalar or (N,), 1/length. In a single frame it acts
             as noise; a noise of None includes it.
-        gain_error: relative error of each sensor's gain, scalar or (N,).
-        offset_error: error of an offset that all readings share, 1/length.
-        map_error: relative error of the free curvature, shared by all readings.
+        gain_error: relative error of each sensor's gain, independent of the others', scalar or
+            (N,). An error that all gains share looks like one of the map: not stated, it is 0.
+        offset_error: error of an offset that all readings share, 1/length. If it is not stated, an
+            offset of the size of the noise is weighed.
+        map_error: relative error of the free curvature, shared by all readings. If it is not
+            stated, a free curvature is weighed that is 8 % off, has the wrong sign, was subtracted
+            already, is far off, or was not given.
+        base_fold_error: angle (rad) of a small fold at the base, shared by all readings. If it is
+            not stated, one of 0.1 is weighed. Not in space.
         shared_errors: (N, K) effects on the readings of K further shared errors, at one standard
             deviation each, 1/length.
     """
 
     noise: npt.ArrayLike | None = None
+    largest_noise_factor: float | None = None
+    noise_correlation: float | None = None
     zero_error: npt.ArrayLike = 0.0
-    gain_error: npt.ArrayLike = 0.0
-    offset_error: float = 0.0
-    map_error: float = 0.0
+    gain_error: npt.ArrayLike | None = None
+    offset_error: float | None = None
+    map_error: float | None = None
+    base_fold_error: float | None = None
     shared_errors: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
@@ -113,8 +130,10 @@ class Priors:
     Attributes:
         contacts: number of contacts (0 to 3), or "auto" to let the evidence decide.
         held_end: whether something holds the end, so that the end may bear any couple and be
-            pulled; or the prior odds of that against a contact on the side. If not given, default
-            odds are used.
+            pulled; or, as a float, the prior odds of that against a contact on the side. If not
+            given, default odds are used.
+        contact_couple_odds: prior odds of a contact that bears a couple, such as a clamp, against
+            one that does not; 0 rules it out. 0.03 if not given.
         end_face_odds: prior odds of a contact on the face of the end against one on the side; 0 if
             the face cannot be touched. If not given, default odds are used.
         within: two arcs between which a single contact is known to lie from other sources, such as
@@ -128,6 +147,7 @@ class Priors:
 
     contacts: int | Literal["auto"] = "auto"
     held_end: bool | float | None = None
+    contact_couple_odds: float | None = None
     end_face_odds: float | None = None
     within: Range | None = None
     bad_reading_odds: npt.ArrayLike = priors.BAD_READING

@@ -50,7 +50,7 @@ class PlaneBody : public Body {
     }
     if (load.kinks) {
       p.unit[0] = priors_.angle;
-      for (int i = 0; i < n; ++i) p.column[i][0] = p.unit[0] * fold_of(i);
+      for (int i = 0; i < n; ++i) p.column[i][0] = p.unit[0] * fold_of(frame_, i, options_.radius);
       return;
     }
     int number = 0;
@@ -89,7 +89,7 @@ class PlaneBody : public Body {
         const double span = frame_.high[i] - frame_.low[i], before = p.place[m] - frame_.low[i];
         levers.sensor[i][m] = span < kPoint ? before > 0.0 : std::clamp(before / span, 0.0, 1.0);
       }
-      force[m] = load.holds() ? 1.0 : options_.radius * force[m];
+      force[m] = load.couples == Load::Couples::of_face ? options_.radius * force[m] : 1.0;
     }
     fill(levers, force);
   }
@@ -136,14 +136,6 @@ class PlaneBody : public Body {
     double most = std::abs(own);
     shape_.raise_to_largest(1, &of.arc, &of.c, &of.s, &own, &most);
     return most;
-  }
-
-  // What a fold of one radian, spread over one diameter from the base, adds to a reading.
-  double fold_of(int i) const {
-    const double diameter = 2.0 * options_.radius, span = frame_.high[i] - frame_.low[i];
-    if (span < kPoint) return (frame_.low[i] < diameter) / diameter;
-    const double inside = std::min(frame_.high[i], diameter) - frame_.low[i];
-    return std::max(inside, 0.0) / span / diameter;
   }
 
   const Frame& frame_;

@@ -92,10 +92,38 @@ MISFIT_DEVIATE = 2.0
 # models nor sensor constants are more accurate.
 TRUST = 5e-4
 # If the misfit of one contact is above this standard normal deviate, as in 31 % of what a correct
-# model gives, a larger noise is also considered: by this factor, with this probability.
+# model gives, larger noises are also considered: by these factors, with these probabilities.
 NOISE_DEVIATE = 0.5
-NOISE_FACTOR = 2.4
-NOISE_ODDS = 0.18
+NOISE_FACTORS = (2.4, 6.0, 15.0)
+NOISE_ODDS = (0.11, 0.045, 0.025)
+
+# Mistakes in the readings that are weighed if the caller does not state the error: probability of
+# each row, and its size. A free curvature a little off, as a share of itself, beside an offset of
+# all readings, as a multiple of the noise.
+SLIGHT_ODDS = 0.25
+SLIGHT_MAP = 0.08
+SLIGHT_OFFSET = 1.0
+# A free curvature of the wrong sign, and one that was subtracted already.
+TURNED_ODDS = 0.03
+# A free curvature that is off by as much as itself, or by a curvature of one over the length; the
+# latter, if the caller gives none.
+FAR_ODDS = 0.05
+NOT_GIVEN_ODDS = 0.15
+# A fold of the base by a small angle (rad).
+SMALL_FOLD_ODDS = 0.1
+SMALL_FOLD = 0.1
+# Noise whose neighbours are correlated by these coefficients, each with this probability, for this
+# number of sensors or more.
+CORRELATIONS = (0.5, 0.9)
+CORRELATED_ODDS = 0.1
+DENSE = 40.0
+# Prior odds of a contact that bears a couple, against one that does not.
+COUPLE_ODDS = 0.03
+# Log odds of anything else against a free body below which no mistake is weighed: then the readings
+# as stated are those of the free body.
+UNTOUCHED = -1.0
+# Log odds against the likeliest below which a row is left out after one contact was weighed.
+DROPPED_ROW = -12.0
 # Noise levels considered if the noise is unknown, as shares of the readings' root mean square.
 NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
 

@@ -16,6 +16,7 @@ from thigmo.display.html import body_strip, html_card, html_table
 from thigmo.display.posterior import draw_posterior
 from thigmo.extras import data_frame
 from thigmo.localization import _posterior, priors
+from thigmo.localization.doubts import doubts, reduced, remarks
 from thigmo.localization.newtons import Newtons, newtons
 from thigmo.localization.validation import Range
 
@@ -159,6 +160,21 @@ class LocalizeResult:
         parameters: further parameters of the likeliest explanation: `fold_angle`, `hinge_arc`,
             `push_back` (force on the end, towards the base), `tip_moment`, `end_offset`.
         objective: 1-norm of the residual for `thesis`, 1/length; else None.
+        touched: probability of any contact.
+        doubts: probability of each mistake in the readings that was weighed because its error is
+            not stated, or its noise may be larger; the rest is `as stated`. Empty if the readings
+            as stated are those of a free body, or all errors are stated.
+        remarks: what to check in the readings or in what was stated of them.
+        predicted: (N,) readings that the likeliest explanation predicts, with its mistake and the
+            likeliest size of all shared errors, 1/length; NaN where one is missing. Empty for a
+            `point estimate`, as are `residuals`.
+        residuals: (N,) readings less `predicted`.
+        reduced_chi2: squared residual over its errors for each degree of freedom: about 1 if the
+            errors are as stated. NaN if there are as many numbers as readings.
+        correlation: correlation of neighbouring residuals in standard errors; NaN in space. Above
+            2, with many sensors, the noise of neighbours is correlated.
+        log_evidence: log density of the readings over all explanations, in the caller's unit.
+            Differences of it compare descriptions of the body or of the errors.
         number: (4,) probabilities that no, one, two or three contacts move the readings by at least
             three standard errors. A weaker contact can never be excluded.
         length: length of the body.
@@ -175,14 +191,28 @@ class LocalizeResult:
     parameters: dict[str, float] = field(default_factory=dict)
     objective: float | None = None
     number: tuple[float, ...] = ()
+    touched: float = nan
+    doubts: dict[str, float] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    predicted: Array = field(default_factory=lambda: np.zeros(0))
+    residuals: Array = field(default_factory=lambda: np.zeros(0))
+    reduced_chi2: float = nan
+    correlation: float = nan
+    log_evidence: float = nan
     length: float = 1.0
     _body: _posterior.Answer | OfBody = _NOTHING
 
     @classmethod
     def of(
-        cls, found: _posterior.Answer, length: float, stiffness: tuple[float, float] | None
+        cls,
+        found: _posterior.Answer,
+        curvature: Array,
+        length: float,
+        stiffness: tuple[float, float] | None,
+        *,
+        noise_stated: bool,
     ) -> LocalizeResult:
-        """The compiled code's answer, converted to the caller's units."""
+        """The compiled code's answer to readings (N,), converted to the caller's units."""
         status = STATUSES[found.status]
         contacts = tuple(Contact(*each) for each in found.contacts(length))
         if stiffness is not None:
@@ -192,17 +222,40 @@ class LocalizeResult:
                 replace(contact, newtons=newtons(stiffness, *cells[1:], load, length))
                 for contact, cells, load in zip(contacts, found.masses, loads, strict=False)
             )
+        looks = remarks(
+            found.mistakes, found.misfit, found.freedom, found.correlation,
+            sensors=int(np.isfinite(curvature).sum()), noise_stated=noise_stated,
+        )  # fmt: skip
+        residuals = found.residual
         return cls(
             status,
             contacts,
             found.hypothesis,
-            _message(status, found, len(contacts)),
+            message(
+                status,
+                len(contacts),
+                found.number,
+                found.touched,
+                end_open=found.end_open,
+                discarded=found.discarded >= 0,
+                kinked=found.kinked,
+                freedom=found.freedom,
+                looks=looks,
+            ),
             found.noise,
             found.log_odds,
             found.hypotheses,
             () if found.discarded < 0 else (found.discarded,),
             found.parameters(length),
             number=tuple(found.number),
+            touched=found.touched,
+            doubts=doubts(found.mistakes),
+            remarks=looks,
+            predicted=curvature - residuals,
+            residuals=residuals,
+            reduced_chi2=reduced(found.misfit, found.freedom),
+            correlation=found.correlation,
+            log_evidence=found.log_evidence,
             length=length,
             _body=found,
         )
@@ -244,7 +297,7 @@ class LocalizeResult:
         if not self.contacts:
             return html_card(self._title, self.message)
         bars = [contact._bar for contact in self.contacts]
-        strip = body_strip(self.length, self.edges.tolist(), self.probability.tolist(), bars)
+        strip = body_strip(self.length, self.edges.tolist(), self.mass.tolist(), bars)
         table = html_table(_COLUMNS, [contact._cells for contact in self.contacts])
         return html_card(self._title, self.message, strip, table)
 
@@ -269,6 +322,12 @@ class LocalizeResult:
             "log_odds": self.log_odds,
             "discarded": list(self.discarded),
             "message": self.message,
+            "touched": self.touched,
+            "doubts": dict(self.doubts),
+            "remarks": list(self.remarks),
+            "reduced_chi2": self.reduced_chi2,
+            "correlation": self.correlation,
+            "log_evidence": self.log_evidence,
         }
 
     def to_frame(self) -> DataFrame:
@@ -296,7 +355,7 @@ class LocalizeResult:
         """
         bars = [contact._bar for contact in self.contacts]
         return draw_posterior(
-            self.length, self.edges, self.probability, bars, self._title, self.message,
+            self.length, self.edges, self.mass, bars, self._title, self.message,
             axes=axes, unit=unit,
         )  # fmt: skip
 
@@ -329,7 +388,7 @@ class LocalizeResult:
         return 0.5 * (self.edges[1:] + self.edges[:-1])
 
     @property
-    def probability(self) -> Array:
+    def mass(self) -> Array:
         """(M,) posterior mass of the most distal contact in each of these cells."""
         masses = self._body.masses
         return masses[-1][1] if masses else np.zeros(0)
@@ -349,24 +408,47 @@ class LocalizeResult:
         return np.column_stack([arc, about[:, 1], -about[:, 0]])
 
 
-def _message(status: Status, found: _posterior.Answer, count: int) -> str:
-    bad = ""
-    if found.discarded >= 0:  # a kink under a sensor looks much the same
-        bad = "; one reading looks bad (see `discarded`)"
-        kink = sum(p for name, p in found.hypotheses.items() if "hinge" in name or "folded" in name)
-        if kink > priors.EXCLUDED:
-            bad += f", or the body is kinked there (probability {kink:.2f})"
+def message(
+    status: Status, count: int, number: Sequence[float], touched: float, *,
+    end_open: bool, discarded: bool, kinked: float, freedom: int, looks: Sequence[str],
+) -> str:  # fmt: skip
+    """One sentence for the operator.
+
+    Args:
+        status: of the frame.
+        count: number of contacts listed.
+        number: (4,) probabilities of each number of contacts.
+        touched: probability of any contact.
+        end_open: whether only what may hold the end leaves a place open.
+        discarded: whether a reading is taken for bad.
+        kinked: probability of a kink or a fold.
+        freedom: how many readings there are beyond the numbers of the likeliest explanation.
+        looks: remarks on the readings.
+    """
+    more = ""
+    if discarded:  # a kink under a sensor looks much the same
+        more = "; one reading looks bad (see `discarded`)"
+        if kinked > priors.EXCLUDED:
+            more += f", or the body is kinked there (probability {kinked:.2f})"
+    more += "".join(f"; {look}" for look in looks)
     if status == "no contact":
-        return "the readings are those of the free body" + bad
+        return "the readings are those of the free body" + more
     if status == "below detection":
-        return "a contact is not certain; average more readings, bend further or give `noise`" + bad
-    felt = f"{count} contact{'s' * (count > 1)}: probability {found.number[count]:.2f}"
-    if count < len(found.number) - 1:
-        felt += f", more: {sum(found.number[count + 1 :]):.2f}"
+        return (
+            "a contact is not certain; average more readings, bend further or give `noise`" + more
+        )
+    felt = f"{count} contact{'s' * (count > 1)}: probability {number[count]:.2f}"
+    if count < len(number) - 1:
+        felt += f", more: {sum(number[count + 1 :]):.2f}"
     if status == "localized":
-        return f"the intervals hold whatever the number of contacts; {felt}{bad}"
-    if found.touched < 1.0 - priors.EXCLUDED:
-        return f"a contact has probability {found.touched:.2f}; {felt}{bad}"
-    if found.end_open:
-        return f"something may hold the end: give held_end; {felt}{bad}"
-    return f"the readings do not fix the place: see the intervals; {felt}{bad}"
+        return f"the intervals hold whatever the number of contacts; {felt}{more}"
+    if touched < 1.0 - priors.EXCLUDED:
+        return f"a contact has probability {touched:.2f}; {felt}{more}"
+    if end_open:
+        return f"something may hold the end: give held_end; {felt}{more}"
+    if freedom <= 0:
+        return (
+            "there are no more readings than a contact has numbers, so nothing checks the place: "
+            f"read one more sensor; {felt}{more}"
+        )
+    return f"the readings do not fix the place: see the intervals; {felt}{more}"

@@ -379,7 +379,8 @@ class SpaceBody : public Body {
 
   Wrenches wrenches(const Load& load, const Section& at, double lever) const {
     Wrenches out;
-    const double unit = 1.0 / lever, couple = load.holds() ? 1.0 : options_.radius * unit;
+    const double unit = 1.0 / lever,
+                 couple = load.couples == Load::Couples::of_face ? options_.radius * unit : 1.0;
     const auto add = [&](const Vector& axis, double size, bool is_couple) {
       (is_couple ? out.couple : out.force)[out.count] = plus({}, size, axis);
       out.unit[out.count++] = size;

@@ -51,6 +51,19 @@ def positive(value: float, name: str) -> float:
     return number
 
 
+def stated(value: float | None, name: str) -> float:
+    """As `positive`; NaN for None, which is not stated."""
+    return math.nan if value is None else positive(value, name)
+
+
+def correlation(value: float | None) -> float:
+    """A correlation from 0 to less than 1; NaN if it is not stated. Raises DataError otherwise."""
+    number = stated(value, "noise_correlation")
+    if number > 0.99:
+        raise DataError(f"noise_correlation is {value!r}", "give a correlation from 0 to 0.99")
+    return number
+
+
 def share(value: float, name: str) -> float:
     """The value as a number from 0 to 1. Raises DataError for anything else."""
     number = positive(value, name)
@@ -103,7 +116,7 @@ def grip(held_end: bool | float | None) -> tuple[int, float]:
     """0, 1 or 2 if the end is not, perhaps or surely held; prior odds, NaN for the default."""
     if held_end is None:
         return 1, math.nan
-    if isinstance(held_end, (bool, np.bool_)):
+    if isinstance(held_end, (bool, np.bool_, int, np.integer)) and held_end in (0, 1):
         return 2 * int(held_end), math.nan
     odds = positive(held_end, "held_end")
     return int(odds > 0.0), odds
@@ -194,6 +207,10 @@ _PROBLEMS = (
     ("free_curvature is {:g}", "give the free curvature of the actuation, or 0"),
     ("a curvature of {:g} is tighter than the tube itself can bend", ""),
     ("all readings are {:g}", "check the column and the sensors' connection"),
+    (
+        "the readings turn the body by {:.3g} rad, more than a whole turn",
+        "check that curvature and length are in the same unit: 1/cm with cm, 1/mm with mm",
+    ),
 )
 
 

@@ -13,9 +13,26 @@
 
 namespace thigmo {
 
-// What the white noise may be: a factor of that stated, and its log odds.
+// What may be wrong with the readings beyond the errors that were stated.
+enum class Mistake { none, slight, sign, twice, far, not_given, fold, correlated };
+constexpr int kMistakes = 8;
+
+// A row of the table of mistakes (input.h): what it does to the readings.
+struct ErrorRow {
+  Mistake mistake = Mistake::none;
+  double log_odds = 0.0;
+  Row shift{};               // (N,) added to the excess; empty: nothing
+  Matrix columns{};          // (K, N) shared errors, of one standard deviation
+  Matrix bends{};            // (J, nodes) curvature of the body by the first J of them
+  double correlation = 0.0;  // of the white noise of neighbouring readings, AR(1)
+  bool mirrored = false;     // the free body bends to the other side
+};
+
+// A model of the errors: a factor of the stated noise, and a row of the frame's
+// table of mistakes.
 struct Level {
   double factor, log_odds;
+  int row = 0;
 };
 
 // An effect of one standard deviation that is zero but on a few neighbouring readings.
@@ -26,13 +43,32 @@ struct Column {
 
 // One frame, normalised by the length.
 struct Frame {
-  Row excess;     // (N,) readings above the free ones
-  Row low, high;  // (N,) ends of the sensors on the body
-  Row noise;      // (N,) standard deviation of white noise, or its share where that is unknown
-  Row gain;       // (N,) standard deviation of a reading's gain error
-  Matrix shared;  // (K, N) effect of each shared error of one standard deviation
-  std::vector<Level> levels;  // of the noise; their odds sum to one
+  Row excess;                 // (N,) readings above the free ones
+  Row low, high;              // (N,) ends of the sensors on the body
+  Row noise;                  // (N,) standard deviation of white noise, or its share where that
+                              // is unknown
+  Row gain;                   // (N,) standard deviation of a reading's gain error
+  Matrix shared;              // (K, N) effect of each shared error of one standard deviation
+  std::vector<Level> levels;  // models of the errors; their odds sum to one
+  std::vector<ErrorRow> rows = {{}};  // that levels refer to; the first is what was stated
+  std::vector<int> rank;              // (N,) place in the order of positions; not in space
   int size() const { return static_cast<int>(excess.size()); }
+  // Readings above the free ones, by a model of the errors.
+  Row excess_by(const Level& level) const {
+    Row out = excess;
+    const Row& shift = rows[level.row].shift;
+    for (std::size_t i = 0; i < shift.size(); ++i) out[i] += shift[i];
+    return out;
+  }
+  // All shared errors of a model.
+  Matrix shared_by(const Level& level) const {
+    const Matrix& more = rows[level.row].columns;
+    if (more.rows == 0) return shared;
+    Matrix out(shared.rows + more.rows, size());
+    std::copy(shared.value.begin(), shared.value.begin() + shared.rows * size(), out.value.begin());
+    std::copy(more.value.begin(), more.value.end(), out[shared.rows]);
+    return out;
+  }
   void share(const Column& error) {
     shared.value.resize(shared.value.size() + excess.size());
     std::copy(error.value.begin(), error.value.end(), shared[shared.rows++] + error.from);
@@ -46,7 +82,7 @@ class Whitener {
   Whitener(const Frame& frame, const Level& level)
       : log_det(level.log_odds - 0.5 * frame.size() * std::log(2.0 * std::numbers::pi)),
         inverse_(frame.size()),
-        column_(frame.shared),
+        column_(frame.shared_by(level)),
         raised_(column_.rows, frame.size()),
         factor_(column_.rows),
         taken_(column_.rows) {
@@ -61,6 +97,7 @@ class Whitener {
         product = 1.0;
       }
     }
+    correlate(frame, frame.rows[level.row].correlation);
     for (int k = 0; k < column_.rows; ++k) {
       double* own = column_[k];
       whiten(own, 1, k);
@@ -94,10 +131,16 @@ class Whitener {
 
   // Squared length of a whitened column.
   double square(const Column& of) const {
-    double sum = 0.0;
+    double sum = 0.0, before = 0.0;
     for (std::size_t i = 0; i < of.value.size(); ++i) {
-      const double value = of.value[i] * inverse_[of.from + i];
-      sum += value * value;
+      const std::size_t at = of.from + i;
+      const double value = of.value[i] * inverse_[at];
+      const double own = lag_.empty() ? value : innovation_[at] * (value - lag_[at] * before);
+      sum += own * own, before = value;
+    }
+    if (const std::size_t next = of.from + of.value.size(); next < lag_.size()) {
+      const double own = innovation_[next] * lag_[next] * before;
+      sum += own * own;
     }
     for (int k = 0; k < raised_.rows; ++k) {
       const double share = dot(of.value.data(), raised_[k] + of.from, of.value.size());
@@ -113,6 +156,34 @@ class Whitener {
   }
 
  private:
+  // Takes white noise for a process of the first order along the body: a
+  // reading's noise less its share of the neighbour's before it is white again.
+  void correlate(const Frame& frame, double correlation) {
+    if (correlation == 0.0) return;
+    lag_.assign(frame.size(), 0.0), innovation_.assign(frame.size(), 1.0);
+    for (int i = 1; i < frame.size(); ++i) {
+      lag_[i] = std::pow(correlation, frame.rank[i] - frame.rank[i - 1]);
+      innovation_[i] = 1.0 / std::sqrt(1.0 - lag_[i] * lag_[i]);
+      log_det += std::log(innovation_[i]);
+    }
+  }
+  // Take from each of the M columns of N by M values what the neighbour before
+  // explains; and the transpose of that.
+  void take_lags(double* values, int columns) const {
+    for (int i = static_cast<int>(lag_.size()) - 1; i > 0; --i) {
+      double *own = values + i * columns, *before = own - columns;
+      for (int m = 0; m < columns; ++m) own[m] = innovation_[i] * (own[m] - lag_[i] * before[m]);
+    }
+  }
+  void take_lags_transposed(double* values, int columns) const {
+    for (int i = 0; i < static_cast<int>(lag_.size()); ++i) {
+      double *own = values + i * columns, *before = own - columns;
+      for (int m = 0; m < columns; ++m) {
+        own[m] *= innovation_[i];
+        if (i > 0) before[m] -= lag_[i] * own[m];
+      }
+    }
+  }
   void scale(double* values, int columns) const {
     for (const double inverse : inverse_) {
       for (int m = 0; m < columns; ++m) *values++ *= inverse;
@@ -134,16 +205,19 @@ class Whitener {
   // By the first `count` shared columns.
   void whiten(double* values, int columns, int count) const {
     scale(values, columns);
+    take_lags(values, columns);
     for (int k = 0; k < count; ++k) take(k, values, columns);
   }
   void raise(double* values, int columns, int count) const {
     for (int k = count; k-- > 0;) take(k, values, columns);
+    take_lags_transposed(values, columns);
     scale(values, columns);
   }
 
   Row inverse_;
-  Matrix column_;  // shared columns, each whitened by those before it
-  Matrix raised_;  // the same times V^(-1/2) of those before it
+  Row lag_, innovation_;  // of correlated noise; else empty
+  Matrix column_;         // shared columns, each whitened by those before it
+  Matrix raised_;         // the same times V^(-1/2) of those before it
   Row factor_, taken_;
 };
 
@@ -159,7 +233,7 @@ inline double log_sum_exp(const Row& of) {
 // A frame whitened at each level of its noise.
 struct Whitened {
   struct At {
-    double factor;  // of the noise
+    Level level;
     Whitener by;
     Row read, raised;            // V^(-1/2) and V^(-1) times the readings
     double square, log_density;  // of the readings, were the body free
@@ -183,8 +257,8 @@ struct Whitened {
   explicit Whitened(const Frame& of) : frame(&of) {
     levels.reserve(of.levels.size());
     for (const Level& level : of.levels) {
-      At& at = levels.emplace_back(At{level.factor, {of, level}, {}, {}, 0.0, 0.0});
-      at.read = at.by(of.excess);
+      At& at = levels.emplace_back(At{level, {of, level}, {}, {}, 0.0, 0.0});
+      at.read = at.by(of.excess_by(level));
       at.raised = at.by.raised(at.read);
       at.square = Whitener::dot(at.read.data(), at.read.data(), of.size());
       at.log_density = at.by.log_det - 0.5 * at.square;
@@ -205,7 +279,15 @@ struct Whitened {
     return log_sum_exp(each);
   }
 
-  // The same, with each of the columns added by itself.
+  // Probability of each level of a free body.
+  Row shares() const {
+    Row out;
+    const double all = log_density();
+    for (const At& at : levels) out.push_back(std::exp(at.log_density - all));
+    return out;
+  }
+
+  // The same log density, with each of the columns added by itself.
   Row log_densities(const std::vector<Column>& columns) const {
     Row out, each(levels.size());
     for (const Column& column : columns) {

@@ -269,14 +269,29 @@ def read_log(path: Path) -> Log:
     epoch = found.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(epoch) if epoch.isdecimal() else 0
     items: list[Entry | Note | FibreLine] = []
+    gaps = found.gaps
     for topic, log_ns, data in found.messages:
         t_s = (log_ns - epoch_ns) / 1e9
-        if topic == _NOTES:
-            items.append(Note(t_s, json.loads(data)))
-        elif topic == _FIBRE:
-            kept = json.loads(data)
-            strains = (nan if each is None else each for each in kept["strain_ue"])
-            items.append(FibreLine(kept["t_s"], tuple(strains), kept["zero"]))
-        else:
+        if topic in _TOPICS:
             items.append(Entry(t_s, _TOPICS[topic], data))
-    return Log(items, found.metadata, found.truncated, found.gaps)
+            continue
+        try:
+            items.append(_note(t_s, data) if topic == _NOTES else _fibre_line(data))
+        except (ValueError, KeyError, TypeError, RecursionError):
+            gaps += 1
+    return Log(items, found.metadata, found.truncated, gaps)
+
+
+def _note(t_s: float, data: bytes) -> Note:
+    """A note of a record. Raises ValueError, TypeError or RecursionError if it is none."""
+    facts = json.loads(data)
+    if not isinstance(facts, dict) or "topic" not in facts:
+        raise TypeError("no note")
+    return Note(t_s, facts)
+
+
+def _fibre_line(data: bytes) -> FibreLine:
+    """A line of a fibre; raises as `_note`, and KeyError."""
+    kept = json.loads(data)
+    strains = tuple(nan if strain is None else float(strain) for strain in kept["strain_ue"])
+    return FibreLine(float(kept["t_s"]), strains, bool(kept["zero"]))

@@ -19,8 +19,10 @@ from google.protobuf.descriptor_pb2 import (
     FileDescriptorSet,
 )
 from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import DecodeError
 from google.protobuf.message import Message as Proto
 
+from thigmo.errors import DataError
 from thigmo.stream.foxglove import VIEWS, views
 from thigmo.stream.messages import ADAPTERS, CHANNELS, RECORDED, Message, validated
 
@@ -141,7 +143,12 @@ def to_protobuf(message: Message) -> bytes:
 def from_protobuf(channel: str, data: bytes) -> Message:
     """The message of `to_protobuf`'s bytes. Raises DataError if these are of other fields."""
     proto = _proto(channel)()
-    proto.MergeFromString(data)
+    try:
+        proto.MergeFromString(data)
+    except DecodeError as error:
+        raise DataError(
+            f"a message of /{channel} is damaged", "replay the run, which needs its frames only"
+        ) from error
     return validated(channel, _read(proto))
 
 

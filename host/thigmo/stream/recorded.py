@@ -78,6 +78,8 @@ def read_messages(
     path = path / "run.mcap" if path.is_dir() else path
     wanted = {f"/{channel}" for channel in (RECORDED if channels is None else channels)}
     found = read_mcap(path, wanted)
+    if not found.topics:
+        raise RunFolderError(f"{path} is empty", "its run ended before it began: run it again")
     if found.topics.isdisjoint(f"/{channel}" for channel in RECORDED):
         raise RunFolderError(
             f"{path} holds only raw frames", "record the run again with this version of thigmo"

@@ -23,6 +23,7 @@ from thigmo_bench.baselines import BASELINES, Problem
 from thigmo_bench.experiments import thesis
 from thigmo_bench.experiments.trial import Trial
 from thigmo_bench.studies.rod import Floats
+from thigmo_bench.studies.scenes import STATED
 
 THEIRS = "alternating"
 OURS = "ours"
@@ -60,8 +61,8 @@ def ours(trial: Trial) -> Answer:
     result = localize(
         trial.curvature / trial.gain, trial.position, free_curvature=trial.free,
         noise=trial.sigma, contacts=len(trial.arcs_cm), held_end=False, length=trial.length_cm,
-        span=trial.span, offset_error=trial.offset_error, critical_curvature=trial.critical,
-        tube_radius=trial.radius_cm,
+        span=trial.span, critical_curvature=trial.critical, tube_radius=trial.radius_cm,
+        **(STATED | {"offset_error": trial.offset_error}),
     )  # fmt: skip
     return Answer(
         tuple(contact.arc for contact in result.contacts),

@@ -145,7 +145,7 @@ def ask(frame: Frame, stated: dict[str, Any]) -> LocalizeResult:
     """The answer of `localize` with these options in addition to the usual ones."""
     return localize(
         frame.curvature, frame.position, length=LENGTH, span=SPAN, free_curvature=frame.free,
-        noise=SIGMA, **ROBOT, **frame.stated, **stated,
+        noise=SIGMA, **(ROBOT | frame.stated | stated),
     )  # fmt: skip
 
 

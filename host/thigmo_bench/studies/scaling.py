@@ -20,7 +20,16 @@ from numpy.typing import NDArray
 from thigmo.localization import Localizer
 from thigmo_bench.studies import scenes
 from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
-from thigmo_bench.studies.scenes import BOTH, LENGTH, SIGMA, SPAN, Case, one_contact, three_contacts
+from thigmo_bench.studies.scenes import (
+    BOTH,
+    LENGTH,
+    SIGMA,
+    SPAN,
+    STATED,
+    Case,
+    one_contact,
+    three_contacts,
+)
 
 SENSORS = (5, 10, 20, 50, 100, 200, 500, 1000)
 ROWS = 10_000
@@ -73,7 +82,9 @@ def answer_us(
     """Time of `Localizer.localize`, median over frames."""
     answers = (
         partial(
-            Localizer.of(position=case.position, length=LENGTH, span=span, noise=noise).localize,
+            Localizer.of(
+                position=case.position, length=LENGTH, span=span, noise=noise, **STATED
+            ).localize,
             case.curvature,
             free_curvature=case.free,
         )
@@ -88,7 +99,7 @@ def row_us(rows: NDArray[np.float64], size: int, repeats: int) -> float:
     Each batch counts with its least time. The batches take turns, so that a slow period of the
     computer affects one repeat of each, not every repeat of some.
     """
-    localizer = Localizer.of(position=BOTH, length=LENGTH, span=SPAN, noise=SIGMA)
+    localizer = Localizer.of(position=BOTH, length=LENGTH, span=SPAN, noise=SIGMA, **STATED)
     batches = [
         partial(localizer.localize_batch, rows[at : at + size]) for at in range(0, len(rows), size)
     ]

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from thigmo.reading_errors import SETTLED
 from thigmo_bench.studies.rod import Floats, readings
 
 LENGTH = 53.0
@@ -24,8 +25,10 @@ NEAREST = 8.0  # no contact is drawn closer to the base
 FULL_CURVATURE = 0.04  # of the bent robot
 COLUMN: Floats = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 BOTH: Floats = np.tile(COLUMN, 2)
+# Readings without errors but noise: what a caller states who knows that.
+STATED: dict[str, Any] = SETTLED | {"gain_error": 0.0, "offset_error": 0.0, "map_error": 0.0}
 # What a caller of `localize` with a robot states of it; a scene folds only where it says so.
-ROBOT: dict[str, Any] = {
+ROBOT: dict[str, Any] = STATED | {
     "tube_radius": RADIUS, "held_end": False, "critical_curvature": float("inf"),
 }  # fmt: skip
 

@@ -19,6 +19,7 @@ from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, last, p
 from thigmo_bench.studies.rod import Floats
 from thigmo_bench.studies.rod_in_space import RodsInSpace, solve
 from thigmo_bench.studies.scaling import KINDS, least_us, one_core
+from thigmo_bench.studies.scenes import STATED
 
 GRATINGS, SPAN, SIGMA = 12, 0.04, 0.015  # of a body of length one
 POSITION: Floats = np.repeat(np.linspace(0.05, 0.95, GRATINGS), 2)
@@ -33,7 +34,7 @@ GROUPS = ("one", "weight", "two", "end", "twisted end")
 ENDS = GROUPS[3:]
 READ: dict[str, Any] = {
     "position": POSITION, "direction": DIRECTION, "length": 1.0, "span": SPAN, "noise": SIGMA,
-    "twist": TWIST,
+    "twist": TWIST, **STATED,
 }  # fmt: skip
 TURNED = 1.234  # rad
 TIMES_PLANE = 3.0  # promised: at most this multiple of the time in a plane

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.errors import DataError
-from thigmo.link.stop_socket import OTHER_PLACE
+from thigmo.link.address import OTHER_PLACE
 from thigmo_bench.studies.engine import Claim, Context, Outcome
 
 _VIEWERS = 3
@@ -178,12 +178,24 @@ def _stopped_s(start: Start) -> float:
             viewer = stack.enter_context(socket.create_connection((host, int(at))))
             viewer.sendall(look.encode())
         time.sleep(3.0)  # of readings that nobody takes
-        began = time.monotonic()
-        with socket.create_connection((host, int(at))) as pressed:
-            pressed.sendall(f"POST /stop {head}Content-Length: 0\r\n\r\n".encode())
-            answer = b"".join(iter(lambda: pressed.recv(4096), b""))
-        took_s = time.monotonic() - began
-    if not json.loads(answer.partition(b"\r\n\r\n")[2])["stopped"]:
+        return pressed_s((host, int(at)))
+
+
+def pressed_s(place: tuple[str, int]) -> float:
+    """From a press of Stop on the page that is served at a place to the board's confirmation.
+
+    Raises:
+        DataError: the board has not confirmed it.
+    """
+    host, port = place
+    head = f"Host: {host}:{port}\r\nOrigin: http://{host}:{port}\r\nContent-Length: 0\r\n"
+    began = time.monotonic()
+    with socket.create_connection(place, timeout=EVER_MS / 1e3) as pressed:
+        pressed.sendall(f"POST /stop HTTP/1.1\r\n{head}\r\n".encode())
+        answer = b"".join(iter(lambda: pressed.recv(4096), b""))
+    took_s = time.monotonic() - began
+    outcome = json.loads(answer.partition(b"\r\n\r\n")[2] or "{}")
+    if not outcome.get("stopped") or outcome["failed"]:
         raise DataError(f"the board did not confirm the stop: {answer!r}", "look at `thigmo watch`")
     return took_s
 

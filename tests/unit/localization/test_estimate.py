@@ -12,6 +12,7 @@ import thigmo
 from thigmo.design import arc_bounds
 from thigmo_bench.studies.rod import readings as true_readings
 from thigmo_bench.studies.rod import solve
+from thigmo_bench.studies.scenes import STATED
 
 LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
 COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
@@ -25,7 +26,7 @@ def felt(arcs, forces, position=BOTH, **scene):
 
 
 def find(curvature, position=BOTH, **options):
-    robot = {"length": LENGTH, "span": SPAN, "tube_radius": 1.75, "held_end": False}
+    robot = STATED | {"length": LENGTH, "span": SPAN, "tube_radius": 1.75, "held_end": False}
     options = robot | {"noise": SIGMA, "critical_curvature": math.inf} | options
     return thigmo.localize(curvature, position, **options)
 
@@ -214,6 +215,7 @@ def test_units_of_length_do_not_matter(unit, noise):
         tube_radius=1.75 * unit,
         held_end=False,
         critical_curvature=math.inf,
+        **STATED,
     )
     assert (there.status, there.hypothesis) == (here.status, here.hypothesis)
     for one, other in zip(here.contacts, there.contacts, strict=True):
@@ -250,8 +252,9 @@ def test_three_contacts_are_not_one_and_a_row_of_outliers(seed: int) -> None:
     position = np.linspace(2.5, 50.5, 20)
     clean = true_readings(arcs, forces, position, length=53.0, span=2.0)
     result = thigmo.localize(
-        clean + 1e-4 * rng.standard_normal(20), position, length=53.0, span=2.0, noise=1e-4
-    )
+        clean + 1e-4 * rng.standard_normal(20), position, length=53.0, span=2.0, noise=1e-4,
+        **STATED,
+    )  # fmt: skip
     assert result.status == "localized"
     assert [contact.arc for contact in result.contacts] == pytest.approx(arcs, abs=1.0)
 

@@ -27,8 +27,8 @@ def check(result, length):
         assert 0.0 <= contact.arc <= length * (1 + 1e-9)
         numbers += [contact.arc, contact.force, low, high]
     assert all(math.isfinite(number) for number in numbers)
-    assert np.isfinite(result.probability).all()
-    assert result.probability.sum() == pytest.approx(1.0 if result.contacts else 0.0)
+    assert np.isfinite(result.mass).all()
+    assert result.mass.sum() == pytest.approx(1.0 if result.contacts else 0.0)
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow])

@@ -9,6 +9,7 @@ import thigmo
 from thigmo.errors import DataError
 from thigmo.mechanics import Peg, Tube, solve
 from thigmo_bench.studies.rod import readings as true_readings
+from thigmo_bench.studies.scenes import STATED
 
 LENGTH, SPAN, SIGMA = 53.0, 5.5, 6e-4
 COLUMN = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
@@ -36,7 +37,7 @@ def test_levers_of_the_bent_shape_remove_the_bias_of_actuated_contacts():
         arc = rng.uniform(25.0, 51.0)
         force = -np.sign(free) * rng.uniform(0.004, 0.02) / arc
         curvature = felt(arc, force, COLUMN, free_curvature=free)
-        options = {"length": LENGTH, "span": SPAN, "free_curvature": free, "contacts": 1}
+        options = STATED | {"length": LENGTH, "span": SPAN, "free_curvature": free, "contacts": 1}
         result = thigmo.localize(curvature, COLUMN, noise=1e-6, **options)
         worst = max(worst, abs(result.contacts[0].arc - arc))
     assert worst <= 0.1
@@ -52,7 +53,7 @@ def test_opposed_contacts_are_felt_where_one_alone_explains_nothing(free):
         moments = CRITICAL * rng.uniform(1.0, 3.0, 2) * np.array([-1.0, 1.0])
         clean = felt(arcs, moments * rng.choice([-1.0, 1.0]) / arcs, BOTH, free_curvature=free)
         noisy = clean + SIGMA * rng.standard_normal(10)
-        options = {"length": LENGTH, "span": SPAN, "free_curvature": free}
+        options = STATED | {"length": LENGTH, "span": SPAN, "free_curvature": free}
         found.append(len(thigmo.localize(noisy, BOTH, noise=SIGMA, **options).contacts))
         pair = thigmo.localize(clean, BOTH, noise=1e-6, contacts=2, **options).contacts
         assert [contact.arc for contact in pair] == pytest.approx(arcs, abs=0.15)
@@ -157,7 +158,7 @@ def test_a_contact_on_the_end_is_not_pulled_inwards(free, peg_radius, sign):
 
 def test_a_known_range_holds_the_place_and_keeps_the_moment_at_the_base():
     readings = felt(49.0, 2e-4, COLUMN)
-    options = {"length": LENGTH, "span": SPAN, "noise": 1e-3}
+    options = STATED | {"length": LENGTH, "span": SPAN, "noise": 1e-3}
     free = thigmo.localize(readings, COLUMN, **options).contacts[0]
     result = thigmo.localize(readings, COLUMN, within=(48.25, LENGTH), **options)
     (contact,) = result.contacts
@@ -169,7 +170,7 @@ def test_a_known_range_holds_the_place_and_keeps_the_moment_at_the_base():
 
 def test_readings_that_contradict_a_known_range_leave_the_place_open():
     readings = felt(22.0, 4e-4, COLUMN)
-    options = {"length": LENGTH, "span": SPAN, "noise": 2e-4}
+    options = STATED | {"length": LENGTH, "span": SPAN, "noise": 2e-4}
     (contact,) = thigmo.localize(readings, COLUMN, within=(48.25, LENGTH), **options).contacts
     assert contact.interval == pytest.approx((48.25, LENGTH), abs=1e-6)
     with pytest.raises(DataError, match="within"):

@@ -17,10 +17,12 @@ from thigmo.localization import Localizer, priors
 from thigmo.mechanics.closed_forms import phi
 from thigmo_bench.studies import rod
 from thigmo_bench.studies.rod_in_space import solve
+from thigmo_bench.studies.scenes import STATED
 from thigmo_bench.studies.space import AXIS, DIRECTION, POSITION, SIGMA, SPAN, TWIST
 
 READ = {
     "position": POSITION, "direction": DIRECTION, "length": 1.0, "span": SPAN, "noise": SIGMA,
+    **STATED,
 }  # fmt: skip
 
 
@@ -181,7 +183,7 @@ def log_densities(curvature, column_sets, *, bad=None, pushes=None):
     `pushes`: index of a column whose number is never negative. Beside a bad reading one contact
     leaves a misfit, so that the noise is doubted; the likelier level of it is all that matters.
     """
-    out, doubt = [], 0.0 if bad is None else np.log1p(-priors.NOISE_ODDS)
+    out, doubt = [], 0.0 if bad is None else np.log1p(-sum(priors.NOISE_ODDS))
     for columns in column_sets:
         white = (SIGMA**2 + (priors.TRUST * np.abs(curvature).max()) ** 2) * np.eye(POSITION.size)
         if bad is not None:
