@@ -47,20 +47,20 @@ def _described(event: wire.Event, config: RobotConfig) -> tuple[str, Severity, s
     if code is wire.EventCode.FAULT:
         return wire.Fault(arg).key, "fault", *wire.Fault(arg).words
     if code is wire.EventCode.ACTIVITY_ABORTED and value == wire.Reason.NONE:
-        return code.key, "info", f"{wire.Activity(arg).key} ended when the host asked", ""
+        return code.key, "info", f"{wire.Activity(arg).key} was ended by the program", ""
     if code is wire.EventCode.ACTIVITY_ABORTED:
         what, cure = wire.Reason(value).words
         return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure
     text = {
         wire.EventCode.CONTACT: lambda: (
-            f"contact: the base is {value / 1e5:+.4f} 1/cm off the free bend of muscle "
-            f"{muscle_outputs(config).get(arg, arg)}"
+            f"contact felt at the base while the {muscle_outputs(config).get(arg, arg)} muscle "
+            f"bends the body ({value / 1e5:+.4f} 1/cm off its free bend)"
         ),
         wire.EventCode.PEAK: lambda: (
-            f"peak of muscle {muscle_outputs(config).get(arg, arg)}: {value} readings"
+            f"the {muscle_outputs(config).get(arg, arg)} muscle was at its peak: {value} readings"
         ),
         wire.EventCode.ACTIVITY_DONE: lambda: (
-            f"{wire.Activity(arg).key} done at {value / 1e4:.1f} cm"
+            f"{wire.Activity(arg).key} ended at {value / 1e4:.1f} cm"
         ),
         wire.EventCode.ZEROED: lambda: f"{arg.bit_count()} sensors zeroed",
         wire.EventCode.EVERTED: lambda: (
