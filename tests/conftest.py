@@ -21,7 +21,7 @@ from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.serve import brought_up
-from thigmo.link.stop_socket import OTHER_PLACE
+from thigmo.link.address import OTHER_PLACE
 
 HERE = Path(__file__).parent
 # Folders whose name is the marker of all tests in them (tests/sim/mega: of `sim` and `mega`).

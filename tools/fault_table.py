@@ -40,6 +40,12 @@ while they bend.
 - *covered by*: the hardware that must act where no signal shows the failure, or where no output of
   the board can end it.
 
+A sensor that flickers shows at most a pressure, but the truth for 20 ms of each second; a wire that
+chatters is open for half of the time, at random. The rows of the state "starting" are of a board
+that starts with a bit flipped in its newest configuration, an older one whole beside it, or whose
+port is opened while a fault is latched: arming is refused until a host has stored the configuration
+again, or somebody has cleared the fault.
+
 The friction of motor and gearbox holds a pull of 11 N on the line [G: `dead_zone`, `holding_n`];
 a stronger one is slowed by the shorted windings, not held, and becomes `spool_slip`.
 

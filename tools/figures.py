@@ -353,6 +353,7 @@ OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "space": _in_space,
     "stability": _stability,
     "stopping": _stopping,
+    "crowd": _stopping,
 }
 SOURCES: dict[str, Source] = {
     "explore": Source(
@@ -402,6 +403,7 @@ SOURCES: dict[str, Source] = {
             "trigger": {"trigger-chart.png": "trigger.png"},
             "watch": {},
             "stopping": {},
+            "crowd": {},
         }.items()
     },
     "budgets": Source((".venv/bin/python", "tools/budgets.py", "--json"), _budgets, {}),

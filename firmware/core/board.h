@@ -164,7 +164,8 @@ class BoardPolicy {
   // --- start and stop ----------------------------------------------------------------------------
   protocol::ResetCause reset_cause();  // of this start
   // What was last kept, if power has been on since; else none. LatchRecord (latches.h) does this
-  // for RAM that no start-up code touches. Kept anew in each tick and after each command.
+  // for RAM that no start-up code touches. Kept when a fault is latched,
+  // and after each command.
   Latches kept_latches();
   void keep_latches(const Latches& latches);
   void task(uint8_t id);  // a part of the pass begins (Task); may do nothing

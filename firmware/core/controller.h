@@ -28,6 +28,7 @@
 #include "control/sweep.h"
 #include "link/events.h"
 #include "safety/faults.h"
+#include "safety/leaky_count.h"
 #include "safety/supervisor.h"
 #include "sensing/eversion.h"
 #include "sensing/flex.h"
@@ -137,8 +138,11 @@ class Controller {
   static constexpr uint8_t kAtRest = 0x80;       // of trigger_when: while no muscle bends the body
   static constexpr uint8_t kVentedSteps = 20;    // 0.1 s below the threshold
   static constexpr uint8_t kRestSteps = 250;     // 1.25 s: the body has swung back
-  static constexpr uint8_t kOverPressureSteps = 3;  // of 5 ms
-  static constexpr uint8_t kAppliedAtOnce = 18;     // parameters looked at in a control period
+  // Control steps above a limit of pressure that count, however far apart: one is forgotten after a
+  // second. A sound muscle never is there.
+  static constexpr uint8_t kPressureSteps = 3;
+  static constexpr uint16_t kPressureMemory = 200;
+  static constexpr uint8_t kAppliedAtOnce = 18;  // parameters looked at in a control period
   static constexpr uint16_t kRearmMs = 200;
   // While the spool winds, telemetry comes so often at least, whatever its period: by it the host's
   // port process sees how far the body grows while the host hangs, and stops it.
@@ -231,7 +235,7 @@ class Controller {
   void assemble_conditions();
   void supervise(uint8_t requests);
   void make_safe(Reason reason);
-  void start(Activity activity);
+  void start(Activity activity, Permit permit);
   void finish_activity(protocol::EventCode code, int32_t value);
   void finish_spool(bool arrived);
   void finish_homing_stage(bool arrived);
@@ -321,11 +325,13 @@ class Controller {
   int16_t free_e5_ = 0;
   State state_ = State::kBoot;
   Activity activity_ = Activity::kIdle;
+  Permit permit_ = Permit::kArm;  // of the activity
   uint8_t zone_ = kZoneUnknown;
   uint8_t phase_ = 0;
   uint8_t judged_signals_ = 0;
   uint8_t vented_steps_ = 0;
-  uint8_t over_steps_[kMuscles] = {};
+  LeakyCount<uint16_t, kPressureMemory> over_[kMuscles];
+  LeakyCount<uint16_t, kPressureMemory> unvented_;
   uint8_t sweep_options_ = 0;
   uint8_t zeroing_next_ = 0;
   uint16_t defaults_next_ = Configuration::kItems;

@@ -45,7 +45,7 @@ inline void Controller::prove_brake() {
   test_tick_ = tick_;
   proof_count_ = encoder_;
   proving_ = true;
-  start(Activity::kTesting);
+  start(Activity::kTesting, Permit::kArm);
 }
 
 inline Outcome Controller::vent() {
@@ -155,26 +155,25 @@ inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
       loop_[i].set_target(wanted.set_cpsi[i], step_q8);
     }
   }
-  if (!release && activity_ == Activity::kIdle) start(Activity::kPressing);
+  if (!release && activity_ == Activity::kIdle) start(Activity::kPressing, Permit::kPress);
   return {Reason::kNone, unguarded};
 }
 
 inline void Controller::start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s) {
   const bool homing = activity == Activity::kHoming;
+  const bool growing = activity == Activity::kGrowing;
   // A line cannot be pushed: what winds in is bounded by what the line holds.
   const int32_t speed =
-      activity == Activity::kGrowing
-          ? speed_um_s
-          : lesser(speed_um_s, homing ? derived_.home_speed_um_s : derived_.winding_speed_um_s);
+      growing ? speed_um_s
+              : lesser(speed_um_s, homing ? derived_.home_speed_um_s : derived_.winding_speed_um_s);
   spool_.start(encoder_, target_counts, derived_.speed_q16(speed), derived_.accel_q16,
                homing ? derived_.homing_duty : derived_.top_duty);
   // What growth has missed adds up over the moves that follow each other.
-  const bool growing = activity == Activity::kGrowing;
   if (!growing) motion_.restart(encoder_);
   errors_before_ = encoder_errors_;
   moved_from_ = encoder_;
   fold_.begin(length_um_, growing, homing ? 0 : derived_.enabled_mask, config_);
-  start(activity);
+  start(activity, growing ? Permit::kGrow : homing ? Permit::kHome : Permit::kRetract);
 }
 
 inline Outcome Controller::wind_to(Permit kind, int32_t length_um, uint32_t speed_um_s) {
@@ -273,7 +272,9 @@ inline Outcome Controller::test_output(const protocol::TestOutput& wanted) {
   }
   test_ = wanted;
   test_tick_ = tick_;
-  if (activity_ == Activity::kIdle) start(Activity::kTesting);
+  if (activity_ == Activity::kIdle) {
+    start(Activity::kTesting, motor ? Permit::kTestMotor : Permit::kTestValve);
+  }
   return kAccepted;
 }
 
@@ -294,7 +295,7 @@ inline Outcome Controller::sweep(const protocol::Sweep& wanted) {
   }
   sweep_options_ = wanted.options;
   sweep_.start(wanted.amplitude_cpsi, wanted.period_ms, wanted.cycles, tick_);
-  start(Activity::kSweeping);
+  start(Activity::kSweeping, Permit::kBend);
   begin_half();
   return kAccepted;
 }
@@ -314,7 +315,7 @@ inline Outcome Controller::zero_sensors(uint16_t wanted) {
   zeroing_next_ = 0;
   drift_.begin_window(tick_);
   zeroing_window_ = drift_.closed();
-  start(Activity::kZeroing);
+  start(Activity::kZeroing, Permit::kZero);
   return kAccepted;
 }
 

@@ -168,11 +168,8 @@ __attribute__((always_inline)) inline void Controller::pressure_step(uint8_t mus
       testing(muscle) ? test_.level : loop_[muscle].step(measured, config_, derived_);
   outputs_.drive[muscle] = may_energise(state_) ? duty : PressureLoop::kOff;
 
-  const bool over = measured > config_.get(Param::kOverPressureCpsi) && !sensor.wire_doubtful();
-  if (!over) {
-    over_steps_[muscle] = 0;
-  } else if (over_steps_[muscle] < kOverPressureSteps) {
-    ++over_steps_[muscle];
+  if (!sensor.doubtful()) {
+    over_[muscle].add(measured > config_.get(Param::kOverPressureCpsi), kPressureSteps);
   }
 }
 
@@ -358,13 +355,16 @@ inline void Controller::body_step() {
     }
   }
   const int32_t limit = config_.get(Param::kVentCpsi);
-  bool low = true;
+  bool low = true, driven = false, doubtful = false;
   for (uint8_t i = 0; i < kMuscles; ++i) {
-    low = low && pressure_[i].cpsi() < limit && outputs_.drive[i] < 0;
+    low = low && pressure_[i].cpsi() < limit;
+    driven = driven || outputs_.drive[i] >= 0;
+    doubtful = doubtful || pressure_[i].doubtful();
   }
-  if (!low) {
+  if (!doubtful) unvented_.add(!low, kPressureSteps);
+  if (driven || unvented_.full(kPressureSteps)) {
     vented_steps_ = 0;
-  } else if (vented_steps_ < kRestSteps) {
+  } else if (low && !doubtful && vented_steps_ < kRestSteps) {
     ++vented_steps_;
   }
   drift_.set_quiet(vented_steps_ >= kVentedSteps && outputs_.motor == 0 && !slipping_, tick_);
@@ -562,7 +562,7 @@ inline uint16_t Controller::causes() const {
   bool wire = false;
   bool stuck = false;
   for (uint8_t i = 0; i < kMuscles; ++i) {
-    over = over || over_steps_[i] >= kOverPressureSteps;
+    over = over || over_[i].full(kPressureSteps);
     wire = wire || (fitted(i) && pressure_[i].wire_broken());
     stuck = stuck || loop_[i].astray();
   }
@@ -597,9 +597,9 @@ inline void Controller::watch_faults() {
   }
   for (uint8_t i = 0; i < kMuscles; ++i) {
     if (!fitted(i)) continue;
-    if (over_steps_[i] >= kOverPressureSteps) raise(Fault::kOverPressure, i);
+    if (over_[i].full(kPressureSteps)) raise(Fault::kOverPressure, i);
     if (pressure_[i].wire_broken()) raise(Fault::kPressureWire, i);
-    if (loop_[i].stuck()) raise(Fault::kPressureStuck, i);
+    if (loop_[i].stuck(derived_)) raise(Fault::kPressureStuck, i);
     if (loop_[i].mismatched(derived_)) raise(Fault::kPressureMismatch, i);
   }
   for (uint8_t i = 0; flex_.any_bad() && i < kSensors; ++i) {
@@ -616,8 +616,11 @@ inline void Controller::watch_faults() {
     overruns_seen_ = rx_overruns_;
     raise(Fault::kLinkOverrun, rx_overruns_);
   }
-  if (bending() && (!length_known_ || is(Condition::kHalfEverted))) {
-    raise(Fault::kInterlock, eversion_.half_mask());
+  // Zeroing energises nothing, and ends by itself.
+  if (activity_ != Activity::kIdle && activity_ != Activity::kSaving &&
+      activity_ != Activity::kZeroing) {
+    const Reason lost = loss(permit_, conditions_);
+    if (lost != Reason::kNone) raise(Fault::kInterlock, static_cast<uint8_t>(lost));
   }
 }
 
@@ -668,8 +671,9 @@ inline void Controller::end_test() {
   finish_activity(protocol::EventCode::kActivityDone, length_um_);
 }
 
-inline void Controller::start(Activity activity) {
+inline void Controller::start(Activity activity, Permit permit) {
   activity_ = activity;
+  permit_ = permit;
   trigger_.rearm();
   quiet_run_ = 0;
   supervise(0);

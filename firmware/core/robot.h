@@ -75,7 +75,7 @@ class Robot {
     if (!session_.heard()) return;
     session_.answer(board_.micros(), commands_);
     write_outputs();  // a stop takes effect now, not at the next tick
-    board_.keep_latches(controller_.latches());
+    keep_latches();
   }
 
   void tick(const AdcFrame* frame) {
@@ -93,7 +93,7 @@ class Robot {
     controller_.control();
     board_.task(static_cast<uint8_t>(Task::kDecide));
     controller_.decide();
-    board_.keep_latches(controller_.latches());
+    if (controller_.faults() != kept_faults_) keep_latches();
     if (controller_.configure_step()) session_.finish({protocol::Status::kOk, Reason::kNone, 0});
     refresh_one();
     write_outputs();
@@ -104,6 +104,11 @@ class Robot {
       controller_.fill(&telemetry);
       session_.offer(telemetry);
     }
+  }
+
+  void keep_latches() {
+    kept_faults_ = controller_.faults();
+    board_.keep_latches(controller_.latches());
   }
 
   // Has one output written in this period although it has not changed, each in turn: what disturbs
@@ -175,6 +180,7 @@ class Robot {
   Commands commands_;
   Outputs written_ = nothing();
   uint8_t refreshed_ = 0;  // output that was written again last: a muscle's, or the motor
+  uint16_t kept_faults_ = 0;
   bool named_ = false;
 };
 

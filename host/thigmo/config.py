@@ -40,7 +40,7 @@ from pydantic import (
 )
 
 from thigmo.errors import ConfigError
-from thigmo.files import write_whole
+from thigmo.files import CONFIG_BYTES, read_file, why_unreadable, write_whole
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")  # of the plane in which the robot moves
@@ -641,6 +641,17 @@ def _line_of(error: ValidationError, text: str) -> int:
     return best
 
 
+# tomllib takes the square of a dotted key's length.
+_LONG_KEY = re.compile(r"""(?m)^\s*+\[{0,2}(?:\s*+(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')\s*+\.){64}""")
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    """TOML's entries. Raises ValueError, or RecursionError if they are nested too deeply."""
+    if _LONG_KEY.search(text):
+        raise RecursionError
+    return tomllib.loads(text)
+
+
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML file.
 
@@ -648,11 +659,13 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         ConfigError: the file is missing or malformed.
     """
     try:
-        return tomllib.loads(Path(path).read_bytes().decode())
+        data = _parsed(read_file(path, CONFIG_BYTES).decode())
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}", "check the path") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}", "correct that line") from error
+    except (ValueError, RecursionError) as error:
+        reason = why_unreadable(error)
+        raise ConfigError(f"{path} is not valid TOML: {reason}", "correct that line") from error
+    return data
 
 
 def validated(model: type[M], data: dict[str, Any], path: str | os.PathLike[str]) -> M:

@@ -21,8 +21,9 @@ class Looking:
         self.errors: list[str] = []
         self.outside: list[str] = []
 
-    def open(self, address: str, *, refused: bool = False, **options: Any) -> Page:
-        """A page of this address; one that is to be `refused` may say so on its console."""
+    def open(self, address: str, *, refused: bool = False, lead: str = "", **options: Any) -> Page:
+        """A page of this address, to which another may `lead`; one that is to be `refused` may say
+        so on its console."""
         context = self._browser.new_context(
             **{"viewport": {"width": 1440, "height": 900}, **options}
         )
@@ -33,13 +34,15 @@ class Looking:
         page.on("console", lambda message: self._hear(message, refused=refused))
         page.on("pageerror", lambda error: self.errors.append(str(error)))
 
+        inside = (origin, origin.replace("http", "ws"), "data:", "blob:", *([lead] if lead else []))
+
         def note(url: str) -> None:
-            if not url.startswith((origin, origin.replace("http", "ws"), "data:", "blob:")):
+            if not url.startswith(inside):
                 self.outside.append(url)
 
         page.on("request", lambda request: note(request.url))
         page.on("websocket", lambda socket: note(socket.url))
-        page.goto(address)
+        page.goto(lead or address)
         return page
 
     def _hear(self, message: ConsoleMessage, *, refused: bool) -> None:

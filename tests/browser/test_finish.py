@@ -93,7 +93,7 @@ def test_stopped_run_is_seen_to_empty_and_is_cleared_jogged_and_retracted(
     expect(banners).to_have_text("The stop has ended.")
     expect(page.locator("#doing")).to_have_text("Cleared")
     expect(page.locator("#phase")).to_have_text("safe")
-    expect(page.locator("#stop")).to_have_attribute("data-state", "idle")
+    expect(page.locator("#stop")).to_have_attribute("data-state", "ready")
 
     page.locator("#jog-cm").fill("6")  # beyond what `thigmo jog` takes: the browser refuses
     page.locator("#jog button").first.click()

@@ -30,6 +30,7 @@ def test_start_shows_the_run_that_it_started_and_stop_stops_that_one(
         expect(page.locator("#run-name")).to_have_text("empty")
         page.keyboard.press("Space")
         expect(page.locator("#stop")).to_contain_text("the board has confirmed")
+        expect(page.locator("#last-stop")).to_contain_text("pressed on this computer: emulator")
         expect(page.locator("#doing")).to_contain_text("Stopped from this page, ")
         assert another.asked == []
 
@@ -54,4 +55,4 @@ def test_page_lists_the_runs_of_an_address_and_shows_the_one_that_is_chosen(
         assert (first.asked, second.asked).count([]) == 1
         run.close()
         expect(page.locator("#run-name")).to_have_text(shown or "")  # the other goes on
-        expect(page.locator("#last-stop")).to_contain_text("pressed on this computer, confirmed by")
+        expect(page.locator("#last-stop")).to_contain_text("pressed on this computer: emulator")

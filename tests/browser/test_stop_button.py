@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import pytest
 from browsing import Looking, Served
 from playwright.sync_api import Page, expect
 from scripted import ScriptedRun
+from served import ServedRobot
 
 from thigmo.cli.watch import parameters
+from thigmo.emulator._board import VirtualBoard
+from thigmo.emulator.lockstep import Lockstep
+from thigmo.emulator.scene import Scene
+from thigmo.emulator.serve import brought_up
+from thigmo.link import protocol as wire
+from thigmo.link.client import Client
+from thigmo.link.transport import open_transport
 
 ServePage = Callable[..., Served]
 
@@ -20,7 +29,10 @@ def test_key_stops_wherever_the_focus_is(page: Page, run: ScriptedRun, key: str)
     page.keyboard.press(key)
     assert run.heard.wait(60)
     run.close()
-    expect(page.locator("#stop")).to_have_text("Stoppedthe board has confirmed")
+    expect(page.locator("#stop .word")).to_have_text("Stopped")
+    expect(page.locator("#stop-says")).to_have_text("it has ended with its run")
+    expect(page.locator("#stop-robot")).to_have_text("emulator://scripted")
+    expect(page.locator("#last-stop")).to_contain_text("confirmed by the end of its run scripted")
     assert run.asked == ["stop"]
 
 
@@ -74,19 +86,74 @@ def test_a_space_in_a_text_field_is_text_and_escape_stops_there(
 
 def test_lost_server_says_use_the_e_stop(page: Page, looking: Looking, served: Served) -> None:
     served.close()
-    expect(page.locator("#stop")).to_have_text("Stop not connected:use the e-stop")
+    expect(page.locator("#stop")).to_contain_text("Stop not connected:use the e-stop")
     expect(page.locator(".banner.fault")).to_contain_text("Stop not connected: use the e-stop.")
     page.close()  # it would look for the server again, in this line's next moment as well
     looking.errors.clear()  # Chromium tells the lost connection on the console itself
 
 
-def test_port_that_nobody_owns_says_use_the_e_stop(looking: Looking, serve_page: ServePage) -> None:
-    with ScriptedRun(virtual=False) as run:
+def test_port_that_has_gone_says_use_the_e_stop(looking: Looking, serve_page: ServePage) -> None:
+    with ScriptedRun(virtual=False, url="/dev/ttyNONE") as run:
         page = looking.open(serve_page().address)
         run.state()
-        expect(page.locator("#stop")).to_have_text("Stop not connected:use the e-stop")
+        expect(page.locator("#stop")).to_contain_text("Stop not connected:use the e-stop")
+        expect(page.locator("#stop-robot")).to_have_text("there is no port /dev/ttyNONE")
+
+
+@pytest.mark.parametrize(
+    ("url", "why", "then"),
+    [
+        ("emulator://empty", "no program of yours runs emulator://empty", "idle"),
+        ("/dev/ttyNONE", "there is no port /dev/ttyNONE", "lost"),
+        (None, "no robot is in use", "idle"),
+    ],
+)
+def test_stop_that_would_reach_nobody_is_outlined_and_says_so(
+    looking: Looking, serve_page: ServePage, url: str | None, why: str, then: str
+) -> None:
+    page = looking.open(serve_page(url=url).address)
+    expect(page.locator("#stop-robot")).to_have_text(why)
+    expect(page.locator("#stop")).to_have_attribute("data-state", "idle")
+    with page.expect_response("**/stop"):
+        page.keyboard.press("Escape")
+    expect(page.locator("#stop")).to_have_attribute("data-state", then)
+
+
+def test_each_page_stops_its_own_robot_and_names_it(
+    looking: Looking, serve_page: ServePage, robot: ServedRobot
+) -> None:
+    """The page of a robot that nobody drives, while a run drives another one."""
+    lockstep = Lockstep(Scene.load("empty"), VirtualBoard(4, brought_up()), seed=4)
+    with ServedRobot(lockstep, reset_on_open=False) as other:
+        idle = looking.open(serve_page(url=robot.port).address)
+        busy = looking.open(serve_page(url=other.port).address)
+        with Client(open_transport(other.port)) as client:
+            expect(busy.locator("#stop-robot")).to_have_text(other.port)
+            expect(busy.locator("#stop")).to_have_attribute("data-state", "ready")
+            expect(idle.locator("#stop-robot")).to_have_text(robot.port)
+            idle.keyboard.press("Escape")
+            expect(idle.locator("#stop")).to_have_attribute("data-state", "stopped")
+            expect(idle.locator("#stop-robot")).to_have_text(robot.port)
+            expect(idle.locator("#last-stop")).to_contain_text(
+                f"{robot.port} confirmed by its board, over its port"
+            )
+            assert _faults(client) == ()
+            expect(busy.locator("#last-stop")).to_have_text("")
+            busy.keyboard.press("Escape")
+            expect(busy.locator("#stop")).to_have_attribute("data-state", "stopped")
+            expect(busy.locator("#stop-robot")).to_have_text(other.port)
+            expect(busy.locator("#last-stop")).to_contain_text(
+                f"{other.port} confirmed by its board, through process {os.getpid()}"
+            )
+            assert _faults(client) == (wire.Fault.STOPPED,)
+    with Client(open_transport(robot.port)) as client:
+        assert _faults(client) == (wire.Fault.STOPPED,)
+
+
+def _faults(client: Client) -> tuple[wire.Fault, ...]:
+    return wire.Fault.from_mask(client.request(wire.GetStatus()).faults)
 
 
 def test_run_that_does_not_answer_is_not_said_to_be_stopped(page: Page) -> None:
     page.keyboard.press("Escape")
-    expect(page.locator("#stop")).to_have_text("Not confirmeduse the e-stop")
+    expect(page.locator("#stop")).to_contain_text("Not confirmeduse the e-stop")

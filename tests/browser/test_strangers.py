@@ -8,6 +8,8 @@ from browsing import Looking, Served
 from playwright.sync_api import Browser, Page, expect
 from scripted import ScriptedRun
 
+from thigmo.live.opening_file import OpeningFile
+
 ServePage = Callable[..., Served]
 TRY = """async (address) => {
   const tried = {};
@@ -66,3 +68,13 @@ def test_the_page_asks_for_its_token_once(
     assert run.heard.wait(60)
     run.close()
     expect(page.locator("#stop")).to_have_attribute("data-state", "stopped")
+
+
+def test_a_browser_comes_in_by_the_file_that_leads_to_the_page(
+    looking: Looking, serve_page: ServePage
+) -> None:
+    address = serve_page().address
+    with OpeningFile(address) as leads:
+        page = looking.open(address, lead=leads.url)
+        expect(page.locator("#doing")).to_contain_text("Waiting for a run")
+        assert page.url == address.partition("?")[0]

@@ -32,11 +32,11 @@ from thigmo.errors import LinkError, NotARobotError, PortError
 from thigmo.link import client as client_module
 from thigmo.link import port_process
 from thigmo.link import protocol as wire
+from thigmo.link.address import OTHER_PLACE
 from thigmo.link.client import Client
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.pipe import Kind, Packet, read_packet
 from thigmo.link.serial_port import SerialTransport, waits_for_operator
-from thigmo.link.stop_socket import OTHER_PLACE
 from thigmo.link.transport import open_transport
 from thigmo.robot.stopping import stop_robot
 
@@ -107,10 +107,8 @@ def test_a_busy_main_thread_starves_no_heart(client: Client, board: PtyDevice) -
 
 @pytest.fixture
 def short_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lease of 2 s instead of 30; what the board said last is not old because the computer is
-    busy.
-    """
-    limits = f"p.LEASE_S, p._STATE_S = 2.0, {EVER_S}"
+    """Leases of 2 s; what the board said last is not old because the computer is busy."""
+    limits = f"p.LEASE_S, p.ENERGISED_LEASE_S, p._STATE_S = 2.0, 2.0, {EVER_S}"
     source = f"import thigmo.link.port_process as p; {limits}; p.main()"
     real = subprocess.Popen
 
@@ -118,7 +116,6 @@ def short_lease(monkeypatch: pytest.MonkeyPatch) -> None:
         assert command[1:3] == ["-m", "thigmo.link.port_process"]
         return real([command[0], "-c", source, *command[3:]], **options)
 
-    assert port_process.LEASE_S == 30.0
     monkeypatch.setattr(subprocess, "Popen", popen)
 
 
@@ -156,6 +153,15 @@ def test_a_host_that_waits_for_its_operator_does_not_hang(board: PtyDevice) -> N
         assert not comes(lambda: bool(board.device.stops), 3.0)
         assert max(gaps(board, began)) < LIMIT_S
         client.poll()  # the answer has come: from now on it may hang again
+        assert comes(lambda: bool(board.device.stops))
+
+
+@pytest.mark.usefixtures("short_lease")
+def test_no_operator_s_thinking_holds_an_output_energised(board: PtyDevice) -> None:
+    board.device.state = wire.State.MOVING
+    with Client(open_transport(board.port)) as client:
+        client.wait_for(lambda: len(board.beats) >= 3, EVER_S)
+        waits_for_operator()
         assert comes(lambda: bool(board.device.stops))
 
 
@@ -253,10 +259,26 @@ def test_thigmo_stop_works_beside_a_host_that_hangs(
     command = ["stop", "--robot", str(by_id)] if named else ["stop"]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
-    assert result.output.startswith(f"Stopped: {by_id if named else board.port}. `thigmo clear")
+    where = by_id if named else board.port
+    by = f"its board, through process {process.pid}"
+    said = f"Stopped: {where}, confirmed by {by}. `thigmo clear --robot {where}` ends the stop.\n"
+    assert result.output == said
     assert board.device.stops
     process.send_signal(signal.SIGCONT)
     assert board.silent_for() < LIMIT_S
+
+
+def test_a_press_beside_a_program_that_ends_is_confirmed(
+    board: PtyDevice, host: tuple[subprocess.Popen[bytes], int]
+) -> None:
+    """The second press, just after the one that ended the program."""
+    process, _ = host
+    assert not stop_robot(board.port)[0].failure
+    process.terminate()
+    while process.poll() is None:
+        (pressed,) = stop_robot(board.port)
+        assert not pressed.failure
+    assert not stop_robot(board.port)[0].failure
 
 
 def test_thigmo_stop_opens_a_port_that_nobody_owns(board: PtyDevice) -> None:
@@ -302,8 +324,8 @@ def test_thigmo_stop_names_the_program_that_has_the_port(board: PtyDevice) -> No
         other.stdout.readline()
         result = CliRunner().invoke(app, ["stop", "--robot", board.port])
         assert result.exit_code == 1
-        said = str(result.exception)
-        assert said.startswith(f"NOT stopped: {board.port} is in use by process ")
+        said = result.output
+        assert said.startswith(f"thigmo: NOT stopped: {board.port} is in use by process ")
         assert f"process {other.pid} (" in said
         assert "; use the emergency stop, or close the program" in said
         other.communicate()
@@ -316,8 +338,8 @@ def test_a_stop_that_the_board_does_not_hear_is_repeated_and_told(
     hears = board.device.write
     with board.lock:
         board.device.write = lambda data: None  # type: ignore[method-assign]
-    with pytest.raises(LinkError, match=r"did not confirm the stop; use the emergency stop"):
-        stop_robot(board.port)
+    (stopped,) = stop_robot(board.port)
+    assert "did not confirm the stop; use the emergency stop" in stopped.failure
     with board.lock:
         board.device.write = hears  # type: ignore[method-assign]
     assert comes(lambda: bool(board.device.stops))  # and it goes on trying
@@ -443,32 +465,63 @@ def test_a_port_that_is_not_a_robot(monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
 
-def test_over_a_socket() -> None:
-    """socket:// of pyserial, as a serial server offers it."""
+@pytest.fixture
+def bridge() -> Iterator[str]:
+    """The address of a serial server, as socket:// of pyserial opens it, with a device behind it.
+    It takes connections one after the other.
+    """
     device = ReferenceDevice()
     stop = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.05)
 
         def serve() -> None:
-            peer, _ = server.accept()
-            peer.settimeout(0.005)
             began = time.monotonic()
-            with peer:
-                while not stop.is_set():
-                    with suppress(TimeoutError):
-                        device.write(peer.recv(4096))
-                    device.step(int((time.monotonic() - began) * 1000) - device.now_us // 1000)
-                    with suppress(OSError):  # the host may have closed
-                        peer.sendall(device.read())
+            while not stop.is_set():
+                with suppress(OSError):
+                    peer, _ = server.accept()
+                    peer.settimeout(0.005)
+                    with peer:
+                        talk(peer, began)
+
+        def talk(peer: socket.socket, began: float) -> None:
+            while not stop.is_set():
+                with suppress(TimeoutError):
+                    if not (data := peer.recv(4096)):
+                        return
+                    device.write(data)
+                device.step(int((time.monotonic() - began) * 1000) - device.now_us // 1000)
+                peer.sendall(device.read())
 
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
-        with Client(open_transport(f"socket://127.0.0.1:{server.getsockname()[1]}")) as client:
-            assert client.request(wire.SetParameter(SETTLE, 9)).value == 9
-            assert client.wait_for(lambda: client.stats.telemetry >= 50, EVER_S)
-            assert client.stats.telemetry_lost == 0
+        yield f"socket://127.0.0.1:{server.getsockname()[1]}"
         stop.set()
         thread.join()
+
+
+def test_over_a_socket_from_hello_to_a_quiet_end(
+    bridge: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with Client(open_transport(bridge)) as client:
+        assert client.request(wire.SetParameter(SETTLE, 9)).value == 9
+        assert client.wait_for(lambda: client.stats.telemetry >= 50, EVER_S)
+        assert client.stats.telemetry_lost == 0
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "")
+
+
+def test_two_programs_never_drive_one_serial_server(bridge: str, sockets: Path) -> None:
+    with Client(open_transport(bridge)) as client:
+        other = bridge.replace("127.0.0.1", "localhost")
+        with pytest.raises(PortError, match=rf"is in use by process {os.getpid()} \(.*; close the"):
+            open_transport(other)
+        (stopped,) = stop_robot(other)
+        assert stopped.confirmed_by == f"its board, through process {os.getpid()}"
+        assert client.wait_for(lambda: client.stats.telemetry >= 50, EVER_S)
+    assert [path for path in sockets.iterdir() if path.is_socket()] == []
+    (stopped,) = stop_robot(other)
+    assert stopped.confirmed_by == "its board, over its port, which no program had open"
 
 
 # The backlog for a host that does not read.

@@ -241,7 +241,7 @@ def test_planner_s_stop_stops_a_run(ros: Any, late_url: str, tmp_path: Path, sto
     asking.join()
     assert bent.is_set()
     assert asked == []
-    bridge.hears(lambda said: said.get("text") == f"Stop from ROS: stopped {late_url}\n")
+    bridge.hears(lambda said: said.get("text", "").startswith(f"Stop from ROS: stopped {late_url}"))
     said = planner.hears(
         lambda said: said.get("name") == "thigmo: run" and said["message"].startswith("aborted")
     )
@@ -277,7 +277,9 @@ def test_planner_s_stop_reaches_the_board_while_the_program_on_its_port_hangs(ro
         host.send_signal(signal.SIGSTOP)
         planner.say("stop")
         # The port's process says so once the board has echoed the stop.
-        bridge.hears(lambda said: said.get("text") == f"Stop from ROS: stopped {robot.port}\n")
+        bridge.hears(
+            lambda said: said.get("text", "").startswith(f"Stop from ROS: stopped {robot.port}")
+        )
         assert robot.off
     finally:
         host.kill()

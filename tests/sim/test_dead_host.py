@@ -27,9 +27,10 @@ LIMIT_S = 0.6  # of silence, and one period of the heart
 Host = subprocess.Popen[bytes]
 Start = Callable[[str], Host]
 
-SHORT_LEASE = """
+# A lease of another length, in seconds, while an output is energised.
+LEASE = """
 import subprocess
-process = "import thigmo.link.port_process as p; p.LEASE_S = 1.0; p.main()"
+process = "import thigmo.link.port_process as p; p.ENERGISED_LEASE_S = {}; p.main()"
 real = subprocess.Popen
 subprocess.Popen = lambda command, **o: real([command[0], "-c", process, *command[3:]], **o)
 """
@@ -66,7 +67,7 @@ client.wait_for(lambda: False, 600.0)
 STALL = (
     SWEEP
     + """
-ctypes.PyDLL(None).usleep(5_000_000)  # keeps the interpreter's lock, as a compilation does
+ctypes.PyDLL(None).usleep(3_000_000)  # keeps the interpreter's lock, as a compilation does
 report = client.request(wire.GetStatus())
 print(report.state.key, report.activity.key, report.faults)
 """
@@ -175,7 +176,7 @@ def test_control_c_beside_a_run_that_hangs(robot: ServedRobot, start: Start) -> 
 def test_a_run_that_hangs_for_longer_than_its_lease_does_not_carry_on(
     robot: ServedRobot, start: Start
 ) -> None:
-    host = start(SHORT_LEASE + CARRIES_ON)
+    host = start(LEASE.format(1.0) + CARRIES_ON)
     host.send_signal(signal.SIGSTOP)
     assert robot.off_within(1.0 + LIMIT_S)
     host.send_signal(signal.SIGCONT)
@@ -183,11 +184,20 @@ def test_a_run_that_hangs_for_longer_than_its_lease_does_not_carry_on(
     assert not robot.energised
 
 
+def test_a_suspended_program_holds_a_press_for_five_seconds_at_most(
+    robot: ServedRobot, start: Start
+) -> None:
+    host = start(LIVE)
+    host.send_signal(signal.SIGSTOP)
+    assert robot.off_within(5.0 + LIMIT_S)
+    host.send_signal(signal.SIGCONT)
+
+
 def test_a_run_that_hangs_while_the_body_grows_costs_two_centimetres_at_most(
     robot: ServedRobot, start: Start
 ) -> None:
     robot.slow_motion()  # what is limited is the way, not this computer's haste
-    host = start(GROW)
+    host = start(LEASE.format(60.0) + GROW)  # in slow motion 5 s would be over first
     assert comes(lambda: robot.board.motor > 0)
     host.send_signal(signal.SIGSTOP)
     begun_cm = robot.plant.line_cm
@@ -207,7 +217,9 @@ def refused_for(host: Host, reason: wire.Reason) -> bool:
     return any(line_of(host) == reason.key for _ in range(50))
 
 
-def test_five_seconds_without_the_interpreter_in_mid_sweep_are_no_fault(robot: ServedRobot) -> None:
+def test_three_seconds_without_the_interpreter_in_mid_sweep_are_no_fault(
+    robot: ServedRobot,
+) -> None:
     robot.alone()
     command = [sys.executable, "-c", STALL, robot.port]
     done = subprocess.run(command, stdout=subprocess.PIPE, check=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -54,7 +55,11 @@ def test_an_emulated_run_is_stopped_and_its_board_has_confirmed_it(
     assert comes(lambda: any(tmp_path.glob("*/run.mcap")))
     answer = thigmo("stop", *(("--robot", URL) if named else ()))
     assert (answer.code, answer.err) == (0, "")
-    assert answer.out == f"Stopped: {URL}.\n"
+    by = (
+        f"its board, through process {run.pid}",
+        f"the end of process {run.pid}, which emulated it",
+    )
+    assert answer.out in [f"Stopped: {URL}, confirmed by {each}.\n" for each in by]
     _, said = run.communicate()
     assert run.returncode == 1
     assert "stopped" in said
@@ -86,3 +91,16 @@ def test_a_run_that_hangs_is_told(explore: Explore, thigmo: Thigmo) -> None:
     assert answer.code == 1
     assert answer.err.startswith("thigmo: NOT stopped: the program behind ")
     assert answer.err.count("\n") == 1
+
+
+def test_every_robot_is_listed_with_its_result(explore: Explore, thigmo: Thigmo) -> None:
+    hangs, runs = explore(), explore("--name", "other")
+    os.kill(hangs.pid, signal.SIGSTOP)
+    answer = thigmo("stop", "--json")
+    os.kill(hangs.pid, signal.SIGCONT)
+    assert answer.code == 1
+    robots = json.loads(answer.out)["robots"]
+    assert sorted(bool(robot["failure"]) for robot in robots) == [False, True]
+    assert json.loads(answer.out)["stopped"] == [URL]
+    assert answer.err.startswith("thigmo: NOT stopped: emulator-mid_body: the program behind ")
+    assert runs.wait() == 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from math import isnan, nan, pi
 from pathlib import Path
 from types import SimpleNamespace
@@ -50,7 +49,7 @@ def _decoded(
 ) -> Telemetry:
     publisher = _publisher(table, epoch_s)
     publisher.supply_v = supply_v
-    return publisher.decoded([frame]).telemetry(0)
+    return publisher.decoded(frame)
 
 
 @given(st.lists(st.integers(0, 16 * 1023), min_size=10, max_size=10))
@@ -77,38 +76,23 @@ def _frames(count: int, *, moves: bool = True) -> list[TelemetryFrame]:
     return [TelemetryFrame(0, t_us * 1e-6, t_us, payload) for t_us in times_us]
 
 
-def _fed(publisher: Publisher, frames: list[TelemetryFrame]) -> int:
-    """Give frames to a publisher; the calls of Python and C functions that it took."""
-    calls = 0
-
-    def count(frame: object, event: str, argument: object) -> None:
-        nonlocal calls
-        calls += event in ("call", "c_call")
-
-    sys.setprofile(count)
-    try:
-        for frame in frames:
-            publisher.take(frame)
-    finally:
-        sys.setprofile(None)
-    return calls
+def _fed(publisher: Publisher, frames: list[TelemetryFrame]) -> None:
+    for frame in frames:
+        publisher.take(frame)
 
 
-def test_readings_that_nobody_looks_at_are_recorded_in_blocks(
-    tmp_path: Path,
-) -> None:
+def test_readings_are_recorded_and_shown_at_once(tmp_path: Path) -> None:
     publisher = _publisher(TABLE, 0.0)
     with LogWriter(tmp_path / "run.mcap", {}) as log, recording(publisher.hub, log):
-        calls = _fed(publisher, _frames(2000))
+        _fed(publisher, _frames(200))
         with publisher.hub.subscribe({"telemetry"}) as heard:
             _fed(publisher, _frames(100))
-            assert len(heard.take() or ()) == 100  # who looks gets each one at once
-    assert calls < 20 * 2000
+            assert len(heard.take()) == 100
     kept = list(read_messages(tmp_path / "run.mcap"))
-    assert len([each for each in kept if isinstance(each, Telemetry)]) == 2100
+    assert len([each for each in kept if isinstance(each, Telemetry)]) == 300
 
 
-@pytest.mark.parametrize(("moves", "shapes"), [(True, 50), (False, 10)])
+@pytest.mark.parametrize(("moves", "shapes"), [(True, 100), (False, 10)])
 def test_a_robot_at_rest_tells_its_shape_once_a_second(
     tmp_path: Path, *, moves: bool, shapes: int
 ) -> None:
@@ -116,7 +100,7 @@ def test_a_robot_at_rest_tells_its_shape_once_a_second(
     with LogWriter(tmp_path / "run.mcap", {}) as log, recording(publisher.hub, log):
         _fed(publisher, _frames(2000, moves=moves))
     kept = list(read_messages(tmp_path / "run.mcap"))
-    assert sum(isinstance(each, BodyShape) for each in kept) == pytest.approx(shapes, abs=2)
+    assert sum(isinstance(each, BodyShape) for each in kept) == pytest.approx(shapes, rel=0.06)
 
 
 def test_only_sensors_that_are_out_and_zeroed_tell_something() -> None:

@@ -186,6 +186,27 @@ def test_a_fault_while_waiting_is_raised_in_the_schemas_words() -> None:
         robot.grow_to(10.0)
 
 
+@pytest.mark.parametrize(
+    ("fault", "value", "said"),
+    [
+        (
+            wire.Fault.INTERLOCK,
+            wire.Reason.NOT_VENTED,
+            r"ended it \(A muscle still holds pressure\)",
+        ),
+        (wire.Fault.BAD_CONFIG, wire.ConfigCause.BLANK, r"configuration \(Nothing was ever stored"),
+        (wire.Fault.SPOOL_STALL, -1, r"too little or too much motion \(before the board's last reset\); free"),
+        (wire.Fault.PRESSURE_WIRE, -1, r"its supply \(before the board's last reset\); check"),
+    ],
+)
+def test_a_fault_says_what_its_event_knows(fault: wire.Fault, value: int, said: str) -> None:
+    robot, board = _robot()
+    board.latch_at_poll = fault.mask
+    board.coming = [_event(wire.EventCode.FAULT, fault, value)]
+    with pytest.raises(RobotFaultError, match=said):
+        robot.grow_to(10.0)
+
+
 def test_the_event_of_a_fault_that_was_cleared_since_stops_nothing() -> None:
     robot, board = _robot()
     board.coming = [

@@ -92,6 +92,7 @@ struct Derived {
   uint8_t brake_steps;  // until the brake has closed, its enable's decay included; 0 = none fitted
   uint16_t stuck_steps;
   uint16_t stall_steps;
+  uint16_t stall_forgiven;  // steps that a count of progress forgives
   uint16_t enabled_mask = 0;
   uint8_t fitted_mask = 0;  // muscles
   uint16_t bases_mask = 0;  // sensors that the trigger works on while one of these is driven
@@ -118,7 +119,6 @@ struct Derived {
     update_top_speed(c);
     update_slew(c);
     update_stuck(c);
-    update_stall(c);
     update_brake(c);
     update_telemetry(c);
   }
@@ -275,6 +275,7 @@ struct Derived {
     tolerance_counts = greater<int32_t>(counts(c.get(Param::kSpoolToleranceUm)), 1);
     lead_counts = greater<int32_t>(counts(kLeadUm), 1);
     stall_lag_counts = greater<int32_t>(counts(kStallLagUm), 1);
+    update_stall(c);
   }
 
   void update_motor(const Configuration& c) {
@@ -342,6 +343,7 @@ struct Derived {
 
   void update_stall(const Configuration& c) {
     stall_steps = static_cast<uint16_t>(c.get(Param::kStallMs) / kControlMs);
+    stall_forgiven = static_cast<uint16_t>(greater<int32_t>(stall_steps / stall_lag_counts, 1));
   }
 
   void update_brake(const Configuration& c) {

@@ -11,6 +11,7 @@
 #include <stdint.h>
 
 #include "../config/derived.h"
+#include "../safety/leaky_count.h"
 #include "fixed_point.h"
 
 namespace thigmo {
@@ -89,6 +90,9 @@ class PressureLoop {
   static constexpr int16_t kProofCpsi = 400;
   static constexpr int16_t kDoubtMostCpsi = 500;  // of the loop at set points below it
   static constexpr uint8_t kProofSteps = 10;
+  // Control steps in which pressure and set point, or pressure and current, agree that forgive one
+  // in which they do not: a sensor is noticed that lies for a third of the time.
+  static constexpr uint16_t kMemory = 2;
   // A pressure above the map's is a fault so many times sooner then.
   static constexpr uint8_t kDoubtHaste = 30;
 
@@ -108,7 +112,10 @@ class PressureLoop {
   void disarm() {
     cut();
     pid_.reset();
+    stuck_.clear();
+    mismatch_.clear();
     proof_steps_ = 0;
+    unproven_steps_ = 0;
   }
 
   // One control step; returns the duty 0..kDriveFull, or kOff.
@@ -118,7 +125,7 @@ class PressureLoop {
       watch_following(0, measured, c.get(Param::kStuckCpsi), d.stuck_steps);
       pid_.idle(measured);
       drive_q12_ = 0;
-      mismatch_steps_ = 0;
+      mismatch_.add(false, d.stuck_steps);
       output_ = kOff;
       return output_;
     }
@@ -150,7 +157,7 @@ class PressureLoop {
                          greater<int32_t>(floor, doubtful ? kDoubtMostCpsi : d.drive_ceiling_cpsi));
     }
     watch_drive(static_cast<int16_t>(wanted), measured, c, d);
-    if (proving) prove(measured, c);
+    if (proving) prove(measured, c, d);
     output_ = duty(wanted, c, d);
     return output_;
   }
@@ -168,19 +175,18 @@ class PressureLoop {
   int16_t set_cpsi() const { return static_cast<int16_t>(set_q8_ >> 8); }
   int16_t target_cpsi() const { return target_; }
   int16_t output() const { return output_; }
-  bool stuck() const { return stuck_; }
-  // What the transducer gives out by its map is not what is measured, or is not enough.
-  bool mismatched(const Derived& d) const { return mismatch_steps_ >= d.stuck_steps; }
-  bool astray() const { return stuck_steps_ > 0; }  // off its follower, for however short a time
+  bool stuck(const Derived& d) const { return stuck_.full(d.stuck_steps); }
+  // What the transducer gives out by its map is not what is measured, or is not enough; or the
+  // channel was not proven.
+  bool mismatched(const Derived& d) const {
+    return mismatch_.full(d.stuck_steps) || unproven_steps_ >= d.stuck_steps;
+  }
+  bool astray() const { return astray_; }  // off its follower, at the last step
 
  private:
   void watch_following(int16_t due, int16_t measured, int32_t most, uint16_t steps) {
-    if (magnitude(static_cast<int32_t>(due) - measured) <= most) {
-      stuck_steps_ = 0;
-    } else if (stuck_steps_ < steps) {
-      ++stuck_steps_;
-    }
-    stuck_ = stuck_steps_ >= steps;
+    astray_ = magnitude(static_cast<int32_t>(due) - measured) > most;
+    stuck_.add(astray_, steps);
   }
 
   // The transducer's output by its map, lagged as the pressure is, against the pressure. An output
@@ -190,22 +196,24 @@ class PressureLoop {
     drive_q12_ += (q12(output_cpsi) - drive_q12_) * (1 << (8 - kFollowLog2)) >> 8;
     const int32_t above = static_cast<int32_t>(measured) - shifted16<12>(drive_q12_);
     const int32_t most = c.get(Param::kDriveToleranceCpsi);
-    if (output_cpsi == 0 || (magnitude(above) <= most && !pid_.falls_short())) {
-      mismatch_steps_ = 0;
-    } else if (mismatch_steps_ < d.stuck_steps) {
-      const bool hasty = proof_steps_ < kProofSteps && above > most;
-      mismatch_steps_ = static_cast<uint16_t>(mismatch_steps_ + (hasty ? kDoubtHaste : 1));
-    }
+    const bool bad = output_cpsi != 0 && (magnitude(above) > most || pid_.falls_short());
+    const bool hasty = proof_steps_ < kProofSteps && above > most;
+    mismatch_.add(bad, d.stuck_steps, hasty ? kDoubtHaste : uint8_t{1});
   }
 
   // The sensor of this muscle has to see what this muscle's transducer gives out by its map; the
-  // other muscle's would see nothing.
-  void prove(int16_t measured, const Configuration& c) {
+  // other muscle's would see nothing. It has as long for it as a pressure that is stuck.
+  void prove(int16_t measured, const Configuration& c, const Derived& d) {
     const int16_t due = shifted16<12>(drive_q12_);
-    const bool right =
-        due > kProofCpsi * 3 / 4 && measured > due / 2 &&
-        magnitude(static_cast<int32_t>(due) - measured) <= c.get(Param::kDriveToleranceCpsi);
+    if (due <= kProofCpsi * 3 / 4) {
+      proof_steps_ = 0;
+      return;
+    }
+    const bool right = measured > due / 2 && magnitude(static_cast<int32_t>(due) - measured) <=
+                                                 c.get(Param::kDriveToleranceCpsi);
     proof_steps_ = right ? static_cast<uint8_t>(proof_steps_ + 1) : 0;
+    if (unproven_steps_ < d.stuck_steps) ++unproven_steps_;
+    if (proof_steps_ >= kProofSteps) unproven_steps_ = 0;
   }
 
   PressurePid pid_;
@@ -215,10 +223,11 @@ class PressureLoop {
   int16_t target_ = 0;
   int16_t output_ = kOff;
   int32_t slew_q8_ = 0;
-  uint16_t stuck_steps_ = 0;
-  uint16_t mismatch_steps_ = 0;
+  LeakyCount<uint16_t, kMemory> stuck_;
+  LeakyCount<uint16_t, kMemory> mismatch_;
+  uint16_t unproven_steps_ = 0;  // at the proof's pressure
   uint8_t proof_steps_ = 0;
-  bool stuck_ = false;
+  bool astray_ = false;
 };
 
 }  // namespace thigmo

@@ -71,7 +71,7 @@ class SpoolLoop {
         return Outcome::kAgainst;
       }
     }
-    watch_stall(counts, way * error >= d.stall_lag_counts, way);
+    watch_stall(counts, way * error >= d.stall_lag_counts, way, d);
     if (still_steps_ >= d.stall_steps || unseen(way * (goal - counts), way, d)) {
       duty_ = 0;
       return Outcome::kStalled;
@@ -134,14 +134,22 @@ class SpoolLoop {
     return rest_steps_ >= kRestSteps && brake_steps_ >= closing_steps;
   }
 
-  // However small the duty: it never is below the dead zone, and homing's may be no more than that.
-  void watch_stall(int32_t counts, bool lags, int32_t way) {
-    if (way * (counts - furthest_) > 0) {
+  // Counts steps without progress, and forgives all of stall_ms for kStallLagUm of progress: a
+  // single count now and then hides no stall. However small the duty: it never is below the dead
+  // zone, and homing's may be no more than that.
+  void watch_stall(int32_t counts, bool lags, int32_t way, const Derived& d) {
+    const int32_t progress = way * (counts - furthest_);
+    if (progress > 0) {
       furthest_ = counts;
-      still_steps_ = 0;
-      return;
+      uint16_t forgiven = still_steps_;
+      if (progress < d.stall_lag_counts) {
+        const uint16_t share = static_cast<uint16_t>(progress);
+        forgiven = lesser(forgiven, static_cast<uint16_t>(share * d.stall_forgiven));
+      }
+      still_steps_ = static_cast<uint16_t>(still_steps_ - forgiven);
+    } else if (duty_ != 0 && (lags || profile_.done()) && still_steps_ < 0xFFFF) {
+      ++still_steps_;
     }
-    if (duty_ != 0 && (lags || profile_.done()) && still_steps_ < 0xFFFF) ++still_steps_;
   }
 
   // A spool that pays out has nothing to push against. If its counts stand still all the same, the

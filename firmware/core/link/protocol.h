@@ -174,9 +174,10 @@ enum class Fault : uint8_t {
       10,       // The board has no valid configuration; send robot.toml (every run does so; `thigmo
                 // params --robot PORT --load-defaults` stores the defaults instead), then clear.
   kEstop = 11,  // The emergency stop was pressed; release it, then clear.
-  kInterlock = 12,  // During a bend the length became unknown, or a sensor moved into the tip's
-                    // fold, so the muscles were vented; clear, confirm the length if it is unknown,
-                    // and grow or retract to a whole sensor pitch.
+  kInterlock = 12,  // What had permitted a motion was lost while it ran, so the board ended it;
+                    // correct that, clear, and confirm the length if it is unknown. A muscle that
+                    // fills by itself has a valve that leaks; a sensor in the tip's fold needs
+                    // growth or retraction to a whole sensor pitch.
   kPressureMismatch =
       14,  // Muscle pressure and the transducer's current disagree; check that the muscles' plugs
            // are not swapped, then the pressure sensor's zero and gain, and the transducer and its
@@ -253,8 +254,9 @@ constexpr uint8_t kConditionCount = 15;
 
 // What happened. Events stay latched at the board until acknowledged.
 enum class EventCode : uint8_t {
-  kFault = 1,  // A fault was latched: arg = its bit number, value = channel or detail; -1 = it was
-               // latched before the last reset.
+  kFault =
+      1,  // A fault was latched: arg = its bit number, value = channel or detail (of interlock: the
+          // Reason why the motion would be refused now); -1 = it was latched before the last reset.
   kContact = 2,  // The trigger fired: arg = active muscle, value = base curvature minus free
                  // curvature, 1e-5/cm.
   kPeak = 3,  // The readings at a sweep's peak are captured: arg = active muscle, value = how many.

@@ -118,6 +118,7 @@ struct Interlock {
   uint16_t activities;  // during which
   uint16_t required;    // conditions that must hold
   uint16_t forbidden;   // conditions that must not
+  uint16_t lasting;     // which of both must stay so until what was begun ends
 };
 
 constexpr uint16_t kWholeBody =
@@ -126,33 +127,35 @@ constexpr uint16_t kWholeBody =
 // While something moves, the activity is what stands in the way: busy.
 constexpr uint8_t kArmed = static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving));
 constexpr uint8_t kNotBooting = kAnyState & static_cast<uint8_t>(~bit(State::kBoot));
+constexpr uint16_t kBent = static_cast<uint16_t>(kWholeBody | mask(Condition::kHalfEverted));
+constexpr uint16_t kWinding =
+    static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented));
 
-// A row a permit, in their order.
+// A row a permit, in their order. What arming needs has faults of its own.
 constexpr Interlock kInterlocks[] THIGMO_PROGMEM = {
     {Permit::kArm,
      static_cast<uint8_t>(bit(State::kSafe) | bit(State::kReady) | bit(State::kMoving)), 0xFFFF,
-     kArmable, mask(Condition::kEstop)},
+     kArmable, mask(Condition::kEstop), 0},
     {Permit::kBend, kArmed, bit(Activity::kIdle),
-     static_cast<uint16_t>(kWholeBody | mask(Condition::kVented)), mask(Condition::kHalfEverted)},
+     static_cast<uint16_t>(kWholeBody | mask(Condition::kVented)), mask(Condition::kHalfEverted),
+     kBent},
     {Permit::kPress, kArmed, static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kPressing)),
-     kWholeBody, mask(Condition::kHalfEverted)},
-    {Permit::kGrow, kArmed, bit(Activity::kIdle),
-     static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
-    {Permit::kRetract, kArmed, bit(Activity::kIdle),
-     static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
-    {Permit::kHome, kArmed, bit(Activity::kIdle), mask(Condition::kVented), 0},
-    {Permit::kConfirm, kNotBooting, bit(Activity::kIdle), mask(Condition::kVented), 0},
-    {Permit::kZone, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
-    {Permit::kZero, kArmed, bit(Activity::kIdle),
-     static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented)), 0},
-    {Permit::kConfigure, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
-    {Permit::kSave, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised)},
-    {Permit::kAir, kArmed, 0xFFFF, 0, 0},
+     kWholeBody, mask(Condition::kHalfEverted), kBent},
+    {Permit::kGrow, kArmed, bit(Activity::kIdle), kWinding, 0, kWinding},
+    {Permit::kRetract, kArmed, bit(Activity::kIdle), kWinding, 0, kWinding},
+    {Permit::kHome, kArmed, bit(Activity::kIdle), mask(Condition::kVented), 0,
+     mask(Condition::kVented)},
+    {Permit::kConfirm, kNotBooting, bit(Activity::kIdle), mask(Condition::kVented), 0, 0},
+    {Permit::kZone, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised), 0},
+    {Permit::kZero, kArmed, bit(Activity::kIdle), kWinding, 0, kWinding},
+    {Permit::kConfigure, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised), 0},
+    {Permit::kSave, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised), 0},
+    {Permit::kAir, kArmed, 0xFFFF, 0, 0, 0},
     {Permit::kTestValve, kArmed,
-     static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)), 0, 0},
+     static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)), 0, 0, 0},
     {Permit::kTestMotor, kArmed,
      static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)),
-     mask(Condition::kVented), 0},
+     mask(Condition::kVented), 0, mask(Condition::kVented)},
 };
 constexpr uint8_t kPermits = sizeof(kInterlocks) / sizeof(kInterlocks[0]);
 constexpr uint8_t in_order() {
@@ -183,15 +186,8 @@ constexpr Complaint kComplaints[] THIGMO_PROGMEM = {
     {mask(Condition::kEnergised), Reason::kBusy},
 };
 
-// Why a command is refused now, or none.
-inline Reason refusal(Permit permit, State state, Activity activity, uint16_t conditions) {
-  const Interlock* row = kInterlocks + static_cast<uint8_t>(permit);
-  if ((THIGMO_FLASH_U8(&row->states) & bit(state)) == 0) {
-    return state == State::kFault ? Reason::kFaultLatched : Reason::kWrongState;
-  }
-  if ((THIGMO_FLASH_U16(&row->activities) & bit(activity)) == 0) return Reason::kBusy;
-  const uint16_t wrong = static_cast<uint16_t>((THIGMO_FLASH_U16(&row->required) & ~conditions) |
-                                               (THIGMO_FLASH_U16(&row->forbidden) & conditions));
+// The first complaint about conditions that are not as they must be, or none.
+inline Reason first_complaint(uint16_t wrong) {
   if (wrong == 0) return Reason::kNone;
   for (const Complaint& complaint : kComplaints) {
     if ((wrong & THIGMO_FLASH_U16(&complaint.condition)) != 0) {
@@ -200,6 +196,25 @@ inline Reason refusal(Permit permit, State state, Activity activity, uint16_t co
     }
   }
   return Reason::kWrongState;
+}
+
+// Why a command is refused now, or none.
+inline Reason refusal(Permit permit, State state, Activity activity, uint16_t conditions) {
+  const Interlock* row = kInterlocks + static_cast<uint8_t>(permit);
+  if ((THIGMO_FLASH_U8(&row->states) & bit(state)) == 0) {
+    return state == State::kFault ? Reason::kFaultLatched : Reason::kWrongState;
+  }
+  if ((THIGMO_FLASH_U16(&row->activities) & bit(activity)) == 0) return Reason::kBusy;
+  return first_complaint(static_cast<uint16_t>((THIGMO_FLASH_U16(&row->required) & ~conditions) |
+                                               (THIGMO_FLASH_U16(&row->forbidden) & conditions)));
+}
+
+// Why what was permitted may not go on, or none.
+inline Reason loss(Permit permit, uint16_t conditions) {
+  const Interlock* row = kInterlocks + static_cast<uint8_t>(permit);
+  const uint16_t wrong = static_cast<uint16_t>((THIGMO_FLASH_U16(&row->required) & ~conditions) |
+                                               (THIGMO_FLASH_U16(&row->forbidden) & conditions));
+  return first_complaint(static_cast<uint16_t>(wrong & THIGMO_FLASH_U16(&row->lasting)));
 }
 
 }  // namespace thigmo

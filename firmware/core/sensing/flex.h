@@ -86,8 +86,10 @@ inline int16_t curvature_e5(int32_t total, int32_t total_at_zero, int32_t gain_q
 // Sums conversions of the sensors into readings, and watches their wires.
 class FlexReadings {
  public:
-  // Conversions in a row outside the plausible band that make an open or short circuit.
-  static constexpr int8_t kBadRun = 25;
+  // Conversions outside the plausible band that make an open or short circuit: so many in a row, or
+  // a fourth of all for long enough, as LeakyCount has it; here beside the sign of the last one.
+  static constexpr uint8_t kBadLimit = 25;
+  static constexpr uint8_t kBadMemory = 3;
   static constexpr uint16_t kOpenBelow = 16;     // R > 1.4 MOhm
   static constexpr uint16_t kShortAbove = 1000;  // R < 530 Ohm
 
@@ -127,16 +129,17 @@ class FlexReadings {
   uint16_t latest(uint8_t sensor) const { return channels_[sensor].latest; }  // sum of 2^log2
   bool all_ready() const { return ready_ == (1u << kSensors) - 1; }
   uint8_t log2() const { return log2_; }
-  bool open(uint8_t sensor) const { return channels_[sensor].bad_run <= -kBadRun; }
-  bool shorted(uint8_t sensor) const { return channels_[sensor].bad_run >= kBadRun; }
+  bool open(uint8_t sensor) const { return channels_[sensor].bad == -kBadFull; }
+  bool shorted(uint8_t sensor) const { return channels_[sensor].bad == kBadFull; }
   bool any_bad() const { return bad_count_ != 0; }  // some sensor is open or shorted
 
  private:
   struct Channel {
     uint16_t sum;
     uint16_t latest;
-    int8_t bad_run;  // conversions: negative below, positive above the plausible band
+    int8_t bad;  // count of bad conversions; negative if the last was below the plausible band
   };
+  static constexpr int8_t kBadFull = kBadLimit * kBadMemory;
 
   // Counts a conversion; true when it is a reading's last.
   bool full(uint8_t* taken) const {
@@ -149,7 +152,7 @@ class FlexReadings {
     // One comparison for both ends of the band.
     if (static_cast<uint16_t>(count - kOpenBelow) > kShortAbove - kOpenBelow) {
       watch(channel, count < kOpenBelow);
-    } else if (channel->bad_run != 0) {
+    } else if (channel->bad != 0) {
       recover(channel);
     }
     channel->sum = static_cast<uint16_t>(channel->sum + count);
@@ -158,18 +161,19 @@ class FlexReadings {
     channel->sum = 0;
   }
 
-  // Extends a run of implausible conversions: downwards for an open circuit, upwards for a short.
+  // Counts an implausible conversion. One that is open and shorted in turn is bad all the time.
   void watch(Channel* channel, bool open) {
-    const int8_t way = open ? -1 : 1;
-    if (channel->bad_run * way < 0) recover(channel);
-    if (channel->bad_run == kBadRun * way) return;
-    channel->bad_run = static_cast<int8_t>(channel->bad_run + way);
-    if (channel->bad_run == kBadRun * way) ++bad_count_;
+    int8_t size = static_cast<int8_t>(channel->bad < 0 ? -channel->bad : channel->bad);
+    if (size != kBadFull) {
+      size = static_cast<int8_t>(lesser<int16_t>(size + kBadMemory, kBadFull));
+      if (size == kBadFull) ++bad_count_;
+    }
+    channel->bad = static_cast<int8_t>(open ? -size : size);
   }
 
   void recover(Channel* channel) {
-    if (channel->bad_run == kBadRun || channel->bad_run == -kBadRun) --bad_count_;
-    channel->bad_run = 0;
+    if (channel->bad == kBadFull || channel->bad == -kBadFull) --bad_count_;
+    channel->bad = static_cast<int8_t>(channel->bad + (channel->bad < 0 ? 1 : -1));
   }
 
   Channel channels_[kSensors] = {};

@@ -21,7 +21,7 @@ from typing import Any
 from thigmo.calibrate.verdict import StepResult, plain
 from thigmo.config import FibreSensor, FlexSensor, RobotConfig, Sensor, ZoneMap
 from thigmo.errors import DataError
-from thigmo.files import write_whole
+from thigmo.files import DATA_BYTES, read_file, write_whole
 
 _FULL = "free some space, then run it again"
 
@@ -49,13 +49,14 @@ class Session:
         if not path.exists():
             return {}
         found: dict[str, dict[str, Any]] = {}
-        lines = path.read_text().splitlines()
+        with DataError.from_os(f"cannot read {path}", "delete it, and take its readings again"):
+            lines = read_file(path, DATA_BYTES).decode(errors="replace").splitlines()
         for number, line in enumerate(lines, start=1):
             try:
                 row = json.loads(line)
                 found.pop(row["key"], None)
                 found[row["key"]] = row
-            except (ValueError, KeyError, TypeError) as error:
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
                 if number == len(lines):
                     break
                 raise DataError(
@@ -86,8 +87,14 @@ class Session:
         path = self.folder / f"{step}.json"
         if not path.exists():
             return None
-        data: dict[str, Any] = json.loads(path.read_text())
-        return data if data.get("verdict", {}).get("good") else None
+        try:
+            data: dict[str, Any] = json.loads(read_file(path, DATA_BYTES))
+            good = data["verdict"]["good"]
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            raise DataError(
+                f"{path} is damaged", f"delete it, and run `thigmo calibrate {step}` again"
+            ) from error
+        return data if good else None
 
     def figure(self, step: str) -> Path:
         """The file of a step's figure."""

@@ -13,7 +13,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import cv2
@@ -24,7 +23,7 @@ from pydantic import Field, PlainSerializer, PlainValidator, TypeAdapter, Valida
 from thigmo.camera.exceptions import CameraError, CameraMovedError, SheetHiddenError
 from thigmo.camera.sheet import Sheet, board, dictionary
 from thigmo.config import invalid_entry
-from thigmo.files import write_whole
+from thigmo.files import CONFIG_BYTES, read_file, why_unreadable, write_whole
 
 Picture = NDArray[np.uint8]
 Points = Annotated[
@@ -57,16 +56,16 @@ class Kept:
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read a file of `save` (a camera's has a lens too); CameraError if missing or damaged."""
         with CameraError.from_os(f"cannot read {path}", f"{cls.cure} first"):
-            text = Path(path).read_text()
+            text = read_file(path, CONFIG_BYTES)
         try:
             data = json.loads(text)
             return TypeAdapter(cls).validate_python({"lens": data, **data})
         except ValidationError as error:
             entry = invalid_entry(cls.what, error)
             raise CameraError(f"{path} is not a {entry}", f"{cls.cure} again") from error
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, RecursionError) as error:
             raise CameraError(
-                f"{path} is not a {cls.what}: {error}", f"{cls.cure} again"
+                f"{path} is not a {cls.what}: {why_unreadable(error)}", f"{cls.cure} again"
             ) from error
 
 

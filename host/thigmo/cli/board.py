@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
@@ -17,8 +18,6 @@ from thigmo.cli.output import (
     show,
 )
 
-_EMERGENCY = "use the emergency stop"
-
 
 def stop(
     robot: Annotated[
@@ -31,38 +30,44 @@ def stop(
 
     The command ends with status 0 only if the robot's board has confirmed the stop.
     """
-    from thigmo.errors import LinkError, ThigmoError
-    from thigmo.link.transport import emulated
-    from thigmo.robot.stopping import stop_all, stop_robot
+    from thigmo.errors import LinkError
+    from thigmo.robot.stopping import failure, nobody, stop_all, stop_robot, way_to
 
     try:
-        if robot is None:
-            stopped = stop_all()
-        else:
-            stop_robot(robot)
-            stopped = [robot]
-    except ThigmoError as error:
-        cure = error.next_step
-        if not cure.startswith(_EMERGENCY):
-            cure = f"{_EMERGENCY}, or {cure}" if cure else _EMERGENCY
-        refused = LinkError(f"NOT stopped: {error.what}", cure)
-        for note in getattr(error, "__notes__", []):
-            refused.add_note(note)
-        raise refused from error
+        robots = stop_all() if robot is None else stop_robot(robot)
     except KeyboardInterrupt:
-        said = f"thigmo: NOT confirmed: interrupted before the board confirmed; {_EMERGENCY}"
-        typer.echo(said, err=True)
+        said = "thigmo: NOT confirmed: interrupted before the board confirmed; "
+        typer.echo(f"{said}use the emergency stop", err=True)
         raise typer.Exit(ending.status()) from None
+    if not robots:
+        way_out = "stop the one that does with Ctrl-C"
+        none = nobody() if robot is None else LinkError(way_to(robot)[1], way_out)
+        raise LinkError(f"NOT stopped: {failure(none)}")
+    failed = [result for result in robots if result.failure]
+    stopped = [result for result in robots if not result.failure]
     show(
         as_json,
-        {"stopped": stopped},
+        {
+            "stopped": [result.robot for result in stopped],
+            "robots": [asdict(result) for result in robots],
+        },
         *(
-            f"Stopped: {each}."
-            # An emulated robot ends with the program that runs it.
-            + ("" if emulated(each) else f" `thigmo clear --robot {each}` ends the stop.")
-            for each in stopped
+            f"Stopped: {result.robot}, confirmed by {result.confirmed_by}.{_next(result.robot)}"
+            for result in stopped
         ),
     )
+    for result in failed:
+        which = f"{result.robot}: " if robot is None else ""  # which else has been given
+        typer.echo(f"thigmo: NOT stopped: {which}{result.failure}", err=True)
+    if failed:
+        raise typer.Exit(1)
+
+
+def _next(url: str) -> str:
+    """How a stop ends; an emulated robot ends with the program that runs it."""
+    from thigmo.link.transport import emulated
+
+    return "" if emulated(url) else f" `thigmo clear --robot {url}` ends the stop."
 
 
 def params(

@@ -184,17 +184,10 @@ def check(
         Path, typer.Option(help="File for the picture with what was seen drawn on it.")
     ] = Path("check.png"),
     diameter: Annotated[float, typer.Option(help="Tube diameter, cm.")] = 3.5,
-    peg_height: Annotated[float, typer.Option(help="Height of the dowels, cm.")] = 6.0,
-    peg_radius: Annotated[
-        float | None, typer.Option(help="Radius of the dowels, cm, if known; it prevents mistakes.")
-    ] = None,
     length: Annotated[
         float | None,
         typer.Option(help="Everted length, cm, if known; an axis of another length is flagged."),
     ] = None,
-    free_bend: Annotated[
-        bool, typer.Option(help="The body touches nothing, so its bend is an arc.")
-    ] = False,
     background: Annotated[
         Path | None, typer.Option(help="Picture of the empty table from the same camera.")
     ] = None,
@@ -213,8 +206,7 @@ def check(
         model = find(picture, used)
         if not as_json:
             typer.echo(f"no {camera_file}: the camera is located from this very picture")
-    radii = (0.65, 2.5) if peg_radius is None else (0.8 * peg_radius, 1.2 * peg_radius)
-    wanted = Wanted(diameter, peg_height, radii, constant=free_bend, length_cm=length)
+    wanted = Wanted(diameter, length_cm=length)
     empty = None if background is None else _one_picture(background)
     seen = detect(picture, model, used, wanted, background=empty)
     write_picture(out, draw(picture, model, used, seen, wanted))

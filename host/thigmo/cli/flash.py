@@ -23,7 +23,6 @@ def flash(
         Path | None,
         typer.Option(help="Image (.hex, .uf2); if omitted, the one that comes with thigmo."),
     ] = None,
-    avrdude: Annotated[str, typer.Option(help="The avrdude program.")] = "avrdude",
     as_json: JsonOption = False,
 ) -> None:
     """Write the firmware, verify it, and wait until the board says hello.
@@ -48,7 +47,7 @@ def flash(
             " answers with `thigmo info --robot PORT`",
         )
         return
-    done = flasher.flash(robot, image, avrdude=avrdude, tell=tell)
+    done = flasher.flash(robot, image, tell=tell)
     version = ".".join(map(str, done.hello.firmware_version))
     kept = f"{done.stored.kept} stored parameters are kept" if done.stored.generation else ""
     facts = {

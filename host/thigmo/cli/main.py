@@ -25,6 +25,7 @@ from thigmo.cli.explore import explore
 from thigmo.cli.feel import feel
 from thigmo.cli.flash import flash
 from thigmo.cli.localize import localize
+from thigmo.cli.output import visible
 from thigmo.cli.robot import robot
 from thigmo.cli.ros import ros
 from thigmo.cli.runs import export, info, replay
@@ -116,5 +117,6 @@ def main() -> None:
         app()
     except ThigmoError as error:
         notes = getattr(error, "__notes__", [])
-        typer.echo(f"thigmo: {error}" + "".join(f" ({note})" for note in notes), err=True)
+        said = f"thigmo: {error}" + "".join(f" ({note})" for note in notes)
+        typer.echo(visible(said), err=True)
         sys.exit(1)

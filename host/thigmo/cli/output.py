@@ -48,6 +48,13 @@ def method_option(default: str) -> Any:
 MethodOption = Annotated[str | None, method_option("Default: posterior.")]
 
 
+def visible(text: str) -> str:
+    """Text whose control characters are spelled out: words of a file command no terminal."""
+    return "".join(
+        c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in text
+    )
+
+
 def print_json(value: Any) -> None:
     """Print strict JSON: a number that is not finite becomes null."""
     typer.echo(json.dumps(_finite(value), indent=2, allow_nan=False))
@@ -59,7 +66,7 @@ def show(as_json: bool, value: Any, *lines: object) -> None:
         print_json(value)
     else:
         for line in lines:
-            typer.echo(line)
+            typer.echo(visible(str(line)))
 
 
 def filled(text: str, indent: int = 0) -> str:

@@ -8,7 +8,14 @@ from typing import Annotated, Any
 
 import typer
 
-from thigmo.cli.output import JsonOption, method_option, print_json, robot_option, show
+from thigmo.cli.output import (
+    JsonOption,
+    method_option,
+    print_json,
+    robot_option,
+    show,
+    visible,
+)
 
 _OF_THE_RUN = ("name", "url", "started", "thigmo", "outcome")
 # In a record's metadata; the rest is the board's.
@@ -55,6 +62,7 @@ def info(
         return
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(show_header=False, box=None)
     table.add_column(no_wrap=True)
@@ -62,7 +70,8 @@ def info(
     for name, value in facts.items():
         rows = value.items() if isinstance(value, dict) else [("", value)]
         for part, single in rows:
-            table.add_row(f"{name} {part}".strip().replace("_", " "), _shown(single))
+            label = f"{name} {part}".strip().replace("_", " ")
+            table.add_row(*(Text(visible(text)) for text in (label, _shown(single))))
     Console().print(table)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -84,7 +84,7 @@ def watch(
         if host not in ("127.0.0.1", "::1", "localhost"):
             _draw_code(address)
         if browser:
-            _open_browser(address)
+            _open_browser(afterwards, address)
 
     async def until_interrupted() -> None:
         loop, serving = asyncio.get_running_loop(), asyncio.ensure_future(serve(options, announce))
@@ -95,7 +95,9 @@ def watch(
         finally:
             ending.be_ready()
 
-    with _foxglove(url, foxglove_port) if foxglove else nullcontext():
+    with ExitStack() as afterwards:
+        if foxglove:
+            afterwards.enter_context(_foxglove(url, foxglove_port))
         try:
             asyncio.run(until_interrupted())
         except KeyboardInterrupt:
@@ -170,12 +172,23 @@ def _draw_code(address: str) -> None:
     typer.echo(drawn.getvalue(), err=True)
 
 
-def _open_browser(address: str) -> None:
-    """Open the page, where there is a browser; in a process of its own, for some never return."""
+def _open_browser(afterwards: ExitStack, address: str) -> None:
+    """Open the page, where there is a browser; in a process of its own, for some never return.
+
+    What it needs is removed `afterwards`.
+    """
     import subprocess
 
+    from thigmo.live.opening_file import OpeningFile
+
+    try:
+        leads = afterwards.enter_context(OpeningFile(address))
+    except OSError as error:
+        reason = f"cannot write a file that leads to the page: {error.strerror}"
+        typer.echo(f"No browser is opened ({reason}). Open the address above.", err=True)
+        return
     subprocess.Popen(
-        [sys.executable, "-m", "webbrowser", address],
+        [sys.executable, "-m", "webbrowser", leads.url],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,

@@ -1,10 +1,11 @@
 """Faults that a scene injects, from a moment or a condition on, for a while or for good.
 
 What `value` means stands beside its defaults below. pressure_stuck and over_pressure are faults of
-the air, the other ones of pressure are the sensor's. imu_hung is of the IMU at a span's far end:
-no span that begins or ends there is read. The `sensor` of a grating is its reading's number, base
-first. host_silent mutes the host: its bytes and heartbeats are lost. power_cut takes the board's
-power for `duration_s` (default 1 s).
+the air, the other ones of pressure are the sensor's: one that flickers shows at most `value`, but
+the truth for 20 ms of each second; the wire of one that chatters is open for that share of time.
+imu_hung is of the IMU at a span's far end: no span that begins or ends there is read. The `sensor`
+of a grating is its reading's number, base first. host_silent mutes the host: its bytes and
+heartbeats are lost. power_cut takes the board's power for `duration_s` (default 1 s).
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ _DEFAULTS = {
     "pressure_gain": 0.75,
     "pressure_offset": -3.0,  # psi
     "pressure_noisy": 1.0,  # psi, one sigma
+    "pressure_flickers": 2.0,  # psi
+    "pressure_chatters": 0.5,  # of the time
     "flex_noisy": 40.0,  # counts, one sigma
     "grating_noisy": 200.0,  # microstrain, one sigma
     "motor_shorted": 800.0,  # duty
@@ -116,6 +119,10 @@ class FaultInjector:
             case "pressure_gain" | "pressure_offset" | "pressure_noisy":
                 neutral = 1.0 if fault.kind == "pressure_gain" else 0.0
                 getattr(plant, fault.kind)[muscle] = value if on else neutral
+            case "pressure_flickers":
+                plant.pressure_most[muscle] = value if on else math.inf
+            case "pressure_chatters":
+                self._hold(plant.chatters, channel, value, on)
             case "pressure_stuck":
                 here = plant.muscle_psi[muscle] if fault.value is None else value
                 plant.forced_outlet[muscle] = here if on else math.nan

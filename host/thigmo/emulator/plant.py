@@ -30,6 +30,8 @@ Floats = npt.NDArray[np.float64]
 
 STEP_S = _plant.STEP_S
 STEP_MS = 10
+# Steps in which a flickering sensor is true, of how many.
+_TRUE_STEPS, _FLICKER_STEPS = 2, 100
 OPEN_COUNT = 0.0  # of an input whose wire is broken, or
 SHORT_COUNT = 1023.9  # shorted to the supply
 # An input without a sensor hangs on its divider alone, and never everts.
@@ -103,9 +105,11 @@ class Plant:
         self.brake_stuck: bool | None = None  # open, closed, or as its coil says
         self.reference = 1.0  # what remains of the converter's reference
         self.stuck: dict[int, float] = {}  # counts at which analog inputs stand, by channel
+        self.chatters: dict[int, float] = {}  # share of time for which a wire is open, by channel
         self.flex_noise: dict[int, float] = {}  # counts, by input
         # What ails the pressure sensors: psi at which they stand, factor, psi added, psi of noise.
         self.pressure_frozen = np.full(muscles, np.nan)
+        self.pressure_most = np.full(muscles, np.inf)  # psi that its sensor shows, but for moments
         self.pressure_gain = np.ones(muscles)
         self.pressure_offset = np.zeros(muscles)
         self.pressure_noisy = np.zeros(muscles)
@@ -318,6 +322,8 @@ class Plant:
                 if self.pressure_noisy[n]:
                     psi += self.pressure_noisy[n] * self._rng.standard_normal()
                 psi += self.pressure_offset[n]
+            if self.steps % _FLICKER_STEPS >= _TRUE_STEPS:
+                psi = min(psi, self.pressure_most[n])
             seen.append(float(psi))
         return tuple(seen)
 
@@ -514,6 +520,9 @@ class Plant:
             analog[i, 1] += sigma * self._rng.standard_normal()
         for channel, count in self.stuck.items():
             analog[channel, 1] = count
+        for channel, share in self.chatters.items():
+            if self._rng.random() < share:
+                analog[channel, 1] = OPEN_COUNT
         if self.reference != 1.0:
             np.minimum(analog[:, 1] / self.reference, SHORT_COUNT, out=analog[:, 1])
 

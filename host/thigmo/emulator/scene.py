@@ -198,6 +198,8 @@ FaultKind = Literal[
     "pressure_gain",
     "pressure_offset",
     "pressure_noisy",
+    "pressure_flickers",
+    "pressure_chatters",
     "pressure_stuck",
     "over_pressure",
     "air_lost",

@@ -7,6 +7,7 @@ the virtual clock. With `realtime` the steps are paced by the wall clock.
 
 from __future__ import annotations
 
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -156,7 +157,9 @@ class EmulatorTransport:
 
         Raises PortError if it cannot listen for them.
         """
-        self._stops = StopListener(self.name, self._stopper.stop, emulated=True)
+        self._stops = StopListener(
+            self.name, self._stopper.stop, program=os.getpid(), emulated=True
+        )
 
     def write(self, data: bytes) -> None:
         """Hand bytes to the board's UART."""
@@ -247,6 +250,7 @@ class EmulatorTransport:
         """Close; may be called twice."""
         self._closed = True
         self._heart = None
+        self._stopper.end()
         if self._stops is not None:
             self._stops.close()
 

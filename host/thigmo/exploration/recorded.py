@@ -276,6 +276,10 @@ def _last_length(sweeps: list[RecordedSweep]) -> list[RecordedSweep]:
 
 
 def _check(folder: RunFolder, log: Log) -> None:
+    if not log.items and not log.metadata:
+        raise RunFolderError(
+            f"the record of {folder.path} is empty", "its run ended before it began: run it again"
+        )
     schema = log.metadata.get("schema_hash", "")
     theirs = log.metadata.get("thigmo", "of its time")
     if schema != f"{wire.SCHEMA_HASH:08x}":

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from thigmo.errors import ConfigError, PortError, SchemaMismatchError
+from thigmo.files import DATA_BYTES, read_file
 from thigmo.link import protocol as wire
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -57,7 +58,7 @@ class Image:
 def read_hex(path: Path) -> list[tuple[int, bytes]]:
     """Blocks of an Intel HEX file, merged where they meet: (address, bytes), in its order."""
     try:
-        lines = path.read_text(encoding="ascii").split()
+        lines = read_file(path, DATA_BYTES).decode("ascii").split()
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}", "check the path") from error
     except UnicodeDecodeError as error:

@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 
 from thigmo.errors import ConfigError, LinkError, NotARobotError, PortError
+from thigmo.files import DATA_BYTES, read_file
 from thigmo.link.image import ROOT, Image, crc32, make
 
 PICO = "pico"  # in place of a port: the drive is looked for
@@ -58,7 +59,7 @@ def read_uf2(path: Path) -> Image:
         ConfigError: it cannot be read, is no image for a Pico, or is damaged.
     """
     try:
-        content = path.read_bytes()
+        content = read_file(path, DATA_BYTES)
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}", "check the path") from error
     again = "build it again: `make -C firmware/micropython pico`"

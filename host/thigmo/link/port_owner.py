@@ -24,16 +24,20 @@ def processes(port: str) -> Iterator[Path]:
 
 def owner(port: str) -> str:
     """ " by process 4242 (socat ...)", or several; empty where that cannot be known."""
-    found = []
-    for process in processes(port):
-        with suppress(OSError):  # it has just ended
-            words = (process / "cmdline").read_bytes().decode(errors="replace").split("\0")
-            said = " ".join(words).strip()
-            shown = said if len(said) <= _MOST_LETTERS else f"{said[: _MOST_LETTERS - 3]}..."
-            found.append(f"process {process.name} ({shown})")
-    if not found and PROCESSES.is_dir() and _others():
-        found = ["another user's program"]
-    return f" by {' and '.join(found)}" if found else ""
+    owners = [words(int(process.name)) for process in processes(port)]
+    if not any(owners) and PROCESSES.is_dir() and _others():
+        return " by another user's program"
+    return " and".join(filter(None, owners))
+
+
+def words(pid: int) -> str:
+    """ " by process 4242 (socat ...)"; empty where it has ended."""
+    with suppress(OSError):
+        said = (PROCESSES / str(pid) / "cmdline").read_bytes().decode(errors="replace")
+        line = " ".join(said.split("\0")).strip()
+        shown = line if len(line) <= _MOST_LETTERS else f"{line[: _MOST_LETTERS - 3]}..."
+        return f" by process {pid} ({shown})"
+    return ""
 
 
 def _others() -> bool:

@@ -7,10 +7,12 @@ talks over its standard streams (`pipe`).
 
 The heart beats only while somebody is there to mind the robot: it stops when the host dies (its
 stream ends, or this process has another parent) and when the host's main thread has not touched
-the lease for 30 s; the next touch starts it again. Either is a dead host, and an armed robot is
-then stopped (`stop`), so that a run that wakes up does not carry on. While the body grows, 30 s are
-half a metre: there the lease ends with 12 mm of growth. The heart holds while the board is mute,
-which may mean that its boot loader is listening.
+the lease for 30 s, or 5 s while an output is energised; the next touch starts it again. Either is a
+dead host, and an armed robot is then stopped (`stop`), so that a run that wakes up does not carry
+on. While the body grows, the lease also ends with 12 mm of growth. Only a read or a write touches
+the lease, in the thread that reacts to what the board says: a program that computes for longer
+polls its robot meanwhile. The heart holds while the board is mute, which may mean that its boot
+loader is listening.
 
 Stops also come from outside the host, which may hang: by Ctrl-C at its terminal (this process is
 in the terminal's foreground group, as the host is), by a termination, and over a socket
@@ -33,6 +35,7 @@ import serial
 from serial.tools.list_ports import comports
 
 from thigmo.errors import LinkError, PortError
+from thigmo.link.address import AddressLock
 from thigmo.link.framing import Decoder
 from thigmo.link.heart import HOLD_AFTER, Heart
 from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
@@ -42,6 +45,7 @@ from thigmo.link.stop import Stopper
 from thigmo.link.stop_socket import StopListener
 
 LEASE_S = 30.0
+ENERGISED_LEASE_S = 5.0  # a press or a motion that nobody minds
 # Of the 2 cm that a dead host may cost; the rest is for the way of the stop, some 50 ms, and for
 # the run-out of a spool at the highest speed that the board allows, 49 mm/s.
 LEASE_UM = 12_000
@@ -51,6 +55,9 @@ _BACKLOG_BYTES = 4 << 20  # five minutes of telemetry for a host that does not r
 _TICK_S = 0.02
 _ORPHAN_S = 1.0  # for a dead host's stop to be confirmed
 _STATE_S = 0.5  # after which what telemetry said of the board's state is old
+# After a command, until telemetry tells of what it began: the longest time between two frames that
+# a board in motion sends is 0.1 s, and a busy computer is late.
+_SHOWN_S = 0.5
 _ARMED = (State.READY, State.MOVING)
 
 
@@ -117,22 +124,34 @@ class PortProcess:
         self._write_lock = threading.Lock()  # frames of heart and host must not interleave
         self._heart_lock = threading.Lock()
         self._heart: Heart | None = None
-        self._lease_s = time.monotonic()
+        self._lease_s = self._written_s = time.monotonic()
+        self._attended = False  # the main thread waits for its operator
+        self._still_s = -math.inf  # when telemetry last told that no output is energised
         self._lease_ended = False
         self._touched_um: int | None = None  # length at the last touch, while the body grows
         self._decoder = Decoder()
         self._disarmed_until_s = -math.inf  # as far as its telemetry says
         self._leaving = threading.Lock()
         self._end = threading.Event()
+        self._finished = threading.Event()  # nothing more is sent or heard
         self._parent = os.getppid()
 
-    def run(self) -> None:
-        """Relay until the host closes, dies, or the port is lost."""
-        for target in (self._receive, self._beat, self._obey):
-            threading.Thread(target=target, daemon=True).start()
+    def run(self, stops: StopListener) -> None:
+        """Relay until the host closes, dies, or the port is lost. Those who have called for a stop
+        by then are answered; the port may be closed afterwards.
+        """
+        port = [
+            threading.Thread(target=target, daemon=True) for target in (self._receive, self._beat)
+        ]
+        for thread in (*port, threading.Thread(target=self._obey, daemon=True)):
+            thread.start()
         self._end.wait()
         with self._heart_lock:
             self._heart = None
+        stops.close()
+        self._finished.set()
+        for thread in port:
+            thread.join()
 
     def leave(self) -> None:
         """Stop the robot that nobody minds any more, and end."""
@@ -144,12 +163,23 @@ class PortProcess:
             self.stopper.stop(_ORPHAN_S)
         self._end.set()
 
+    def _limit_s(self) -> float:
+        """For how long the host may leave the lease untouched.
+
+        Only a command energises an output, and telemetry shows it soon after: a board that was
+        still by then is still until the next command.
+        """
+        if self._still_s - self._written_s <= _SHOWN_S:
+            return ENERGISED_LEASE_S
+        return math.inf if self._attended else LEASE_S
+
     def _may_move(self) -> bool:
         """Whether the board may be armed: one that lately said that it is not need not be stopped,
         and its next host needs no operator."""
         return time.monotonic() > self._disarmed_until_s
 
     def _fail(self, error: Exception) -> None:
+        self.stopper.end()
         if not self._end.is_set():
             number, text = _cause(error)
             lost = LinkError(
@@ -165,17 +195,17 @@ class PortProcess:
                 self._port.write(data)
         except serial.SerialTimeoutException:
             pass  # a device that takes no bytes: the frame is lost, and the client repeats it
-        except (OSError, TypeError) as error:  # TypeError: pyserial's, of a port closed meanwhile
+        except OSError as error:
             self._fail(error)
 
     def _receive(self) -> None:
-        while not self._end.is_set():
+        while not self._finished.is_set():
             try:
                 data = self._port.read(1)
                 # socket:// only says whether there are bytes, not how many: hence the loop.
                 while data and len(data) < _READ_BYTES and (more := self._port.in_waiting):
                     data += self._port.read(min(more, _READ_BYTES))
-            except (OSError, TypeError) as error:
+            except OSError as error:
                 self._fail(error)
                 return
             if data:
@@ -193,13 +223,15 @@ class PortProcess:
                 row = Telemetry.unpack(frame.payload)
                 armed = row.state_activity >> 4 in _ARMED
                 self._disarmed_until_s = -math.inf if armed else time.monotonic() + _STATE_S
+                moves = row.state_activity >> 4 == State.MOVING or row.motor != 0
+                self._still_s = -math.inf if moves or any(row.drive) else time.monotonic()
                 self._watch_growth(row)
             else:
                 self.stopper.take(frame)
 
     def _watch_growth(self, row: Telemetry) -> None:
         """Stop a robot that grows on while its host hangs."""
-        if row.state_activity & 0xF != Activity.GROWING or math.isinf(self._lease_s):
+        if row.state_activity & 0xF != Activity.GROWING:
             self._touched_um = None
         elif (touched_um := self._touched_um) is None:
             self._touched_um = row.length_um
@@ -209,7 +241,7 @@ class PortProcess:
 
     def _beat(self) -> None:
         """Thread: the heart, the lease, and the repeats of a stop."""
-        while not self._end.wait(_TICK_S):
+        while not self._finished.wait(_TICK_S):
             if os.getppid() != self._parent and not self._leaving.locked():
                 threading.Thread(target=self.leave, daemon=True).start()
             now = time.monotonic()
@@ -220,7 +252,7 @@ class PortProcess:
                 heart = self._heart
                 if heart is None:
                     continue
-                if now - self._lease_s > LEASE_S:
+                if now - self._lease_s > self._limit_s():
                     if not self._lease_ended and self._may_move():
                         self.stopper.call()
                     self._lease_ended = True
@@ -240,9 +272,11 @@ class PortProcess:
             if packet.kind == Kind.CLOSE:
                 self._end.set()
                 return
-            self._lease_s = math.inf if packet.kind == Kind.ATTENDED else time.monotonic()
+            self._lease_s = time.monotonic()
+            self._attended = packet.kind == Kind.ATTENDED
             self._touched_um = None
             if packet.kind == Kind.WRITE:
+                self._written_s = time.monotonic()
                 self._send(packet.value)
             elif packet.kind == Kind.START:
                 session, period_s = packet.value
@@ -296,12 +330,14 @@ def main() -> int:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     outbox = Outbox(sys.stdout.buffer)
+    program = os.getppid()  # which drives the robot
     try:
+        lock = AddressLock(url, program)
         port = serial.serial_for_url(
             url, baudrate=baud, timeout=_READ_S, write_timeout=1.0, exclusive=True
         )
         relay = PortProcess(port, url, sys.stdin.buffer, outbox)
-        stops = StopListener(url, relay.stopper.stop)
+        stops = StopListener(url, relay.stopper.stop, program=program)
     except (OSError, ValueError, PortError) as error:
         failure = error if isinstance(error, PortError) else port_error(url, error)
         outbox.put(Packet(Kind.FAILED, failure))
@@ -310,9 +346,9 @@ def main() -> int:
     outbox.put(Packet(Kind.OPENED))
     signal.signal(signal.SIGINT, lambda number, frame: relay.stopper.call())
     signal.signal(signal.SIGTERM, lambda number, frame: relay.stopper.call())
-    relay.run()
-    stops.close()
+    relay.run(stops)
     port.close()
+    lock.close()
     outbox.close(0.5)
     # The thread that reads the host's stream may hold its lock; a normal exit would wait for it.
     os._exit(0)

@@ -126,9 +126,7 @@ class Fault(Documented):  # Latched faults, by bit number.
     WATCHDOG = 9  # The firmware hung and was restarted; report it with the run folder, then clear.
     BAD_CONFIG = 10  # The board has no valid configuration; send robot.toml (every run does so
     ESTOP = 11  # The emergency stop was pressed; release it, then clear.
-    # During a bend the length became unknown, or a sensor moved into the tip's fold, so the muscles
-    # were vented
-    INTERLOCK = 12
+    INTERLOCK = 12  # What had permitted a motion was lost while it ran, so the board ended it
     PRESSURE_MISMATCH = 14  # Muscle pressure and the transducer's current disagree
     LINK_OVERRUN = 13  # The board's receive buffer overran
     # The robot was stopped: by a viewer, by Ctrl-C, by `thigmo stop`, or because its run hung or
@@ -199,7 +197,9 @@ class Condition(Documented):
 
 
 class EventCode(Documented):  # What happened. Events stay latched at the board until acknowledged.
-    FAULT = 1  # A fault was latched: arg = its bit number, value = channel or detail
+    # A fault was latched: arg = its bit number, value = channel or detail (of interlock: the Reason
+    # why the motion would be refused now)
+    FAULT = 1
     # The trigger fired: arg = active muscle, value = base curvature minus free curvature, 1e-5/cm.
     CONTACT = 2
     PEAK = 3  # The readings at a sweep's peak are captured: arg = active muscle, value = how many.

@@ -74,19 +74,25 @@ class Stopper:
         self._heard_s = float("-inf")
         self._call: StopCall | None = None
         self._lock = threading.RLock()  # a signal's handler may come upon itself
-        self._confirmed = threading.Event()
+        self._over = False
+        self._answered = threading.Event()  # the board has confirmed, or will no longer
 
     def call(self) -> None:
         """Stop the robot, from now on until the board confirms it; returns at once."""
         with self._lock:
-            if not self.calling:
-                self._confirmed.clear()
+            if not self.calling and not self._over:
+                self._answered.clear()
                 self._call = StopCall(self._now(), self._heard_s)
 
     def stop(self, within_s: float = CONFIRM_S) -> bool:
         """Stop the robot; whether the board confirmed it within so long, by the wall clock."""
         self.call()
-        return self._confirmed.wait(within_s)
+        return self._answered.wait(within_s) and not (self.calling or self._over)
+
+    def end(self) -> None:
+        """The board cannot be reached any more: nobody has to wait for it."""
+        self._over = True
+        self._answered.set()
 
     @property
     def calling(self) -> bool:
@@ -109,4 +115,4 @@ class Stopper:
         if call is not None:
             call.take(frame)
             if call.confirmed:
-                self._confirmed.set()
+                self._answered.set()

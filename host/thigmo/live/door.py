@@ -232,7 +232,8 @@ class Door(Closing):
                 outcome = self._stop(_address(guests[0]))
             except Exception as error:  # noqa: BLE001 - the next stop must find this thread
                 _LOG.exception("A stop failed.")
-                outcome = {"stopped": [], "failed": f"{error!r}; use the emergency stop"}
+                failed = f"{error!r}; use the emergency stop"
+                outcome = {"at_s": time.time(), "stopped": [], "failed": failed, "robots": []}
             text = json.dumps(outcome)
             for guest in guests:
                 _answer(guest, HTTPStatus.OK, text, kind="application/json")

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.config import RobotConfig
+from thigmo.files import DATA_BYTES, read_file
 from thigmo.link.protocol import MOST_MUSCLES, MOST_SENSORS
 from thigmo.record import RunFolder
 from thigmo.stream import Contacts, Message, Telemetry, read_messages, to_json
@@ -110,8 +111,9 @@ def body(config: RobotConfig) -> dict[str, Any]:
 def pegs(folder: str) -> list[dict[str, float]]:
     """Pegs of an emulated room, which the run folder's contacts.json has after the first stage."""
     try:
-        truth = json.loads((Path(folder) / "contacts.json").read_bytes())["truth"] if folder else {}
-    except (OSError, ValueError, KeyError):
+        document = read_file(Path(folder) / "contacts.json", DATA_BYTES) if folder else b"{}"
+        truth = json.loads(document).get("truth")
+    except (OSError, ValueError, RecursionError, AttributeError):
         return []  # the run's own report tells what is wrong with its folder
     return list(truth["pegs"]) if truth else []
 

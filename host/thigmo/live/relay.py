@@ -1,8 +1,9 @@
 """Ways from runs to views and back: the stream of the run that is looked at, and its stop.
 
-A robot on a port is stopped by the process that owns the port, whatever its program does, hangs or
-is stopped itself. One that is emulated inside its run has nobody else to ask than the run. A
-`Relay` passes a run's messages on to another tool, and that tool's stops to the robot: what ROS 2
+A view's stop is for one robot: that of the run under way, else that of the view's address, else
+that of the run that has ended; only a view that knows of no robot stops all of this user's. How it
+reaches the robot is `robot.stopping`'s; one that is emulated inside its run also ends with the run.
+A `Relay` passes a run's messages on to another tool, and that tool's stops to the robot: what ROS 2
 and Foxglove share. Nothing here drives a robot: if it is killed, the run goes on.
 """
 
@@ -13,11 +14,11 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
-from thigmo.errors import LinkError, PortError, ThigmoError
-from thigmo.link import stop_socket
-from thigmo.robot.stopping import stop_all
+from thigmo.errors import LinkError, ThigmoError
+from thigmo.link.address import names
+from thigmo.robot.stopping import Stopped, WayTo, stop_all, stop_robot, way_to
 from thigmo.stream import (
     Command,
     Hello,
@@ -37,47 +38,41 @@ _LOOK_S = 0.02  # between two looks at the stream
 _TELL_S = 1.0
 _LOOKS_WITHIN_S = 10.0  # for runs that are under way at the start, on a computer that is busy
 _STOP_S = 5.0  # for an emulated run to end
-_CLOSED = {"lost": "stop not connected: use the e-stop", "none": "no robot is in use"}
-
-Way = Literal["port", "run", "lost", "none"]
+_LOST = "stop not connected, use the e-stop"
 
 
-def way_to(run: Hello | None) -> Way:
-    """How a stop would reach the robot of the run that is under way, if any: by its port's process,
-    by its run, or not at all.
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Whom a view's stop is for.
+
+    Attributes:
+        url: the robot's address; None for all of this user's that are in use.
+        run: what is under way there, if anything is known to be.
     """
-    if run is not None and run.virtual:
-        return "run"
-    try:
-        owned = stop_socket.running()
-    except PortError:
-        return "lost"
-    if run is None:
-        return "port" if owned else "none"
-    return "port" if _socket(run.url) in owned else "lost"
 
+    url: str | None
+    run: Hello | None = None
 
-def stop_port(run: Hello | None) -> list[str]:
-    """Stop the robot of a run on a port, or, where none is known, all that are in use.
+    @classmethod
+    def of(cls, url: str | None, run: Hello | None, *, under_way: bool) -> Target:
+        """The target of a view of an address, and of the run that it shows or has shown last."""
+        if run is not None and under_way:
+            return cls(run.url, run)
+        if url is None and run is not None and not run.virtual:
+            return cls(run.url)
+        return cls(url)
 
-    Blocks for seconds at most, until the boards have confirmed it: those of the addresses returned.
-    Raises LinkError if one has not.
-    """
-    if run is not None:
-        if stop_socket.call(_socket(run.url)) is None:
-            raise LinkError("nobody owns the robot's port")
-        return [run.url]
-    try:
-        return stop_all()
-    except LinkError:
-        if stop_socket.running():
-            raise
-        return []
+    @property
+    def program(self) -> int | None:
+        """Process that emulates the robot; None if the address alone tells which robot it is."""
+        return self.run.pid if self.run is not None and self.run.virtual else None
 
-
-def _socket(url: str) -> str:
-    # What two URLs of one robot may differ in is omitted.
-    return stop_socket.address(url.partition("?baud=")[0])
+    def way(self) -> tuple[WayTo, str]:
+        """As `robot.stopping.way_to`. The robot of a run under way is never nothing to stop."""
+        if self.program is not None:
+            return "owner", ""
+        way, why_not = way_to(self.url)
+        return ("lost", why_not) if way == "none" and self.run is not None else (way, why_not)
 
 
 class Watched:
@@ -89,7 +84,7 @@ class Watched:
     """
 
     def __init__(self, url: str | None, pid: int | None = None) -> None:
-        self._robot = url and _socket(url)
+        self.url = url
         self._chosen = pid  # process of the run that is shown; None takes the youngest
         self._waiting: deque[Message | None] = deque()
         self._run: RemoteRun | None = None
@@ -125,21 +120,24 @@ class Watched:
             raise LinkError("no run is under way", "start one with `thigmo explore`")
         run.send(command, text)
 
-    def stop(self, seconds: float) -> None:
-        """Stop the run, if one is under way, and wait until its emulated board has confirmed it or
-        the run has ended; from any thread. Raises LinkError if neither comes in time.
+    def stop(self, target: Target) -> list[Stopped]:
+        """Stop a robot, or all, from any thread, and wait for seconds at most: what came of it, for
+        each robot. Empty if there is none to stop.
         """
         ended, run = self._ended, self._run
-        if run is None:
-            return
+        if target.program is None:
+            return stop_all() if target.url is None else stop_robot(target.url)
+        stopped = stop_robot(target.url or "", target.program)
+        confirmed = stopped and not any(result.failure for result in stopped)
+        if confirmed or run is None or run.hello != target.run:
+            return stopped
+        # Its program hangs, ends, or has no board that takes stops: it ends with its run.
         with suppress(LinkError):  # it has just ended
             run.send("stop")
-        boards = [
-            each for each in stop_socket.owners(run.hello.url) if f".{run.hello.pid}-" in each
-        ]
-        confirmed = [each for each in boards if stop_socket.call(each) is not None]
-        if not confirmed and not ended.wait(seconds):
-            raise LinkError(f"the run {run.hello.name} does not answer")
+        if ended.wait(_STOP_S):
+            return [Stopped(run.hello.url, f"the end of its run {run.hello.name}")]
+        failure = f"the run {run.hello.name} does not answer; end its program"
+        return stopped or [Stopped(run.hello.url, failure=failure)]
 
     def close(self) -> None:
         """Close the relay's view of the run."""
@@ -159,8 +157,9 @@ class Watched:
             self._closed.wait(_SEARCH_S)
 
     def _runs(self) -> list[Watchable]:
+        wanted = self.url and set(names(self.url))
         return [
-            each for each in running(self._hung) if self._robot in (None, _socket(each.hello.url))
+            run for run in running(self._hung) if not wanted or wanted & {*names(run.hello.url)}
         ]
 
     def _read(self, run: RemoteRun) -> None:
@@ -185,14 +184,6 @@ class Watched:
     def _take(self, message: Message) -> None:
         self.heard_s = time.monotonic()
         self._waiting.append(message)
-
-
-def stop_run(watched: Watched, run: Hello | None) -> list[str]:
-    """Stop the robot of the run that is under way, if any is known; as `stop_port`."""
-    if run is None or not run.virtual:
-        return stop_port(run)
-    watched.stop(_STOP_S)
-    return [run.url]
 
 
 @dataclass(slots=True)
@@ -258,7 +249,8 @@ class Relay:
         now, facts = time.monotonic(), self.facts
         if now - self._told_s >= _TELL_S:
             self._told_s = now
-            facts.stop = _CLOSED.get(way_to(facts.run if facts.under_way else None), "")
+            way, why_not = self._target(facts).way()
+            facts.stop = f"{_LOST}: {why_not}" if way == "lost" else why_not
             view.tell(facts)
         return bool(taken)
 
@@ -267,24 +259,19 @@ class Relay:
 
         Blocks until its board has confirmed it, for seconds at most.
         """
-        looked, facts = self._looked.is_set(), self.facts
-        said = self._stop(facts)
-        if said == _CLOSED["none"] and not looked:
+        looked = self._looked.is_set()
+        stopped = self._watched.stop(self._target(self.facts))
+        if not stopped and not looked:
             # A stop that was latched may come before the run that is under way is known.
             self._looked.wait(_LOOKS_WITHIN_S)
-            facts = self.facts
-            said = self._stop(facts)
+            stopped = self._watched.stop(self._target(self.facts))
+        said = "; ".join(map(str, stopped)) or self._target(self.facts).way()[1]
         self.facts.stopped = said
         self._told_s = float("-inf")
         return said
 
-    def _stop(self, facts: Facts) -> str:
-        run = facts.run if facts.under_way else None
-        try:
-            stopped = stop_run(self._watched, run)
-        except ThigmoError as error:
-            return f"not stopped: {error}"
-        return f"stopped {', '.join(stopped)}" if stopped else _CLOSED["none"]
+    def _target(self, facts: Facts) -> Target:
+        return Target.of(self._watched.url, facts.run, under_way=facts.under_way)
 
     def close(self) -> None:
         """Stop forwarding; from any thread."""

@@ -13,7 +13,6 @@ import json
 import logging
 import secrets
 import socket
-import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -33,10 +32,11 @@ from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.page_data import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.page_request import PageRequest, parse
-from thigmo.live.relay import Watched, Way, stop_port, stop_run, way_to
+from thigmo.live.relay import Target, Watched
 from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.viewer import Viewer
 from thigmo.robot import JOG_CM
+from thigmo.robot.stopping import Stopped, WayTo
 from thigmo.room import Simulated
 from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry
 from thigmo.stream.recorded import config_in
@@ -135,8 +135,7 @@ class PageServer:
         self._run = _Run(None)
         self._run.past = PastRun(options.past) if options.past else None
         self._started: Started | None = None  # the last command
-        self._way: Way = "none"
-        self._stopping = threading.Lock()
+        self._way: tuple[WayTo, str] = ("none", "")
         self._last_stop: dict[str, Any] | None = None  # it stays shown, whatever runs next
         self._latch = _Latch()
         self._choices: list[Hello] = []  # runs that could be looked at
@@ -168,6 +167,7 @@ class PageServer:
         tasks = [asyncio.create_task(self._pump()), asyncio.create_task(self._pulse())]
         if self._watched is not None:
             tasks.append(asyncio.create_task(self._look_around(self._watched)))
+            tasks.append(asyncio.create_task(self._look_for_way()))
         yield
         for task in tasks:
             task.cancel()
@@ -270,7 +270,6 @@ class PageServer:
         while True:
             if self._viewers:
                 self._left_s = time.monotonic()
-            self._way = await asyncio.to_thread(way_to, self._run.moving)
             run = self._run
             if run.moving is not None and run.hello is not None:
                 run.pegs = await asyncio.to_thread(pegs, run.hello.folder)
@@ -288,6 +287,19 @@ class PageServer:
         while True:
             self._choices = await asyncio.to_thread(watched.runs)
             await asyncio.sleep(_LOOK_S)
+
+    async def _look_for_way(self) -> None:
+        """See how a stop would reach the robot. A name service that hangs keeps this waiting."""
+        while True:
+            self._way = await asyncio.to_thread(self._target.way)
+            await asyncio.sleep(_PULSE_S)
+
+    @property
+    def _target(self) -> Target:
+        run = self._run
+        return Target.of(
+            self.options.url, run.moving or run.hello, under_way=run.moving is not None
+        )
 
     def _tell(self) -> None:
         for viewer in self._viewers:
@@ -320,7 +332,9 @@ class PageServer:
             "operator": self._operator is viewer,
             "operated": self._operator not in (None, viewer),
             "viewers": len(self._viewers),
-            "stop": self._way,
+            "stop": self._way[0],
+            "stop_why_not": self._way[1],
+            "stop_robot": self._target.url,
             "last_stop": self._last_stop,
             "choices": [
                 {"pid": each.pid, "name": each.name, "url": each.url, "folder": each.folder}
@@ -446,29 +460,28 @@ class PageServer:
     def stop(self, peer: str) -> dict[str, Any]:
         """Stop the robot for a computer at an address, from any thread, and wait for the board.
 
-        What the page gets of it.
+        What the page gets of it: each robot, and who has confirmed or why nobody has.
         """
-        stopped: list[str] = []
-        failed = ""
-        with self._stopping:  # two who press at once are one after the other
-            started = self._started
-            if started is not None and self._starting:
-                started.end()  # it would move the robot after the stop
-            run, at_s = self._run.moving, time.time()
-            try:
-                stopped = stop_run(self._watched, run) if self._watched else stop_port(run)
-            except ThigmoError as error:
-                failed = str(error)
-            if stopped:
-                self._latch.confirm(at_s, _named(peer))
-            if stopped or failed:
-                self._last_stop = {
-                    "at_s": at_s,
-                    "by": _named(peer),
-                    "stopped": stopped,
-                    "failed": failed,
-                }
-        return {"stopped": stopped, "failed": failed, "at_s": at_s}
+        at_s, target = time.time(), self._target
+        starting = self._started if self._starting else None
+        robots = self._watched.stop(target) if self._watched else []
+        if starting is not None:
+            starting.end()  # it would move the robot after the stop
+            if any(robot.failure for robot in robots) and self._watched:
+                robots = self._watched.stop(target)  # it had the port
+            ended = Stopped(str(target.url), f"the end of `thigmo {starting.name}` as it began")
+            robots = robots or [ended]
+        stopped = [robot.robot for robot in robots if not robot.failure]
+        failed = "; ".join(f"{robot.robot}: {robot.failure}" for robot in robots if robot.failure)
+        outcome = {
+            "at_s": at_s, "stopped": stopped, "failed": failed,
+            "robots": [asdict(robot) for robot in robots],
+        }  # fmt: skip
+        if stopped:
+            self._latch.confirm(at_s, _named(peer))
+        if robots:
+            self._last_stop = {**outcome, "by": _named(peer)}
+        return outcome
 
     async def _looked_back(self) -> PastRun:
         """The record of the run that is to be looked at, or has just ended."""

@@ -86,7 +86,7 @@ class RunFolder:
     def keep_records_of(self, resumed: RunFolder) -> None:
         """Copy the records of a run that this one resumes."""
         for number, record in enumerate(resumed._records(), 1):
-            write_whole(self.path / f"earlier-{number}.mcap", record.read_bytes())
+            write_whole(self.path / f"earlier-{number}.mcap", _content(record))
 
     def write_document(self, document: RunDocument, name: str = "contacts.json") -> None:
         """Write contacts.json whole or not at all."""
@@ -151,6 +151,11 @@ class RunFolder:
         return RobotConfig.load(self.path / "robot.toml")
 
 
+def _content(path: Path) -> bytes:
+    with RunFolderError.from_os(f"cannot read {path}", "give a run folder that holds it"):
+        return files.read_file(path, files.RECORD_BYTES)
+
+
 def _last_length_cm(entries: Sequence[Entry]) -> float:
     """The everted length by the last telemetry; 0 without."""
     for entry in reversed(entries):
@@ -172,7 +177,7 @@ def read_json(
 ) -> T:
     """Read a JSON file of a kind. Raises RunFolderError, which says what to do where it is so."""
     try:
-        return kind.validate_json(Path(path).read_bytes())
+        return kind.validate_json(files.read_file(path, files.DATA_BYTES))
     except OSError as error:
         raise RunFolderError(f"cannot read {path}: {error.strerror}", missing) from error
     except ValidationError as error:

@@ -18,9 +18,6 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import IO, Any, Literal, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from thigmo.closing import Closing
 from thigmo.errors import RunFolderError
 from thigmo.link.protocol import MESSAGES
@@ -193,15 +190,6 @@ class LogWriter(Closing):
         self._writer.add_message(channel, t_ns, data, t_ns)
         self._end_piece()  # a chunk that closed with it, out of this process's reach
 
-    def messages(self, channel: int, data: NDArray[np.uint8], t_s: NDArray[np.float64]) -> None:
-        """Keep messages of one channel and one size: bytes (n, size) and times (n,)."""
-        if self._closed or self._refused is not None:
-            return
-        t_ns = self._epoch_ns + np.maximum(t_s * 1e9, 0.0).astype(np.uint64)
-        for each_ns, row in zip(t_ns.tolist(), data, strict=True):
-            self._writer.add_message(channel, each_ns, row.tobytes(), each_ns)
-        self._end_piece()
-
     def check(self) -> None:
         """Raise RunFolderError if the disk has not taken what was to be kept."""
         if self._refused is not None:
@@ -281,14 +269,29 @@ def read_log(path: Path) -> Log:
     epoch = found.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(epoch) if epoch.isdecimal() else 0
     items: list[Entry | Note | FibreLine] = []
+    gaps = found.gaps
     for topic, log_ns, data in found.messages:
         t_s = (log_ns - epoch_ns) / 1e9
-        if topic == _NOTES:
-            items.append(Note(t_s, json.loads(data)))
-        elif topic == _FIBRE:
-            kept = json.loads(data)
-            strains = (nan if each is None else each for each in kept["strain_ue"])
-            items.append(FibreLine(kept["t_s"], tuple(strains), kept["zero"]))
-        else:
+        if topic in _TOPICS:
             items.append(Entry(t_s, _TOPICS[topic], data))
-    return Log(items, found.metadata, found.truncated, found.gaps)
+            continue
+        try:
+            items.append(_note(t_s, data) if topic == _NOTES else _fibre_line(data))
+        except (ValueError, KeyError, TypeError, RecursionError):
+            gaps += 1
+    return Log(items, found.metadata, found.truncated, gaps)
+
+
+def _note(t_s: float, data: bytes) -> Note:
+    """A note of a record. Raises ValueError, TypeError or RecursionError if it is none."""
+    facts = json.loads(data)
+    if not isinstance(facts, dict) or "topic" not in facts:
+        raise TypeError("no note")
+    return Note(t_s, facts)
+
+
+def _fibre_line(data: bytes) -> FibreLine:
+    """A line of a fibre; raises as `_note`, and KeyError."""
+    kept = json.loads(data)
+    strains = tuple(nan if strain is None else float(strain) for strain in kept["strain_ue"])
+    return FibreLine(float(kept["t_s"]), strains, bool(kept["zero"]))

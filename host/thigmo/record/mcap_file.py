@@ -23,9 +23,14 @@ from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from thigmo.errors import RunFolderError
+from thigmo.files import RECORD_BYTES, read_file
 
 _HEADER = struct.Struct("<BQ")
+# Beyond what a record of telemetry unpacks to, which is four to eight times its size.
+_MOST_RATIO, _MOST_MORE = 100, 64 << 20
 _CHUNK_BYTES = 28  # before a chunk's compression: start and end time, size (u64), checksum (u32)
+_STATED = struct.Struct("<16xQ")  # a chunk's size before compression
+_FRAME_HEADER = 18  # of zstd, at most
 _COMPRESSION = b"\x04\x00\x00\x00zstd"
 _OPCODES = frozenset(int(opcode) for opcode in Opcode)
 _DAMAGE = (
@@ -51,7 +56,7 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
     Raises RunFolderError if there is no such file, or it is no MCAP file.
     """
     with RunFolderError.from_os(f"cannot read {path}", "give a run folder that holds run.mcap"):
-        data = path.read_bytes()
+        data = read_file(path, RECORD_BYTES)
     truncated = not data.endswith(MAGIC) or len(data) < 2 * len(MAGIC)
     found: list[McapRecord] = []
     place: int | None = len(MAGIC)
@@ -61,6 +66,7 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
         if place is None and not MAGIC.startswith(data[: len(MAGIC)]):
             raise RunFolderError(f"{path} is not an MCAP file", "give a run folder")
     gaps = int(broken and place is not None)
+    left = _MOST_RATIO * len(data) + _MOST_MORE  # bytes to which its chunks may unpack
     while place is not None and place + _HEADER.size <= len(data):
         opcode, length = _HEADER.unpack_from(data, place)
         start, end = place + _HEADER.size, place + _HEADER.size + length
@@ -70,6 +76,11 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
         try:
             if opcode not in _OPCODES or end > len(data):
                 raise ValueError("no record begins here")
+            if opcode == Opcode.CHUNK and (left := left - _unpacked_bytes(data[start:end])) < 0:
+                raise RunFolderError(
+                    f"{path} would unpack to more than {_MOST_RATIO} times its size",
+                    "it is damaged or no record: give another run folder",
+                )
             records, place = _records(opcode, data[start:end]), end
         except _DAMAGE:
             place = _next_chunk(data, place + 1)
@@ -109,6 +120,18 @@ def _records(opcode: int, content: bytes) -> list[McapRecord] | None:
     with suppress(*_DAMAGE):
         return breakup_chunk(chunk, validate_crc=True)
     return None
+
+
+def _unpacked_bytes(content: bytes) -> int:
+    """To how much a chunk unpacks, as it says itself and as its frame does; without unpacking it.
+
+    Raises struct.error or zstandard's error if it is damaged.
+    """
+    stated = _STATED.unpack_from(content)[0]
+    begins = _CHUNK_BYTES + len(_COMPRESSION) + 8
+    if not content[_CHUNK_BYTES:].startswith(_COMPRESSION):
+        return int(stated)
+    return int(max(stated, zstandard.frame_content_size(content[begins : begins + _FRAME_HEADER])))
 
 
 def _next_chunk(data: bytes, place: int) -> int | None:

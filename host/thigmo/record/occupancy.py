@@ -27,6 +27,7 @@ from thigmo.display.grid import draw_grid
 from thigmo.display.html import html_card, html_table
 from thigmo.errors import RunFolderError
 from thigmo.extras import require
+from thigmo.files import CONFIG_BYTES, DATA_BYTES, read_file, why_unreadable
 from thigmo.record.folder import write_whole
 
 if TYPE_CHECKING:
@@ -137,21 +138,21 @@ def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
     OpenCV if the picture is not a PGM as map_saver writes it.
     """
     try:
-        described = _Description.model_validate(yaml.safe_load(Path(path).read_text()))
-        data = (Path(path).parent / described.image).read_bytes()
+        described = _Description.model_validate(_yaml(path))
+        data = read_file(Path(path).parent / described.image, DATA_BYTES)
     except OSError as error:
         raise RunFolderError(
             f"cannot read {error.filename or path}: {error.strerror}", "check the map's paths"
-        ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise RunFolderError(
-            f"{path} is not valid YAML: {reason}", "give a ROS map's YAML file, or a run folder"
         ) from error
     except ValidationError as error:
         raise RunFolderError(
             invalid_entry(path, error),
             "give a ROS map's YAML file (image, resolution, origin), or a run folder",
+        ) from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = why_unreadable(error)
+        raise RunFolderError(
+            f"{path} is not valid YAML: {reason}", "give a ROS map's YAML file, or a run folder"
         ) from error
     picture = _picture(data)
     if picture is None:
@@ -172,6 +173,10 @@ def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
     return OccupancyGrid(
         cells, described.resolution * _CM_PER_M, (x * _CM_PER_M, y * _CM_PER_M, yaw)
     )
+
+
+def _yaml(path: str | os.PathLike[str]) -> object:
+    return yaml.safe_load(read_file(path, CONFIG_BYTES).decode())
 
 
 class _Picture(NamedTuple):

@@ -8,11 +8,12 @@ tabs, with which numbers may have decimal commas. The name `-` is the standard i
 from __future__ import annotations
 
 import csv
+import errno
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from io import StringIO
 from itertools import chain
 from pathlib import Path
 from typing import IO
@@ -26,6 +27,7 @@ from thigmo.files import whole_file
 Array = NDArray[np.float64]
 
 _SEPARATORS = (",", ";", "\t")
+_MOST_CHARACTERS = 64 << 20
 _MOST_ROWS = 1_000_000
 _MOST_READINGS = 2000  # of one frame
 
@@ -225,11 +227,22 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[obj
             writer.writerow([cell(value) for value in row])
 
 
-def _opened(path: str | os.PathLike[str]) -> AbstractContextManager[IO[str]]:
+def _opened(path: str | os.PathLike[str]) -> IO[str]:
     """A text file, or the standard input."""
     if str(path) == "-":
-        return nullcontext(sys.stdin)
-    return Path(path).open(newline="", encoding="utf-8-sig")
+        return _bounded(sys.stdin, "the input")
+    if Path(path).is_char_device() or Path(path).is_block_device():
+        raise OSError(errno.EINVAL, "it is a device", str(path))
+    with Path(path).open(newline="", encoding="utf-8-sig") as file:  # a pipe is welcome
+        return _bounded(file, str(path))
+
+
+def _bounded(file: IO[str], name: str) -> IO[str]:
+    """All of a text, which may have no line's end. Raises OSError if it is too long for a table."""
+    text = file.read(_MOST_CHARACTERS + 1)
+    if len(text) > _MOST_CHARACTERS:
+        raise OSError(errno.EFBIG, f"it is larger than {_MOST_CHARACTERS >> 20} MB", name)
+    return StringIO(text, newline="")
 
 
 def _first_line(file: IO[str]) -> tuple[int, str]:

@@ -7,8 +7,10 @@ its last zeroing (thesis, equation 2.4).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from math import nan
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +32,20 @@ def in_mask(mask: int) -> list[int]:
     return [sensor for sensor in range(mask.bit_length()) if mask >> sensor & 1]
 
 
+Number = TypeVar("Number", float, Floats)
+_OPEN_COUNT = 0.75  # mean counts up to which the circuit is open
+
+
+def _divider_ohm(mean_count: Number, divider_ohm: float) -> Number:
+    """Resistance above a divider's fixed resistor, at mean ADC counts of 1024."""
+    return divider_ohm * (1024.0 - mean_count) / mean_count
+
+
 def resistance_ohm(mean_count: Floats, divider_ohm: float) -> Floats:
     """Sensor resistance (ohm) of mean ADC counts; NaN where the circuit is open."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        value: Floats = divider_ohm * (1024.0 - mean_count) / mean_count
-    return np.where(mean_count > 0.75, value, np.nan)
+        value = _divider_ohm(mean_count, divider_ohm)
+    return np.where(mean_count > _OPEN_COUNT, value, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +169,22 @@ class SensorTable:
         """Curvature (1/cm) since the zeroing from raw readings (..., n), positive to the left."""
         change = self.resistance(flex_sum) - self.resistance(self.zero_sum)
         return np.asarray(self.scale * change)
+
+    def board_decoder(self) -> Callable[[Sequence[int]], list[float]]:
+        """`curvature` of the board's inputs, as a function that is quick for single readings."""
+        scales, divider_ohm, oversample = self.scale.tolist(), self.divider_ohm, self.oversample
+        zeros_ohm = self.resistance(self.zero_sum).tolist()[: self.inputs]
+
+        def decode(flex_sum: Sequence[int]) -> list[float]:
+            counts = [raw / oversample + 0.5 for raw in flex_sum]
+            return [
+                scale * (_divider_ohm(count, divider_ohm) - zero_ohm)
+                if count > _OPEN_COUNT
+                else nan
+                for count, scale, zero_ohm in zip(counts, scales, zeros_ohm, strict=False)
+            ]
+
+        return decode
 
     def unzeroed(self, flex_sum: Floats) -> Floats:
         """Raw readings (..., n) in 1/cm from no resistance on: only differences mean something."""

@@ -1,13 +1,12 @@
 """What the robot publishes: telemetry, events, and the shape of its body, in units.
 
 It listens to the link beside the program that drives the robot, and commands nothing. What has no
-listener is not decoded. Live listeners get each reading as it comes; a record gets them in blocks.
+listener is not decoded.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from functools import cache
 from math import isfinite, nan
 from typing import TYPE_CHECKING
@@ -20,7 +19,6 @@ from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
 from thigmo.robot.curvature import SensorTable
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
-from thigmo.stream.blocks import Phase, TelemetryBlock
 from thigmo.stream.messages import Severity
 from thigmo.wiring import muscle_outputs, sensor_name
 
@@ -29,32 +27,13 @@ if TYPE_CHECKING:
 
 _FULL_MA, _FULL_DRIVE, _FULL_MOTOR = 20.0, 1599, 800
 _IDLE_PSI = 0.1  # below, no muscle bends the body
-# Of the board's time, between two shapes: in motion while somebody looks and else, and at rest.
-_LIVE_S, _KEPT_S, _REST_S = 0.1, 0.2, 1.0
-# Readings that a record takes at once, and seconds of this computer's that it waits for them.
-_BLOCK, _BLOCK_S = 5000, 0.5
-_LOOK = 20  # readings between two looks at the clock
+_MOVING_S, _REST_S = 0.1, 1.0  # of the board's time, between two shapes
 _STEP_CM = 2.0  # a tenth of the tightest bend's radius
 
 
 @cache
-def _layout(counts: tuple[int, ...]) -> np.dtype[np.void]:
-    """The wire's telemetry as numpy reads it, for given numbers of sensors and muscles."""
-    found: list[tuple[str, str, tuple[int, ...]]] = []
-    left = list(counts)
-    of_each: dict[str, int] = {}
-    for name, code in wire.Telemetry.CODES.items():
-        of, _, element = code.rpartition("?")
-        if of and of not in of_each:
-            of_each[of] = left.pop(0)
-            found.append((of, "u1", ()))
-        found.append((name, f"<{element}", (of_each[of],) if of else ()))
-    return np.dtype(found)
-
-
-@cache
-def _phase(both: int, faults: int) -> Phase:
-    """Names of state, activity and faults."""
+def _names(both: int, faults: int) -> tuple[str, str, tuple[str, ...]]:
+    """Names of state, activity and faults, by the schema."""
     return (
         wire.State(both >> 4).key,
         wire.Activity(both & 0xF).key,
@@ -97,11 +76,8 @@ class Publisher:
 
     def __init__(self, client: Client, config: RobotConfig, table: SensorTable) -> None:
         self.hub = Hub()
-        self.hub.publish_block = self._publish_block
         self.epoch_s = time.time() - client.now()  # UTC seconds at which the link's clock was 0
-        self._supply_v = nan
-        self._gathered: list[TelemetryFrame] = []  # for the record
-        self._kept_s = 0.0  # when the last ones went
+        self.supply_v = nan  # the board's supply, as last asked for
         self._shape_s = 0.0
         self.use(config, table)
         client.on_telemetry.append(self.take)
@@ -109,126 +85,98 @@ class Publisher:
 
     def use(self, config: RobotConfig, table: SensorTable) -> None:
         """Decode with these constants and zeros from now on."""
-        self._publish_block()
         self._config = config
         self._radius_cm = config.body.radius_cm
         self._table = table
+        self._decode = table.board_decoder()
         # 0 for a muscle that bends the body out of the plane.
-        self._bends = np.array([SIGN[m.side] if m.side else 0.0 for m in config.muscles])
-        self._centers = table.center_cm.tolist()
+        self._bends = [SIGN[m.side] if m.side else 0.0 for m in config.muscles]
+        self._lies: list[int] = table.lies.tolist()
+        self._centers: list[float] = table.center_cm.tolist()
         # Everted where it ends, and never if it is not to be used.
         used = table.healthy & np.isfinite(table.zero_sum)
-        self._out_cm = np.where(used, table.center_cm + table.span_cm / 2, np.inf)
-
-    @property
-    def supply_v(self) -> float:
-        """The board's supply, as last asked for; NaN before."""
-        return self._supply_v
-
-    @supply_v.setter
-    def supply_v(self, value: float) -> None:
-        if value != self._supply_v:
-            self._publish_block()
-            self._supply_v = value
+        everted_cm = np.where(used, table.center_cm + table.span_cm / 2, np.inf)
+        self._everted_cm: list[float] = everted_cm.tolist()
 
     def take(self, frame: TelemetryFrame) -> None:
-        """Publish a frame to its listeners, and gather it for the record.
+        """Publish a frame, and the body's shape if it is due, to their listeners.
 
         Not before `configure` has described the robot of a board that is none of the usual size.
         """
         if wire.Telemetry.counts(frame.payload)[0] != len(self._table.healthy):
             return
         hub = self.hub
-        if hub.wanted(Telemetry) or (hub.keep is None and hub.wanted(BodyShape)):
-            block = self.decoded([frame])
-            hub.publish(block.telemetry(0))
-            if hub.wanted(BodyShape):
-                self._publish_shapes(block, _LIVE_S)
-        if hub.keep is not None:
-            self._gathered.append(frame)
-            if len(self._gathered) % _LOOK == 0 and self._block_due():
-                self._publish_block()
+        if hub.wanted(Telemetry) or hub.wanted(BodyShape):
+            telemetry = self.decoded(frame)
+            hub.publish(telemetry)
+            if hub.wanted(BodyShape) and self._shape_is_due(telemetry):
+                self._shape_s = telemetry.device_s
+                hub.publish(self._shape(telemetry))
 
-    def _block_due(self) -> bool:
-        return len(self._gathered) >= _BLOCK or time.monotonic() - self._kept_s >= _BLOCK_S
+    def _shape_is_due(self, telemetry: Telemetry) -> bool:
+        """Whether the body has moved on since the last shape; rarely of a robot that rests."""
+        rests = telemetry.motor == 0.0 and max(telemetry.pressure_psi) < _IDLE_PSI
+        # A board that restarted counts from 0 again.
+        passed_s = telemetry.device_s - self._shape_s
+        return not 0.0 <= passed_s < (_REST_S if rests else _MOVING_S)
 
-    def _publish_block(self) -> None:
-        """Hand what was gathered to the record."""
-        self._kept_s = time.monotonic()
-        if not self._gathered or self.hub.keep is None:
-            return
-        block = self.decoded(self._gathered)
-        self._gathered = []
-        self.hub.keep(block)
-        if not self.hub.wanted(Telemetry):  # else they went out with the readings
-            self._publish_shapes(block, _KEPT_S)
+    def decoded(self, frame: TelemetryFrame) -> Telemetry:
+        """A frame in units."""
+        raw = frame.message
+        length_cm, free = raw.length_um / 1e4, raw.free_e5 / 1e5
+        curvature = [
+            value if everted_cm <= length_cm else nan
+            for value, everted_cm in zip(self._decode(raw.flex_sum), self._everted_cm, strict=True)
+        ]
+        wrinkled = self._wrinkled_side(raw.pressure_cpsi)
+        expected = [
+            nan if value != value or lies == wrinkled else free  # NaN is not equal to itself
+            for value, lies in zip(curvature, self._lies, strict=True)
+        ]
+        state, activity, faults = _names(raw.state_activity, raw.faults)
+        return Telemetry(
+            t_s=frame.t_s,
+            epoch_s=self.epoch_s + frame.t_s,
+            device_s=frame.device_us * 1e-6,
+            pressure_psi=tuple([cpsi / 100 for cpsi in raw.pressure_cpsi]),
+            demand_psi=tuple([cpsi / 100 for cpsi in raw.set_cpsi]),
+            drive_ma=tuple([drive * _FULL_MA / _FULL_DRIVE for drive in raw.drive]),
+            curvature_per_cm=tuple(curvature),
+            expected_per_cm=tuple(expected),
+            base_per_cm=raw.base_e5 / 1e5,
+            free_per_cm=free,
+            length_cm=length_cm,
+            motor=raw.motor / _FULL_MOTOR,
+            supply_v=self.supply_v,
+            state=state,
+            activity=activity,
+            faults=faults,
+            flex_sum=raw.flex_sum,
+        )
 
-    def _publish_shapes(self, block: TelemetryBlock, least_s: float) -> None:
-        """Publish the shapes that are due, at least so far apart; fewer of a robot that rests."""
-        numbers = block.numbers
-        rests = (numbers["motor"] == 0.0) & (numbers["pressure_psi"].max(axis=1) < _IDLE_PSI)
-        every_s = np.where(rests, _REST_S, least_s).tolist()
-        for n, device_s in enumerate(numbers["device_s"].tolist()):
-            # A board that restarted counts from 0 again.
-            if not 0.0 <= device_s - self._shape_s < every_s[n]:
-                self._shape_s = device_s
-                self.hub.publish(self._shape(block, n))
-
-    def decoded(self, frames: Sequence[TelemetryFrame]) -> TelemetryBlock:
-        """Frames in units."""
-        layout = _layout(wire.Telemetry.counts(frames[0].payload))
-        raw = np.frombuffer(b"".join([frame.payload for frame in frames]), dtype=layout)
-        t_s = np.array([frame.t_s for frame in frames])
-        length_cm = raw["length_um"] / 1e4
-        free = raw["free_e5"] / 1e5
-        out = self._out_cm <= length_cm[:, None]
-        curvature = np.where(out, self._table.curvature(raw["flex_sum"]), nan)
-        cpsi = raw["pressure_cpsi"][:, : len(self._bends)]
-        inflated = cpsi.max(axis=1) >= _IDLE_PSI * 100
-        bends = self._bends[cpsi.argmax(axis=1)]
-        hidden = inflated[:, None] & (bends[:, None] == self._table.lies)
-        numbers = {
-            "t_s": t_s,
-            "epoch_s": self.epoch_s + t_s,
-            "device_s": np.array([frame.device_us for frame in frames]) * 1e-6,
-            "pressure_psi": raw["pressure_cpsi"] / 100,
-            "demand_psi": raw["set_cpsi"] / 100,
-            "drive_ma": raw["drive"] * _FULL_MA / _FULL_DRIVE,
-            "curvature_per_cm": curvature,
-            "expected_per_cm": np.where(hidden | np.isnan(curvature), nan, free[:, None]),
-            "base_per_cm": raw["base_e5"] / 1e5,
-            "free_per_cm": free,
-            "length_cm": length_cm,
-            "motor": raw["motor"] / _FULL_MOTOR,
-            "supply_v": np.full(len(frames), self._supply_v),
-            "flex_sum": raw["flex_sum"],
-        }
-        phases = map(_phase, raw["state_activity"].tolist(), raw["faults"].tolist())
-        return TelemetryBlock(numbers, list(phases))
+    def _wrinkled_side(self, pressure_cpsi: tuple[int, ...]) -> float | None:
+        """The side of the muscle that bends the body, as `SensorTable.lies`; None if none does."""
+        cpsi = pressure_cpsi[: len(self._bends)]
+        highest = max(cpsi)
+        return self._bends[cpsi.index(highest)] if highest >= _IDLE_PSI * 100 else None
 
     def event(self, received: ReceivedEvent) -> Event:
         """An event in words, with the operator's next step if there is one."""
         words = _described(received.message, self._config)
         return Event(received.t_s, self.epoch_s + received.t_s, *words)
 
-    def _shape(self, block: TelemetryBlock, n: int) -> BodyShape:
+    def _shape(self, telemetry: Telemetry) -> BodyShape:
         """The body by what its sensors read now: those of the inflated side wrinkle, and do not
         count; without any it bends as the free body would."""
-        row = {name: block.numbers[name][n].tolist() for name in _SHAPED_BY}
         read: dict[float, list[float]] = {}
         for center, value, expected in zip(
-            self._centers, row["curvature_per_cm"], row["expected_per_cm"], strict=True
+            self._centers, telemetry.curvature_per_cm, telemetry.expected_per_cm, strict=True
         ):
             if isfinite(expected):  # only where the sensor's own is known
                 read.setdefault(center, []).append(value)
         knots = sorted((center, sum(values) / len(values)) for center, values in read.items())
-        poses = bent(row["length_cm"], knots or [(0.0, row["free_per_cm"])])
-        return BodyShape(row["t_s"], row["epoch_s"], poses, self._radius_cm)
-
-
-_SHAPED_BY = (
-    "t_s", "epoch_s", "length_cm", "free_per_cm", "curvature_per_cm", "expected_per_cm",
-)  # fmt: skip
+        poses = bent(telemetry.length_cm, knots or [(0.0, telemetry.free_per_cm)])
+        return BodyShape(telemetry.t_s, telemetry.epoch_s, poses, self._radius_cm)
 
 
 def bent(

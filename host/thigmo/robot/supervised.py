@@ -43,7 +43,7 @@ _OF_A_MUSCLE = (
 # What the value of a fault's event says, where it is not a channel.
 _CAUSES = {
     wire.Fault.SPOOL_STALL: wire.StallCause, wire.Fault.SPOOL_SLIP: wire.SlipCause,
-    wire.Fault.BAD_CONFIG: wire.ConfigCause,
+    wire.Fault.BAD_CONFIG: wire.ConfigCause, wire.Fault.INTERLOCK: wire.Reason,
 }  # fmt: skip
 _BEFORE_RESET = -1  # value of the event of a fault that was latched before the last reset
 # What a fibre guards, where it is read live; what ends that; and what lays it otherwise.
@@ -214,7 +214,7 @@ class Supervised(Connected):
         if first in _OF_A_MUSCLE and channel is not None:
             what += f" ({muscle_outputs(self.config).get(channel, channel)} muscle)"
         if first in _CAUSES and channel is not None:
-            what += f" ({_CAUSES[first](channel).doc.rstrip('.')})"
+            what += f" ({_CAUSES[first](channel).words[0]})"
         if first in _BAD_SENSOR:
             flags = _BAD_SENSOR[first] | _ENABLED
             sensors = range(self._client.capacity.sensors)

@@ -1,8 +1,7 @@
 """Where messages are published, and the bounded queues of those who listen.
 
 Publishing takes no longer for a slow listener: a full queue loses its oldest message. Publishers
-of frequent messages ask `wanted` first, so that nobody listening costs next to nothing. A record
-takes readings in blocks, whether or not somebody listens to them one by one.
+of frequent messages ask `wanted` first, so that nobody listening costs next to nothing.
 """
 
 from __future__ import annotations
@@ -12,13 +11,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 
 from thigmo.closing import Closing
-from thigmo.stream.blocks import TelemetryBlock
 from thigmo.stream.messages import CHANNELS, RETAINED, Event, Message
 
 QUEUE = 2048  # messages: ten seconds of telemetry
 _KEPT_EVENTS = 100
 Sink = Callable[[Message], None]
-BlockSink = Callable[[TelemetryBlock], None]
 _Entry = tuple[Sink, frozenset[str], Callable[[], None]]  # its channels; called when the hub closes
 
 
@@ -89,19 +86,6 @@ class Hub:
         self._last: dict[str, Message] = {}
         self._events: deque[Message] = deque(maxlen=_KEPT_EVENTS)
         self._closed = False
-        self._keep: BlockSink | None = None
-        # Publishes the block that is being gathered; its publisher sets it.
-        self.publish_block: Callable[[], None] = lambda: None
-
-    @property
-    def keep(self) -> BlockSink | None:
-        """The sink that takes all readings in blocks; None if there is none."""
-        return self._keep
-
-    @keep.setter
-    def keep(self, sink: BlockSink | None) -> None:
-        self.publish_block()  # what has been gathered is the one's before
-        self._keep = sink
 
     def publish(self, message: Message) -> None:
         """Pass a message to everyone who listens to its channel, without waiting for anyone."""

@@ -7,14 +7,10 @@ repeated field, also one of dataclasses; a tuple of tuples is a repeated `Row`.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache
-from itertools import groupby
 from typing import Any
 
-import numpy as np
 from google.protobuf import message_factory
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import (
@@ -23,12 +19,12 @@ from google.protobuf.descriptor_pb2 import (
     FileDescriptorSet,
 )
 from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import DecodeError
 from google.protobuf.message import Message as Proto
-from numpy.typing import NDArray
 
-from thigmo.stream.blocks import Phase, TelemetryBlock
+from thigmo.errors import DataError
 from thigmo.stream.foxglove import VIEWS, views
-from thigmo.stream.messages import ADAPTERS, CHANNELS, RECORDED, Message, Telemetry, validated
+from thigmo.stream.messages import ADAPTERS, CHANNELS, RECORDED, Message, validated
 
 _PACKAGE = "thigmo"
 _ROW = "Row"  # protobuf repeats no repeated field
@@ -120,9 +116,15 @@ def _proto(channel: str) -> type[Proto]:
     return message_factory.GetMessageClass(_file(channel).message_types_by_name[name])
 
 
+@cache
+def _names(kind: Any) -> tuple[str, ...]:
+    """Names of a dataclass's fields."""
+    return tuple(field.name for field in fields(kind))
+
+
 def _arguments(value: Any) -> dict[str, Any]:
     """A dataclass as the keyword arguments of its protobuf message."""
-    return {each.name: _held(getattr(value, each.name)) for each in fields(value)}
+    return {name: _held(getattr(value, name)) for name in _names(value.__class__)}
 
 
 def _held(value: Any) -> Any:
@@ -138,64 +140,15 @@ def to_protobuf(message: Message) -> bytes:
     return _proto(message.CHANNEL)(**_arguments(message)).SerializeToString()
 
 
-def packed(block: TelemetryBlock) -> Iterator[tuple[slice, NDArray[np.uint8]]]:
-    """A block's readings as bytes (n, size), each as `to_protobuf` makes them; which rows they are.
-
-    Readings of one phase have one size, because their integers are written in three bytes each,
-    which is as good a way to write them as a shorter one.
-    """
-    start = 0
-    for phase, same in groupby(block.phases):
-        rows = slice(start, start + len(list(same)))
-        start = rows.stop
-        first, places = _filled(phase, tuple((n, c.shape[1:]) for n, c in block.numbers.items()))
-        data = np.tile(np.frombuffer(first, dtype=np.uint8), (rows.stop - rows.start, 1))
-        numbers = data.view(places)[:, 0]
-        for name, column in block.numbers.items():
-            if name == _INTEGERS:
-                column = column.astype(np.uint32)[..., None] >> np.array([0, 7, 14], np.uint32)
-                column = column & 0x7F | np.array([0x80, 0x80, 0], np.uint32)
-            numbers[name] = column[rows]
-        yield rows, data
-
-
-_INTEGERS = "flex_sum"  # the one field of integers
-
-
-@cache
-def _filled(
-    phase: Phase, columns: tuple[tuple[str, tuple[int, ...]], ...]
-) -> tuple[bytes, np.dtype[Any]]:
-    """A reading of a phase in protobuf, and where in it the columns' numbers are."""
-    state, activity, faults = phase
-    values: dict[str, Any] = {"state": state, "activity": activity, "faults": faults}
-    marks: list[bytes] = []  # each column's numbers, which nothing else looks like
-    formats: list[tuple[str, tuple[int, ...]]] = []
-    for n, (name, shape) in enumerate(columns):
-        count = shape[0] if shape else 1
-        if name == _INTEGERS:
-            values[name] = (1 << 14 | n,) * count
-            marks.append(bytes([n | 0x80, 0x80, 1]) * count)
-            formats.append(("u1", (*shape, 3)))
-        else:
-            values[name] = (1.1 + n,) * count if shape else 1.1 + n
-            marks.append(struct.pack("<d", 1.1 + n) * count)
-            formats.append(("<f8", shape))
-    made = to_protobuf(Telemetry(**values))
-    return made, np.dtype(
-        {
-            "names": [name for name, _ in columns],
-            "formats": formats,
-            "offsets": [made.index(mark) for mark in marks],
-            "itemsize": len(made),
-        }
-    )
-
-
 def from_protobuf(channel: str, data: bytes) -> Message:
     """The message of `to_protobuf`'s bytes. Raises DataError if these are of other fields."""
     proto = _proto(channel)()
-    proto.MergeFromString(data)
+    try:
+        proto.MergeFromString(data)
+    except DecodeError as error:
+        raise DataError(
+            f"a message of /{channel} is damaged", "replay the run, which needs its frames only"
+        ) from error
     return validated(channel, _read(proto))
 
 

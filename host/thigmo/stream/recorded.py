@@ -27,7 +27,6 @@ from thigmo.extras import require
 from thigmo.files import whole_file
 from thigmo.record import LogWriter
 from thigmo.record.mcap_file import read_mcap
-from thigmo.stream.blocks import TelemetryBlock
 from thigmo.stream.hub import Hub
 from thigmo.stream.messages import (
     CHANNELS,
@@ -37,7 +36,6 @@ from thigmo.stream.messages import (
     Grid,
     Message,
     Posterior,
-    Telemetry,
 )
 from thigmo.wiring import board_of, columns, key_of, muscle_outputs
 
@@ -50,7 +48,7 @@ _APART = {"contacts", "places_cm", "probability", "poses", "radius_cm", "side"}
 @contextmanager
 def recording(hub: Hub, log: LogWriter) -> Iterator[None]:
     """Keep all that a hub's publishers tell in a record while the block runs."""
-    from thigmo.stream.protobuf import encoded, packed, topics
+    from thigmo.stream.protobuf import encoded, topics
 
     channels = {
         topic: log.add_channel(topic, "protobuf", name, "protobuf", data)
@@ -61,16 +59,10 @@ def recording(hub: Hub, log: LogWriter) -> Iterator[None]:
         for topic, data in encoded(message):
             log.message(channels[topic], data, message.t_s)
 
-    def keep_block(block: TelemetryBlock) -> None:
-        for rows, data in packed(block):
-            log.messages(channels[f"/{Telemetry.CHANNEL}"], data, block.numbers["t_s"][rows])
-
-    hub.attach(keep, set(RECORDED) - {Telemetry.CHANNEL})
-    hub.keep = keep_block
+    hub.attach(keep, RECORDED)
     try:
         yield
     finally:
-        hub.keep = None
         hub.detach(keep)
 
 
@@ -86,13 +78,15 @@ def read_messages(
     path = path / "run.mcap" if path.is_dir() else path
     wanted = {f"/{channel}" for channel in (RECORDED if channels is None else channels)}
     found = read_mcap(path, wanted)
+    if not found.topics:
+        raise RunFolderError(f"{path} is empty", "its run ended before it began: run it again")
     if found.topics.isdisjoint(f"/{channel}" for channel in RECORDED):
         raise RunFolderError(
             f"{path} holds only raw frames", "record the run again with this version of thigmo"
         )
     from thigmo.stream.protobuf import from_protobuf
 
-    ordered = sorted(found.messages, key=lambda each: each[1])  # readings are kept in blocks
+    ordered = sorted(found.messages, key=lambda each: each[1])
     return (from_protobuf(topic[1:], data) for topic, _, data in ordered)
 
 

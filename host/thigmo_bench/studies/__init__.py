@@ -25,6 +25,7 @@ STUDIES: dict[str, str] = {
     "trigger": "contact trigger's latency against its false alarms",
     "watch": "how late the page shows a reading, and what three pages cost",
     "stopping": "how soon each way to stop has the outputs off",
+    "crowd": "how soon a stop is confirmed among hostile connections",
     "plant-models": "time against error of each rung of plant and localizer",
 }
 

@@ -18,7 +18,7 @@ import numpy as np
 from thigmo.emulator.board import Board, virtual_board
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
-from thigmo.errors import CommandRefusedError
+from thigmo.errors import CommandRefusedError, RobotFaultError
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.framing import Decoder
@@ -77,6 +77,11 @@ FAILURES = (
     Failure("pressure sensor offset -3 psi", "pressure_offset", {"value": -3.0}, covered=NO_HARM),
     Failure("pressure sensor offset +3 psi", "pressure_offset", {"value": 3.0}, covered=NO_HARM),
     Failure("pressure sensor noisy, 1 psi", "pressure_noisy", {"value": 1.0}, covered=NO_HARM),
+    Failure("pressure sensor shows at most 2 psi, but for moments", "pressure_flickers",
+            {"value": 2.0}, covered=NO_DRIVE),
+    Failure("pressure sensor shows at most 16 psi, but for moments", "pressure_flickers",
+            {"value": 16.0}, covered=NO_HARM),
+    Failure("pressure sensor's wire chatters", "pressure_chatters"),
     Failure("flex sensor open", "flex_wire_cut"),
     Failure("flex sensor short", "flex_short"),
     Failure("flex sensor frozen", "flex_frozen", covered=NO_HARM),
@@ -85,6 +90,7 @@ FAILURES = (
     Failure("valve stuck shut", "pressure_stuck", {"value": 0.0}, valve=True,
             covered="none needed: no air"),
     Failure("valve stuck where it is", "pressure_stuck", valve=True, covered=RELIEF),
+    Failure("valve leaks, 1.2 psi", "pressure_stuck", {"value": 1.2}, valve=True, covered=RELIEF),
     Failure("air lost", "air_lost", valve=True, covered="none needed: no air"),
     Failure("motor unpowered, windings open", "motor_lost", spool=True, covered=BRAKE),
     Failure("motor jammed", "spool_stall", covered=NO_DRIVE),
@@ -111,6 +117,15 @@ FAILURES = (
     Failure("firmware hangs", "hang"),
     Failure("e-stop pressed", "estop"),
 )  # fmt: skip
+
+# What a start must notice; the rows are of the state "starting".
+AT_START = (
+    Failure("flipped bit of the newest configuration", "flipped_bit"),
+    Failure("reset while a fault is latched", "latched_reset"),
+)
+STARTING = "starting"
+_NEWER_SLOT = 1032  # in the store, once it has been saved twice (firmware/core/config/store.h)
+_FLIPPED_BYTE = 40  # of the slot
 
 # Commands before the failure, and the time from them to the failure.
 STATES: dict[str, tuple[tuple[wire.Command[Any], ...], float]] = {
@@ -188,8 +203,51 @@ def stored(fit: Fit = "bare", muscles: int = 2) -> bytes:
     return transport.lockstep.board.eeprom
 
 
+def _start(case: Case) -> Visit:
+    """Start a board whose newest configuration is damaged, or one that has a fault latched."""
+    scene = _scene(case.fit, case.muscles)
+    board = virtual_board(scene.robot, _SEED, stored(case.fit, case.muscles))
+    transport = EmulatorTransport(scene, board, seed=_SEED)
+    robot = Robot(Client(transport))
+    if case.failure.kind == "flipped_bit":
+        robot.set_parameter("max_pressure_cpsi", [1000])
+        robot.save()
+        store = bytearray(board.eeprom)
+        store[_NEWER_SLOT + _FLIPPED_BYTE] ^= 1
+        board = virtual_board(scene.robot, _SEED, bytes(store))
+        transport = EmulatorTransport(scene, board, seed=_SEED)
+    else:
+        robot.arm()
+        table = {"kind": "pressure_wire_cut", "at_s": transport.now(), "duration_s": QUIET_S}
+        transport.lockstep.faults.inject(FaultTable.model_validate(table))
+        transport.pass_time(2 * QUIET_S)
+        board.reset(int(wire.ResetCause.EXTERNAL))
+        transport.pass_time(2 * QUIET_S)
+    robot = Robot(Client(transport))
+    robot.wait(QUIET_S, despite_faults=True)
+    noticed = ", ".join(robot.status().faults)
+    refused = not _arms(robot)
+    if case.failure.kind == "flipped_bit":
+        robot.configure(transport.config)
+    robot.clear_faults()
+    return Visit(
+        noticed=noticed, safe_s=0.0 if refused else None, peak_psi=0.0, steady_psi=0.0,
+        moved_cm=0.0, beyond_cm=0.0, pull_n=0.0, recovers=_arms(robot), driven=0,
+    )  # fmt: skip
+
+
+def _arms(robot: Robot) -> bool:
+    try:
+        robot.arm()
+    except (CommandRefusedError, RobotFaultError):
+        return False
+    return True
+
+
 def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) -> Visit:
     """Break one part in one state and record the effects, on the virtual board by default."""
+    if case.state == STARTING:
+        return _start(case)
     scene = _scene(case.fit, case.muscles)
     made = board_for or partial(virtual_board, scene.robot, _SEED)
     board = made(stored(case.fit, case.muscles))
@@ -279,7 +337,8 @@ def _recovers(transport: EmulatorTransport) -> bool:
 
 
 def run(context: Context) -> Outcome:
-    """The campaign: every failure in every state, bare, with valves, with valves and brake.
+    """The campaign: every failure in every state, bare, with valves, with valves and brake; and
+    what a start must notice.
 
     Quick: in three of the states, and in growth with valves and brake.
     """
@@ -300,6 +359,7 @@ def run(context: Context) -> Outcome:
         for state in (BENDING[-1:] if quick else BENDING)
         if failure.kind not in of_brake
     ]
+    cases += [Case(failure, STARTING) for failure in AT_START]
     return outcome(cases, context.map(visit, cases, "failures"))
 
 

@@ -36,6 +36,7 @@ class Bodies:
     kink: Floats  # (S, E) rad
     base_moment: Floats  # (S,) moment of the loads at the base, over EI
     base: Floats  # (3, S) heading, x and y of the base in the last load's frame
+    at_loads: Floats  # (3, S, E) the same of the loaded sections, on their far sides
 
     def turn(self, arcs: Floats) -> Floats:
         """(S, Q) heading at arcs (S, Q), without the kinks: cubic between the nodes."""
@@ -76,6 +77,8 @@ def solve(
     couple: float | Floats = 0.0,
     kink: float | Floats = 0.0,
     stiffness: Profile | None = None,
+    evenness: Profile | None = None,
+    added: float | Floats = 0.0,
 ) -> Bodies:
     """Bodies in equilibrium under loads at `arcs` (S, E), rising, of everted length `length`.
 
@@ -83,47 +86,67 @@ def solve(
     `tangential` along it, towards its tip, and moments `couple` beside theirs. `kink` is a turn
     (rad) of the body there, whatever the load. The free curvature is one, (S, 1), or (S, E + 1) for
     each piece between loads; `stiffness` turns arcs (S,) into stiffness over EI, 1 if not given.
+    `evenness` turns arcs into factors of the free curvature; `added` is curvature besides, as a
+    fold's, (S, E + 1).
     """
     bodies, loads = arcs.shape
     normal, tangential, couple, kink = (
         np.broadcast_to(np.asarray(load, dtype=float), (bodies, loads))
         for load in (normal, tangential, couple, kink)
     )
-    free = np.broadcast_to(np.asarray(free_curvature, dtype=float), (bodies, loads + 1))
+    free, besides = (
+        np.broadcast_to(np.asarray(value, dtype=float), (bodies, loads + 1))
+        for value in (free_curvature, added)
+    )
+
+    def unloaded(arc: Floats, piece: int) -> Floats:
+        factor = 1.0 if evenness is None else evenness(arc)
+        curvature: Floats = free[:, piece] * factor + besides[:, piece]
+        return curvature
+
     breaks = np.concatenate([np.zeros((bodies, 1)), arcs, np.full((bodies, 1), length)], axis=1)
     heading = np.empty((bodies, loads + 1, STEPS + 1))
     curvature = np.empty_like(heading)
-    beyond = (breaks[:, -1:] - breaks[:, -2:-1]) * np.linspace(0.0, 1.0, STEPS + 1)
-    heading[:, -1] = free[:, -1:] * beyond
-    curvature[:, -1] = free[:, -1:]
+    # Beyond the last load the body turns by itself: Simpson's rule.
+    h = (breaks[:, -1] - breaks[:, -2]) / STEPS
+    curvature[:, -1, 0], heading[:, -1, 0] = unloaded(breaks[:, -2], loads), 0.0
+    for node in range(1, STEPS + 1):
+        arc = breaks[:, -2] + node * h
+        curvature[:, -1, node] = unloaded(arc, loads)
+        middle = 4.0 * unloaded(arc - 0.5 * h, loads)
+        mean = (curvature[:, -1, node - 1] + middle + curvature[:, -1, node]) / 6.0
+        heading[:, -1, node] = heading[:, -1, node - 1] + h * mean
     state = np.zeros((4, bodies))  # heading, x, y, moment
     along, across, kinked = np.zeros((3, bodies))
+    at_loads = np.empty((3, bodies, loads))
 
-    def slope(arc: Floats, state: Floats, free: Floats) -> Floats:
+    def slope(arc: Floats, state: Floats, piece: int) -> Floats:
         cosine, sine = np.cos(state[0]), np.sin(state[0])
         soft = state[3] if stiffness is None else state[3] / stiffness(arc)
-        return np.array([free + soft, cosine, sine, sine * along - cosine * across])
+        turns = unloaded(arc, piece) + soft
+        return np.array([turns, cosine, sine, sine * along - cosine * across])
 
     for e in reversed(range(loads)):
+        at_loads[:, :, e] = state[:3]
         cosine, sine = np.cos(state[0]), np.sin(state[0])
         along = along + tangential[:, e] * cosine - normal[:, e] * sine
         across = across + tangential[:, e] * sine + normal[:, e] * cosine
         state[3] += couple[:, e]
         state[0] -= kink[:, e]
         kinked = kinked + kink[:, e]
-        arc, g = breaks[:, e + 1], free[:, e]
+        arc = breaks[:, e + 1]
         h = (breaks[:, e] - arc) / STEPS
         for node in reversed(range(STEPS + 1)):
-            a = slope(arc, state, g)
+            a = slope(arc, state, e)
             heading[:, e, node] = state[0] + kinked
             curvature[:, e, node] = a[0]
             if node > 0:
-                b = slope(arc + 0.5 * h, state + 0.5 * h * a, g)
-                c = slope(arc + 0.5 * h, state + 0.5 * h * b, g)
-                d = slope(arc + h, state + h * c, g)
+                b = slope(arc + 0.5 * h, state + 0.5 * h * a, e)
+                c = slope(arc + 0.5 * h, state + 0.5 * h * b, e)
+                d = slope(arc + h, state + h * c, e)
                 state = state + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
                 arc = arc + h
-    return Bodies(breaks, heading, curvature, kink, state[3], state[:3])
+    return Bodies(breaks, heading, curvature, kink, state[3], state[:3], at_loads)
 
 
 def readings(

@@ -27,7 +27,7 @@ from thigmo.emulator.plant import STEP_S
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
 from thigmo.extras import require
-from thigmo.link.stop_socket import OTHER_PLACE
+from thigmo.link.address import OTHER_PLACE
 from thigmo_bench.studies.engine import Claim, Context, Outcome
 from thigmo_bench.studies.watch import EVER_MS, Start, opened_page, running
 

@@ -121,7 +121,7 @@ TEST(pressure_reaches_its_set_point_without_offset) {
     for (int i = 0; i < 200 * 8; ++i) {
       muscle.step(loop.step(muscle.cpsi(), s.c, s.d));
       most = std::fmax(most, muscle.psi * 100);
-      CHECK(!loop.stuck() && !loop.mismatched(s.d));
+      CHECK(!loop.stuck(s.d) && !loop.mismatched(s.d));
     }
     CHECK_NEAR(muscle.cpsi(), target, 4);
     CHECK(most < target + 0.15 * target + 20);
@@ -154,7 +154,40 @@ TEST(a_set_point_waits_at_the_proof_until_its_own_sensor_follows) {
   for (int i = 0; i < 400; ++i) most = greater(most, loop.step(0, s.c, s.d));
   CHECK_EQUAL(loop.set_cpsi(), PressureLoop::kProofCpsi);
   CHECK(most <= PressureLoop::duty(PressureLoop::kProofCpsi, s.c, s.d));
-  CHECK(loop.stuck() && loop.mismatched(s.d));
+  CHECK(loop.stuck(s.d) && loop.mismatched(s.d));
+}
+
+TEST(a_sensor_that_lies_for_half_of_the_time_is_noticed_and_one_that_errs_for_a_moment_is_not) {
+  Settings s;
+  // A muscle at 10 psi whose sensor then shows 4 psi less, or the truth, in turn.
+  const auto noticed = [&s](int bad_steps, int good_steps) {
+    PressureLoop loop;
+    Muscle muscle;
+    loop.set_target(1000, Derived::slew_step_q8(1500));
+    for (int i = 0; i < 800; ++i) muscle.step(loop.step(muscle.cpsi(), s.c, s.d));
+    for (int i = 0; i < 200 * 30; ++i) {
+      const bool lies = i % (bad_steps + good_steps) < bad_steps;
+      muscle.step(loop.step(static_cast<int16_t>(muscle.cpsi() - (lies ? 400 : 0)), s.c, s.d));
+      if (loop.stuck(s.d) || loop.mismatched(s.d)) return true;
+    }
+    return false;
+  };
+  CHECK(noticed(1, 0) && noticed(1, 1) && noticed(97, 3) && noticed(40, 60));
+  CHECK(!noticed(1, 4) && !noticed(40, 200));
+}
+
+TEST(a_channel_that_is_never_proven_is_a_mismatch) {
+  Settings s;
+  PressureLoop loop;
+  Muscle muscle;
+  loop.set_target(1800, Derived::slew_step_q8(10000));
+  int steps = 0;
+  // Right for 45 ms, and then wrong for 5 ms: neither a proof nor an error that lasts.
+  for (; steps < 4000 && !loop.mismatched(s.d); ++steps) {
+    muscle.step(loop.step(steps % 10 == 0 ? int16_t{0} : muscle.cpsi(), s.c, s.d));
+    CHECK(loop.set_cpsi() <= PressureLoop::kProofCpsi);
+  }
+  CHECK(steps > 300 && steps < 500);
 }
 
 TEST(the_integrator_is_frozen_below_the_live_zero_and_re_enters_without_a_bump) {
@@ -211,7 +244,7 @@ TEST(a_pressure_that_does_not_follow_is_stuck_and_a_sweep_is_not) {
   PressureLoop loop;
   loop.set_target(800, Derived::slew_step_q8(1500));
   int steps = 0;
-  while (!loop.stuck() && steps < 4000) {
+  while (!loop.stuck(s.d) && steps < 4000) {
     loop.step(0, s.c, s.d);
     ++steps;
   }
@@ -225,7 +258,7 @@ TEST(a_pressure_that_does_not_follow_is_stuck_and_a_sweep_is_not) {
   while (sweep.advance(tick)) {
     moving.set_target(sweep.set_cpsi(tick), Derived::slew_step_q8(1500));
     muscle.step(moving.step(muscle.cpsi(), s.c, s.d));
-    CHECK(!moving.stuck() && !moving.mismatched(s.d));
+    CHECK(!moving.stuck(s.d) && !moving.mismatched(s.d));
     tick += 5;
   }
 }

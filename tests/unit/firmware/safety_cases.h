@@ -4,6 +4,7 @@
 
 #include "check.h"
 #include "safety/faults.h"
+#include "safety/leaky_count.h"
 #include "virtual_board.h"
 
 namespace safety_cases {
@@ -124,6 +125,69 @@ TEST(every_refusal_has_its_reason) {
       }
     }
   }
+}
+
+TEST(what_was_permitted_ends_with_the_conditions_that_must_last) {
+  const auto has = [](int conditions, Condition c) { return (conditions & mask(c)) != 0; };
+  for (int kind = 0; kind <= static_cast<int>(Permit::kTestMotor); ++kind) {
+    const Permit permit = static_cast<Permit>(kind);
+    const bool bend = permit == Permit::kBend || permit == Permit::kPress;
+    const bool wind =
+        permit == Permit::kGrow || permit == Permit::kRetract || permit == Permit::kZero;
+    const bool empty = wind || permit == Permit::kHome || permit == Permit::kTestMotor;
+    for (int c = 0; c < kConditions; ++c) {
+      Reason want = Reason::kNone;
+      if ((bend || wind) && !has(c, Condition::kLengthKnown)) {
+        want = Reason::kLengthUnknown;
+      } else if (bend && has(c, Condition::kHalfEverted)) {
+        want = Reason::kHalfEverted;
+      } else if (bend && !has(c, Condition::kZoneKnown)) {
+        want = Reason::kZoneUnknown;
+      } else if (empty && !has(c, Condition::kVented)) {
+        want = Reason::kNotVented;
+      } else if (bend && !has(c, Condition::kZeroed)) {
+        want = Reason::kNotZeroed;
+      } else if (bend && !has(c, Condition::kBaseUsable)) {
+        want = Reason::kNoBaseSensor;
+      }
+      const Reason lost = loss(permit, static_cast<uint16_t>(c));
+      if (lost != want) {
+        std::printf("permit %d conditions %x\n", kind, c);
+        CHECK_EQUAL(static_cast<int>(lost), static_cast<int>(want));
+        return;
+      }
+      // And nothing ends that would be permitted now.
+      const Reason refused =
+          refusal(permit, State::kReady, Activity::kIdle, static_cast<uint16_t>(c));
+      CHECK(refused != Reason::kNone || lost == Reason::kNone);
+    }
+  }
+}
+
+TEST(a_leaky_count_is_full_after_bad_samples_in_a_row_or_a_share_of_them) {
+  using Count = LeakyCount<uint16_t, 4>;
+  const auto samples_until_full = [](int bad, int good, uint8_t weight = 1) {
+    Count count;
+    for (int i = 0; i < 5000; ++i) {
+      count.add(i % (bad + good) < bad, 100, weight);
+      if (count.full(100)) return i + 1;
+    }
+    return 0;
+  };
+  CHECK_EQUAL(samples_until_full(1, 0), 100);
+  CHECK_EQUAL(samples_until_full(1, 0, 30), 4);
+  CHECK(samples_until_full(1, 3) > 100 && samples_until_full(20, 40) > 100);
+  CHECK_EQUAL(samples_until_full(1, 4), 0);
+  Count count;
+  for (int i = 0; i < 1000; ++i) count.add(true, 100);
+  CHECK(count.full(100));
+  count.add(false, 100);
+  CHECK(!count.full(100));  // the cause is gone, and not forgotten
+  count.add(true, 100);
+  CHECK(count.full(100));
+  for (int i = 0; i < 400; ++i) count.add(false, 100);
+  for (int i = 0; i < 99; ++i) count.add(true, 100);
+  CHECK(!count.full(100));
 }
 
 TEST(outputs_that_something_disturbs_are_written_anew_within_three_periods) {

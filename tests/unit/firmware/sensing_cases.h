@@ -141,24 +141,39 @@ TEST(readings_are_ready_when_every_sensor_has_one) {
   CHECK(!readings.all_ready());
 }
 
-TEST(open_and_short_circuits_need_a_run_of_conversions) {
-  FlexReadings readings;
-  readings.set_oversampling(4);
-  for (int i = 0; i < FlexReadings::kBadRun - 1; ++i) convert(readings, 3, 0);
-  CHECK(!readings.open(3));
-  convert(readings, 3, 500);  // a dropout ends
-  for (int i = 0; i < FlexReadings::kBadRun; ++i) {
-    CHECK(!readings.open(3));
-    convert(readings, 3, 2);
+TEST(open_and_short_circuits_need_bad_conversions_in_a_row_or_a_share_of_them) {
+  constexpr int kGood = FlexReadings::kBadLimit * FlexReadings::kBadMemory;
+  for (const bool open : {true, false}) {
+    const uint16_t bad = open ? 0 : 1023;
+    FlexReadings readings;
+    readings.set_oversampling(4);
+    const auto found = [&] { return open ? readings.open(3) : readings.shorted(3); };
+    const auto other = [&] { return open ? readings.shorted(3) : readings.open(3); };
+    for (int i = 0; i < FlexReadings::kBadLimit - 1; ++i) convert(readings, 3, bad);
+    CHECK(!found());
+    for (int i = 0; i < kGood; ++i) convert(readings, 3, 500);  // a dropout ends, and is forgotten
+    for (int i = 0; i < FlexReadings::kBadLimit; ++i) {
+      CHECK(!found() && !readings.any_bad());
+      convert(readings, 3, bad);
+    }
+    CHECK(found() && !other() && !readings.open(4) && readings.any_bad());
+    convert(readings, 3, open ? 1023 : 0);  // bad all the same
+    CHECK(!found() && other() && readings.any_bad());
+    convert(readings, 3, 500);
+    CHECK(!found() && !other() && !readings.any_bad());
   }
-  CHECK(readings.open(3) && !readings.shorted(3) && !readings.open(4));
-  for (int i = 0; i < FlexReadings::kBadRun; ++i) {
-    CHECK(!readings.shorted(3));
-    convert(readings, 3, 1023);
-  }
-  CHECK(readings.shorted(3) && !readings.open(3));
-  convert(readings, 3, 500);
-  CHECK(!readings.shorted(3));
+  // A wire that chatters, between its ends or between one and the truth.
+  const auto noticed = [](std::vector<uint16_t> counts) {
+    FlexReadings readings;
+    readings.set_oversampling(4);
+    for (int i = 0; i < 2000; ++i) {
+      convert(readings, 7, counts[i % counts.size()]);
+      if (readings.any_bad()) return readings.open(7) || readings.shorted(7);
+    }
+    return false;
+  };
+  CHECK(noticed({0, 1023}) && noticed({0, 500}) && noticed({1023, 500, 0, 500, 500}));
+  CHECK(!noticed({0, 500, 500, 500, 500}));
 }
 
 TEST(pressure_is_read_through_its_calibration) {
@@ -183,15 +198,46 @@ TEST(pressure_is_read_through_its_calibration) {
 
 TEST(a_pressure_wire_is_broken_outside_its_band) {
   PressureReading reading;
-  for (int i = 0; i < PressureReading::kWireRun; ++i) {
+  for (int i = 0; i < PressureReading::kWireLimit; ++i) {
     CHECK(!reading.wire_broken());
     reading.add(50);
   }
   CHECK(reading.wire_broken());
   reading.add(51);
   CHECK(!reading.wire_broken());
-  for (int i = 0; i < PressureReading::kWireRun; ++i) reading.add(974);
+  for (int i = 0; i < PressureReading::kWireLimit; ++i) reading.add(974);
   CHECK(reading.wire_broken());
+}
+
+TEST(a_pressure_wire_that_chatters_is_broken_and_one_that_flickers_is_not) {
+  const auto noticed = [](int bad, int good) {
+    PressureReading reading;
+    for (int i = 0; i < 1000; ++i) {
+      reading.add(i % (bad + good) < bad ? 0 : 400);
+      if (reading.wire_broken()) return true;
+    }
+    return false;
+  };
+  for (const int bad : {1, 2}) {
+    for (int share = 35; share <= 65; share += 5) {
+      CHECK(noticed(bad, (100 - share) * bad / share));
+    }
+  }
+  CHECK(!noticed(1, 4) && !noticed(2, 50));
+}
+
+TEST(a_reading_with_a_broken_wires_conversions_is_doubtful) {
+  Configuration c;
+  c.load_defaults();
+  Derived d;
+  d.update(c);
+  PressureReading reading;
+  const auto update = [&] { reading.update(c.get(Param::kPressureZero), d.pressure_gain[0]); };
+  for (const bool bad : {false, true, false}) {
+    for (int i = 0; i < 5; ++i) reading.add(bad && i == 1 ? 1023 : 400);
+    update();
+    CHECK_EQUAL(reading.doubtful(), bad);
+  }
 }
 
 TEST(a_map_is_linear_between_its_supports) {

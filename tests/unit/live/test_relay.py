@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 from test_ros_messages import RUN, STATE
 
-from thigmo.live import relay
 from thigmo.live.foxglove import FoxgloveServer
-from thigmo.live.relay import Facts, Relay
+from thigmo.live.relay import Facts, Relay, Target
+from thigmo.robot.stopping import Stopped
 from thigmo.stream import Grid, Hello, Message
 
 GRID = Grid(1.0, 5.0, 0.5, (0.0, 0.0, 0.0), 1, 1, (0,))
@@ -21,16 +21,18 @@ class FakeWatched:
     """Gives what a test puts in."""
 
     def __init__(self) -> None:
+        self.url: str | None = None
         self.waiting: list[Message | None] = []
         self.looked = threading.Event()
-        self.sent: list[str] = []
+        self.targets: list[Target] = []
 
     def take(self) -> list[Message | None]:
         taken, self.waiting = self.waiting, []
         return taken
 
-    def stop(self, seconds: float) -> None:
-        self.sent.append("stop")
+    def stop(self, target: Target) -> list[Stopped]:
+        self.targets.append(target)
+        return [Stopped(target.url, "its board")] if target.url else []
 
     def close(self) -> None:
         pass
@@ -64,32 +66,51 @@ def _passed(
 
 
 def test_view_is_told_of_a_new_run_before_its_messages_and_of_the_last_stop(
-    watched: FakeWatched, monkeypatch: pytest.MonkeyPatch
+    watched: FakeWatched,
 ) -> None:
-    monkeypatch.setattr(relay, "way_to", lambda run: "port")
-    monkeypatch.setattr(relay, "stop_port", lambda run: [RUN.url])
     passing = Relay(watched)  # type: ignore[arg-type]
     assert _passed(watched, passing, RUN, STATE)[:2] == [("n", ""), ("state", "")]
-    assert passing.stop() == f"stopped {RUN.url}"
-    assert ("n", f"stopped {RUN.url}") in _passed(watched, passing, STATE)
+    stopped = f"stopped {RUN.url}, confirmed by its board"
+    assert passing.stop() == stopped
+    assert ("n", stopped) in _passed(watched, passing, STATE)
     said = _passed(watched, passing, None, NEXT, STATE)
-    stopped = f"stopped {RUN.url}"
     assert said[:2] == [("n", stopped), ("next", stopped)]  # the last stop stays known
 
 
-def test_stop_that_comes_before_a_run_under_way_is_known_stops_it(
-    watched: FakeWatched, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stop_that_comes_before_a_run_under_way_is_known_stops_it(watched: FakeWatched) -> None:
     passing = Relay(watched)  # type: ignore[arg-type]
+    emulated = replace(RUN, virtual=True)
 
-    def no_port(run: Hello | None) -> list[str]:
-        watched.looked.set()  # the run is found while ports are asked
-        _passed(watched, passing, replace(RUN, virtual=True), STATE)
-        return []
+    class Found(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            _passed(watched, passing, emulated, STATE)
+            return True
 
-    monkeypatch.setattr(relay, "stop_port", no_port)
-    assert passing.stop() == f"stopped {RUN.url}"
-    assert watched.sent == ["stop"]
+    passing._looked = Found()
+    assert passing.stop() == f"stopped {RUN.url}, confirmed by its board"
+    assert watched.targets == [Target(None), Target(RUN.url, emulated)]
+
+
+VIRTUAL = replace(RUN, virtual=True, url="emulator://scripted")
+
+
+@pytest.mark.parametrize(
+    ("url", "run", "under_way", "target"),
+    [
+        ("/dev/a", None, False, Target("/dev/a")),
+        ("/dev/a", RUN, False, Target("/dev/a")),
+        ("/dev/a", VIRTUAL, False, Target("/dev/a")),
+        (None, RUN, True, Target(RUN.url, RUN)),
+        (None, RUN, False, Target(RUN.url)),  # what it has shown last
+        (None, VIRTUAL, True, Target(VIRTUAL.url, VIRTUAL)),
+        (None, VIRTUAL, False, Target(None)),  # it has ended with its run
+        (None, None, False, Target(None)),
+    ],
+)
+def test_a_view_stops_the_robot_whose_name_it_bears(
+    url: str | None, run: Hello | None, under_way: bool, target: Target
+) -> None:
+    assert Target.of(url, run, under_way=under_way) == target
 
 
 def test_foxglove_gives_late_comers_nothing_of_the_run_before() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from contacts import CONTACT, a_telemetry
-from test_hub import ONE_OF_EACH, a_block
+from test_hub import ONE_OF_EACH
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
@@ -24,8 +24,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     hub = Hub()
     with LogWriter(folder / "run.mcap", {}, epoch_s=1.7e9) as log, recording(hub, log):
-        assert hub.keep is not None
-        hub.keep(a_block([a_telemetry(0.5, supply_v=nan), a_telemetry()]))
+        hub.publish(a_telemetry(0.5, supply_v=nan))
         for message in ONE_OF_EACH:
             hub.publish(message)
     return folder

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from math import isnan, nan
 
-import numpy as np
 import pytest
 from contacts import CONTACT, a_telemetry
 
@@ -28,16 +26,6 @@ from thigmo.stream import (
     from_json,
     to_json,
 )
-from thigmo.stream.blocks import TelemetryBlock
-
-
-def a_block(readings: list[Telemetry]) -> TelemetryBlock:
-    """Readings as columns."""
-    words = {"state", "activity", "faults"}
-    names = [each.name for each in fields(Telemetry) if each.name not in words]
-    numbers = {name: np.array([getattr(each, name) for each in readings]) for name in names}
-    phases = [(each.state, each.activity, each.faults) for each in readings]
-    return TelemetryBlock(numbers, phases)
 
 
 def an_event(t_s: float = 1.0) -> Event:

@@ -89,11 +89,11 @@ function stopped({ at_s, by }) {
 
 // Who stopped last, and what came of it: it stays shown, whatever runs next.
 function lastStop() {
-  const { page } = store, stop = page?.last_stop;
-  if (!stop || page.latched) return "";
-  const at = clock(stop.at_s);
-  const came = stop.failed ? `not confirmed: ${stop.failed}` : `confirmed by ${stop.stopped.join(", ")}`;
-  return `Last stop: ${at}, pressed on ${stop.by}, ${came}.`;
+  const stop = store.page?.last_stop;
+  if (!stop) return "";
+  const came = stop.robots.map(({ robot, confirmed_by, failure }) =>
+    failure ? `${robot} NOT confirmed: ${failure}` : `${robot} confirmed by ${confirmed_by}`);
+  return `Last stop: ${clock(stop.at_s)}, pressed on ${stop.by}: ${came.join("; ")}.`;
 }
 
 function doing(lost) {
@@ -184,7 +184,7 @@ function drawBanners(lost) {
   if (lost) {
     banners.push(["fault", "Stop not connected: use the e-stop.", "The page has lost its server. In a terminal, `thigmo stop` stops the robot as well."]);
   } else if (page?.mode === "live" && page.stop === "lost" && document.body.dataset.stop !== "stopped") {
-    banners.push(["fault", "Stop not connected: use the e-stop.", "The process that owns the robot’s port does not answer."]);
+    banners.push(["fault", "Stop not connected: use the e-stop.", page.stop_why_not]);
   }
   if (page?.mode === "live" && !lost && page.silent_s > 2 && !page.ended) {
     banners.push(["warning", `No reading for ${rounded(page.silent_s, 0)} s.`, "The run may hang. Stop works: the process that owns the port takes it."]);
