@@ -22,7 +22,7 @@ help:
 	@echo "make install  set up $(VENV) only"
 	@echo "make lint     types, style, layers, generated files"
 	@echo "make bench    the large studies (minutes)"
-	@echo "make soak     an hour of robot time with random commands and faults on the simulated Mega"
+	@echo "make soak     nine times 0.1 h of robot time with random commands and faults on the simulated Mega"
 	@echo "make figures  run everything behind the figures in docs/ and README, and write them there"
 	@echo "make docs-cells  execute every command and code cell of the site, and keep their output"
 	@echo "make docs     build the site into build/site from that output"

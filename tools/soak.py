@@ -1,19 +1,20 @@
-"""An hour of everything: random commands, faults and telemetry, and every promise watched.
+"""Everything at once: random commands, faults and telemetry, and every promise watched.
 
-    python tools/soak.py                        an hour of robot time on the simulated Mega
+    python tools/soak.py                        nine seeds of 0.1 h of robot time each, on the
+                                                simulated Mega
     python tools/soak.py --board virtual        the portable core alone, in a few minutes; it looks
                                                 at its line four times a millisecond, and so gives
                                                 up a telemetry frame in a crowd of events
-    python tools/soak.py --hours 0.05 --seed 2 --json
+    python tools/soak.py --hours 0.05 --seed 2 --seeds 1 --json
     python tools/soak.py --connect /dev/ttyACM0?baud=500000
                                                 a real board over a real cable, questions only
 
 Commands are all of the schema's, with valid, impossible and meaningless contents, of wrong sizes
 and unknown numbers: moves, sweeps, presses, zeroing, parameters, maps, saves (one in two minutes,
 for the EEPROM's sake). Wires break, air fails, the spool sticks, the emergency stop is pressed; now
-and then the host says hello again. Exit code 1 when a promise is broken. A run depends on its seed
-alone; ctrl-C ends it early, with the figures so far. tools/budgets.py paints the stack under the
-same mix.
+and then the host says hello again. Exit code 1 when a promise is broken. Of several seeds, counts
+are added up, and of everything else the worst is given, unrounded. A run depends on its seed alone;
+ctrl-C ends it early, with the figures so far. tools/budgets.py paints the stack under the same mix.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ import signal
 import statistics
 import sys
 from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import replace
 
 from mega_rig import RAM, Figure, Rig, painted_stack, scene, static_ram
 
@@ -401,7 +404,7 @@ class Soak:
             Figure("commands refused, as they should be", self.count["refused"], ""),
             Figure("commands lost", stats.timeouts, "", 0),
             Figure("commands repeated (that answer at once)", self.count["repeated"], "", 0),
-            Figure("reply, worst (of those)", round(self.latency_ms, 2), "ms", 20),
+            Figure("reply, worst (of those)", self.latency_ms, "ms", 20),
             Figure("telemetry frames", stats.telemetry, ""),
             Figure("telemetry frames given up for events", board.tx_dropped, "",
                    None if client.hello.board is wire.Board.VIRTUAL else 0),
@@ -419,8 +422,8 @@ class Soak:
             many = max(len(settled) // 5, 1)
             drift = statistics.fmean(settled[-many:]) - statistics.fmean(settled[:many])
             found += [
-                Figure("clock map, drift", round(abs(drift), 1), "us", 500),
-                Figure("clock map, spread", round(max(settled) - min(settled), 1), "us", 1000),
+                Figure("clock map, drift", abs(drift), "us", 500),
+                Figure("clock map, spread", max(settled) - min(settled), "us", 1000),
             ]
         return found
 
@@ -451,9 +454,19 @@ def simulated(board: str, seed: int, hours: float) -> list[Figure]:
             Figure("EEPROM bytes written", rig.chip.eeprom_writes, ""),
         ]
         found += [
-            Figure(name, round(100 * rig.worst[name] / (width * CYCLES_PER_MS), 1), "%", 50)
+            Figure(name, 100 * rig.worst[name] / (width * CYCLES_PER_MS), "%", 50)
             for name, width in WORST.items()
         ]
+    return found
+
+
+def together(runs: Sequence[list[Figure]]) -> list[Figure]:
+    """The figures of several seeds: counts and times added up, the worst of everything else."""
+    found = []
+    for same in zip(*runs, strict=True):
+        values = [figure.value for figure in same]
+        added = same[0].unit in ("", "h")
+        found.append(replace(same[0], value=sum(values) if added else max(values)))
     return found
 
 
@@ -470,20 +483,24 @@ def over_a_cable(url: str, seed: int, hours: float) -> list[Figure]:
 def main() -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--hours", type=float, default=1.0, help="of robot time; default 1")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--hours", type=float, default=0.1, help="of robot time; default 0.1")
+    parser.add_argument("--seed", type=int, default=1, help="the first; default 1")
+    parser.add_argument("--seeds", type=int, default=9, help="how many; default 9")
     parser.add_argument("--board", choices=("mega-sim", "virtual"), default="mega-sim")
     parser.add_argument("--connect", metavar="PORT", help="a real board: questions only")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     # A shell that starts it in the background has interrupts ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if options.seeds < 1:
+        parser.error(f"--seeds {options.seeds} is no run; give 1 or more")
     if options.hours <= 0:
         parser.error(f"--hours {options.hours:g} is no time; give more than 0")
     if options.connect:
         figures = over_a_cable(options.connect, options.seed, options.hours)
     else:
-        figures = simulated(options.board, options.seed, options.hours)
+        seeds = range(options.seed, options.seed + options.seeds)
+        figures = together([simulated(options.board, seed, options.hours) for seed in seeds])
     if options.json:
         print(json.dumps({f.name: f.row for f in figures}, indent=2))
     else:

@@ -240,6 +240,7 @@ class Controller {
   void finish_spool(bool arrived);
   void finish_homing_stage(bool arrived);
   void lose_home();
+  void begin_move();
   void start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s);
   Outcome wind_to(Permit kind, int32_t length_um, uint32_t speed_um_s);
   // Scales whose change voids what was measured.
@@ -264,6 +265,7 @@ class Controller {
     return activity_ == Activity::kGrowing || activity_ == Activity::kRetracting ||
            activity_ == Activity::kHoming;
   }
+  bool moves() const { return winding() && !starts_; }
 
   Configuration config_;
   StagedParameters staged_;
@@ -313,6 +315,8 @@ class Controller {
   uint16_t conditions_ = 0;
   uint16_t encoder_errors_ = 0;
   uint16_t errors_before_ = 0;  // when the move began
+  int32_t target_counts_ = 0;   // of the move that starts
+  int32_t target_speed_um_s_ = 0;
   int32_t moved_from_ = 0;      // where it began
   uint16_t supply_raw_mv_ = 0;  // against a reference of 1.1 V
   uint16_t supply_mv_ = 0;
@@ -347,6 +351,7 @@ class Controller {
   bool config_valid_ = false;
   bool store_damaged_ = false;  // until a host has saved
   bool estop_ = false;
+  bool starts_ = false;  // a move, with the spool's next turn
   bool slipping_ = false;
   bool motor_power_ = false;
   bool power_was_wanted_ = false;

@@ -159,21 +159,31 @@ inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
   return {Reason::kNone, unguarded};
 }
 
+// The spool's next turn starts the move, and its first step is one turn later: command,
+// acknowledgement, telemetry and a step would be too much for one millisecond.
 inline void Controller::start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s) {
-  const bool homing = activity == Activity::kHoming;
-  const bool growing = activity == Activity::kGrowing;
+  starts_ = true;
+  target_counts_ = target_counts;
+  target_speed_um_s_ = speed_um_s;
+  errors_before_ = encoder_errors_;
+  moved_from_ = encoder_;
+  start(activity, activity == Activity::kGrowing  ? Permit::kGrow
+                  : activity == Activity::kHoming ? Permit::kHome
+                                                  : Permit::kRetract);
+}
+
+THIGMO_NOINLINE inline void Controller::begin_move() {
+  starts_ = false;
+  const bool growing = activity_ == Activity::kGrowing;
+  const bool homing = activity_ == Activity::kHoming;
   // A line cannot be pushed: what winds in is bounded by what the line holds.
-  const int32_t speed =
-      growing ? speed_um_s
-              : lesser(speed_um_s, homing ? derived_.home_speed_um_s : derived_.winding_speed_um_s);
-  spool_.start(encoder_, target_counts, derived_.speed_q16(speed), derived_.accel_q16,
+  const int32_t most = homing ? derived_.home_speed_um_s : derived_.winding_speed_um_s;
+  const int32_t speed = growing ? target_speed_um_s_ : lesser(target_speed_um_s_, most);
+  spool_.start(encoder_, target_counts_, derived_.speed_q16(speed), derived_.accel_q16,
                homing ? derived_.homing_duty : derived_.top_duty);
   // What growth has missed adds up over the moves that follow each other.
   if (!growing) motion_.restart(encoder_);
-  errors_before_ = encoder_errors_;
-  moved_from_ = encoder_;
-  fold_.begin(length_um_, growing, homing ? 0 : derived_.enabled_mask, config_);
-  start(activity, growing ? Permit::kGrow : homing ? Permit::kHome : Permit::kRetract);
+  fold_.begin(length_um_, growing, homing ? uint16_t{0} : derived_.enabled_mask, config_);
 }
 
 inline Outcome Controller::wind_to(Permit kind, int32_t length_um, uint32_t speed_um_s) {

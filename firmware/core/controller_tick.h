@@ -94,7 +94,7 @@ inline void Controller::run_phase(uint8_t phase) {
     case 0:
       if (activity_ == Activity::kSweeping) advance_sweep();
       // Muscles rest while the body moves, so this turn has room.
-      if (winding() && length_known_ && derived_.judges_encoder) watch_fold();
+      if (moves() && length_known_ && derived_.judges_encoder) watch_fold();
       for (uint8_t i = 0; i < kMuscles; i += 2) pressure_step(i);
       break;
     case 1:
@@ -175,7 +175,10 @@ __attribute__((always_inline)) inline void Controller::pressure_step(uint8_t mus
 
 inline void Controller::spool_step() {
   watch_motion(outputs_.motor);
-  if (winding()) {
+  if (winding() && starts_) {
+    begin_move();
+    outputs_.motor = 0;
+  } else if (winding()) {
     SpoolLoop::Outcome outcome = spool_.step(encoder_, config_, derived_);
     if (activity_ == Activity::kHoming && homing_ == Homing::kBackOff &&
         outcome == SpoolLoop::Outcome::kMoving && tick_ - back_off_tick_ > kBackOffMs) {
@@ -197,7 +200,7 @@ inline void Controller::spool_step() {
                          : static_cast<int16_t>(0);
   }
   slipping_ = slip_.step(encoder_, outputs_.motor != 0, derived_.slip_counts) ||
-              (winding() && spool_.overrun()) || motion_.astray(derived_);
+              (moves() && spool_.overrun()) || motion_.astray(derived_);
   // Drift is known of a spool that stands still, whose turn is a light one.
   drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
 }
@@ -216,7 +219,7 @@ inline void Controller::watch_motion(int16_t duty) {
   }
   const bool growing = activity_ == Activity::kGrowing;
   const bool pulls = fold_.moves() && zone_ < kBodyPressures;
-  motion_.step(encoder_, duty, winding() ? spool_.wanted_q16() : 0, growing,
+  motion_.step(encoder_, duty, moves() ? spool_.wanted_q16() : 0, growing,
                pulls ? config_.get(Param::kPullDuty, zone_) : 0, config_, derived_);
   if (growing && motion_.missed(derived_)) stall(protocol::StallCause::kSlow);
   if (growing && motion_.exceeds(derived_)) stall(protocol::StallCause::kFast);
@@ -250,7 +253,7 @@ inline Enables Controller::enables() const {
   const bool armed = may_energise(state_);
   const bool power = power_wanted();
   // Homing's stages follow each other with the brake open.
-  const bool closes = activity_ != Activity::kHoming && winding() && spool_.braked();
+  const bool closes = activity_ != Activity::kHoming && moves() && spool_.braked();
   return {armed && !testing_vent(), armed && body_air_, power || proving_stop_,
           power && !proving_ && !closes};
 }
@@ -357,8 +360,9 @@ inline void Controller::body_step() {
   const int32_t limit = config_.get(Param::kVentCpsi);
   bool low = true, driven = false, doubtful = false;
   for (uint8_t i = 0; i < kMuscles; ++i) {
-    low = low && pressure_[i].cpsi() < limit;
     driven = driven || outputs_.drive[i] >= 0;
+    if (!fitted(i)) continue;
+    low = low && pressure_[i].cpsi() < limit;
     doubtful = doubtful || pressure_[i].doubtful();
   }
   if (!doubtful) unvented_.add(!low, kPressureSteps);
@@ -681,6 +685,7 @@ inline void Controller::start(Activity activity, Permit permit) {
 
 inline void Controller::finish_activity(protocol::EventCode code, int32_t value) {
   const Activity ended = activity_;
+  starts_ = false;
   activity_ = Activity::kIdle;
   post(code, static_cast<uint8_t>(ended), value);
 }

@@ -188,6 +188,8 @@ class _Sensor(_Placed):
     center_se_cm: NonNegative = 0.1
     span_cm: NonNegative
     scale_se: NonNegative  # relative
+    # One sigma by which its scale has drifted since then, relative; `check` on later days shows it.
+    drift_se: NonNegative = 0.04
     noise: Positive  # 1/cm, white, of an averaged reading
     settle_tau_s: Positive = 8.0  # decay after eversion
     settle_amplitude: Finite = 0.0  # 1/cm at eversion
@@ -225,6 +227,10 @@ class FlexSensor(_Sensor):
     zero_ohm: Positive = 12_000.0  # flat resistance, a start value: zeroing re-measures it
     zero_se: NonNegative = 3.6e-4  # 1/cm, what zeroing and averaging leave: its loop, slow drift
     valid_direction: Literal[-1, 0, 1] = 0  # the bending direction it answers to; 0 = both
+    # Response to bends against `valid_direction` over that to bends along it, and one sigma: a data
+    # sheet states one direction only. A bench that bends both ways measures it.
+    against_gain: NonNegative = 0.7
+    against_gain_se: NonNegative = 0.3
     noise: Positive = 4.8e-4  # 6e-4 with `zero_se`
 
     @property
@@ -405,7 +411,15 @@ class Muscle(_Placed):
     max_pressure_psi: Positive = 18.0
     lag_s: NonNegative = 0.2  # measured pressure to bend
     reversal_psi: Positive = 1.0  # pressure change over which the branch moves inflate <-> deflate
+    lag_se_s: NonNegative = 0.05  # a quarter of the lag: inflating and deflating share one constant
     offset_se: NonNegative = 1e-3  # 1/cm: error that all readings share while it bends the body
+    # One sigma by which all of its maps have drifted since the calibration, relative: it ages, and
+    # its regulator is set by hand. `check` on later days shows it.
+    drift_se: NonNegative = 0.08
+    # By how much the same sweep's bend differs from one to the next: a share of it, and 1/cm.
+    # Repeated sweeps show both.
+    sweep_se: NonNegative = 0.01
+    sweep_offset_se: NonNegative = 3e-4
     maps: list[ZoneMap] = Field(
         default_factory=_default_zone_maps, validation_alias="map", serialization_alias="map"
     )

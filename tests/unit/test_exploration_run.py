@@ -154,8 +154,11 @@ class Script:
         self._call("disarm")
 
 
-def _calibrated() -> RobotConfig:
-    """Standard errors of a good calibration; the defaults are those of none."""
+def _calibrated(*, drifts: bool) -> RobotConfig:
+    """Standard errors of a good calibration; the defaults are those of none.
+
+    The script shows no untouched frames from which it could be learnt how its robot has drifted.
+    """
     config = RobotConfig()
     for side in (config.muscle("left"), config.muscle("right")):
         side.offset_se = 1e-4
@@ -163,6 +166,11 @@ def _calibrated() -> RobotConfig:
             zone.scale_se = 0.005
     for sensor in config.column("left") + config.column("right"):
         sensor.scale_se = 0.005
+    if not drifts:
+        for muscle in config.muscles:
+            muscle.drift_se = muscle.sweep_se = muscle.sweep_offset_se = 1e-6
+        for sensor in config.sensors:
+            sensor.drift_se = 1e-6
     return config
 
 
@@ -172,13 +180,15 @@ def _explore(
     protocol: Protocol = "measure",
     progress: Progress = lambda doing, share: None,
     effort: Effort = EVERY_PITCH,
+    *,
+    drifts: bool = True,
 ) -> Exploration:
     document = RunDocument(thigmo="0", name="n", url="u", started="s")
     tmp_path.mkdir(exist_ok=True)
     log = LogWriter(tmp_path / "run.mcap", {})
     run = Exploration(
         robot,  # type: ignore[arg-type]
-        _calibrated(),
+        _calibrated(drifts=drifts),
         RunFolder(tmp_path),
         log,
         document,
@@ -282,20 +292,14 @@ def test_young_sensors_are_waited_for_and_zeroed_if_their_rest_stays_unknown(
     assert robot.calls[contact + 1] == "zero"
 
 
-def _well_calibrated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The script shows no untouched frames from which its robot could be learnt."""
-    for name in ("_MAP_DRIFT", "_GAIN_DRIFT", "_SWEEP_SCALE", "_SWEEP_OFFSET", "_LEAST_OFFSET"):
-        monkeypatch.setattr(f"thigmo.exploration.reference.{name}", 1e-6)
-
-
 def test_a_sweep_that_placed_its_contact_is_not_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _well_calibrated(monkeypatch)
+    monkeypatch.setattr("thigmo.exploration.reference._LEAST_OFFSET", 1e-6)
     monkeypatch.setattr("thigmo.exploration.stage.ENOUGH", 6.0)
     robot = Script(touches_at=50)
     robot.clear = True
-    run = _explore(tmp_path, robot)
+    run = _explore(tmp_path, robot, drifts=False)
     assert [c for c in robot.calls if c.startswith("sweep")] == ["sweep 18 18"] * 6
     assert len(run.document.contacts) == 1
 
@@ -314,9 +318,9 @@ def test_the_thesis_protocol_zeroes_before_and_after_every_sweep(tmp_path: Path)
 def test_a_contact_is_mapped_and_the_run_goes_on_to_the_full_length(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _well_calibrated(monkeypatch)
+    monkeypatch.setattr("thigmo.exploration.reference._LEAST_OFFSET", 1e-6)
     robot = Script(touches_at=50)
-    run = _explore(tmp_path, robot)
+    run = _explore(tmp_path, robot, drifts=False)
     assert run.document.outcome == "full length"
     (contact,) = run.document.contacts
     assert contact.everted_length_cm == pytest.approx(50.02)

@@ -10,7 +10,6 @@ import pytest
 
 from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.exploration.measuring import (
-    fold_moment,
     held_back,
     measuring_pressure,
     pressing_zone,
@@ -19,6 +18,7 @@ from thigmo.exploration.measuring import (
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.sighting import bend_grid, touch_mass
 from thigmo.exploration.stage import Interpreter
+from thigmo.field import fold_moment
 from thigmo.robot import TRIGGER_PER_CM, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()

@@ -195,11 +195,7 @@ def test_a_fault_while_waiting_is_raised_in_the_schemas_words() -> None:
             r"ended it \(A muscle still holds pressure\)",
         ),
         (wire.Fault.BAD_CONFIG, wire.ConfigCause.BLANK, r"configuration \(Nothing was ever stored"),
-        (
-            wire.Fault.SPOOL_STALL,
-            -1,
-            r"too little or too much motion \(before the board's last reset\); free",
-        ),
+        (wire.Fault.SPOOL_STALL, -1, r"too much motion \(before the board's last reset\); free"),
         (wire.Fault.PRESSURE_WIRE, -1, r"its supply \(before the board's last reset\); check"),
     ],
 )

@@ -26,6 +26,7 @@ from thigmo import wiring
 from thigmo.calibrate.bench import Bench, Row, bend_rows, unseen_bend_rows
 from thigmo.calibrate.columns import Array, column, grouped, sides_of
 from thigmo.calibrate.lag import Lag, fit_lag, ramp, tanh_curve
+from thigmo.calibrate.overhead import CAMERA_SCALE_SE
 from thigmo.calibrate.regression import Mask
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
 from thigmo.config import SAME_PRESSURE, SIGN, Muscle, RobotConfig, TanhMap, ZoneMap
@@ -42,7 +43,6 @@ _ONE_TRIAL_SE = 5e-4  # 1/cm, error of the common offset after a single trial
 _DAYS_SE = 2e-4  # 1/cm, difference between days, which one session cannot show [a guess]
 # Prior standard deviation of a trial's gain [a guess], and its weight in trials.
 _TRIAL_GAIN, _TRIAL_GAIN_COUNT = 0.015, 2
-_CAMERA_SCALE_SE = 0.002  # relative error of the camera's scale, common to all rows
 _MOST_SE = 0.02  # largest standard error of g, as a share of full scale
 _LEAST_BEND = 1e-3  # 1/cm, that the upper half of the pressures must reach
 
@@ -58,7 +58,7 @@ class BendReadings:
     curvature_se: Array  # (n,) standard error, 1/cm
     branch: tuple[str, ...]  # (n,) "inflate" or "deflate"
     trial: NDArray[np.int64]  # (n,) trial numbers
-    scale_se: float = _CAMERA_SCALE_SE  # relative error of curvature, common to all rows
+    scale_se: float = CAMERA_SCALE_SE  # relative error of curvature, common to all rows
     sensors: int = 0  # number of sensors that measured the bends; 0 if the camera did
 
     def __post_init__(self) -> None:
@@ -226,7 +226,7 @@ def readings_of(
     if muscle.side:
         k = SIGN[muscle.side] * column(rows, "k")
         error = np.nan_to_num(column(rows, "k_se"), nan=_PICTURE_SE)
-        scale_se, sensors = _CAMERA_SCALE_SE, 0
+        scale_se, sensors = CAMERA_SCALE_SE, 0
     else:
         found = _sound(config, muscle)
         k, error, scale_se = curvature_by_sensors(column(rows, "ohm"), found)

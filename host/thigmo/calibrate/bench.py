@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing and margin
 READ_S = 1.0
-SAME_CM = 0.2
+SAME_CM = 0.2  # lengths that are nearer are one stop
 _TRIES = 3
 _QUIET_S = 5.0  # after venting, before zeros are taken
 _UNSEEN: Row = {"unseen": True}

@@ -14,6 +14,7 @@ import numpy as np
 
 from thigmo.calibrate.bench import Bench, last_bends
 from thigmo.calibrate.columns import Array, column
+from thigmo.calibrate.overhead import CAMERA_SCALE_SE
 from thigmo.calibrate.regression import LinearFit, Mask, fit_linear
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import FibreSensor, RobotConfig
@@ -22,7 +23,6 @@ from thigmo.record.table import Table
 
 _FEWEST = 8  # bends
 _LEAST_BEND = 1e-3  # 1/cm, between the least and the most
-_CAMERA_SCALE_SE = 0.002  # relative error of the camera's scale, common to all rows
 _MOST_SE = 0.1  # largest relative error of a scale that is used
 _SAME_CM = 0.05  # readings closer than this belong to one grating
 
@@ -147,7 +147,7 @@ def _fit(index: int, gratings: list[FibreSensor], lines: list[LinearFit | None])
     if line is None:
         return FibreFit(index, False, f"is read at fewer than {_FEWEST} bends: its peak is lost")
     zero, drift, slope = line.coefficients.tolist()
-    se = float(np.hypot(line.se(2) / max(abs(slope), 1e-9), _CAMERA_SCALE_SE))
+    se = float(np.hypot(line.se(2) / max(abs(slope), 1e-9), CAMERA_SCALE_SE))
     if se > _MOST_SE:
         return FibreFit(index, False, "does not follow the bends; check which grating it is")
     across = [

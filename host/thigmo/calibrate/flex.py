@@ -33,6 +33,7 @@ from thigmo.calibrate.flex_lines import (
     working,
 )
 from thigmo.calibrate.flex_rows import Rows, columns_swapped, judge_rows, mirrored, model_rows
+from thigmo.calibrate.overhead import CAMERA_SCALE_SE
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import FlexSensor, RobotConfig
 from thigmo.errors import DataError
@@ -41,7 +42,6 @@ from thigmo.record.table import Table
 _REPORTED = 0.02  # relative error of the scale by one-way bends from which it is reported
 Direction = Literal[-1, 0, 1]
 
-_CAMERA_SCALE_SE = 0.002  # relative error of the camera's scale, common to all rows
 _LEAST_NOISE = 5e-5  # 1/cm
 # Bending goes back where it falls by this share of the largest bend. So many such rows at least
 # show the hysteresis loop.
@@ -217,7 +217,7 @@ def _sensor(
     used = int(line.used.sum())
     scale = 1.0 / float(line.coefficients[1])
     one_way = _one_way(column, line)
-    se = float(np.hypot(np.hypot(line.se(1) * abs(scale), _CAMERA_SCALE_SE), one_way))
+    se = float(np.hypot(np.hypot(line.se(1) * abs(scale), CAMERA_SCALE_SE), one_way))
     rest = line.residuals[line.used]
     spread = float(np.sqrt(rest @ rest / max(1, used - 3)))
     bend, bend_se, misfit = curve

@@ -15,6 +15,7 @@ import numpy as np
 
 from thigmo.calibrate.bench import Bench, last_bends
 from thigmo.calibrate.columns import Array, column, of_sensors, sensors_of
+from thigmo.calibrate.overhead import CAMERA_SCALE_SE
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RAD_PER_OHM, HeadingSensor, RobotConfig
@@ -22,7 +23,6 @@ from thigmo.errors import DataError
 from thigmo.record.table import Table
 
 _FEWEST = 8  # bends
-_CAMERA_SCALE_SE = 0.002  # relative error of the camera's scale, common to all rows
 _FROM_ZERO_S = 20.0  # time from the zeros to a sweep's last peak
 _LEAST_RAD = 2e-4
 
@@ -123,7 +123,7 @@ def _fit(name: str, t_s: Array, bent: Array, turn: Array) -> HeadingFit:
     if slope < 0.5:
         said = "turns the other way: turn it round" if slope < -0.5 else "does not turn with bends"
         return HeadingFit(name, False, f"{said}; check how its IMUs lie")
-    se = float(np.hypot(line.se(2) / slope, _CAMERA_SCALE_SE))
+    se = float(np.hypot(line.se(2) / slope, CAMERA_SCALE_SE))
     if se > 0.1:
         return HeadingFit(name, False, f"has a scale known to {100 * se:.0f} % only")
     return HeadingFit(

@@ -16,6 +16,8 @@ from thigmo.camera import (
 from thigmo.camera.centerline import Centerline
 from thigmo.config import Body
 
+CAMERA_SCALE_SE = 0.002  # relative error of the camera's scale, common to all that it measures
+
 
 @dataclass
 class OverheadCamera:

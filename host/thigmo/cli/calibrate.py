@@ -94,7 +94,7 @@ def calibrate(
     buckling: hard pushes at the tip, until the base folds.
 
     stiffness: whether sensors stiffen the body, to 0.1 with twelve more pictures of the pushed tip
-    (reported only; nothing needs it). With `--csv` of readings under known forces, such as a hung
+    (a check; no other step uses it). With `--csv` of readings under known forces, such as a hung
     weight, or with `--from-fold`: the bending stiffness, which makes newtons of forces.
 
     noise: readings of the robot at rest.

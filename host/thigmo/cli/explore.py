@@ -12,7 +12,7 @@ from thigmo.cli.output import (
     AnyRobotOption,
     JsonOption,
     KnownConfigOption,
-    MethodOption,
+    method_option,
     print_json,
 )
 
@@ -37,8 +37,9 @@ def explore(
     protocol: Annotated[
         Literal["measure", "thesis"] | None,
         typer.Option(
-            help="How a contact is measured. measure: by a second sweep, to the pressure at which "
-            "it is felt best. thesis: at the peak of the full sweep. Default: measure, or the "
+            help="How a contact is measured. measure: by a second, slower sweep, up to the "
+            "pressure at which the sensors show it most clearly. thesis: at the peak of the full "
+            "sweep. Default: measure, or the "
             "protocol of the run that is resumed."
         ),
     ] = None,
@@ -53,7 +54,7 @@ def explore(
         float | None,
         typer.Option("--time", min=0, help="Budget of robot time, in seconds; replaces --effort."),
     ] = None,
-    method: MethodOption = None,
+    method: Annotated[str | None, method_option("Default: posterior.", explores=True)] = None,
     prior: Annotated[
         Path | None,
         typer.Option(

@@ -36,11 +36,18 @@ KnownConfigOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
-def method_option(default: str) -> Any:
-    """The option that names a localizer's method; `default` says what an omitted one means."""
+def method_option(default: str, *, explores: bool = False) -> Any:
+    """The option that names a localizer's method; `default` says what an omitted one means.
+
+    `explores`: the method may be that of whole explorations.
+    """
+    whole = (
+        "field: one fit to all sweeps of each side, with seconds of computing at each stage; it "
+        "knows one peg on a side, and no walls. "
+    )
     return typer.Option(
         help="How contacts are localized: posterior, or thesis (the thesis's alternating fit, "
-        f"without intervals). {default}",
+        f"without intervals). {whole if explores else ''}{default}",
         show_default=False,
     )
 

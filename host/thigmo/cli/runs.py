@@ -24,7 +24,9 @@ _OF_THE_HOST = ("thigmo", "url", "seed", "started", "protocol", "effort")
 
 def replay(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
-    method: Annotated[str | None, method_option("Default: the method of the run.")] = None,
+    method: Annotated[
+        str | None, method_option("Default: the method of the run.", explores=True)
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Localize a run's contacts again from its raw record; write replay.json and its maps."""

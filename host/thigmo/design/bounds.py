@@ -16,7 +16,7 @@ from thigmo.errors import DataError
 from thigmo.localization.validation import Array, check_layout, everted_length, positive, vector
 from thigmo.mechanics.closed_forms import phi
 
-# Signal over noise from which one contact is reported nine times in ten (studies/accuracy.py).
+# Signal over noise from which one contact is reported nine times in ten (`thigmo bench accuracy`).
 DETECTABLE = 4.5
 _SINGULAR = 1e-11  # pivot of an information matrix of unit diagonal
 _STEP = 1e-6  # share of the length by which central differences step to either side

@@ -9,8 +9,8 @@ here from the seed. Driven by `transport.py`, `serve.py` and the tests.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import cos, exp, hypot, isnan, nan, pi, radians, sin
+from dataclasses import dataclass, replace
+from math import ceil, cos, exp, hypot, inf, isnan, nan, pi, radians, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,17 @@ from thigmo.emulator.hand import hold
 from thigmo.emulator.imus import ImuString
 from thigmo.emulator.scene import Scene
 from thigmo.errors import DataError
-from thigmo.mechanics import Peg, PegContact, Rod, Solution, Tube, critical_moment, peg_for
+from thigmo.mechanics import (
+    Obstacle,
+    Peg,
+    PegContact,
+    Rod,
+    Solution,
+    Tube,
+    Wall,
+    critical_moment,
+    peg_for,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -51,7 +61,8 @@ _SMALLEST_CM = 0.5  # a shorter body has no shape worth solving
 class Truth:
     """What the emulator knows."""
 
-    pegs: tuple[Peg, ...]  # the room; while dowels hold the body, those
+    # The room, walls as rows of pegs, also what has given way; while dowels hold the body, those
+    pegs: tuple[Peg, ...]
     length_cm: float  # everted length
     contacts: tuple[PegContact, ...]  # touching pegs, base first
     centreline: Floats  # columns s, heading, curvature without fold, x, y; shape (n, 5)
@@ -85,6 +96,10 @@ class Plant:
         board = wiring.board_of(robot)
         self.pressure_channel = first = board.sensors  # of the first muscle
         self.pegs = scene.peg_list()
+        # What the mechanics know of: those obstacles that still stand, by their numbers.
+        self._obstacles: tuple[Obstacle, ...] = (*self.pegs, *scene.wall_list())
+        self._gives_way = [table.gives_way or inf for table in (*scene.pegs, *scene.walls)]
+        self._standing = list(range(len(self._obstacles)))
         self.steps = 0
         self.body_psi = robot.body.zones[robot.body.zone_at(scene.start_length_cm)].pressure_psi
         self._regulator_psi = self.body_psi
@@ -177,8 +192,13 @@ class Plant:
                 sign = 1.0 if sensor.direction_deg < 180.0 else -1.0
                 self._reads[n] = sign * np.ravel(_parts([sensor]))
         self.body = Rod(
-            Tube(robot.body.diameter_cm, self._critical()),
-            self.pegs,
+            Tube(
+                robot.body.diameter_cm,
+                self._critical(),
+                scene.body.base_compliance_cm,
+                scene.body.tip_rounding_cm,
+            ),
+            self._obstacles,
             friction=scene.body.friction,
             **scene.plant.model_dump(),
         )
@@ -273,6 +293,9 @@ class Plant:
                 raise DataError(f"peg {index} overlaps the robot's base at (0, 0)", "move it away")
         self.body.place(pegs)
         self.pegs = tuple(pegs)
+        self._obstacles = self.pegs
+        self._gives_way = [inf] * len(pegs)
+        self._standing = list(range(len(pegs)))
         self._solve(self.length_cm)
 
     # What is known.
@@ -340,9 +363,24 @@ class Plant:
             line = np.column_stack([held.s, held.heading, held.curvature, held.x, held.y])
             pegs = tuple(peg_for(contact, self._dowel_cm) for contact in contacts)
             return Truth(pegs, self.length_cm, contacts, line)
+        # Walls are rows of pegs here: of each, by its number, the row's first and the row.
+        shown = list(self.pegs)
+        rows: dict[int, tuple[int, list[Peg]]] = {}
+        for number, obstacle in enumerate(self._obstacles):
+            if isinstance(obstacle, Wall):
+                rows[number] = len(shown), _row(obstacle)
+                shown += rows[number][1]
         if self.length_cm < _SMALLEST_CM:
-            return Truth(self.pegs, self.length_cm, (), np.zeros((1, 5)))
-        return Truth(self.pegs, self.length_cm, self.body.contacts(), self.body.nodes())
+            return Truth(tuple(shown), self.length_cm, (), np.zeros((1, 5)))
+        touching = []
+        for contact in self.body.contacts():
+            number = self._standing[contact.peg]
+            if number in rows:
+                first, row = rows[number]
+                away = [hypot(contact.x - peg.x, contact.y - peg.y) for peg in row]
+                number = first + int(np.argmin(away))
+            touching.append(replace(contact, peg=number))
+        return Truth(tuple(shown), self.length_cm, tuple(touching), self.body.nodes())
 
     # Motion.
 
@@ -456,7 +494,7 @@ class Plant:
             self._held = hold(held, g, length, self.body.tube)
         grown = length > self.length_cm
         if length >= _SMALLEST_CM:
-            if grown and self.pegs:
+            if grown and self._standing:
                 state = self.body.save()
                 self.body.step(g, length)
                 if self.body.axial_push() > self.scene.body.growth_force * self.body_psi:
@@ -465,12 +503,25 @@ class Plant:
                     length = self.length_cm
             else:
                 self.body.step(g, length)
+            self._let_go()
         changed = length != self.length_cm
         self.length_cm = length
         self._solved_g = g
         if changed:
             self._evert(settled=False)
         self._measure()
+
+    def _let_go(self) -> None:
+        """Take away what gives way to the present forces; the body bends on without it."""
+        broken = {
+            contact.peg
+            for contact in self.body.contacts()
+            if hypot(contact.normal, contact.tangential)
+            > self._gives_way[self._standing[contact.peg]]
+        }
+        if broken:
+            self._standing = [n for k, n in enumerate(self._standing) if k not in broken]
+            self.body.place([self._obstacles[n] for n in self._standing])
 
     def _measure(self) -> None:
         """Mean curvature over the everted part of each sensor, in its direction.
@@ -540,6 +591,13 @@ class Plant:
         per_cm = self._robot.spool.counts_per_cm
         counts = per_cm * line * (1 + 0.5 * self.scene.spool.winding * line)
         return counts * _ENCODER_SIGN[self.scene.spool.wiring] - self._encoder_missed
+
+
+def _row(wall: Wall) -> list[Peg]:
+    """A wall as round pegs so near to each other that its surface is met to half a millimetre."""
+    count = ceil(hypot(wall.end_x - wall.x, wall.end_y - wall.y) / wall.radius) + 1
+    x, y = np.linspace([wall.x, wall.y], [wall.end_x, wall.end_y], count).T
+    return [Peg(float(px), float(py), wall.radius) for px, py in zip(x, y, strict=True)]
 
 
 def _parts(

@@ -29,18 +29,49 @@ from thigmo.config import (
     validated,
 )
 from thigmo.errors import ConfigError
-from thigmo.mechanics import Peg
+from thigmo.mechanics import Peg, Wall
 from thigmo.wiring import beyond_board
 
 SCENES = Path(__file__).parent / "scenes"
 
 
-class PegTable(Model):
+class Yields(Model):
+    """How an obstacle gives under a force over EI."""
+
+    compliance_cm3: NonNegative = 0.0  # cm for each 1/cm^2: of a post that leans, or of foam
+    gives_way: Positive | None = None  # 1/cm^2 beyond which it is gone for good; none: it stands
+
+
+class PegTable(Yields):
     """A round peg."""
 
     x: Finite
     y: Finite
     radius: Annotated[float, Field(ge=0.05, le=100, allow_inf_nan=False)]
+
+
+class WallTable(Yields):
+    """A straight wall with round ends: all within a radius of the line between two points."""
+
+    x: Finite
+    y: Finite
+    end_x: Finite
+    end_y: Finite
+    radius: Annotated[float, Field(ge=0.05, le=10, allow_inf_nan=False)] = 0.25
+
+    @model_validator(mode="after")
+    def _has_a_length(self) -> Self:
+        if hypot(self.end_x - self.x, self.end_y - self.y) < self.radius:
+            raise ValueError("a wall must be longer than its radius; a shorter one is a peg")
+        return self
+
+    def clear_of_base(self, half_width: float) -> bool:
+        """Whether it stays clear of a body of this half width where it leaves the base."""
+        along = np.linspace(0.0, 1.0, 400)
+        x = self.x + along * (self.end_x - self.x)
+        y = self.y + along * (self.end_y - self.y)
+        beside = np.maximum(np.abs(y) - half_width, 0.0)
+        return bool(np.hypot(x, beside).min() >= self.radius)
 
 
 class Noise(Model):
@@ -84,7 +115,9 @@ class BodyDynamics(Model):
     growth_cm_s_psi: Positive = 30.0  # eversion speed per psi above that
     growth_force: NonNegative = 6.5e-3  # 1/cm^2 per psi: axial push at which the tip stalls
     fold: bool = True  # whether the base folds
-    friction: Annotated[float, Field(ge=0, le=2)] = 0.0  # Coulomb's, between skin and pegs
+    friction: Annotated[float, Field(ge=0, le=2)] = 0.0  # Coulomb's, between skin and obstacles
+    base_compliance_cm: NonNegative = 0.0  # rad by which the base turns for each 1/cm of moment
+    tip_rounding_cm: NonNegative = 0.0  # radius of the end's corners, at most the tube's
 
 
 class Flex(Model):
@@ -261,6 +294,7 @@ class Scene(Model):
     robot: RobotConfig = Field(default_factory=RobotConfig)
     belief: Belief = Field(default_factory=Belief)
     pegs: list[PegTable] = Field(default_factory=list, max_length=64)
+    walls: list[WallTable] = Field(default_factory=list, max_length=16)
     noise: Noise = Field(default_factory=Noise)
     transducer: Transducer = Field(default_factory=Transducer)
     muscle: Muscle = Field(default_factory=Muscle)
@@ -283,6 +317,11 @@ class Scene(Model):
             beside = max(abs(peg.y) - radius, 0.0)
             if hypot(peg.x, beside) < peg.radius:
                 raise ValueError(f"pegs[{index}] overlaps the robot's base at (0, 0)")
+        for index, wall in enumerate(self.walls):
+            if not wall.clear_of_base(radius):
+                raise ValueError(f"walls[{index}] overlaps the robot's base at (0, 0)")
+        if self.body.tip_rounding_cm > radius:
+            raise ValueError("body.tip_rounding_cm exceeds the radius of robot.body")
         if self.start_length_cm > self.robot.body.length_cm:
             raise ValueError("start_length_cm exceeds robot.body.length_cm")
         for what, cure in beyond_board(self.robot):
@@ -304,7 +343,13 @@ class Scene(Model):
 
     def peg_list(self) -> tuple[Peg, ...]:
         """The pegs, for the mechanics."""
-        return tuple(Peg(p.x, p.y, p.radius) for p in self.pegs)
+        return tuple(Peg(p.x, p.y, p.radius, p.compliance_cm3) for p in self.pegs)
+
+    def wall_list(self) -> tuple[Wall, ...]:
+        """The walls, for the mechanics."""
+        return tuple(
+            Wall(w.x, w.y, w.end_x, w.end_y, w.radius, w.compliance_cm3) for w in self.walls
+        )
 
     def believed(self, seed: int | None = None) -> RobotConfig:
         """The robot.toml that the scene's lab would have: the truth, with its errors drawn.

@@ -16,12 +16,12 @@ from types import FrameType
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
 from thigmo.exploration.effort import EFFORTS, chosen_effort, within
+from thigmo.exploration.fitted import check_exploration_method
 from thigmo.exploration.prior import read_prior, within_reach
 from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.resume import interrupted
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.exploration.run_control import Questions, RunControl
-from thigmo.localization import check_method
 from thigmo.record import (
     PRIOR_FILE,
     NamedMuscle,
@@ -81,7 +81,8 @@ def explore(
         time_s: in place of `effort`, a budget of robot time in seconds, within which the run does
             as much as it can. Time spent waiting for a person counts.
         method: as for `thigmo.localize`. "thesis" gives no intervals, so every stage's place is
-            a contact of its own: nothing shows whether two are the same.
+            a contact of its own: nothing shows whether two are the same. Or "field":
+            `thigmo.field` places the contacts by all sweeps of a side.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. Readings can overrule it.
         resume: folder of a run that was cut short. The new run continues with what that one had
@@ -122,7 +123,7 @@ def explore(
     started = datetime.now(UTC)
     label = name or Path(url.partition("://")[2].partition("?")[0] or url).stem or "run"
     begun = started.isoformat(timespec="seconds")
-    check_method(method)
+    check_exploration_method(method)
     chosen = chosen_effort(protocol, effort, time_s)
     document = RunDocument(
         thigmo=VERSION, name=label, url=url, started=begun, seed=seed, method=method

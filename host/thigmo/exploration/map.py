@@ -17,6 +17,7 @@ import numpy as np
 
 from thigmo.config import SIDES, RobotConfig
 from thigmo.contact_status import POINT_ESTIMATE
+from thigmo.exploration.fitted import FittedMap
 from thigmo.exploration.prior import match
 from thigmo.exploration.room import Found, Room
 from thigmo.exploration.sighting import LEVEL, LIKELY, Passed, Sighting, arc_grid, shortest
@@ -25,6 +26,7 @@ from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ram
 from thigmo.localization import Contact
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle, Stall, TrueContact
+from thigmo.robot import SweepResult
 
 # No place is known better than this: the peg's own size and the slide along it.
 _FLOOR_CM = 1.0
@@ -37,9 +39,15 @@ _SAME_LENGTH_CM = 0.5  # of two measurements at one stage
 class ContactMap:
     """Obstacles in the workspace; one that is an obstacle of the map that was given says so."""
 
-    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
+    def __init__(
+        self,
+        config: RobotConfig,
+        prior: Sequence[Obstacle] = (),
+        fitted: FittedMap | None = None,
+    ) -> None:
         self._config = config
         self._prior = prior
+        self._fitted = fitted  # places contacts in place of what single frames felt
         self._arcs = arc_grid(config.body.length_cm)
         self._seen: list[Sighting] = []
         self._passed: list[Passed] = []
@@ -64,6 +72,12 @@ class ContactMap:
         self._passed.append(passed)
         self._known = None
 
+    def add_sweep(self, sweep: SweepResult, zone: int) -> None:
+        """Take a sweep in a zone of body pressure, where all sweeps together place contacts."""
+        if self._fitted is not None:
+            self._fitted.add(sweep, zone)
+            self._known = None
+
     def interval(self, sighting: Sighting) -> tuple[float, float]:
         """The 95 % interval of a sighting's arc, with what earlier sweeps passed."""
         room = Room(self._arcs, [sighting], self._passed, self._config.body.radius_cm)
@@ -79,6 +93,10 @@ class ContactMap:
     def _explained(self) -> list[MapContact]:
         found: list[MapContact] = []
         for side in SIDES:
+            if self._fitted is not None:
+                some = self._fitted.contacts(side)
+                found += [contact for contact in some if contact.probability > LIKELY]
+                continue
             mine = [sighting for sighting in self._seen if sighting.side == side]
             passed = [each for each in self._passed if each.side == side]
             room = Room(self._arcs, mine, passed, self._config.body.radius_cm)

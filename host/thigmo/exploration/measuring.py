@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
-from thigmo.mechanics.closed_forms import critical_moment
+from thigmo.field import fold_moment
 from thigmo.robot import TRIGGER_PER_CM, SweepFrame, SweepResult
 from thigmo.robot.curvature import Floats
 
@@ -32,14 +32,6 @@ _GIVES_UP = 1 / 1.3
 # 0.0008 1/cm more than it has been bent; where the last side's bend had caught the tip, by 0.007.
 _CAUGHT_PER_CM = 0.003
 _LOWEST_PSI = 4.0  # the muscle's live zero and dead band end well below
-
-
-def fold_moment(config: RobotConfig, zone: int) -> float:
-    """Contact moment over EI (1/cm) at which the base folds, at a zone's body pressure."""
-    body = config.body
-    return critical_moment(
-        body.critical_curvature, body.critical_pressure_psi, body.zones[zone].pressure_psi
-    )
 
 
 def caught_sides(sweep: SweepResult) -> set[Side]:

@@ -15,7 +15,6 @@ import numpy as np
 
 from thigmo.config import RobotConfig
 from thigmo.contact_status import POINT_ESTIMATE
-from thigmo.exploration.measuring import fold_moment
 from thigmo.exploration.prior import boost
 from thigmo.exploration.reference import FreeResponse
 from thigmo.exploration.room import touch_point
@@ -28,6 +27,7 @@ from thigmo.exploration.sighting import (
     median,
 )
 from thigmo.exploration.workspace import Bend, centreline, common_error, excess_knots, skin_point
+from thigmo.field import fold_moment
 from thigmo.localization import LocalizeResult, localize
 from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics.closed_forms import fold_share

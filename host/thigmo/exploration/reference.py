@@ -40,14 +40,9 @@ _BINS = 10
 _INDEPENDENT = 3.0
 # Weight of the stated noise, in readings, against the noise that sweeps show.
 _STATED = 12.0
-# One sigma by which map and gains may have changed since the calibration: a body regulator is set
-# by hand, muscles age. The map drifts almost alike in all zones.
-_MAP_DRIFT, _ZONE_DRIFT, _GAIN_DRIFT = 0.08, 0.01, 0.04
+_ZONE_DRIFT = 0.01  # the map drifts almost alike in all zones
 # Multiples of the drift of map and gains that are weighed by their evidence, alike beforehand.
 _DRIFTS = (0.25, 0.5, 1.0, 2.0)
-# One sigma by which scale and offset differ between sweeps: lag and hysteresis. Peaks of untouched
-# sweeps on the emulator depart by a third of this from what the sweeps before them say.
-_SWEEP_SCALE, _SWEEP_OFFSET = 0.01, 3e-4
 _LEAST_OFFSET = 8e-4  # 1/cm: no curve through ten pressures is the muscle's own
 
 
@@ -66,8 +61,12 @@ def scale_errors(config: RobotConfig) -> Floats:
 
 
 def gain_errors(config: RobotConfig, drift: float = 1.0) -> Floats:
-    """The same, with what a sensor may have changed by since calibration: `drift` times usual."""
-    return np.hypot(scale_errors(config), drift * _GAIN_DRIFT)
+    """The same, with what a sensor may have changed by since calibration: `drift` times usual.
+
+    1 where there is no sensor: its covariance must have an inverse.
+    """
+    drifts = np.array([sensor.drift_se if sensor else 1.0 for sensor in wiring.rows(config)])
+    return np.hypot(scale_errors(config), drift * drifts)
 
 
 class FreeResponse:
@@ -99,7 +98,7 @@ class FreeResponse:
                 covariance = np.diag(deviation**2)
                 covariance[: self._count, : self._count] = self._table.covariance
                 covariance[self._scale : self._offset, self._scale : self._offset] += (
-                    drift * _MAP_DRIFT
+                    drift * muscle.drift_se
                 ) ** 2
                 prior[row] = np.linalg.inv(covariance)
 
@@ -117,7 +116,7 @@ class FreeResponse:
         rising = (np.arange(len(free)) <= pressure.argmax()) & (pressure >= _LEAST_PSI)
         rising &= t_s >= t_s[0] + _SWINGS_S
         rising &= np.abs(free) <= below
-        row = SIDES.index(side)
+        row, muscle = SIDES.index(side), self._config.muscle(side)
         warmth = max((peak.warmth for peak in sweep.peaks if peak.side == side), default=1.0)
         errors = self._table.warmed(warmth).covariance
         for part in np.array_split(np.flatnonzero(rising), _BINS):
@@ -128,7 +127,7 @@ class FreeResponse:
             use = np.flatnonzero(self._table.usable(side, sweep.sensors) & np.isfinite(departure))
             effect = self._effect(use, zone, g, np.full(use.size, g))
             # What this sweep differs by from others is in all of its readings.
-            own = _SWEEP_OFFSET**2 + (_SWEEP_SCALE * g) ** 2
+            own = muscle.sweep_offset_se**2 + (muscle.sweep_se * g) ** 2
             weight = _INDEPENDENT / _BINS * np.linalg.inv(errors[np.ix_(use, use)] + own)
             self._matrix[row] += effect.T @ weight @ effect
             self._vector[row] += effect.T @ weight @ departure[use]
@@ -178,8 +177,9 @@ class FreeResponse:
         error is a share.
         """
         mean, covariance = self._posterior(SIDES.index(side))
-        covariance[self._scale + zone, self._scale + zone] += _SWEEP_SCALE**2
-        covariance[self._offset + zone, self._offset + zone] += _SWEEP_OFFSET**2
+        muscle = self._config.muscle(side)
+        covariance[self._scale + zone, self._scale + zone] += muscle.sweep_se**2
+        covariance[self._offset + zone, self._offset + zone] += muscle.sweep_offset_se**2
         sensors = np.flatnonzero(use)
         effect = self._effect(sensors, zone, free_curvature, curvature[sensors])
         variance, axes = np.linalg.eigh(effect @ covariance @ effect.T)

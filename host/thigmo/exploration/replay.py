@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from thigmo.errors import RunFolderError
+from thigmo.exploration.fitted import check_exploration_method
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
 from thigmo.exploration.recorded import RecordedRun
-from thigmo.localization import check_method
 from thigmo.record import NamedMuscle, RunDocument, RunFolder
 from thigmo.report import draw_map
 from thigmo.version import VERSION
@@ -51,7 +51,7 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
 
     Args:
         run: the run folder.
-        method: as for `thigmo.localize`; None takes the run's own.
+        method: as for `thigmo.explore`; None takes the run's own.
 
     Returns:
         The document with the contacts found again, and what is missing from the record.
@@ -64,7 +64,7 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
     logs = folder.read_logs()  # first: a folder that is no run has none, and says so
     config, prior = folder.read_config(), kept_prior(folder)
     if method is not None:
-        check_method(method)
+        check_exploration_method(method)
     known: RunDocument | None = None
     with suppress(RunFolderError):  # it was cut short before it knew anything
         known = folder.read_document()

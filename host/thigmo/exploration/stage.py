@@ -13,6 +13,7 @@ import numpy as np
 
 from thigmo import wiring
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
+from thigmo.exploration.fitted import FIELD, FittedMap, frame_method
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import (
     caught_sides,
@@ -53,13 +54,14 @@ class Interpreter:
         self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
     ) -> None:
         self._config = config
-        self._method = method
+        self._method = frame_method(method)
         self._prior = prior
         self._table = SensorTable.of(config)
         self._base_noise = float(self._table.noise[wiring.base_inputs(config)].max(initial=0.0))
         self._response = FreeResponse(config)
         self._bends = bend_grid(config.body.length_cm)
-        self.map = ContactMap(config, prior)  # contacts so far
+        fitted = FittedMap(config, prior) if method == FIELD else None
+        self.map = ContactMap(config, prior, fitted)  # contacts so far
 
     def felt_sides(self, sweep: SweepResult) -> set[Side]:
         """Sides on which a sweep touched something, and whose body was not caught before."""
@@ -76,6 +78,9 @@ class Interpreter:
 
         Of a side that was measured again, that peak counts.
         """
+        self.map.add_sweep(sweep, zone)
+        if measuring:
+            self.map.add_sweep(measuring, measured_zone)
         felt, caught = self.felt_sides(sweep), caught_sides(sweep)
         if measuring:
             caught |= caught_sides(measuring)

@@ -257,6 +257,7 @@ class Client(Inbox, Closing):
     def _write(self, frame: bytes) -> None:
         now = self.now()
         self.transport.write(frame)
+        self._writes.append(now)
         for tap in self.taps:
             tap("tx", frame.strip(b"\0"), now)
 

@@ -49,9 +49,16 @@ class DeviceClock:
         self._last += delta
         return self._last
 
-    def pair(self, sent_s: float, received_s: float, device_us: int) -> None:
-        """Take a round trip: host times around an (unwrapped) device stamp."""
-        pair = _Pair((sent_s + received_s) / 2, device_us, received_s - sent_s)
+    def pair(
+        self, sent_s: float, received_s: float, device_us: int, *, waited_s: float = 0.0
+    ) -> None:
+        """Take a round trip: host times around an (unwrapped) device stamp.
+
+        `waited_s` is the longest that it may have waited for bytes ahead of it on its way there;
+        the pair is in doubt by so much more.
+        """
+        round_trip_s = received_s - sent_s + waited_s
+        pair = _Pair((sent_s + received_s) / 2, device_us, round_trip_s)
         if not self._best or received_s >= self._until_s:
             self._best.append(pair)
             self._until_s = received_s + _STRETCH_S

@@ -21,6 +21,8 @@ from thigmo.link.heart import Beat
 
 _EVENTS = 1024
 _BEATS = 64
+_WRITES = 64
+_LINE_S = 0.009  # a frame of 96 bytes takes 8.3 ms at 115 200 baud, the slowest in use
 # A number that is missing while a later one came so often is not at the board: its queue
 # overflowed, or another host took it.
 _REPEATS = 10
@@ -110,7 +112,9 @@ class Inbox:
         self._telemetry_seq: int | None = None
         self._ledger = EventLedger()
         self._ack_due: int | None = None
-        self._beats: dict[int, float] = {}  # counter and time of those not answered
+        # Of those not answered: the time, and how long each may have waited for the line.
+        self._beats: dict[int, tuple[float, float]] = {}
+        self._writes: deque[float] = deque(maxlen=_WRITES)  # when frames were handed to the line
 
     def device_s(self, t_us: int) -> float:
         """Unwrapped seconds of a 32-bit device stamp."""
@@ -126,7 +130,8 @@ class Inbox:
         self._beats.clear()
 
     def _beat_sent(self, beat: Beat) -> None:
-        self._beats[beat.counter] = beat.t_s
+        ahead = any(0.0 <= beat.t_s - written_s < _LINE_S for written_s in self._writes)
+        self._beats[beat.counter] = beat.t_s, _LINE_S if ahead else 0.0
         if len(self._beats) > _BEATS:
             del self._beats[next(iter(self._beats))]
 
@@ -146,10 +151,11 @@ class Inbox:
             callback(received)
 
     def _take_pulse(self, message: wire.Pulse, t_s: float) -> None:
-        sent_s = self._beats.pop(message.counter, None)
+        beat = self._beats.pop(message.counter, None)
         device_us = self.clock.unwrap(message.t_us)
-        if sent_s is not None:
-            self.clock.pair(sent_s, t_s, device_us)
+        if beat is not None:
+            sent_s, waited_s = beat
+            self.clock.pair(sent_s, t_s, device_us, waited_s=waited_s)
 
     def _take_event(self, message: wire.Event, t_s: float) -> None:
         if len(self.events) >= _EVENTS:

@@ -89,6 +89,16 @@ class MapContact:
     #: force across the body in newtons, and its 95 % interval; null and empty if EI is not known
     force_n: float | None = None
     force_interval_n: list[float] = field(default_factory=list)
+    #: of the method `field`, null of others: log odds that something stands there; squares that the
+    #: fit leaves for each independent reading (1 if the model holds); effective samples
+    fit_log_odds: float | None = None
+    fit_misfit: float | None = None
+    fit_samples: float | None = None
+    #: what it fitted beside the place: the peg's radius, the skin's friction, and by how much the
+    #: peg yielded
+    fit_radius_cm: float | None = None
+    fit_friction: float | None = None
+    fit_yield_cm: float | None = None
 
     @property
     def force_text(self) -> str:

@@ -189,7 +189,7 @@ class _Picture(NamedTuple):
 # Width, height and the value of white, then one white-space character (netpbm's pgm format); lines
 # may end as on Windows. Comments run to the end of a line.
 _SPACE = rb"(?:\s|#[^\r\n]*[\r\n])+"
-_PGM = re.compile(rb"P5" + _SPACE + rb"(\d+)" + _SPACE + rb"(\d+)" + _SPACE + rb"(\d+)(?:\r\n|\s)")
+_PGM = re.compile(rb"P5" + 3 * (_SPACE + rb"(\d{1,9})") + rb"(?:\r\n|\s)")
 
 
 def _picture(data: bytes) -> _Picture | None:

@@ -15,10 +15,10 @@ from thigmo.config import RobotConfig
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.mechanics.settling import Settling
 from thigmo.robot.curvature import Floats, SensorTable
+from thigmo.robot.idle import VENTED_CPSI
 
 _SPACING_S = 0.05
 _BIN_S = 0.25
-_IDLE_CPSI = 50  # vented, as the board has it
 _STILL_S = 1.5  # after a motion or a bend the body swings for so long
 _FIRST_S = 0.5  # after eversion: the fold is still near
 _FEWEST = 8  # bins, two seconds
@@ -59,7 +59,7 @@ class CreepWatch:
         out = self._ends <= row.length_um / 1e4
         self._everted_s[out & ~self._out] = t_s
         self._out = out
-        if row.motor != 0 or max(row.pressure_cpsi) > _IDLE_CPSI:
+        if row.motor != 0 or max(row.pressure_cpsi) > VENTED_CPSI:
             self._moved_s = t_s
         if t_s - self._moved_s > _STILL_S:
             self._times.append(t_s)

@@ -18,6 +18,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
 from thigmo.robot.curvature import SensorTable
+from thigmo.robot.idle import UNBENT_CPSI
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
 from thigmo.stream.messages import Severity
 from thigmo.wiring import muscle_outputs, sensor_name
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from thigmo.link.client import Client
 
 _FULL_MA, _FULL_DRIVE, _FULL_MOTOR = 20.0, 1599, 800
-_IDLE_PSI = 0.1  # below, no muscle bends the body
 _MOVING_S, _REST_S = 0.1, 1.0  # of the board's time, between two shapes
 _STEP_CM = 2.0  # a tenth of the tightest bend's radius
 
@@ -47,20 +47,20 @@ def _described(event: wire.Event, config: RobotConfig) -> tuple[str, Severity, s
     if code is wire.EventCode.FAULT:
         return wire.Fault(arg).key, "fault", *wire.Fault(arg).words
     if code is wire.EventCode.ACTIVITY_ABORTED and value == wire.Reason.NONE:
-        return code.key, "info", f"{wire.Activity(arg).key} ended when the host asked", ""
+        return code.key, "info", f"{wire.Activity(arg).key} was ended by the program", ""
     if code is wire.EventCode.ACTIVITY_ABORTED:
         what, cure = wire.Reason(value).words
         return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure
     text = {
         wire.EventCode.CONTACT: lambda: (
-            f"contact: the base is {value / 1e5:+.4f} 1/cm off the free bend of muscle "
-            f"{muscle_outputs(config).get(arg, arg)}"
+            f"contact felt at the base while the {muscle_outputs(config).get(arg, arg)} muscle "
+            f"bends the body ({value / 1e5:+.4f} 1/cm off its free bend)"
         ),
         wire.EventCode.PEAK: lambda: (
-            f"peak of muscle {muscle_outputs(config).get(arg, arg)}: {value} readings"
+            f"the {muscle_outputs(config).get(arg, arg)} muscle was at its peak: {value} readings"
         ),
         wire.EventCode.ACTIVITY_DONE: lambda: (
-            f"{wire.Activity(arg).key} done at {value / 1e4:.1f} cm"
+            f"{wire.Activity(arg).key} ended at {value / 1e4:.1f} cm"
         ),
         wire.EventCode.ZEROED: lambda: f"{arg.bit_count()} sensors zeroed",
         wire.EventCode.EVERTED: lambda: (
@@ -115,7 +115,7 @@ class Publisher:
 
     def _shape_is_due(self, telemetry: Telemetry) -> bool:
         """Whether the body has moved on since the last shape; rarely of a robot that rests."""
-        rests = telemetry.motor == 0.0 and max(telemetry.pressure_psi) < _IDLE_PSI
+        rests = telemetry.motor == 0.0 and max(telemetry.pressure_psi) < UNBENT_CPSI / 100
         # A board that restarted counts from 0 again.
         passed_s = telemetry.device_s - self._shape_s
         return not 0.0 <= passed_s < (_REST_S if rests else _MOVING_S)
@@ -158,7 +158,7 @@ class Publisher:
         """The side of the muscle that bends the body, as `SensorTable.lies`; None if none does."""
         cpsi = pressure_cpsi[: len(self._bends)]
         highest = max(cpsi)
-        return self._bends[cpsi.index(highest)] if highest >= _IDLE_PSI * 100 else None
+        return self._bends[cpsi.index(highest)] if highest >= UNBENT_CPSI else None
 
     def event(self, received: ReceivedEvent) -> Event:
         """An event in words, with the operator's next step if there is one."""

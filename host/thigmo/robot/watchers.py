@@ -17,11 +17,11 @@ from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import Truth
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import Floats, SensorTable, mask_of
+from thigmo.robot.idle import UNBENT_CPSI
 from thigmo.robot.state import ContactTrigger, Peak, SweepFrame, SweepResult
 from thigmo.robot.strains import Strains
 
 _FRAME_SPACING_S = 0.05
-_IDLE_CPSI = 10
 _PEAK_READINGS = 10  # thesis: ten
 
 
@@ -115,7 +115,7 @@ class SweepWatcher:
         self._next_s = t_s + _FRAME_SPACING_S
         row = frame.message
         pressure = max(row.pressure_cpsi)
-        if pressure >= _IDLE_CPSI:
+        if pressure >= UNBENT_CPSI:
             side = self.sides[row.pressure_cpsi.index(pressure)]
             free, excess = row.free_e5 / 1e5, (row.base_e5 - row.free_e5) / 1e5
             self.frames.append(SweepFrame(side, t_s, pressure / 100, free, excess, row.flex_sum))

@@ -16,7 +16,17 @@ ROOT = Path(__file__).resolve().parents[3]
 
 def test_a_minute_of_everything_breaks_no_promise() -> None:
     done = subprocess.run(
-        [sys.executable, "tools/soak.py", "--hours", "0.016", "--seed", "8", "--json"],
+        [
+            sys.executable,
+            "tools/soak.py",
+            "--hours",
+            "0.016",
+            "--seed",
+            "8",
+            "--seeds",
+            "1",
+            "--json",
+        ],
         cwd=ROOT,
         check=False,
         capture_output=True,

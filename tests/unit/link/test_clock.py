@@ -64,6 +64,17 @@ def test_one_pair_is_enough_to_begin_with() -> None:
     assert clock.to_host(500 + 1_000_000) == pytest.approx(2.002)
 
 
+def test_pairs_that_waited_for_bytes_ahead_do_not_count_beside_others() -> None:
+    """All round trips take as long, and each byte ahead shifts the stamp by 44 us."""
+    clock, rng = DeviceClock(), random.Random(1)
+    for number in range(600):
+        t = 1.0 + 0.1 * number
+        ahead = rng.randrange(20, 60) if rng.random() < 0.8 else 0
+        device_us = round((t + 0.005) * 1e6) + 44 * ahead
+        clock.pair(t, t + 0.01, device_us, waited_s=0.009 if ahead else 0.0)
+    assert clock.to_host(61e6) == pytest.approx(61.0, abs=5e-5)
+
+
 def test_across_a_wrap_the_map_goes_on() -> None:
     clock, t = run(60.0, 1.0, 100.0 - 4290.0, 4)
     assert clock.to_host((t + 4190.0) * 1e6) == pytest.approx(t, abs=2e-4)

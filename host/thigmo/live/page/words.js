@@ -205,7 +205,7 @@ function drawBanners(lost) {
   if (failure && !latched) banners.push(["fault", `${MOTIONS[name]?.[2] ?? "The run"} did not start, or ended early.`, failure]);
   else if (said && name !== "explore") banners.push(["note", said, ""]);
   if (store.dropped && performance.now() - store.droppedAt < 5000) {
-    banners.push(["warning", `This page is slow: ${store.dropped} readings were left out.`, "The robot and its record miss nothing."]);
+    banners.push(["warning", `The charts of this page lack ${store.dropped} readings: this computer is busy.`, "The robot and its record miss none."]);
   }
   const key = JSON.stringify(banners);
   if (key === listed.banners) return;

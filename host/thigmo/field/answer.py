@@ -1,0 +1,155 @@
+"""What stands beside the body, by all sweeps of one side: the fit's answer for people and maps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from thigmo.field.atlas import Atlas
+from thigmo.field.fit import ALIKE
+from thigmo.field.hypotheses import FRICTION, RADIUS
+from thigmo.field.posterior import ENOUGH, PegSearch, Samples
+from thigmo.field.readings import Errors, Floats, Readings
+
+# Log likelihood that a place must gain for a fit: with less, the prior odds of a place refuse it.
+LEAST_GAIN = 3.0
+# Sum of squares over the number of independent readings beyond which the model does not explain the
+# sweeps. Below it, what it leaves above one widens the answer.
+UNEXPLAINED = 2.0
+# Exponent of the weights below which samples that were widened place nothing: as if the noise were
+# 1.4 times the stated one.
+_LEAST_EXPONENT = 0.5
+# Everted length by the spool's encoder, and the side against the corner of the end, cm.
+_LENGTH_CM = 0.1
+_TRACK = 25  # points
+_REFUSED = 1e-3  # smaller odds are not worth a fit's contact
+
+UNEXPLAINED_WORDS = "the model does not explain these sweeps"
+FEW_WORDS = "too few samples of the fit agree"
+
+
+@dataclass(frozen=True, slots=True)
+class FieldContact:
+    """An obstacle where the last sweep that reached it touched it, in the side's own plane.
+
+    x runs along the straight body, y towards the inflated side; lengths in cm.
+    """
+
+    length_cm: float  # everted, of that sweep
+    arc_cm: float  # along the body
+    interval_cm: tuple[float, float]  # 95 % of the arc
+    x_cm: float  # of the touched skin
+    y_cm: float
+    covariance_cm2: Floats  # (2, 2) of x, y
+    normal_rad: float  # direction from the centreline to the contact
+    force_per_cm2: float  # across the body over EI, without sign
+    force_interval_per_cm2: tuple[float, float]  # 95 %
+    track: Floats  # (25, 2) the interval drawn along the skin
+    probability: float  # that something stands there
+    places: bool  # whether its place is an answer: the model holds, and enough samples agree
+    doubt: str  # why not, in words
+    felt_at_cm: tuple[float, ...]  # everted lengths whose sweeps touched it, ascending
+    log_odds: float  # log Bayes factor times prior odds, against nothing
+    misfit: float  # sum of squares over the number of independent readings: 1 if the model holds
+    effective: float  # samples
+    peg_radius_cm: float  # posterior median
+    friction: float  # posterior mean
+    yield_cm: float  # posterior mean, of the peg under its force
+
+
+def contacts(
+    readings: Readings,
+    errors: Errors,
+    atlas: Atlas,
+    *,
+    expected: Callable[[Floats], Floats] | None = None,
+) -> list[FieldContact]:
+    """What one side's sweeps touched; empty if the readings need no obstacle.
+
+    `expected`: density of a given map at points (n, 2) of the skin, over that of a new obstacle.
+    """
+    search = PegSearch(readings, errors, atlas)
+    if not search.places or search.places[0].gain < LEAST_GAIN:
+        return []
+    chains = search.ridges()
+    if not chains:
+        return []
+    samples = search.sample(chains, expected=expected)
+    log_odds = samples.log_evidence + 0.5 * search.nothing.cost
+    if log_odds < np.log(_REFUSED):
+        return []
+    contact = _placed(readings, samples, log_odds)
+    return [] if contact is None else [contact]
+
+
+def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldContact | None:
+    touches = np.isfinite(samples.touch[:, :, 0])  # (n, stages)
+    shares = samples.weight @ touches
+    reached = np.flatnonzero(shares > 0.5)
+    if not reached.size:
+        return None
+    last_sweep = [readings.sweep[readings.stage == s].max() for s in range(len(readings.stages))]
+    stage = int(max(reached, key=lambda s: last_sweep[s]))
+    weight, exponent = _widened(np.where(touches[:, stage], samples.weight, 0.0))
+    on = weight > 0.0
+    weight = weight[on] / weight[on].sum()
+    arc, x, y, normal, force = samples.touch[on, stage].T
+    length = readings.stages[stage].length
+    low, high = _quantiles(arc, weight, (0.025, 0.975))
+    mean = weight @ np.column_stack([arc, x, y])
+    leaves = samples.misfit * ALIKE
+    wider = max(1.0, leaves)
+    interval = (
+        max(mean[0] - wider * (mean[0] - low) - _LENGTH_CM, 0.0),
+        min(mean[0] + wider * (high - mean[0]) + _LENGTH_CM, length),
+    )
+    off = wider * (np.column_stack([arc, x, y]) - mean)
+    covariance = (weight[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
+    along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
+    turn = np.angle(weight @ np.exp(1j * normal))
+    doubt = UNEXPLAINED_WORDS if leaves > UNEXPLAINED else ""
+    if exponent < _LEAST_EXPONENT:
+        doubt = doubt or FEW_WORDS
+    felt = sorted({round(readings.stages[s].length, 2) for s in reached})
+    q = samples.q[on]
+    return FieldContact(
+        length_cm=length,
+        arc_cm=float(mean[0]),
+        interval_cm=interval,
+        x_cm=float(mean[1]),
+        y_cm=float(mean[2]),
+        covariance_cm2=covariance[1:, 1:],
+        normal_rad=float(turn),
+        force_per_cm2=float(weight @ np.abs(force)),
+        force_interval_per_cm2=_quantiles(np.abs(force), weight, (0.025, 0.975)),
+        track=mean[1:] + along * covariance[0, 1:] / covariance[0, 0],
+        probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
+        places=not doubt,
+        doubt=doubt,
+        felt_at_cm=tuple(felt),
+        log_odds=log_odds,
+        misfit=leaves,
+        effective=samples.effective,
+        peg_radius_cm=_quantiles(np.exp(q[:, RADIUS]), weight, (0.5, 0.5))[0] * readings.radius,
+        friction=float(weight @ np.abs(q[:, FRICTION])),
+        yield_cm=float(weight @ (samples.compliance[on] * np.abs(force))),
+    )
+
+
+def _widened(weight: Floats) -> tuple[Floats, float]:
+    """Weights tempered until enough samples count, and the exponent that it takes."""
+    exponent, tempered = 1.0, weight / weight.sum()
+    while exponent > 0.05 and ENOUGH * np.sum(tempered**2) > 1:
+        exponent *= 0.85
+        tempered = np.where(weight > 0.0, (weight / weight.max()) ** exponent, 0.0)
+        tempered = tempered / tempered.sum()
+    return tempered, exponent
+
+
+def _quantiles(value: Floats, weight: Floats, at: tuple[float, float]) -> tuple[float, float]:
+    along = np.argsort(value)
+    below = np.cumsum(weight[along]) - 0.5 * weight[along]
+    low, high = np.interp(at, below / weight.sum(), value[along])
+    return float(low), float(high)

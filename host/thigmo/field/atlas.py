@@ -1,0 +1,146 @@
+"""The search of the whole plane for a peg: readings of every place, made once a robot.
+
+What the sensors of a body read beside a peg depends on the robot alone. So the tables of a grid of
+touches serve every side, stage and run of one robot, and a search costs one product a place.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.field.fit import FieldFit, Mode, whitened
+from thigmo.field.hypotheses import RADIUS_MEAN, touched, untouched
+from thigmo.field.readings import Floats, Readings
+from thigmo.mechanics import Rod, Tube
+
+# Grid of the touches: steps of the arc over the body's length, and of the bend (turns of the whole
+# body, rad). The linearised fit of a place reaches as far.
+_ARC_STEP, _TURN_STEP = 2.5 / 53, 0.085
+_FIRST_ARC, _BEYOND = 0.1, 0.1  # lengths
+_MOST_TURN = 1.9
+_ROW_TURN = 0.084  # rad of the whole body between rows of a table
+_KEPT = 3
+_CELLS, _MESH = 53, 5.0 / 53  # at whose ends headings are kept; of the elastica, a length
+_SHOWS = 1e-4  # 1/cm: a place that changes no reading by more explains nothing
+_APART = 1.6, 2.6  # steps of arc and bend within which two places lead to one fit
+
+
+class Place(NamedTuple):
+    """A place that explains readings."""
+
+    gain: float  # log likelihood beyond that of nothing, errors linearised
+    arc: float
+    bend: float
+
+
+class _Table(NamedTuple):
+    first: int  # the first row that departs from a free body
+    heading: npt.NDArray[np.float32]  # (k, cells + 1) beyond the free body's, rad
+
+
+class Atlas:
+    """Headings beside a peg of average size at each touch of a grid, for bodies of one robot.
+
+    Grown as stages come: a table for each everted length and zone, which serves both sides, for
+    what a sensor reads is the difference of two headings.
+    """
+
+    def __init__(self, length_cm: float, most_bend: float) -> None:
+        """`length_cm`: of the whole body; `most_bend`: 1/cm, the highest of its maps."""
+        self.step = _ROW_TURN / length_cm
+        self.bends = np.arange(0.0, most_bend + 2 * self.step, self.step)
+        self._cell = length_cm / _CELLS
+        self._arc_step, self._bend_step = _ARC_STEP * length_cm, _TURN_STEP / length_cm
+        arcs = np.arange(_FIRST_ARC, 1 + _BEYOND, _ARC_STEP) * length_cm
+        bends = np.arange(_TURN_STEP, most_bend * length_cm, _TURN_STEP) / length_cm
+        self.touches = [(a, b) for a in arcs for b in bends if b < _MOST_TURN / a]
+        self._tables: dict[tuple[float, float], list[_Table | None]] = {}
+
+    def _stage(self, readings: Readings, s: int) -> list[_Table | None]:
+        length, zone = readings.stages[s]
+        moment = float(readings.fold_moment[zone])
+        if (length, moment) not in self._tables:
+            self._tables[length, moment] = [
+                self._table(readings.radius, length, moment, a, b) for a, b in self.touches
+            ]
+        return self._tables[length, moment]
+
+    def _table(
+        self, radius: float, length: float, moment: float, arc: float, bend: float
+    ) -> _Table | None:
+        peg = touched(arc, bend, float(np.exp(RADIUS_MEAN)) * radius, radius)
+        first = untouched(peg, length, radius, self.bends)
+        straight = np.hypot(peg.x - np.clip(peg.x, 0.0, length), peg.y)
+        if first == self.bends.size or straight < peg.radius + radius:
+            return None
+        count = int(np.ceil(length / self._cell))
+        cell = length / count
+        middles: Floats = cell * (np.arange(count, dtype=np.float64) + 0.5)
+        widths: Floats = np.full(count, cell)
+        bends = self.bends[first:]
+        rod = Rod(Tube(2 * radius, moment), [peg], cell_cm=_MESH * length)
+        mean = rod.sweep(bends, length, middles, widths).readings
+        heading: npt.NDArray[np.float32] = np.zeros((bends.size, count + 1), dtype=np.float32)
+        heading[:, 1:] = np.cumsum((mean - bends[:, None]) * cell, axis=1)
+        return _Table(first, heading)
+
+    def search(self, fit: FieldFit, nothing: Mode) -> list[Place]:
+        """The best places for one peg, likeliest first.
+
+        Errors are linearised where calibration is right: those that explain a touch by no obstacle
+        are far from it.
+        """
+        right = fit.free()
+        d = fit.departures(nothing.tables, right)
+        factor = np.linalg.cholesky(d.effect.T @ d.effect + np.eye(fit.count))
+        shared = np.linalg.solve(factor, d.effect.T)
+        whole, part = np.divmod(fit.bend(right) / self.step, 1)
+        rows, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[:, None]
+        r = fit.readings
+        changes = np.zeros((len(self.touches), *r.curvature.shape))
+        for s, (length, _) in enumerate(r.stages):
+            inside = np.flatnonzero(r.stage == s)
+            mean = _averages(length, self._cell, r.centers, r.spans)
+            for change, table in zip(changes, self._stage(r, s), strict=True):
+                if table is not None:
+                    k = rows[inside] - table.first
+                    on, k = inside[k >= 0], k[k >= 0]
+                    heading = table.heading[k] * (1 - u[on]) + table.heading[k + 1] * u[on]
+                    change[on] = heading @ mean
+        changes[:, fit.missing] = 0.0
+        shows = np.flatnonzero(np.abs(changes).max(axis=(1, 2)) > _SHOWS)
+        if not shows.size:
+            return []
+        # Of departures z - c the errors' best fit takes |shared (z - c)|^2 off.
+        white = whitened(np.moveaxis(changes[shows], 0, -1), d.weight, d.along)
+        left = d.z[:, None] - white
+        before = d.z @ d.z - np.sum((shared @ d.z) ** 2)
+        after = np.sum(left**2, axis=0) - np.sum((shared @ left) ** 2, axis=0)
+        gains = 0.5 * (before - after)
+        best: list[Place] = []
+        for n in np.argsort(-gains):
+            place = Place(float(gains[n]), *self.touches[shows[n]])
+            if all(self._apart(place, other) for other in best):
+                best.append(place)
+            if len(best) == _KEPT:
+                break
+        return best
+
+    def _apart(self, one: Place, other: Place) -> bool:
+        arcs = abs(one.arc - other.arc) / (_APART[0] * self._arc_step)
+        return max(arcs, abs(one.bend - other.bend) / (_APART[1] * self._bend_step)) > 1
+
+
+def _averages(length: float, cell: float, centers: Floats, spans: Floats) -> Floats:
+    """(cells + 1, m) matrix from headings at the ends of cells to mean curvatures of sensors."""
+    count = int(np.ceil(length / cell))
+    ends = np.linspace(0.0, length, count + 1)
+    width = np.maximum(spans, length / count)
+    low, high = np.maximum(centers - width / 2, 0.0), np.minimum(centers + width / 2, length)
+    units = np.eye(count + 1)
+    weight = [np.interp(high, ends, unit) - np.interp(low, ends, unit) for unit in units]
+    matrix: Floats = np.asarray(weight) / np.maximum(high - low, 1e-9)
+    return matrix

@@ -1,0 +1,369 @@
+"""One side's readings as a function of what stands in the plane, with calibration's errors.
+
+  a frame's readings = mechanics(what stands in the plane, bend of the free body) + errors
+
+Obstacles stand still, so the same few numbers explain all sweeps at all everted lengths, those that
+felt nothing included. Calibration's errors are Gaussian and small: they are integrated out around
+their best fit (Laplace). An unknown relative error of the mechanics has a few levels, which the
+posterior weighs: where a body is not the model's, answers widen. docs/methods.md derives it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.field.hypotheses import (
+    ARC,
+    BEND,
+    FOLD,
+    FRICTION,
+    NOTHING,
+    PEG_UNKNOWNS,
+    YIELD,
+    Body,
+    Hypothesis,
+    untouched,
+)
+from thigmo.field.readings import Errors, Floats, Readings
+from thigmo.mechanics import Peg, Rod, Tube
+
+# Rows of a table of the mechanics: turns (rad) of the whole body between them, and the share of a
+# sweep's highest bend up to which errors of the map may take it.
+ROW_TURN, BEYOND = 0.037, 1.15
+CELL = 3.0 / 53  # of the length, of the elastica's mesh: an error below 1e-4 1/cm
+# Bins that count as one reading: swings and loops of hysteresis outlast a bin.
+ALIKE = 2.0
+# Standard deviation of the logarithm by which gains and maps have drifted more than stated.
+SPREAD_STD = 0.4
+MOST_PASSES = 12
+_DAMPING, _LEAST_DAMPING, _RAISED = 1e-2, 1e-4, 6.0
+_TRIES = 5  # of a step, each with more damping
+_GAIN = 0.02  # log likelihood below which a pass ends the fit
+_LEVER = 0.7  # of the longest body, where the force acts for which a yield is stated
+_LARGEST_TURN = 0.13  # rad at the end of the body, of one step of the touch's bend
+
+
+class Touch(NamedTuple):
+    """Contacts by bend (k) and peg (p) at one stage; NaN where there is none."""
+
+    arc: Floats  # (k, p) cm
+    x: Floats  # (k, p) of the touched skin, cm
+    y: Floats
+    normal: Floats  # (k, p) direction from the contact into the peg, rad
+    force: Floats  # (k, p) over EI, 1/cm^2
+
+
+class Tables(NamedTuple):
+    """The mechanics of what stands there, by stage (s), bend (k) and sensor (m)."""
+
+    mean: Floats  # (s, k, m) what sensors read, 1/cm
+    shift: Floats  # (s, k, m) by how much that grows for each cm farther out
+    by_q: Floats  # (s, k, m, unknowns) by how much for each unknown
+    touch: tuple[Touch | None, ...]  # of each stage; None: it reaches nothing
+
+
+class Prediction(NamedTuple):
+    """Readings of n bins by m sensors, 1/cm."""
+
+    value: Floats  # (n, m)
+    slope: Floats  # (n, m) over the bend
+    effect: Floats  # (n, m, count) derivatives by the errors
+    bend: Floats  # (n,) of the free body, 1/cm
+    by_q: Floats  # (n, m, unknowns) derivatives by what stands there
+
+
+class Departures(NamedTuple):
+    """Whitened departures of the readings from a prediction."""
+
+    z: Floats  # (n m,)
+    effect: Floats  # (n m, count) derivatives of the prediction by the errors, whitened
+    weight: Floats  # (n, m) of the whitening, for `whitened`
+    along: Floats  # (n, m) bin's error of the bend, whitened
+    volume: float  # logarithm of the noise's volume
+    value: Floats  # (n, m) prediction
+    by_q: Floats  # (n m, unknowns) its derivatives by what stands there, whitened
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A most probable explanation."""
+
+    hypothesis: Hypothesis
+    q: Floats  # (unknowns,)
+    xi: Floats  # (count,) errors in standard deviations
+    tables: Tables
+    cost: float  # -2 log posterior, less what all share
+    precision: Floats  # (unknowns, unknowns) with the errors integrated out
+
+
+class FieldFit:
+    """One side's readings with the errors of calibration; `model` is the mechanics' error."""
+
+    def __init__(
+        self, readings: Readings, errors: Errors, *, model: float = 0.0, row: float = 1.0
+    ) -> None:
+        """`model`: relative error of what a contact adds to a reading; `row`: coarser tables."""
+        self.readings, self.errors, self.model, self.row = readings, errors, model, row
+        self.longest = max(stage.length for stage in readings.stages)
+        self.step = row * ROW_TURN / self.longest
+        top = BEYOND * float(readings.bend.max()) + 2 * self.step
+        self.bends = np.arange(0.0, top + self.step, self.step)
+        force = float(readings.fold_moment.min()) / (_LEVER * self.longest)
+        self.body = Body(
+            readings.radius, self.longest, float(self.bends[-1]), errors.fold,
+            readings.radius / force,
+        )  # fmt: skip
+        self.missing = ~np.isfinite(readings.curvature)
+        self._sd = np.where(self.missing, np.inf, readings.noise * np.sqrt(ALIKE))
+        highest = [readings.bend[readings.stage == s].max() for s in range(len(readings.stages))]
+        self._rows = [
+            min(int(BEYOND * g / self.step) + 4, self.bends.size) for g in np.maximum(highest, 0.0)
+        ]
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """What each error of one sigma adds to the bend (n, .) and to a reading (n, m, .)."""
+        r, e = self.readings, self.errors
+        g, (n, m) = r.bend[:, None], r.curvature.shape
+        zone = np.array([s.zone for s in r.stages])[r.stage]
+        zones = np.eye(r.fold_moment.size)[zone]
+        sweeps, zeroings = (
+            np.eye(r.sweep.max() + 1)[r.sweep],
+            np.eye(r.zeroing.max() + 1)[r.zeroing],
+        )
+        on_bend = [e.map * g, e.map_zone * g * zones, e.map_offset * zones]
+        on_bend += [e.sweep * g * sweeps, e.sweep_offset * sweeps, e.lag_s * r.rate[:, None]]
+        self.on_bend = np.hstack(on_bend)
+        parts = [
+            np.einsum("nc,m,mj->nmcj", times, sd, np.eye(m)).reshape(n, m, -1)
+            for times, sd in (
+                (np.ones((n, 1)), e.zero), (zeroings, e.zero_zeroing), (sweeps, e.zero_sweep)
+            )
+        ]  # fmt: skip
+        if e.shared.size:
+            parts.append(np.einsum("nc,mj->nmcj", sweeps, e.shared).reshape(n, m, -1))
+        self.on_zero = np.concatenate(parts, axis=2)
+        self._drifts = np.zeros(self.on_bend.shape[1], dtype=bool)
+        self._drifts[: 1 + zones.shape[1]] = True  # the map's scales
+        self._gain = self.on_bend.shape[1]
+        self._place, self._against = self._gain + m, self._gain + 2 * m
+        self._zero = self._against + 1
+        self._modelled = self._zero + self.on_zero.shape[2]
+        self.count = self._modelled + (m if self.model else 0)
+
+    def free(self) -> Floats:
+        """(count,) errors that are all nil."""
+        return np.zeros(self.count)
+
+    def tables(self, hypothesis: Hypothesis, q: Floats) -> Tables:
+        """The mechanics of q; most of the time goes here."""
+        r, m = self.readings, self.readings.centers.size
+        pegs = hypothesis.place(q, self.body)
+        mean = np.tile(self.bends[:, None], (len(r.stages), 1, m))
+        shift = np.zeros(mean.shape)
+        by_q = np.zeros((*mean.shape, hypothesis.unknowns))
+        chain = [self._moves(row) for row in np.reshape(q[: PEG_UNKNOWNS * len(pegs)], (-1, 3))]
+        touches: list[Touch | None] = []
+        for s, (length, zone) in enumerate(r.stages):
+            rows, touch = self._rows[s], None
+            bends = self.bends[:rows]
+            first = min((untouched(p, length, r.radius, bends) for p in pegs), default=rows)
+            if first < rows:
+                critical = float(r.fold_moment[zone] * np.exp(q[FOLD]))
+                rod = Rod(
+                    Tube(2 * r.radius, critical), pegs, cell_cm=CELL * self.longest,
+                    friction=abs(float(q[FRICTION])),
+                )  # fmt: skip
+                sweep = rod.sweep(bends[first:], length, r.centers, r.spans)
+                on = slice(first, rows)
+                mean[s, on], shift[s, on] = sweep.readings, sweep.by_place
+                for p, moves in enumerate(chain):
+                    at = PEG_UNKNOWNS * p
+                    by_q[s, on, :, at : at + 3] = sweep.by_obstacle[:, :, p, :3] @ moves
+                yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
+                by_q[s, on, :, YIELD] = yields * np.sign(q[YIELD])
+                by_q[s, on, :, FOLD] = sweep.by_body[..., 0] * critical
+                by_q[s, on, :, FRICTION] = sweep.by_body[..., 2] * np.sign(q[FRICTION])
+                for part in (mean, shift, by_q):
+                    part[s, rows:] = part[s, rows - 1]
+                touch = self._touch(pegs, sweep.contacts, first, rows)
+            touches.append(touch)
+        return Tables(mean, shift, by_q, tuple(touches))
+
+    def _moves(self, peg: Floats) -> Floats:
+        """(3, 3) derivatives of a peg's x, y and radius by its three unknowns."""
+        arc, bend, log_radius = peg.tolist()
+        radius, turn = float(np.exp(log_radius)) * self.body.radius, arc * bend
+        across = 1 / bend - self.body.radius - radius
+        sine, cosine = float(np.sin(turn)), float(np.cos(turn))
+        moves = np.zeros((3, 3))
+        moves[:2, ARC] = bend * across * cosine, bend * across * sine
+        moves[:2, BEND] = (
+            arc * across * cosine - sine / bend**2,
+            arc * across * sine - (1 - cosine) / bend**2,
+        )
+        moves[:, 2] = -radius * sine, radius * cosine, radius
+        return moves
+
+    @staticmethod
+    def _touch(pegs: list[Peg], contacts: Floats, first: int, rows: int) -> Touch:
+        where = np.full((5, rows, len(pegs)), np.nan)
+        arc, x, y, force = np.moveaxis(contacts, 2, 0)
+        away = np.arctan2([p.y for p in pegs] - y, [p.x for p in pegs] - x)
+        where[:, first:] = arc, x, y, away, force
+        return Touch(*where)
+
+    def bend(self, xi: Floats, spread: float = 1.0) -> Floats:
+        """(n,) bends of the free body as the errors have it; `spread` scales drifts."""
+        along = xi[: self._gain] * np.where(self._drifts, spread, 1.0)
+        bend: Floats = np.clip(self.readings.bend + self.on_bend @ along, 0.0, self.bends[-2])
+        return bend
+
+    def predict(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Prediction:
+        """What the sensors read, and its derivatives.
+
+        `xi` are the errors in their standard deviations: each is N(0, 1) beforehand.
+        """
+        e, r, m = self.errors, self.readings, self.readings.centers.size
+        j, p, b, o = self._gain, self._place, self._against, self._zero
+        gain, place = 1 + spread * e.gain * xi[j:p], e.place * xi[p:b]
+        bend = self.bend(xi, spread)
+        whole, part = np.divmod(bend / self.step, 1)
+        k, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[:, None]
+        low, high = tables.mean[r.stage, k], tables.mean[r.stage, k + 1]
+        shift = tables.shift[r.stage, k] * (1 - u) + tables.shift[r.stage, k + 1] * u
+        true = low * (1 - u) + high * u + shift * place
+        back = true < 0  # a flex sensor answers less to a bend against its valid direction
+        against = np.ones(m) if e.against is None else e.against
+        unsure = np.zeros(m) if e.against_error is None else e.against_error
+        answer = np.where(back, against + unsure * xi[b], 1.0)
+        slope = gain * answer * (high - low) / self.step
+        effect = np.zeros((*true.shape, self.count))
+        along = self.on_bend * np.where(self._drifts, spread, 1.0)
+        effect[..., :j] = slope[..., None] * along[:, None]
+        sensors = np.arange(m)
+        effect[:, sensors, j + sensors] = spread * e.gain * answer * true
+        effect[:, sensors, p + sensors] = e.place * gain * answer * shift
+        effect[..., b] = unsure * gain * true * back
+        effect[..., o : self._modelled] = self.on_zero
+        value = gain * answer * true + self.on_zero @ xi[o : self._modelled]
+        if self.model:
+            added = self.model * (true - bend[:, None])
+            effect[:, sensors, self._modelled + sensors] = added
+            value = value + added * xi[self._modelled :]
+        answers = (gain * answer)[..., None]
+        by_q = answers * (
+            tables.by_q[r.stage, k] * (1 - part[:, None, None])
+            + tables.by_q[r.stage, k + 1] * part[:, None, None]
+        )
+        return Prediction(value, slope, effect, bend, by_q)
+
+    def departures(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Departures:
+        """Departures from a prediction.
+
+        The noise is white, plus the mechanics' error, plus each bin's error of the bend, which all
+        of its sensors share (a rank-one update).
+        """
+        value, slope, effect, bend, by_q = self.predict(tables, xi, spread)
+        added = self.model * (value - bend[:, None]) / self._sd
+        weight = 1 / (self._sd * np.sqrt(1 + added**2))
+        along = weight * slope * self.errors.bend_bin
+        volume = float(np.log1p((along**2).sum(axis=1)).sum() + np.log1p(added**2).sum())
+        left = np.where(self.missing, 0.0, self.readings.curvature - value)
+        z, effect = whitened(left, weight, along), whitened(effect, weight, along)
+        return Departures(z, effect, weight, along, volume, value, whitened(by_q, weight, along))
+
+    def evidence(
+        self, tables: Tables, xi: Floats, *, spread: float = 1.0, passes: int = 2
+    ) -> tuple[float, Floats, float]:
+        """log p(readings | q) with errors integrated out, their best fit, and the misfit.
+
+        The evidence lacks what all q share. The misfit is the sum of squares that the best errors
+        leave: the mean is about the number of readings if the model holds.
+        """
+        for left in range(passes, -1, -1):
+            d = self.departures(tables, xi, spread)
+            z, effect = d.z, d.effect
+            factor = np.linalg.cholesky(effect.T @ effect + np.eye(self.count))
+            if left:
+                right = np.linalg.solve(factor, effect.T @ z - xi)
+                xi = xi + np.linalg.solve(factor.T, right)
+        inside = 2 * float(np.log(np.diag(factor)).sum())
+        misfit = float(z @ z + xi @ xi)
+        return -0.5 * (misfit + inside + d.volume), xi, misfit
+
+    def nothing(self) -> Mode:
+        """The readings' explanation by errors alone."""
+        tables = self.tables(NOTHING, np.zeros(0))
+        log, xi, _ = self.evidence(tables, self.free())
+        return Mode(NOTHING, np.zeros(0), xi, tables, -2 * log, np.zeros((0, 0)))
+
+    def solve(
+        self,
+        hypothesis: Hypothesis,
+        q: Floats,
+        xi: Floats | None = None,
+        *,
+        passes: int = MOST_PASSES,
+        held: tuple[int, ...] = (),
+    ) -> Mode:
+        """The most probable q and errors near a start: Gauss-Newton, damped. q[held] stay."""
+        q = np.array(q, dtype=float)
+        xi = self.free() if xi is None or xi.size != self.count else xi
+        unit = self.longest
+        most = hypothesis.columns((0.06 * unit, _LARGEST_TURN / unit, 0.6), 0.15, 0.3, 0.5)
+        mean, spread = hypothesis.bells(self.body)
+        precision = np.concatenate([1 / spread**2, np.ones(self.count)])
+
+        def cost_at(q: Floats, xi: Floats) -> tuple[float, Tables, Departures]:
+            tables = self.tables(hypothesis, q)
+            d = self.departures(tables, xi)
+            prior = -2 * hypothesis.log_prior(q, self.body)
+            return float(d.z @ d.z + xi @ xi + d.volume + prior), tables, d
+
+        cost, tables, d = cost_at(q, xi)
+        damping, hessian = _DAMPING, np.eye(q.size + self.count)
+        for _ in range(passes):
+            by_q = d.by_q.copy()
+            by_q[:, list(held)] = 0.0
+            jacobian = np.hstack([by_q, d.effect])
+            hessian = jacobian.T @ jacobian + np.diag(precision)
+            slope = jacobian.T @ d.z - np.concatenate([(q - mean) / spread**2, xi])
+            slope[list(held)] = 0.0
+            ahead = None
+            for _ in range(_TRIES):
+                damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
+                by = np.linalg.solve(damped, slope)
+                by[: q.size] /= max(1.0, float(np.max(np.abs(by[: q.size]) / most)))
+                by[list(held)] = 0.0
+                trial = q + by[: q.size]
+                if hypothesis.possible(trial, self.body):
+                    better = cost_at(trial, xi + by[q.size :])
+                    if better[0] < cost:
+                        ahead = trial, xi + by[q.size :]
+                        break
+                damping *= _RAISED
+            if ahead is None:
+                break
+            gained, damping = cost - better[0], max(damping / _RAISED, _LEAST_DAMPING)
+            (q, xi), (cost, tables, d) = ahead, better
+            if gained < _GAIN:
+                break
+        k = q.size
+        inner = hessian[:k, k:] @ np.linalg.solve(hessian[k:, k:], hessian[k:, :k])
+        return Mode(hypothesis, q, xi, tables, cost, hessian[:k, :k] - inner)
+
+
+def whitened(x: npt.NDArray[np.float64], weight: Floats, along: Floats) -> Floats:
+    """Whiten x (n, m, ...) by weights (n, m) and a rank-one part of each bin; (n m, ...)."""
+    squared = np.sum(along**2, axis=1)
+    share = (1 - 1 / np.sqrt(1 + squared)) / np.maximum(squared, 1e-30)
+    z = x * weight.reshape(*weight.shape, *[1] * (x.ndim - 2))
+    common = np.einsum("n,nm,nm...->n...", share, along, z)
+    z = z - np.einsum("nm,n...->nm...", along, common)
+    white: Floats = z.reshape(x.shape[0] * x.shape[1], *x.shape[2:])
+    return white

@@ -1,0 +1,319 @@
+"""The posterior of one peg: modes along its ridge of radius and place, then importance samples.
+
+The contact slides as the body bends on, so radius and place trade off along a narrow ridge, jagged
+where an end slips off. Starts lie under a large error of the mechanics, under which it is smooth;
+then it is followed from radius to radius. Samples carry what has no table of its own as well: how
+far gains and maps have drifted, and the mechanics' relative error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import gammaln
+
+from thigmo.field.atlas import Atlas
+from thigmo.field.fit import SPREAD_STD, FieldFit, Mode
+from thigmo.field.hypotheses import PEG, RADIUS, RADIUS_MEAN, RADIUS_STD, YIELD
+from thigmo.field.readings import Errors, Floats, Readings
+
+# Logarithms of radii over the tube's at which the ridge has nodes.
+# Friction and yield from which a fit starts: at none neither has a derivative.
+_LEAST = 0.05, 0.05
+RADII = RADIUS_MEAN + RADIUS_STD * np.linspace(-2.0, 2.0, 12)
+_STARTS = RADIUS_MEAN + RADIUS_STD * np.array([-0.7, 0.6])
+# Levels of the mechanics' relative error, and their prior odds: a body of fabric is no ideal rod.
+MODELS, MODEL_ODDS = (0.0, 0.05, 0.2), (0.6, 0.3, 0.1)
+ROUGH = 0.15  # under which starts are sought
+_FAR = 60.0  # cost beyond which a start is dropped, and
+_FALLEN = 25.0  # one beyond which the ridge is not followed
+_PROPOSED = 14.0  # and beyond which a node proposes no samples
+_DOF, _WIDER = 6, 1.3  # of the proposals
+_WIDEST = 6.0  # standard deviations over which an unknown direction is proposed
+_TEMPER = 0.35  # exponent of the modes' weights among the proposals
+_TEMPERED = 12.0  # effective samples from which later rounds learn
+_NARROWER = 0.5  # by which they lie nearer
+_NEGLIGIBLE = 1e-3  # share of a level of the mechanics' error that later rounds omit
+ROUND, ROUNDS = 60, 5
+ENOUGH = 50.0  # effective samples
+_KEPT = np.array([0, 1, 3, 4, 5])  # unknowns other than the radius
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Weighted samples of one peg."""
+
+    q: Floats  # (n, 5)
+    model: Floats  # (n, levels) posterior of the level of the mechanics' error
+    touch: Floats  # (n, stages, 5) arc, x, y, normal, force at each stage's last peak; NaN: none
+    weight: Floats  # (n,) of sum one
+    compliance: Floats  # (n,) of the peg, cm^3
+    misfit: float  # of the likeliest, over the number of readings
+    log_evidence: float  # with the prior odds of the peg
+
+    @property
+    def effective(self) -> float:
+        """Effective number of samples (Kish)."""
+        return float(1 / np.sum(self.weight**2))
+
+
+class PegSearch:
+    """Fits of one peg to a side's readings, at each level of the mechanics' error."""
+
+    def __init__(self, readings: Readings, errors: Errors, atlas: Atlas) -> None:
+        self.readings, self.errors, self._atlas = readings, errors, atlas
+        self.fit = FieldFit(readings, errors)
+        self._levels = [self.fit, *(FieldFit(readings, errors, model=m) for m in MODELS[1:])]
+        self.nothing = self.fit.nothing()
+        self.places = atlas.search(self.fit, self.nothing)
+        stages = range(len(readings.stages))
+        self._peaks = np.array([np.flatnonzero(readings.stage == s)[-1] for s in stages])
+
+    def ridges(self, known: Sequence[Mode] = (), keep: int = 2) -> list[list[Mode]]:
+        """Chains of modes along the ridges of the likeliest places; `known`: of earlier sweeps."""
+        fit = self.fit
+        rough = FieldFit(self.readings, self.errors, model=ROUGH, row=2.0)
+        first = []
+        for place in self.places:
+            for log_radius in _STARTS:
+                q = PEG.columns((place.arc, place.bend, log_radius), 0.0, *_LEAST)
+                if PEG.possible(q, rough.body):
+                    first.append(rough.solve(PEG, q, passes=6, held=(RADIUS, 3, 4, 5)))
+        first.sort(key=lambda mode: mode.cost)
+        begins: list[Floats] = [mode.q for mode in known]
+        for mode in first:
+            near = any(abs((mode.q - q)[[0, 2]]).max() < 1.0 for q in begins)
+            if mode.cost < first[0].cost + _FAR and not near:
+                begins.append(mode.q)
+        modes = [
+            fit.solve(PEG, q, passes=6, held=(RADIUS,))
+            for q in begins[: 3 + len(known)]
+            if PEG.possible(q, fit.body)
+        ]
+        modes.sort(key=lambda mode: mode.cost)
+        chains: list[list[Mode]] = []
+        for mode in modes:
+            if len(chains) == keep or mode.cost > modes[0].cost + _FAR:
+                break
+            if any(_on(chain, mode) for chain in chains):
+                continue
+            chains.append(self._followed(mode))
+        return chains
+
+    def _followed(self, begin: Mode) -> list[Mode]:
+        """The ridge from a mode to both sides, node by node."""
+        at = int(np.argmin(abs(RADII - begin.q[RADIUS])))
+        q = begin.q.copy()
+        q[RADIUS] = RADII[at]
+        start = self.fit.solve(PEG, q, begin.xi, passes=2, held=(RADIUS,))
+        nodes = {at: start}
+        for way in (1, -1):
+            n, slope = at, np.zeros(begin.q.size)
+            while 0 <= n + way < RADII.size:
+                if nodes[n].cost > min(m.cost for m in nodes.values()) + _FALLEN:
+                    break
+                ahead = nodes[n].q + slope
+                ahead[RADIUS] = RADII[n + way]
+                if not PEG.possible(ahead, self.fit.body):
+                    ahead = nodes[n].q.copy()
+                    ahead[RADIUS] = RADII[n + way]
+                if not PEG.possible(ahead, self.fit.body):
+                    break
+                nodes[n + way] = self.fit.solve(PEG, ahead, nodes[n].xi, passes=3, held=(RADIUS,))
+                slope = 0.7 * (nodes[n + way].q - nodes[n].q)
+                n += way
+        return [nodes[n] for n in sorted(nodes)]
+
+    def sample(
+        self,
+        chains: Sequence[Sequence[Mode]],
+        *,
+        seed: int = 0,
+        expected: Callable[[Floats], Floats] | None = None,
+    ) -> Samples:
+        """Importance samples, in rounds until enough of them count.
+
+        The first round is drawn around the ridges, later ones also around the samples so far; all
+        are weighed by the mixture of all rounds. `expected`: density of a given map at points
+        (n, 2) of the touched skin, over that of a new obstacle.
+        """
+        rng, fit = np.random.default_rng(seed), self.fit
+        ridges, modes = _ridges(chains)
+        proposals: list[_Mixture] = []
+        drawn: list[_Draw] = []
+        levels = list(range(len(MODELS)))
+        weight = np.zeros(0)
+        for _ in range(ROUNDS):
+            some = [ridges]
+            if weight.size:
+                some += [ridges.around(np.array([d.q for d in drawn]), weight)] * 2
+            for n in range(ROUND):
+                proposal = some[n % len(some)]
+                q = proposal.draw(rng)
+                proposals.append(proposal)
+                spread = float(np.exp(SPREAD_STD * rng.standard_normal()))
+                if PEG.possible(q, fit.body):
+                    drawn.append(self._drawn(q, modes[ridges.nearest(q[None])[0]], levels, spread))
+            if not drawn:
+                continue
+            q = np.array([d.q for d in drawn])
+            different = {id(proposal): proposal for proposal in proposals}
+            density = np.logaddexp.reduce(
+                [
+                    np.log(sum(p is proposal for p in proposals) / len(proposals))
+                    + proposal.log_density(q)
+                    for proposal in different.values()
+                ]
+            )
+            logs = np.array([d.log for d in drawn]) - density
+            if expected is not None:
+                logs += np.log(expected(np.array([d.skin for d in drawn])))
+            weight = np.exp(logs - logs.max())
+            total = float(logs.max() + np.log(weight.sum() / len(proposals)))
+            weight /= weight.sum()
+            if ENOUGH * np.sum(weight**2) < 1:
+                break
+            shares = weight @ np.array([d.levels for d in drawn])
+            levels = [n for n in levels if shares[n] > _NEGLIGIBLE]
+        if not drawn:
+            raise NothingPossibleError
+        best = drawn[int(np.argmax(weight))]
+        return Samples(
+            q, np.array([d.levels for d in drawn]), np.array([d.touch for d in drawn]), weight,
+            np.abs(q[:, YIELD]) * fit.body.yield_unit,
+            best.misfit / float(np.sum(~fit.missing)), total,
+        )  # fmt: skip
+
+    def _drawn(self, q: Floats, mode: Mode, levels: Sequence[int], spread: float) -> _Draw:
+        fit = self.fit
+        tables = fit.tables(PEG, q)
+        logs = np.full(len(MODELS), -np.inf)
+        for n in levels:
+            level = self._levels[n]
+            xi = level.free()
+            xi[: mode.xi.size] = mode.xi
+            log, fitted, misfit = level.evidence(tables, xi, spread=spread, passes=1)
+            logs[n] = log + np.log(MODEL_ODDS[n])
+            if logs[n] == logs.max():
+                best, least = fitted, misfit
+        touch = np.full((len(self.readings.stages), 5), np.nan)
+        k, u = np.divmod(fit.bend(best, spread)[self._peaks] / fit.step, 1)
+        for s, on in enumerate(tables.touch):
+            if on is not None:
+                row = min(int(k[s]), len(on.arc) - 2)
+                low, high = (np.array([part[n, 0] for part in on]) for n in (row, row + 1))
+                touch[s] = np.where(np.isfinite(low), low + u[s] * (high - low), high)
+        total = float(np.logaddexp.reduce(logs))
+        prior = PEG.log_prior(q, fit.body)
+        (peg,) = PEG.place(q, fit.body)
+        turn = float(q[0] * q[1])
+        skin = np.array([peg.x + peg.radius * np.sin(turn), peg.y - peg.radius * np.cos(turn)])
+        return _Draw(q, total + prior, np.exp(logs - total), touch, skin, least)
+
+
+class NothingPossibleError(Exception):
+    """No sample of a place was possible."""
+
+
+class _Draw(NamedTuple):
+    q: Floats
+    log: float  # posterior density
+    levels: Floats  # (levels,) posterior of the mechanics' error
+    touch: Floats
+    skin: Floats  # (2,) first touched point
+    misfit: float
+
+
+def _on(chain: Sequence[Mode], mode: Mode) -> bool:
+    """Whether a mode lies on a ridge."""
+    radii = [node.q[RADIUS] for node in chain]
+    arcs = [node.q[0] for node in chain]
+    return bool(abs(np.interp(mode.q[RADIUS], radii, arcs) - mode.q[0]) < 0.5)
+
+
+class _Mixture:
+    """t-distributions around points, each lying along a ridge: unknowns move with the radius."""
+
+    def __init__(
+        self, centers: Floats, slopes: Floats, factors: Floats, share: Floats, step: float
+    ) -> None:
+        """Of n points: `slopes` (n, 4) of the other unknowns over the radius's logarithm, of which
+        one sigma is `step`; `factors` (n, 4, 4) of their covariance; `share` (n,) of sum one.
+        """
+        self._centers, self._slopes, self._factors = centers, slopes, factors
+        self._share, self._step = share, step
+        self._inverses = np.linalg.inv(factors)
+        self._volumes = np.linalg.slogdet(factors)[1]
+        d = _KEPT.size
+        self._norm = float(
+            gammaln((_DOF + d) / 2) - gammaln(_DOF / 2) - 0.5 * d * np.log(_DOF * np.pi)
+            - np.log(step * np.sqrt(2 * np.pi))
+        )  # fmt: skip
+
+    def draw(self, rng: np.random.Generator) -> Floats:
+        """Unknowns."""
+        n = int(rng.choice(self._share.size, p=self._share))
+        off = self._step * rng.standard_normal()
+        wide = np.sqrt(_DOF / rng.chisquare(_DOF))
+        q = self._centers[n].copy()
+        q[RADIUS] += off
+        q[_KEPT] += self._slopes[n] * off
+        q[_KEPT] += wide * self._factors[n] @ rng.standard_normal(_KEPT.size)
+        drawn: Floats = q
+        return drawn
+
+    def nearest(self, q: Floats) -> npt.NDArray[np.intp]:
+        """(k,) the points around which unknowns (k, 5) most probably lie."""
+        nearest: npt.NDArray[np.intp] = np.argmax(self._logs(q), axis=1)
+        return nearest
+
+    def log_density(self, q: Floats) -> Floats:
+        """(k,) logarithm of the density at unknowns (k, 5)."""
+        density: Floats = np.logaddexp.reduce(self._logs(q), axis=1) + self._norm
+        return density
+
+    def _logs(self, q: Floats) -> Floats:
+        off = q[:, None, RADIUS] - self._centers[:, RADIUS]
+        away = q[:, None, _KEPT] - self._centers[:, _KEPT] - self._slopes * off[..., None]
+        z = np.einsum("nij,qnj->qni", self._inverses, away)
+        bells = -0.5 * (_DOF + _KEPT.size) * np.log1p(np.sum(z**2, axis=-1) / _DOF)
+        share = np.log(np.maximum(self._share, 1e-300))
+        logs: Floats = share + bells - self._volumes - 0.5 * (off / self._step) ** 2
+        return logs
+
+    def around(self, q: Floats, weight: Floats) -> _Mixture:
+        """A narrower mixture around weighted samples, each along its ridge."""
+        # Tempered until some samples share the weight.
+        while weight.size > _TEMPERED and _TEMPERED * np.sum(weight**2) > 1:
+            weight = weight**0.8
+            weight = weight / weight.sum()
+        near = self.nearest(q)
+        factors = _NARROWER * self._factors[near]
+        return _Mixture(q, self._slopes[near], factors, weight, _NARROWER * self._step)
+
+
+def _ridges(chains: Sequence[Sequence[Mode]]) -> tuple[_Mixture, list[Mode]]:
+    """Proposals around the nodes of ridges, and the nodes."""
+    best = min(mode.cost for chain in chains for mode in chain)
+    modes: list[Mode] = []
+    slopes, factors = [], []
+    for chain in chains:
+        q = np.array([mode.q for mode in chain])
+        many = len(chain) > 1
+        slope = np.gradient(q[:, _KEPT], q[:, RADIUS], axis=0) if many else [np.zeros(_KEPT.size)]
+        for mode, along in zip(chain, slope, strict=True):
+            if mode.cost < best + _PROPOSED:
+                w, v = np.linalg.eigh(mode.precision[np.ix_(_KEPT, _KEPT)])
+                modes.append(mode)
+                slopes.append(along)
+                wide = np.minimum(1 / np.sqrt(np.maximum(w, 1e-9)), _WIDEST)
+                factors.append(_WIDER * v * wide)
+    share = np.exp([-_TEMPER * (mode.cost - best) for mode in modes])
+    step = 0.75 * (RADII[1] - RADII[0])
+    centers = np.array([mode.q for mode in modes])
+    mixture = _Mixture(centers, np.array(slopes), np.array(factors), share / share.sum(), step)
+    return mixture, modes

@@ -1,0 +1,69 @@
+"""What the fit takes: bins of the frames of one side's sweeps, and the errors of calibration.
+
+Arrays only: `thigmo.field.sweeps` makes them of a robot's sweeps and its robot.toml; anyone's own
+records can make them as well. Lengths in cm, bends in 1/cm; bends count positive towards the
+inflated side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+
+class Stage(NamedTuple):
+    """A body that mechanics can compute."""
+
+    length: float  # everted, cm
+    zone: int  # of body pressure, which decides the moment that folds the base
+
+
+@dataclass(frozen=True)
+class Readings:
+    """n bins of all sweeps of one side, by m sensors. NaN: no reading."""
+
+    curvature: Floats  # (n, m) mean over the bin, 1/cm
+    noise: Floats  # (n, m) one sigma of its white noise, 1/cm
+    bend: Floats  # (n,) of the free body, by the actuator's map, 1/cm
+    rate: Floats  # (n,) of that bend, 1/(cm s)
+    stage: Indices  # (n,) index into `stages`
+    sweep: Indices  # (n,) number of its sweep, ascending from 0
+    zeroing: Indices  # (n,) number of its zeroing, ascending from 0
+    stages: tuple[Stage, ...]
+    centers: Floats  # (m,) cm
+    spans: Floats  # (m,) cm
+    fold_moment: Floats  # (zones,) contact moment over EI that folds the base, 1/cm
+    radius: float  # of the tube, cm
+
+
+@dataclass(frozen=True)
+class Errors:
+    """One sigma of each error of calibration; `stated` (sweeps.py) reads them off robot.toml.
+
+    Gains and maps drift after a calibration; by how much is weighed: see `fit.SPREAD_STD`.
+    """
+
+    gain: Floats  # (m,) of a sensor's scale, relative
+    place: Floats  # (m,) of a sensor's centre, cm
+    zero: Floats  # (m,) of a sensor's constant while it bends (half its loop), 1/cm
+    zero_zeroing: Floats  # (m,) by which that differs from zeroing to zeroing
+    zero_sweep: Floats  # (m,) and from sweep to sweep
+    map_zone: Floats  # (zones,) of the map's bend in each zone, relative
+    map_offset: float  # 1/cm, in each zone
+    fold: float  # of the moment that folds the base, relative
+    # (m, k) columns of one standard error that sensors share in a sweep, 1/cm
+    shared: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    map: float = 0.08  # of the map's bend in all zones alike, relative: muscles age
+    # (m,) gain against a sensor's valid direction, and its sigma; None: 1 and 0
+    against: Floats | None = None
+    against_error: Floats | None = None
+    sweep: float = 0.01  # of the bend's scale from sweep to sweep, relative
+    sweep_offset: float = 3e-4  # 1/cm, from sweep to sweep
+    lag_s: float = 0.05  # of the delay from pressure to bend
+    bend_bin: float = 3e-4  # 1/cm, of the bend in each bin: the body swings

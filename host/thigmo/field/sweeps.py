@@ -1,0 +1,174 @@
+"""From a robot's sweeps and its robot.toml to what the fit takes.
+
+Frames of a half sweep's way up are averaged into bins; sensors that have not settled count by their
+average at the peak alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo import wiring
+from thigmo.config import SIGN, FlexSensor, RobotConfig, Side
+from thigmo.field.readings import Errors, Floats, Readings, Stage
+from thigmo.mechanics import critical_moment
+from thigmo.robot import Peak, SensorTable, SweepResult
+
+_FRAMES = 5  # of 20 Hz, in a bin
+_SWINGS_S = 0.7  # at its start a half sweep swings
+_FLOOR = 1e-4  # 1/cm, least error of a bin: the board's rounding
+_PEAK_FRAMES = 10
+_GAP_S = 1.0  # without frames of a side, between two of its sweeps
+_ENOUGH = 8  # frames whose scatter says the noise
+# Shares of `zero_se` that stay for a run, change with each zeroing and with each sweep: a loop of
+# hysteresis keeps to one side while the pressure rises.
+_ZERO_PARTS = 1.1, 0.4, 0.28
+_ZONE_DRIFT, _LEAST_OFFSET = 0.01, 8e-4
+_FOLD = 0.1  # least relative error of the moment that folds: a body regulator is set by hand
+
+
+class Swept(NamedTuple):
+    """A sweep, and the zone of body pressure in which it was made."""
+
+    sweep: SweepResult
+    zone: int
+
+
+class _Bin(NamedTuple):
+    sweep: int
+    stage: Stage
+    curvature: Floats  # (sensors,)
+    added: Floats  # (sensors,) noise beside the white one
+    frames: int
+    bend: float  # of the free body, signed
+    rate: float
+
+
+def fold_moment(config: RobotConfig, zone: int) -> float:
+    """Contact moment over EI (1/cm) at which the base folds, at a zone's body pressure."""
+    body = config.body
+    return critical_moment(
+        body.critical_curvature, body.critical_pressure_psi, body.zones[zone].pressure_psi
+    )
+
+
+def read(
+    sweeps: Sequence[Swept], side: Side, config: RobotConfig
+) -> tuple[Readings, Errors] | None:
+    """Readings of a side's sweeps in their order, with their errors; None where there are none."""
+    table, sign = SensorTable.of(config), SIGN[side]
+    rows: list[_Bin] = []
+    scatter = []
+    number = 0
+    for sweep, zone in sweeps:
+        for rise in _rises(sweep, side):
+            use = table.usable(side, sweep.sensors) & np.isfinite(rise.curvature).all(axis=0)
+            chosen = np.flatnonzero(rise.t_s >= rise.t_s[0] + _SWINGS_S)
+            if chosen.size > _ENOUGH:  # white noise: what is left of second differences
+                rough = np.diff(rise.curvature[chosen], 2, axis=0).std(axis=0) / 6**0.5
+                scatter.append(np.where(use, rough, np.nan))
+            rate = np.gradient(rise.bend, rise.t_s) if rise.t_s.size > 1 else np.zeros(1)
+            stage = Stage(round(rise.peak.length_cm, 2), zone)
+            for part in np.array_split(chosen, max(1, chosen.size // _FRAMES)):
+                if part.size and use.any():
+                    y = np.where(use, rise.curvature[part].mean(axis=0), np.nan)
+                    mean = float(rise.bend[part].mean()), float(rate[part].mean())
+                    rows.append(_Bin(number, stage, y, 0.0 * y, part.size, *mean))
+            peak = rise.peak
+            young = table.usable(side, peak.sensors) & np.isfinite(peak.curvature) & ~use
+            if young.any():
+                y = np.where(young, peak.curvature, np.nan)
+                mean = peak.free_curvature, 0.0
+                rows.append(_Bin(number, stage, y, peak.added_noise, _PEAK_FRAMES, *mean))
+            number += 1
+    if not rows:
+        return None
+    curvature = np.array([row.curvature for row in rows])
+    some = np.asarray(np.isfinite(curvature).any(axis=0))
+    white = _white(np.array(scatter).reshape(-1, curvature.shape[1]), table.white)
+    count = np.array([row.frames for row in rows])[:, None]
+    beside = np.nan_to_num(np.array([row.added for row in rows]))
+    noise = np.sqrt(white**2 / count + beside**2 + _FLOOR**2)
+    stages = tuple(sorted({row.stage for row in rows}))
+    lengths = np.array([round(row.stage.length) for row in rows])
+    readings = Readings(
+        curvature=sign * curvature[:, some],
+        noise=noise[:, some],
+        bend=sign * np.array([row.bend for row in rows]),
+        rate=sign * np.array([row.rate for row in rows]),
+        stage=np.array([stages.index(row.stage) for row in rows], dtype=np.intp),
+        sweep=np.unique([row.sweep for row in rows], return_inverse=True)[1],
+        zeroing=np.unique(lengths, return_inverse=True)[1],
+        stages=stages,
+        centers=table.center_cm[some],
+        spans=table.span_cm[some],
+        fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.zones))]),
+        radius=config.body.radius_cm,
+    )
+    return readings, stated(config, side, some)
+
+
+class _Rise(NamedTuple):
+    """One way up of a half sweep."""
+
+    t_s: Floats  # (n,)
+    bend: Floats  # (n,) of the free body, signed, 1/cm
+    curvature: Floats  # (n, sensors)
+    peak: Peak
+
+
+def _rises(sweep: SweepResult, side: Side) -> list[_Rise]:
+    """The ways up of one side: several where sweeps were joined, as repeated measurements are."""
+    frames, curvature = sweep.half(side)
+    peaks = [peak for peak in sweep.peaks if peak.side == side]
+    if not frames or not peaks:
+        return []
+    t_s, psi, bend = np.array([(f.t_s, f.pressure_psi, f.free_curvature) for f in frames]).T
+    parts = np.split(np.arange(t_s.size), np.flatnonzero(np.diff(t_s) > _GAP_S) + 1)
+    rises = []
+    for part in parts:
+        up = part[: int(psi[part].argmax()) + 1]
+        peak = min(peaks, key=lambda peak: abs(peak.t_s - t_s[up[-1]]))
+        rises.append(_Rise(t_s[up], bend[up], curvature[up], peak))
+    return rises
+
+
+def _white(scatter: Floats, stated: Floats) -> Floats:
+    """(n,) white noise of each sensor: the median of the sweeps', or the stated one."""
+    seen = [column[np.isfinite(column)] for column in scatter.T]
+    return np.array(
+        [np.median(s) if s.size else w for s, w in zip(seen, stated, strict=True)]
+    )  # fmt: skip
+
+
+def stated(config: RobotConfig, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
+    """Errors of the sensors in `use` as robot.toml states them, with drifts since calibration."""
+    table, muscle, body = SensorTable.of(config), config.muscle(side), config.body
+    rows = [sensor for sensor, used in zip(wiring.rows(config), use, strict=True) if used]
+    zero = np.array([sensor.zero_error if sensor else 0.0 for sensor in rows])
+    constant, zeroing, sweep = (share * zero for share in _ZERO_PARTS)
+    gain = np.array([sensor.gain_error if sensor else 0.0 for sensor in rows])
+    drift = np.array([sensor.drift_se if sensor else 0.0 for sensor in rows])
+    one_way = [s if isinstance(s, FlexSensor) and s.valid_direction else None for s in rows]
+    shared = table.shared[use]
+    return Errors(
+        gain=np.hypot(gain, drift),
+        place=np.array([sensor.center_se_cm if sensor else 0.0 for sensor in rows]),
+        zero=constant,
+        zero_zeroing=zeroing,
+        zero_sweep=sweep,
+        shared=shared[:, np.any(shared != 0.0, axis=0)],
+        map_zone=np.hypot([zone.scale_se for zone in muscle.maps], _ZONE_DRIFT),
+        map_offset=max(muscle.offset_se, _LEAST_OFFSET),
+        map=muscle.drift_se,
+        against=np.array([s.against_gain if s else 1.0 for s in one_way]),
+        against_error=np.array([s.against_gain_se if s else 0.0 for s in one_way]),
+        sweep=muscle.sweep_se,
+        sweep_offset=muscle.sweep_offset_se,
+        lag_s=muscle.lag_se_s,
+        fold=max(body.critical_curvature_se / body.critical_curvature, _FOLD),
+    )

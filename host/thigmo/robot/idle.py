@@ -1,0 +1,10 @@
+"""Pressures (0.01 psi) below which a muscle does nothing."""
+
+from __future__ import annotations
+
+from thigmo.link.protocol import PARAMETERS
+
+# Below, it bends the body by less than a sensor's noise: by 4e-4 1/cm with the default map.
+UNBENT_CPSI = 10
+# Below, it is vented, as the board has it if nobody has set another limit.
+VENTED_CPSI = PARAMETERS["vent_cpsi"].defaults[0]

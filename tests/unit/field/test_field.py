@@ -1,0 +1,251 @@
+"""One fit to all sweeps of a side: its evidence, its search, and pegs of an independent rod."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from thigmo.field import Atlas, Errors, FieldContact, Readings, Stage, contacts
+from thigmo.field.answer import _widened
+from thigmo.field.fit import ALIKE, FieldFit
+from thigmo.field.hypotheses import ARC, BEND, NOTHING, PEG, Body, touched, untouched
+from thigmo.field.hypotheses import RADIUS as RADIUS_LOG
+from thigmo.mechanics import Rod, Tube
+from thigmo_bench.studies.pegs import inflate, press
+
+RADIUS = 1.75
+CENTERS = np.array([5.0, 16.0, 27.0, 38.0, 47.0])
+SPANS = np.full(5, 5.5)
+NOISE = 2e-4
+LENGTHS = (40.0, 50.0, 53.0)
+FREE = np.linspace(2e-3, 0.022, 12)
+
+
+def _errors(sensors: int = 5, **given: float) -> Errors:
+    stated = {"gain": 0.03, "place": 0.1, "zero": 2e-4, "zero_zeroing": 1e-4, "zero_sweep": 5e-5}
+    columns = {name: np.full(sensors, sd) for name, sd in stated.items()}
+    return replace(Errors(**columns, map_zone=np.array([0.01]), map_offset=8e-4, fold=0.1), **given)
+
+
+def _readings(rows: dict[float, np.ndarray], scale: float = 1.0) -> Readings:
+    """Bins of one sweep at each everted length; `scale` makes a body that much longer."""
+    lengths = sorted(rows)
+    number = np.repeat(np.arange(len(lengths)), FREE.size)
+    shape = number.size, CENTERS.size
+    return Readings(
+        curvature=np.concatenate([rows[length] for length in lengths]) / scale,
+        noise=np.full(shape, NOISE / scale),
+        bend=np.tile(FREE, len(lengths)) / scale,
+        rate=np.full(number.size, 0.005 / scale),
+        stage=number,
+        sweep=number,
+        zeroing=number,
+        stages=tuple(Stage(length * scale, 0) for length in lengths),
+        centers=CENTERS * scale,
+        spans=SPANS * scale,
+        fold_moment=np.array([0.2 / scale]),
+        radius=RADIUS * scale,
+    )
+
+
+def _untouched(length: float, rng: np.random.Generator) -> np.ndarray:
+    clean = np.tile(FREE[:, None], (1, CENTERS.size))
+    clean[:, length < CENTERS + SPANS / 2] = np.nan
+    return clean + NOISE * rng.standard_normal(clean.shape)
+
+
+def _beside_peg(
+    arc: float, bend: float, peg_radius: float, length: float, rng: np.random.Generator
+) -> tuple[np.ndarray, tuple[float, float, float]]:
+    """Readings of the studies' rod, and its contact's arc and place at the sweep's end."""
+    u, touch, radii = np.array([arc]), np.array([bend]), np.array([peg_radius])
+    place, push = inflate(u, touch, FREE[:, None], radii, length)
+    read = _untouched(length, rng)
+    for k in np.flatnonzero(np.isfinite(place[:, 0])):
+        bodies, _ = press(place[k], push[k], FREE[k : k + 1], radii, length)
+        seen = np.isfinite(read[k])
+        (clean,) = bodies.readings(CENTERS, SPANS)
+        read[k, seen] = clean[seen] + NOISE * rng.standard_normal(int(seen.sum()))
+    peg = touched(arc, bend, peg_radius, RADIUS)
+    return read, (float(place[-1, 0]), peg.x, peg.y)
+
+
+@pytest.fixture(scope="module")
+def atlas() -> Atlas:
+    return Atlas(53.0, 0.024)
+
+
+def _one(answer: list[FieldContact]) -> FieldContact:
+    (contact,) = answer
+    return contact
+
+
+def test_a_place_is_named_by_the_touch_of_the_free_body() -> None:
+    peg = touched(30.0, 0.012, 1.0, RADIUS)
+    bends = np.arange(0.0, 0.02, 5e-4)
+    first = untouched(peg, 53.0, RADIUS, bends)
+    assert bends[first] <= 0.012 <= bends[first + 2]
+    rod = Rod(Tube(2 * RADIUS), [peg])
+    rod.step(0.0119, 53.0)
+    assert not rod.touching
+    rod.step(0.0123, 53.0)
+    (contact,) = rod.contacts()
+    assert contact.arc == pytest.approx(30.0, abs=0.3)
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_a_prior_density_over_touches_is_even_over_the_plane(scale: float) -> None:
+    body = Body(RADIUS * scale, 53.0 * scale, 0.03 / scale, 0.1, 1.0)
+    small = 1e-4
+    for arc, bend in ((20.0, 0.01), (45.0, 0.006), (30.0, 0.02)):
+        a, b, r = arc * scale, bend / scale, np.log(0.5)
+        q = PEG.columns((a, b, r), 0.0, 0.0, 0.0)
+        corner, along, onward = (
+            touched(a + da, b + db, RADIUS * scale * 0.5, RADIUS * scale)
+            for da, db in ((0.0, 0.0), (small * a, 0.0), (0.0, small * b))
+        )
+        swept = abs(
+            (along.x - corner.x) * (onward.y - corner.y)
+            - (along.y - corner.y) * (onward.x - corner.x)
+        ) / (small * a * small * b)
+        dense = PEG.log_prior(q, body) - np.log(swept)
+        other = PEG.log_prior(PEG.columns((25.0 * scale, 0.012 / scale, r), 0.0, 0.0, 0.0), body)
+        turn = 25.0 * 0.012
+        area = (1 - 1.5 * RADIUS * 0.012) * (1 - np.cos(turn)) / (0.012 / scale) ** 2
+        assert dense == pytest.approx(other - np.log(area), abs=2e-3)
+
+
+def test_the_evidence_is_the_integral_over_the_errors() -> None:
+    rng = np.random.default_rng(2)
+    readings = _readings({53.0: _untouched(53.0, rng)})
+    none = np.zeros(5)
+    errors = Errors(
+        gain=none, place=none, zero=none, zero_zeroing=none, zero_sweep=none,
+        map_zone=np.zeros(1), map_offset=0.0, fold=0.1, map=0.05, sweep=0.0, sweep_offset=0.0,
+        lag_s=0.0, bend_bin=0.0,
+    )  # fmt: skip
+    fit = FieldFit(readings, errors)
+    found, best, _ = fit.evidence(fit.tables(NOTHING, np.zeros(0)), fit.free())
+    # Of the map's scale alone, by the trapezoidal rule.
+    xi = np.linspace(-6.0, 6.0, 4001)
+    left = (readings.curvature - readings.bend[:, None])[None] - (
+        0.05 * xi[:, None, None] * readings.bend[:, None]
+    )
+    log = -0.5 * np.sum((left / NOISE) ** 2, axis=(1, 2)) / ALIKE - 0.5 * xi**2
+    dense = np.log(np.trapezoid(np.exp(log - log.max()), xi) / np.sqrt(2 * np.pi)) + log.max()
+    assert found == pytest.approx(dense, abs=1e-3)
+    assert best[0] == pytest.approx(float(xi[np.argmax(log)]), abs=5e-3)
+
+
+def test_a_known_error_of_calibration_is_found() -> None:
+    rng = np.random.default_rng(3)
+    rows = {length: _untouched(length, rng) for length in LENGTHS}
+    for read in rows.values():
+        read[:, 1] *= 1.05
+    fit = FieldFit(_readings(rows), _errors())
+    value = fit.predict(fit.nothing().tables, fit.nothing().xi)[0]
+    late = fit.readings.bend > 0.018
+    apart = value[late, 1] / value[late, 2]
+    assert apart.mean() == pytest.approx(1.05, abs=0.015)
+
+
+@pytest.mark.parametrize(
+    ("fold", "friction", "unknowns", "share"),
+    [
+        (0.01, 0.0, [ARC, BEND, RADIUS_LOG, 3, 5], 1e-2),
+        (1.0, 0.2, [4], 0.15),  # what slips has a history, which the solver's derivatives lack
+    ],
+)
+def test_derivatives_are_those_of_the_readings(
+    fold: float, friction: float, unknowns: list[int], share: float
+) -> None:
+    rng = np.random.default_rng(4)
+    rows = {length: _untouched(length, rng) for length in LENGTHS}
+    fit = FieldFit(replace(_readings(rows), fold_moment=np.array([fold])), _errors())
+    q = PEG.columns((34.0, 0.009, -0.6), 0.05, friction, 0.3)
+    xi = 0.1 * rng.standard_normal(fit.count)
+    there = fit.predict(fit.tables(PEG, q), xi)
+    steps = PEG.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3)
+    for i in unknowns:
+        ends = [
+            fit.predict(fit.tables(PEG, q + sign * steps * (np.arange(q.size) == i)), xi).value
+            for sign in (1, -1)
+        ]
+        differences = (ends[0] - ends[1]) / (2 * steps[i])
+        size = np.nanmax(np.abs(differences))
+        assert size > 0.0
+        off = np.abs(there.by_q[..., i] - differences)
+        # The row in which the base folds is another one for a moved peg.
+        assert np.nanquantile(off, 0.9) < share * size
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_side_that_touched_nothing_is_empty(seed: int, atlas: Atlas) -> None:
+    rng = np.random.default_rng(seed)
+    rows = {
+        length: _untouched(length, rng) * (1 + 0.04 * rng.standard_normal()) for length in LENGTHS
+    }
+    assert contacts(_readings(rows), _errors(), atlas) == []
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    ("arc", "bend", "peg_radius"), [(34.0, 0.012, 1.0), (22.0, 0.01, 0.4), (45.0, 0.008, 2.0)]
+)
+def test_a_peg_of_the_independent_rod_is_found_in_the_plane(
+    arc: float, bend: float, peg_radius: float, atlas: Atlas
+) -> None:
+    rng = np.random.default_rng(5)
+    rows = {}
+    for length in LENGTHS:
+        if arc < length:
+            rows[length], (at, x, y) = _beside_peg(arc, bend, peg_radius, length, rng)
+    contact = _one(contacts(_readings(rows), _errors(), atlas))
+    assert contact.probability > 0.99
+    assert contact.length_cm == 53.0
+    low, high = contact.interval_cm
+    assert low <= at <= high
+    assert high - low < 6.0
+    # The touched skin lies on the peg: the truth is the peg's surface.
+    away = abs(np.hypot(contact.x_cm - x, contact.y_cm - y) - peg_radius)
+    assert away < 0.6
+    assert contact.misfit < 2.0
+
+
+@pytest.mark.sim
+def test_a_longer_body_with_all_else_in_proportion_has_the_same_answer() -> None:
+    rows = {
+        length: _beside_peg(34.0, 0.012, 1.0, length, np.random.default_rng(5))[0]
+        for length in LENGTHS
+    }
+    one = _one(contacts(_readings(rows), _errors(), Atlas(53.0, 0.024)))
+    errors = _errors(
+        place=np.full(5, 0.2), zero=np.full(5, 1e-4), zero_zeroing=np.full(5, 5e-5),
+        zero_sweep=np.full(5, 2.5e-5), map_offset=4e-4, sweep_offset=1.5e-4, bend_bin=1.5e-4,
+    )  # fmt: skip
+    two = _one(contacts(_readings(rows, 2.0), errors, Atlas(106.0, 0.012)))
+    assert two.arc_cm / 2 == pytest.approx(one.arc_cm, abs=0.3)
+    assert two.x_cm / 2 == pytest.approx(one.x_cm, abs=0.3)
+
+
+def test_weights_of_few_samples_are_widened_until_enough_count() -> None:
+    rng = np.random.default_rng(7)
+    weight = np.exp(8 * rng.standard_normal(300))
+    wide, exponent = _widened(weight / weight.sum())
+    assert 1 / np.sum(wide**2) > 50
+    assert exponent < 0.5
+    even = np.full(300, 1 / 300)
+    assert _widened(even)[1] == 1.0
+
+
+@pytest.mark.sim
+def test_readings_that_no_peg_explains_place_nothing(atlas: Atlas) -> None:
+    rng = np.random.default_rng(9)
+    rows = {length: _beside_peg(34.0, 0.012, 1.0, length, rng)[0] for length in LENGTHS}
+    for length, read in rows.items():  # a peg that has moved by the last sweep
+        if length == 53.0:
+            read[:], _ = _beside_peg(20.0, 0.016, 1.0, length, rng)
+    answer = contacts(_readings(rows), _errors(), atlas)
+    assert all(not contact.places and contact.doubt for contact in answer)
