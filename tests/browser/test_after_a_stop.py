@@ -21,6 +21,12 @@ ServePage = Callable[..., Served]
 pytestmark = pytest.mark.realtime
 
 SWEEPS = "() => Math.max(thigmo.store.columns[1].at(-1), thigmo.store.columns[2].at(-1)) > 4"
+# Keeps what the header says from now on.
+LISTEN = """() => {
+  window.said = [];
+  const doing = document.getElementById("doing");
+  new MutationObserver(() => said.push(doing.textContent)).observe(doing, { childList: true });
+}"""
 MOMENTS = {"in a question": 20.0, "in growth": 15.0, "in a sweep": 20.0}  # everted lengths, cm
 
 
@@ -77,12 +83,15 @@ def test_a_stopped_robot_is_cleared_retracted_and_started_again(
     options = ("--config", str(config), "--out", str(tmp_path / "runs"), "--protocol", "thesis")
     page = looking.open(serve_page(url=robot.port, explore=options).address)
     _reach(page, moment, robot)
+    page.evaluate(LISTEN)
     page.keyboard.press("Escape")
     doing, phase, banners = (page.locator(f"#{name}") for name in ("doing", "phase", "banners"))
     expect(doing).to_contain_text("Stopped from this page, ")
     expect(page.locator("#question")).to_be_hidden()
     assert comes(lambda: robot.off)
     expect(page.locator("#clear")).to_be_visible()  # the run has ended by itself
+    said = page.evaluate("said")
+    assert [words for words in said if words.startswith(("Starting", "Ended"))] == []
     expect(phase).to_have_text("stopped")
     expect(page.locator("#start")).to_be_disabled()
     expect(page.locator(".banner")).to_have_count(1)
@@ -95,7 +104,7 @@ def test_a_stopped_robot_is_cleared_retracted_and_started_again(
     expect(doing).to_have_text("Cleared")
     expect(phase).to_have_text("safe")
     expect(banners).to_have_text("The stop has ended.")
-    expect(page.locator("#stop")).to_have_attribute("data-state", "idle")
+    expect(page.locator("#stop")).to_have_attribute("data-state", "ready")
 
     length_cm = robot.plant.length_cm
     page.locator("#retract").click()

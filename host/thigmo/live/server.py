@@ -219,6 +219,8 @@ class PageServer:
     def _begin(self, run: Hello) -> None:
         """Another run is under way, or a motion after the one that is shown, which stays shown."""
         started = self._started
+        if started is not None and started.pid == run.pid:
+            started.spoke = True
         if started is not None and started.on_robot and started.pid == run.pid and self._run.hello:
             self._run.motion = run
             self._run.over.clear()
@@ -237,6 +239,8 @@ class PageServer:
         readings = [each for each in messages if isinstance(each, Telemetry)]
         if readings:
             self._pass_readings(readings)
+        if any(isinstance(each, RunState) and each.outcome != "running" for each in messages):
+            self._tell()  # of a stop, before the run says that it has ended
         shapes = [each for each in messages if isinstance(each, BodyShape)]
         others = [each for each in messages if not isinstance(each, Telemetry | BodyShape)]
         for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *others]:
@@ -321,6 +325,7 @@ class PageServer:
             "length_cm": run.length_cm,
             "start": {"url": url, "virtual": emulated(url)} if url else None,
             "starting": self._starting,
+            "busy": self._busy,
             "started": self._started_facts(),
             "failure": run.failure,
             "robot": self._port,
@@ -345,10 +350,15 @@ class PageServer:
         }
 
     @property
-    def _starting(self) -> bool:
-        """A command was started and has not spoken yet."""
+    def _busy(self) -> bool:
+        """A command that was started is before its stream or after it: it has the robot's port."""
         started = self._started
         return started is not None and started.runs and self._run.moving is None
+
+    @property
+    def _starting(self) -> bool:
+        """A command was started and has not spoken yet."""
+        return self._busy and self._started is not None and not self._started.spoke
 
     def _started_facts(self) -> dict[str, Any] | None:
         """What became of the last command that a page started."""
@@ -425,7 +435,7 @@ class PageServer:
             self._started.hold()
             return
         elif command in ("start", "clear", "retract", "jog") and operates:
-            if self._run.moving is None and not self._starting:
+            if self._run.moving is None and not self._busy:
                 await self._start(command, request)
         elif command in ("pause", "resume", "answer") and operates and self._watched is not None:
             with contextlib.suppress(ThigmoError):  # the run has just ended, which the page sees

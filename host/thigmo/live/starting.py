@@ -36,10 +36,15 @@ class Parameter:
 
 
 class Started:
-    """A command of `thigmo` with its arguments, which the page started."""
+    """A command of `thigmo` with its arguments, which the page started.
+
+    Attributes:
+        spoke: whether its stream was seen.
+    """
 
     def __init__(self, *command: str) -> None:
         self.name = command[0]
+        self.spoke = False
         self.held = self.name in _MOTIONS
         self.on_robot = self.held or self.name == "clear"  # finishes the job of a run
         self._said: deque[str] = deque(maxlen=_LINES)

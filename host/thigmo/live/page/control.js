@@ -46,7 +46,7 @@ export function drawControl(lost) {
   const moves = live && page.started?.runs && page.started.name !== "explore";
   const operates = !!page?.operator && !lost;
   $("start").hidden = !(page?.start && !live);
-  $("start").disabled = !operates || page?.starting || page?.latched && !page.start?.virtual;
+  $("start").disabled = !operates || page?.busy || page?.latched && !page.start?.virtual;
   $("pace-row").hidden = $("start").hidden || !page?.start?.virtual;
   $("pause").hidden = !live || moves;
   $("pause").disabled = !operates;
@@ -57,7 +57,7 @@ export function drawControl(lost) {
   $("open-record").hidden = !(page?.ended && page.mode === "live" && page.run?.folder);
   drawChoices(page, operates);
   $("viewers").textContent = page?.viewers > 1 ? `${page.viewers} pages look at this robot.` : "";
-  drawOperate(!!page && !live && !page.starting && page.mode !== "record", operates);
+  drawOperate(!!page && !live && !page.busy && page.mode !== "record", operates);
   drawQuestion(question(), operates);
 }
 
