@@ -9,7 +9,7 @@ import thigmo
 from thigmo.localization import priors
 from thigmo_bench.studies.pegs import Rooms, rooms
 from thigmo_bench.studies.rod import readings
-from thigmo_bench.studies.scenes import CRITICAL, RADIUS, SIGMA
+from thigmo_bench.studies.scenes import CRITICAL, RADIUS, SIGMA, STATED
 
 FRAMES = 6
 LENGTHS = (53.0, 36.0)
@@ -47,7 +47,7 @@ def test_intervals_hold_and_contacts_are_found(inflations: list[Rooms]) -> None:
                 side = (-1.0, 1.0)[room // 2 % 2]
                 result = thigmo.localize(
                     side * noisy[room], position, free_curvature=side * there.free[-1, room],
-                    length=there.length, span=span, noise=SIGMA, tube_radius=RADIUS,
+                    length=there.length, span=span, noise=SIGMA, tube_radius=RADIUS, **STATED,
                 )  # fmt: skip
                 if not result.contacts:
                     continue

@@ -18,14 +18,18 @@ import pytest
 from emulated import last_stages, room_file
 from served import comes
 
-# Stands for the operator's browser: tells the page's address, and the process that serves it, which
-# has started Python's `webbrowser`, which has started this.
+# Stands for the operator's browser: tells the page's address, to which the file that it is given
+# leads, and the process that serves it, which has started Python's `webbrowser`, which has started
+# this.
 BROWSER = """
-import os, sys
+import os, re, sys
+from urllib.parse import unquote, urlparse
+with open(unquote(urlparse(sys.argv[2]).path)) as leads:
+    address = re.search('url=([^"]+)', leads.read())[1]
 with open(f"/proc/{os.getppid()}/stat") as stat:
     server = stat.read().rpartition(")")[2].split()[1]
 with open(sys.argv[1], "w") as file:
-    file.write(f"{server} {sys.argv[2]}")
+    file.write(f"{server} {address}")
 """
 
 

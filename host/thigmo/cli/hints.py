@@ -12,8 +12,9 @@ import numpy as np
 
 from thigmo.localization.localizer import localize
 from thigmo.localization.result import Array, LocalizeResult
+from thigmo.reading_errors import SETTLED
 
-# Gain in log evidence from which positions seem to be counted from the tip.
+# Gain in log odds from which positions seem to be counted from the tip.
 _TURNED = 7.0
 _HELD = 0.9  # probability of a held end from which any gain counts
 # Sum of squares of the differences over that of the sums, below which two sets agree.
@@ -56,10 +57,14 @@ def hints(
             "cause: give the bend of the inflated muscle as --free-curvature, in the readings' "
             "unit (or is a sensor there bad, or does something hold the end?)"
         )
-    turned = localize(curvature, result.length - position, **options)
+    # Mistakes in the readings, if they are weighed, explain such positions as well.
+    plain = SETTLED | {"offset_error": 0.0, "map_error": 0.0}
+    plain |= {name: value for name, value in options.items() if value is not None}
+    straight = localize(curvature, position, **plain)
+    turned = localize(curvature, result.length - position, **plain)
     # Counted from the tip, a contact's moment grows towards the end, as that of a held end does.
-    held = result.hypotheses.get("end wrench", 0.0) > _HELD
-    if turned.log_evidence - result.log_evidence > (0.0 if held else _TURNED):
+    held = straight.hypotheses.get("end wrench", 0.0) > _HELD
+    if turned.log_odds - straight.log_odds > (0.0 if held else _TURNED):
         found.append(
             "the readings look as if positions were counted from the tip: count them from the base"
             + (" (or does something hold the end?)" if held else "")

@@ -95,7 +95,7 @@ TRUST = 5e-4
 # model gives, larger noises are also considered: by these factors, with these probabilities.
 NOISE_DEVIATE = 0.5
 NOISE_FACTORS = (2.4, 6.0, 15.0)
-NOISE_ODDS = (0.11, 0.045, 0.025)
+NOISE_ODDS = (0.05, 0.06, 0.07)
 
 # Mistakes in the readings that are weighed if the caller does not state the error: probability of
 # each row, and its size. A free curvature a little off, as a share of itself, beside an offset of
@@ -107,8 +107,8 @@ SLIGHT_OFFSET = 1.0
 TURNED_ODDS = 0.03
 # A free curvature that is off by as much as itself, or by a curvature of one over the length; the
 # latter, if the caller gives none.
-FAR_ODDS = 0.05
-NOT_GIVEN_ODDS = 0.15
+FAR_ODDS = 0.1
+NOT_GIVEN_ODDS = 0.3
 # A fold of the base by a small angle (rad).
 SMALL_FOLD_ODDS = 0.1
 SMALL_FOLD = 0.1

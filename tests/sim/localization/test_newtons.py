@@ -11,7 +11,16 @@ from thigmo.localization import Localizer, Quantity
 from thigmo_bench.studies import contact_scenes
 from thigmo_bench.studies.loads import DENSE, MOST_TURN, ROD_CM, ROD_NOISE
 from thigmo_bench.studies.rod import Floats, solve
-from thigmo_bench.studies.scenes import BOTH, COLUMN, CRITICAL, LENGTH, ROBOT, SIGMA, SPAN
+from thigmo_bench.studies.scenes import (
+    BOTH,
+    COLUMN,
+    CRITICAL,
+    LENGTH,
+    ROBOT,
+    SIGMA,
+    SPAN,
+    STATED,
+)
 
 EI, ERROR = 400.0, 0.1  # N cm^2
 
@@ -58,7 +67,7 @@ def test_loads_on_the_end_are_told_apart(sensors: int) -> None:
     position = (np.arange(sensors) + 0.5) * ROD_CM / sensors
     localizer = Localizer.of(
         position=position, length=ROD_CM, noise=ROD_NOISE, held_end=True, contacts=1,
-        critical_curvature=np.inf, stiffness=(EI, 0.0),
+        critical_curvature=np.inf, stiffness=(EI, 0.0), **STATED,
     )  # fmt: skip
     held: list[list[bool]] = [[], [], []]
     wider = []
