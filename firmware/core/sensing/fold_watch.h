@@ -45,8 +45,11 @@ class FoldWatch {
 
   // The body grows, or is wound in, from here. Sensors that it passed by count only stay watched
   // until the fold has come, however often the spool stops. One that the fold has entered by a
-  // quarter has no resting value: it shows no more than that the tip moves.
+  // quarter has no resting value: it shows no more than that the tip moves. Nor has, once the spool
+  // turns, one that the fold was not seen to leave: behind a tip that stood still, it may be in
+  // there yet.
   void begin(int32_t length_um, bool grows, uint16_t enabled, const Configuration& c) {
+    const uint16_t awaited = grows != grows_ ? watched_ : uint16_t{0};
     if (grows != grows_) restart();
     grows_ = grows;
     for (uint8_t i = 0; i < kSensors; ++i) {
@@ -55,7 +58,8 @@ class FoldWatch {
       if ((watched_ & bit) != 0 || lag >= -kDoubtUm) continue;
       watched_ = static_cast<uint16_t>(watched_ | bit);
       unseen_ = static_cast<uint16_t>(unseen_ | bit);
-      const bool clear = lag < -kDoubtUm - (c.get(Param::kFlexSpanUm, i) >> 2);
+      const bool clear =
+          (awaited & bit) == 0 && lag < -kDoubtUm - (c.get(Param::kFlexSpanUm, i) >> 2);
       judged_ = static_cast<uint16_t>(clear ? judged_ | bit : judged_ & ~bit);
     }
     watched_ = static_cast<uint16_t>(watched_ & enabled);
@@ -86,10 +90,13 @@ class FoldWatch {
     const bool passed =
         imu ? turned(i, total, fresh) : swung(i, total, lag, out_of_place(lag, i, c), fresh, d);
     if (!passed) return Verdict::kNone;
+    // A reading that stays out after its top is no fold's that passes: it may stand in the sensor.
+    if (!imu && lag - top_um_[i] > c.get(Param::kFlexSpanUm, i) / 2) {
+      judged_ = static_cast<uint16_t>(judged_ & ~bit);
+      return Verdict::kNone;
+    }
     watched_ = static_cast<uint16_t>(watched_ & ~bit);
-    // A reading that stays out after its top is no fold's that passes.
-    const bool stayed = !imu && lag - top_um_[i] > c.get(Param::kFlexSpanUm, i) / 2;
-    if (stayed || (judged_ & bit) == 0) return Verdict::kNone;
+    if ((judged_ & bit) == 0) return Verdict::kNone;
     return pair_[imu].judge(imu ? lag : top_um_[i], place_se_um);
   }
 
