@@ -108,7 +108,7 @@ def test_the_run_folder_is_whole(default: ExplorationResult) -> None:
     assert states[-1] == "FINISH"
 
 
-def test_a_planner_finds_the_true_contact_in_an_occupied_cell_and_the_peg_in_no_free_one(
+def test_a_planner_finds_the_true_contact_beside_an_occupied_cell_and_the_peg_in_no_free_one(
     default: ExplorationResult,
 ) -> None:
     truth = default.document.truth
@@ -120,8 +120,11 @@ def test_a_planner_finds_the_true_contact_in_an_occupied_cell_and_the_peg_in_no_
     size = described["resolution"] * 100
     x0, y0 = (100 * value for value in described["origin"][:2])
     (contact,), (peg,) = truth.contacts, truth.pegs
-    assert occupied[int((contact.y_cm - y0) / size), int((contact.x_cm - x0) / size)]
     y, x = np.indices(picture.shape) * size + size / 2 + np.array([[[y0]], [[x0]]])
+    # Occupied is what lies within a standard deviation; a third of the true contacts do not.
+    away = np.hypot(x - contact.x_cm, y - contact.y_cm)
+    assert away[occupied].min() < default.config.body.radius_cm
+    assert not free[away < 0.5].any()
     inside = np.hypot(x - peg.x_cm, y - peg.y_cm) < peg.radius_cm
     assert inside.any()
     assert not (inside & free).any()

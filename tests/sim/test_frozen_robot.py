@@ -1,11 +1,9 @@
-"""The thesis's robot answers as it did before robots became data: a kept session, replayed.
+"""The thesis's robot answers as it did before: a kept session, replayed.
 
-The session (confirm, arm, grow, zero, sweep) was recorded at the virtual board's edge with the
-stored configuration of that time: conversions, encoder, and the host's commands as messages. That
-store is of a firmware that knew a left and a right side: it must be saved anew before the robot
-arms, and loses nothing. Fed again, the board must say the same telemetry and the same snapshots,
-number for number. A change that means to alter the controller records it again:
-`python tests/sim/test_frozen_robot.py`.
+The session (confirm, arm, grow, zero, sweep) was recorded at the virtual board's edge: the stored
+configuration, conversions, encoder, and the host's commands as messages. Fed again, the board must
+say the same telemetry and the same snapshots, number for number. A change that means to alter the
+controller records it again: `python tests/sim/test_frozen_robot.py`.
 """
 
 from __future__ import annotations
@@ -17,22 +15,19 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 
 from thigmo.emulator._board import VirtualBoard
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.transport import EmulatorTransport
-from thigmo.errors import CommandRefusedError
 from thigmo.link.client import Client
 from thigmo.link.framing import Decoder, encode
 from thigmo.link.message import MESSAGES, Message
-from thigmo.link.protocol import SCHEMA_HASH, Arm, Hello, Snapshot, Telemetry
+from thigmo.link.protocol import SCHEMA_HASH, Hello, Snapshot, Telemetry
 from thigmo.robot.robot import Robot
 
 KEPT = Path(__file__).parent.parent / "data" / "thesis_robot_session.npz"
 BOOT_MS = 840
 SLOTS = 8
-BOOT_COUNTERS = 16  # bytes
 BY_NAME = {kind.NAME: kind for kind in MESSAGES.values()}
 KINDS = (Telemetry, Snapshot)
 
@@ -47,7 +42,9 @@ def said(board: VirtualBoard, sent: Sent, encoder: npt.NDArray[np.float64]) -> l
     for step, places in enumerate(encoder):
         while queue and queue[0][0] == step:
             _, name, fields, seq, session = queue.pop(0)
-            message = BY_NAME[name](**_today(fields))
+            message = BY_NAME[name](
+                **{k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()}
+            )
             if isinstance(message, Hello):
                 message = replace(message, schema_hash=SCHEMA_HASH)
             board.write(encode(message, seq, session))
@@ -68,28 +65,6 @@ def numbers(messages: list[Message], kind: type[Message]) -> Trace:
     return np.array(rows, np.int64)
 
 
-def _today(fields: dict[str, Any]) -> dict[str, Any]:
-    """A command's fields; when the session was kept, a sweep had one for each side."""
-    answer = {k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()}
-    if "left_cpsi" in answer:
-        answer["amplitude_cpsi"] = (answer.pop("left_cpsi"), answer.pop("right_cpsi"))
-    return answer
-
-
-def stored_anew(store: bytes) -> bytes:
-    """The store of that time, saved by a host of today."""
-    board = VirtualBoard(1, store)
-    robot = Robot(Client(EmulatorTransport(Scene.load("default"), board, seed=1)))
-    assert robot.status().faults == ("bad_config",)
-    with pytest.raises(CommandRefusedError, match="latched"):
-        robot._client.request(Arm())
-    robot.save()
-    assert robot.clear_faults() == ()
-    robot.arm()
-    # With the boots of that time, of which the session's number is made.
-    return store[:BOOT_COUNTERS] + board.eeprom[BOOT_COUNTERS:]
-
-
 def _trace(counts: npt.NDArray[np.uint16], channels: npt.NDArray[np.uint8]) -> Trace:
     """Conversions (tick, channel, count) of counts in order, `SLOTS` a tick from tick 0 on."""
     tick = np.arange(len(counts)) // SLOTS
@@ -98,7 +73,7 @@ def _trace(counts: npt.NDArray[np.uint16], channels: npt.NDArray[np.uint8]) -> T
 
 def test_telemetry_and_snapshots_are_those_of_before() -> None:
     kept = np.load(KEPT)
-    board = VirtualBoard(5, stored_anew(kept["store"].tobytes()))
+    board = VirtualBoard(5, kept["store"].tobytes())
     board.feed_trace(_trace(kept["counts"], kept["channels"]))
     messages = said(board, json.loads(kept["sent"].item()), kept["encoder"])
     assert len(kept["telemetry"]) > 1000

@@ -132,7 +132,7 @@ def test_pushed_tip_without_its_marker_is_not_seen(lab, monkeypatch):
     bench.hand.push_tip(5.0)
     lab.robot.wait(2.0)
     monkeypatch.setattr(
-        "thigmo.calibrate.overhead.tip_decal", lambda sheet, x, y, d: card_decals(sheet)[0]
+        "thigmo.emulator.overhead.tip_decal", lambda sheet, x, y, d: card_decals(sheet)[0]
     )
     with pytest.raises(MarkerMissingError, match="id 40"):
         lab.camera.axis(free_bend=False)

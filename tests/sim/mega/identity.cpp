@@ -168,7 +168,7 @@ void pressure() {
       sum.add(reading.cpsi());
       sum.add(loop.step(reading.cpsi(), config, derived));
       sum.add(loop.set_cpsi());
-      sum.add(loop.stuck());
+      sum.add(loop.stuck(derived));
       sum.add(muscle.lagged_cpsi());
       sum.add(muscle.free_e5(config.map[0][0]));
     }
