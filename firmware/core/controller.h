@@ -227,6 +227,8 @@ class Controller {
   void zeroing_step();
   void trigger_step();
   void look_at_base(uint8_t column);
+  void take_peak();
+  void take_contact(uint8_t muscle, int32_t difference_e5);
   void hold_contact(uint8_t muscle);
   bool bends_back(uint8_t muscle) const;
   Reading reading() const;

@@ -74,9 +74,7 @@ THIGMO_NOINLINE inline void Controller::decide() {
   if (activity_ == Activity::kZeroing) zeroing_step();
   if (activity_ == Activity::kTesting && tick_ - test_tick_ >= test_.duration_ms) end_test();
   trigger_step();
-  if (snapshots_.due(tick_) && snapshots_.store_peak(reading())) {
-    post(protocol::EventCode::kPeak, peak_muscle_, kPeakReadings);
-  }
+  if (snapshots_.due(tick_)) take_peak();
   if (estop_) raise(Fault::kEstop, 0);
   watch_power();
   supervise(0);
@@ -87,6 +85,12 @@ THIGMO_NOINLINE inline void Controller::decide() {
   telemetry_due_ = period != 0 && waited >= period && flex_.all_ready() &&
                    (!derived_.telemetry_aligned || phase_ == kTelemetryPhase);
   if (telemetry_due_) telemetry_tick_ = static_cast<uint16_t>(tick_);
+}
+
+// Out of line, as all that is rare in a tick: it needs many registers, which each tick would save.
+THIGMO_NOINLINE inline void Controller::take_peak() {
+  if (!snapshots_.store_peak(reading())) return;
+  post(protocol::EventCode::kPeak, peak_muscle_, kPeakReadings);
 }
 
 inline void Controller::run_phase(uint8_t phase) {
@@ -459,6 +463,7 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
   int32_t sum = 0;
   uint8_t count = 0;
   bool wrinkled = false;
+  const int16_t empty_cpsi = static_cast<int16_t>(config_.get(Param::kVentCpsi));
   for (uint8_t i = 0; i < kColumns; ++i) {
     const bool known = column_known_[i];
     column_known_[i] = false;
@@ -474,9 +479,7 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
     ++count;
     // So does one whose muscle still empties after its own half.
     for (uint8_t m = 0; m < kMuscles; ++m) {
-      if ((counts >> m & 1) == 0 && pressure_[m].cpsi() >= config_.get(Param::kVentCpsi)) {
-        wrinkled = true;
-      }
+      if ((counts >> m & 1) == 0 && pressure_[m].cpsi() >= empty_cpsi) wrinkled = true;
     }
   }
   base_e5_ = static_cast<int16_t>(count == 2 ? sum >> 1 : sum);
@@ -498,11 +501,15 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
                        static_cast<uint16_t>(config_.get(Param::kTriggerDebounceMs)))) {
     return;
   }
+  take_contact(active, difference);
+}
+
+THIGMO_NOINLINE inline void Controller::take_contact(uint8_t muscle, int32_t difference_e5) {
   snapshots_.store_trigger(reading());
-  post(protocol::EventCode::kContact, active, difference);
+  post(protocol::EventCode::kContact, muscle, difference_e5);
   if (activity_ == Activity::kSweeping &&
       (sweep_options_ & mask(protocol::SweepOption::kHoldOnContact)) != 0) {
-    hold_contact(active);
+    hold_contact(muscle);
   }
 }
 
