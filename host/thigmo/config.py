@@ -694,8 +694,45 @@ def validated(model: type[M], data: dict[str, Any], path: str | os.PathLike[str]
         raise ConfigError(invalid_entry(path, error), "correct that entry") from error
 
 
+# What an entry must be, by the kind of pydantic's error; filled in from the error's context.
+_MUST_BE = {
+    "float_parsing": "a number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_parsing": "a whole number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_parsing": "true or false",
+    "bool_type": "true or false",
+    "string_type": "a text in quotes",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "greater_than": "above {gt:g}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than": "below {lt:g}",
+    "less_than_equal": "at most {le:g}",
+    "literal_error": "{expected}",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+}
+_LONGEST_SHOWN = 40  # characters of a wrong value
+
+
 def invalid_entry(path: str | os.PathLike[str], error: ValidationError) -> str:
-    """What is wrong with a file's first invalid entry, which is named."""
+    """What is wrong with a file's first invalid entry, which is named, in the file's words."""
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "missing":
+        return f"{path}: {where} is missing"
+    if first["type"] == "extra_forbidden":
+        return f"{path}: {where} is no entry that is known here"
+    if (wanted := _MUST_BE.get(first["type"])) is not None:
+        value = first["input"]
+        shown = repr(value) if isinstance(value, str | int | float) else ""
+        instead = f", not {shown}" if 0 < len(shown) <= _LONGEST_SHOWN else ""
+        must_be = wanted.format(**first.get("ctx", {}))
+        return f"{path}: {where or 'the file'} must be {must_be}{instead}"
     return f"{path}: {where + ': ' if where else ''}{first['msg'].removeprefix('Value error, ')}"

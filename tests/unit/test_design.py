@@ -182,9 +182,13 @@ def test_an_interrogator_at_an_impossible_port_is_refused(tmp_path: Path, port: 
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        ("amplitude = 0.026", "amplitude = -1.0", "line {}: muscle.0.map.0.inflate.amplitude: "),
+        (
+            "amplitude = 0.026",
+            "amplitude = -1.0",
+            "line {}: muscle.0.map.0.inflate.amplitude must be above 0, not -1.0",
+        ),
         ("scale_per_ohm = 3.5e-05", "scale_per_ohm = 0", "line {}: sensor.0.flex.scale_per_ohm: "),
-        ("stall_n = ", "stal_n = ", "line {}: spool.stal_n: "),
+        ("stall_n = ", "stal_n = ", "line {}: spool.stal_n is no entry that is known here"),
     ],
 )
 def test_an_invalid_entry_is_named_by_its_line(

@@ -195,7 +195,7 @@ def test_a_document_of_another_version_is_refused(tmp_path: Path) -> None:
     folder.write_document(RunDocument("0", "n", "u", "s", "full length", None, [CONTACT]))
     file = tmp_path / "contacts.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"version": 1}))
-    with pytest.raises(RunFolderError, match=r"version: Input should be 2; run `thigmo replay`"):
+    with pytest.raises(RunFolderError, match=r"version must be 2, not 1; run `thigmo replay`"):
         folder.read_document()
 
 

@@ -287,12 +287,15 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
     else:
         yield Finding(what, "bad", f"feels nothing: contacts hold back {held_back.max():.4f} 1/cm")
         return
-    within = f"within {WIDTH_SHARE * body.length_cm:.1f} cm, pressed hardest, on"
+    width = f"{WIDTH_SHARE * body.length_cm:.1f} cm"
     stated, calibrated = (
         100 * _localized(config, column, arcs, moment, min(muscle.offset_se, offset), gain).mean()
         for offset, gain in ((np.inf, np.inf), (_CALIBRATED_OFFSET, _CALIBRATED_GAIN))
     )
-    text = f"localizes contacts {within} {stated:.0f} % of the body, {calibrated:.0f} % calibrated"
+    text = (
+        f"a contact pressed as hard as the base allows is localized to {width} on "
+        f"{calibrated:.0f} % of the body once calibrated, on {stated:.0f} % before"
+    )
     yield Finding(what, "ok" if calibrated > 0.0 else "warning", text)
 
 

@@ -437,11 +437,12 @@ def message(
         return (
             "a contact is not certain; average more readings, bend further or give `noise`" + more
         )
-    felt = f"{count} contact{'s' * (count > 1)}: probability {number[count]:.2f}"
+    contacts = f"{count} contact{'s' * (count > 1)}"
+    felt = f"the probability of {contacts} is {number[count]:.2f}"
     if count < len(number) - 1:
-        felt += f", more: {sum(number[count + 1 :]):.2f}"
+        felt += f", of more {sum(number[count + 1 :]):.2f}"
     if status == "localized":
-        return f"the intervals hold whatever the number of contacts; {felt}{more}"
+        return f"{felt}; the intervals allow for any number{more}"
     if touched < 1.0 - priors.EXCLUDED:
         return f"a contact has probability {touched:.2f}; {felt}{more}"
     if end_open:
@@ -451,4 +452,4 @@ def message(
             "there are no more readings than a contact has numbers, so nothing checks the place: "
             f"read one more sensor; {felt}{more}"
         )
-    return f"the readings do not fix the place: see the intervals; {felt}{more}"
+    return f"several places explain the readings, and the intervals hold them; {felt}{more}"

@@ -221,7 +221,8 @@ def _figure(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) 
         title="Contact trigger: latency against false alarms. Noise at 2 (full line) and 4 times "
         f"its default (dotted).\nPoints along a line: debounce of "
         f"{', '.join(map(str, DEBOUNCES_MS))} ms. Star: the board's default. Grey: at most "
-        f"{ALLOWED_PER_100:g} in 100.\nNever a false alarm: {', '.join(silent) or 'nowhere'}.",
+        f"{ALLOWED_PER_100:g} in 100.\n"
+        f"Noise without false alarms: {', '.join(silent) or 'none'}.",
     )  # fmt: skip
     labels = (
         ("latency of 95 % of steps of 1.5 thresholds (ms)", (0.0, 70.0)),
