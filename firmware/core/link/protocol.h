@@ -1831,7 +1831,7 @@ constexpr ParamRows param_rows() {
   rows.add(kMuscles, 0, 1, muscle_fitted);
   const int32_t trigger_when[] = {130, 0, 0, 0, 0, 129};
   rows.add(kSensors, 0, 255, trigger_when);
-  rows.add(kSensors, 0, 20000, 1000);  // flex_center_se_um
+  rows.add(kSensors, 0, 32000, 1000);  // flex_center_se_um
   rows.add(1, 0, 2000, 5);             // body_pull_n
   rows.add(1, 0, 250, 40);             // brake_closes_ms
   rows.add(kImus, 0, 1023, 0);         // imu_from

@@ -11,7 +11,7 @@ from math import ceil, radians, sin
 from typing import TYPE_CHECKING
 
 from thigmo import wiring
-from thigmo.config import RobotConfig
+from thigmo.config import HeadingSensor, RobotConfig, Sensor
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
 
@@ -40,7 +40,7 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
     return imus | {
         "flex_enabled": [int(s is not None and s.healthy) for s in flex],
         "flex_center_um": [round(s.fold_cm[0] * 1e4) if s else 0 for s in flex],
-        "flex_center_se_um": [round(s.center_se_cm * 1e4) if s else 0 for s in flex],
+        "flex_center_se_um": [_place_se_um(s) if s else 0 for s in flex],
         "flex_span_um": [round(s.fold_cm[1] * 1e4) if s else 0 for s in flex],
         "flex_scale": [round(s.scale_per_ohm * ratio * 1e9) if s else 0 for s in flex],
         "settle_ms": [round(board.settle_s * 1e3)],
@@ -66,6 +66,17 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
             _counts_while(config, number) if number in bases else 0 for number in range(len(flex))
         ],
     }
+
+
+def _place_se_um(sensor: Sensor) -> int:
+    """Standard error of the place at which a sensor swings while the tip passes it.
+
+    An IMU whose turn the board reads as a divider's, not over the bus, looks like a flex sensor
+    that swings from where its span begins: it may do so a whole span early, and accuses nobody.
+    """
+    if isinstance(sensor, HeadingSensor) and not sensor.i2c_address:
+        return min(round(sensor.span_cm * 1e4), wire.PARAMETERS["flex_center_se_um"].high)
+    return round(sensor.center_se_cm * 1e4)
 
 
 def _counts_while(config: RobotConfig, base_input: int) -> int:
