@@ -125,7 +125,7 @@ def test_stop_in_mid_sweep_takes_the_current_off_the_valves_within_300_ms_of_the
     assert robot.off_within(0.3)
     assert robot.lockstep.t_s >= clicked_s
     expect(page.locator("#stop")).to_contain_text("the board has confirmed")
-    expect(page.locator("#banners")).to_contain_text("valves off, motor braked")
+    expect(page.locator("#doing")).to_contain_text("Stopped from this page, ")
 
 
 @pytest.mark.realtime
