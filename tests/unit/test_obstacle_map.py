@@ -389,6 +389,16 @@ def test_a_known_obstacle_that_was_swept_through_is_missed_and_free(folder: RunF
     assert len(read_prior(folder.path)) == 1  # the next run does not expect it
 
 
+def test_a_known_obstacle_without_a_normal_is_drawn_along_its_track() -> None:
+    """Other programs write obstacles.json, in which a normal may be left out."""
+    given = replace(_known(_contact())[0], normal_rad=None, track=[(10.0, 30.0), (20.0, 30.0)])
+    grid, _ = occupancy(_document(), RADIUS, [given])
+    x, y = grid.centers()
+    line = (np.abs(y - 30.0) < 0.3) & (x > 11.0) & (x < 19.0)
+    assert line.any()
+    assert (grid.cells[line] == OCCUPIED_CELL).all()
+
+
 def _truth(*contacts: TrueContact) -> Truth:
     return Truth([TruePeg(30.0, 20.0, 0.6)], list(contacts))
 

@@ -111,7 +111,7 @@ def _occupied_lines(obstacle: Obstacle) -> list[list[Point]]:
     if obstacle.cell_cm:
         return lines
     if obstacle.status == "localized" and obstacle.probability >= LEVEL:
-        lines.append(_core(obstacle))
+        lines.append(_core(obstacle) if obstacle.normal_rad is not None else obstacle.track)
     if obstacle.probability * obstacle.wall_probability >= LEVEL:
         lines.append(obstacle.surface)
     return lines
@@ -211,9 +211,10 @@ def _near_line(
 ) -> Mask:
     """Cells that may hold the obstacle's surface along a line of it, and so far across it."""
     near = np.zeros(grid.cells.shape, dtype=np.bool_)
-    assert obstacle.normal_rad is not None
-    normal = np.array([np.cos(obstacle.normal_rad), np.sin(obstacle.normal_rad)])
-    across_cm = float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))  # 1 sigma
+    across_cm = 0.0  # standard error
+    if obstacle.normal_rad is not None:
+        normal = np.array([np.cos(obstacle.normal_rad), np.sin(obstacle.normal_rad)])
+        across_cm = float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))
     reach = sigmas * across_cm + grid.resolution_cm * np.sqrt(0.5)
     centers = np.stack(grid.centers(), axis=-1)
     for start, end in pairwise(np.asarray([*points, *points[-1:]])):
