@@ -9,6 +9,10 @@ from thigmo_bench.studies.faults import FAILURES, Case, visit
 
 pytestmark = pytest.mark.ci
 
+# The growth of the campaign's robot while it is told to grow. The image and the core stop at
+# another phase of the 100 ms between heartbeats, and grow on for the difference.
+GROWTH_CM_S = 2.0
+
 SAMPLE = [
     ("host silent", "growing"),
     ("pressure sensor frozen at 17 psi", "pressing"),
@@ -25,5 +29,6 @@ def test_the_image_fails_as_safely_as_the_core(name: str, state: str) -> None:
     assert core.safe_s is not None
     assert image.safe_s == pytest.approx(core.safe_s, abs=0.15)
     assert image.peak_psi == pytest.approx(core.peak_psi, abs=0.3)
-    assert image.moved_cm == pytest.approx(core.moved_cm, abs=0.1)
+    later_cm = GROWTH_CM_S * (image.safe_s - core.safe_s) if core.moved_cm > 0.1 else 0.0
+    assert image.moved_cm == pytest.approx(core.moved_cm + later_cm, abs=0.1)
     assert image.recovers
