@@ -86,7 +86,8 @@ TEST(every_refusal_has_its_reason) {
           Reason want = Reason::kNone;
           if (!state_good) {
             want = state == State::kFault ? Reason::kFaultLatched : Reason::kWrongState;
-          } else if (!arm && !air && activity != Activity::kIdle &&
+          } else if (arm ? activity == Activity::kSaving
+                         : !air && activity != Activity::kIdle &&
                      !(permit == Permit::kPress && activity == Activity::kPressing) &&
                      !(test && activity == Activity::kTesting)) {
             want = Reason::kBusy;
