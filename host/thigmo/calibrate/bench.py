@@ -25,9 +25,9 @@ from thigmo.config import SIDES, Muscle, RobotConfig
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.link import protocol as wire
 from thigmo.mechanics import push_tip
+from thigmo.operator_prompts import Operator
 from thigmo.robot import Reading, Robot
 from thigmo.robot.state import Recording
-from thigmo.room import Operator
 
 Row = dict[str, Any]
 T = TypeVar("T")

@@ -22,6 +22,7 @@ from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.resume import interrupted
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.exploration.run_control import Questions, RunControl
+from thigmo.operator_prompts import Reachable
 from thigmo.record import (
     PRIOR_FILE,
     NamedMuscle,
@@ -32,7 +33,6 @@ from thigmo.record import (
 )
 from thigmo.report import draw_map
 from thigmo.robot import Operator, connect
-from thigmo.room import Reachable
 from thigmo.stream import Event, recording
 from thigmo.version import VERSION
 from thigmo.wiring import unexplored

@@ -35,9 +35,9 @@ from thigmo.live.page_request import PageRequest, parse
 from thigmo.live.relay import Target, Watched
 from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.viewer import Viewer
+from thigmo.operator_prompts import Simulated
 from thigmo.robot import JOG_CM
 from thigmo.robot.stopping import Stopped, WayTo
-from thigmo.room import Simulated
 from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry
 from thigmo.stream.recorded import config_in
 

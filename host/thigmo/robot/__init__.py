@@ -3,6 +3,7 @@
 What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's integers stay inside.
 """
 
+from thigmo.operator_prompts import Operator
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import SensorTable, in_mask, mask_of
 from thigmo.robot.fibre import FibreReading
@@ -17,10 +18,9 @@ from thigmo.robot.state import (
     mean_peak,
 )
 from thigmo.robot.strains import Strains
-from thigmo.robot.supervised import WITHOUT_BRAKE
+from thigmo.robot.supervisor import WITHOUT_BRAKE
 from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.watchers import GrowthWatcher, Profile, SweepWatcher, peak_frame
-from thigmo.room import Operator
 
 __all__ = [
     "JOG_CM",

@@ -15,7 +15,7 @@ from thigmo.config import RobotConfig
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.mechanics.settling import Settling
 from thigmo.robot.curvature import Floats, SensorTable
-from thigmo.robot.idle import VENTED_CPSI
+from thigmo.robot.idle_pressure import VENTED_CPSI
 
 _SPACING_S = 0.05
 _BIN_S = 0.25

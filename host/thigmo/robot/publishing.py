@@ -18,7 +18,7 @@ from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
 from thigmo.robot.curvature import SensorTable
-from thigmo.robot.idle import UNBENT_CPSI
+from thigmo.robot.idle_pressure import UNBENT_CPSI
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
 from thigmo.stream.messages import Severity
 from thigmo.wiring import muscle_outputs, sensor_name

@@ -17,14 +17,14 @@ from thigmo.errors import CommandRefusedError, CommandTimeoutError, ConfigError,
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.link.transport import open_transport
+from thigmo.operator_prompts import Operator
 from thigmo.record import Truth
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import Floats, in_mask, mask_of
 from thigmo.robot.fibre import FibreReading
 from thigmo.robot.state import Reading, Recording, SweepFrame, SweepResult, together
-from thigmo.robot.supervised import OPEN, SHORT, Supervised
+from thigmo.robot.supervisor import OPEN, SHORT, Supervised
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
-from thigmo.room import Operator
 from thigmo.wiring import blind
 
 JOG_CM = 5.0  # of tip that a jog turns the spool for, at most

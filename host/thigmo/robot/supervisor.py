@@ -17,11 +17,11 @@ from thigmo.link import protocol as wire
 from thigmo.link.heart import PERIOD_S
 from thigmo.link.interrogator import Interrogator, TcpSource
 from thigmo.link.stored import StoredConfiguration
+from thigmo.operator_prompts import Operator, Patient
 from thigmo.robot.configuration import get_parameter, send_config, set_parameters
-from thigmo.robot.connected import Connected
 from thigmo.robot.curvature import SensorTable
 from thigmo.robot.fibre import Fibre
-from thigmo.room import Operator, Patient
+from thigmo.robot.readings import Connected
 from thigmo.wiring import muscle_outputs, sensor_name
 
 if TYPE_CHECKING:

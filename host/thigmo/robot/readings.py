@@ -19,6 +19,7 @@ from thigmo.closing import Closing
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import DataError, LinkError
 from thigmo.link import protocol as wire
+from thigmo.operator_prompts import Dowel, Operator, Simulated
 from thigmo.record import FibreLine, TrueContact, TruePeg, Truth
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import SensorTable
@@ -26,7 +27,6 @@ from thigmo.robot.fibre import Fibre
 from thigmo.robot.publishing import Publisher
 from thigmo.robot.state import Status
 from thigmo.robot.strains import Strains
-from thigmo.room import Dowel, Operator, Simulated
 from thigmo.stream import Command, Hello, Message, Server, Telemetry
 from thigmo.stream.hub import QUEUE
 from thigmo.version import VERSION
