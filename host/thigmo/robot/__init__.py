@@ -7,7 +7,7 @@ from thigmo.operator_prompts import Operator
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import SensorTable, in_mask, mask_of
 from thigmo.robot.fibre import FibreReading
-from thigmo.robot.robot import JOG_CM, Robot, connect
+from thigmo.robot.robot import JOG_CM, WITHOUT_BRAKE, Robot, connect
 from thigmo.robot.state import (
     ContactTrigger,
     Peak,
@@ -18,7 +18,6 @@ from thigmo.robot.state import (
     mean_peak,
 )
 from thigmo.robot.strains import Strains
-from thigmo.robot.supervisor import WITHOUT_BRAKE
 from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.watchers import GrowthWatcher, Profile, SweepWatcher, peak_frame
 
