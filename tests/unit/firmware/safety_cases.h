@@ -88,8 +88,8 @@ TEST(every_refusal_has_its_reason) {
             want = state == State::kFault ? Reason::kFaultLatched : Reason::kWrongState;
           } else if (arm ? activity == Activity::kSaving
                          : !air && activity != Activity::kIdle &&
-                     !(permit == Permit::kPress && activity == Activity::kPressing) &&
-                     !(test && activity == Activity::kTesting)) {
+                               !(permit == Permit::kPress && activity == Activity::kPressing) &&
+                               !(test && activity == Activity::kTesting)) {
             want = Reason::kBusy;
           } else if (arm && has(c, Condition::kEstop)) {
             want = Reason::kEstop;
