@@ -120,6 +120,10 @@ class Body(Model):
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49
+    # Angle (rad) by which the base turns for each 1/cm of contact moment over EI there, so cm, and
+    # one sigma. Default: not measured; a clamped base turns by up to 0.05 rad before it folds.
+    base_compliance_cm: NonNegative = 0.0
+    base_compliance_se_cm: NonNegative = 2.5
     # Bending stiffness EI and its standard error; without them forces are given over EI only.
     stiffness_n_cm2: Positive | None = None
     stiffness_se_n_cm2: NonNegative = 0.0

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from thigmo.field.hypotheses import (
     ARC,
+    BASE,
     BEND,
     FOLD,
     FRICTION,
@@ -99,6 +100,7 @@ class Mode:
     tables: Tables
     cost: float  # -2 log posterior, less what all share
     precision: Floats  # (unknowns, unknowns) with the errors integrated out
+    prior_precision: Floats  # (unknowns,) what of its diagonal was known before
 
 
 class FieldFit:
@@ -116,7 +118,7 @@ class FieldFit:
         force = float(readings.fold_moment.min()) / (_LEVER * self.longest)
         self.body = Body(
             readings.radius, self.longest, float(self.bends[-1]), errors.fold,
-            readings.radius / force,
+            readings.radius / force, errors.base / self.longest, errors.base_error / self.longest,
         )  # fmt: skip
         self.missing = ~np.isfinite(readings.curvature)
         self._sd = np.where(self.missing, np.inf, readings.noise * np.sqrt(ALIKE))
@@ -175,8 +177,9 @@ class FieldFit:
             first = min((untouched(p, length, r.radius, bends) for p in pegs), default=rows)
             if first < rows:
                 critical = float(r.fold_moment[zone] * np.exp(q[FOLD]))
+                base = abs(float(q[BASE])) * self.longest
                 rod = Rod(
-                    Tube(2 * r.radius, critical), pegs, cell_cm=CELL * self.longest,
+                    Tube(2 * r.radius, critical, base), pegs, cell_cm=CELL * self.longest,
                     friction=abs(float(q[FRICTION])),
                 )  # fmt: skip
                 sweep = rod.sweep(bends[first:], length, r.centers, r.spans)
@@ -188,6 +191,7 @@ class FieldFit:
                 yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
                 by_q[s, on, :, YIELD] = yields * np.sign(q[YIELD])
                 by_q[s, on, :, FOLD] = sweep.by_body[..., 0] * critical
+                by_q[s, on, :, BASE] = sweep.by_body[..., 1] * self.longest * np.sign(q[BASE])
                 by_q[s, on, :, FRICTION] = sweep.by_body[..., 2] * np.sign(q[FRICTION])
                 for part in (mean, shift, by_q):
                     part[s, rows:] = part[s, rows - 1]
@@ -303,7 +307,7 @@ class FieldFit:
         """The readings' explanation by errors alone."""
         tables = self.tables(NOTHING, np.zeros(0))
         log, xi, _ = self.evidence(tables, self.free())
-        return Mode(NOTHING, np.zeros(0), xi, tables, -2 * log, np.zeros((0, 0)))
+        return Mode(NOTHING, np.zeros(0), xi, tables, -2 * log, np.zeros((0, 0)), np.zeros(0))
 
     def solve(
         self,
@@ -318,7 +322,7 @@ class FieldFit:
         q = np.array(q, dtype=float)
         xi = self.free() if xi is None or xi.size != self.count else xi
         unit = self.longest
-        most = hypothesis.columns((0.06 * unit, _LARGEST_TURN / unit, 0.6), 0.15, 0.3, 0.5)
+        most = hypothesis.columns((0.06 * unit, _LARGEST_TURN / unit, 0.6), 0.15, 0.3, 0.5, 0.05)
         mean, spread = hypothesis.bells(self.body)
         precision = np.concatenate([1 / spread**2, np.ones(self.count)])
 
@@ -358,7 +362,7 @@ class FieldFit:
                 break
         k = q.size
         inner = hessian[:k, k:] @ np.linalg.solve(hessian[k:, k:], hessian[k:, :k])
-        return Mode(hypothesis, q, xi, tables, cost, hessian[:k, :k] - inner)
+        return Mode(hypothesis, q, xi, tables, cost, hessian[:k, :k] - inner, precision[:k])
 
 
 def whitened(x: npt.NDArray[np.float64], weight: Floats, along: Floats) -> Floats:
