@@ -22,6 +22,7 @@ Floats = npt.NDArray[np.float64]
 ARC, BEND, RADIUS = range(3)
 PEG_UNKNOWNS, SHARED_UNKNOWNS = 3, 4
 FOLD, FRICTION, YIELD, BASE = -4, -3, -2, -1
+UNSIGNED = FRICTION, YIELD, BASE  # whose signs mean nothing
 
 # Friction of fabric and plastic film on what stands in a room is 0 to 0.6: two sigma.
 FRICTION_STD = 0.3

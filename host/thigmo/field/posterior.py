@@ -22,11 +22,11 @@ from thigmo.field.fit import MOST_EVIDENCE_PASSES, SPREAD_STD, FieldFit, Mode
 from thigmo.field.hypotheses import (
     BASE,
     FOLD,
-    FRICTION,
     PEG,
     RADIUS,
     RADIUS_MEAN,
     RADIUS_STD,
+    UNSIGNED,
     YIELD,
 )
 from thigmo.field.readings import Errors, Floats, Readings
@@ -34,7 +34,7 @@ from thigmo.field.readings import Errors, Floats, Readings
 # Logarithms of radii over the tube's at which the ridge has nodes.
 # Friction, yield and base from which a fit starts: at none they have no derivative.
 _LEAST = 0.05, 0.05, 0.01
-RADII = RADIUS_MEAN + RADIUS_STD * np.linspace(-2.0, 2.0, 12)
+RADII = RADIUS_MEAN + RADIUS_STD * np.linspace(-2.0, 2.0, 8)
 _STARTS = RADIUS_MEAN + RADIUS_STD * np.array([-0.7, 0.6])
 # Levels of the mechanics' relative error, and their prior odds: a body of fabric is no ideal rod.
 MODELS, MODEL_ODDS = (0.0, 0.05, 0.2), (0.6, 0.3, 0.1)
@@ -50,10 +50,9 @@ _SPREAD = 1.15  # of their covariance
 _LEARNT = 0.75  # share of a later round that lies as earlier samples are spread
 _LEAST_SHARE = 0.02  # of a chain's weight, with less of which nothing is learnt of it
 _NEGLIGIBLE = 1e-3  # share of a level of the mechanics' error that later rounds omit
-ROUND, ROUNDS = 60, 6
+ROUND, ROUNDS = 60, 10
 ENOUGH = 50.0  # effective samples
 _KEPT = np.array([0, 1, 3, 4, 5, 6])  # unknowns other than the radius
-_UNSIGNED = [FRICTION, YIELD, BASE]  # unknowns whose signs mean nothing
 _UNFOLDED = 0.25  # of the proposals, against those that hold to a mode's fold
 _MIRRORS = np.array([[1.0] * 4 + list(signs) for signs in product((1.0, -1.0), repeat=3)])
 
@@ -158,11 +157,11 @@ class PegSearch:
         """
         rng, fit = np.random.default_rng(seed), self.fit
         ridges, modes, chain_of = _ridges(chains)
-        drifts = self._drifts(min(modes, key=lambda mode: mode.cost))
+        likeliest = min(modes, key=lambda mode: mode.cost)
+        drifts, levels = self._drifts(likeliest), self._likely_levels(likeliest)
         proposals: list[_Proposal] = [ridges]
         counts = np.zeros(ROUNDS * len(chains) + 1)
         drawn: list[_Draw] = []
-        levels = list(range(len(MODELS)))
         weight, round_shares = np.zeros(0), [1.0]
         for _ in range(ROUNDS):
             for n in rng.choice(len(round_shares), ROUND, p=round_shares):
@@ -204,6 +203,16 @@ class PegSearch:
             best.misfit / float(np.sum(~fit.missing)), total,
         )  # fmt: skip
 
+    def _likely_levels(self, mode: Mode) -> list[int]:
+        """Levels of the mechanics' error that a mode leaves likely."""
+        logs = np.log(MODEL_ODDS)
+        for n, level in enumerate(self._levels):
+            xi = level.free()
+            xi[: mode.xi.size] = mode.xi
+            logs[n] += level.evidence(mode.tables, xi)[0]
+        likely: list[int] = np.flatnonzero(logs > logs.max() + np.log(_NEGLIGIBLE)).tolist()
+        return likely
+
     def _drifts(self, mode: Mode) -> _Drifts:
         """How far gains and maps have drifted, as a mode has it."""
         z = np.linspace(-2.0, 2.0, 9)
@@ -226,7 +235,7 @@ class PegSearch:
         for n in levels:
             level = self._levels[n]
             xi = level.free()
-            xi[: mode.xi.size] = mode.xi
+            xi[: mode.xi.size] = mode.xi + mode.follow @ (q - mode.q)
             log, fitted, misfit = level.evidence(
                 tables, xi, spread=spread, passes=MOST_EVIDENCE_PASSES
             )
@@ -309,7 +318,7 @@ class _Mixture:
         q[RADIUS] += off
         q[_KEPT] += self._slopes[n] * off
         q[_KEPT] += wide * self._factors[n] @ rng.standard_normal(_KEPT.size)
-        q[_UNSIGNED] = np.abs(q[_UNSIGNED])
+        q[list(UNSIGNED)] = np.abs(q[list(UNSIGNED)])
         drawn: Floats = q
         return drawn
 
@@ -350,7 +359,7 @@ class _Bell:
         """Unknowns."""
         wide = np.sqrt(_DOF / rng.chisquare(_DOF))
         q: Floats = self._center + wide * self._factor @ rng.standard_normal(self._center.size)
-        q[_UNSIGNED] = np.abs(q[_UNSIGNED])
+        q[list(UNSIGNED)] = np.abs(q[list(UNSIGNED)])
         return q
 
     def log_density(self, q: Floats) -> Floats:
