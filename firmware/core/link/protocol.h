@@ -471,7 +471,7 @@ struct GrowTo {
   int32_t length_um;    // Target everted length. (um)
   uint32_t speed_um_s;  // Tip speed; 0 = as configured. At most 17 mm / (heartbeat_ms + 100 ms), so
                         // that a dead host costs no more than 2 cm; a heartbeat_ms below the
-                        // watchdog's 250 ms counts as 250 ms. (um/s)
+                        // watchdog's 285 ms counts as 285 ms. (um/s)
   void encode(uint8_t* out) const {
     detail::put32(out + 0, static_cast<uint32_t>(length_um));
     detail::put32(out + 4, static_cast<uint32_t>(speed_um_s));
@@ -1636,7 +1636,7 @@ enum class Param : uint16_t {
   kHeartbeatMs = kDirectionSeen +
       1,  // How long the host may be silent while the robot is armed, before this is a fault.
           // Limits spool_speed_um_s and home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most
-          // 17 mm, and a heartbeat_ms below the watchdog's 250 ms counts as 250 ms. (ms)
+          // 17 mm, and a heartbeat_ms below the watchdog's 285 ms counts as 285 ms. (ms)
   kSupplyMinMv = kHeartbeatMs + 1,  // A supply below this is a brown-out. Default: what 4.7 V reads
                                     // with a reference that is 10 % off. (mV)
   kReferenceMv = kSupplyMinMv +
