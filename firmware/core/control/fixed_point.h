@@ -64,7 +64,8 @@ struct Fine {
   void add(int32_t q16) {
     const uint32_t low = static_cast<uint32_t>(fraction) + static_cast<uint16_t>(q16);
     fraction = static_cast<uint16_t>(low);
-    whole += static_cast<int16_t>(q16 >> 16) + static_cast<int16_t>(low >> 16);
+    whole += static_cast<int16_t>(q16 >> 16);
+    whole += static_cast<uint8_t>(low >> 16);
   }
   bool zero() const { return whole == 0 && fraction == 0; }
   bool less(const Fine& other) const {
