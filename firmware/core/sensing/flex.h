@@ -121,6 +121,20 @@ class FlexReadings {
     return done;
   }
 
+  // Adds sensors' latest readings, by bits, to sums and counts of all sensors.
+  THIGMO_NOINLINE void add_to(uint32_t* sum, uint16_t* taken, uint16_t sensors) const {
+    const Channel* channel = channels_;
+    for (; sensors != 0; sensors = static_cast<uint16_t>(sensors >> 1)) {
+      if ((sensors & 1) != 0) {
+        *sum += channel->latest;
+        ++*taken;
+      }
+      ++channel;
+      ++sum;
+      ++taken;
+    }
+  }
+
   uint16_t latest(uint8_t sensor) const { return channels_[sensor].latest; }  // sum of 2^log2
   bool all_ready() const { return ready_ == (1u << kSensors) - 1; }
   uint8_t log2() const { return log2_; }
