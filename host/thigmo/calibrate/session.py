@@ -84,17 +84,26 @@ class Session:
 
     def done(self, step: str) -> dict[str, Any] | None:
         """The stored result of a step, if it was good."""
+        data = self._result(step)
+        return data if data is not None and data["verdict"]["good"] else None
+
+    def failed(self, step: str) -> bool:
+        """Whether the stored result of a step is not good."""
+        data = self._result(step)
+        return data is not None and not data["verdict"]["good"]
+
+    def _result(self, step: str) -> dict[str, Any] | None:
         path = self.folder / f"{step}.json"
         if not path.exists():
             return None
         try:
             data: dict[str, Any] = json.loads(read_file(path, DATA_BYTES))
-            good = data["verdict"]["good"]
+            _ = data["verdict"]["good"]
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise DataError(
                 f"{path} is damaged", f"delete it, and run `thigmo calibrate {step}` again"
             ) from error
-        return data if good else None
+        return data
 
     def figure(self, step: str) -> Path:
         """The file of a step's figure."""
