@@ -48,6 +48,7 @@ __all__ = [
     "IMU_CM",
     "RAD_PER_OHM",
     "SAME_IMU_CM",
+    "SAME_LENGTH_CM",
     "SAME_PRESSURE",
     "SIDES",
     "SIGN",
@@ -70,6 +71,7 @@ __all__ = [
 ]
 
 _PASCAL = 6894.757  # of one psi
+SAME_LENGTH_CM = 0.1  # everted lengths that are nearer are one: the spool stops within 0.05 cm
 SAME_PRESSURE = 0.1  # body pressures that differ by less, relative, have one map
 
 
