@@ -279,13 +279,10 @@ def _check(folder: RunFolder, log: Log) -> None:
         raise RunFolderError(
             f"the record of {folder.path} is empty", "its run ended before it began: run it again"
         )
-    schema = log.metadata.get("schema_hash", "")
-    theirs = log.metadata.get("thigmo", "of its time")
-    if schema != f"{wire.SCHEMA_HASH:08x}":
+    if "schema_hash" not in log.metadata:
         raise RunFolderError(
-            f"{folder.path} was recorded with protocol schema {schema or 'unknown'}, and this is "
-            f"{wire.SCHEMA_HASH:08x}",
-            f"replay it with thigmo {theirs}",
+            f"the record of {folder.path} does not say which robot it is of",
+            "its first block is damaged: take the run from a backup, or run it again",
         )
 
 
