@@ -11,9 +11,9 @@ Commands meet the same checks as a host's. A refused one raises OSError with the
 on, call beat() within every half second (the parameter heartbeat_ms), or the robot stops.
 """
 
-import _thigmo
 import struct
 
+import _thigmo
 from thigmo_names import (
     ACTIVITIES,
     EVENTS,
@@ -78,7 +78,7 @@ class Board:
         A sensor reads once it is everted and zeroed.
         """
         answer = _thigmo.ask(_thigmo.CURVATURE)
-        values = struct.unpack("<%dh" % (len(answer) // 2), answer)
+        values = struct.unpack(f"<{len(answer) // 2}h", answer)
         return tuple(None if value == _NONE else value / 100000 for value in values)
 
     def pressure(self):
@@ -107,7 +107,7 @@ class Board:
         answer = _thigmo.ask(_thigmo.COMMAND, MESSAGES["get_status"])
         muscles = answer[16]
         head = struct.unpack("<BBBBHHIi", answer[:16])
-        tail = struct.unpack("<%dhHHHHIHHI" % muscles, answer[17:])
+        tail = struct.unpack(f"<{muscles}hHHHHIHHI", answer[17:])
         return head + tail
 
     # --- commands ---------------------------------------------------------------------------------
@@ -156,9 +156,9 @@ class Board:
         """Take the present readings of the everted sensors for those of a straight body."""
         self._command("zero_sensors", struct.pack("<H", SENSORS_ALL & self._status()[-8]))
 
-    def body_air(self, open):
-        """Open or close the body's air valve."""
-        self._command("body_air", bytes([bool(open)]))
+    def body_air(self, wanted):
+        """Open the body's air valve (True), or close it and empty the body."""
+        self._command("body_air", bytes([bool(wanted)]))
 
     def home(self):
         """Wind in to the base."""
@@ -186,7 +186,7 @@ class Board:
             hold_on_contact: hold the pressure when a contact is felt, until vent().
         """
         peaks = [round(100 * psi) for psi in amplitudes_psi]
-        payload = bytes([len(peaks)]) + struct.pack("<%dh" % len(peaks), *peaks)
+        payload = bytes([len(peaks)]) + struct.pack(f"<{len(peaks)}h", *peaks)
         payload += struct.pack("<IBB", round(1000 * period_s), cycles, bool(hold_on_contact))
         self._command("sweep", payload)
 
@@ -197,4 +197,4 @@ class Board:
     def _command(self, name, payload=b""):
         answer = _thigmo.ask(_thigmo.COMMAND, MESSAGES[name], payload)
         if answer[1]:
-            raise OSError("%s: %s" % (name, REASONS[answer[1]]))
+            raise OSError(f"{name}: {REASONS[answer[1]]}")

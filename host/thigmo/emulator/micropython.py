@@ -201,7 +201,7 @@ class MicroPythonBoard:
 
     def _launch(self, its: socket.socket) -> subprocess.Popen[bytes]:
         if self._on == "unix":
-            command = [self._image, "-X", "heapsize=128k"]
+            command = [str(self._image), "-X", "heapsize=128k"]
             environment = os.environ | {"THIGMO_HARDWARE": str(its.fileno())}
             if self._attended:
                 return subprocess.Popen(command, env=environment, pass_fds=(its.fileno(),))

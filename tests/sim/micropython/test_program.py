@@ -173,7 +173,6 @@ def test_ctrl_c_at_200_random_moments_leaves_outputs_off_within_5_ms(bench: Make
         while board.drive_enabled != (False, False):
             board.step(1)
             ticks += 1
-        print(ticks, board.running, repr(board.console()[printed-60:]))
         worst = max(worst, ticks)
         robot.transport.pass_time(0.05)
         assert robot.airless
