@@ -22,7 +22,11 @@
 #include <new>
 
 #include "controller.h"
+#ifdef THIGMO_SKELETON
+#include "../../skeleton/mps2/injected_skeleton.h"
+#else
 #include "injected_board.h"
+#endif
 #include "program.h"
 #include "stream.h"
 

@@ -94,6 +94,7 @@ void run() {
     __dmb();
     asked = false;
   }
+  save_and_disable_interrupts();
   board().drive_off(0);
   board().drive_off(1);
   board().brake();

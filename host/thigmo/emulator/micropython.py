@@ -32,6 +32,8 @@ from thigmo.link.framing import check_sequence
 from thigmo.link.protocol import ResetCause
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from thigmo.link.transport import Transport
 
 Floats = npt.NDArray[np.float64]
@@ -109,7 +111,7 @@ class MicroPythonBoard:
         self._attended = attended
         if large:
             adc_bits, frame_us = _LARGE_BITS, _LARGE_FRAME_US
-        self._image = image("unix-large" if large else on)
+        self._image = self._built("unix-large" if large else on)
         self._on: Processor = on
         self._profile = (adc_bits, frame_us)
         self._passes = np.array(sorted({250, 500, 990, frame_us})) * 1e-3
@@ -136,6 +138,9 @@ class MicroPythonBoard:
         self.direction = 1
         self.boots = 0
         self.reset(ResetCause.POWER_ON)
+
+    def _built(self, kind: str) -> Path:
+        return image(kind)
 
     # --- life -------------------------------------------------------------------------------------
     def reset(self, cause: int) -> None:
