@@ -552,6 +552,11 @@ class RobotConfig(Model):
             f"use {' or '.join(muscle.name for muscle in self.muscles)}",
         )
 
+    def column_name(self, direction_deg: float) -> str:
+        """What the sensors at a direction are called: as the muscle there, or by the direction."""
+        names = (m.name for m in self.muscles if m.direction_deg == direction_deg)
+        return next(names, f"{direction_deg:g} deg")
+
     @property
     def board_sensors(self) -> list[BoardSensor]:
         """The sensors that are wired to the board."""

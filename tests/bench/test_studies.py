@@ -14,8 +14,17 @@ from thigmo.errors import RunFolderError
 from thigmo_bench.cli.studies import lines
 from thigmo_bench.studies import STUDIES, Context, Outcome, load
 from thigmo_bench.studies.attempt import attempt
-from thigmo_bench.studies.engine import Claim, write
-from thigmo_bench.studies.exploration import DRAWN, judged, visit
+from thigmo_bench.studies.engine import Claim, Explorations, write
+from thigmo_bench.studies.exploration import (
+    DRAWN,
+    KINDS,
+    Explored,
+    Room,
+    judged,
+    pairs,
+    rooms,
+    visit,
+)
 from thigmo_bench.studies.speed_accuracy import SCENES, Row, pareto
 from thigmo_bench.studies.stability import DEFAULT
 
@@ -96,11 +105,11 @@ def test_every_study_named_can_be_loaded(name: str) -> None:
 
 def test_a_trigger_before_the_pressure_has_risen_does_not_end_the_run() -> None:
     """At four times the noise the base fires in this room before the sweep has a frame."""
-    assert visit(("empty, 4 times the noise", 16, "default"))[0].status == "silent"
+    assert visit(Room("empty, 4 times the noise", 16))[0].status == "silent"
 
 
 def test_a_robot_beside_its_calibration_is_explored_and_judged() -> None:
-    run, mapped = visit(("base turns to 0.05 rad", 2, "default"))
+    run, mapped = visit(Room("base turns to 0.05 rad", 2))
     assert run.touched == 1
     assert run.ellipses == 1
     outcome = judged([(run, mapped)])
@@ -111,6 +120,49 @@ def test_a_robot_beside_its_calibration_is_explored_and_judged() -> None:
     assert claims["base turns to 0.05 rad: 95 % ellipses without the truth"] == 100.0 * (
         run.ellipses_missed
     )
+
+
+def test_a_chosen_setting_is_tried_in_every_room_of_the_chosen_kinds() -> None:
+    chosen = Explorations(("empty", "as calibrated"), ("quick", "100 s"), "thesis")
+    every = [room for some in rooms(Context(3, most=2, explorations=chosen)) for room in some]
+    whole = {room[:2] for some in rooms(Context(3, most=2)) for room in some}
+    assert len(every) == 2 * 2 * 2
+    assert {(room.kind, room.setting, room.method) for room in every} == {
+        (kind, setting, "thesis") for kind in chosen.kinds for setting in chosen.settings
+    }
+    assert {room[:2] for room in every} <= whole  # the seeds of the study of all kinds
+
+
+def test_runs_are_compared_room_by_room() -> None:
+    before = [Explored("empty", seed, best_cm=cm) for seed, cm in ((1, 2.0), (2, 3.0), (4, 9.0))]
+    after = [Explored("empty", seed, best_cm=cm) for seed, cm in ((1, 1.0), (2, 0.0), (3, 9.0))]
+    before[0].touched_missed, after[1].contacts_wrong = 1, 2
+    (row,) = pairs([vars(one) for one in before], [vars(one) for one in after])
+    assert (row["rooms"], row["placed"]) == (2, 2)
+    assert (row["error_before_cm"], row["error_cm"]) == (2.5, 0.5)
+    assert row["change_cm"] == pytest.approx(-2.0)  # of -1 and -3
+    assert row["change_se_cm"] == pytest.approx(1.0)
+    assert (row["missed_before"], row["missed"]) == (1, 0)
+    assert (row["wrong_before"], row["wrong"]) == (0, 2)
+
+
+def test_a_study_is_compared_with_the_table_that_an_earlier_one_wrote(tmp_path: Path) -> None:
+    arguments = ["bench", "exploration", "--scale", "quick", "--kind", "empty", "--json"]
+    arguments += ["--setting", "100 s", "--seed", "5"]
+    first = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "first")])
+    assert first.exit_code == 0, first.output
+    earlier = str(tmp_path / "first" / "exploration-runs.json")
+    again = CliRunner().invoke(
+        app, [*arguments, "--out", str(tmp_path / "again"), "--against", earlier]
+    )
+    (found,) = json.loads(again.stdout)
+    (row,) = found["pairs"]
+    assert (row["kind"], row["setting"], row["rooms"]) == ("empty", "100 s", 1)
+    assert (row["false_before"], row["false"]) == (0, 0)
+    refused = CliRunner().invoke(app, ["bench", "loads", "--against", earlier])
+    assert "thigmo bench exploration" in str(refused.exception)
+    refused = CliRunner().invoke(app, ["bench", "exploration", "--kind", "nonsense"])
+    assert f"choose from {', '.join(KINDS)}" in str(refused.exception)
 
 
 def test_the_most_cases_of_a_group_are_those_asked_for() -> None:

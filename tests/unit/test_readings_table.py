@@ -127,3 +127,56 @@ def test_frames_stand_in_rows(tmp_path: Path) -> None:
     assert frames.curvature[:, 1].tolist() == [0.01, 0.03]
     with pytest.raises(DataError, match="no column `k2`"):
         read_frames(file, {"k2": 25.0})
+
+
+TOA5 = """"TOA5","CR1000X","1000X","12345","Std.05","CPU:vine.CR1X","54321","Table1"
+"TIMESTAMP","RECORD","k0","k1"
+"TS","RN","1/cm","1/cm"
+"","","Avg","Avg"
+"2026-11-01 10:00:00",0,0.001,"NAN"
+"2026-11-01 10:00:01",1,0.011,0.005
+"2026-11-01 10:00:02",2,0.0
+"""
+MONITOR = """12:01:02.123 -> vine ready
+12:01:02.223 -> position,curvature
+12:01:02.323 -> 5,0.01
+12:01:02.423 -> position,curvature
+12:01:02.523 -> 15,0.004
+"""
+
+
+def test_a_logger_s_file_is_read_and_says_what_was_skipped(tmp_path: Path) -> None:
+    frames = read_frames(_write(tmp_path, TOA5), {"k0": 5.0, "k1": 15.0})
+    np.testing.assert_array_equal(frames.curvature, [[0.001, np.nan], [0.011, 0.005]])
+    assert frames.lines == (5, 6)
+    above, units, torn = frames.remarks
+    assert "line 1 was skipped: above the header" in above
+    assert "lines 3 to 4 were skipped: no number below the header" in units
+    assert "the last line, 7, was cut off and left out: it has 3 of 4 cells" in torn
+
+
+def test_the_stamps_of_a_serial_monitor_are_not_readings(tmp_path: Path) -> None:
+    table = read_readings(_write(tmp_path, MONITOR))
+    assert table.position.tolist() == [5, 15]
+    assert table.curvature.tolist() == [0.01, 0.004]
+    assert table.lines == (3, 5)
+    assert [remark.split(": ", 1)[1] for remark in table.remarks] == [
+        "line 1 was skipped: above the header",
+        "line 4 was skipped: the header again",
+    ]
+
+
+def test_notes_with_as_many_commas_as_the_header_are_no_header(tmp_path: Path) -> None:
+    text = "Vine 3, Monday\nby Ada, in the lab\nposition,curvature\ncm,1/cm\n5,0.01\n"
+    table = read_readings(_write(tmp_path, text))
+    assert table.curvature.tolist() == [0.01]
+    assert len(table.remarks) == 2
+
+
+def test_a_line_with_too_few_cells_is_torn_only_at_the_end(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="line 3: 1 cells for 2 columns"):
+        read_readings(_write(tmp_path, "position,curvature\n5,0.01\n15\n25,0.01\n"))
+
+
+def test_a_plain_table_has_no_remarks(tmp_path: Path) -> None:
+    assert read_readings(_write(tmp_path, "# lab\nposition,curvature\n5,0.01\n")).remarks == ()

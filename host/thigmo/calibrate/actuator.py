@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from thigmo import wiring
 from thigmo.calibrate.bench import Bench, Row, bend_rows, unseen_bend_rows
 from thigmo.calibrate.columns import Array, column, grouped, sides_of
 from thigmo.calibrate.lag import Lag, fit_lag, ramp, tanh_curve
@@ -32,6 +31,7 @@ from thigmo.calibrate.verdict import StepResult, Verdict, listed
 from thigmo.config import SAME_PRESSURE, SIGN, Muscle, RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table
+from thigmo.wiring import WiredSensor, Wiring
 
 Branch = Literal["inflate", "deflate"]
 BRANCHES: tuple[Branch, ...] = get_args(Branch)
@@ -215,8 +215,8 @@ def guided(bench: Bench) -> ActuatorResults:
     return together(found, unseen)
 
 
-def _sound(config: RobotConfig, muscle: Muscle) -> list[wiring.Witness]:
-    return [one for one in wiring.witnesses(config, muscle) if one.sound]
+def _sound(config: RobotConfig, muscle: Muscle) -> list[WiredSensor]:
+    return [wired for wired in Wiring.of(config).sensors_reading(muscle) if wired.sound]
 
 
 def readings_of(
@@ -228,30 +228,29 @@ def readings_of(
         error = np.nan_to_num(column(rows, "k_se"), nan=_PICTURE_SE)
         scale_se, sensors = CAMERA_SCALE_SE, 0
     else:
-        found = _sound(config, muscle)
-        k, error, scale_se = curvature_by_sensors(column(rows, "ohm"), found)
-        sensors = len(found)
+        sound = _sound(config, muscle)
+        k, error, scale_se = curvature_by_sensors(column(rows, "ohm"), sound)
+        sensors = len(sound)
     branch, trial = tuple(r["branch"] for r in rows), np.array([r["trial"] for r in rows], np.int64)
     psi, body_psi = column(rows, "psi"), config.body.zones[zone].pressure_psi
     return BendReadings(muscle.name, body_psi, psi, k, error, branch, trial, scale_se, sensors)
 
 
-def curvature_by_sensors(
-    ohm: Array, sensors: Sequence[wiring.Witness]
-) -> tuple[Array, Array, float]:
+def curvature_by_sensors(ohm: Array, sensors: Sequence[WiredSensor]) -> tuple[Array, Array, float]:
     """Curvature (n,) towards a muscle, its standard error (n,), and the scale's relative error.
 
     `ohm` (n, inputs) holds the changes of resistance from the straight body. The curvature is a
     weighted least-squares fit to all sensors that were read. Errors of their scales are
     independent.
     """
-    share = np.array([one.share for one in sensors])
-    read = ohm[:, [one.number for one in sensors]] * [s.sensor.scale_per_ohm for s in sensors]
-    weight = np.isfinite(read) / np.array([one.sensor.reading_se for one in sensors]) ** 2
+    share = np.array([wired.share for wired in sensors])
+    scale = [wired.sensor.scale_per_ohm for wired in sensors]
+    read = ohm[:, [wired.number for wired in sensors]] * scale
+    weight = np.isfinite(read) / np.array([wired.sensor.reading_se for wired in sensors]) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
         power = weight @ share**2
         k = (weight * np.nan_to_num(read)) @ share / power
-        gain = weight * share**2 / power[:, None] * [one.sensor.gain_error for one in sensors]
+        gain = weight * share**2 / power[:, None] * [w.sensor.gain_error for w in sensors]
     scale_se = float(np.nanmax(np.hypot.reduce(gain, axis=1), initial=0.0))
     return k, np.where(power > 0, power, np.inf) ** -0.5, scale_se
 

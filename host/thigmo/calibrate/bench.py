@@ -14,7 +14,6 @@ from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 
-from thigmo import wiring
 from thigmo.calibrate.columns import Array, places_of
 from thigmo.calibrate.drive import Drive
 from thigmo.calibrate.overhead import OverheadCamera
@@ -25,9 +24,10 @@ from thigmo.config import SIDES, Muscle, RobotConfig
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.link import protocol as wire
 from thigmo.mechanics import push_tip
+from thigmo.operator_prompts import Operator
 from thigmo.robot import Reading, Robot
 from thigmo.robot.state import Recording
-from thigmo.room import Operator
+from thigmo.wiring import Wiring
 
 Row = dict[str, Any]
 T = TypeVar("T")
@@ -144,6 +144,11 @@ class Bench:
         """The constants measured so far."""
         return self.session.config
 
+    @property
+    def wiring(self) -> Wiring:
+        """Where the robot's sensors hang, with the constants measured so far."""
+        return Wiring.of(self.config)
+
     def configure(self) -> None:
         """Give the robot the session's constants, once."""
         if not self._configured:
@@ -164,7 +169,7 @@ class Bench:
     def ohm(self, read: Reading | Recording) -> Array:
         """Resistances (..., m) of the robot's sensors, without unused inputs of the board."""
         every = np.asarray(read.resistance)
-        inputs = wiring.input_of(self.config)
+        inputs = self.wiring.inputs
         return every[..., [inputs[place] for place in places_of(self.config)]]
 
     def mean_ohm(self, record: Recording) -> Array:

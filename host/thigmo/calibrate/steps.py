@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 from thigmo.calibrate import (
     actuator,
@@ -35,7 +36,7 @@ from thigmo.calibrate.verdict import StepResult
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import MissingColumnError, Table
-from thigmo.wiring import key_of
+from thigmo.wiring import table_key
 
 
 @dataclass(frozen=True)
@@ -151,10 +152,13 @@ def fit_csv(
     _require(step, config)
     fit, columns = made[step]
     try:
-        return fit(Table.read(path), config, *STEPS[step].other_fit(method))
+        table = Table.read(path)
+        result = fit(table, config, *STEPS[step].other_fit(method))
     except MissingColumnError as error:
         error.add_note(f"columns of {step}: {columns}; those in brackets may be omitted")
         if "SENSOR" in columns or "sensor" in columns:
-            names = ", ".join(map(key_of, sensors_of(config)))
+            names = ", ".join(map(table_key, sensors_of(config)))
             error.add_note(f"sensors of this robot: {names}")
         raise
+    verdict = replace(result.verdict, notes=(*table.remarks, *result.verdict.notes))
+    return cast(StepResult, replace(cast(Any, result), verdict=verdict))

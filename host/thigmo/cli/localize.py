@@ -11,6 +11,8 @@ import typer
 from thigmo.cli.output import JsonOption, MethodOption, print_json
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from thigmo.localization import LocalizeResult
     from thigmo.record import FramesTable, ReadingsTable
 
@@ -130,7 +132,10 @@ def localize(
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(help="With --columns: file for a figure of the answers over time."),
+        typer.Option(
+            help="File for a figure of the posterior along the body; with --columns, of the "
+            "answers over time."
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -149,8 +154,6 @@ def localize(
         raise DataError("--muscle needs the robot's file", "give --config robot.toml")
     if file == Path("example") and not file.exists():
         file = EXAMPLE
-    if plot is not None and columns is None:
-        raise DataError("--plot draws answers over time", "give --columns as well")
     named = {} if columns is None else _frames(columns)
     places = {name: place for name, (place, _) in named.items()}
     frames = None if columns is None else read_frames(file, places)
@@ -164,7 +167,7 @@ def localize(
             )
         table = ReadingsTable(
             frames.position, frames.curvature[0], None, frames.lines[:1],
-            np.deg2rad(directions) if directions else None,
+            np.deg2rad(directions) if directions else None, remarks=frames.remarks,
         )  # fmt: skip
     if table.strain is not None and config is None:
         raise DataError("the readings are strains", "give the robot's file: --config robot.toml")
@@ -201,6 +204,8 @@ def localize(
         "contacts": "auto" if contacts == "auto" else int(contacts),
         "method": method or "posterior",
     }
+    for remark in table.remarks:
+        typer.echo(f"thigmo: {remark}", err=True)
     if frames is not None:
         _answer_rows(frames, plot, length, as_json, stated)
         return
@@ -208,6 +213,8 @@ def localize(
 
     stated["length"] = length
     result = thigmo.localize(table.curvature, table.position, **stated)
+    if plot is not None:
+        _save(result.plot(), plot)
     looks = hints(result, table.curvature, table.position, **stated)
     if as_json:
         print_json(_facts(result, table) | {"hints": looks})
@@ -332,11 +339,9 @@ def _answer_rows(
     if plot is not None:
         from thigmo.report import draw_series
 
-        with DataError.from_os(f"cannot write {plot}", "choose another folder"):
-            when = table.lines if table.time_s is None else table.time_s.tolist()
-            read = [(t, result) for t, result in zip(when, results, strict=True) if result]
-            if (figure := draw_series(read).get_figure(root=True)) is not None:
-                figure.savefig(plot)
+        when = table.lines if table.time_s is None else table.time_s.tolist()
+        read = [(t, result) for t, result in zip(when, results, strict=True) if result]
+        _save(draw_series(read), plot)
     frames = list(zip(table.lines, times, results, strict=True))
     if as_json:
         unread_answer = {"status": "no reading", "contacts": []}
@@ -359,6 +364,20 @@ def _answer_rows(
                 values += [contact.newtons.across.value, *contact.newtons.across.interval]
             cells = ("" if value != value else f"{value:.6g}" for value in values)
             typer.echo(f"{head},{number},{','.join(cells)}")
+
+
+def _save(axes: Axes, path: Path) -> None:
+    """Write the figure of these axes. Raises DataError if it cannot be written."""
+    from thigmo.errors import DataError
+
+    figure = axes.get_figure(root=True)
+    if figure is None:
+        raise AssertionError("axes without a figure")
+    try:
+        with DataError.from_os(f"cannot write {path}", "choose another folder"):
+            figure.savefig(path)
+    except ValueError as error:  # matplotlib names the formats that it knows
+        raise DataError(f"cannot write {path}: {error}", "end its name in .png or .svg") from error
 
 
 def _show(result: LocalizeResult, table: ReadingsTable) -> None:

@@ -3,6 +3,10 @@
 Read line by line, so that a file of many frames is refused at its first line too many. The header
 says what separates columns: commas, or, as spreadsheets of many countries write them, semicolons or
 tabs, with which numbers may have decimal commas. The name `-` is the standard input.
+
+Loggers write more than a header and numbers: notes above the header, rows of units below it (TOA5
+has both), the time stamps of a serial monitor before each line, the header again after a restart,
+and a last line that was cut off. These are skipped, and `Table.remarks` says which.
 """
 
 from __future__ import annotations
@@ -10,11 +14,12 @@ from __future__ import annotations
 import csv
 import errno
 import os
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import IO
 
@@ -30,6 +35,10 @@ _SEPARATORS = (",", ";", "\t")
 _MOST_CHARACTERS = 64 << 20
 _MOST_ROWS = 1_000_000
 _MOST_READINGS = 2000  # of one frame
+_MOST_NOTES = 200  # lines above the header
+_MOST_UNIT_ROWS = 3  # below the header
+# "12:34:56.789 -> 0.01,0.02", as the Arduino IDE's serial monitor writes it; PlatformIO writes ">".
+_MONITOR_STAMP = re.compile(r"^\s*\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?\s*-?>\s?")
 
 
 class MissingColumnError(DataError):
@@ -44,49 +53,31 @@ class Table:
     name: str  # of the file
     lines: Sequence[int]  # of each row in the file, from 1
     decimal_commas: bool = False  # columns are not separated by commas: numbers may have them
+    remarks: tuple[str, ...] = ()  # which lines were skipped, and why
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str], *, most_rows: int = _MOST_ROWS) -> Table:
+    def read(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        columns: Sequence[str] = (),
+        most_rows: int = _MOST_ROWS,
+    ) -> Table:
         """Read a CSV file, or the standard input (`-`); lines that start with # are comments.
+
+        The header is the first row that has all `columns`, in any case. If none has, or none are
+        named, it is the first row of words that stands above as many cells with a number.
 
         Raises DataError: unreadable, empty, ragged, too long, or separated by something else.
         """
         name = "the standard input" if str(path) == "-" else str(path)
-        header: list[str] = []
-        rows: list[list[str]] = []
-        lines: list[int] = []
-        mark = ","
         try:
             with _opened(path) as file:
-                above, first = _first_line(file)
-                mark = max(_SEPARATORS, key=first.count)
-                reader = csv.reader(chain([first], file), delimiter=mark)
-                for row in reader:
-                    cells = [cell.strip() for cell in row]
-                    if not any(cells) or cells[0].startswith("#"):
-                        continue
-                    if not header:
-                        header = [cell.lower() for cell in cells]
-                        _check_header(name, header)
-                        continue
-                    if len(cells) != len(header):
-                        raise _ragged(name, above + reader.line_num, header, cells)
-                    rows.append(cells)
-                    lines.append(above + reader.line_num)
-                    if len(rows) > most_rows:
-                        raise DataError(
-                            f"{name} has more than {most_rows} rows", "cut out those of one frame"
-                        )
+                return _parsed(name, file, columns, most_rows)
         except OSError as error:
             raise DataError(f"cannot read {name}: {error.strerror}", "check the path") from error
         except (UnicodeDecodeError, csv.Error) as error:
             raise DataError(f"{name} is not a text file", "export it as CSV in UTF-8") from error
-        if not header:
-            raise DataError(f"{name} is empty", "give a header line, and a line for each reading")
-        if not rows:
-            raise DataError(f"{name} has a header but no rows", "add a row, or delete the file")
-        columns = {key: [row[k] for row in rows] for k, key in enumerate(header)}
-        return cls(columns, name, lines, mark != ",")
 
     def __contains__(self, column: str) -> bool:
         return column.lower() in self.columns
@@ -142,6 +133,7 @@ class ReadingsTable:
     lines: tuple[int, ...]  # of the file, from 1
     direction: Array | None = None  # rad; None without that column
     strain: Array | None = None  # microstrain, in place of a curvature, which is nan then
+    remarks: tuple[str, ...] = ()  # which lines of the file were skipped, and why
 
 
 def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
@@ -156,7 +148,7 @@ def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
         DataError: the file is unreadable, empty or too long, a column is missing or empty, or a
             value is no finite number. The message names file, line and column.
     """
-    table = Table.read(path, most_rows=_MOST_READINGS)
+    table = Table.read(path, columns=("position",), most_rows=_MOST_READINGS)
     position, strain = _readings(table, "position"), None
     if "strain" in table and "curvature" not in table:
         strain = _readings(table, "strain", missing=True)
@@ -165,7 +157,9 @@ def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
         curvature = _readings(table, "curvature", missing=True)
     span = _readings(table, "span") if "span" in table else None
     direction = np.deg2rad(_readings(table, "direction")) if "direction" in table else None
-    return ReadingsTable(position, curvature, span, tuple(table.lines), direction, strain)
+    return ReadingsTable(
+        position, curvature, span, tuple(table.lines), direction, strain, table.remarks
+    )
 
 
 def _readings(table: Table, name: str, *, missing: bool = False) -> Array:
@@ -192,6 +186,7 @@ class FramesTable:
     curvature: Array  # (M, N); NaN where a sensor was not read
     time_s: Array | None  # (M,); None without a column `t_s`
     lines: tuple[int, ...]  # of the file, from 1
+    remarks: tuple[str, ...] = ()  # which lines of the file were skipped, and why
 
 
 def read_frames(path: str | os.PathLike[str], columns: Mapping[str, float]) -> FramesTable:
@@ -199,7 +194,7 @@ def read_frames(path: str | os.PathLike[str], columns: Mapping[str, float]) -> F
 
     Raises DataError as `read_readings` does.
     """
-    table = Table.read(path)
+    table = Table.read(path, columns=tuple(columns))
     for name in columns:
         if name not in table:
             raise MissingColumnError(
@@ -208,7 +203,8 @@ def read_frames(path: str | os.PathLike[str], columns: Mapping[str, float]) -> F
             )
     curvature = np.column_stack([table.numbers(name) for name in columns])
     time_s = table.numbers("t_s") if "t_s" in table else None
-    return FramesTable(np.array([*columns.values()]), curvature, time_s, tuple(table.lines))
+    positions = np.array([*columns.values()])
+    return FramesTable(positions, curvature, time_s, tuple(table.lines), table.remarks)
 
 
 def write_table(path: str | os.PathLike[str], columns: Mapping[str, Sequence[object]]) -> None:
@@ -245,14 +241,123 @@ def _bounded(file: IO[str], name: str) -> IO[str]:
     return StringIO(text, newline="")
 
 
-def _first_line(file: IO[str]) -> tuple[int, str]:
-    """The first line that is neither empty nor a comment, and how many stand above it."""
-    above = 0
-    for line in file:
-        if line.strip() and not line.lstrip().startswith("#"):
-            return above, line
-        above += 1
-    return above, ""
+def _parsed(name: str, file: IO[str], columns: Sequence[str], most_rows: int) -> Table:
+    """The table in a text. Raises DataError as `Table.read` does."""
+    stamped = (_MONITOR_STAMP.sub("", line, count=1) for line in file)
+    first_lines = list(islice(stamped, _MOST_NOTES))
+    start, separator = _header_line(first_lines, columns)
+    skipped_notes = [
+        number for number, line in enumerate(first_lines[:start], start=1) if not _is_comment(line)
+    ]
+    reader = csv.reader(chain(first_lines[start:], stamped), delimiter=separator)
+    cells_by_line = (
+        (start + reader.line_num, [cell.strip() for cell in row])
+        for row in reader
+        if not _is_comment(separator.join(row))
+    )
+    _, names = next(cells_by_line, (0, []))
+    if not any(names):
+        raise DataError(f"{name} is empty", "give a header line, and a line for each reading")
+    header = [cell.lower() for cell in names]
+    _check_header(name, header)
+
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    unit_rows: list[list[str]] = []
+    unit_lines: list[int] = []
+    repeated_headers: list[int] = []
+    short_row: tuple[int, list[str]] | None = None
+    for line, cells in cells_by_line:
+        if not any(cells):
+            continue
+        if short_row is not None:
+            raise _ragged(name, short_row[0], header, short_row[1])
+        if [cell.lower() for cell in cells] == header:
+            repeated_headers.append(line)
+        elif len(cells) < len(header):
+            short_row = line, cells
+        elif len(cells) > len(header):
+            raise _ragged(name, line, header, cells)
+        elif not rows and len(unit_rows) < _MOST_UNIT_ROWS and not _has_number(cells, separator):
+            unit_rows.append(cells)
+            unit_lines.append(line)
+        else:
+            rows.append(cells)
+            lines.append(line)
+        if len(rows) > most_rows:
+            raise DataError(f"{name} has more than {most_rows} rows", "cut out those of one frame")
+    if short_row is not None and not rows:
+        raise _ragged(name, short_row[0], header, short_row[1])
+    if not rows:  # words where numbers belong: whoever needs a number names line and column
+        rows, lines, unit_lines = unit_rows, unit_lines, []
+    if not rows:
+        raise DataError(f"{name} has a header but no rows", "add a row, or delete the file")
+
+    remarks = [
+        f"{name}: {_lines(numbers)} skipped: {reason}"
+        for numbers, reason in (
+            (skipped_notes, "above the header"),
+            (unit_lines, "no number below the header"),
+            (repeated_headers, "the header again"),
+        )
+        if numbers
+    ]
+    if short_row is not None:
+        torn = f"it has {len(short_row[1])} of {len(header)} cells"
+        remarks.append(f"{name}: the last line, {short_row[0]}, was cut off and left out: {torn}")
+    cells_by_name = {key: [row[k] for row in rows] for k, key in enumerate(header)}
+    return Table(cells_by_name, name, lines, separator != ",", tuple(remarks))
+
+
+def _header_line(lines: Sequence[str], columns: Sequence[str]) -> tuple[int, str]:
+    """The index of the header in a file's first lines, and what separates its columns."""
+    wanted = {column.lower() for column in columns}
+    written = [number for number, line in enumerate(lines) if not _is_comment(line)]
+    if not written:
+        return 0, ","
+    for number in written if wanted else ():
+        for separator in _SEPARATORS:
+            if wanted <= {cell.lower() for cell in _cells(lines[number], separator)}:
+                return number, separator
+    for place, number in enumerate(written):
+        separator = max(_SEPARATORS, key=lines[number].count)
+        cells = _cells(lines[number], separator)
+        if _has_number(cells, separator):
+            break  # rows begin, and nothing above them could be their header
+        below = written[place + 1 : place + 2 + _MOST_UNIT_ROWS]
+        for row in (_cells(lines[line], separator) for line in below):
+            if len(row) == len(cells) and _has_number(row, separator):
+                return number, separator
+    return written[0], max(_SEPARATORS, key=lines[written[0]].count)
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    return [cell.strip() for row in csv.reader([line], delimiter=separator) for cell in row]
+
+
+def _is_comment(line: str) -> bool:
+    """Whether a line is empty or starts with #."""
+    return not line.strip() or line.lstrip().startswith("#")
+
+
+def _has_number(cells: Sequence[str], separator: str) -> bool:
+    for cell in cells:
+        try:
+            float(cell if separator == "," else cell.replace(",", ".", 1))
+        except ValueError:
+            continue
+        return True
+    return False
+
+
+def _lines(numbers: Sequence[int]) -> str:
+    """Lines of a file in words: "line 3 was", "lines 1 to 4 were"."""
+    if len(numbers) == 1:
+        return f"line {numbers[0]} was"
+    if list(numbers) == list(range(numbers[0], numbers[-1] + 1)):
+        return f"lines {numbers[0]} to {numbers[-1]} were"
+    shown = ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
+    return f"lines {shown} were"
 
 
 def _short(cell: str) -> str:

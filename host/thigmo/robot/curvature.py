@@ -15,9 +15,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo import wiring
-from thigmo.config import SIGN, FibreSensor, RobotConfig, Side
+from thigmo.config import SIGN, FibreSensor, Side
 from thigmo.reading_errors import shared_errors
+from thigmo.wiring import Wiring
 
 Floats = NDArray[np.float64]
 
@@ -74,9 +74,9 @@ class SensorTable:
     strained_s: float = -np.inf  # device time at which the gratings were zeroed
 
     @classmethod
-    def of(cls, config: RobotConfig, oversample: int = 16) -> SensorTable:
-        """Lay out the configuration's sensors in the board's order, without zeros."""
-        sensors = wiring.rows(config)
+    def of(cls, wiring: Wiring, oversample: int = 16) -> SensorTable:
+        """Lay out the robot's sensors in the board's order, without zeros."""
+        sensors, config = wiring.read_sensors, wiring.config
         return cls(
             inputs=len(sensors) - len(config.gratings),
             center_cm=np.array([s.center_cm if s else 0.0 for s in sensors]),

@@ -23,6 +23,30 @@ def bench(
         int | None,
         typer.Option(min=1, help="Most cases of a group, such as rooms of a kind; all if omitted."),
     ] = None,
+    kind: Annotated[
+        list[str] | None,
+        typer.Option(help="Of `exploration`: a kind of rooms; may be repeated. All if omitted."),
+    ] = None,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Of `exploration`: an effort or a budget such as '100 s', tried in every room; "
+            "may be repeated. The published ones if omitted."
+        ),
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            help="Of `exploration`: how contacts are localized, as `thigmo explore` has it."
+        ),
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of `exploration`: exploration-runs.json of an earlier study. Says what has "
+            "changed in each kind, over the rooms that both explored."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     jobs: Annotated[int, typer.Option(help="Processes on this machine.")] = 1,
     backend: Annotated[
@@ -48,7 +72,7 @@ def bench(
     from thigmo.errors import DataError
     from thigmo_bench.cli.studies import conduct
     from thigmo_bench.studies import STUDIES, Context, load
-    from thigmo_bench.studies.engine import connect_cluster
+    from thigmo_bench.studies.engine import Explorations, connect_cluster, earlier_runs
 
     if studies == ["list"]:
         for name, text in STUDIES.items():
@@ -64,6 +88,14 @@ def bench(
         raise DataError(f"--backend is {backend!r}", "choose loky or dask")
     if backend == "dask" and not scheduler:
         raise DataError("--backend dask needs a cluster", "give --scheduler ADDRESS")
-    context = Context(seed, "quick" if scale == "quick" else "full", most, jobs, backend)
+    chosen = Explorations(
+        tuple(kind or ()), tuple(setting or ()), method, earlier_runs(against) if against else ()
+    )
+    if chosen != Explorations() and names != ["exploration"]:
+        raise DataError(
+            "--kind, --setting, --method and --against are of the study exploration",
+            "run `thigmo bench exploration`",
+        )
+    context = Context(seed, "quick" if scale == "quick" else "full", most, jobs, backend, chosen)
     with connect_cluster(scheduler) if backend == "dask" and scheduler else nullcontext():
         conduct({name: load(name) for name in names}, context, out, as_json)

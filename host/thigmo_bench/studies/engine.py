@@ -111,6 +111,16 @@ class Outcome:
 
 
 @dataclass(frozen=True)
+class Explorations:
+    """What the study of explorations runs, and what it is compared with."""
+
+    kinds: tuple[str, ...] = ()  # of rooms; all if empty
+    settings: tuple[str, ...] = ()  # efforts and budgets; those of the published study if empty
+    method: str | None = None  # of `thigmo.explore`; None: the default
+    against: Sequence[Record] = ()  # its table of runs from an earlier study
+
+
+@dataclass(frozen=True)
 class Context:
     """How to run: the seed, the size, and where the work goes."""
 
@@ -119,6 +129,7 @@ class Context:
     most: int | None = None  # cases of a group, whatever the scale; None: no limit
     jobs: int = 1  # processes on this machine (ignored by the dask backend)
     backend: str = "loky"  # joblib's: "loky" (processes here) or "dask" (a cluster)
+    explorations: Explorations = field(default_factory=Explorations)
     # called with (part, done, total) as items finish
     progress: Callable[[str, int, int], None] = lambda part, done, total: None
     # called with the results so far when a part of the study is done; they are written, so that
@@ -160,6 +171,25 @@ class Context:
                 results.append(value)
                 self.progress(part, len(results), len(calls))
         return results
+
+
+def earlier_runs(file: Path) -> list[Record]:
+    """The table of runs that an earlier study wrote as JSON.
+
+    Raises:
+        DataError: it is no such table.
+    """
+    try:
+        rows = json.loads(file.read_text())
+        known = [row for row in rows if {"kind", "seed", "setting", "best_cm"} <= row.keys()]
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise DataError(f"{file} cannot be read as a table of runs: {error}", _RUNS) from None
+    if not known or len(known) < len(rows):
+        raise DataError(f"{file} is no table of runs", _RUNS)
+    return known
+
+
+_RUNS = "give the exploration-runs.json of an earlier `thigmo bench exploration`"
 
 
 def _ignore_interrupts() -> None:

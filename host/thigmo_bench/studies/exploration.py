@@ -9,13 +9,17 @@ touched, never with what was out of reach. The planners' map of every room with 
 with the room: it counts cells inside pegs that are called free, separately for pegs that were felt
 and missed. Last, rooms of three kinds are explored with every effort, with budgets of robot time
 and by the thesis's protocol, to show what robot time gains.
+
+A study of other code or another method explores the same rooms with the same seeds: given the
+earlier one's table of runs, it says by how much each kind has become better, room by room.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot, nan
+from math import hypot, nan, sqrt
+from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,8 +29,9 @@ from thigmo.config import RobotConfig
 from thigmo.display.axes import BLUE, GREEN, ORANGE, RED
 from thigmo.emulator.reach import first_felt, random_peg
 from thigmo.emulator.scene import PegTable, Scene
-from thigmo.errors import ThigmoError
+from thigmo.errors import DataError, ThigmoError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort, within
+from thigmo.exploration.fitted import check_exploration_method
 from thigmo.exploration.map import best_contact, of_stage
 from thigmo.exploration.obstacles import occupancy
 from thigmo.exploration.scoring import felt_pegs, from_line
@@ -34,8 +39,8 @@ from thigmo.mechanics import Peg
 from thigmo.record import RunDocument, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
 from thigmo_bench.studies import charts
-from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, share
-from thigmo_bench.studies.rooms import explored_scene
+from thigmo_bench.studies.engine import Claim, Context, Explorations, Outcome, Record, share
+from thigmo_bench.studies.rooms import DEFAULT_METHOD, explored_scene
 from thigmo_bench.studies.scenes import RADIUS
 
 ROUNDS = 10  # parts of all rooms; the results so far are written after each
@@ -139,6 +144,9 @@ class Explored:
     # ellipses, ellipses_missed: whether the best contact has a 95 % ellipse, and lacks the truth in
     ellipses: int = 0
     ellipses_missed: int = 0
+    best_cm: float = nan  # distance of the best contact from the truth in the plane
+    samples: float = nan  # effective samples of the fit behind it; NaN if it has none
+    processor_s: float = nan  # time of the processor, the emulator's included
     cause: str = ""  # the likeliest of a stall: "obstacle", "wall" or "pressure"; empty without one
 
     def judge(self, document: RunDocument) -> None:
@@ -152,6 +160,8 @@ class Explored:
         if (best := best_contact(document.contacts)) is not None:
             self.status = best.status
             self.error_x_cm = nan if document.error_x_cm is None else document.error_x_cm
+            self.best_cm = nan if document.error_cm is None else document.error_cm
+            self.samples = nan if best.fit_samples is None else best.fit_samples
             here = [t for t in truth.contacts if of_stage(t, best.everted_length_cm, best.side)]
             covariance = np.array(best.covariance_cm2)
             if here and np.linalg.det(covariance) > 0.0:
@@ -288,9 +298,18 @@ def random_wall(seed: int) -> list[PegTable]:
 Run = tuple[Explored, Mapped | None]
 
 
-def visit(room: tuple[str, int, str]) -> Run:
+class Room(NamedTuple):
+    """A room, and how it is explored."""
+
+    kind: str
+    seed: int
+    setting: str = "default"  # an effort, a budget of robot time, or the thesis's protocol
+    method: str = DEFAULT_METHOD
+
+
+def visit(room: Room) -> Run:
     """Explore a room of a kind and seed with a setting; judge its map if it has pegs."""
-    name, seed, setting = room
+    name, seed, setting, method = room
     kind, found = KINDS[name], Explored(name, seed, setting)
     scene = Scene.load(kind.scene)
     for part in (scene.noise, scene.belief):
@@ -325,14 +344,16 @@ def visit(room: tuple[str, int, str]) -> Run:
         scene.noise.hysteresis *= float(rng.uniform(*_LOOPS))
         scene.noise.hysteresis_width *= float(rng.uniform(*_LOOPS))
         scene.muscle.inflate_tau_s *= float(rng.uniform(*_SLOWER))
-    protocol = "thesis" if setting == "thesis" else "measure"
+    protocol, effort = "thesis" if setting == "thesis" else "measure", _effort(setting, known)
+    began_s = process_time()
     try:
         document = explored_scene(
-            scene, seed, config=known, protocol=protocol, effort=_effort(setting, known)
+            scene, seed, config=known, protocol=protocol, effort=effort, method=method
         )
     except ThigmoError as error:
         found.status = f"aborted: {error.what}"
         return found, None
+    found.processor_s = process_time() - began_s
     found.judge(document)
     return found, judge_map(document) if kind.peg else None
 
@@ -343,25 +364,49 @@ def _effort(setting: str, config: RobotConfig) -> Effort:
     return EFFORTS[setting] if setting in EFFORTS else within(float(setting.split()[0]), config)
 
 
-def rooms(context: Context) -> list[list[tuple[str, int, str]]]:
-    """All rooms, in rounds: those of the promises, then those of the dial."""
-    rounds: list[list[tuple[str, int, str]]] = [[] for _ in range(2 * ROUNDS)]
+def rooms(context: Context) -> list[list[Room]]:
+    """All rooms, in rounds: those of the promises, then those of the dial.
+
+    Where settings are chosen, every room is explored with each of them.
+    """
+    choice = context.explorations
+    method = choice.method or DEFAULT_METHOD
+    rounds: list[list[Room]] = [[] for _ in range(2 * ROUNDS)]
     for number, (name, kind) in enumerate(KINDS.items()):
+        if choice.kinds and name not in choice.kinds:
+            continue
         count = context.count(1, kind.rooms)
         seeds = context.rng(0x0E, number).integers(0, 2**31, count).tolist()
         for n, seed in enumerate(seeds):
-            rounds[ROUNDS * n // count].append((name, seed, "default"))
-        if name in DIALLED:
+            rounds[ROUNDS * n // count] += [
+                Room(name, seed, setting, method) for setting in choice.settings or ("default",)
+            ]
+        if name in DIALLED and not choice.settings:
             some = seeds[: context.count(1, DIALLED[name])]
             for n, seed in enumerate(some):
                 rounds[ROUNDS + ROUNDS * n // len(some)] += [
-                    (name, seed, setting) for setting in SETTINGS if setting != "default"
+                    Room(name, seed, setting, method)
+                    for setting in SETTINGS
+                    if setting != "default"
                 ]
     return [each for each in rounds if each]
 
 
+def check(choice: Explorations) -> None:
+    """Raises DataError if there are no such kinds, settings or method."""
+    if choice.method is not None:
+        check_exploration_method(choice.method)
+    for what, some, known in (
+        ("kind of rooms", choice.kinds, tuple(KINDS)), ("setting", choice.settings, SETTINGS),
+    ):  # fmt: skip
+        for name in some:
+            if name not in known:
+                raise DataError(f"there is no {what} {name!r}", f"choose from {', '.join(known)}")
+
+
 def run(context: Context) -> Outcome:
     """Explore rooms of every kind, and check the promises."""
+    check(context.explorations)
     runs: list[Run] = []
     outcome = Outcome()
     rounds = rooms(context)
@@ -370,17 +415,21 @@ def run(context: Context) -> Outcome:
         runs += context.map(visit, some, part)
         del context.samples[part]
         context.samples["rooms"] = len(runs)
-        outcome = judged(runs)
+        outcome = judged(runs, context.explorations)
         context.save(outcome)
     return outcome
 
 
-def judged(every: list[Run]) -> Outcome:
+def judged(every: list[Run], choice: Explorations | None = None) -> Outcome:
     """Tables, figures and promises of explored rooms."""
+    choice = choice or Explorations()
+    explored = [one for one, _ in every]
     runs = [(one, mapped) for one, mapped in every if one.setting == "default"]
-    dialled = _dial([one for one, _ in every])
+    dialled = _dial(explored)
     found = [one for one, _ in runs]
-    rows = _by_kind(found)
+    rows = _by_kind(explored if choice.settings else found)
+    tables: dict[str, Sequence[Record]] = {"runs": [vars(one) for one in explored], "rows": rows}
+    claims, notes = _claims(found), list[str]()
     maps: dict[str, list[Mapped]] = {
         name: [] for name in ("robots as calibrated", WALLS, "other robots")
     }
@@ -388,6 +437,25 @@ def judged(every: list[Run]) -> Outcome:
         if mapped:
             group = one.kind if one.kind == WALLS else "other robots"
             maps["robots as calibrated" if one.kind in CALIBRATED else group].append(mapped)
+    if any(maps.values()):
+        map_claims, notes = _map_claims(maps)
+        claims += map_claims
+    figures = {"explorations": _figure(found)} if found else {}
+    if dialled:
+        tables["dial"] = dialled
+        claims += _dial_claims(dialled)
+        if {(row["kind"], row["setting"]) for row in dialled} == {
+            (kind, setting) for kind in DIALLED for setting in SETTINGS
+        }:
+            figures["dial"] = dial_figure(dialled)
+    summary = rows
+    if choice.against and (paired := pairs(choice.against, tables["runs"])):
+        tables["pairs"] = summary = paired
+    return Outcome(tables, figures, claims, notes, summary, kept=("rows", "dial", "pairs"))
+
+
+def _map_claims(maps: dict[str, list[Mapped]]) -> tuple[list[Claim], list[str]]:
+    """Promises of the planners' maps, and notes on those of which nothing is promised."""
     promised, *others = [
         row for name, some in maps.items() for row in _map_shares(f"maps of {name}", some)
     ]
@@ -395,23 +463,60 @@ def judged(every: list[Run]) -> Outcome:
         sum(one[n] for some in maps.values() for one in some) for n in range(len(Mapped._fields))
     )
     near = 100 * total.occupied_near / max(total.occupied, 1)
-    tables: dict[str, Sequence[Record]] = {"runs": [vars(one) for one, _ in every], "rows": rows}
-    figures = {"explorations": _figure(found)}
-    if dialled:
-        tables["dial"], figures["dial"] = dialled, dial_figure(dialled)
-    return Outcome(
-        tables,
-        figures,
-        [
-            *_claims(found),
-            *_dial_claims(dialled),
-            Claim(*promised, 0.1, unit="%"),
-            Claim(f"occupied cells within {_NEAR_CM:g} cm of a surface", near, 60.0, False, "%"),
-        ],
-        [f"{text}: {cells:{'.2g' if cells < 10 else '.0f'}} %" for text, cells in others],
-        rows,
-        kept=("rows", "dial"),
-    )
+    claims = [
+        Claim(*promised, 0.1, unit="%"),
+        Claim(f"occupied cells within {_NEAR_CM:g} cm of a surface", near, 60.0, False, "%"),
+    ]
+    notes = [f"{text}: {cells:{'.2g' if cells < 10 else '.0f'}} %" for text, cells in others]
+    return claims, notes
+
+
+_COUNTED = {
+    "missed": "touched_missed", "false": "far", "wrong": "contacts_wrong",
+    "ellipses_missed": "ellipses_missed",
+}  # fmt: skip
+
+
+def pairs(before: Sequence[Record], after: Sequence[Record]) -> list[Record]:
+    """Differences between two tables of runs, in the rooms that both explored.
+
+    A row for each kind and setting: errors of the best contact in rooms where both have one, the
+    mean of their difference with its standard error, and counts before and after.
+    """
+
+    def key(run: Record) -> tuple[str, int, str]:
+        return str(run["kind"]), int(run["seed"]), str(run["setting"])
+
+    def number(run: Record, what: str) -> float:
+        value = run[what]
+        return nan if value is None else float(value)  # strict JSON has no NaN
+
+    earlier = {key(run): run for run in before}
+    both = [(earlier[key(run)], run) for run in after if key(run) in earlier]
+    rows: list[Record] = []
+    for kind, setting in dict.fromkeys((run["kind"], run["setting"]) for _, run in both):
+        mine = [pair for pair in both if (pair[1]["kind"], pair[1]["setting"]) == (kind, setting)]
+        errors = np.array([[number(run, "best_cm") for run in pair] for pair in mine])
+        errors = errors[np.isfinite(errors).all(axis=1)]
+        change = errors[:, 1] - errors[:, 0]
+        placed = len(errors)
+        old_cm, new_cm = errors.mean(axis=0).tolist() if placed else (nan, nan)
+        counts = {
+            f"{what}{when}": int(sum(number(pair[n], column) for pair in mine))
+            for what, column in _COUNTED.items()
+            for n, when in enumerate(("_before", ""))
+        }
+        rows.append({
+            "kind": str(kind), "setting": str(setting), "rooms": len(mine), "placed": placed,
+            "error_before_cm": old_cm, "error_cm": new_cm,
+            "change_cm": float(change.mean()) if placed else nan,
+            "change_se_cm": float(change.std(ddof=1)) / sqrt(placed) if placed > 1 else nan,
+            **counts,
+            "samples": _median([number(run, "samples") for _, run in mine]),
+            "processor_before_s": float(np.mean([number(run, "processor_s") for run, _ in mine])),
+            "processor_s": float(np.mean([number(run, "processor_s") for _, run in mine])),
+        })  # fmt: skip
+    return rows
 
 
 def _map_shares(name: str, maps: list[Mapped]) -> list[tuple[str, float]]:
@@ -427,9 +532,13 @@ def _map_shares(name: str, maps: list[Mapped]) -> list[tuple[str, float]]:
     ]  # fmt: skip
 
 
+def _median(numbers: Sequence[float]) -> float:
+    """Median of what is known; NaN if nothing is."""
+    return float(np.nanmedian(numbers)) if np.isfinite(numbers).any() else nan
+
+
 def _median_x(found: list[Explored]) -> float:
-    errors = np.array([one.error_x_cm for one in found])
-    return float(np.nanmedian(errors)) if np.isfinite(errors).any() else nan
+    return _median([one.error_x_cm for one in found])
 
 
 def _error(found: list[Explored]) -> float:
@@ -439,11 +548,16 @@ def _error(found: list[Explored]) -> float:
 
 
 def _by_kind(found: list[Explored]) -> list[Record]:
-    by_kind = {kind: [one for one in found if one.kind == kind] for kind in KINDS}
-    by_kind = {kind: mine for kind, mine in by_kind.items() if mine}
+    """A row for each kind and setting."""
+    groups = [
+        (kind, setting, mine)
+        for kind in KINDS
+        for setting in SETTINGS
+        if (mine := [one for one in found if (one.kind, one.setting) == (kind, setting)])
+    ]
     return [
         {
-            "kind": kind, "rooms": len(mine),
+            "kind": kind, "setting": setting, "rooms": len(mine),
             "with_false_contacts": sum(one.far > 0 for one in mine),
             "aborted": sum(one.status.startswith("aborted") for one in mine),
             "median_error_x_cm": _median_x(mine),
@@ -453,8 +567,10 @@ def _by_kind(found: list[Explored]) -> list[Record]:
                              "contacts_wrong", "ellipses", "ellipses_missed")
             },
             "error_cm": _error(mine),
+            "samples": _median([one.samples for one in mine]),
+            "processor_s": float(np.mean([one.processor_s for one in mine])),
         }
-        for kind, mine in by_kind.items()
+        for kind, setting, mine in groups
     ]  # fmt: skip
 
 
@@ -478,25 +594,39 @@ def _claims(found: list[Explored]) -> list[Claim]:
     one_peg, off = f"one peg, {len(pegs)} rooms", f"{_OFF_CM:g} cm"
     empty, more = f"{STALLS}, {len(stalls)} rooms", f"{MORE}, {len(several)} rooms"
     walled = f"{WALLS}, {len(walls)} rooms"
-    return [
-        Claim(f"{walled}: localized wrong, of 60 rooms", per(60, walls, "contacts_wrong"), 1.0),
-        Claim(f"{WALLS}: localized, and held, of 60 rooms", held, 8.0, False),
-        Claim(f"{WALLS}: false contacts, a room", per(1, walls, "far"), 0.3),
-        Claim(f"{WALLS}: contacts missed by {off}", missed(walls), 20.0, unit="%"),
-        Claim(f"{empty}: localized", total(stalls, "contacts_localized"), 0.0),
-        Claim(
-            f"{STALLS}: of {len(stalled)} that stalled, the cause is true after a trial",
-            share([one.cause == "pressure" for one in stalled]), 0.8, False,
-        ),
-        Claim(f"{one_peg}: missed by {off}, of 60 rooms", per(60, pegs, "touched_missed"), 1.0),
-        Claim(f"{one_peg}: false contacts, of 60 rooms", per(60, pegs, "far"), 1.0),
-        Claim(f"{one_peg}: localized wrong, of 60 rooms", per(60, pegs, "contacts_wrong"), 1.0),
-        Claim(f"{more}: localized wrong, of 40 rooms", per(40, several, "contacts_wrong"), 2.0),
-        Claim(f"{MORE}: contacts missed by {off}", missed(several), 10.0, unit="%"),
-        Claim(f"{TRUE}: median |x error|", _median_x(of(TRUE)), 3.0, unit="cm"),
-        Claim("noisy or empty: runs with false contacts", noisy, 0.03),
-        *_drawn_claims(found),
-    ]  # fmt: skip
+    # Of kinds that were not explored nothing is claimed.
+    claims: list[Claim] = []
+    if walls:
+        claims += [
+            Claim(f"{walled}: localized wrong, of 60 rooms", per(60, walls, "contacts_wrong"), 1.0),
+            Claim(f"{WALLS}: localized, and held, of 60 rooms", held, 8.0, False),
+            Claim(f"{WALLS}: false contacts, a room", per(1, walls, "far"), 0.3),
+            Claim(f"{WALLS}: contacts missed by {off}", missed(walls), 20.0, unit="%"),
+        ]
+    if stalls:
+        claims += [
+            Claim(f"{empty}: localized", total(stalls, "contacts_localized"), 0.0),
+            Claim(
+                f"{STALLS}: of {len(stalled)} that stalled, the cause is true after a trial",
+                share([one.cause == "pressure" for one in stalled]), 0.8, False,
+            ),
+        ]  # fmt: skip
+    if pegs:
+        claims += [
+            Claim(f"{one_peg}: missed by {off}, of 60 rooms", per(60, pegs, "touched_missed"), 1.0),
+            Claim(f"{one_peg}: false contacts, of 60 rooms", per(60, pegs, "far"), 1.0),
+            Claim(f"{one_peg}: localized wrong, of 60 rooms", per(60, pegs, "contacts_wrong"), 1.0),
+        ]
+    if several:
+        claims += [
+            Claim(f"{more}: localized wrong, of 40 rooms", per(40, several, "contacts_wrong"), 2.0),
+            Claim(f"{MORE}: contacts missed by {off}", missed(several), 10.0, unit="%"),
+        ]
+    if of(TRUE):
+        claims.append(Claim(f"{TRUE}: median |x error|", _median_x(of(TRUE)), 3.0, unit="cm"))
+    if of(*_NOISY):
+        claims.append(Claim("noisy or empty: runs with false contacts", noisy, 0.03))
+    return claims + _drawn_claims(found)
 
 
 def _drawn_claims(found: list[Explored]) -> list[Claim]:

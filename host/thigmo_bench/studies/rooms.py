@@ -17,9 +17,12 @@ from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult
 from thigmo.exploration.effort import EFFORTS, Effort
 from thigmo.exploration.run import Exploration, Protocol
+from thigmo.localization import METHODS
 from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import connect
 from thigmo.version import VERSION
+
+DEFAULT_METHOD = METHODS[0]
 
 
 def explored(
@@ -30,12 +33,13 @@ def explored(
     config: RobotConfig | None = None,
     protocol: Protocol = "measure",
     effort: Effort = EFFORTS["default"],
+    method: str = DEFAULT_METHOD,
     frames: bool = False,
 ) -> ExplorationResult:
     """Explore an emulated room.
 
-    The host uses `config`, or the constants that the robot's lab would know. `frames` records raw
-    frames, for `recorded_sweeps`.
+    The host uses `config`, or the constants that the robot's lab would know. `protocol`, `effort`
+    and `method` are those of `thigmo.explore`. `frames` records raw frames, for `recorded_sweeps`.
 
     Raises:
         ThigmoError: the exploration was aborted.
@@ -45,7 +49,9 @@ def explored(
         assert used is not None  # set for an emulated robot
         folder = RunFolder.create(out, protocol, datetime.now())
         used.save(folder.path / "robot.toml")
-        document = RunDocument(thigmo=VERSION, name=protocol, url=url, started="", seed=seed)
+        document = RunDocument(
+            thigmo=VERSION, name=protocol, url=url, started="", seed=seed, method=method
+        )
         with folder.open_log(robot.identity, robot.epoch_s) as log:
             if frames:
                 robot.record_frames(log.frame)

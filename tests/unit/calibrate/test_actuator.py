@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from calibration_truth import DEFLATE, INFLATE, bends
 
-from thigmo import wiring
 from thigmo.calibrate.actuator import BendReadings, fit_actuator, readings_of, together
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.lag import fit_lag
@@ -16,6 +15,7 @@ from thigmo.calibrate.step_figures import draw
 from thigmo.config import SIDES, FlexSensor, Muscle, RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
+from thigmo.wiring import Wiring
 
 pytestmark = pytest.mark.sim  # sensors are simulated by the hundred
 
@@ -210,7 +210,7 @@ def lifted_rows(config: RobotConfig, seed: int, gains: np.ndarray):
     """Bends of that muscle as the bench keeps them; its first sensor broke on the way."""
     rng = np.random.default_rng(seed)
     made, up = bends(seed, "up", sigma=0.0), config.muscles[2]
-    found = wiring.witnesses(config, up)
+    found = Wiring.of(config).sensors_reading(up)
     rows = []
     for n, (k, psi) in enumerate(zip(made.curvature, made.pressure_psi, strict=True)):
         ohm = rng.normal(0, 500, 16)
@@ -255,7 +255,9 @@ def test_sensors_that_see_nothing_of_a_bend_do_not_make_a_map_of_it():
 @pytest.mark.parametrize("lies", [0.0, 90.0, 60.0, 300.0, 110.0])
 def test_sensors_that_wrinkle_or_lie_across_are_no_witnesses(lies):
     config = lifted(lies)
-    assert wiring.witnesses(config, config.muscles[2]) == []
-    left = [one.sensor.direction_deg for one in wiring.witnesses(config, config.muscles[0])]
+    assert Wiring.of(config).sensors_reading(config.muscles[2]) == []
+    left = [
+        one.sensor.direction_deg for one in Wiring.of(config).sensors_reading(config.muscles[0])
+    ]
     assert left.count(270.0) == 5
     assert set(left) <= {270.0, 300.0}
