@@ -131,22 +131,24 @@ def test_ctrl_c_puts_the_outputs_off_before_python_goes_on(
     pico.until("['main.py', 'pins.py']")  # for the lab to edit
 
 
-def test_the_prompt_reads_and_commands_while_no_host_is_there(
+def test_the_prompt_reads_and_commands_once_the_host_is_silent(
     pico: Pico, transport: EmulatorTransport
 ) -> None:
-    pico.interrupt()
+    client = Client(transport)
+    client.request(wire.LoadDefaults())
+    client.request(wire.ClearFaults(0xFFFF))
+    transport.stop_heartbeat()
+    pico.until(">>> ")
+    transport.pass_time(0.7)
     for line, answer in (
-        ("board.start(); import time; time.sleep_ms(50)", ""),
         ("board.confirm_length(20, True); board.select_zone(0); board.length()", "20.0"),
-        ("board.arm(); board.state()", "'ready'"),
-        ("board.grow_to(20.5)", ""),
+        ("board.arm(); board.grow_to(20.5); board.state()", "'moving'"),
         ("board.curvature()", "None, None"),
     ):
         pico.type(line + "\r")
         pico.until(answer)
-    pico.step(20)
     assert pico.motor > 0
-    transport.pass_time(0.6)
+    transport.pass_time(0.7)
     assert pico.braked  # nobody beats
     pico.type("board.faults()\r")
     pico.until("host_silent")
