@@ -147,6 +147,7 @@ def test_the_prompt_reads_and_commands_once_the_host_is_silent(
     ):
         pico.type(line + "\r")
         pico.until(answer)
+    transport.pass_time(0.1)
     assert pico.motor > 0
     transport.pass_time(0.7)
     assert pico.braked  # nobody beats
