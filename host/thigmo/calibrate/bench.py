@@ -35,6 +35,7 @@ T = TypeVar("T")
 STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing and margin
 READ_S = 1.0
 _TRIES = 3
+_SAID_EVERY = 10  # of the rows of a procedure, so that the messages between them are seen
 _QUIET_S = 5.0  # after venting, before zeros are taken
 _UNSEEN: Row = {"unseen": True}
 _PUSHES = 3  # attempts at one place if the tip goes to the other side
@@ -231,7 +232,8 @@ class Bench:
         if missing:
             (prepare or self.ready_to_bend)()
         for number, key in enumerate(missing, start=done + 1):
-            self.say(f"{procedure} {number} of {len(planned)}: {key}")
+            if number in (done + 1, len(planned)) or number % _SAID_EVERY == 0:
+                self.say(f"{procedure} {number} of {len(planned)}: {key}")
             row = {"key": key, **take(key, planned[key])}
             self.session.add(procedure, row)
             if row.get("unseen"):
