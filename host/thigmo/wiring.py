@@ -15,10 +15,8 @@ from math import cos, radians
 from typing import NamedTuple
 
 from thigmo.config import (
-    SAME_IMU_CM,
     SIDES,
     BoardSensor,
-    HeadingSensor,
     Muscle,
     RobotConfig,
     Sensor,
@@ -47,8 +45,8 @@ class BoardSize(NamedTuple):
     def holds(self, config: RobotConfig) -> bool:
         """Whether its inputs, outputs and maps are enough."""
         wired = config.board_sensors
-        turns = sum(isinstance(sensor, HeadingSensor) for sensor in wired)
-        needed = len(config.muscles), len(wired), len(config.body.zones), turns
+        imus = sum(sensor.imu_inputs for sensor in wired)
+        needed = len(config.muscles), len(wired), len(config.body.zones), imus
         return all(n <= most for n, most in zip(needed, self.capacity.values(), strict=True))
 
 
@@ -225,31 +223,6 @@ class Wiring:
         """The muscle on an output: outputs are in the file's order."""
         muscles = self.config.muscles
         return muscles[output].name if output < len(muscles) else str(output)
-
-    def imu_ends(self) -> tuple[list[int], list[int]]:
-        """The IMUs where the span on each input begins and ends, as `imu_from` and `imu_to` hold.
-
-        0 is the base, and no IMU. An IMU has the address of the sensor that ends with it: a span
-        that begins where none ends has no address there, and does not count as read over the bus.
-        """
-        addresses = [
-            (sensor.ends_cm[1], sensor.mux_channel << 7 | sensor.i2c_address)
-            for sensor in self.sensors
-            if isinstance(sensor, HeadingSensor) and sensor.i2c_address
-        ]
-        begins, ends = [0] * len(self.sensors), [0] * len(self.sensors)
-        for number, sensor in enumerate(self.sensors):
-            if not isinstance(sensor, HeadingSensor):
-                continue
-            start = sensor.ends_cm[0]
-            nearest_cm, address = min(
-                addresses, key=lambda entry: abs(entry[0] - start), default=(0.0, 0)
-            )
-            based = start < SAME_IMU_CM
-            if sensor.i2c_address and (based or abs(nearest_cm - start) < SAME_IMU_CM):
-                begins[number] = 0 if based else address
-                ends[number] = sensor.mux_channel << 7 | sensor.i2c_address
-        return begins, ends
 
     @property
     def unexplorable(self) -> Limitation | None:

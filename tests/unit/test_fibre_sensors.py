@@ -83,7 +83,7 @@ def test_free_bends_tell_scale_zero_twist_and_the_drift_that_all_share() -> None
     made = [s for s in found.apply(CONFIG).gratings if s.side]
     assert [s.scale_per_ue for s in made] == got
     assert made[0].noise == pytest.approx(0.5 * 2.7e-4, rel=0.4)
-    assert made[0].curvature(made[0].zero_ue + 100.0) == pytest.approx(0.027, rel=0.2)
+    assert made[0].reading(made[0].zero_ue + 100.0) == pytest.approx(0.027, rel=0.2)
 
 
 def test_peaks_that_drop_out_cost_their_rows_and_a_lost_grating_is_named() -> None:

@@ -23,7 +23,6 @@ from thigmo.config import (
     SAME_PRESSURE,
     SIGN,
     BoardSensor,
-    FibreSensor,
     FlexSensor,
     HeadingSensor,
     Muscle,
@@ -350,10 +349,10 @@ def _signs(config: RobotConfig) -> Iterator[Finding]:
             )
             yield Finding(f"sensor {name}", "warning", text)
     scales: dict[tuple[str, float], list[float]] = {}
-    for each in config.sensors:
-        if not each.valid_direction:
-            scale = each.scale_per_ue if isinstance(each, FibreSensor) else each.scale_per_ohm
-            scales.setdefault((each.kind, each.direction_deg), []).append(scale)
+    for either in config.sensors:
+        if not either.valid_direction:
+            key = either.kind, either.direction_deg
+            scales.setdefault(key, []).append(either.raw_scale)
     for (kind, lies), column in scales.items():
         few, sign = min((sum(s > 0 for s in column), 1), (sum(s < 0 for s in column), -1))
         if few:
@@ -423,7 +422,7 @@ def _fibre(config: RobotConfig) -> Iterator[Finding]:
     text = (
         f"{len(config.gratings)} readings, each known to {worst.reading_se:.1e} 1/cm, of which "
         f"{worst.temperature_se:.1e} are the temperature's, in all alike; a contact of "
-        f"{TRIGGER_PER_CM:g} 1/cm strains by {TRIGGER_PER_CM / abs(worst.scale_per_ue):.0f} "
+        f"{TRIGGER_PER_CM:g} 1/cm strains by {TRIGGER_PER_CM / abs(worst.raw_scale):.0f} "
         "microstrain"
     )
     yield Finding("fibre", "ok", text)

@@ -107,7 +107,7 @@ class FaultInjector:
             case "flex_noisy":
                 self._hold(plant.flex_noise, channel, value, on)
             case "imu_hung":
-                end_cm = robot.column(fault.side)[fault.sensor].fold_cm[0]
+                end_cm = robot.column(fault.side)[fault.sensor].passes_at.center_cm
                 (plant.imus.hung.add if on else plant.imus.hung.discard)(plant.imus.at(end_cm))
             case "grating_lost":
                 (plant.fibre.lost.add if on else plant.fibre.lost.discard)(fault.sensor)

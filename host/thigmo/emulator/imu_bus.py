@@ -15,7 +15,7 @@ import numpy.typing as npt
 from thigmo.config import HeadingSensor, RobotConfig
 from thigmo.emulator.imus import ImuString
 from thigmo.errors import ConfigError
-from thigmo.reading_errors import imus_of
+from thigmo.sensors import imus_of
 from thigmo.wiring import Wiring
 
 DONE, REFUSED, STUCK = 0, 2, 3  # how a transfer ends (firmware/core/sensing/imu_string.h)

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from math import ceil, radians, sin
 from typing import TYPE_CHECKING
 
-from thigmo.config import HeadingSensor, Sensor
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
+from thigmo.sensors import imu_ends
 from thigmo.wiring import Wiring
 
 if TYPE_CHECKING:
@@ -35,14 +35,16 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
     ratio = board.divider_ohm / _BOARD_DIVIDER_OHM
     muscles = config.muscles
-    begins, ends = wiring.imu_ends()
+    begins, ends = imu_ends(flex)
     imus = {"imu_from": begins, "imu_to": ends} if wiring.size.imus else {}
     return imus | {
         "flex_enabled": [int(s is not None and s.healthy) for s in flex],
-        "flex_center_um": [round(s.fold_cm[0] * 1e4) if s else 0 for s in flex],
-        "flex_center_se_um": [_place_se_um(s) if s else 0 for s in flex],
-        "flex_span_um": [round(s.fold_cm[1] * 1e4) if s else 0 for s in flex],
-        "flex_scale": [round(s.scale_per_ohm * ratio * 1e9) if s else 0 for s in flex],
+        "flex_center_um": [round(s.passes_at.center_cm * 1e4) if s else 0 for s in flex],
+        "flex_center_se_um": [
+            _um(s.passes_at.center_se_cm, "flex_center_se_um") if s else 0 for s in flex
+        ],
+        "flex_span_um": [round(s.passes_at.span_cm * 1e4) if s else 0 for s in flex],
+        "flex_scale": [round(s.raw_scale * ratio * 1e9) if s else 0 for s in flex],
         "settle_ms": [round(board.settle_s * 1e3)],
         "max_pressure_cpsi": [
             round((max(m.max_pressure_psi for m in muscles) + _PRESSURE_MARGIN_PSI) * 100)
@@ -69,15 +71,9 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
     }
 
 
-def _place_se_um(sensor: Sensor) -> int:
-    """Standard error of the place at which a sensor swings while the tip passes it.
-
-    An IMU whose turn the board reads as a divider's, not over the bus, looks like a flex sensor
-    that swings from where its span begins: it may do so a whole span early, and accuses nobody.
-    """
-    if isinstance(sensor, HeadingSensor) and not sensor.i2c_address:
-        return min(round(sensor.span_cm * 1e4), wire.PARAMETERS["flex_center_se_um"].high)
-    return round(sensor.center_se_cm * 1e4)
+def _um(centimetres: float, parameter: str) -> int:
+    """A length as a parameter holds it, or the most that it holds."""
+    return min(round(centimetres * 1e4), wire.PARAMETERS[parameter].high)
 
 
 def _counts_while(wiring: Wiring, base_input: int) -> int:

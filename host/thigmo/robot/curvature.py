@@ -81,16 +81,7 @@ class SensorTable:
             inputs=len(sensors) - len(config.gratings),
             center_cm=np.array([s.center_cm if s else 0.0 for s in sensors]),
             span_cm=np.array([s.span_cm if s else 0.0 for s in sensors]),
-            scale=np.array(
-                [
-                    0.0
-                    if s is None
-                    else s.scale_per_ue
-                    if isinstance(s, FibreSensor)
-                    else s.scale_per_ohm
-                    for s in sensors
-                ]
-            ),
+            scale=np.array([s.raw_scale if s else 0.0 for s in sensors]),
             noise=np.array([s.reading_se if s else 1.0 for s in sensors]),
             white=np.array([np.hypot(s.noise, s.zero_error) if s else 1.0 for s in sensors]),
             shared=shared_errors(sensors),
@@ -98,12 +89,7 @@ class SensorTable:
                 [int(SIGN[s.side]) if s and s.side and s.wrinkles else 0 for s in sensors]
             ),
             direction=np.array([s.valid_direction if s else 0 for s in sensors]),
-            healthy=np.array(
-                [
-                    s is not None and s.healthy and not (isinstance(s, FibreSensor) and not s.side)
-                    for s in sensors
-                ]
-            ),
+            healthy=np.array([s is not None and s.usable for s in sensors]),
             radius_cm=config.body.radius_cm,
             divider_ohm=config.board.divider_ohm,
             oversample=oversample,

@@ -297,9 +297,10 @@ class Supervisor:
             names = self._bad_sensors(_BAD_SENSOR[first], channel)
             what += f": {names} (0 = at the base)" if names else " now and then, at present none is"
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
-            if any(sensor.kind == "heading" for sensor in self._wiring.config.sensors):
-                what = what.replace("A flex sensor's circuit is open", "An IMU does not answer")
-                cure = cure.replace("its wire", "the IMUs at both its ends, and their bus")
+            for kind in {type(sensor) for sensor in self._wiring.config.sensors}:
+                for words, other_words in kind.fault_words.items():
+                    what = what.replace(words, other_words)
+                    cure = cure.replace(words, other_words)
         if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self._wiring.config)):
             cure = f"{hint}; {cure}"
         if self._address:
