@@ -69,8 +69,22 @@ def test_a_map_of_another_body_pressure_is_named() -> None:
 def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
     config = draft(53, 5, 2)
     config.sensors = list(config.column("left"))
+    found = {one.what: one for one in judge(config)}
+    # As explore does: it sweeps the muscle that it can, and finds what lies there.
+    assert Wiring.of(config).unexplorable is None
+    assert _bad(judge(config)) == []
+    assert found["sweep of left"].mark == "warning"
+    assert "sweeps right only" in found["sweep of left"].text
+    config.muscles = [config.muscle("left")]
     (said,) = _bad(judge(config))
     assert said.startswith("sweep of left: feels nothing")
+    assert Wiring.of(config).unexplorable is not None
+
+
+def test_what_explore_refuses_is_said_first() -> None:
+    for muscles in (3, 4):
+        first = judge(draft(53, None, muscles))[0]
+        assert (first.what, first.mark) == ("explore", "warning")
 
 
 def test_where_a_sweep_feels_is_where_the_mechanics_hold_the_base_back() -> None:

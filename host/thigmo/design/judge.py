@@ -12,9 +12,7 @@ base folds.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from math import degrees, hypot, pi
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +30,8 @@ from thigmo.config import (
     Spool,
 )
 from thigmo.design.bounds import arc_bounds
+from thigmo.design.finding import Finding
+from thigmo.design.units import unit_questions
 from thigmo.errors import ConfigError
 from thigmo.exploration.plan import stage_lengths
 from thigmo.link.protocol import PARAMETERS, parameters
@@ -60,26 +60,21 @@ _CALIBRATED_GAIN, _CALIBRATED_OFFSET = 0.02, 5e-4
 Floats = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One prediction."""
-
-    what: str
-    mark: Literal["ok", "warning", "bad"]
-    text: str
-
-
 def judge(config: RobotConfig) -> list[Finding]:
-    """All findings, the board's first."""
+    """All findings: first whether it explores, then the board's."""
     limitations = beyond_board(config)
     wiring = None if limitations else Wiring.of(config)  # findings of the inputs need one
+    findings = []
+    if wiring and (refused := wiring.unexplorable):
+        text = f"{refused.what}: `thigmo explore` refuses; {refused.cure}"
+        findings.append(Finding("explore", "warning", text))
     if wiring:
-        findings = [
+        findings += [
             Finding("board", "bad", f"{problem}: correct what it comes from in robot.toml")
             for problem in _not_held(wiring)
         ] or [Finding("board", "ok", _board(wiring))]
     else:
-        findings = [Finding("board", "bad", f"{what}; {cure}") for what, cure in limitations]
+        findings += [Finding("board", "bad", f"{what}; {cure}") for what, cure in limitations]
     try:
         stages = stage_lengths(config)
         lengths = ", ".join(f"{length:g}" for length in stages)
@@ -87,14 +82,11 @@ def judge(config: RobotConfig) -> list[Finding]:
     except ConfigError as error:
         findings.append(Finding("stages", "bad", str(error)))
     findings += [*_growth(config), *_bends(config, wiring)]
-    if wiring and (refused := wiring.unexplorable):
-        text = f"{refused.what}: `thigmo explore` refuses; {refused.cure}"
-        findings.append(Finding("explore", "warning", text))
     if wiring:
         for side in config.sides:
             findings += _feels(wiring, side)
         findings += _inputs(wiring)
-    findings += [*_resolution(config), *_signs(config)]
+    findings += [*_resolution(config), *_signs(config), *unit_questions(config)]
     if wiring:
         findings += _rates(wiring)
     return [*findings, *_imus(config), *_fibre(config)]
@@ -263,12 +255,15 @@ def _feels(wiring: Wiring, side: Side) -> Iterator[Finding]:
     wired = any(isinstance(sensor, BoardSensor) for sensor in sensors)
     bases = wiring.trigger_sensors(muscle)
     if not column or (wired and not bases):
-        yield Finding(
-            what,
-            "bad",
+        others = [m for m in config.muscles if m.side and wiring.trigger_sensors(m)]
+        text = (
             "feels nothing: the trigger works on a base sensor that this muscle does not wrinkle, "
-            "and there is none that is healthy and answers to this bend",
+            "and there is none that is healthy and answers to this bend"
         )
+        if others:
+            names = " and ".join(other.name for other in others)
+            text += f". `thigmo explore` sweeps {names} only, and finds what lies on that side"
+        yield Finding(what, "warning" if others else "bad", text)
         return
     free = muscle.maps[-1].inflate.curvature(muscle.max_pressure_psi)
     moment = min(_PROPPED * free, _fold_moments(config)[-1])
