@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,38 @@ def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
     (said,) = _bad(judge(config))
     assert said.startswith("sweep of left: feels nothing")
     assert Wiring.of(config).unexplorable is not None
+
+
+def _localizes(config: RobotConfig, side: str) -> Finding:
+    return next(
+        one for one in judge(config) if one.what == f"sweep of {side}" and "localized" in one.text
+    )
+
+
+def test_a_robot_that_localizes_almost_nowhere_is_told_where_one_more_sensor_cures_it() -> None:
+    config = draft(53, 3, 2)
+    said = _localizes(config, "left")
+    assert said.mark == "warning"
+    found = re.search(r"one more sensor at (\d+) cm would make it (\d+) %", said.text)
+    assert found is not None
+    first = config.column("right")[0]
+    place = max(float(found[1]), first.span_cm / 2)
+    more = first.model_copy(update={"center_cm": place})
+    config.sensors = [*config.column("left"), more, *config.column("right")]
+    cured = _localizes(config, "left")
+    assert cured.mark == "ok"
+    assert f"on {found[2]} % of the body once calibrated" in cured.text
+
+
+def test_where_no_sensor_cures_it_the_noise_that_would_is_named() -> None:
+    config = draft(30, 3, 1)
+    said = _localizes(config, "left")
+    assert said.mark == "warning"
+    assert "a half of what they are" in said.text
+    for sensor in config.board_sensors:
+        sensor.noise /= 2
+        sensor.zero_se /= 2
+    assert _localizes(config, "left").mark == "ok"
 
 
 def test_what_explore_refuses_is_said_first() -> None:

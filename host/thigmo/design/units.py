@@ -136,10 +136,6 @@ def _sensors(config: RobotConfig) -> Iterator[Finding]:
         says = f"a contact is felt from {TRIGGER_PER_CM:g} 1/cm on"
         yield _asks(f"sensor[{loud[0]}].noise", config.sensors[loud[0]].noise, says, "1/cm")
     yield from _places(config, [sensor for _, sensor in flex])
-    slowest = max((sensor.settle_tau_s for _, sensor in flex), default=0.0)
-    if config.board.settle_s < slowest / 2:
-        says = f"sensors settle within {slowest:g} s (settle_tau_s)"
-        yield _asks("board.settle_s", config.board.settle_s, says, "s")
 
 
 def _places(config: RobotConfig, flex: list[FlexSensor]) -> Iterator[Finding]:
