@@ -20,16 +20,12 @@ LEAST_GAIN = 3.0
 # Sum of squares over the number of independent readings beyond which the model does not explain the
 # sweeps. Below it, what it leaves above one widens the answer.
 UNEXPLAINED = 2.0
-# Exponent of the weights below which samples that were widened place nothing: as if the noise were
-# 1.4 times the stated one.
-_LEAST_EXPONENT = 0.5
 # Everted length by the spool's encoder, and the side against the corner of the end, cm.
 _LENGTH_CM = 0.1
 _TRACK = 25  # points
 _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
 
 UNEXPLAINED_WORDS = "the model does not explain these sweeps"
-FEW_WORDS = "too few samples of the fit agree"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +108,7 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         return None
     last_sweep = [readings.sweep[readings.stage == s].max() for s in range(len(readings.stages))]
     stage = int(max(reached, key=lambda s: last_sweep[s]))
-    weight, exponent = _widened(np.where(touches[:, stage], samples.weight, 0.0))
+    weight = _widened(np.where(touches[:, stage], samples.weight, 0.0))
     on = weight > 0.0
     weight = weight[on] / weight[on].sum()
     arc, x, y, normal, force = samples.touch[on, stage].T
@@ -129,9 +125,8 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
     covariance = (weight[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
-    doubt = UNEXPLAINED_WORDS if leaves > UNEXPLAINED else ""
-    if exponent < _LEAST_EXPONENT:
-        doubt = doubt or FEW_WORDS
+    unexplained = leaves > UNEXPLAINED or samples.effective < ENOUGH
+    doubt = UNEXPLAINED_WORDS if unexplained else ""
     felt = sorted({round(readings.stages[s].length, 2) for s in reached})
     q = samples.q[on]
     return FieldContact(
@@ -158,14 +153,15 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
     )
 
 
-def _widened(weight: Floats) -> tuple[Floats, float]:
-    """Weights tempered until enough samples count, and the exponent that it takes."""
-    exponent, tempered = 1.0, weight / weight.sum()
+def _widened(weight: Floats) -> Floats:
+    """Weights tempered until enough samples count."""
+    exponent = 1.0
+    tempered: Floats = weight / weight.sum()
     while exponent > 0.05 and ENOUGH * np.sum(tempered**2) > 1:
         exponent *= 0.85
         tempered = np.where(weight > 0.0, (weight / weight.max()) ** exponent, 0.0)
         tempered = tempered / tempered.sum()
-    return tempered, exponent
+    return tempered
 
 
 def _quantiles(value: Floats, weight: Floats, at: tuple[float, float]) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from thigmo.field import Atlas, Errors, FieldContact, Readings, Stage, contacts
-from thigmo.field.answer import _widened
+from thigmo.field.answer import UNEXPLAINED_WORDS, _widened
 from thigmo.field.fit import ALIKE, FieldFit
 from thigmo.field.hypotheses import ARC, BEND, NOTHING, PEG, Body, touched, untouched
 from thigmo.field.hypotheses import RADIUS as RADIUS_LOG
@@ -249,11 +249,23 @@ def test_a_proposal_whose_friction_and_yield_have_no_sign_has_a_density_of_one()
 def test_weights_of_few_samples_are_widened_until_enough_count() -> None:
     rng = np.random.default_rng(7)
     weight = np.exp(8 * rng.standard_normal(300))
-    wide, exponent = _widened(weight / weight.sum())
+    wide = _widened(weight / weight.sum())
     assert 1 / np.sum(wide**2) > 50
-    assert exponent < 0.5
     even = np.full(300, 1 / 300)
-    assert _widened(even)[1] == 1.0
+    assert _widened(even) == pytest.approx(even)
+
+
+@pytest.mark.sim
+def test_a_contact_of_too_few_effective_samples_is_no_answer(
+    atlas: Atlas, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(5)
+    rows = {length: _beside_peg(34.0, 0.012, 1.0, length, rng)[0] for length in LENGTHS}
+    assert _one(contacts(_readings(rows), _errors(), atlas)).places
+    monkeypatch.setattr("thigmo.field.answer.ENOUGH", 1e4)
+    contact = _one(contacts(_readings(rows), _errors(), atlas))
+    assert not contact.places
+    assert contact.doubt == UNEXPLAINED_WORDS
 
 
 @pytest.mark.sim
