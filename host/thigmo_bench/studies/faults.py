@@ -101,7 +101,7 @@ FAILURES = (
             covered=PULLS),
     Failure("encoder dead", "encoder_lost", covered=NO_DRIVE),
     Failure("encoder loses three counts of ten", "encoder_share", {"value": 0.7},
-            covered=NO_DRIVE),
+            covered=BY_TOUCH),
     Failure("encoder shows twice its counts", "encoder_share", {"value": 2.0},
             covered=BY_TOUCH),
     Failure("line snapped", "line_snapped", spool=True, covered=SNAPPED),
