@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from thigmo.link.heart import Beat, Heart
+from thigmo.link.heartbeat import Beat, Heart
 
 FAULTS = ("lose", "flip", "truncate", "drop_byte", "insert", "duplicate", "replay", "zero")
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thigmo.cli.console import Console
-from thigmo.cli.held import ByPageOption, held
+from thigmo.cli.dead_man_switch import ByPageOption, held
 from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, filled, show
 from thigmo.errors import ConfigError
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thigmo.cli import ending
+from thigmo.cli import signals
 from thigmo.cli.output import named
 
 if TYPE_CHECKING:
@@ -88,12 +88,12 @@ def watch(
 
     async def until_interrupted() -> None:
         loop, serving = asyncio.get_running_loop(), asyncio.ensure_future(serve(options, announce))
-        ending.call(lambda: loop.call_soon_threadsafe(serving.cancel))
+        signals.call(lambda: loop.call_soon_threadsafe(serving.cancel))
         try:
             with suppress(asyncio.CancelledError):
                 await serving
         finally:
-            ending.be_ready()
+            signals.be_ready()
 
     with ExitStack() as afterwards:
         if foxglove:

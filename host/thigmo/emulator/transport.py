@@ -24,7 +24,7 @@ from thigmo.emulator.plant import STEP_MS, Truth
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.errors import ConfigError, LinkError
 from thigmo.link.framing import Decoder
-from thigmo.link.heart import HOLD_AFTER, Beat, Heart
+from thigmo.link.heartbeat import HOLD_AFTER, Beat, Heart
 from thigmo.link.stop import Stopper
 from thigmo.link.stop_socket import StopListener
 from thigmo.mechanics import Peg

@@ -22,7 +22,7 @@ from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
 from thigmo.link import failures
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder, Frame, FrameError, encode
-from thigmo.link.heart import PERIOD_S
+from thigmo.link.heartbeat import PERIOD_S
 from thigmo.link.inbox import Inbox
 from thigmo.link.round_trip import RoundTrip
 from thigmo.link.stop import CONFIRM_S, REPEAT_S, UNCONFIRMED_CURE, StopCall

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import Frame
-from thigmo.link.heart import Beat
+from thigmo.link.heartbeat import Beat
 
 _EVENTS = 1024
 _BEATS = 64

@@ -37,7 +37,7 @@ from serial.tools.list_ports import comports
 from thigmo.errors import LinkError, PortError
 from thigmo.link.address import AddressLock
 from thigmo.link.framing import Decoder
-from thigmo.link.heart import HOLD_AFTER, Heart
+from thigmo.link.heartbeat import HOLD_AFTER, Heart
 from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
 from thigmo.link.port_owner import owner
 from thigmo.link.protocol import Activity, State, Telemetry

@@ -16,7 +16,7 @@ from contextlib import suppress
 from weakref import WeakSet
 
 from thigmo.errors import LinkError, PortError
-from thigmo.link.heart import Beat
+from thigmo.link.heartbeat import Beat
 from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
 
 _OPEN_S = 15.0  # a busy machine starts an interpreter slowly; socket:// waits for its peer

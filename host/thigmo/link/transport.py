@@ -12,7 +12,7 @@ from typing import Protocol
 
 from thigmo.errors import PortError
 from thigmo.extras import require_sources
-from thigmo.link.heart import Beat
+from thigmo.link.heartbeat import Beat
 
 
 class Transport(Protocol):

@@ -28,12 +28,12 @@ from thigmo.errors import ThigmoError
 from thigmo.link.protocol import Fault
 from thigmo.link.transport import emulated, open_transport
 from thigmo.live import page_data
-from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.page_data import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.page_request import PageRequest, parse
 from thigmo.live.relay import Target, Watched
 from thigmo.live.starting import Parameter, Started, exploration
+from thigmo.live.stop_http import Door, Stop
 from thigmo.live.viewer import Viewer
 from thigmo.operator_prompts import Simulated
 from thigmo.robot import JOG_CM

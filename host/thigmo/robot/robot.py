@@ -19,7 +19,7 @@ from thigmo.closing import Closing
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
-from thigmo.link.heart import PERIOD_S
+from thigmo.link.heartbeat import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.link.transport import open_transport
 from thigmo.operator_prompts import NoOperator, Operator, Patient, Simulated

@@ -28,7 +28,7 @@ from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.framing import Decoder, encode
-from thigmo.link.heart import Heart
+from thigmo.link.heartbeat import Heart
 from thigmo.robot.robot import Robot
 from thigmo.robot.sweep import rising_period_s
 

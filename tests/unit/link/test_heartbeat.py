@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 from thigmo.link.framing import decode
-from thigmo.link.heart import Heart
+from thigmo.link.heartbeat import Heart
 from thigmo.link.inbox import EventLedger
 from thigmo.link.protocol import Heartbeat
 from thigmo.link.round_trip import RoundTrip

@@ -15,8 +15,8 @@ import pytest
 from aiohttp import web
 from page_server import Served
 
-from thigmo.live.door import Door
 from thigmo.live.server import WatchOptions
+from thigmo.live.stop_http import Door
 
 REFUSED = b"403"
 GARBAGE = [
