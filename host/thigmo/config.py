@@ -52,8 +52,8 @@ __all__ = [
     "SAME_PRESSURE",
     "SIDES",
     "SIGN",
-    "Board",
     "BoardSensor",
+    "BoardSettings",
     "Body",
     "BodyPressure",
     "FibreSensor",
@@ -223,7 +223,7 @@ def _default_muscles() -> list[Muscle]:
     return [Muscle(name=side, direction_deg=DEGREES[side]) for side in SIDES]
 
 
-class Board(Model):
+class BoardSettings(Model):
     """The controller and its settings."""
 
     divider_ohm: Positive = 22_000.0  # fixed resistor of the flex sensors' dividers
@@ -273,7 +273,7 @@ class RobotConfig(Model):
         serialization_alias="sensor",
     )
     spool: Spool = Field(default_factory=Spool)  # motor, line and brake
-    board: Board = Field(default_factory=Board)  # the controller
+    board: BoardSettings = Field(default_factory=BoardSettings)  # the controller
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

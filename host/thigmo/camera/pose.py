@@ -64,7 +64,7 @@ def fit_pose(
     hidden: tuple[str, ...] = (),
 ) -> CameraModel:
     """As `locate`, from marker corners found before: (4, 2) px by id."""
-    problem = Problem(found, sheet, size, lens)
+    problem = PoseFit(found, sheet, size, lens)
     fits = []
     for view_deg in (_VIEW_DEG,) if lens is not None else (50.0, _VIEW_DEG, 95.0):
         fit = least_squares(
@@ -106,7 +106,7 @@ def what_helps(model: CameraModel, sheet: Sheet, lens_known: bool) -> str:
     return ", ".join(ways)
 
 
-class Problem:
+class PoseFit:
     """Fits corners to the sheet: the lens (unless known), the pose, and the cards' slips.
 
     A slip is x, y and turn. All residuals are in units of their standard deviation.
@@ -221,7 +221,7 @@ def _log_focal(width: int, view_deg: float) -> float:
     return float(np.log(width / 2 / np.tan(np.radians(view_deg / 2))))
 
 
-def _accuracy(problem: Problem, best: Points, jacobian: Points) -> float:
+def _accuracy(problem: PoseFit, best: Points, jacobian: Points) -> float:
     """Worst standard error (cm) of a place at the robot's height, from the fit's covariance."""
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
     low, high = problem.laid[:, :2].min(axis=0), problem.laid[:, :2].max(axis=0)

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from thigmo.cli import camera, emulator
+from thigmo.cli import camera, emulator, signals
 from thigmo.cli.added import add_commands
 from thigmo.cli.board import clear, params, retract, stop
 from thigmo.cli.bringup import bringup, jog, press

@@ -395,7 +395,7 @@ class Plant:
         air: tuple[bool, bool] = (False, False),
         motor_enables: tuple[bool, bool] = (False, False),
     ) -> None:
-        """Advance by 10 ms under a `Board`'s outputs; `analog` and `encoder` then hold its inputs.
+        """Advance by 10 ms under a board's outputs; `analog` and `encoder` then hold its inputs.
 
         If the scene has valves, muscles and body empty unless the air enables are held.
         """

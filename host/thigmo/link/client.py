@@ -107,7 +107,7 @@ class Client(Inbox, Closing):
     # Life.
 
     def close(self) -> None:
-        """Stop the heart and close the transport. Commands nothing: the board's own limit acts."""
+        """Stop the heartbeat and close the transport. Commands nothing: the board's limit acts."""
         self._talking = self._connected = False
         self.transport.close()
 

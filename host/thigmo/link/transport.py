@@ -16,7 +16,7 @@ from thigmo.link.heartbeat import Beat
 
 
 class Transport(Protocol):
-    """A two-way stream of bytes with a clock and a heart."""
+    """A two-way stream of bytes with a clock and a heartbeat."""
 
     name: str  # what was opened, for messages
     virtual: bool  # time is virtual and advances while `read` waits
@@ -37,7 +37,7 @@ class Transport(Protocol):
         """
 
     def start_heartbeat(self, session: int, period_s: float) -> None:
-        """Beat a `heart.Heart` of this session from now on, whatever the main thread does."""
+        """Send this session's heartbeat from now on, whatever the main thread does."""
 
     def stop_heartbeat(self) -> None:
         """Send no further heartbeats."""

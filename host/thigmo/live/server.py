@@ -33,7 +33,7 @@ from thigmo.live.page_data import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.page_request import PageRequest, parse
 from thigmo.live.relay import Target, Watched
 from thigmo.live.starting import Parameter, Started, exploration
-from thigmo.live.stop_http import Door, Stop
+from thigmo.live.stop_http import Stop, StopHttp
 from thigmo.live.viewer import Viewer
 from thigmo.operator_prompts import Simulated
 from thigmo.robot import JOG_CM
@@ -562,11 +562,11 @@ async def serve(options: WatchOptions, announce: Callable[[str], None]) -> None:
         await runner.cleanup()
 
 
-def _door(server: web.Server, stop: Stop, options: WatchOptions) -> Door:
+def _door(server: web.Server, stop: Stop, options: WatchOptions) -> StopHttp:
     ports = (PORT, 0) if options.port is None else (options.port,)
     for port in ports:
         try:
-            return Door((options.host, port), server, stop)
+            return StopHttp((options.host, port), server, stop)
         except OSError as error:
             if error.errno != errno.EADDRINUSE or port == ports[-1]:
                 raise ThigmoError(

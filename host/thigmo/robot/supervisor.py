@@ -21,7 +21,7 @@ from thigmo.errors import (
 from thigmo.link import protocol as wire
 from thigmo.robot.fibre import Fibre
 from thigmo.robot.fibre_guard import FibreGuard
-from thigmo.robot.state import Status, pressures_psi
+from thigmo.robot.state import RobotStatus, pressures_psi
 from thigmo.wiring import Wiring
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Supervisor:
         self.link = link
         self.fibre = fibre
         self.on_wait: list[Callable[[], None]] = []
-        self.on_status: list[Callable[[Status], None]] = []
+        self.on_status: list[Callable[[RobotStatus], None]] = []
         self._wiring = wiring
         self._address = address  # at which an operator clears faults; empty if there is none
         self._fault_channels: dict[wire.Fault, int] = {}  # which only their events tell
@@ -72,11 +72,11 @@ class Supervisor:
         """Name muscles and sensors by this robot from now on."""
         self._wiring = wiring
 
-    def status(self) -> Status:
+    def status(self) -> RobotStatus:
         """Ask the board for its whole state."""
         report = self.link.request(wire.GetStatus())
         conditions = frozenset(c.key for c in wire.Condition.from_mask(report.conditions))
-        status = Status(
+        status = RobotStatus(
             state=report.state.key,
             activity=report.activity.key,
             zone=None if report.zone == _UNKNOWN_ZONE else report.zone,
