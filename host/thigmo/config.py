@@ -315,15 +315,15 @@ class RobotConfig(Model):
 
         Raises ConfigError for a muscle that bends it out of the plane.
         """
-        found = []
+        sides = []
         for muscle in self.muscles:
             if muscle.side is None:
                 raise ConfigError(
                     f"muscle {muscle.name} bends the body out of the plane",
                     "press it by name; sweeps and explorations are in the plane (90, 270 degrees)",
                 )
-            found.append(muscle.side)
-        return tuple(found)
+            sides.append(muscle.side)
+        return tuple(sides)
 
     def muscle_number(self, towards: str | float) -> int:
         """The board's number of a muscle: its place in robot.toml.
@@ -370,8 +370,8 @@ class RobotConfig(Model):
 
     def sensors_for(self, side: Side) -> list[Sensor]:
         """The sensors that read right while the muscle of a side bends the body, base first."""
-        found = [s for s in self.sensors if s.side and not (s.wrinkles and s.side == side)]
-        return sorted(found, key=lambda sensor: sensor.center_cm)
+        reading = [s for s in self.sensors if s.side and not (s.wrinkles and s.side == side)]
+        return sorted(reading, key=lambda sensor: sensor.center_cm)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

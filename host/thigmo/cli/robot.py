@@ -59,7 +59,7 @@ def new(
     if beyond := beyond_board(config):
         said = [filled(f"no scene: {what}; {cure}") for what, cure in beyond]
     elif refused := Wiring.of(config).unexplorable:
-        said = [filled(f"explore does not work with it: {refused.what}; {refused.cure}")]
+        said = [filled(f"explore does not work with it: {refused.problem}; {refused.cure}")]
     else:
         room = room_for(config, seed)
         room.save(out / "scene.toml")

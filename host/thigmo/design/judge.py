@@ -88,7 +88,7 @@ def judge(config: RobotConfig) -> list[Finding]:
         findings.append(Finding("stages", "bad", str(error)))
     findings += [*_growth(config), *_bends(config, wiring)]
     if wiring and (refused := wiring.unexplorable):
-        text = f"{refused.what}: `thigmo explore` refuses; {refused.cure}"
+        text = f"{refused.problem}: `thigmo explore` refuses; {refused.cure}"
         findings.append(Finding("explore", "warning", text))
     if wiring:
         for side in config.sides:

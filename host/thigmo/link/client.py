@@ -202,9 +202,9 @@ class Client(Inbox, Closing):
                     self._resume(command, limit, until_s)
                 raise failures.timed_out(command, limit)
         if isinstance(reply, wire.Ack) and reply.status is wire.Status.REFUSED:
-            what, step = reply.reason.words
+            problem, step = reply.reason.words
             raise CommandRefusedError(
-                f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}",
+                f"the board refused {command.NAME}: {problem[:1].lower()}{problem[1:]}",
                 step,
                 reason=reply.reason.key,
                 detail=reply.detail,

@@ -84,7 +84,7 @@ class EventLedger:
         seen = self._ahead.get(number, 0)
         self._ahead[number] = seen + 1
         below = number - 0x4000 if self._base is None else self._base
-        oldest = min(self._ahead, key=lambda each: (each - below) & 0xFFFF)
+        oldest = min(self._ahead, key=lambda event: (event - below) & 0xFFFF)
         if self._ahead[oldest] >= _REPEATS:
             self._base = (oldest - 1) & 0xFFFF
         while self._base is not None and self._ahead.pop((self._base + 1) & 0xFFFF, 0):

@@ -9,10 +9,10 @@ The heartbeat is sent only while somebody is there to mind the robot: it stops w
 (its stream ends, or this process has another parent) and when the host's main thread has not
 touched the lease for 30 s, or 5 s while an output is energised; the next touch starts it again.
 Either is a dead host, and an armed robot is then stopped (`stop`), so that a run that wakes up does
-not carry on. While the body grows, the lease also ends with 12 mm of growth. Only a read or a write touches
-the lease, in the thread that reacts to what the board says: a program that computes for longer
-polls its robot meanwhile. The heartbeat holds while the board is mute, which may mean that its boot
-loader is listening.
+not carry on. While the body grows, the lease also ends with 12 mm of growth. Only a read or a write
+touches the lease, in the thread that reacts to what the board says: a program that computes for
+longer polls its robot meanwhile. The heartbeat holds while the board is mute, which may mean that
+its boot loader is listening.
 
 Stops also come from outside the host, which may hang: by Ctrl-C at its terminal (this process is
 in the terminal's foreground group, as the host is), by a termination, and over a socket
@@ -309,8 +309,8 @@ def port_error(name: str, error: Exception) -> PortError:
             f"no permission to open {name}",
             "add yourself to the group that owns it (often dialout or uucp) and sign in again",
         )
-    found = ", ".join(sorted(port.device for port in comports()))
-    step = f"give one of: {found}" if found else "plug the board in: no serial port is there now"
+    ports = ", ".join(sorted(port.device for port in comports()))
+    step = f"give one of: {ports}" if ports else "plug the board in: no serial port is there now"
     if number == errno.ENOENT or "filenotfound" in lowered or "no such file" in lowered:
         return PortError(f"there is no port {name}", step)
     if number in (errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ENODEV, errno.ENXIO):

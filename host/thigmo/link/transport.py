@@ -68,7 +68,7 @@ def _scheme(url: str) -> str:
 @cache
 def _emulators() -> dict[str, EntryPoint]:
     """By scheme. Installed packages do not change while a program runs."""
-    return {found.name: found for found in entry_points(group=_EMULATORS)}
+    return {emulator.name: emulator for emulator in entry_points(group=_EMULATORS)}
 
 
 def open_transport(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:

@@ -50,8 +50,8 @@ def _described(event: wire.Event, wiring: Wiring) -> tuple[str, Severity, str, s
     if code is wire.EventCode.ACTIVITY_ABORTED and value == wire.Reason.NONE:
         return code.key, "info", f"{wire.Activity(arg).key} was ended by the program", ""
     if code is wire.EventCode.ACTIVITY_ABORTED:
-        what, cure = wire.Reason(value).words
-        return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure
+        problem, cure = wire.Reason(value).words
+        return code.key, "warning", f"{wire.Activity(arg).key} ended early: {problem}", cure
     text = {
         wire.EventCode.CONTACT: lambda: (
             f"contact felt at the base while the {wiring.muscle_name(arg)} muscle "

@@ -242,9 +242,9 @@ class Supervisor:
             for event in look:
                 if event.code == wire.EventCode.ACTIVITY_ABORTED and event.arg == activity:
                     reason = wire.Reason(event.value)
-                    what, cure = reason.words
+                    problem, cure = reason.words
                     raise CommandRefusedError(
-                        f"{activity.key} ended early: {what}", cure, reason=reason.key
+                        f"{activity.key} ended early: {problem}", cure, reason=reason.key
                     )
                 yield event
                 if event.code == wire.EventCode.ACTIVITY_DONE and event.arg == activity:
@@ -284,28 +284,30 @@ class Supervisor:
         """
         self._note_channels()
         first = wire.Fault[faults[0].upper()]
-        what, cure = first.words
+        problem, cure = first.words
         others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
         channel = self._fault_channels.get(first)
         if channel == _BEFORE_RESET:
-            what, channel = f"{what} (before the board's last reset)", None
+            problem, channel = f"{problem} (before the board's last reset)", None
         if first in _OF_A_MUSCLE and channel is not None:
-            what += f" ({self._wiring.muscle_name(channel)} muscle)"
+            problem += f" ({self._wiring.muscle_name(channel)} muscle)"
         if first in _CAUSES and channel is not None:
-            what += f" ({_CAUSES[first](channel).words[0]})"
+            problem += f" ({_CAUSES[first](channel).words[0]})"
         if first in _BAD_SENSOR:
             names = self._bad_sensors(_BAD_SENSOR[first], channel)
-            what += f": {names} (0 = at the base)" if names else " now and then, at present none is"
+            problem += (
+                f": {names} (0 = at the base)" if names else " now and then, at present none is"
+            )
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
             for kind in {type(sensor) for sensor in self._wiring.config.sensors}:
                 for words, other_words in kind.fault_words.items():
-                    what = what.replace(words, other_words)
+                    problem = problem.replace(words, other_words)
                     cure = cure.replace(words, other_words)
         if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self._wiring.config)):
             cure = f"{hint}; {cure}"
         if self._address:
             cure = f"{cure} (`thigmo clear --robot {self._address}`)"
-        return RobotFaultError(f"{first.key}{others}: {what}", cure, faults=tuple(faults))
+        return RobotFaultError(f"{first.key}{others}: {problem}", cure, faults=tuple(faults))
 
     def _bad_sensors(self, flag: int, channel: int | None) -> str:
         """Names of the enabled sensors with a flag set, and of the one that an event named."""
