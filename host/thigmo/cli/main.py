@@ -87,8 +87,8 @@ add_commands(app)
 groups = {"robot": robot, "scene": emulator.scene, "camera": camera.group}
 for name, group in groups.items():
     app.add_typer(group, name=name)
-for each in (app, *groups.values()):
-    for command in each.registered_commands:
+for group in (app, *groups.values()):
+    for command in group.registered_commands:
         # A docstring's lines are as long as the source's; a terminal wraps its paragraphs again.
         command.help = "\n\n".join(
             " ".join(part.split()) for part in (getdoc(command.callback) or "").split("\n\n")
