@@ -48,12 +48,10 @@ inline void Controller::sense(const Inputs& in) {
 #if THIGMO_IMUS
   zeros_.invalidate(in.frame->restarted);
 #endif
-  uint16_t done = flex_.add_tick(odd, count + kMuscles);
-  for (uint8_t i = 0; done != 0; ++i, done = static_cast<uint16_t>(done >> 1)) {
-    if ((done & 1) == 0) continue;
-    drift_.add(i, flex_.latest(i));
-    if (averaging_) zeros_.add(i, flex_.latest(i));
-  }
+  const uint16_t done = flex_.add_tick(odd, count + kMuscles);
+  if (done == 0) return;
+  drift_.add(done, flex_);
+  if (averaging_) zeros_.add(done, flex_);
 }
 
 THIGMO_NOINLINE inline void Controller::scale_supply() {
@@ -206,7 +204,7 @@ inline void Controller::spool_step() {
   slipping_ = slip_.step(encoder_, outputs_.motor != 0, derived_.slip_counts) ||
               (moves() && spool_.overrun()) || motion_.astray(derived_);
   // Drift is known of a spool that stands still, whose turn is a light one.
-  drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
+  if (!winding()) drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
 }
 
 // Before the next duty is known, of the one since the last step. A driver under test is watched by

@@ -75,7 +75,7 @@ inline void send(uint8_t byte) {
 inline bool idle() { return registers().idle; }
 
 // --- watchdog ------------------------------------------------------------------------------------
-// Resets the chip 120 to 250 ms after the last kick.
+// Resets the chip 120 to 285 ms after the last kick.
 inline void kick() { registers().kicked_us = micros(); }
 
 }  // namespace chip

@@ -103,6 +103,10 @@ class Body(Model):
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49  # body pressure at which it was measured
+    # Angle (rad) by which the base turns for each 1/cm of contact moment over EI there, so cm.
+    base_compliance_cm: NonNegative = 0.0
+    # One sigma of it, cm. Default: not measured; bases turn by up to 0.05 rad before they fold.
+    base_compliance_se_cm: NonNegative = 2.5
     # Bending stiffness EI and its standard error; without them forces are given over EI only.
     stiffness_n_cm2: Positive | None = None
     stiffness_se_n_cm2: NonNegative = 0.0  # one sigma of it, N cm^2

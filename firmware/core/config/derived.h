@@ -210,10 +210,7 @@ struct Derived {
   }
 
   // Tip movement of encoder counts.
-  int32_t um(int32_t counts) const {
-    return static_cast<int32_t>(
-        (static_cast<int64_t>(counts) * static_cast<int64_t>(um_per_count_q16) + 0x8000) >> 16);
-  }
+  int32_t um(int32_t counts) const { return multiply_q16(counts, um_per_count_q16); }
 
   // Tip speed as profile steps: counts per control step, in 1/65536.
   int32_t speed_q16(int32_t um_s) const {

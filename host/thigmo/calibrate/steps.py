@@ -145,9 +145,7 @@ def fit_csv(
     Raises DataError for an unknown step, a step without CSV, or unusable readings.
     """
     made = {
-        name: (fitted.of_csv, step_of_csv.columns)
-        for name, fitted in STEPS.items()
-        if fitted.of_csv
+        name: (fitted.of_csv, fitted.columns) for name, fitted in STEPS.items() if fitted.of_csv
     }
     if step not in made:
         raise DataError(

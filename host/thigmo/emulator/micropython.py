@@ -266,9 +266,13 @@ class MicroPythonBoard:
         """Ctrl-C at Python's prompt."""
         self.type(b"\x03")
 
+    def printed(self, past: int = 0) -> bytes:
+        """What Python has printed so far, past so many bytes."""
+        return os.pread(self._console.fileno(), 1 << 20, past)
+
     def console(self) -> str:
-        """What Python has printed so far."""
-        return os.pread(self._console.fileno(), 1 << 20, 0).decode(errors="replace")
+        """The same as text."""
+        return self.printed().decode(errors="replace")
 
     def _tell(self, message: bytes) -> None:
         assert self._socket is not None
