@@ -368,9 +368,9 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
   const bool sure = out.touched > 1.0 - priors.excluded && open <= priors.excluded * all &&
                     (asked || out.number[count] >= options.number_level);
   const Window within = count == 1 ? options.within : Window{0.0, 1.0};
-  // The best point of each contact, by the likeliest hypothesis: where that knows the place, its
-  // likeliest place, which errs as little as least squares; else its median, since the likeliest
-  // place of a wide posterior often lies on the end of its range.
+  // The best point of each contact. Where the likeliest hypothesis knows the place, it is the
+  // likeliest there, which errs as little as least squares; else the median over all hypotheses,
+  // since the likeliest place of a wide posterior often lies on the end of its range.
   Row places(count);
   for (std::size_t j = 0; j < count; ++j) {
     const auto ordinal = [&](const FeltSet& set) {
@@ -379,7 +379,7 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
     const Mixture leading = posterior.mixture(within, ordinal, out.best);
     const auto pieces = leading.densest(priors.level);
     const bool known = pieces.back().second - pieces.front().first <= priors.known_place;
-    places[j] = known ? leading.likeliest() : leading.quantile(0.5);
+    places[j] = known ? leading.likeliest() : posterior.mixture(within, ordinal).quantile(0.5);
   }
   const Row present = count > 0 ? posterior.present(places) : Row{};
   for (std::size_t j = 0; j < count; ++j) {

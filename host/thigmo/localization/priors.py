@@ -114,7 +114,7 @@ TURNED_ODDS = 0.03
 FAR_ODDS = 0.1
 NOT_GIVEN_ODDS = 0.3
 # A fold of the base by a small angle (rad).
-SMALL_FOLD_ODDS = 0.08
+SMALL_FOLD_ODDS = 0.1
 SMALL_FOLD = 0.1
 # Noise whose neighbours are correlated by these coefficients, each with this probability, for this
 # number of sensors or more.
@@ -127,7 +127,7 @@ COUPLE_ODDS = 0.015
 # as stated are those of the free body.
 UNTOUCHED = -1.0
 # Log odds against the likeliest below which a row is left out after one contact was weighed.
-DROPPED_ROW = -7.0
+DROPPED_ROW = -5.0
 # Noise levels considered if the noise is unknown, as shares of the readings' root mean square.
 NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
 
