@@ -171,12 +171,18 @@ def throughput(rig: Rig) -> list[Figure]:
 
 
 def commands(rig: Rig) -> list[Figure]:
-    """One command after the other, telemetry at 200 Hz."""
+    """One command after the other, at each tick of a control period, telemetry at 200 Hz.
+
+    A reply waits for the telemetry that lies ahead of it, whose 56 bytes take 2.2 ms: its time is
+    that of the tick in which its command came.
+    """
     transport = EmulatorTransport(scene(), rig, seed=SEED, exchange_ms=1)
     client = Client(transport)
     Robot(client).wait(0.2)
     times = []
     for number in range(60):
+        if number % 12 == 0:
+            rig.step(1)  # commands come every 10 ms: from here on, in the next tick of a period
         rig.forget_frames()
         sent = rig.chip.cycle
         client.request(wire.GetParameter(number % wire.PARAMETER_COUNT))
@@ -197,8 +203,9 @@ def move_starts(rig: Rig) -> list[Figure]:
     robot.confirm_length(40.0, settled=True)
     rig.busy.clear()
     length_um = 400_000
-    for shift_ms in range(20):
-        client.poll(0.05 + shift_ms * 1e-3)
+    for _ in range(20):
+        client.poll(0.05)
+        rig.step(1)
         length_um += 2_000
         client.request(wire.GrowTo(length_um, 25_000))
         robot.wait(0.5)

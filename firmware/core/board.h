@@ -86,7 +86,7 @@ constexpr uint16_t kTxRing = 256;
 
 // The longest silence of the main loop after which a board may still run on; the spool's top speed
 // allows for it (config/configuration.h).
-constexpr uint16_t kWatchdogMs = 250;
+constexpr uint16_t kWatchdogMs = 285;
 
 // What the board holds on for as long as its program runs.
 struct Enables {

@@ -48,12 +48,10 @@ inline void Controller::sense(const Inputs& in) {
 #if THIGMO_IMUS
   zeros_.invalidate(in.frame->restarted);
 #endif
-  uint16_t done = flex_.add_tick(odd, count + kMuscles);
-  for (uint8_t i = 0; done != 0; ++i, done = static_cast<uint16_t>(done >> 1)) {
-    if ((done & 1) == 0) continue;
-    drift_.add(i, flex_.latest(i));
-    if (averaging_) zeros_.add(i, flex_.latest(i));
-  }
+  const uint16_t done = flex_.add_tick(odd, count + kMuscles);
+  if (done == 0) return;
+  drift_.add(done, flex_);
+  if (averaging_) zeros_.add(done, flex_);
 }
 
 THIGMO_NOINLINE inline void Controller::scale_supply() {
@@ -179,7 +177,7 @@ __attribute__((always_inline)) inline void Controller::pressure_step(uint8_t mus
 
 inline void Controller::spool_step() {
   watch_motion(outputs_.motor);
-  if (winding() && starts_) {
+  if (winding() && !moves()) {
     begin_move();
     outputs_.motor = 0;
   } else if (winding()) {
@@ -206,7 +204,7 @@ inline void Controller::spool_step() {
   slipping_ = slip_.step(encoder_, outputs_.motor != 0, derived_.slip_counts) ||
               (moves() && spool_.overrun()) || motion_.astray(derived_);
   // Drift is known of a spool that stands still, whose turn is a light one.
-  drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
+  if (!winding()) drift_.update(tick_, flex_.log2(), derived_.flex_gain_q16);
 }
 
 // Before the next duty is known, of the one since the last step. A driver under test is watched by
@@ -455,6 +453,11 @@ THIGMO_NOINLINE inline void Controller::look_at_base(uint8_t column) {
       curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
 }
 
+inline int16_t Controller::bend_e5(uint8_t sensor) const {
+  const int32_t total = total_ohm_q4(count_q6(flex_.latest(sensor), flex_.log2()));
+  return curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
+}
+
 THIGMO_NOINLINE inline void Controller::trigger_step() {
   const uint16_t usable = usable_mask();
   const bool vented = (conditions_ & mask(Condition::kVented)) != 0 && !bending();
@@ -692,7 +695,7 @@ inline void Controller::start(Activity activity, Permit permit) {
 
 inline void Controller::finish_activity(protocol::EventCode code, int32_t value) {
   const Activity ended = activity_;
-  starts_ = false;
+  start_ = Start::kDone;
   activity_ = Activity::kIdle;
   post(code, static_cast<uint8_t>(ended), value);
 }

@@ -4,6 +4,8 @@ in a sweep. The page says one thing of the robot all the way.
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -122,3 +124,27 @@ def test_a_stopped_robot_is_cleared_retracted_and_started_again(
     expect(page.locator(".banner.fault")).to_have_count(0)
     page.keyboard.press("Escape")
     expect(doing).to_contain_text("Stopped from this page, ")
+
+
+@pytest.mark.parametrize("moment", ["in growth"], indirect=True)
+def test_an_open_page_sees_a_stop_cleared_from_a_terminal(
+    looking: Looking,
+    serve_page: ServePage,
+    robot: ServedRobot,
+    config: Path,
+    tmp_path: Path,
+    moment: str,
+) -> None:
+    connect(robot.port, RobotConfig.load(config)).close()
+    options = ("--config", str(config), "--out", str(tmp_path / "runs"), "--protocol", "thesis")
+    page = looking.open(serve_page(url=robot.port, explore=options).address)
+    _reach(page, moment, robot)
+    page.keyboard.press("Escape")
+    expect(page.locator("#clear")).to_be_visible()
+    expect(page.locator("#phase")).to_have_text("stopped")
+    clear = [sys.executable, "-m", "thigmo", "clear", "--robot", robot.port]
+    said = subprocess.run(clear, check=True, capture_output=True, text=True).stdout
+    assert "The stop has ended." in said
+    expect(page.locator("#stop")).to_have_attribute("data-state", "ready")
+    expect(page.locator("#phase")).to_have_text("safe")
+    expect(page.locator("#start")).to_be_enabled()

@@ -266,6 +266,12 @@ def test_page_fits_a_phone(looking: Looking, served: Served, run: ScriptedRun, s
     run.read(200)
     expect(page.locator("#contact-rows")).to_contain_text("31.2")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    # A port's name has no place to break at.
+    page.evaluate("document.querySelector('#operate').hidden = false")
+    page.evaluate("document.querySelector('#finish').hidden = false")
+    name = "/dev/serial/by-id/usb-Arduino_www.arduino.cc_0042_7503530363635121E0A2-if00"
+    page.evaluate("name => document.querySelector('#finish-robot').textContent = name", name)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
     expect(page.locator("#body")).to_contain_text("left muscle: localized")
     assert page.evaluate(BEYOND) == []
     box = page.locator("#stop").bounding_box()

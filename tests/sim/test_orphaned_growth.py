@@ -39,7 +39,7 @@ def anywhere(name: str) -> st.SearchStrategy[int]:
 def parameters(draw: st.DrawFn) -> dict[str, list[int]]:
     found = {name: draw(anywhere(name)) for name in FREE}
     found["heartbeat_ms"] = draw(anywhere("heartbeat_ms"))
-    fastest = 17_000_000 // (max(found["heartbeat_ms"], 250) + 100)
+    fastest = 17_000_000 // (max(found["heartbeat_ms"], 285) + 100)
     found["spool_speed_um_s"] = draw(st.just(fastest) | st.integers(100, fastest))
     found["home_speed_um_s"] = min(8000, fastest)
     return {name: [value] for name, value in found.items()}

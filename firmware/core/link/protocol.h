@@ -196,8 +196,8 @@ enum class StallCause : uint8_t {
   kSlow = 1,     // The encoder shows a lower speed than the motor has at this duty.
   kJumps = 2,    // The encoder's signals skip a state: edges are lost, or there is noise.
   kEverted = 3,  // Two sensors passed the tip before the encoder had counted that far.
-  kLate = 4,     // Two sensors passed the tip after the encoder had counted farther: it shows too
-                 // much, or the tip was held back and the tail is slack.
+  kLate = 4,  // Two sensors passed the tip after the encoder had counted farther, or were not met
+              // on the way back: it shows too much, or the tip was held back and the tail is slack.
   kFast = 5,  // The encoder shows a higher speed than the motor has at this duty, even if the body
               // pulls as hard as it can.
 };
@@ -471,7 +471,7 @@ struct GrowTo {
   int32_t length_um;    // Target everted length. (um)
   uint32_t speed_um_s;  // Tip speed; 0 = as configured. At most 17 mm / (heartbeat_ms + 100 ms), so
                         // that a dead host costs no more than 2 cm; a heartbeat_ms below the
-                        // watchdog's 250 ms counts as 250 ms. (um/s)
+                        // watchdog's 285 ms counts as 285 ms. (um/s)
   void encode(uint8_t* out) const {
     detail::put32(out + 0, static_cast<uint32_t>(length_um));
     detail::put32(out + 4, static_cast<uint32_t>(speed_um_s));
@@ -1540,7 +1540,8 @@ enum class Param : uint16_t {
       1,  // Distance that a sensor's ends must keep from the tip's fold. (um)
   kDriftLimitE5 = kFoldMarginUm + 1,  // Largest drift at which zeroing is allowed. (1e-5/cm/s)
   kZeroMs = kDriftLimitE5 + 1,        // Averaging time of a zero. (ms)
-  kOversampleLog2 = kZeroMs + 1,      // Conversions summed in a reading, as a power of two.
+  kOversampleLog2 = kZeroMs + 1,  // Conversions summed in a reading, as a power of two. Less than 4
+                                  // would be read sooner than telemetry is sent, and load the loop.
   kPressureZero = kOversampleLog2 +
       1,  // Reading at 0 psi, in 1/64 of an ADC count (10 % of the supply). (1/64 count) [kMuscles]
   kPressureSpan = kPressureZero +
@@ -1636,7 +1637,7 @@ enum class Param : uint16_t {
   kHeartbeatMs = kDirectionSeen +
       1,  // How long the host may be silent while the robot is armed, before this is a fault.
           // Limits spool_speed_um_s and home_speed_um_s: speed x (heartbeat_ms + 100 ms) is at most
-          // 17 mm, and a heartbeat_ms below the watchdog's 250 ms counts as 250 ms. (ms)
+          // 17 mm, and a heartbeat_ms below the watchdog's 285 ms counts as 285 ms. (ms)
   kSupplyMinMv = kHeartbeatMs + 1,  // A supply below this is a brown-out. Default: what 4.7 V reads
                                     // with a reference that is 10 % off. (mV)
   kReferenceMv = kSupplyMinMv +
@@ -1778,7 +1779,7 @@ constexpr ParamRows param_rows() {
   rows.add(1, 0, 100000, 5000);                  // fold_margin_um
   rows.add(1, 1, 10000, 40);                     // drift_limit_e5
   rows.add(1, 50, 10000, 1000);                  // zero_ms
-  rows.add(1, 0, 6, 4);                          // oversample_log2
+  rows.add(1, 2, 6, 4);                          // oversample_log2
   rows.add(kMuscles, 0, 20000, 6554);            // pressure_zero
   rows.add(kMuscles, 5000, 65000, 52429);        // pressure_span
   rows.add(1, 100, 20000, 6000);                 // pressure_full_cpsi

@@ -67,12 +67,6 @@ inline int32_t total_ohm_q4_of_zero(uint32_t zero_sum_q8, uint8_t log2) {
   return static_cast<int32_t>(long_quotient(kDividerOhm, count, static_cast<uint8_t>(23 + log2)));
 }
 
-// Curvature of unusual bends and gains: 64 bits.
-THIGMO_NOINLINE inline int16_t wide_curvature_e5(int32_t change, int32_t gain_q16) {
-  const int64_t scaled = (static_cast<int64_t>(change) * gain_q16 + 0x8000) >> 16;
-  return static_cast<int16_t>(limited<int64_t>(scaled, -32768, 32767));
-}
-
 // Curvature in 1e-5/cm of two total resistances, saturated.
 inline int16_t curvature_e5(int32_t total, int32_t total_at_zero, int32_t gain_q16) {
   const int32_t change = limited<int32_t>(total - total_at_zero, -2000000, 2000000);
@@ -80,7 +74,8 @@ inline int16_t curvature_e5(int32_t total, int32_t total_at_zero, int32_t gain_q
   if (change > -65536 && change < 65536 && gain_q16 > -32768 && gain_q16 < 32768) {
     return saturated16((change * static_cast<int16_t>(gain_q16) + 0x8000) >> 16);
   }
-  return wide_curvature_e5(change, gain_q16);
+  return saturated16(
+      multiply_q16(change < 0 ? -gain_q16 : gain_q16, static_cast<uint32_t>(magnitude(change))));
 }
 
 // Sums conversions of the sensors into readings, and watches their wires.
@@ -124,6 +119,20 @@ class FlexReadings {
     if (column_full) done |= odd ? kOthers << kColumn : kOthers;
     ready_ |= done;
     return done;
+  }
+
+  // Adds sensors' latest readings, by bits, to sums and counts of all sensors.
+  THIGMO_NOINLINE void add_to(uint32_t* sum, uint16_t* taken, uint16_t sensors) const {
+    const Channel* channel = channels_;
+    for (; sensors != 0; sensors = static_cast<uint16_t>(sensors >> 1)) {
+      if ((sensors & 1) != 0) {
+        *sum += channel->latest;
+        ++*taken;
+      }
+      ++channel;
+      ++sum;
+      ++taken;
+    }
   }
 
   uint16_t latest(uint8_t sensor) const { return channels_[sensor].latest; }  // sum of 2^log2

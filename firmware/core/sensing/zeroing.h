@@ -36,11 +36,9 @@ class DriftWatch {
     }
   }
 
-  // Takes a completed reading (sum of 2^log2).
-  void add(uint8_t sensor, uint16_t sum) {
-    if (!quiet_) return;
-    sum_[sensor] += sum;
-    ++taken_[sensor];
+  // Takes the readings (sums of 2^log2) that were completed, by bits.
+  void add(uint16_t done, const FlexReadings& flex) {
+    if (quiet_) flex.add_to(sum_, taken_, done);
   }
 
   // Once a control period; closes a full window. The divisions are spread over ten of them.
@@ -111,11 +109,10 @@ class SensorZeros {
     }
   }
 
-  // Takes a completed reading (sum of 2^log2).
-  void add(uint8_t sensor, uint16_t sum) {
-    if ((mask_ >> sensor & 1) == 0 || taken_[sensor] == 0xFFFF) return;
-    sum_[sensor] += sum;
-    ++taken_[sensor];
+  // Takes the readings (sums of 2^log2) that were completed, by bits. At most 10 s of them, so that
+  // no count runs over.
+  void add(uint16_t done, const FlexReadings& flex) {
+    flex.add_to(sum_, taken_, static_cast<uint16_t>(done & mask_));
   }
 
   // Turns the average of one sensor into its zero; call for each sensor, one a tick (64-bit

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo import wiring
 from thigmo.calibrate.bench import Row
 from thigmo.calibrate.columns import Array, column, medians, muscle_sides, of_sensors, sensors_of
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
+from thigmo.robot import VENTED_PSI
+from thigmo.wiring import table_key
 
 KINDS = ("straight", "tip", "bend")
-_VENTED_PSI = 0.5
 _LEAST_OHM = 200.0  # below, the unit is not ohm: flex sensors have thousands
 
 
@@ -101,7 +101,7 @@ class FlexReadings:
             column(rows, "k"),
             np.nan_to_num(column(rows, "k_se")),
             # A vented muscle wrinkles no sensor, so both sides read such a row well.
-            tuple(r["side"] if "side" in r and float(r["psi"]) > _VENTED_PSI else "" for r in rows),
+            tuple(r["side"] if "side" in r and float(r["psi"]) > VENTED_PSI else "" for r in rows),
             column(rows, "ohm") - rest + medians(rest),  # a dead sensor has no rest
             length_cm,
             column(rows, "asked"),
@@ -120,5 +120,5 @@ class FlexReadings:
             "length_cm": [self.length_cm] * len(self.kind), "intended_y_cm": self.intended_y_cm,
             "block": self.block,
         }  # fmt: skip
-        ohm = [f"ohm_{wiring.key_of(name)}" for name in sensors_of(config)]
+        ohm = [f"ohm_{table_key(name)}" for name in sensors_of(config)]
         write_table(path, columns | dict(zip(ohm, self.ohm.T, strict=True)))

@@ -14,14 +14,14 @@ import numpy as np
 from scipy.optimize import curve_fit, least_squares
 from scipy.stats import median_abs_deviation
 
-from thigmo import wiring
-from thigmo.calibrate.bench import SAME_CM, Bench, growth_rows
+from thigmo.calibrate.bench import Bench, growth_rows
 from thigmo.calibrate.columns import Array, grouped, sensors_of
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import RobotConfig
+from thigmo.config import SAME_LENGTH_CM, RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics.settling import Settling
 from thigmo.record.table import Table
+from thigmo.wiring import table_key
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def guided(bench: Bench) -> HysteresisResult:
         ohm, t = np.array(row["ohm"], float), np.array(row["t_s"], float)
         for (name, sensor), own in zip(sensors_of(config).items(), ohm.T, strict=True):
             end = sensor.center_cm + sensor.span_cm / 2
-            if before + SAME_CM < end <= length and sensor.healthy:
+            if before + SAME_LENGTH_CM < end <= length and sensor.healthy:
                 # The sensor everted when the tip passed its end, a little before growth stopped.
                 since = t + (length - end) / float(row["speed_cm_s"])
                 rest = float(np.nanmedian(own[-max(3, len(own) // 10) :]))
@@ -101,7 +101,7 @@ def of_csv(table: Table, config: RobotConfig) -> HysteresisResult:
 
 def _names(table: Table, config: RobotConfig) -> list[str]:
     """(n,) names of the sensors, from the column `sensor`."""
-    known = {wiring.key_of(name): name for name in sensors_of(config)}
+    known = {table_key(name): name for name in sensors_of(config)}
     given = table.words("sensor")
     for one in given:
         if one not in known:

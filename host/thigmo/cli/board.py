@@ -147,21 +147,23 @@ def clear(robot: RobotOption, by_page: ByPageOption = False, as_json: JsonOption
     from thigmo.robot import connect
 
     stopped = Fault.STOPPED.key
-    with connect(robot) as machine, shown(machine, "clear", by_page):
+    with connect(robot) as machine:
         latched = machine.status().faults
-        machine.clear_stop()  # the operator's word: who types this command has looked
-        remaining = machine.clear_faults()
-        cleared = [fault for fault in latched if fault not in remaining]
-        faults = ", ".join(fault for fault in cleared if fault != stopped)
-        outcome = f"Cleared: {faults}." if faults else "No fault was cleared."
-        if stopped in cleared:
-            outcome = f"The stop has ended. {outcome}" if faults else "The stop has ended."
-        show(
-            as_json,
-            {"cleared": cleared, "remaining": list(remaining)},
-            outcome if latched else "No fault is latched.",
-        )
-        machine.raise_faults()
+        # A page that shows the robot as stopped sees it cleared, whoever clears it.
+        with shown(machine, "clear", by_page or stopped in latched):
+            machine.clear_stop()  # the operator's word: who types this command has looked
+            remaining = machine.clear_faults()
+            cleared = [fault for fault in latched if fault not in remaining]
+            faults = ", ".join(fault for fault in cleared if fault != stopped)
+            outcome = f"Cleared: {faults}." if faults else "No fault was cleared."
+            if stopped in cleared:
+                outcome = f"The stop has ended. {outcome}" if faults else "The stop has ended."
+            show(
+                as_json,
+                {"cleared": cleared, "remaining": list(remaining)},
+                outcome if latched else "No fault is latched.",
+            )
+            machine.raise_faults()
 
 
 def retract(

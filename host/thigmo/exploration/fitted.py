@@ -20,6 +20,7 @@ from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle
 from thigmo.robot import SensorTable, SweepResult
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
 
 FIELD = "field"  # the method; its single frames are localized as by "posterior"
 _MAP_ERRS = 1.3  # bends of the atlas over the map's highest
@@ -105,7 +106,9 @@ class FittedMap:
             covariance_cm2=((xx, xy), (yx, yy)),
             track=[(round(x, 4), round(sign * y, 4)) for x, y in contact.track.tolist()],
             model=f"peg, by {len(sweeps)} sweeps" + (f"; {contact.doubt}" if contact.doubt else ""),
-            readings=int(SensorTable.of(self._config).usable(side, sweeps[-1].sweep.sensors).sum()),
+            readings=int(
+                SensorTable.of(Wiring.of(self._config)).usable(side, sweeps[-1].sweep.sensors).sum()
+            ),
             merged=[length for length in contact.felt_at_cm if length < contact.length_cm - 0.1],
             probability=round(contact.probability, 4),
             peg_probability=round(contact.probability, 4),

@@ -35,6 +35,7 @@ from thigmo.reading_errors import SETTLED
 from thigmo.record import Obstacle, Shape
 from thigmo.robot import Peak, SensorTable
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
 
 # Least relative standard error of the critical moment, which goes with a pressure set by hand.
 _LEAST_FOLD_ERROR = 0.1
@@ -64,7 +65,7 @@ def localize_peak(
     `touch` (145,) says where the sweep's first touch began; `prior` are obstacles that are
     expected; `method` is that of `localize`. Raises DataError if no sensor is usable.
     """
-    table = SensorTable.of(config).warmed(peak.warmth)
+    table = SensorTable.of(Wiring.of(config)).warmed(peak.warmth)
     use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
     body = config.body
     free = response.expected(peak.side, zone, peak.free_curvature, peak.curvature, use)

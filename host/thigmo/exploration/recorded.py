@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import RunFolderError
 from thigmo.exploration.plan import trial_zone
 from thigmo.exploration.reducer import Reducer
@@ -32,10 +32,9 @@ from thigmo.robot import (
     peak_frame,
 )
 from thigmo.robot.curvature import Floats
-from thigmo.wiring import board_of
+from thigmo.wiring import Wiring
 
 _ZEROED = 1 << 2  # of sensor_report.flags
-_SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
 
 
 @dataclass
@@ -52,10 +51,10 @@ class _Frames:
     """Reads the board's state off its frames, as the robot object does live."""
 
     def __init__(self, config: RobotConfig) -> None:
-        self._config = config
-        self.table = SensorTable.of(config)
+        self._wiring = Wiring.of(config)
+        self.table = SensorTable.of(self._wiring)
         self._enabled = self.table.board.healthy.copy()
-        rows = wire.parameters(**board_of(config).capacity)
+        rows = wire.parameters(**self._wiring.size.capacity)
         self._first, self._oversample = (rows[n].index for n in ("flex_enabled", "oversample_log2"))
         self._creep: CreepWatch | None = None
         self._clock = DeviceClock()
@@ -111,7 +110,7 @@ class _Frames:
             case wire.StatusReport():
                 self._status = message
             case wire.Arm():
-                self._creep = CreepWatch(self._config, self.table.oversample)
+                self._creep = CreepWatch(self._wiring, self.table.oversample)
             case wire.ParameterValue() if 0 <= message.index - self._first < len(self._enabled):
                 self._enabled[message.index - self._first] = message.value
             case wire.ParameterValue() if message.index == self._oversample:
@@ -157,7 +156,7 @@ class _Frames:
             young = status.everted_mask & mask_of(self.table.board.healthy & ~self._enabled)
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
-        muscles = self._config.muscle_sides
+        muscles = self._wiring.config.muscle_sides
         watcher = SweepWatcher(
             self.table, mask, length, young, self._creep, sides=muscles, strains=self._strains
         )
@@ -171,7 +170,7 @@ class _Frames:
         if message.index != len(self._snapshots):
             return  # the reply to a repeated request
         at_s = self._device_s(message.t_us)
-        self._snapshots.append(peak_frame(message, at_s, self._config.muscle_sides))
+        self._snapshots.append(peak_frame(message, at_s, self._wiring.config.muscle_sides))
         if len(self._snapshots) == message.count:
             watcher.peaks.append(self._snapshots)
 
@@ -272,7 +271,7 @@ def _last_length(sweeps: list[RecordedSweep]) -> list[RecordedSweep]:
     if not sweeps:
         return []
     length_cm = sweeps[-1].watcher.length_cm
-    return [each for each in sweeps if abs(each.watcher.length_cm - length_cm) < _SAME_CM]
+    return [each for each in sweeps if abs(each.watcher.length_cm - length_cm) < SAME_LENGTH_CM]
 
 
 def _check(folder: RunFolder, log: Log) -> None:
@@ -280,13 +279,10 @@ def _check(folder: RunFolder, log: Log) -> None:
         raise RunFolderError(
             f"the record of {folder.path} is empty", "its run ended before it began: run it again"
         )
-    schema = log.metadata.get("schema_hash", "")
-    theirs = log.metadata.get("thigmo", "of its time")
-    if schema != f"{wire.SCHEMA_HASH:08x}":
+    if "schema_hash" not in log.metadata:
         raise RunFolderError(
-            f"{folder.path} was recorded with protocol schema {schema or 'unknown'}, and this is "
-            f"{wire.SCHEMA_HASH:08x}",
-            f"replay it with thigmo {theirs}",
+            f"the record of {folder.path} does not say which robot it is of",
+            "its first block is damaged: take the run from a backup, or run it again",
         )
 
 

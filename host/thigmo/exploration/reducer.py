@@ -12,15 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from thigmo.config import RobotConfig
+from thigmo.config import SAME_LENGTH_CM, RobotConfig
 from thigmo.exploration.peak import PeakAnswer
 from thigmo.exploration.stage import Interpreter
 from thigmo.exploration.stall import Lean, Obstruction, lean, stall
 from thigmo.record import Obstacle, Stage, Stall
 from thigmo.robot import Profile, SensorTable, SweepResult
 from thigmo.robot.curvature import Floats
-
-_SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
+from thigmo.wiring import Wiring
 
 
 class Reducer:
@@ -41,7 +40,7 @@ class Reducer:
     def __init__(
         self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
     ) -> None:
-        self._table = SensorTable.of(config)
+        self._table = SensorTable.of(Wiring.of(config))
         self._board = self._table.board  # its zeros last from stage to stage
         self._zone = self._measured_zone = 0
         self.found = Interpreter(config, prior, method)
@@ -146,4 +145,6 @@ class Reducer:
 
     def swept(self, length_cm: float) -> bool:
         """Whether a stage at this length was swept to its end."""
-        return any(abs(each.everted_length_cm - length_cm) <= _SAME_CM for each in self.stages)
+        return any(
+            abs(each.everted_length_cm - length_cm) <= SAME_LENGTH_CM for each in self.stages
+        )

@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo import wiring
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.robot import SensorTable, SweepResult
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
@@ -57,7 +57,9 @@ class FreeReading(NamedTuple):
 
 def scale_errors(config: RobotConfig) -> Floats:
     """Relative standard error of each sensor's scale, (10,); 0 where there is no sensor."""
-    return np.array([sensor.gain_error if sensor else 0.0 for sensor in wiring.rows(config)])
+    return np.array(
+        [sensor.gain_error if sensor else 0.0 for sensor in Wiring.of(config).read_sensors]
+    )
 
 
 def gain_errors(config: RobotConfig, drift: float = 1.0) -> Floats:
@@ -65,7 +67,9 @@ def gain_errors(config: RobotConfig, drift: float = 1.0) -> Floats:
 
     1 where there is no sensor: its covariance must have an inverse.
     """
-    drifts = np.array([sensor.drift_se if sensor else 1.0 for sensor in wiring.rows(config)])
+    drifts = np.array(
+        [sensor.drift_se if sensor else 1.0 for sensor in Wiring.of(config).read_sensors]
+    )
     return np.hypot(scale_errors(config), drift * drifts)
 
 
@@ -74,7 +78,7 @@ class FreeResponse:
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
-        self._table = SensorTable.of(config)
+        self._table = SensorTable.of(Wiring.of(config))
         self._count = len(self._table.noise)
         zones = len(config.body.zones)
         # Normal equations of (c, e, s, o) for each side.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort
 from thigmo.exploration.map import peg_ahead
@@ -23,7 +23,7 @@ from thigmo.exploration.measuring import (
     pressing_zone,
 )
 from thigmo.exploration.obstacles import export_obstacles
-from thigmo.exploration.plan import SAME_CM, growth_target, growth_zone, stage_lengths, trial_zone
+from thigmo.exploration.plan import growth_target, growth_zone, stage_lengths, trial_zone
 from thigmo.exploration.reducer import Reducer
 from thigmo.exploration.run_control import Live, RunControl
 from thigmo.exploration.scoring import true_obstruction
@@ -43,7 +43,7 @@ from thigmo.robot import (
 )
 from thigmo.robot.state import together
 from thigmo.stream import Contacts, Grid, Log, Posterior, RunState
-from thigmo.wiring import base_inputs, blind
+from thigmo.wiring import Wiring
 
 _MOST_ZERO_TRIES = 5
 
@@ -91,10 +91,11 @@ class Exploration:
         self.live = Live(self.robot)
         self._knows = self.knows or Reducer(self.config, self.prior, self.document.method)
         self._found = self._knows.found
-        self._table = SensorTable.of(self.config)
+        self._wiring = Wiring.of(self.config)
+        self._table = SensorTable.of(self._wiring)
         if self.protocol == "thesis":
             self.effort = THESIS
-        self._base = sum(1 << number for number in base_inputs(self.config))
+        self._base = sum(1 << number for number in self._wiring.base_inputs)
 
     def run(self) -> None:
         """Walk the table to its end; each state has the method of its name.
@@ -176,7 +177,7 @@ class Exploration:
             self.config, stops, self.length_cm, settles_s
         )
         if not stops:
-            full = self.length_cm > self.config.body.length_cm - SAME_CM
+            full = self.length_cm > self.config.body.length_cm - SAME_LENGTH_CM
             self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
             return "fully deployed" if full else "time is up"
         stage = stops[0]
@@ -239,7 +240,7 @@ class Exploration:
 
     def _grown(self) -> Profile:
         """Lengths of the stage's growth, and what the sensors read at each."""
-        return self._growth.profile(SensorTable.of(self.config, self.robot.oversample))
+        return self._growth.profile(SensorTable.of(self._wiring, self.robot.oversample))
 
     def _back_off(self) -> str:
         """Wind in until the tip is clear of what stopped or bent it.
@@ -328,7 +329,7 @@ class Exploration:
             {
                 muscle.name: muscle.max_pressure_psi
                 for muscle in self.config.muscles
-                if muscle not in blind(self.config)
+                if muscle not in self._wiring.unguarded_muscles
             },
             period_s=period_s(self.config, self._zone),
             rising_only=not thesis,

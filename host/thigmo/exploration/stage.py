@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from thigmo import wiring
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
 from thigmo.exploration.fitted import FIELD, FittedMap, frame_method
 from thigmo.exploration.map import ContactMap
@@ -35,6 +34,7 @@ from thigmo.exploration.workspace import centreline, common_error, measured_bend
 from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
 from thigmo.robot import Peak, SensorTable, SweepResult, mean_peak
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
 
 _SHAPES_A_SIDE = 12
 _AVERAGED = 5  # frames behind a shape, a quarter of a second
@@ -56,8 +56,9 @@ class Interpreter:
         self._config = config
         self._method = frame_method(method)
         self._prior = prior
-        self._table = SensorTable.of(config)
-        self._base_noise = float(self._table.noise[wiring.base_inputs(config)].max(initial=0.0))
+        wiring = Wiring.of(config)
+        self._table = SensorTable.of(wiring)
+        self._base_noise = float(self._table.noise[[*wiring.base_inputs]].max(initial=0.0))
         self._response = FreeResponse(config)
         self._bends = bend_grid(config.body.length_cm)
         fitted = FittedMap(config, prior) if method == FIELD else None
@@ -198,7 +199,7 @@ def _swept_shapes(
     and so a sensor that reads too much makes no space free.
     """
     shapes = []
-    table = SensorTable.of(config)
+    table = SensorTable.of(Wiring.of(config))
     gain = gain_errors(config)
     for side in SIDES:
         frames, readings = sweep.half(side)

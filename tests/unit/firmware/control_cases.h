@@ -37,9 +37,7 @@ TEST(a_change_of_one_parameter_updates_all_that_follows_from_it) {
     const uint32_t span = static_cast<uint32_t>(row.high - row.low) + 1u;
     s.c.value[i] = row.low + static_cast<int32_t>(random() % span);
     s.d.update(s.c, i);
-    for (uint16_t k = 0; Derived::is_scale(i) && k < protocol::kParamCount; ++k) {
-      if (Derived::is_scaled(k)) s.d.update(s.c, k);
-    }
+    while (s.d.waits()) s.d.step(s.c);
     all.update(s.c);
     CHECK(std::memcmp(&s.d, &all, sizeof(Derived)) == 0);
   }
@@ -65,8 +63,26 @@ TEST(products_round_to_nearest) {
   std::mt19937 random(1);
   for (int i = 0; i < 100000; ++i) {
     const int32_t a = static_cast<int32_t>(random()) >> 8;
-    const int32_t b = static_cast<int32_t>(random()) >> 12;
-    CHECK_NEAR(multiply_q16(a, b), static_cast<double>(a) * b / 65536, 0.5);
+    const uint32_t b = static_cast<uint32_t>(random()) >> (9 + i % 20);
+    const int64_t product = static_cast<int64_t>(a) * static_cast<int64_t>(b);
+    CHECK_EQUAL(multiply_q16(a, b), static_cast<int32_t>((product + 0x8000) >> 16));
+  }
+}
+
+TEST(fine_numbers_are_those_of_64_bits) {
+  std::mt19937 random(12);
+  Fine sum = {0, 0};
+  int64_t expected = 0;
+  for (int i = 0; i < 100000; ++i) {
+    const int32_t q16 = static_cast<int32_t>(random()) >> (i % 30);
+    const Fine before = sum;
+    sum.add(q16);
+    expected += q16;
+    CHECK_EQUAL(sum.whole, static_cast<int32_t>(expected >> 16));
+    CHECK_EQUAL(sum.fraction, static_cast<uint16_t>(expected));
+    CHECK_EQUAL(sum.less(before), q16 < 0);
+    CHECK_EQUAL(before.less(sum), q16 > 0);
+    CHECK_EQUAL(sum.zero(), expected == 0);
   }
 }
 

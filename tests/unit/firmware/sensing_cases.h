@@ -424,7 +424,7 @@ inline int drift_of(double counts_per_s, double noise) {
   for (uint32_t tick = 0; tick < 4200; ++tick) {
     watch.set_quiet(true, tick);
     const double ideal = 650.5 + counts_per_s * tick * 1e-3 + noise * normal(random);
-    if (convert(readings, 0, static_cast<uint16_t>(ideal))) watch.add(0, readings.latest(0));
+    if (convert(readings, 0, static_cast<uint16_t>(ideal))) watch.add(1, readings);
     watch.update(tick, 4, d.flex_gain_q16);
   }
   CHECK(watch.known());
@@ -460,10 +460,16 @@ TEST(a_disturbance_restarts_the_drift_windows) {
 TEST(a_zero_is_the_mean_of_the_named_sensors) {
   SensorZeros zeros;
   zeros.begin(0x021);
-  for (int i = 0; i < 60; ++i) {
-    for (uint8_t sensor = 0; sensor < kSensors; ++sensor) {
-      zeros.add(sensor, static_cast<uint16_t>(10000 + 16 * sensor + i % 2));
+  FlexReadings readings;
+  readings.set_oversampling(4);
+  for (int tick = 0; tick < 60 * 32; ++tick) {
+    // Of sensors 0 and 5, the base's: a reading takes 16 ticks, and every second one is 1 more.
+    uint16_t counts[6] = {625, 630, 700, 700, 700, 700};
+    if (tick % 32 == 0) {
+      ++counts[0];
+      ++counts[1];
     }
+    zeros.add(readings.add_tick(tick % 2 != 0, counts), readings);
   }
   for (uint8_t i = 0; i < kSensors; ++i) zeros.finish(i, 4);
   CHECK_EQUAL(zeros.valid_mask(), 0x021);

@@ -257,7 +257,7 @@ def test_a_tail_that_overruns_the_spool_does_not_restart_the_dead_man(pull: floa
 @pytest.mark.parametrize("heartbeat_ms", [150, 500])
 @pytest.mark.parametrize("name", ["spool_speed_um_s", "home_speed_um_s"])
 def test_a_speed_that_outruns_the_heartbeat_is_not_applied(name: str, heartbeat_ms: int) -> None:
-    top = 17_000_000 // (max(heartbeat_ms, 250) + 100)  # the watchdog needs as long
+    top = 17_000_000 // (max(heartbeat_ms, 285) + 100)  # the watchdog needs as long
     bench = Bench().prepare(heartbeat_ms=heartbeat_ms)
     bench.stage(name, top + 1)
     ack = bench.ask(wire.ApplyParameters())
