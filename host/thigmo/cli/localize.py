@@ -337,11 +337,18 @@ def _answer_rows(
             raise DataError(f"line {line}: {error.what}", error.next_step) from error
     times = table.time_s.tolist() if table.time_s is not None else [None] * len(results)
     if plot is not None:
-        from thigmo.report import draw_series
+        from thigmo.display.bars import Bar
+        from thigmo.display.series import draw_series
 
         when = table.lines if table.time_s is None else table.time_s.tolist()
-        read = [(t, result) for t, result in zip(when, results, strict=True) if result]
-        _save(draw_series(read), plot)
+        label = "line of the file" if table.time_s is None else "time (s)"
+        bars = [
+            [Bar(each.arc, each.intervals, each.status, "") for each in result.contacts]
+            if result
+            else []
+            for result in results
+        ]
+        _save(draw_series(when, bars, localizer.length, label), plot)
     frames = list(zip(table.lines, times, results, strict=True))
     if as_json:
         unread_answer = {"status": "no reading", "contacts": []}
