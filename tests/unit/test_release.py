@@ -27,6 +27,7 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["versi
     [
         ("CITATION.cff", r"^version: (.*)$"),
         ("firmware/library.properties", r"^version=(.*)$"),
+        ("package.json", r'^  "version": "(.*)"'),
         ("firmware/core/link/session.h", r"kFirmwareVersion\[3\] = {(.*)}"),
     ],
 )

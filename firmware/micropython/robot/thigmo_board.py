@@ -21,9 +21,13 @@ from thigmo_names import (
     LENGTH_KNOWN,
     MESSAGES,
     REASONS,
+    SCHEMA_HASH,
     SENSORS_ALL,
     STATES,
 )
+
+if _thigmo.schema_hash() != SCHEMA_HASH:
+    raise ImportError("thigmo_board.py and the image are of different versions: flash the image")
 
 _NONE = -32768
 

@@ -48,6 +48,7 @@ void thigmo_halt(const char* why);
 // Why the controller was halted, or null.
 const char* thigmo_halted(void);
 bool thigmo_runs(void);
+uint32_t thigmo_schema_hash(void);
 
 // What a program asks; the answer is in the same bytes.
 typedef enum {

@@ -295,6 +295,8 @@ const char* thigmo_halted(void) { return machine.halted; }
 
 bool thigmo_runs(void) { return machine.alive && machine.halted == nullptr; }
 
+uint32_t thigmo_schema_hash(void) { return protocol::kSchemaHash; }
+
 bool thigmo_ask(thigmo_request_t* request) {
   stream_lock();
   const bool answered = thigmo_runs();

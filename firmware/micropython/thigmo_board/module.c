@@ -142,6 +142,9 @@ static MP_DEFINE_CONST_FUN_OBJ_1(start_obj, start);
 static mp_obj_t runs(void) { return mp_obj_new_bool(thigmo_runs()); }
 static MP_DEFINE_CONST_FUN_OBJ_0(runs_obj, runs);
 
+static mp_obj_t schema_hash(void) { return mp_obj_new_int_from_uint(thigmo_schema_hash()); }
+static MP_DEFINE_CONST_FUN_OBJ_0(schema_hash_obj, schema_hash);
+
 static mp_obj_t notify(mp_obj_t callback) {
   MP_STATE_VM(thigmo_callback) = callback;
   thigmo_call_soon();
@@ -184,6 +187,7 @@ static const mp_rom_map_elem_t thigmo_globals_table[] = {
     {MP_ROM_QSTR(MP_QSTR_start), MP_ROM_PTR(&start_obj)},
     {MP_ROM_QSTR(MP_QSTR_end), MP_ROM_PTR(&end_obj)},
     {MP_ROM_QSTR(MP_QSTR_runs), MP_ROM_PTR(&runs_obj)},
+    {MP_ROM_QSTR(MP_QSTR_schema_hash), MP_ROM_PTR(&schema_hash_obj)},
     {MP_ROM_QSTR(MP_QSTR_notify), MP_ROM_PTR(&notify_obj)},
     {MP_ROM_QSTR(MP_QSTR_ask), MP_ROM_PTR(&ask_obj)},
     {MP_ROM_QSTR(MP_QSTR_TAKE), MP_ROM_INT(THIGMO_TAKE)},

@@ -267,6 +267,8 @@ const char* thigmo_halted(void) { return halted; }
 
 bool thigmo_runs(void) { return alive && halted == nullptr; }
 
+uint32_t thigmo_schema_hash(void) { return protocol::kSchemaHash; }
+
 bool thigmo_ask(thigmo_request_t* wanted) {
   if (!thigmo_runs()) return false;
   request = *wanted;

@@ -2,6 +2,7 @@
 
 from thigmo.design.bounds import Identifiability, arc_bounds, identifiability
 from thigmo.design.draft import draft
-from thigmo.design.judge import Finding, judge
+from thigmo.design.finding import Finding
+from thigmo.design.judge import judge
 
 __all__ = ["Finding", "Identifiability", "arc_bounds", "draft", "identifiability", "judge"]

@@ -12,9 +12,7 @@ base folds.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from math import degrees, hypot, pi
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +30,8 @@ from thigmo.config import (
     Spool,
 )
 from thigmo.design.bounds import arc_bounds
+from thigmo.design.finding import Finding
+from thigmo.design.units import unit_questions
 from thigmo.errors import ConfigError
 from thigmo.exploration.plan import stage_lengths
 from thigmo.link.protocol import PARAMETERS, parameters
@@ -54,32 +54,31 @@ _BUS_HZ, IMU_BITS = 400_000, 9 * (2 + 2 + 1 + 21) + 3 * 2
 _REPORTS_HZ = 50  # reports of each IMU
 _TRIGGER_SIGMAS = 5.0  # a trigger below so many standard deviations fires by noise
 _STEPS = 200
+# Of the body, in percent: below this the answer "somewhere" is the rule. The thesis's robot has 34.
+_LOCALIZED_LEAST = 15.0
+_CURE_PLACES = 25  # where one more sensor is tried
+_ORDINALS = {2: "half", 3: "third", 5: "fifth", 10: "tenth", 20: "twentieth"}
 # Errors after a calibration (scenes/default.toml): of a sensor's scale, relative, and in 1/cm.
 _CALIBRATED_GAIN, _CALIBRATED_OFFSET = 0.02, 5e-4
 
 Floats = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One prediction."""
-
-    what: str
-    mark: Literal["ok", "warning", "bad"]
-    text: str
-
-
 def judge(config: RobotConfig) -> list[Finding]:
-    """All findings, the board's first."""
+    """All findings: first whether it explores, then the board's."""
     limitations = beyond_board(config)
     wiring = None if limitations else Wiring.of(config)  # findings of the inputs need one
+    findings = []
+    if wiring and (refused := wiring.unexplorable):
+        text = f"{refused.problem}: `thigmo explore` refuses; {refused.cure}"
+        findings.append(Finding("explore", "warning", text))
     if wiring:
-        findings = [
+        findings += [
             Finding("board", "bad", f"{problem}: correct what it comes from in robot.toml")
             for problem in _not_held(wiring)
         ] or [Finding("board", "ok", _board(wiring))]
     else:
-        findings = [Finding("board", "bad", f"{what}; {cure}") for what, cure in limitations]
+        findings += [Finding("board", "bad", f"{what}; {cure}") for what, cure in limitations]
     try:
         stages = stage_lengths(config)
         lengths = ", ".join(f"{length:g}" for length in stages)
@@ -87,14 +86,11 @@ def judge(config: RobotConfig) -> list[Finding]:
     except ConfigError as error:
         findings.append(Finding("stages", "bad", str(error)))
     findings += [*_growth(config), *_bends(config, wiring)]
-    if wiring and (refused := wiring.unexplorable):
-        text = f"{refused.what}: `thigmo explore` refuses; {refused.cure}"
-        findings.append(Finding("explore", "warning", text))
     if wiring:
         for side in config.sides:
             findings += _feels(wiring, side)
         findings += _inputs(wiring)
-    findings += [*_resolution(config), *_signs(config)]
+    findings += [*_resolution(config), *_signs(config), *unit_questions(config)]
     if wiring:
         findings += _rates(wiring)
     return [*findings, *_imus(config), *_fibre(config)]
@@ -263,12 +259,15 @@ def _feels(wiring: Wiring, side: Side) -> Iterator[Finding]:
     wired = any(isinstance(sensor, BoardSensor) for sensor in sensors)
     bases = wiring.trigger_sensors(muscle)
     if not column or (wired and not bases):
-        yield Finding(
-            what,
-            "bad",
+        others = [m for m in config.muscles if m.side and wiring.trigger_sensors(m)]
+        text = (
             "feels nothing: the trigger works on a base sensor that this muscle does not wrinkle, "
-            "and there is none that is healthy and answers to this bend",
+            "and there is none that is healthy and answers to this bend"
         )
+        if others:
+            names = " and ".join(other.name for other in others)
+            text += f". `thigmo explore` sweeps {names} only, and finds what lies on that side"
+        yield Finding(what, "warning" if others else "bad", text)
         return
     free = muscle.maps[-1].inflate.curvature(muscle.max_pressure_psi)
     moment = min(_PROPPED * free, _fold_moments(config)[-1])
@@ -294,7 +293,52 @@ def _feels(wiring: Wiring, side: Side) -> Iterator[Finding]:
         f"a contact pressed as hard as the base allows is localized to {width} on "
         f"{calibrated:.0f} % of the body once calibrated, on {stated:.0f} % before"
     )
-    yield Finding(what, "ok" if calibrated > 0.0 else "warning", text)
+    if calibrated >= _LOCALIZED_LEAST:
+        yield Finding(what, "ok", text)
+        return
+    yield Finding(what, "warning", f"{text}: {_cure(config, column, arcs, moment, muscle)}")
+
+
+def _cure(
+    config: RobotConfig, column: list[Sensor], arcs: Floats, moment: float, muscle: Muscle
+) -> str:
+    """Where one more sensor helps most, or else which noise the sensors would need."""
+
+    def share(sensors: list[Sensor]) -> float:
+        offset = min(muscle.offset_se, _CALIBRATED_OFFSET)
+        rows = _localized(config, sensors, arcs, moment, offset, _CALIBRATED_GAIN)
+        return float(100 * rows.mean())
+
+    half = column[0].span_cm / 2
+    free = [
+        float(place)
+        for place in np.linspace(half, config.body.length_cm - half, _CURE_PLACES)
+        if all(abs(place - s.center_cm) >= half + s.span_cm / 2 for s in column)
+    ]
+    added = {
+        place: share([*column, column[0].model_copy(update={"center_cm": place})]) for place in free
+    }
+    if added:
+        place = max(added, key=lambda at: added[at])
+        if added[place] >= _LOCALIZED_LEAST:
+            return f"one more sensor at {place:.0f} cm would make it {added[place]:.0f} %"
+    for factor in (2, 3, 5, 10, 20):
+        quieter = [
+            sensor.model_copy(update={"noise": sensor.noise / factor, **_zero(sensor, factor)})
+            for sensor in column
+        ]
+        if share(quieter) >= _LOCALIZED_LEAST:
+            most = max(sensor.reading_se for sensor in quieter)
+            return (
+                f"no one more sensor is enough; readings known to {most:.1e} 1/cm (noise and zero "
+                f"a {_ORDINALS[factor]} of what they are) would make it {share(quieter):.0f} %"
+            )
+    return "neither one more sensor nor less noise is enough; the base folds, or bends too little"
+
+
+def _zero(sensor: Sensor, factor: float) -> dict[str, float]:
+    """A flex sensor's error of its zero so many times smaller; others state none."""
+    return {"zero_se": sensor.zero_se / factor} if isinstance(sensor, FlexSensor) else {}
 
 
 def _localized(

@@ -70,7 +70,7 @@ def flash_of(store: bytes, size: int = STORE_SIZE) -> bytes:
 
 
 class MicroPythonBoard:
-    """The controller under MicroPython, as the emulator's `Board`.
+    """The controller under MicroPython, as the emulator's `EmulatedBoard`.
 
     Time passes only in `step`; a program that has ended keeps its outputs off and is silent.
 
@@ -266,9 +266,13 @@ class MicroPythonBoard:
         """Ctrl-C at Python's prompt."""
         self.type(b"\x03")
 
+    def printed(self, past: int = 0) -> bytes:
+        """What Python has printed so far, past so many bytes."""
+        return os.pread(self._console.fileno(), 1 << 20, past)
+
     def console(self) -> str:
-        """What Python has printed so far."""
-        return os.pread(self._console.fileno(), 1 << 20, 0).decode(errors="replace")
+        """The same as text."""
+        return self.printed().decode(errors="replace")
 
     def _tell(self, message: bytes) -> None:
         assert self._socket is not None

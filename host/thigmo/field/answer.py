@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from thigmo.field.atlas import Atlas
 from thigmo.field.fit import ALIKE
@@ -70,6 +72,22 @@ def contacts(
 
     `expected`: density of a given map at points (n, 2) of the skin, over that of a new obstacle.
     """
+    # Between threads, products of this size take up to 200 times as long on a busy computer.
+    with _blas().limit(limits=1, user_api="blas"):
+        return _contacts(readings, errors, atlas, expected)
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def _contacts(
+    readings: Readings,
+    errors: Errors,
+    atlas: Atlas,
+    expected: Callable[[Floats], Floats] | None,
+) -> list[FieldContact]:
     search = PegSearch(readings, errors, atlas)
     if not search.places or search.places[0].gain < LEAST_GAIN:
         return []

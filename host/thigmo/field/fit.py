@@ -15,14 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
 
 from thigmo.field.hypotheses import (
     ARC,
+    BASE,
     BEND,
     FOLD,
     FRICTION,
     NOTHING,
     PEG_UNKNOWNS,
+    UNSIGNED,
     YIELD,
     Body,
     Hypothesis,
@@ -40,7 +43,7 @@ ALIKE = 2.0
 # Standard deviation of the logarithm by which gains and maps have drifted more than stated.
 SPREAD_STD = 0.4
 MOST_PASSES, MOST_EVIDENCE_PASSES = 12, 6
-_MET = 0.02  # log likelihood that a further pass for the errors may gain
+_MET = 0.3  # log likelihood that the last pass for the errors may gain
 _DAMPING, _LEAST_DAMPING, _RAISED = 1e-2, 1e-4, 6.0
 _TRIES = 5  # of a step, each with more damping
 _GAIN = 0.02  # log likelihood below which a pass ends the fit
@@ -99,6 +102,8 @@ class Mode:
     tables: Tables
     cost: float  # -2 log posterior, less what all share
     precision: Floats  # (unknowns, unknowns) with the errors integrated out
+    prior_precision: Floats  # (unknowns,) what of its diagonal was known before
+    follow: Floats  # (count, unknowns) derivatives of the best errors by the unknowns
 
 
 class FieldFit:
@@ -116,7 +121,7 @@ class FieldFit:
         force = float(readings.fold_moment.min()) / (_LEVER * self.longest)
         self.body = Body(
             readings.radius, self.longest, float(self.bends[-1]), errors.fold,
-            readings.radius / force,
+            readings.radius / force, errors.base / self.longest, errors.base_error / self.longest,
         )  # fmt: skip
         self.missing = ~np.isfinite(readings.curvature)
         self._sd = np.where(self.missing, np.inf, readings.noise * np.sqrt(ALIKE))
@@ -130,21 +135,22 @@ class FieldFit:
         """What each error of one sigma adds to the bend (n, .) and to a reading (n, m, .)."""
         r, e = self.readings, self.errors
         g, (n, m) = r.bend[:, None], r.curvature.shape
-        zone = np.array([s.zone for s in r.stages])[r.stage]
-        zones = np.eye(r.fold_moment.size)[zone]
-        sweeps, zeroings = (
-            np.eye(r.sweep.max() + 1)[r.sweep],
-            np.eye(r.zeroing.max() + 1)[r.zeroing],
-        )
-        on_bend = [e.map * g, e.map_zone * g * zones, e.map_offset * zones]
+        used, zone = np.unique([r.stages[s].zone for s in r.stage], return_inverse=True)
+        zones = np.eye(used.size)[zone]
+        sweeps = np.eye(r.sweep.max() + 1)[r.sweep]
+        on_bend = [e.map * g, e.map_zone[used] * g * zones, e.map_offset * zones]
         on_bend += [e.sweep * g * sweeps, e.sweep_offset * sweeps, e.lag_s * r.rate[:, None]]
         self.on_bend = np.hstack(on_bend)
+        zeros = [(np.ones((n, 1)), e.zero)]
+        if r.zeroing.max() == r.sweep.max():  # one sweep a zeroing: the two are one error
+            zeros += [(sweeps, np.hypot(e.zero_zeroing, e.zero_sweep))]
+        else:
+            zeros += [(np.eye(r.zeroing.max() + 1)[r.zeroing], e.zero_zeroing)]
+            zeros += [(sweeps, e.zero_sweep)]
         parts = [
             np.einsum("nc,m,mj->nmcj", times, sd, np.eye(m)).reshape(n, m, -1)
-            for times, sd in (
-                (np.ones((n, 1)), e.zero), (zeroings, e.zero_zeroing), (sweeps, e.zero_sweep)
-            )
-        ]  # fmt: skip
+            for times, sd in zeros
+        ]
         if e.shared.size:
             parts.append(np.einsum("nc,mj->nmcj", sweeps, e.shared).reshape(n, m, -1))
         self.on_zero = np.concatenate(parts, axis=2)
@@ -155,6 +161,7 @@ class FieldFit:
         self._zero = self._against + 1
         self._modelled = self._zero + self.on_zero.shape[2]
         self.count = self._modelled + (m if self.model else 0)
+        self._unit = np.eye(self.count)
 
     def free(self) -> Floats:
         """(count,) errors that are all nil."""
@@ -175,8 +182,9 @@ class FieldFit:
             first = min((untouched(p, length, r.radius, bends) for p in pegs), default=rows)
             if first < rows:
                 critical = float(r.fold_moment[zone] * np.exp(q[FOLD]))
+                base = abs(float(q[BASE])) * self.longest
                 rod = Rod(
-                    Tube(2 * r.radius, critical), pegs, cell_cm=CELL * self.longest,
+                    Tube(2 * r.radius, critical, base), pegs, cell_cm=CELL * self.longest,
                     friction=abs(float(q[FRICTION])),
                 )  # fmt: skip
                 sweep = rod.sweep(bends[first:], length, r.centers, r.spans)
@@ -188,6 +196,7 @@ class FieldFit:
                 yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
                 by_q[s, on, :, YIELD] = yields * np.sign(q[YIELD])
                 by_q[s, on, :, FOLD] = sweep.by_body[..., 0] * critical
+                by_q[s, on, :, BASE] = sweep.by_body[..., 1] * self.longest * np.sign(q[BASE])
                 by_q[s, on, :, FRICTION] = sweep.by_body[..., 2] * np.sign(q[FRICTION])
                 for part in (mean, shift, by_q):
                     part[s, rows:] = part[s, rows - 1]
@@ -289,21 +298,31 @@ class FieldFit:
         for left in range(passes, -1, -1):
             d = self.departures(tables, xi, spread)
             z, effect = d.z, d.effect
-            factor = np.linalg.cholesky(effect.T @ effect + np.eye(self.count))
-            right = np.linalg.solve(factor, effect.T @ z - xi)
-            # Half of |right|^2 is what a pass gains.
-            if not left or right @ right < 2 * _MET:
+            factor = cho_factor(effect.T @ effect + self._unit, check_finite=False)
+            slope = effect.T @ z - xi
+            step = cho_solve(factor, slope, check_finite=False)
+            gain = 0.5 * float(slope @ step)  # of a further pass, were the readings linear
+            if not left or gain < _MET:
                 break
-            xi = xi + np.linalg.solve(factor.T, right)
-        inside = 2 * float(np.log(np.diag(factor)).sum())
-        misfit = float(z @ z + xi @ xi)
-        return -0.5 * (misfit + inside + d.volume), xi, misfit
+            xi = xi + step
+        inside = 2 * float(np.log(np.diag(factor[0])).sum())
+        misfit = float(z @ z + xi @ xi) - 2 * gain
+        return -0.5 * (misfit + inside + d.volume), xi + step, misfit
 
     def nothing(self) -> Mode:
         """The readings' explanation by errors alone."""
         tables = self.tables(NOTHING, np.zeros(0))
         log, xi, _ = self.evidence(tables, self.free())
-        return Mode(NOTHING, np.zeros(0), xi, tables, -2 * log, np.zeros((0, 0)))
+        return Mode(
+            NOTHING,
+            np.zeros(0),
+            xi,
+            tables,
+            -2 * log,
+            np.zeros((0, 0)),
+            np.zeros(0),
+            np.zeros((xi.size, 0)),
+        )
 
     def solve(
         self,
@@ -318,7 +337,7 @@ class FieldFit:
         q = np.array(q, dtype=float)
         xi = self.free() if xi is None or xi.size != self.count else xi
         unit = self.longest
-        most = hypothesis.columns((0.06 * unit, _LARGEST_TURN / unit, 0.6), 0.15, 0.3, 0.5)
+        most = hypothesis.columns((0.06 * unit, _LARGEST_TURN / unit, 0.6), 0.15, 0.3, 0.5, 0.05)
         mean, spread = hypothesis.bells(self.body)
         precision = np.concatenate([1 / spread**2, np.ones(self.count)])
 
@@ -357,8 +376,14 @@ class FieldFit:
             if gained < _GAIN:
                 break
         k = q.size
-        inner = hessian[:k, k:] @ np.linalg.solve(hessian[k:, k:], hessian[k:, :k])
-        return Mode(hypothesis, q, xi, tables, cost, hessian[:k, :k] - inner)
+        follow = -np.linalg.solve(hessian[k:, k:], hessian[k:, :k])
+        inner = hessian[:k, :k] + hessian[:k, k:] @ follow
+        sign = np.ones(k)
+        sign[list(UNSIGNED)] = np.where(q[list(UNSIGNED)] < 0.0, -1.0, 1.0)
+        return Mode(
+            hypothesis, sign * q, xi, tables, cost, inner * np.outer(sign, sign), precision[:k],
+            follow * sign,
+        )  # fmt: skip
 
 
 def whitened(x: npt.NDArray[np.float64], weight: Floats, along: Floats) -> Floats:

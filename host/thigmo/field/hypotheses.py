@@ -20,12 +20,14 @@ Floats = npt.NDArray[np.float64]
 
 # Unknowns of a peg, and those that all obstacles of a side share.
 ARC, BEND, RADIUS = range(3)
-PEG_UNKNOWNS, SHARED_UNKNOWNS = 3, 3
-FOLD, FRICTION, YIELD = -3, -2, -1
+PEG_UNKNOWNS, SHARED_UNKNOWNS = 3, 4
+FOLD, FRICTION, YIELD, BASE = -4, -3, -2, -1
+UNSIGNED = FRICTION, YIELD, BASE  # whose signs mean nothing
 
 # Friction of fabric and plastic film on what stands in a room is 0 to 0.6: two sigma.
 FRICTION_STD = 0.3
 _MOST_FRICTION = 4 * FRICTION_STD
+_LEAST_BASE_ERROR = 1e-4  # lengths: a base that was measured exactly
 # Tube radii that an obstacle yields, one sigma, under a force at seven tenths of the longest body
 # that would fold its base: a cushion, a cable, a peg on a foot.
 YIELD_STD = 0.5
@@ -50,15 +52,18 @@ class Body:
     most_bend: float  # 1/cm, beyond which the mechanics were not tabulated
     fold_error: float  # of the moment that folds the base, relative
     yield_unit: float  # compliance (cm^3) of an obstacle that yields one tube radius, as above
+    base: float = 0.0  # compliance of the base over `longest`, and its error
+    base_error: float = _LEAST_BASE_ERROR
 
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
     """A number of pegs.
 
-    Unknowns q (3 pegs + 3): arc, bend and logarithm of the radius over the tube's of each peg;
+    Unknowns q (3 pegs + 4): arc, bend and logarithm of the radius over the tube's of each peg;
     logarithm of the fold's moment over the stated one; friction; what obstacles yield, over
-    `Body.yield_unit`. The signs of the last two mean nothing.
+    `Body.yield_unit`; compliance of the base over `Body.longest`. The signs of the last three mean
+    nothing.
     """
 
     pegs: int = 0
@@ -69,10 +74,17 @@ class Hypothesis:
         return PEG_UNKNOWNS * self.pegs + SHARED_UNKNOWNS if self.pegs else 0
 
     def columns(
-        self, peg: tuple[float, float, float], fold: float, friction: float, yields: float
+        self,
+        peg: tuple[float, float, float],
+        fold: float,
+        friction: float,
+        yields: float,
+        base: float,
     ) -> Floats:
         """(unknowns,) one value for each unknown."""
-        return np.array([*peg * self.pegs, fold, friction, yields]) if self.pegs else np.zeros(0)
+        if not self.pegs:
+            return np.zeros(0)
+        return np.array([*peg * self.pegs, fold, friction, yields, base])
 
     def place(self, q: Floats, body: Body) -> list[Peg]:
         """The pegs in the side's plane."""
@@ -99,10 +111,11 @@ class Hypothesis:
 
     def bells(self, body: Body) -> tuple[Floats, Floats]:
         """Mean and standard deviation of each unknown; infinite where the plane is even."""
-        mean = self.columns((0.0, 0.0, RADIUS_MEAN), 0.0, 0.0, 0.0)
+        mean = self.columns((0.0, 0.0, RADIUS_MEAN), 0.0, 0.0, 0.0, body.base)
         spread = self.columns(
-            (np.inf, np.inf, RADIUS_STD), body.fold_error, FRICTION_STD, YIELD_STD
-        )
+            (np.inf, np.inf, RADIUS_STD), body.fold_error, FRICTION_STD, YIELD_STD,
+            max(body.base_error, _LEAST_BASE_ERROR),
+        )  # fmt: skip
         return mean, spread
 
     def log_prior(self, q: Floats, body: Body) -> float:

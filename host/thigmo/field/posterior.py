@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -18,13 +19,22 @@ from scipy.special import gammaln
 
 from thigmo.field.atlas import Atlas
 from thigmo.field.fit import MOST_EVIDENCE_PASSES, SPREAD_STD, FieldFit, Mode
-from thigmo.field.hypotheses import FRICTION, PEG, RADIUS, RADIUS_MEAN, RADIUS_STD, YIELD
+from thigmo.field.hypotheses import (
+    BASE,
+    FOLD,
+    PEG,
+    RADIUS,
+    RADIUS_MEAN,
+    RADIUS_STD,
+    UNSIGNED,
+    YIELD,
+)
 from thigmo.field.readings import Errors, Floats, Readings
 
 # Logarithms of radii over the tube's at which the ridge has nodes.
-# Friction and yield from which a fit starts: at none neither has a derivative.
-_LEAST = 0.05, 0.05
-RADII = RADIUS_MEAN + RADIUS_STD * np.linspace(-2.0, 2.0, 12)
+# Friction, yield and base from which a fit starts: at none they have no derivative.
+_LEAST = 0.05, 0.05, 0.01
+RADII = RADIUS_MEAN + RADIUS_STD * np.linspace(-2.0, 2.0, 8)
 _STARTS = RADIUS_MEAN + RADIUS_STD * np.array([-0.7, 0.6])
 # Levels of the mechanics' relative error, and their prior odds: a body of fabric is no ideal rod.
 MODELS, MODEL_ODDS = (0.0, 0.05, 0.2), (0.6, 0.3, 0.1)
@@ -40,18 +50,18 @@ _SPREAD = 1.15  # of their covariance
 _LEARNT = 0.75  # share of a later round that lies as earlier samples are spread
 _LEAST_SHARE = 0.02  # of a chain's weight, with less of which nothing is learnt of it
 _NEGLIGIBLE = 1e-3  # share of a level of the mechanics' error that later rounds omit
-ROUND, ROUNDS = 60, 6
+ROUND, ROUNDS = 60, 10
 ENOUGH = 50.0  # effective samples
-_KEPT = np.array([0, 1, 3, 4, 5])  # unknowns other than the radius
-_UNSIGNED = [FRICTION, YIELD]  # unknowns whose signs mean nothing
-_MIRRORS = np.array([[1.0, 1.0, 1.0, 1.0, f, y] for f in (1, -1) for y in (1, -1)])
+_KEPT = np.array([0, 1, 3, 4, 5, 6])  # unknowns other than the radius
+_UNFOLDED = 0.25  # of the proposals, against those that hold to a mode's fold
+_MIRRORS = np.array([[1.0] * 4 + list(signs) for signs in product((1.0, -1.0), repeat=3)])
 
 
 @dataclass(frozen=True)
 class Samples:
     """Weighted samples of one peg."""
 
-    q: Floats  # (n, 6)
+    q: Floats  # (n, 7)
     model: Floats  # (n, levels) posterior of the level of the mechanics' error
     touch: Floats  # (n, stages, 5) arc, x, y, normal, force at each stage's last peak; NaN: none
     weight: Floats  # (n,) of sum one
@@ -86,7 +96,7 @@ class PegSearch:
             for log_radius in _STARTS:
                 q = PEG.columns((place.arc, place.bend, log_radius), 0.0, *_LEAST)
                 if PEG.possible(q, rough.body):
-                    first.append(rough.solve(PEG, q, passes=6, held=(RADIUS, 3, 4, 5)))
+                    first.append(rough.solve(PEG, q, passes=6, held=(RADIUS, 3, 4, 5, 6)))
         first.sort(key=lambda mode: mode.cost)
         begins: list[Floats] = [mode.q for mode in known]
         for mode in first:
@@ -147,11 +157,11 @@ class PegSearch:
         """
         rng, fit = np.random.default_rng(seed), self.fit
         ridges, modes, chain_of = _ridges(chains)
-        drifts = self._drifts(min(modes, key=lambda mode: mode.cost))
+        likeliest = min(modes, key=lambda mode: mode.cost)
+        drifts, levels = self._drifts(likeliest), self._likely_levels(likeliest)
         proposals: list[_Proposal] = [ridges]
         counts = np.zeros(ROUNDS * len(chains) + 1)
         drawn: list[_Draw] = []
-        levels = list(range(len(MODELS)))
         weight, round_shares = np.zeros(0), [1.0]
         for _ in range(ROUNDS):
             for n in rng.choice(len(round_shares), ROUND, p=round_shares):
@@ -193,6 +203,16 @@ class PegSearch:
             best.misfit / float(np.sum(~fit.missing)), total,
         )  # fmt: skip
 
+    def _likely_levels(self, mode: Mode) -> list[int]:
+        """Levels of the mechanics' error that a mode leaves likely."""
+        logs = np.log(MODEL_ODDS)
+        for n, level in enumerate(self._levels):
+            xi = level.free()
+            xi[: mode.xi.size] = mode.xi
+            logs[n] += level.evidence(mode.tables, xi)[0]
+        likely: list[int] = np.flatnonzero(logs > logs.max() + np.log(_NEGLIGIBLE)).tolist()
+        return likely
+
     def _drifts(self, mode: Mode) -> _Drifts:
         """How far gains and maps have drifted, as a mode has it."""
         z = np.linspace(-2.0, 2.0, 9)
@@ -215,7 +235,7 @@ class PegSearch:
         for n in levels:
             level = self._levels[n]
             xi = level.free()
-            xi[: mode.xi.size] = mode.xi
+            xi[: mode.xi.size] = mode.xi + mode.follow @ (q - mode.q)
             log, fitted, misfit = level.evidence(
                 tables, xi, spread=spread, passes=MOST_EVIDENCE_PASSES
             )
@@ -276,8 +296,8 @@ class _Mixture:
     def __init__(
         self, centers: Floats, slopes: Floats, factors: Floats, share: Floats, step: float
     ) -> None:
-        """Of n points: `slopes` (n, 4) of the other unknowns over the radius's logarithm, of which
-        one sigma is `step`; `factors` (n, 4, 4) of their covariance; `share` (n,) of sum one.
+        """Of n points: `slopes` (n, 6) of the other unknowns over the radius's logarithm, of which
+        one sigma is `step`; `factors` (n, 6, 6) of their covariance; `share` (n,) of sum one.
         """
         self._centers, self._slopes, self._factors = centers, slopes, factors
         self._share, self._step = share, step
@@ -298,17 +318,17 @@ class _Mixture:
         q[RADIUS] += off
         q[_KEPT] += self._slopes[n] * off
         q[_KEPT] += wide * self._factors[n] @ rng.standard_normal(_KEPT.size)
-        q[_UNSIGNED] = np.abs(q[_UNSIGNED])
+        q[list(UNSIGNED)] = np.abs(q[list(UNSIGNED)])
         drawn: Floats = q
         return drawn
 
     def nearest(self, q: Floats) -> npt.NDArray[np.intp]:
-        """(k,) the points around which unknowns (k, 5) most probably lie."""
+        """(k,) the points around which unknowns (k, 7) most probably lie."""
         nearest: npt.NDArray[np.intp] = np.argmax(self._logs(q), axis=1)
         return nearest
 
     def log_density(self, q: Floats) -> Floats:
-        """(k,) logarithm of the density at unknowns (k, 6), mirrored ones included."""
+        """(k,) logarithm of the density at unknowns (k, 7), mirrored ones included."""
         mirrored = [self._logs(q * sign) for sign in _MIRRORS]
         density: Floats = np.logaddexp.reduce(np.concatenate(mirrored, axis=1), axis=1)
         return density + self._norm
@@ -339,11 +359,11 @@ class _Bell:
         """Unknowns."""
         wide = np.sqrt(_DOF / rng.chisquare(_DOF))
         q: Floats = self._center + wide * self._factor @ rng.standard_normal(self._center.size)
-        q[_UNSIGNED] = np.abs(q[_UNSIGNED])
+        q[list(UNSIGNED)] = np.abs(q[list(UNSIGNED)])
         return q
 
     def log_density(self, q: Floats) -> Floats:
-        """(k,) logarithm of the density at unknowns (k, 6), mirrored ones included."""
+        """(k,) logarithm of the density at unknowns (k, 7), mirrored ones included."""
         logs = []
         for sign in _MIRRORS:
             z = np.linalg.solve(self._factor, (q * sign - self._center).T)
@@ -376,6 +396,19 @@ def _bells(q: Floats, weight: Floats, chain: npt.NDArray[np.intp]) -> tuple[list
     return bells, np.array(shares) / max(sum(shares), 1e-300)
 
 
+def _unfolded(mode: Mode) -> Floats:
+    """A mode's precision as if readings said nothing of the fold's moment and the base.
+
+    A base that folds under a moment as stated may also turn before it folds under a higher one,
+    where the readings have no such curvature as at the mode.
+    """
+    precision = mode.precision.copy()
+    for n in (mode.q.size + FOLD, mode.q.size + BASE):
+        precision[n] = precision[:, n] = 0.0
+        precision[n, n] = mode.prior_precision[n]
+    return precision
+
+
 def _ridges(
     chains: Sequence[Sequence[Mode]],
 ) -> tuple[_Mixture, list[Mode], npt.NDArray[np.intp]]:
@@ -390,13 +423,15 @@ def _ridges(
         slope = np.gradient(q[:, _KEPT], q[:, RADIUS], axis=0) if many else [np.zeros(_KEPT.size)]
         for mode, along in zip(chain, slope, strict=True):
             if mode.cost < best + _PROPOSED:
-                w, v = np.linalg.eigh(mode.precision[np.ix_(_KEPT, _KEPT)])
-                modes.append(mode)
-                numbers.append(number)
-                slopes.append(along)
-                wide = np.minimum(1 / np.sqrt(np.maximum(w, 1e-9)), _WIDEST)
-                factors.append(_WIDER * v * wide)
+                for precision in (mode.precision, _unfolded(mode)):
+                    w, v = np.linalg.eigh(precision[np.ix_(_KEPT, _KEPT)])
+                    modes.append(mode)
+                    numbers.append(number)
+                    slopes.append(along)
+                    wide = np.minimum(1 / np.sqrt(np.maximum(w, 1e-9)), _WIDEST)
+                    factors.append(_WIDER * v * wide)
     share = np.exp([-_TEMPER * (mode.cost - best) for mode in modes])
+    share[1::2] *= _UNFOLDED
     step = 0.75 * (RADII[1] - RADII[0])
     centers = np.array([mode.q for mode in modes])
     mixture = _Mixture(centers, np.array(slopes), np.array(factors), share / share.sum(), step)

@@ -57,6 +57,8 @@ class Errors:
     map_zone: Floats  # (zones,) of the map's bend in each zone, relative
     map_offset: float  # 1/cm, in each zone
     fold: float  # of the moment that folds the base, relative
+    base: float = 0.0  # stated compliance of the base, rad for each 1/cm of moment: cm
+    base_error: float = 0.0  # cm
     # (m, k) columns of one standard error that sensors share in a sweep, 1/cm
     shared: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     map: float = 0.08  # of the map's bend in all zones alike, relative: muscles age

@@ -171,5 +171,7 @@ def stated(config: RobotConfig, side: Side, use: npt.NDArray[np.bool_]) -> Error
         sweep=muscle.sweep_se,
         sweep_offset=muscle.sweep_offset_se,
         lag_s=muscle.lag_se_s,
+        base=body.base_compliance_cm,
+        base_error=body.base_compliance_se_cm,
         fold=max(body.critical_curvature_se / body.critical_curvature, _FOLD),
     )

@@ -20,6 +20,7 @@ STUDIES: dict[str, str] = {
     "space": "contacts in space, against an independent rod",
     "scaling": "time of `localize` and of batches, over sensors and rows",
     "camera": "errors of the overhead camera over painted rooms",
+    "field": "the fit to whole sweeps, by sweeps of an independent rod",
     "exploration": "pegs found, empty rooms silent, maps true; calibrated or not",
     "robots": "other robots by description: 30 to 200 cm, one muscle",
     "faults": "single failures: what notices them, how soon, what it costs",

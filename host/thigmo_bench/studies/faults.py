@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from thigmo.emulator.board import Board, virtual_board
+from thigmo.emulator.board import EmulatedBoard, virtual_board
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import CommandRefusedError, RobotFaultError
@@ -179,7 +179,7 @@ class Visit:
     driven: int  # largest number of muscles driven at once, above the transducers' live zero
 
 
-BoardFor = Callable[[bytes], Board]
+BoardFor = Callable[[bytes], EmulatedBoard]
 
 
 def _scene(fit: Fit = "bare", muscles: int = 2) -> Scene:

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import select
+import subprocess
+import sys
+import threading
+import tty
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from rig import Rig
@@ -46,6 +53,44 @@ except MemoryError:
     print("MemoryError swallowed")
     while True: pass
 """
+
+
+class Port:
+    """A serial port, in mpremote's eyes, that is a board's prompt."""
+
+    def __init__(self, board: MicroPythonBoard) -> None:
+        self._board = board
+        self._open = True
+        self._ours, theirs = os.openpty()
+        tty.setraw(theirs)
+        self.path = os.ttyname(theirs)
+        self._theirs = theirs  # kept open, so that ours never hangs up
+        self._thread = threading.Thread(target=self._carry)
+
+    def __enter__(self) -> Port:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open = False
+        self._thread.join()
+        os.close(self._ours)
+        os.close(self._theirs)
+
+    def _carry(self) -> None:
+        told = len(self._board.printed())
+        while self._open:
+            if select.select([self._ours], [], [], 0.01)[0]:
+                self._board.type(os.read(self._ours, 64))
+            told += os.write(self._ours, self._board.printed(told))
+
+    def mpremote(self, robot: Rig[MicroPythonBoard], *words: str | Path) -> str:
+        """What a command of mpremote prints; the robot's time passes meanwhile."""
+        command = [sys.executable, "-m", "mpremote", "connect", self.path, *map(str, words)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as ran:
+            robot.until(lambda: ran.poll() is not None, limit_s=60)
+            assert ran.stdout is not None
+            return ran.stdout.read().replace("\r\n", "\n")
 
 
 @pytest.mark.parametrize("on", ON)
@@ -136,6 +181,23 @@ def test_mpremote_that_comes_in_finds_outputs_off_and_a_raw_prompt(bench: Make) 
     robot.until(lambda: "raw REPL; CTRL-B to exit" in robot.board.console())
     robot.board.type(b"print(6 * 7)\x04")
     robot.until(lambda: "OK42" in robot.board.console())
+    assert robot.airless
+
+
+def test_mpremote_runs_a_script_that_has_the_controller_until_its_end(
+    bench: Make, tmp_path: Path
+) -> None:
+    """mpremote itself, at a serial port that is the Cortex-M3's prompt."""
+    robot = bench("cortex-m3")
+    robot.press()
+    script = tmp_path / "script.py"
+    script.write_text("from main import board\nprint(board.state(), board.running())\n")
+    with Port(robot.board) as port:
+        assert port.mpremote(robot, "exec", "print('raw')") == "raw\n"
+        assert not robot.board.running
+        assert robot.airless
+        assert port.mpremote(robot, "run", script) == "boot True\n"
+        robot.until(lambda: not robot.board.running)
     assert robot.airless
 
 

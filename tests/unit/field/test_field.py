@@ -102,7 +102,7 @@ def test_a_prior_density_over_touches_is_even_over_the_plane(scale: float) -> No
     small = 1e-4
     for arc, bend in ((20.0, 0.01), (45.0, 0.006), (30.0, 0.02)):
         a, b, r = arc * scale, bend / scale, np.log(0.5)
-        q = PEG.columns((a, b, r), 0.0, 0.0, 0.0)
+        q = PEG.columns((a, b, r), 0.0, 0.0, 0.0, 0.0)
         corner, along, onward = (
             touched(a + da, b + db, RADIUS * scale * 0.5, RADIUS * scale)
             for da, db in ((0.0, 0.0), (small * a, 0.0), (0.0, small * b))
@@ -112,7 +112,9 @@ def test_a_prior_density_over_touches_is_even_over_the_plane(scale: float) -> No
             - (along.y - corner.y) * (onward.x - corner.x)
         ) / (small * a * small * b)
         dense = PEG.log_prior(q, body) - np.log(swept)
-        other = PEG.log_prior(PEG.columns((25.0 * scale, 0.012 / scale, r), 0.0, 0.0, 0.0), body)
+        other = PEG.log_prior(
+            PEG.columns((25.0 * scale, 0.012 / scale, r), 0.0, 0.0, 0.0, 0.0), body
+        )
         turn = 25.0 * 0.012
         area = (1 - 1.5 * RADIUS * 0.012) * (1 - np.cos(turn)) / (0.012 / scale) ** 2
         assert dense == pytest.approx(other - np.log(area), abs=2e-3)
@@ -155,7 +157,7 @@ def test_a_known_error_of_calibration_is_found() -> None:
 @pytest.mark.parametrize(
     ("fold", "friction", "unknowns", "share"),
     [
-        (0.01, 0.0, [ARC, BEND, RADIUS_LOG, 3, 5], 1e-2),
+        (0.01, 0.0, [ARC, BEND, RADIUS_LOG, 3, 5, 6], 1e-2),
         (1.0, 0.2, [4], 0.15),  # what slips has a history, which the solver's derivatives lack
     ],
 )
@@ -165,10 +167,10 @@ def test_derivatives_are_those_of_the_readings(
     rng = np.random.default_rng(4)
     rows = {length: _untouched(length, rng) for length in LENGTHS}
     fit = FieldFit(replace(_readings(rows), fold_moment=np.array([fold])), _errors())
-    q = PEG.columns((34.0, 0.009, -0.6), 0.05, friction, 0.3)
+    q = PEG.columns((34.0, 0.009, -0.6), 0.05, friction, 0.3, 0.03)
     xi = 0.1 * rng.standard_normal(fit.count)
     there = fit.predict(fit.tables(PEG, q), xi)
-    steps = PEG.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3)
+    steps = PEG.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3, 1e-4)
     for i in unknowns:
         ends = [
             fit.predict(fit.tables(PEG, q + sign * steps * (np.arange(q.size) == i)), xi).value
@@ -234,10 +236,10 @@ def test_a_longer_body_with_all_else_in_proportion_has_the_same_answer() -> None
 
 def test_a_proposal_whose_friction_and_yield_have_no_sign_has_a_density_of_one() -> None:
     rng = np.random.default_rng(8)
-    widths = np.array([1.0, 1e-3, 0.5, 0.1, 0.2, 0.2])
+    widths = np.array([1.0, 1e-3, 0.5, 0.1, 0.2, 0.2, 0.02])
     # Both lie near no friction and no yield, so that half of what is drawn is mirrored.
-    drawn_from = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.1, 0.05]), np.diag(1.5 * widths**2))
-    other = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.15, 0.1]), np.diag(widths**2))
+    drawn_from = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.1, 0.05, 0.01]), np.diag(1.5 * widths**2))
+    other = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.15, 0.1, 0.0]), np.diag(widths**2))
     q = np.array([drawn_from.draw(rng) for _ in range(4000)])
     assert (q[:, 4:] >= 0.0).all()
     ratio = np.exp(other.log_density(q) - drawn_from.log_density(q))

@@ -1,0 +1,28 @@
+"""The robots of docs/robots: described, checked, and explorable as the check says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from thigmo.config import RobotConfig
+from thigmo.design import judge
+from thigmo.wiring import Wiring
+
+FILES = sorted((Path(__file__).resolve().parents[2] / "docs" / "robots").glob("*.toml"))
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_a_robot_of_the_gallery_is_good_and_nothing_is_asked(file: Path) -> None:
+    robot = RobotConfig.load(file)
+    found = judge(robot)
+    assert [one for one in found if one.mark == "bad" or one.what == "units"] == []
+    refused = Wiring.of(robot).unexplorable is not None
+    assert (found[0].what == "explore") is refused
+    assert refused is (file.stem == "three-muscles")
+
+
+def test_the_gallery_names_every_file() -> None:
+    page = (FILES[0].parent.parent / "robots.md").read_text()
+    assert [file.name for file in FILES if f"<robots/{file.name}>" not in page] == []
