@@ -254,9 +254,10 @@ def fold_shares(radius):
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5])
-def test_mistakes_are_weighed_as_dense_normal_densities(correlation):
-    free = 0.004
-    curvature = free + 8e-5 * phi(40.0, POSITION, SPAN)
+def test_mistakes_are_weighed_as_dense_normal_densities(correlation, monkeypatch):
+    monkeypatch.setattr(priors, "DROPPED_ROW", -1e3)  # leave none out
+    free = 0.0015
+    curvature = free + 4e-5 * phi(40.0, POSITION, SPAN)
     curvature += NOISE * np.random.default_rng(5).standard_normal(10)
     unstated = dict.fromkeys(("map_error", "offset_error", "base_fold_error"))
     found = weighed(
@@ -270,7 +271,7 @@ def test_mistakes_are_weighed_as_dense_normal_densities(correlation):
     slight = [priors.SLIGHT_MAP * g, np.full(10, priors.SLIGHT_OFFSET * NOISE * LENGTH)]
     fold = priors.SMALL_FOLD * fold_shares(priors.TUBE_RADIUS)
     rows = [
-        (priors.SLIGHT_ODDS, 0.0, slight),
+        (priors.SLIGHT_MAP_ODDS + priors.SLIGHT_OFFSET_ODDS, 0.0, slight),
         (priors.TURNED_ODDS, 2.0 * g, slight),
         (priors.TURNED_ODDS, g, slight),
         (priors.FAR_ODDS, 0.0, [g, np.ones(10)]),
@@ -282,6 +283,20 @@ def test_mistakes_are_weighed_as_dense_normal_densities(correlation):
         total = own + sum((np.outer(column, column) for column in columns), np.zeros((10, 10)))
         each.append(np.log(odds) + multivariate_normal(np.zeros(10), total).logpdf(y - g + shift))
     assert found["free body", -1] == pytest.approx(logsumexp(each), abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mistakes_that_are_left_out_hardly_change_the_evidence(seed, monkeypatch):
+    rng = np.random.default_rng(seed)
+    free = rng.choice([-1.0, 1.0]) * rng.uniform(0.0, 0.03)
+    curvature = free + rng.uniform(2e-5, 2e-4) * phi(rng.uniform(20.0, 50.0), POSITION, SPAN)
+    curvature += NOISE * rng.standard_normal(10)
+    options = {"length": LENGTH, "span": SPAN, "noise": NOISE, "free_curvature": free}
+    usual = thigmo.localize(curvature, POSITION, **options)
+    monkeypatch.setattr(priors, "DROPPED_ROW", -1e3)
+    every = thigmo.localize(curvature, POSITION, **options)
+    assert usual.log_evidence == pytest.approx(every.log_evidence, abs=0.1)
+    assert usual.status == every.status
 
 
 def test_an_edited_prior_changes_the_answers_of_the_next_localizer(monkeypatch):
