@@ -16,7 +16,7 @@ from port_holder import PortHolder
 from thigmo.emulator import serve
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
-from thigmo.link.heart import PERIOD_S
+from thigmo.link.heartbeat import PERIOD_S
 
 # A host that arms the robot on the port that it is given, sweeps and says so; and one that then
 # stays.

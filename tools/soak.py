@@ -32,7 +32,7 @@ from dataclasses import replace
 from mega_rig import RAM, Figure, Rig, painted_stack, scene, static_ram
 
 from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.board import Board
+from thigmo.emulator.board import EmulatedBoard
 from thigmo.emulator.chip import CYCLES_PER_MS
 from thigmo.emulator.mega_sim import SimulatedMega
 from thigmo.emulator.scene import FaultTable
@@ -433,7 +433,7 @@ def simulated(board: str, seed: int, hours: float) -> list[Figure]:
     rig = SoakRig(seed) if board == "mega-sim" else None
     depth = painted_stack(rig) if rig else None
     static = static_ram() if rig else 0  # now: an hour later the image may be another
-    used: Board = rig or VirtualBoard(seed)
+    used: EmulatedBoard = rig or VirtualBoard(seed)
     transport = EmulatorTransport(scene(pegs=True), used, seed=seed)
     client = Client(transport)
     soak = Soak(client, seed, transport)

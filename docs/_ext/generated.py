@@ -21,7 +21,16 @@ from pydantic.fields import FieldInfo
 
 from thigmo import errors
 from thigmo.cli.main import app as thigmo
-from thigmo.config import Board, Body, BodyPressure, Muscle, RobotConfig, Spool, TanhMap, ZoneMap
+from thigmo.config import (
+    BoardSettings,
+    Body,
+    BodyPressure,
+    Muscle,
+    RobotConfig,
+    Spool,
+    TanhMap,
+    ZoneMap,
+)
 from thigmo.sensors import KINDS
 from thigmo.toml_model import Model
 
@@ -190,7 +199,7 @@ _ROBOT_TABLES: dict[str, type[Model]] = {
     "[muscle.map.inflate], [muscle.map.deflate]": TanhMap,
     **{f'[[sensor]], kind = "{name}"': kind for name, kind in KINDS.items()},
     "[spool]": Spool,
-    "[board]": Board,
+    "[board]": BoardSettings,
 }
 
 

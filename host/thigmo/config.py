@@ -52,8 +52,8 @@ __all__ = [
     "SAME_PRESSURE",
     "SIDES",
     "SIGN",
-    "Board",
     "BoardSensor",
+    "BoardSettings",
     "Body",
     "BodyPressure",
     "FibreSensor",
@@ -227,7 +227,7 @@ def _default_muscles() -> list[Muscle]:
     return [Muscle(name=side, direction_deg=DEGREES[side]) for side in SIDES]
 
 
-class Board(Model):
+class BoardSettings(Model):
     """The controller and its settings."""
 
     divider_ohm: Positive = 22_000.0  # fixed resistor of the flex sensors' dividers
@@ -277,7 +277,7 @@ class RobotConfig(Model):
         serialization_alias="sensor",
     )
     spool: Spool = Field(default_factory=Spool)  # motor, line and brake
-    board: Board = Field(default_factory=Board)  # the controller
+    board: BoardSettings = Field(default_factory=BoardSettings)  # the controller
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -319,15 +319,15 @@ class RobotConfig(Model):
 
         Raises ConfigError for a muscle that bends it out of the plane.
         """
-        found = []
+        sides = []
         for muscle in self.muscles:
             if muscle.side is None:
                 raise ConfigError(
                     f"muscle {muscle.name} bends the body out of the plane",
                     "press it by name; sweeps and explorations are in the plane (90, 270 degrees)",
                 )
-            found.append(muscle.side)
-        return tuple(found)
+            sides.append(muscle.side)
+        return tuple(sides)
 
     def muscle_number(self, towards: str | float) -> int:
         """The board's number of a muscle: its place in robot.toml.
@@ -374,8 +374,8 @@ class RobotConfig(Model):
 
     def sensors_for(self, side: Side) -> list[Sensor]:
         """The sensors that read right while the muscle of a side bends the body, base first."""
-        found = [s for s in self.sensors if s.side and not (s.wrinkles and s.side == side)]
-        return sorted(found, key=lambda sensor: sensor.center_cm)
+        reading = [s for s in self.sensors if s.side and not (s.wrinkles and s.side == side)]
+        return sorted(reading, key=lambda sensor: sensor.center_cm)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

@@ -59,7 +59,7 @@ BOARD_SIZES = (
 class Limitation(NamedTuple):
     """What is not possible with a robot, and what to do about it."""
 
-    what: str
+    problem: str
     cure: str
 
 
@@ -77,8 +77,8 @@ def beyond_board(config: RobotConfig) -> list[Limitation]:
         ("body pressures", len(config.body.zones), size.body_pressures),
     ):
         if count > most:
-            what = f"{count} {part}, and the largest board holds {most}"
-            limitations.append(Limitation(what, f"keep at most {most} in robot.toml"))
+            problem = f"{count} {part}, and the largest board holds {most}"
+            limitations.append(Limitation(problem, f"keep at most {most} in robot.toml"))
     # The board would take the column's last sensor, on its other trigger input, for a base sensor.
     if any(
         len(column) == size.sensors and not column[0].healthy
@@ -132,8 +132,8 @@ class Wiring:
         Those that lie out of the plane take what the two columns leave, a base sensor first where
         the trigger can work.
         """
-        for what, cure in beyond_board(config):
-            raise ConfigError(what, cure)
+        for problem, cure in beyond_board(config):
+            raise ConfigError(problem, cure)
         size = board_size(config)
         sensors: list[BoardSensor | None] = [None] * size.sensors
         inputs = _column_inputs(config, size.sensors // 2)

@@ -24,7 +24,16 @@ from thigmo_bench.studies.mistakes import (
 )
 from thigmo_bench.studies.scenes import SIGMA
 
-RIGHT = Seen(localized=True, wrong=False, listed=1, held=1, off_cm=1.0, named=False, remarked=False)
+RIGHT = Seen(
+    localized=True,
+    wrong=False,
+    listed=1,
+    held=1,
+    off_cm=1.0,
+    named=False,
+    accused=False,
+    remarked=False,
+)
 
 
 def pair(name: str, body, other: str = "one contact"):
@@ -103,7 +112,8 @@ def test_each_promise_fails_by_the_frames_that_it_speaks_of() -> None:
         ("grip", RIGHT._replace(held=0), "grip: coverage, least"),
         ("grip", RIGHT._replace(localized=False), "grip, bent, 20 sensors: localized, over"),
         ("sign_turned", RIGHT, "sign turned, 20 sensors or more: named"),
-        ("two_contacts", RIGHT._replace(remarked=True), "remarks on"),
+        ("two_contacts", RIGHT._replace(accused=True), "250 frames"),
+        ("two_contacts", RIGHT._replace(remarked=True), "250 frames"),
     ):
         broken = [claim.text for claim in _claims(rows(**{name: seen})) if not claim.holds]
         assert any(text.startswith(words) for text in broken), (name, broken)

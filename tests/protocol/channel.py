@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from thigmo.link.heart import Beat, Heart
+from thigmo.link.heartbeat import Beat, HeartbeatSource
 
 FAULTS = ("lose", "flip", "truncate", "drop_byte", "insert", "duplicate", "replay", "zero")
 
@@ -103,7 +103,7 @@ class LoopTransport:
         self.on_step: list[Callable[[], None]] = []
         self.cut = False  # the cable is out
         self._ticks = 0
-        self._heart: Heart | None = None
+        self._heartbeat: HeartbeatSource | None = None
         self._beats: deque[Beat] = deque(maxlen=64)
         self._inbound = b""
 
@@ -125,10 +125,10 @@ class LoopTransport:
             self._step()
 
     def start_heartbeat(self, session: int, period_s: float) -> None:
-        self._heart = Heart(session, period_s)
+        self._heartbeat = HeartbeatSource(session, period_s)
 
     def stop_heartbeat(self) -> None:
-        self._heart = None
+        self._heartbeat = None
 
     def beats(self) -> list[Beat]:
         sent = list(self._beats)
@@ -136,12 +136,12 @@ class LoopTransport:
         return sent
 
     def close(self) -> None:
-        self._heart = None
+        self._heartbeat = None
 
     def _step(self) -> None:
         self._ticks += 1
-        if self._heart is not None and (frame := self._heart.beat(self.now())) is not None:
-            self._beats.append(Beat(self._heart.counter, self.now()))
+        if self._heartbeat is not None and (frame := self._heartbeat.beat(self.now())) is not None:
+            self._beats.append(Beat(self._heartbeat.counter, self.now()))
             self.write(frame)
         self.device.step(1)
         for hook in self.on_step:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from desk import Board, Desk
+from desk import Desk
 
+from thigmo.emulator.board import EmulatedBoard
 from thigmo.errors import PortError
 
 
@@ -17,14 +18,14 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("desk", backends, indirect=True, scope="module")
 
 
-def virtual_board() -> Board:
+def virtual_board() -> EmulatedBoard:
     """The firmware core, natively."""
     from thigmo.emulator._board import VirtualBoard
 
     return VirtualBoard(1)
 
 
-def simulated_mega() -> Board:
+def simulated_mega() -> EmulatedBoard:
     """The real image on a simulated chip."""
     from thigmo.emulator.mega_sim import SimulatedMega
 
@@ -34,7 +35,7 @@ def simulated_mega() -> Board:
         pytest.skip(str(error))
 
 
-def micropython() -> Board:
+def micropython() -> EmulatedBoard:
     """The core as a module of MicroPython's unix port."""
     from thigmo.emulator.micropython import MicroPythonBoard
     from thigmo.emulator.micropython_build import missing
@@ -44,7 +45,7 @@ def micropython() -> Board:
     return MicroPythonBoard(1)
 
 
-def skeleton() -> Board:
+def skeleton() -> EmulatedBoard:
     """The binding that a newcomer copies, on QEMU's Cortex-M3."""
     from skeleton import Skeleton, missing
 

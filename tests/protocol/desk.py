@@ -10,7 +10,7 @@ import pytest
 from channel import LoopTransport
 from raw_host import RawHost
 
-from thigmo.emulator.board import Board
+from thigmo.emulator.board import EmulatedBoard
 from thigmo.link import protocol as wire
 from thigmo.link.transport import Transport, open_transport
 
@@ -36,7 +36,7 @@ class Desk:
         host: who talks to it.
     """
 
-    def __init__(self, name: str, board: Board | None) -> None:
+    def __init__(self, name: str, board: EmulatedBoard | None) -> None:
         self.name = name
         self.board = board
         if board is not None:
@@ -74,7 +74,7 @@ class Desk:
             pytest.skip(f"{self.name} does not reset when it is opened")
         return announce
 
-    def simulated(self) -> Board:
+    def simulated(self) -> EmulatedBoard:
         """The board, for tests that press or cut something."""
         if self.board is None:
             pytest.skip("needs a simulated board")

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from desk import Board, Desk
+from desk import Desk
 
+from thigmo.emulator.board import EmulatedBoard
 from thigmo.link import protocol as wire
 
 LEVEL, DUTY, TEST_MS = 336, 150, 500
@@ -21,12 +22,12 @@ TICKS_LATE = 4
 FLEX, PRESSURE = 10, 2  # channels of the usual board
 
 
-def outputs_off(board: Board) -> bool:
+def outputs_off(board: EmulatedBoard) -> bool:
     """Both transducers at exactly 0 mA, and no duty on the motor."""
     return board.drive_enabled == (False, False) and board.drive == (0, 0) and board.motor == 0
 
 
-def drive_a_valve(desk: Desk) -> Board:
+def drive_a_valve(desk: Desk) -> EmulatedBoard:
     """The desk's board, whose first transducer carries current for half a second."""
     board = desk.simulated()
     host = desk.ready()
@@ -36,7 +37,7 @@ def drive_a_valve(desk: Desk) -> Board:
     return board
 
 
-def ms_until_off(board: Board, most: int) -> int:
+def ms_until_off(board: EmulatedBoard, most: int) -> int:
     """Milliseconds until the outputs are off."""
     for ms in range(most):
         if outputs_off(board):

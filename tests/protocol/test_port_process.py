@@ -34,7 +34,7 @@ from thigmo.link import port_process
 from thigmo.link import protocol as wire
 from thigmo.link.address import OTHER_PLACE
 from thigmo.link.client import Client
-from thigmo.link.heart import PERIOD_S
+from thigmo.link.heartbeat import PERIOD_S
 from thigmo.link.pipe import Kind, Packet, read_packet
 from thigmo.link.serial_port import SerialTransport, waits_for_operator
 from thigmo.link.transport import open_transport

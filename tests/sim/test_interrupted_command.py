@@ -31,9 +31,9 @@ run()
 AT_A_PLACE = """
 import sys, signal
 from importlib import import_module
-from thigmo.cli import ending
+from thigmo.cli import signals
 number, module, name = int(sys.argv[1]), *sys.argv[2].split(":")
-ending.be_ready()
+signals.be_ready()
 owner = import_module(module)
 for part in name.split(".")[:-1]:
     owner = getattr(owner, part)

@@ -14,7 +14,7 @@ from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
-from thigmo.link.heart import PERIOD_S
+from thigmo.link.heartbeat import PERIOD_S
 from thigmo.robot import Robot
 from thigmo.robot.configuration import set_parameters
 

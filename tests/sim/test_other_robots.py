@@ -223,7 +223,7 @@ def test_a_side_without_a_base_sensor_is_not_swept_and_the_run_says_so(tmp_path:
     robot.column("right")[0].healthy = False
     beyond = Wiring.of(robot).unexplorable
     assert beyond is not None
-    assert "so no sweep feels a contact" in beyond.what
+    assert "so no sweep feels a contact" in beyond.problem
 
 
 def test_either_base_sensor_of_two_kinds_is_enough_for_a_sweep() -> None:

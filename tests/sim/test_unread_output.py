@@ -47,7 +47,7 @@ Went = Callable[[], bool]
 # Prints numbers while a timer interrupts it every 0.2 ms.
 INTERRUPTED = """
 import signal, sys
-from thigmo.cli import unread
+from thigmo.cli import lossy_output
 
 def interrupt(*_):
     global printing
@@ -55,7 +55,7 @@ def interrupt(*_):
         printing = False
         raise KeyboardInterrupt
 
-unread.be_lossy()
+lossy_output.be_lossy()
 printing = False
 signal.signal(signal.SIGALRM, interrupt)
 signal.setitimer(signal.ITIMER_REAL, 2e-4, 2e-4)

@@ -143,16 +143,16 @@ def test_where_a_sweep_feels_is_where_the_mechanics_hold_the_base_back() -> None
 def test_what_the_board_cannot_hold_is_refused_with_its_number() -> None:
     config = draft(200, 9, 2)
     (beyond,) = wiring.beyond_board(config)
-    assert "18 sensors, and the largest board holds 16" in beyond.what
+    assert "18 sensors, and the largest board holds 16" in beyond.problem
     with pytest.raises(ConfigError, match="18 sensors"):
         Wiring.of(config)
     more = RobotConfig()
     last = more.body.zones[-1]
     more.body.zones += [last.model_copy(update={"until_cm": 60.0 + n}) for n in range(6)]
-    assert "9 body pressures, and the largest board holds 8" in wiring.beyond_board(more)[0].what
+    assert "9 body pressures, and the largest board holds 8" in wiring.beyond_board(more)[0].problem
     full = draft(200, 16, 1)
     full.column("right")[0].healthy = False
-    assert "without a healthy one at its base" in wiring.beyond_board(full)[0].what
+    assert "without a healthy one at its base" in wiring.beyond_board(full)[0].problem
 
 
 @pytest.mark.parametrize(

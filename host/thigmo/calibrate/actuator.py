@@ -90,8 +90,16 @@ class BendReadings:
         _check_units(table.name, p, k, max(m.max_pressure_psi for m in muscles), config)
         e, trial = table.numbers("curvature_se", _PICTURE_SE), table.whole("trial", 0)
         return [
-            cls(name, body, p[own], k[own], e[own], tuple(branch[r] for r in own), trial[own])
-            for (name, body), own in grouped(zip(*keys, strict=True))
+            cls(
+                name,
+                body,
+                p[rows_of_map],
+                k[rows_of_map],
+                e[rows_of_map],
+                tuple(branch[r] for r in rows_of_map),
+                trial[rows_of_map],
+            )
+            for (name, body), rows_of_map in grouped(zip(*keys, strict=True))
             if np.isfinite(body)
         ]
 
@@ -183,28 +191,28 @@ class ActuatorResults(StepResult):
 
     def write(self, config: RobotConfig) -> None:
         """Put in all maps, and the largest offset error of each muscle."""
-        for result in sorted(self.each, key=lambda one: one.offset_se):
+        for result in sorted(self.each, key=lambda fit: fit.offset_se):
             result.write(config)
 
 
-def together(found: Sequence[ActuatorResult], unseen: Sequence[Muscle] = ()) -> ActuatorResults:
+def together(fits: Sequence[ActuatorResult], unseen: Sequence[Muscle] = ()) -> ActuatorResults:
     """Combine maps under one verdict, which names the muscles that nothing measures."""
     bad: list[str] = []
     notes: list[str] = []
-    for r in found:
+    for r in fits:
         name = f"{r.readings.muscle} at {r.readings.body_pressure_psi:g} psi"
         (notes if r.verdict.good else bad).append(f"{name}: {r.verdict.reason}")
         notes += [f"{name}: {text}" for text in r.verdict.notes]
     worst = max(
         np.hypot(r.g_se / max(r.full_scale, 1e-9), r.readings.scale_se if r.readings.sensors else 0)
-        for r in found
+        for r in fits
     )
-    good = f"{len(found)} maps, g to {100 * worst:.2f} % or better"
+    good = f"{len(fits)} maps, g to {100 * worst:.2f} % or better"
     names = tuple(muscle.name for muscle in unseen)
     if names:
         good += f"; not calibrated: {' and '.join(names)}"
         notes += [_unseen(muscle) for muscle in unseen]
-    return ActuatorResults(tuple(found), Verdict(not bad, [*bad, good][0], tuple(notes)), names)
+    return ActuatorResults(tuple(fits), Verdict(not bad, [*bad, good][0], tuple(notes)), names)
 
 
 def _unseen(muscle: Muscle) -> str:
@@ -232,7 +240,7 @@ def guided(bench: Bench) -> ActuatorResults:
         if muscle.side is None:
             rows += unseen_bend_rows(bench, zones, muscle)
     ramps = {muscle.name: ramp(bench, muscle, zones[-1]) for muscle in measured}
-    found: list[ActuatorResult] = []
+    fits: list[ActuatorResult] = []
     for zone, muscle in product(zones, measured):
         mine = [
             r for r in rows
@@ -245,8 +253,8 @@ def guided(bench: Bench) -> ActuatorResults:
             lag = fit_lag(*record, result.zone, muscle.reversal_psi)
             if lag.inflate_se_s < _LAG_SE_S:
                 result = replace(result, lag=lag)
-        found.append(result)
-    return together(found, unseen)
+        fits.append(result)
+    return together(fits, unseen)
 
 
 def _sound(config: RobotConfig, muscle: Muscle) -> list[WiredSensor]:
@@ -350,8 +358,8 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         priors = [(x[2:maps:3] - 4.0) / 8.0, (x[1:maps:3] - np.log(10.0)) / 1.5]
         return np.concatenate([rest[rows], x[maps:] / loose, *priors])
 
-    def unknowns(each: list[float], offset: float) -> Array:
-        return np.append(np.tile(each, len(branches)), np.full(len(trials), offset))
+    def unknowns(parts: list[float], offset: float) -> Array:
+        return np.append(np.tile(parts, len(branches)), np.full(len(trials), offset))
 
     size = float(np.log(max(top, 1e-3)))
     best = unknowns([size, np.log(8.0), 4.0], 0.0)
@@ -417,13 +425,13 @@ def _maps(
     at that pressure, and that of the shape, which the map's scale does not account for (1/cm).
     """
     grid, errors, built = np.linspace(0.0, highest, 37), np.zeros(3), {}
-    for name, own in zip(branches, np.arange(best.size).reshape(-1, 3), strict=True):
-        x, values = best[own], _map_values(grid, *best[own])
+    for name, places in zip(branches, np.arange(best.size).reshape(-1, 3), strict=True):
+        x, values = best[places], _map_values(grid, *best[places])
         slopes = np.array([
             (_map_values(grid, *(x + step)) - _map_values(grid, *(x - step))) / 2e-5
             for step in 1e-5 * np.eye(3)
         ])  # fmt: skip
-        variance = np.einsum("pg,pq,qg->g", slopes, covariance[np.ix_(own, own)], slopes)
+        variance = np.einsum("pg,pq,qg->g", slopes, covariance[np.ix_(places, places)], slopes)
         share = np.interp(highest, grid, np.sqrt(variance) / np.maximum(values, 1e-9))
         shape = np.maximum(variance - (share * values) ** 2, 0.0)
         errors = np.maximum(errors, [np.sqrt(variance.max()), share, np.sqrt(shape.max())])
@@ -483,7 +491,7 @@ def _trial_gain(rest: Array, bend: Array, slot: NDArray[np.intp], used: Mask, tr
     Arrays are (n,): `rest` is the residual after map and offset, `bend` the map's curvature, and
     `slot` the number of the trial.
     """
-    squares, own = 0.0, 0.0
+    squares, noise_squares = 0.0, 0.0
     for trial in range(trials):
         pick = used & (slot == trial)
         lever = bend[pick] - bend[pick].mean() if pick.any() else np.zeros(0)
@@ -493,7 +501,7 @@ def _trial_gain(rest: Array, bend: Array, slot: NDArray[np.intp], used: Mask, tr
         gain = float(lever @ rest[pick]) / power
         over = rest[pick] - rest[pick].mean() - gain * lever
         squares += gain**2
-        own += float(over @ over) / (pick.sum() - 2) / power
-    between = max(squares - own * (trials - 1) / trials, 0.0)
+        noise_squares += float(over @ over) / (pick.sum() - 2) / power
+    between = max(squares - noise_squares * (trials - 1) / trials, 0.0)
     counted = trials - 1 + _TRIAL_GAIN_COUNT
     return float(np.sqrt((between + _TRIAL_GAIN_COUNT * _TRIAL_GAIN**2) / counted))

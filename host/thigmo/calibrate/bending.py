@@ -77,7 +77,7 @@ def fit_bending(
     center, span, noise, gain, way, healthy = constants_of(config, *names)
     # If the base folds, the first sensors do not show its turn.
     far = (healthy > 0) & (center - span / 2 >= config.body.diameter_cm)
-    each, own = np.full((2, len(force_n)), np.nan)
+    each, own_error = np.full((2, len(force_n)), np.nan)
     for trial, (force, arc, row) in enumerate(zip(force_n, arc_cm, curvature, strict=True)):
         pick = far & np.isfinite(row) & (center + span / 2 <= arc)
         if pick.any():
@@ -87,7 +87,7 @@ def fit_bending(
         sign = float(np.sign(np.median(row[pick]))) or 1.0
         over, error = _over_stiffness(sign * row[pick], center[pick], span[pick], noise[pick], arc)
         each[trial] = abs(force) / over
-        own[trial] = each[trial] * error / over
+        own_error[trial] = each[trial] * error / over
     kept = np.isfinite(each)
     n = int(kept.sum())
     if n == 0:
@@ -97,14 +97,14 @@ def fit_bending(
     notes = [] if kept.all() else [f"{int((~kept).sum())} pull(s) omitted: too few readings"]
     if n >= 4:
         odd = np.zeros(len(each), bool)
-        odd[kept] = outlying(each[kept], 4.5, float(np.median(own[kept])))
+        odd[kept] = outlying(each[kept], 4.5, float(np.median(own_error[kept])))
         if odd.any():
             notes.append(f"{int(odd.sum())} pull(s) omitted as outliers")
         kept &= ~odd
         n = int(kept.sum())
     mean = float(each[kept].mean())
     scatter = float(each[kept].std(ddof=1)) if n > 1 else 0.0
-    within = max(scatter, float(np.sqrt(np.mean(own[kept] ** 2)))) / np.sqrt(n)
+    within = max(scatter, float(np.sqrt(np.mean(own_error[kept] ** 2)))) / np.sqrt(n)
     # Errors of the gains and of the balance are the same in every pull.
     common = np.hypot(np.sqrt(np.sum(gain[far] ** 2)) / far.sum(), force_se[kept].mean())
     error = float(np.hypot(within / mean, common))

@@ -166,8 +166,8 @@ def fit_buckling(
     names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction")
     center, span, noise, gain, way = constants_of(config, *names)
     if curvature.shape[1] != len(center):
-        what = f"{curvature.shape[1]} columns for {len(center)} sensors"
-        raise DataError(what, "use this robot's file")
+        shapes = f"{curvature.shape[1]} columns for {len(center)} sensors"
+        raise DataError(shapes, "use this robot's file")
     in_fold = _in_fold(config)
     beyond = _beyond_fold(config, length_cm)
     _readable_signs(config, length_cm)  # refuses a robot with too few of them
@@ -202,8 +202,8 @@ def fit_buckling(
     left_out = ((shallow, ", the base did not fold: push harder"),
                 (unread, ", too few readings"), (odd, " as outlier"))  # fmt: skip
     notes = tuple(
-        f"trial {', '.join(str(r + 1) for r in rows)} omitted{what}"
-        for rows, what in left_out
+        f"trial {', '.join(str(r + 1) for r in rows)} omitted{shapes}"
+        for rows, shapes in left_out
         if rows
     )
     kept = np.isfinite(each)
@@ -243,13 +243,13 @@ def _readable_signs(config: RobotConfig, length_cm: float) -> list[int]:
     """
     (way,) = constants_of(config, "valid_direction")
     beyond = _beyond_fold(config, length_cm)
-    found = [sign for sign in (1, -1) if (beyond & ((way == 0) | (way == sign))).sum() >= 2]
-    if not found:
+    signs = [sign for sign in (1, -1) if (beyond & ((way == 0) | (way == sign))).sum() >= 2]
+    if not signs:
         raise DataError(
             "fewer than two healthy sensors beyond the fold answer to a push to the same side",
             "calibrate the flex sensors first",
         )
-    return found
+    return signs
 
 
 def _moment(

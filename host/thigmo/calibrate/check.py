@@ -56,7 +56,7 @@ def guided(bench: Bench) -> CheckResult:
     bench.ready_to_bend()
     robot, config = bench.robot, bench.config
     reads = [robot.read(0.25) for _ in range(8)]
-    rest, straight = np.array([bench.ohm(each) for each in reads]), reads[-1].resistance
+    rest, straight = np.array([bench.ohm(reading) for reading in reads]), reads[-1].resistance
     top = 0.7 * min(muscle.max_pressure_psi for muscle in config.muscles)
     readings = CheckReadings(rest, {}, top, {}, {}, zone=len(config.body.zones) - 1)
     for number, muscle in enumerate(config.muscles):
@@ -90,8 +90,8 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     """Judge a check's recordings. Raises DataError if they are of another robot's sensors."""
     sensors = sensors_of(config)
     if readings.rest_ohm.shape[1] != len(sensors):
-        what = f"{readings.rest_ohm.shape[1]} columns for {len(sensors)} sensors"
-        raise DataError(what, "use its robot.toml")
+        shapes = f"{readings.rest_ohm.shape[1]} columns for {len(sensors)} sensors"
+        raise DataError(shapes, "use its robot.toml")
     zero = medians(readings.rest_ohm)
     scatter = np.ma.masked_invalid(readings.rest_ohm).std(axis=0).filled(np.nan)
     findings = []
@@ -99,7 +99,7 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
         mark, text = _at_rest(sensor, zero[number], scatter[number])
         findings.append(Finding(f"sensor {name}", mark, text))
     for side in config.sides:
-        findings += [Finding(*found) for found in _bent(side, readings, zero, config)]
+        findings += [Finding(*finding) for finding in _bent(side, readings, zero, config)]
         tight = f"{config.muscle(side).name} muscle's tightness"
         findings.append(Finding(tight, *_leak(readings.held_psi[side])))
     for name, (bend, held) in readings.unseen.items():
@@ -146,11 +146,11 @@ def _bent(
     mapped = muscle.maps[readings.zone].inflate
     expected = sign * mapped.curvature(readings.bend_psi)
     target = seen = readings.bend_seen.get(side)
-    what = f"{muscle.name} muscle"
+    subject = f"{muscle.name} muscle"
     if seen is None:
         target = expected
     else:
-        yield what, *_as_mapped(seen, expected)
+        yield subject, *_as_mapped(seen, expected)
     shares: dict[Side, list[float]] = {side: [] for side in SIDES}
     gone = readings.bend_ohm[side] - zero
     for (name, sensor), ohm in zip(sensors_of(config).items(), gone.tolist(), strict=True):
@@ -164,8 +164,8 @@ def _bent(
     far: Side = opposite(side)
     if min(map(len, shares.values())) < 2:
         return
-    off, own = (float(np.median(np.abs(np.array(shares[s]) - 1))) for s in (far, side))
-    if off > 0.3 and own < min(0.5 * off, 0.3):
+    off, near = (float(np.median(np.abs(np.array(shares[s]) - 1))) for s in (far, side))
+    if off > 0.3 and near < min(0.5 * off, 0.3):
         yield ("sensor columns", "bad", f"with the {muscle.name} muscle the sensors on its side "
                "fit and the others do not: the columns are swapped")  # fmt: skip
     elif float(np.median(shares[far])) < -0.3:

@@ -40,19 +40,19 @@ def sensors_of(config: RobotConfig) -> dict[str, BoardSensor]:
 def constants_of(config: RobotConfig, *names: str) -> Array:
     """(n, m) values of n named fields of all m sensors."""
     sensors = sensors_of(config).values()
-    return np.array([[getattr(one, name) for one in sensors] for name in names], float)
+    return np.array([[getattr(sensor, name) for sensor in sensors] for name in names], float)
 
 
 def medians(rows: Array) -> Array:
     """(m,) medians of columns (n, m) without nan; nan for a column of nan only."""
-    known = (own[np.isfinite(own)] for own in rows.T)
-    return np.array([np.median(own) if len(own) else np.nan for own in known])
+    known = (values[np.isfinite(values)] for values in rows.T)
+    return np.array([np.median(values) if len(values) else np.nan for values in known])
 
 
-def of_sensors(table: Table, what: str, config: RobotConfig) -> Array:
+def of_sensors(table: Table, quantity: str, config: RobotConfig) -> Array:
     """(n, m) values of the columns `WHAT_SENSOR` of a CSV: `ohm_left_0` or `ohm_270deg_0`."""
     keys = [table_key(name) for name in sensors_of(config)]
-    return np.column_stack([table.numbers(f"{what}_{key}") for key in keys])
+    return np.column_stack([table.numbers(f"{quantity}_{key}") for key in keys])
 
 
 def sides_of(table: Table) -> list[Side]:

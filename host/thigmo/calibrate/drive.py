@@ -45,21 +45,21 @@ class Drive(AbstractContextManager["Drive"]):
         seen, self._seen = np.array(self._seen).reshape(-1, 3), []
         body, spool = self._config.body, self._config.spool
         zones = np.array([body.zone_at(length) for length in seen[:, 1]])
-        found = []
+        duties = []
         for zone in range(len(body.zones)):
-            own = seen[zones == zone]
+            in_zone = seen[zones == zone]
             # The end of a growth may lie beyond a boundary, and the next one begins later.
-            pauses = np.flatnonzero(np.diff(own[:, 0]) > _PAUSE_S) + 1
-            t, length, duty = max(np.split(own, pauses), key=len).T
+            pauses = np.flatnonzero(np.diff(in_zone[:, 0]) > _PAUSE_S) + 1
+            t, length, duty = max(np.split(in_zone, pauses), key=len).T
             if not len(t) or np.ptp(t) < _SHORTEST_S:
                 continue
             middle = np.abs(t - (t[0] + t[-1]) / 2) < np.ptp(t) / 4
             cm_s = float(np.polyfit(t[middle], length[middle], 1)[0])
-            found.append({
+            duties.append({
                 "zone": zone, "duty": float(duty[middle].mean()), "dead_zone": self._dead_zone,
                 "counts_s": cm_s * spool.counts_per_cm * spool.payout_ratio,
             })  # fmt: skip
-        return found
+        return duties
 
 
 def pull_duty(rows: Sequence[Row], counts_per_cm: float, config: RobotConfig) -> list[float | None]:
@@ -72,4 +72,4 @@ def pull_duty(rows: Sequence[Row], counts_per_cm: float, config: RobotConfig) ->
         line_cm_s = row["counts_s"] / counts_per_cm
         turning = line_cm_s / config.spool.line_speed_cm_s * (_FULL - row["dead_zone"])
         saved[row["zone"]].append(row["dead_zone"] + turning - row["duty"])
-    return [min(each, default=None) for each in saved]
+    return [min(duties, default=None) for duties in saved]

@@ -74,9 +74,9 @@ def fit_encoder(
     if (~missing).sum() < 4 or np.ptp(length_cm[np.isfinite(length_cm)]) < 5:
         raise DataError("four or more lengths over 5 cm or more are needed", "grow in steps")
     # Counts are exact and the camera is not, so length is fitted over counts, then inverted.
-    one = np.ones(len(counts))
+    ones = np.ones(len(counts))
     tip_se = TIP_SE * config.body.length_cm
-    fit = fit_linear(np.column_stack([one, counts]), length_cm, tip_se)
+    fit = fit_linear(np.column_stack([ones, counts]), length_cm, tip_se)
     per_count = float(fit.coefficients[1])
     slip = _slip(counts, length_cm, tip_se)
     value, error = config.spool.counts_per_cm, float("inf")
@@ -100,7 +100,7 @@ def fit_encoder(
         if fit.used.sum() >= 6:
             unit = counts / max(np.nanmax(np.abs(counts)), 1)
             kept = np.where(fit.used, length_cm, np.nan)
-            design = np.column_stack([one, unit, unit**2])
+            design = np.column_stack([ones, unit, unit**2])
             curved = fit_linear(design, kept, tip_se, reject=False)
             bow = abs(float(curved.coefficients[2]))
             if bow > max(4 * curved.se(2), 1.2):
@@ -123,7 +123,7 @@ def fit_encoder(
 def _slip(counts: Array, length: Array, tip_se: float) -> tuple[int, float] | None:
     """Row and size (cm) of a lasting offset in length at equal slope; None if there is none."""
     good = np.flatnonzero(np.isfinite(counts) & np.isfinite(length))
-    found: list[tuple[float, int, float]] = []
+    splits: list[tuple[float, int, float]] = []
     for at in range(2, len(good) - 1):
         step = np.arange(len(good)) >= at
         design = np.column_stack([np.ones(len(good)), counts[good], step])
@@ -133,5 +133,5 @@ def _slip(counts: Array, length: Array, tip_se: float) -> tuple[int, float] | No
             continue
         size = -float(fit.coefficients[2])
         if size > max(0.5, 5 * fit.se(2)):
-            found.append((fit.sigma, int(good[at]), size))
-    return min(found, key=lambda one: one[0])[1:] if found else None
+            splits.append((fit.sigma, int(good[at]), size))
+    return min(splits, key=lambda split: split[0])[1:] if splits else None

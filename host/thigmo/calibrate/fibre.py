@@ -134,11 +134,13 @@ def fit_fibre(t_s: Array, curvature: Array, strain: Array, config: RobotConfig) 
 
 def _line(t_s: Array, curvature: Array, strain: Array, seen: Mask) -> LinearFit | None:
     """Zero, drift and slope (microstrain per 1/cm) of a reading; None if too few bends have it."""
-    own = seen & np.isfinite(strain)
-    if own.sum() < _FEWEST or np.ptp(curvature[own]) < _LEAST_BEND:
+    usable = seen & np.isfinite(strain)
+    if usable.sum() < _FEWEST or np.ptp(curvature[usable]) < _LEAST_BEND:
         return None
-    since = t_s[own] - t_s[own].mean()
-    return fit_linear(np.column_stack([np.ones_like(since), since, curvature[own]]), strain[own])
+    since = t_s[usable] - t_s[usable].mean()
+    return fit_linear(
+        np.column_stack([np.ones_like(since), since, curvature[usable]]), strain[usable]
+    )
 
 
 def _fit(index: int, gratings: list[FibreSensor], lines: list[LinearFit | None]) -> FibreFit:

@@ -261,10 +261,10 @@ def _verdict(everted: Sequence[FlexFit], rows: Rows) -> Verdict:
     dropped = sorted((f for f in healthy if f.rejected), key=lambda fit: -fit.rejected)
     if dropped and not swapped:
         total = sum(fit.used + fit.rejected for fit in everted)
-        each = ", ".join(f"{fit.name}: {fit.rejected}" for fit in dropped)
+        reasons = ", ".join(f"{fit.name}: {fit.rejected}" for fit in dropped)
         notes.append(
             f"omitted {sum(fit.rejected for fit in dropped)} of {total} single readings as "
-            f"outliers ({each}); many of one sensor mean a loose wire"
+            f"outliers ({reasons}); many of one sensor mean a loose wire"
         )
     grew = [fit for fit in everted if fit.one_way > _REPORTED]
     if grew:

@@ -71,7 +71,7 @@ class FlexReadings:
         # The fit deals with single bad rows.
         measured = ohm, np.hypot(*readings.tip_cm.T), np.abs(readings.curvature)
         typical, away, bend = (medians(values.reshape(-1, 1))[0] for values in measured)
-        for wrong, what, cure in (
+        for wrong, problem, cure in (
             (typical <= 0.0, f"resistances are about {typical:.0f}", "give Ohm, above zero"),
             (typical < _LEAST_OHM, f"resistances are about {typical:.3g}",
              "it looks like kOhm: give Ohm"),
@@ -83,7 +83,7 @@ class FlexReadings:
              "it looks like 1/m: give 1/cm"),
         ):  # fmt: skip
             if wrong:
-                raise DataError(f"{path}: {what}", cure)
+                raise DataError(f"{path}: {problem}", cure)
         return readings
 
     @classmethod

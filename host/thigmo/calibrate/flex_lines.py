@@ -160,11 +160,11 @@ def _over_grid(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]
     # In order, of one session and sweep, about `_MOST_ROWS` in all.
     used = np.flatnonzero(fit.used)
     cuts = np.flatnonzero(np.diff(column.sweep[used]) | np.diff(column.block[used])) + 1
-    each = max(1, round(len(used) / _MOST_ROWS))
+    stride = max(1, round(len(used) / _MOST_ROWS))
     parts = [
         part
         for run in np.split(used, cuts)
-        for part in np.array_split(run, max(1, round(len(run) / each)))
+        for part in np.array_split(run, max(1, round(len(run) / stride)))
     ]
     x, values, error, size, sweep, block = (
         np.array([rows[part].mean(axis=0) for part in parts])
@@ -219,14 +219,14 @@ def sweeps_of(
     """(n,) number of each row's sweep: one bend out and back, by one muscle, in one session."""
     size = np.nan_to_num(np.abs(model).max(axis=1))
     low, high = 0.1 * size.max(initial=0.0), 0.5 * size.max(initial=0.0)
-    found, out = np.zeros(len(kind), np.int64), False
+    signs, out = np.zeros(len(kind), np.int64), False
     for row in range(1, len(kind)):
         out |= bool(size[row - 1] >= high)
         same = all(column[row] == column[row - 1] for column in (block, kind, active))
         back = out and kind[row] == "bend" and size[row] <= low
-        found[row] = found[row - 1] + (back or not same)
-        out &= found[row] == found[row - 1]
-    return found
+        signs[row] = signs[row - 1] + (back or not same)
+        out &= signs[row] == signs[row - 1]
+    return signs
 
 
 def dropouts(ohm: Array, model: Array) -> tuple[Mask, list[float]]:
@@ -289,7 +289,7 @@ def directions_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[n
         sizes = np.maximum(slopes * np.sign(slopes.sum()), 0.1 * np.abs(slopes).max())
         ratio[number] = np.log(sizes[0] / sizes[1])
         spread[number] = np.hypot(split.se(1) / sizes[0], split.se(2) / sizes[1])
-    found = np.zeros(len(columns), np.int64)
+    signs = np.zeros(len(columns), np.int64)
     limit = -np.log(_ONE_WAY)
     for side in SIDES:
         alike = np.array([s == side for s in sides])
@@ -302,10 +302,10 @@ def directions_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[n
         column_se = float(np.sqrt(max(1.0, scatter) / weights.sum()))
         if abs(pooled) - 4 * column_se > limit:
             apart = (np.abs(ratio - pooled) > 5 * spread) & (np.abs(ratio) + 2 * spread < limit)
-            found[alike & ~apart] = 1 if pooled > 0 else -1
+            signs[alike & ~apart] = 1 if pooled > 0 else -1
         alone = alike & (np.abs(ratio) - 4 * spread > limit)
-        found[alone] = np.sign(ratio[alone]).astype(np.int64)
-    return found
+        signs[alone] = np.sign(ratio[alone]).astype(np.int64)
+    return signs
 
 
 def nonlinearities(columns: Sequence[Column]) -> list[tuple[float, float, float]]:
@@ -319,15 +319,15 @@ def nonlinearities(columns: Sequence[Column]) -> list[tuple[float, float, float]
         k = column.model
         largest = max(float(np.abs(k[column.seen]).max(initial=0.0)), 1e-9)
         curved.append(column._replace(bends=np.column_stack([k, np.abs(k) * k / largest])))
-    found = []
+    picks = []
     for column, fit in zip(curved, honest_lines(curved), strict=True):
         if fit is None:
-            found.append((0.0, 0.0, 0.0))
+            picks.append((0.0, 0.0, 0.0))
             continue
         k, answer = column.model[column.seen], column.bends[column.seen] @ fit.coefficients[1:3]
         line = np.polynomial.Polynomial.fit(k, answer, 1)
         departure = float(np.std(answer - line(k))) / max(float(np.std(answer)), 1e-300)
         total = float(fit.coefficients[1:3].sum())
         share, se = float(fit.coefficients[2]) / total, fit.se(2) / abs(total)
-        found.append((share, se, departure))
-    return found
+        picks.append((share, se, departure))
+    return picks

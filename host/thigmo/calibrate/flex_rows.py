@@ -56,8 +56,8 @@ class Rows:
         counts = self.usable & self.good[:, None] & self.on_body
         ohm, block = np.where(counts, self.ohm, np.nan), self.readings.block
         turn = loop_turns(self.model, block, self.loop_width)
-        each = zip(ohm.T, self.model.T, self.error.T, turn.T, strict=True)
-        return [Column(*one, block, self.sweep, one[1][:, None]) for one in each]
+        parts = zip(ohm.T, self.model.T, self.error.T, turn.T, strict=True)
+        return [Column(*part, block, self.sweep, part[1][:, None]) for part in parts]
 
     def lines(self) -> list[tuple[Column, LinearFit]]:
         """The sensors whose slope differs significantly from zero, with their robust lines."""
@@ -76,11 +76,11 @@ class Rows:
             scatter[width] = sum(np.log(max(fit.sigma, 1e-9)) for _, fit in self.lines())
         self.loop_width = min(scatter, key=scatter.__getitem__)
 
-    def note(self, rows: Sequence[int], what: str, cure: str) -> None:
+    def note(self, rows: Sequence[int], problem: str, cure: str) -> None:
         """Note which rows are omitted and why, if there are any."""
         if rows:
             names = listed(self.readings.name, rows)
-            self.notes.append(f"omitted {names}: {what}; {cure} to take it again")
+            self.notes.append(f"omitted {names}: {problem}; {cure} to take it again")
 
 
 def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) -> Array:
@@ -231,7 +231,7 @@ def _moved(rows: Rows, live: Sequence[tuple[Column, LinearFit]]) -> tuple[int, f
         if kept.sum() >= 8:
             readings.append(column._replace(ohm=np.where(kept, column.ohm, np.nan)))
     tips, aside = rows.tips & rows.good, np.abs(rows.readings.tip_cm[:, 1])
-    found: list[tuple[float, int, float]] = []
+    splits: list[tuple[float, int, float]] = []
     for first in np.flatnonzero(tips)[3:-2].tolist():
         late = tips & (np.arange(len(tips)) >= first) & (aside > 0.5)
         shifts, errors = [], []
@@ -252,8 +252,8 @@ def _moved(rows: Rows, live: Sequence[tuple[Column, LinearFit]]) -> tuple[int, f
         certainty = abs(shift) * float(np.sqrt(weights.sum()))
         agree = float((weights * (np.array(shifts) - shift) ** 2).sum()) / len(shifts) < 6
         if abs(shift) > 0.4 and certainty > 6 and agree:
-            found.append((certainty, first, shift))
-    return max(found, key=lambda one: one[0])[1:] if found else None
+            splits.append((certainty, first, shift))
+    return max(splits, key=lambda split: split[0])[1:] if splits else None
 
 
 def mirrored(readings: FlexReadings) -> bool:

@@ -53,8 +53,8 @@ class HeadingResult(StepResult):
     def as_data(self) -> dict[str, Any]:
         """Plain data, without the turns that only the figure needs."""
         data = super().as_data()
-        for each in data["sensors"]:
-            del each["turns"]
+        for fit in data["sensors"]:
+            del fit["turns"]
         return data
 
     def write(self, config: RobotConfig) -> None:
@@ -92,9 +92,9 @@ def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -
     fits = []
     for number, (name, sensor) in enumerate(sensors_of(config).items()):
         if isinstance(sensor, HeadingSensor):
-            own = seen & np.isfinite(ohm[:, number])
-            turn = (ohm[own, number] - HeadingSensor.straight_ohm) * RAD_PER_OHM
-            fits.append(_fit(name, t_s[own], curvature[own] * sensor.span_cm, turn))
+            usable = seen & np.isfinite(ohm[:, number])
+            turn = (ohm[usable, number] - HeadingSensor.straight_ohm) * RAD_PER_OHM
+            fits.append(_fit(name, t_s[usable], curvature[usable] * sensor.span_cm, turn))
     good = [fit for fit in fits if fit.healthy]
     notes = [f"{fit.name} {fit.reason}" for fit in fits if not fit.healthy]
     if not good:

@@ -77,13 +77,13 @@ def guided(bench: Bench) -> HysteresisResult:
     for row in growth_rows(bench):
         length = float(row["encoder_cm"])
         ohm, t = np.array(row["ohm"], float), np.array(row["t_s"], float)
-        for (name, sensor), own in zip(sensors_of(config).items(), ohm.T, strict=True):
+        for (name, sensor), ohm_of_sensor in zip(sensors_of(config).items(), ohm.T, strict=True):
             end = sensor.center_cm + sensor.span_cm / 2
             if before + SAME_LENGTH_CM < end <= length and sensor.healthy:
                 # The sensor everted when the tip passed its end, a little before growth stopped.
                 since = t + (length - end) / float(row["speed_cm_s"])
-                rest = float(np.nanmedian(own[-max(3, len(own) // 10) :]))
-                k = (own - rest) * sensor.scale_per_ohm
+                rest = float(np.nanmedian(ohm_of_sensor[-max(3, len(ohm_of_sensor) // 10) :]))
+                k = (ohm_of_sensor - rest) * sensor.scale_per_ohm
                 records.append(CreepRecord(name, since, k))
         before = length
     return fit_hysteresis(records, config)
@@ -103,11 +103,11 @@ def _names(table: Table, config: RobotConfig) -> list[str]:
     """(n,) names of the sensors, from the column `sensor`."""
     known = {table_key(name): name for name in sensors_of(config)}
     given = table.words("sensor")
-    for one in given:
-        if one not in known:
+    for name in given:
+        if name not in known:
             cure = f"use {', '.join(known)}"
-            raise DataError(f"{table.name}: no sensor {one} in robot.toml", cure)
-    return [known[one] for one in given]
+            raise DataError(f"{table.name}: no sensor {name} in robot.toml", cure)
+    return [known[name] for name in given]
 
 
 def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
@@ -136,12 +136,12 @@ def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
     if keep.sum() < 10:
         keep[:] = True
     try:
-        found, covariance = curve_fit(law, t[keep], y[keep], best)
+        law_fit, covariance = curve_fit(law, t[keep], y[keep], best)
     except RuntimeError as error:
         raise DataError("the record shows no decay", "record 30 s after eversion") from error
-    found[0] = np.exp(found[0])
-    turn = np.diag([found[0], 1.0, 1.0])
-    return found, turn @ covariance @ turn
+    law_fit[0] = np.exp(law_fit[0])
+    turn = np.diag([law_fit[0], 1.0, 1.0])
+    return law_fit, turn @ covariance @ turn
 
 
 def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> HysteresisResult:
@@ -156,13 +156,13 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
     for name, sensor in sensors.items():
         if name not in taken:
             continue
-        found = []
+        decays = []
         for record in (records[row] for row in taken[name]):
             try:
-                found.append(fit_decay(record.t_s, record.curvature))
+                decays.append(fit_decay(record.t_s, record.curvature))
             except DataError as error:
                 notes.append(f"{name}: {error.what}")
-        fits.append(_law(name, found, sensor.noise))
+        fits.append(_law(name, decays, sensor.noise))
     notes.extend(f"{fit.name}: {fit.reason}" for fit in fits if not fit.good)
     ready = [fit.usable_s for fit in fits if fit.good]
     reason = "no sensor shows a decay that can be fitted"
@@ -172,11 +172,11 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
     return HysteresisResult(tuple(fits), verdict, tuple(records))
 
 
-def _law(name: str, found: list[tuple[Array, Array]], noise: float) -> CreepFit:
-    if not found:
+def _law(name: str, decays: list[tuple[Array, Array]], noise: float) -> CreepFit:
+    if not decays:
         return CreepFit(name, Settling(8.0), 60.0, False, "no usable record")
-    taus, amplitudes, _ = np.array([x for x, _ in found]).T
-    tau_se, amplitude_se, _ = np.sqrt([np.diag(covariance) for _, covariance in found]).T
+    taus, amplitudes, _ = np.array([x for x, _ in decays]).T
+    tau_se, amplitude_se, _ = np.sqrt([np.diag(covariance) for _, covariance in decays]).T
     clear = np.abs(amplitudes) > 4 * amplitude_se
     if not clear.any():
         law = Settling(8.0, 4.0, 0.0, float(amplitude_se.mean()))
@@ -187,7 +187,7 @@ def _law(name: str, found: list[tuple[Array, Array]], noise: float) -> CreepFit:
     scatter = float(taus.std(ddof=1) / np.sqrt(len(taus))) if len(taus) > 1 else 0.0
     error = max(float(weights.sum() ** -0.5), scatter)
     amplitude = float(amplitudes.mean())
-    spread = float(amplitudes.std(ddof=1)) if len(found) > 1 else 0.5 * abs(amplitude)
+    spread = float(amplitudes.std(ddof=1)) if len(decays) > 1 else 0.5 * abs(amplitude)
     law = Settling(tau, error, amplitude, max(spread, float(amplitude_se.mean())))
     good = 0.5 < tau < 60 and error < 0.5 * tau
     reason = f"tau of {tau:.1f} +- {error:.1f} s is no decay; record for longer"

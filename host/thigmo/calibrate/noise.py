@@ -106,21 +106,21 @@ def fit_noise(
     """
     sensors = sensors_of(config)
     if curvature.shape != (len(t_s), len(sensors)):
-        what = f"{curvature.shape} readings for {len(sensors)} sensors"
-        raise DataError(what, "use this robot's file")
+        shapes = f"{curvature.shape} readings for {len(sensors)} sensors"
+        raise DataError(shapes, "use this robot's file")
     if len(t_s) < 20:
         raise DataError(f"{len(t_s)} readings at rest", "record 20 or more")
     gap = np.full(len(sensors), np.nan) if loops is None else np.abs(medians(loops)) / 2
-    found: list[SensorNoise] = []
+    noises: list[SensorNoise] = []
     notes: list[str] = []
     for number, name in enumerate(sensors):
         finite = np.isfinite(curvature[:, number]) & np.isfinite(t_s)
         if finite.sum() < 20:
             notes.append(f"sensor {name} (0 = at the base) gives no readings: check its wire")
             continue
-        own = curvature[finite, number]
-        calm = ~outlying(own, 6, 1e-12)
-        t, quiet = t_s[finite][calm], own[calm]
+        values = curvature[finite, number]
+        calm = ~outlying(values, 6, 1e-12)
+        t, quiet = t_s[finite][calm], values[calm]
         # Differences of successive readings are free of drift.
         white = float(np.sqrt(np.mean(np.diff(quiet) ** 2) / 2))
         line = np.polyfit(t, quiet, 1)
@@ -133,23 +133,23 @@ def fit_noise(
             hysteresis=float(gap[number]),
             dropouts=float(1 - calm.mean()),
         )  # fmt: skip
-        found.append(sensor)
+        noises.append(sensor)
         if sensor.dropouts > 0.05:
             notes.append(f"{name}: {100 * sensor.dropouts:.0f} % wild readings; check its wire")
         if abs(drift) > max(5e-4, 4 * 60 * white / float(np.sqrt(len(quiet)) * t.std())):
             notes.append(f"{name} drifts by {drift:.4f} 1/cm a minute; wait for it to settle")
-    loud = [s for s in found if s.white > 2e-3]
+    loud = [s for s in noises if s.white > 2e-3]
     good = False
-    if not found:
+    if not noises:
         reason = "no sensor gives readings; check wiring"
-    elif len(loud) > len(found) / 2:
-        worst = max(s.white for s in found)
+    elif len(loud) > len(noises) / 2:
+        worst = max(s.white for s in noises)
         reason = (
             f"most readings scatter by more than 0.002 1/cm (worst {worst:.4f}): average longer, "
             "or look for interference"
         )
     else:
         notes.extend(f"{s.name} is loud: {s.white:.4f} 1/cm" for s in loud)
-        typical = float(np.median([s.white for s in found]))
+        typical = float(np.median([s.white for s in noises]))
         good, reason = True, f"white noise {typical:.5f} 1/cm a reading (median)"
-    return NoiseResult(tuple(found), Verdict(good, reason, tuple(notes)))
+    return NoiseResult(tuple(noises), Verdict(good, reason, tuple(notes)))

@@ -87,8 +87,8 @@ def fit_pressure_zero(
     if len(counts) < 10:
         raise DataError("ten or more readings of each pressure sensor are needed", "read longer")
     zeros = []
-    for muscle, own in zip(names, counts.T, strict=True):
-        values, zero, se, fall_psi = own[np.isfinite(own)], np.nan, np.inf, 0.0
+    for muscle, own_counts in zip(names, counts.T, strict=True):
+        values, zero, se, fall_psi = own_counts[np.isfinite(own_counts)], np.nan, np.inf, 0.0
         if len(values) > 1:
             calm = values[~outlying(values, 5, 0.5)]
             half = len(calm) // 2

@@ -68,9 +68,9 @@ def fit_linear(
         near = (np.abs(b - a @ line) <= 3.0 * np.sqrt(spread**2 + e**2) + 1e-300) | kept
         if near.sum() >= p + 2:
             starts.append(near)
-    found = [_rejecting(a, b, e, start, kept) for start in starts]
+    fits = [_rejecting(a, b, e, start, kept) for start in starts]
     inside, coefficients, covariance, sigma = max(
-        found, key=lambda f: (int(f[0].sum()) if f[3] < 3 * found[-1][3] else 0, -f[3])
+        fits, key=lambda f: (int(f[0].sum()) if f[3] < 3 * fits[-1][3] else 0, -f[3])
     )
     used, residuals = np.zeros(len(y), bool), np.full(len(y), np.nan)
     used[rows[inside]], residuals[rows] = True, b - a @ coefficients

@@ -48,21 +48,21 @@ class Session:
         path = self.folder / f"{procedure}.jsonl"
         if not path.exists():
             return {}
-        found: dict[str, dict[str, Any]] = {}
+        steps: dict[str, dict[str, Any]] = {}
         with DataError.from_os(f"cannot read {path}", "delete it, and take its readings again"):
             lines = read_file(path, DATA_BYTES).decode(errors="replace").splitlines()
         for number, line in enumerate(lines, start=1):
             try:
                 row = json.loads(line)
-                found.pop(row["key"], None)
-                found[row["key"]] = row
+                steps.pop(row["key"], None)
+                steps[row["key"]] = row
             except (ValueError, KeyError, TypeError, RecursionError) as error:
                 if number == len(lines):
                     break
                 raise DataError(
                     f"{path}, line {number} is damaged", "correct or delete that line"
                 ) from error
-        return found
+        return steps
 
     def add(self, procedure: str, row: dict[str, Any]) -> None:
         """Append a reading, which must have a `key`. It is on disk when this returns."""

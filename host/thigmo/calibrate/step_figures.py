@@ -54,9 +54,9 @@ def _panel(
     _finish(figure, path, verdict)
 
 
-def _estimates(axes: Axes, each: Array, mean: float, se: float) -> None:
+def _estimates(axes: Axes, estimates: Array, mean: float, se: float) -> None:
     """Draw every estimate, their mean, and its 95 % interval."""
-    axes.plot(np.arange(1, len(each) + 1), each, "o", label="each alone")
+    axes.plot(np.arange(1, len(estimates) + 1), estimates, "o", label="each alone")
     if np.isfinite(mean):
         axes.axhline(mean, color="k", lw=1, label="mean")
         axes.axhspan(mean - 1.96 * se, mean + 1.96 * se, color="k", alpha=0.1)

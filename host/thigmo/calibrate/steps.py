@@ -144,7 +144,9 @@ def fit_csv(
     The method "thesis" fits flex and buckling as the thesis did; None is the step's own method.
     Raises DataError for an unknown step, a step without CSV, or unusable readings.
     """
-    made = {name: (one.of_csv, one.columns) for name, one in STEPS.items() if one.of_csv}
+    made = {
+        name: (fitted.of_csv, fitted.columns) for name, fitted in STEPS.items() if fitted.of_csv
+    }
     if step not in made:
         raise DataError(
             f"there is no fit '{step}' for a CSV", f"use one of {', '.join(sorted(made))}"

@@ -63,7 +63,10 @@ def of_csv(table: Table, config: RobotConfig) -> StepResult:
     rows = np.column_stack([table.numbers(name) for name in ("x_cm", "y_cm", "force_arc_cm")])
     seen = np.isfinite(rows).all(axis=1)
     picture, rows = picture[seen], rows[seen]
-    each = [AxisPoints(rows[own, :2], rows[own[0], 2]) for _, own in grouped(picture.tolist())]
+    each = [
+        AxisPoints(rows[members, :2], rows[members[0], 2])
+        for _, members in grouped(picture.tolist())
+    ]
     return fit_stiffness(each, config)
 
 
@@ -74,21 +77,21 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
     gap = (np.abs(fine[:, None] - center) > span / 2).all(axis=1).astype(float)
     if not 0.05 < gap.mean() < 0.95:
         raise DataError("sensors cover all of the body or none of it", "there is no gap to compare")
-    found, notes = [], []
+    ratios, notes = [], []
     for number, picture in enumerate(pictures, start=1):
         bend = float(np.abs(picture.points_cm[:, 1]).max())
         if len(picture.points_cm) < 20 or bend < _LEAST_BEND * config.body.length_cm:
             notes.append(f"picture {number} omitted: bent by {bend:.1f} cm only, or too few points")
         else:
-            found.append((*_one(picture, fine, gap), bend))
-    if len(found) < 3:
+            ratios.append((*_one(picture, fine, gap), bend))
+    if len(ratios) < 3:
         raise DataError(
-            f"{len(found)} usable pictures",
+            f"{len(ratios)} usable pictures",
             "take three or more with the tip {:.0f}..{:.0f} cm aside".format(
                 *(share * config.body.length_cm for share in _ASIDE)
             ),
         )
-    each, errors, bends = np.array(found).T
+    each, errors, bends = np.array(ratios).T
     # The error of a picture grows with its estimate, which would favour low estimates. So it is
     # computed at the common estimate, from how far the body was bent.
     middle = float(np.median(each))

@@ -112,8 +112,8 @@ def fit_buckling(
     """Critical curvature from hard pushes at the tip; arguments as in `buckling.fit_buckling`."""
     center, span, healthy = constants_of(config, "center_cm", "span_cm", "healthy")
     if curvature.shape[1] != len(center):
-        what = f"{curvature.shape[1]} columns for {len(center)} sensors"
-        raise DataError(what, "use this robot's file")
+        shapes = f"{curvature.shape[1]} columns for {len(center)} sensors"
+        raise DataError(shapes, "use this robot's file")
     near = center - span / 2 < config.body.diameter_cm
     beyond = (healthy > 0) & ~near & (center + span / 2 <= length_cm)
     each, excess = np.full((2, len(curvature)), np.nan)

@@ -208,8 +208,8 @@ def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
 
 def _sample(flat: Flat, score: NDArray[np.float32], points: Array) -> NDArray[np.float32]:
     at = flat.pixels(points)
-    found = cv2.remap(score, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0)
-    return np.asarray(found, np.float32)
+    scores = cv2.remap(score, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0)
+    return np.asarray(scores, np.float32)
 
 
 def _flanks(
@@ -240,7 +240,7 @@ def _between_edges(flat: Flat, middle: Array, heading: Array, width: Array) -> A
     """
     away = np.arange(-_EDGE_CM, _EDGE_CM + 1e-9, 0.02)
     normal = np.column_stack([-np.sin(heading), np.cos(heading)])
-    found = []
+    axes = []
     for side in (1.0, -1.0):
         out = side * (width / 2)[:, None] + side * away
         at = flat.pixels(middle[:, None, :] + out[..., None] * normal[:, None, :])
@@ -262,5 +262,5 @@ def _between_edges(flat: Flat, middle: Array, heading: Array, width: Array) -> A
         with np.errstate(divide="ignore", invalid="ignore"):
             place = away[first] + (high - 0.5) / (high - low) * 0.02
         place[~clear | ~np.isfinite(rank[rows, first])] = np.nan
-        found.append(side * (width / 2 + place))
-    return np.asarray(middle + ((found[0] + found[1]) / 2)[:, None] * normal)
+        axes.append(side * (width / 2 + place))
+    return np.asarray(middle + ((axes[0] + axes[1]) / 2)[:, None] * normal)

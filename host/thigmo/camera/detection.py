@@ -130,8 +130,8 @@ def detect(
             tip = None if isinstance(error, MarkerAstrayError) else tip
         except DataError as error:
             problems.append(BodyNotSeenError(error.what, error.next_step))
-    found = detector.obstacles() if detector.wanted.obstacles else []
-    return Detection(tip, axis, found, hidden, tuple(problems), markers)
+    obstacles = detector.obstacles() if detector.wanted.obstacles else []
+    return Detection(tip, axis, obstacles, hidden, tuple(problems), markers)
 
 
 @dataclass(frozen=True)
@@ -154,10 +154,10 @@ class _Detector:
             needs.append((_CELL_PX / cell_cm, f"a tip marker of {marker_cm:g} cm"))
         if wanted.body:
             needs.append((_TUBE_PX / wanted.diameter_cm, f"a tube of {wanted.diameter_cm:g} cm"))
-        needed, what = max(needs, default=(0.0, ""))
+        needed, reason = max(needs, default=(0.0, ""))
         if px_per_cm < needed:
             raise TooCoarseError(
-                f"the picture has {px_per_cm:.1f} px per cm, and {what} needs {needed:.1f}",
+                f"the picture has {px_per_cm:.1f} px per cm, and {reason} needs {needed:.1f}",
                 f"take one {needed / px_per_cm:.1f} times as large, or bring the camera nearer",
             )
 

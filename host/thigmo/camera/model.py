@@ -187,10 +187,14 @@ def other_dictionary(picture: Picture, name: str) -> str:
 
     The dictionaries in `_LARGEST` contain the smaller ones of their marker size.
     """
-    own = dictionary(name).markerSize
-    tried = [e for e in _LARGEST if e != name and (dictionary(e).markerSize != own or "X" not in e)]
-    seen = {each: len(detect_markers(picture, each)) for each in tried}
-    most = max(seen, key=lambda each: seen[each])
+    marker_size = dictionary(name).markerSize
+    tried = [
+        e
+        for e in _LARGEST
+        if e != name and (dictionary(e).markerSize != marker_size or "X" not in e)
+    ]
+    seen = {family: len(detect_markers(picture, family)) for family in tried}
+    most = max(seen, key=lambda family: seen[family])
     return most if seen[most] >= 4 else ""
 
 
@@ -228,18 +232,18 @@ def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
     return Lens(np.asarray(matrix, float), np.ravel(distortion)[:5].astype(float), size, float(rms))
 
 
-def judge_still(found: dict[int, Points], model: CameraModel, sheet: Sheet) -> tuple[str, ...]:
+def judge_still(markers: dict[int, Points], model: CameraModel, sheet: Sheet) -> tuple[str, ...]:
     """Names of hidden cards, from the corners (4, 2) of the markers found, by id.
 
     Raises SheetHiddenError if no card is seen, CameraMovedError if they are not where the camera
     was located.
     """
-    both = [m for m in model.corners if m in found]
+    both = [m for m in model.corners if m in markers]
     card_of = sheet.marker_ids()
-    hidden = tuple(c.name for c in sheet.cards if not any(card_of.get(m) is c for m in found))
+    hidden = tuple(c.name for c in sheet.cards if not any(card_of.get(m) is c for m in markers))
     if not both:
         raise SheetHiddenError(hidden, 0)
-    shifts = np.concatenate([found[m] - model.corners[m] for m in both])
+    shifts = np.concatenate([markers[m] - model.corners[m] for m in both])
     moved = float(np.median(np.linalg.norm(shifts, axis=1)))
     if moved > _MOVED_PX:
         raise CameraMovedError(

@@ -57,7 +57,7 @@ def find_obstacles(
             candidates.extend(np.asarray(circles, float).reshape(-1, circles.shape[-1])[:60, :3])
     outlines = [np.asarray(polygon, np.float32) for polygon in ignore]
     # GRADIENT_ALT gives the most voted first, channel by channel.
-    found: list[Obstacle] = []
+    obstacles: list[Obstacle] = []
     for column, row, radius in candidates:
         center = flat.places(np.array([column, row]))
         x, y = center.tolist()
@@ -67,10 +67,10 @@ def find_obstacles(
         if obstacle is None or not radius_cm[0] <= obstacle.radius_cm <= radius_cm[1]:
             continue
         reach = 0.9 * obstacle.radius_cm
-        twins = [o for o in found if o.apart_cm(obstacle) < reach + 0.9 * o.radius_cm]
+        twins = [o for o in obstacles if o.apart_cm(obstacle) < reach + 0.9 * o.radius_cm]
         if all(twin.rim < obstacle.rim for twin in twins):
-            found = [other for other in found if other not in twins] + [obstacle]
-    return sorted(found, key=lambda o: -o.rim)
+            obstacles = [other for other in obstacles if other not in twins] + [obstacle]
+    return sorted(obstacles, key=lambda o: -o.rim)
 
 
 def _channels(flat: Flat) -> list[NDArray[np.uint8]]:

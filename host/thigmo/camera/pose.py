@@ -46,25 +46,25 @@ def locate(picture: Picture, sheet: Sheet, lens: Lens | None = None) -> CameraMo
     if lens is not None:
         lens.require(picture)
     markers = detect_markers(picture, sheet.dictionary)
-    found = {k: v for k, v in markers.items() if k in sheet.marker_ids()}
-    seen_cards = [c for c in sheet.cards if any(c.first_id + k in found for k in range(4))]
+    known = {k: v for k, v in markers.items() if k in sheet.marker_ids()}
+    seen_cards = [c for c in sheet.cards if any(c.first_id + k in known for k in range(4))]
     hidden = tuple(c.name for c in sheet.cards if c not in seen_cards)
     if len(seen_cards) < 3:
         other = "" if seen_cards else other_dictionary(picture, sheet.dictionary)
         raise SheetHiddenError(hidden, len(seen_cards), other)
     size = (picture.shape[1], picture.shape[0])
-    return fit_pose(found, sheet, size, lens, hidden)
+    return fit_pose(known, sheet, size, lens, hidden)
 
 
 def fit_pose(
-    found: dict[int, Points],
+    markers: dict[int, Points],
     sheet: Sheet,
     size: tuple[int, int],
     lens: Lens | None = None,
     hidden: tuple[str, ...] = (),
 ) -> CameraModel:
     """As `locate`, from marker corners found before: (4, 2) px by id."""
-    problem = Problem(found, sheet, size, lens)
+    problem = PoseFit(markers, sheet, size, lens)
     fits = []
     for view_deg in (_VIEW_DEG,) if lens is not None else (50.0, _VIEW_DEG, 95.0):
         fit = least_squares(
@@ -85,7 +85,7 @@ def fit_pose(
             "measure the crosses again, check that no card is swapped or turned, and the 10 cm bar",
         )
     accuracy = _accuracy(problem, best.x, np.asarray(best.jac, float))
-    return replace(camera, corners=found, rms_px=rms, accuracy_cm=accuracy, hidden=hidden)
+    return replace(camera, corners=markers, rms_px=rms, accuracy_cm=accuracy, hidden=hidden)
 
 
 def what_helps(model: CameraModel, sheet: Sheet, lens_known: bool) -> str:
@@ -106,19 +106,19 @@ def what_helps(model: CameraModel, sheet: Sheet, lens_known: bool) -> str:
     return ", ".join(ways)
 
 
-class Problem:
+class PoseFit:
     """Fits corners to the sheet: the lens (unless known), the pose, and the cards' slips.
 
     A slip is x, y and turn. All residuals are in units of their standard deviation.
     """
 
     def __init__(
-        self, found: dict[int, Points], sheet: Sheet, size: tuple[int, int], lens: Lens | None
+        self, corners: dict[int, Points], sheet: Sheet, size: tuple[int, int], lens: Lens | None
     ) -> None:
         self.sheet, self.size, self.lens = sheet, size, lens
-        card_of, markers = sheet.marker_ids(), sorted(found)
+        card_of, markers = sheet.marker_ids(), sorted(corners)
         self.cards = [c for c in sheet.cards if any(card_of[m] is c for m in markers)]
-        self.pixels = np.concatenate([found[m] for m in markers])  # (n, 2)
+        self.pixels = np.concatenate([corners[m] for m in markers])  # (n, 2)
         # Card of each corner (n,), and its place (n, 2) in the card's frame, from the card's cross.
         self.owner = np.repeat([self.cards.index(card_of[m]) for m in markers], 4)
         self.local = np.concatenate([sheet.local_corners(m - card_of[m].first_id) for m in markers])
@@ -200,10 +200,10 @@ class Problem:
                                  np.cos(angle) * u - np.sin(angle) * v])  # fmt: skip
         by_swing = np.einsum("nij,nj->ni", by_place, swing)
         for card in range(len(self.cards)):
-            own = self.owner == card
-            rows, column = np.nonzero(np.repeat(own, 2))[0], head + 6 + 3 * card
-            made[rows, column : column + 2] = by_place[own].reshape(-1, 2)
-            made[rows, column + 2] = by_swing[own].ravel()
+            of_card = self.owner == card
+            rows, column = np.nonzero(np.repeat(of_card, 2))[0], head + 6 + 3 * card
+            made[rows, column : column + 2] = by_place[of_card].reshape(-1, 2)
+            made[rows, column + 2] = by_swing[of_card].ravel()
         made[: 2 * n] /= _CORNER_PX
         columns = np.r_[np.arange(head), np.arange(head + 6, len(x))]
         made[2 * n + np.arange(len(columns)), columns] = 1 / self.spread
@@ -221,7 +221,7 @@ def _log_focal(width: int, view_deg: float) -> float:
     return float(np.log(width / 2 / np.tan(np.radians(view_deg / 2))))
 
 
-def _accuracy(problem: Problem, best: Points, jacobian: Points) -> float:
+def _accuracy(problem: PoseFit, best: Points, jacobian: Points) -> float:
     """Worst standard error (cm) of a place at the robot's height, from the fit's covariance."""
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
     low, high = problem.laid[:, :2].min(axis=0), problem.laid[:, :2].max(axis=0)

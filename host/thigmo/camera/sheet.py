@@ -271,9 +271,9 @@ def pages(sheet: Sheet) -> list[Gray]:
         made.append(picture)
         return picture
 
-    def paste(onto: Gray, what: Gray, column: int, row: int, frame: bool = True) -> None:
-        rows, columns = what.shape
-        onto[row : row + rows, column : column + columns] = what
+    def paste(onto: Gray, picture: Gray, column: int, row: int, frame: bool = True) -> None:
+        rows, columns = picture.shape
+        onto[row : row + rows, column : column + columns] = picture
         if frame:
             cv2.rectangle(onto, (column, row), (column + columns, row + rows), 180, 1)
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from thigmo.cli import ending
-from thigmo.cli.held import ByPageOption, held, shown
+from thigmo.cli import signals
+from thigmo.cli.dead_man_switch import ByPageOption, held, shown
 from thigmo.cli.output import (
     JsonOption,
     RobotOption,
@@ -38,7 +38,7 @@ def stop(
     except KeyboardInterrupt:
         said = "thigmo: NOT confirmed: interrupted before the board confirmed; "
         typer.echo(f"{said}use the emergency stop", err=True)
-        raise typer.Exit(ending.status()) from None
+        raise typer.Exit(signals.status()) from None
     if not robots:
         way_out = "stop the one that does with Ctrl-C"
         none = nobody() if robot is None else LinkError(way_to(robot)[1], way_out)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thigmo.cli.console import Console
-from thigmo.cli.held import ByPageOption, held
+from thigmo.cli.dead_man_switch import ByPageOption, held
 from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, filled, show
 from thigmo.errors import ConfigError
 
@@ -107,10 +107,10 @@ def bringup(
         if first != STAGES[0]:
             _cured(machine)
         # The emulated robot has an attendant of its own.
-        own: Any = machine.operator if machine.virtual else None
+        emulated: Any = machine.operator if machine.virtual else None
         # Its requests make faults, such as the emergency stop's.
         console.meanwhile = partial(machine.wait, despite_faults=True)
-        attendant = own if hasattr(own, "spool_turned") else _TerminalAttendant(console)
+        attendant = emulated if hasattr(emulated, "spool_turned") else _TerminalAttendant(console)
         findings = BringUp(machine, attendant, tell).run(first, last)
     good = all(finding.good for finding in findings)
     stage = findings[-1].stage

@@ -163,19 +163,19 @@ def calibrate(
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
         overhead = _overhead_camera(machine, session, camera, sheet_file, camera_file, seed)
         bench = Bench(machine, overhead, session, plan, say)
-        found: dict[str, StepResult] = {}
+        results: dict[str, StepResult] = {}
         for name in steps:
             if step == "all" and not again and session.done(name):
                 say(f"{name}: done before; `thigmo calibrate {name} --again` repeats it")
                 continue
-            found[name] = run(bench, name, again=again, method=method)
-            if not found[name].verdict.good and STEPS[name].needed:
+            results[name] = run(bench, name, again=again, method=method)
+            if not results[name].verdict.good and STEPS[name].needed:
                 break
     if as_json:
-        print_json({name: result.as_data() for name, result in found.items()})
-    bad = [name for name, result in found.items() if not result.verdict.good]
+        print_json({name: result.as_data() for name, result in results.items()})
+    bad = [name for name, result in results.items() if not result.verdict.good]
     if step == "all" and not as_json:
-        _summary(session, found)
+        _summary(session, results)
     if bad:
         if step == "all":
             say(f"next: correct what is BAD, and run `thigmo calibrate {bad[0]} --robot {robot}`")

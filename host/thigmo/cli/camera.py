@@ -129,11 +129,11 @@ def lens(
             with suppress(PictureError):
                 while len(shots) < _MOST_PICTURES:
                     shots.append(opened.read())
-    found = calibrate_lens(shots, load_sheet(sheet_file))
+    lens = calibrate_lens(shots, load_sheet(sheet_file))
     _keep_old(out)
-    found.save(out)
-    facts = {"rms_px": found.rms_px, "focal_px": found.matrix[0][0], "file": str(out)}
-    show(as_json, facts, f"lens good: {found.rms_px:.2f} px remain; wrote {out}")
+    lens.save(out)
+    facts = {"rms_px": lens.rms_px, "focal_px": lens.matrix[0][0], "file": str(out)}
+    show(as_json, facts, f"lens good: {lens.rms_px:.2f} px remain; wrote {out}")
 
 
 @group.command()

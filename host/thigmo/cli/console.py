@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from thigmo.cli import ending
+from thigmo.cli import signals
 from thigmo.errors import DataError, ThigmoError
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class Console:
             from thigmo.link.transport import emulated
 
             notes = "".join(f" ({note})" for note in getattr(stopped, "__notes__", []))
-            status = stopped.code if isinstance(stopped, SystemExit) else ending.status()
+            status = stopped.code if isinstance(stopped, SystemExit) else signals.status()
             left = (
                 "the emulated robot has ended with this command"
                 if emulated(url)

@@ -45,7 +45,7 @@ def design(
     from thigmo.report.files import write_files
 
     position = places * columns
-    found = identifiability(
+    layout = identifiability(
         position,
         length=length,
         noise=noise,
@@ -58,37 +58,39 @@ def design(
             "arc": arc,
             "moment": moment,
             "force": moment / arc if arc > 0.0 else 0.0,
-            **{name: getattr(found, name)[m, a].item() for name in ("bound", "signal", "detected")},
+            **{
+                name: getattr(layout, name)[m, a].item() for name in ("bound", "signal", "detected")
+            },
         }
-        for m, moment in enumerate(found.moment.tolist())
-        for a, arc in enumerate(found.arc.tolist())
+        for m, moment in enumerate(layout.moment.tolist())
+        for a, arc in enumerate(layout.arc.tolist())
     ]
     two = [
         {"separation": gap, "moment": moment, "proximal_bound": near, "distal_bound": far}
-        for moment, bounds in zip(found.moment.tolist(), found.pair_bound.tolist(), strict=True)
-        for gap, (near, far) in zip(found.separation.tolist(), bounds, strict=True)
+        for moment, bounds in zip(layout.moment.tolist(), layout.pair_bound.tolist(), strict=True)
+        for gap, (near, far) in zip(layout.separation.tolist(), bounds, strict=True)
     ]
     tables = {"one-contact": one, "two-contacts": two}
-    figures = {"bounds": draw_design(found, position, span)}
+    figures = {"bounds": draw_design(layout, position, span)}
     paths = write_files("design", out, tables, figures)
     if as_json:
         print_json({"one_contact": one, "two_contacts": two, "files": [str(p) for p in paths]})
         return
-    _show(found, out)
+    _show(layout, out)
 
 
-def _show(found: Identifiability, out: Path) -> None:
+def _show(layout: Identifiability, out: Path) -> None:
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    arcs = [round(len(found.arc) * share) - 1 for share in (0.25, 0.5, 0.75, 0.9, 1.0)]
+    arcs = [round(len(layout.arc) * share) - 1 for share in (0.25, 0.5, 0.75, 0.9, 1.0)]
     table = RichTable(
         "base moment (1/cm)",
-        *(f"at {found.arc[a]:.1f} cm" for a in arcs),
+        *(f"at {layout.arc[a]:.1f} cm" for a in arcs),
         title="bound of one contact's arc (cm); -: too weak to be reported, inf: not fixed",
     )
-    for m, moment in enumerate(found.moment):
-        cells = [f"{found.bound[m, a]:.2f}" if found.detected[m, a] else "-" for a in arcs]
+    for m, moment in enumerate(layout.moment):
+        cells = [f"{layout.bound[m, a]:.2f}" if layout.detected[m, a] else "-" for a in arcs]
         table.add_row(f"{moment:.4f}", *cells)
     Console().print(table)
     typer.echo(f"tables and figure are in {out}/")

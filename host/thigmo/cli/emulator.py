@@ -55,10 +55,10 @@ def check(
     """Check a scene file and list what is in it."""
     from thigmo.emulator.scene import Scene
 
-    found = Scene.load(file)
+    scene = Scene.load(file)
     show(
         as_json,
-        found.model_dump(mode="json"),
-        f"{file}: good. Pegs: {len(found.pegs)}; a robot of {found.robot.body.length_cm:g} cm, "
-        f"{found.start_length_cm:g} cm of it out at the start; faults: {len(found.faults)}.",
+        scene.model_dump(mode="json"),
+        f"{file}: good. Pegs: {len(scene.pegs)}; a robot of {scene.robot.body.length_cm:g} cm, "
+        f"{scene.start_length_cm:g} cm of it out at the start; faults: {len(scene.faults)}.",
     )

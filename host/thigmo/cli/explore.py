@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from thigmo.cli import ending
+from thigmo.cli import signals
 from thigmo.cli.output import (
     AnyRobotOption,
     JsonOption,
@@ -96,7 +96,7 @@ def explore(
         from thigmo.live.opening import open_page
 
         open_page(where, out, config)
-    ending.outlive_terminal()
+    signals.outlive_terminal()
     console = Console(quiet=as_json, asks_viewers=asks_viewers)
     with console.progress() as show, console.interruptible(where):
         result = run(

@@ -44,7 +44,7 @@ def feel(
     from thigmo.robot import connect
 
     known = None if config is None else RobotConfig.load(config)
-    console, found = Console(quiet=as_json), []
+    console, answers = Console(quiet=as_json), []
     with console.interruptible(robot), connect(robot, seed=seed, operator=console) as machine:
         if (used := known or machine.known_config) is None:
             raise ConfigError(f"the constants of {robot} are not known", "give --config robot.toml")
@@ -59,7 +59,7 @@ def feel(
             reading = machine.read_fibre()
             result = _localized(used, reading)
             truth, t_s = machine.truth(), reading.t_s - opened_s
-            found.append(
+            answers.append(
                 {"t_s": t_s, "length_cm": reading.length_cm, "lines": reading.lines,
                  "zero_age_s": reading.zero_age_s, "free_curvature": reading.free_curvature,
                  "curvature": reading.curvature.tolist(), **result.to_dict(),
@@ -72,7 +72,7 @@ def feel(
                 typer.echo(f"{t_s:8.1f} s  {result.status}  {touched}")
         machine.vent()
     if as_json:
-        print_json(found)
+        print_json(answers)
 
 
 def _pressed(text: str | None, config: RobotConfig) -> tuple[str | None, float]:

@@ -31,15 +31,15 @@ def hints(
     seen = np.isfinite(curvature)
     stated = options.get("noise")
     noise = None if stated is None else float(np.sqrt(np.mean(np.square(stated))))
-    found = []
+    hints = []
     if _mirrored(curvature[seen], -free[seen], result.noise if noise is None else noise):
-        found.append(
+        hints.append(
             "the readings have the other sign than the free curvature: change the sign of one"
         )
     elif options.get("direction") is None and (
         opposite := _opposite_columns(curvature[seen], position[seen], noise)
     ):
-        found.append(
+        hints.append(
             f"the two sensors at {opposite} read opposite curvatures: change the sign of the "
             "column that faces the other way"
         )
@@ -52,7 +52,7 @@ def hints(
             result.noise if noise is None else noise,
         )
     ):
-        found.append(
+        hints.append(
             "the readings near the end differ from the free curvature by more than a contact can "
             "cause: give the bend of the inflated muscle as --free-curvature, in the readings' "
             "unit (or is a sensor there bad, or does something hold the end?)"
@@ -65,11 +65,11 @@ def hints(
     # Counted from the tip, a contact's moment grows towards the end, as that of a held end does.
     held = straight.hypotheses.get("end wrench", 0.0) > _HELD
     if turned.log_odds - straight.log_odds > (0.0 if held else _TURNED):
-        found.append(
+        hints.append(
             "the readings look as if positions were counted from the tip: count them from the base"
             + (" (or does something hold the end?)" if held else "")
         )
-    return tuple(found)
+    return tuple(hints)
 
 
 def _bends_the_end(excess: Array, to_end: Array, noise: float) -> bool:
@@ -87,10 +87,10 @@ def _bends_the_end(excess: Array, to_end: Array, noise: float) -> bool:
     return bool(agreed > most + _SIGMAS * noise)
 
 
-def _mirrored(one: Array, other: Array, noise: float) -> bool:
+def _mirrored(first: Array, other: Array, noise: float) -> bool:
     """Whether two sets of curvatures (n,) agree, and are well above the noise."""
-    apart, together = np.square(one - other).sum(), np.square(one + other).sum()
-    strong = min(np.square(one).mean(), np.square(other).mean()) > (_SIGMAS * noise) ** 2
+    apart, together = np.square(first - other).sum(), np.square(first + other).sum()
+    strong = min(np.square(first).mean(), np.square(other).mean()) > (_SIGMAS * noise) ** 2
     return bool(strong and apart < _OPPOSITE * together)
 
 
@@ -107,7 +107,7 @@ def _opposite_columns(curvature: Array, position: Array, noise: float | None) ->
     ]
     if not pairs:
         return ""
-    one, other = np.array([both for _, both in pairs]).T
+    first, other = np.array([both for _, both in pairs]).T
     if noise is None:
-        noise = float(np.sqrt(np.square(one + other).mean() / 2.0))
-    return ", ".join(f"{place:g}" for place, _ in pairs) if _mirrored(one, -other, noise) else ""
+        noise = float(np.sqrt(np.square(first + other).mean() / 2.0))
+    return ", ".join(f"{place:g}" for place, _ in pairs) if _mirrored(first, -other, noise) else ""

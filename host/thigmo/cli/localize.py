@@ -267,26 +267,26 @@ def _calibrated(
             raise DataError(f"{muscle} bends the body out of the plane", "leave --muscle out")
     # Flex sensors on the inflated side wrinkle and are not read.
     free = [s for s in robot.sensors if s.side and not (s.wrinkles and s.side == inflated)]
-    found: list[Sensor] = []
+    sensors: list[Sensor] = []
     for position in table.position.tolist():
-        near = min(free, key=lambda one: abs(one.center_cm - position), default=None)
+        near = min(free, key=lambda sensor: abs(sensor.center_cm - position), default=None)
         if near is None or abs(near.center_cm - position) > max(near.span_cm / 2, 0.5):
             raise DataError(
                 f"{path} has no sensor for the reading at {position:g} cm",
                 "give each position once, in cm, and --muscle if a muscle is inflated",
             )
         free.remove(near)
-        found.append(near)
+        sensors.append(near)
     zone = robot.body.zone_at(length_cm)
     if table.strain is not None:
-        if not all(isinstance(sensor, FibreSensor) for sensor in found):
+        if not all(isinstance(sensor, FibreSensor) for sensor in sensors):
             raise DataError(
                 "strains, but not only of a fibre", f"correct {path}, or give curvatures"
             )
-        pairs = zip(found, table.strain.tolist(), strict=True)
+        pairs = zip(sensors, table.strain.tolist(), strict=True)
         bends = [sensor.reading(strain_ue) for sensor, strain_ue in pairs]
         table = replace(table, curvature=np.array(bends))
-    return errors_of(robot, inflated, zone, found).arguments(), table
+    return errors_of(robot, inflated, zone, sensors).arguments(), table
 
 
 def _facts(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:
@@ -302,19 +302,19 @@ def _frames(columns: str) -> dict[str, tuple[float, float | None]]:
     """Columns by name, with the positions of their sensors, and their directions in degrees."""
     from thigmo.errors import DataError
 
-    found = {}
+    stated = {}
     for part in columns.split(","):
         name, _, place = part.rpartition("=")
         arc, _, direction = place.partition("@")
         try:
-            found[name.strip()] = float(arc), float(direction) if direction else None
+            stated[name.strip()] = float(arc), float(direction) if direction else None
         except ValueError:
             name = ""
         if not name.strip():
             raise DataError(
                 f"--columns has {part!r}", "give NAME=POSITION for each sensor: k0=5,k1=15"
             )
-    return found
+    return stated
 
 
 def _answer_rows(
@@ -337,11 +337,18 @@ def _answer_rows(
             raise DataError(f"line {line}: {error.what}", error.next_step) from error
     times = table.time_s.tolist() if table.time_s is not None else [None] * len(results)
     if plot is not None:
-        from thigmo.report import draw_series
+        from thigmo.display.bars import Bar
+        from thigmo.display.series import draw_series
 
         when = table.lines if table.time_s is None else table.time_s.tolist()
-        read = [(t, result) for t, result in zip(when, results, strict=True) if result]
-        _save(draw_series(read), plot)
+        label = "line of the file" if table.time_s is None else "time (s)"
+        bars = [
+            [Bar(each.arc, each.intervals, each.status, "") for each in result.contacts]
+            if result
+            else []
+            for result in results
+        ]
+        _save(draw_series(when, bars, localizer.length, label), plot)
     frames = list(zip(table.lines, times, results, strict=True))
     if as_json:
         unread_answer = {"status": "no reading", "contacts": []}

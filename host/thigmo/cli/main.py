@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from thigmo.cli import camera, emulator, ending
+from thigmo.cli import camera, emulator, signals
 from thigmo.cli.added import add_commands
 from thigmo.cli.board import clear, params, retract, stop
 from thigmo.cli.bringup import bringup, jog, press
@@ -57,7 +57,7 @@ def _reported(group: Any = None) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         typer.echo("thigmo: interrupted; what was finished is kept", err=True)
-        raise typer.Exit(ending.status()) from None
+        raise typer.Exit(signals.status()) from None
     except _UsageError as error:
         if type(error).show is not _UsageError.show:  # no argument at all: its help is shown
             raise
@@ -87,8 +87,8 @@ add_commands(app)
 groups = {"robot": robot, "scene": emulator.scene, "camera": camera.group}
 for name, group in groups.items():
     app.add_typer(group, name=name)
-for each in (app, *groups.values()):
-    for command in each.registered_commands:
+for group in (app, *groups.values()):
+    for command in group.registered_commands:
         # A docstring's lines are as long as the source's; a terminal wraps its paragraphs again.
         command.help = "\n\n".join(
             " ".join(part.split()) for part in (getdoc(command.callback) or "").split("\n\n")

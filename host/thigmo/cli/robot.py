@@ -57,9 +57,9 @@ def new(
         (out / older).unlink(missing_ok=True)
     written, said = [str(out / "robot.toml")], []
     if beyond := beyond_board(config):
-        said = [filled(f"no scene: {what}; {cure}") for what, cure in beyond]
+        said = [filled(f"no scene: {problem}; {cure}") for problem, cure in beyond]
     elif refused := Wiring.of(config).unexplorable:
-        said = [filled(f"explore does not work with it: {refused.what}; {refused.cure}")]
+        said = [filled(f"explore does not work with it: {refused.problem}; {refused.cure}")]
     else:
         room = room_for(config, seed)
         room.save(out / "scene.toml")
@@ -89,8 +89,10 @@ def check(file: _FileArgument, as_json: JsonOption = False) -> None:
     from thigmo.config import RobotConfig
     from thigmo.design import judge
 
-    found = judge(RobotConfig.load(file))
-    lines = [filled(f"{one.mark:8}{one.what}: {one.text}", indent=8) for one in found]
-    show(as_json, {"findings": [asdict(one) for one in found]}, *lines)
-    if any(one.mark == "bad" for one in found):
+    findings = judge(RobotConfig.load(file))
+    lines = [
+        filled(f"{finding.mark:8}{finding.what}: {finding.text}", indent=8) for finding in findings
+    ]
+    show(as_json, {"findings": [asdict(finding) for finding in findings]}, *lines)
+    if any(finding.mark == "bad" for finding in findings):
         raise typer.Exit(1)

@@ -88,7 +88,7 @@ def _relay(node: RosNode, url: str | None, pid: int | None, stop: threading.Even
     watched = Watched(url, pid)
     if pid is None and len(runs := watched.runs()) > 1:
         watched.close()
-        listed = "; ".join(f"--run {each.pid}: {each.name} at {each.url}" for each in runs)
+        listed = "; ".join(f"--run {run.pid}: {run.name} at {run.url}" for run in runs)
         raise DataError(f"{len(runs)} runs are under way", f"choose one: {listed}")
     relay = Relay(watched)
     # A stop waits for the board; neither DDS nor the messages may wait with it.

@@ -239,7 +239,7 @@ def _run_info(path: Path) -> dict[str, Any]:
     try:
         document = folder.read_document()
         facts |= {
-            **{each: getattr(document, each) for each in _OF_THE_RUN},
+            **{name: getattr(document, name) for name in _OF_THE_RUN},
             "stages_cm": [stage.everted_length_cm for stage in document.stages],
             "contacts": len(document.contacts),
             "length_cm": document.length_cm,

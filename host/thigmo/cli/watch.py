@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thigmo.cli import ending
+from thigmo.cli import signals
 from thigmo.cli.output import named
 
 if TYPE_CHECKING:
@@ -88,12 +88,12 @@ def watch(
 
     async def until_interrupted() -> None:
         loop, serving = asyncio.get_running_loop(), asyncio.ensure_future(serve(options, announce))
-        ending.call(lambda: loop.call_soon_threadsafe(serving.cancel))
+        signals.call(lambda: loop.call_soon_threadsafe(serving.cancel))
         try:
             with suppress(asyncio.CancelledError):
                 await serving
         finally:
-            ending.be_ready()
+            signals.be_ready()
 
     with ExitStack() as afterwards:
         if foxglove:
@@ -113,16 +113,16 @@ def parameters() -> tuple[Parameter, ...]:
     from thigmo.live.starting import Parameter
 
     taken = signature(explore, eval_str=True).parameters
-    found = []
+    kinds_found = []
     for label, name in _PARAMETERS.items():
         kind, option = get_args(taken[name].annotation)
         # typer has a first flag where a default would be.
         flag = option.default if isinstance(option.default, str) else f"--{name}"
         kinds = get_args(kind)
-        choices = tuple(each for of in kinds for each in get_args(of))
+        choices = tuple(choice for of in kinds for choice in get_args(of))
         number = bool({int, float} & {*kinds})
-        found.append(Parameter(flag, label, option.help or "", choices, number))
-    return tuple(found)
+        kinds_found.append(Parameter(flag, label, option.help or "", choices, number))
+    return tuple(kinds_found)
 
 
 def finished_run(target: str | None) -> Path | None:

@@ -141,12 +141,14 @@ def identifiability(
     felt = np.sqrt(((phi(places[:, None], x, width) / sigma) ** 2).sum(axis=1)) / lever
 
     layout = x, width, sigma, total, shared
-    one = [arc_bounds(arc, 1.0 / arm, *layout)[0] for arc, arm in zip(places, lever, strict=True)]
+    bounds = [
+        arc_bounds(arc, 1.0 / arm, *layout)[0] for arc, arm in zip(places, lever, strict=True)
+    ]
     two = [arc_bounds([arc, total], [-0.8 / arc, 1.0 / total], *layout) for arc in near]
     return Identifiability(
         arc=places,
         moment=moment,
-        bound=np.array(one) / moment[:, None],
+        bound=np.array(bounds) / moment[:, None],
         signal=moment[:, None] * felt,
         separation=gaps,
         pair_bound=np.array(two) / moment[:, None, None],

@@ -17,7 +17,7 @@ import numpy as np
 
 from thigmo.config import (
     IMU_CM,
-    Board,
+    BoardSettings,
     Body,
     BodyPressure,
     FibreSensor,
@@ -182,7 +182,7 @@ class _Layout:
     one_column: bool = False  # one serves all muscles
     flex_bases: bool = False  # flex sensors beside it at the base, for the board's trigger
     interrogator: str | None = None
-    board: Callable[[], Board] = Board
+    board: Callable[[], BoardSettings] = BoardSettings
 
 
 _LAYOUTS: dict[Kind, _Layout] = {
@@ -192,7 +192,7 @@ _LAYOUTS: dict[Kind, _Layout] = {
         _CLEAR_CM + 2 * IMU_CM,
         "the board's reader of IMUs measures turns about one axis",
         one_column=True,
-        board=partial(Board, settle_s=_REST_S),
+        board=partial(BoardSettings, settle_s=_REST_S),
     ),
     "fibre": _Layout(
         _grating,

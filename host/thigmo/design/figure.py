@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from thigmo.design.bounds import Identifiability
 
 
-def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.ArrayLike) -> Figure:
+def draw_design(layout: Identifiability, position: npt.ArrayLike, span: npt.ArrayLike) -> Figure:
     """Bound of one contact over place and moment, with the sensors; bounds of two over distance.
 
     Sensors have centres (N,) and spans, one or (N,), in cm.
@@ -25,32 +25,32 @@ def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.Array
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.5, 3.9), layout="constrained")
-    one, two = figure.subplots(1, 2, sharey=True)
+    first, two = figure.subplots(1, 2, sharey=True)
     # Moments are ordered: so are their shades, in colour and in grey.
-    colors = [colormaps["cividis"](share) for share in np.linspace(0.9, 0.0, len(found.moment))]
+    colors = [colormaps["cividis"](share) for share in np.linspace(0.9, 0.0, len(layout.moment))]
     centers = np.atleast_1d(np.asarray(position, dtype=np.float64))
     for m, (moment, felt, bound) in enumerate(
-        zip(found.moment, found.detected, found.bound, strict=True)
+        zip(layout.moment, layout.detected, layout.bound, strict=True)
     ):
         felt_bound, weak_bound = np.where(felt, bound, np.nan), np.where(felt, np.nan, bound)
-        one.plot(found.arc, felt_bound, color=colors[m], label=f"{moment:.4f} 1/cm")
-        one.plot(found.arc, weak_bound, ":", color=colors[m])
-        two.plot(found.separation, found.pair_bound[m, :, 0], "--", color=colors[m])
-        two.plot(found.separation, found.pair_bound[m, :, 1], color=colors[m])
+        first.plot(layout.arc, felt_bound, color=colors[m], label=f"{moment:.4f} 1/cm")
+        first.plot(layout.arc, weak_bound, ":", color=colors[m])
+        two.plot(layout.separation, layout.pair_bound[m, :, 0], "--", color=colors[m])
+        two.plot(layout.separation, layout.pair_bound[m, :, 1], color=colors[m])
     half = np.broadcast_to(np.asarray(span, dtype=np.float64) / 2, centers.shape)
-    one.hlines(np.full(centers.size, 0.115), centers - half, centers + half, INK, linewidth=4)
-    limit = found.length * WIDTH_SHARE / 3.92
-    one.axhline(limit, color=MUTED, linewidth=1, linestyle=(0, (1, 1)))
-    one.set(
-        xlabel="arc of the contact (cm)", xlim=(0, found.length), title="One contact",
+    first.hlines(np.full(centers.size, 0.115), centers - half, centers + half, INK, linewidth=4)
+    limit = layout.length * WIDTH_SHARE / 3.92
+    first.axhline(limit, color=MUTED, linewidth=1, linestyle=(0, (1, 1)))
+    first.set(
+        xlabel="arc of the contact (cm)", xlim=(0, layout.length), title="One contact",
         ylabel="bound of its arc, one standard deviation (cm)",
     )  # fmt: skip
     two.set(
         xlabel="separation of two opposed contacts (cm)",
         title="Two opposed contacts (no line: cannot be separated)",
-        xlim=(found.separation[0], found.separation[-1]),
+        xlim=(layout.separation[0], layout.separation[-1]),
     )
-    for axis in (one, two):
+    for axis in (first, two):
         axis.set(yscale="log", ylim=(0.1, 50))
         axis.yaxis.set_major_formatter("{x:g}")
         small(axis)
@@ -61,9 +61,9 @@ def draw_design(found: Identifiability, position: npt.ArrayLike, span: npt.Array
         ("--", "two contacts: the proximal one", INK, None),
         ("-", "two contacts: the distal one, at the tip", INK, None),
     ):
-        one.plot([], [], linestyle=style, color=color, linewidth=width, label=label)
+        first.plot([], [], linestyle=style, color=color, linewidth=width, label=label)
     figure.legend(
-        *one.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7,
+        *first.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7,
         frameon=False, title="colours: moment at the base over EI", title_fontsize=7,
     )  # fmt: skip
     return figure

@@ -70,7 +70,7 @@ def judge(config: RobotConfig) -> list[Finding]:
     wiring = None if limitations else Wiring.of(config)  # findings of the inputs need one
     findings = []
     if wiring and (refused := wiring.unexplorable):
-        text = f"{refused.what}: `thigmo explore` refuses; {refused.cure}"
+        text = f"{refused.problem}: `thigmo explore` refuses; {refused.cure}"
         findings.append(Finding("explore", "warning", text))
     if wiring:
         findings += [

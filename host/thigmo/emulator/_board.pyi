@@ -37,7 +37,7 @@ class Analog:
         """
 
 class VirtualBoard:
-    """The robot's controller, running in virtual time: a `thigmo.emulator.board.Board`.
+    """The robot's controller, running in virtual time: a `thigmo.emulator.board.EmulatedBoard`.
 
     Time passes only in `step`. After construction and after each reset the boot loader waits for
     0.84 s, in which received bytes are lost and all outputs are off.
@@ -53,7 +53,7 @@ class VirtualBoard:
         Raises ValueError for a longer image, and for other than 10 to 16 bits and 1 to 999 us.
         """
 
-    # As `Board` has them.
+    # As `EmulatedBoard` has them.
     def step(self, ticks: int) -> None: ...
     now_us: int
     def write(self, data: bytes) -> None:

@@ -28,7 +28,7 @@ MOTOR_FULL = 800
 _CONVERTER = (12, 320)  # of the large board: bits, and us for a frame of 13 conversions
 
 
-class Board(Protocol):
+class EmulatedBoard(Protocol):
     """A controller board in lockstep with the emulated robot."""
 
     def step(self, ticks: int, /) -> None:
@@ -100,7 +100,7 @@ class Board(Protocol):
         """Stop the main loop; the watchdog will bite."""
 
 
-def virtual_board(robot: RobotConfig, seed: int, eeprom: bytes = b"") -> Board:
+def virtual_board(robot: RobotConfig, seed: int, eeprom: bytes = b"") -> EmulatedBoard:
     """The virtual board that a robot needs, with an EEPROM of this content."""
     from thigmo.emulator import _board, _large_board
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from thigmo.emulator.board import Board
+from thigmo.emulator.board import EmulatedBoard
 from thigmo.emulator.plant import OPEN_COUNT, SHORT_COUNT, Plant
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.link.protocol import ResetCause
@@ -53,7 +53,7 @@ class FaultInjector:
         """Add a fault while running."""
         self._waiting.append(fault)
 
-    def update(self, plant: Plant, board: Board) -> None:
+    def update(self, plant: Plant, board: EmulatedBoard) -> None:
         """Start and end what is due. Called before each plant step."""
         for end, fault in list(self._running):
             if plant.t_s >= end:
@@ -69,7 +69,7 @@ class FaultInjector:
                 self._running.append((plant.t_s + (lasts or math.inf), fault))
 
     @staticmethod
-    def _begins(fault: FaultTable, plant: Plant, board: Board) -> bool:
+    def _begins(fault: FaultTable, plant: Plant, board: EmulatedBoard) -> bool:
         return (
             (fault.at_s is None or plant.t_s >= fault.at_s)
             and (fault.above_length_cm is None or plant.length_cm > fault.above_length_cm)
@@ -86,7 +86,7 @@ class FaultInjector:
         else:
             where.pop(channel, None)
 
-    def _set(self, fault: FaultTable, plant: Plant, board: Board, *, on: bool) -> None:
+    def _set(self, fault: FaultTable, plant: Plant, board: EmulatedBoard, *, on: bool) -> None:
         (self.active.add if on else self.active.discard)(fault.kind)
         robot = plant.scene.robot
         muscle = next((n for n, m in enumerate(robot.muscles) if m.side == fault.side), 0)

@@ -44,14 +44,14 @@ class EmulatedFibre:
     ) -> None:  # fmt: skip
         self._known, self._rng, self._step_s = known, rng, step_s
         self._every = max(1, round(1.0 / (known.lines_hz * step_s)))
-        self._ends = np.array([one.center_cm + one.span_cm / 2 for one in gratings])
-        self._spans = np.array([max(one.span_cm, 1e-9) for one in gratings])
+        self._ends = np.array([grating.center_cm + grating.span_cm / 2 for grating in gratings])
+        self._spans = np.array([max(grating.span_cm, 1e-9) for grating in gratings])
         self._fold_bend = fold_bend  # 1/cm, which a grating sees while the tip's fold passes
         turned = radians(known.twist_deg) * rng.standard_normal()
-        lies = np.radians([one.direction_deg % 180.0 for one in gratings])
-        scale = np.array([one.scale_per_ue for one in gratings])
+        lies = np.radians([grating.direction_deg % 180.0 for grating in gratings])
+        scale = np.array([grating.scale_per_ue for grating in gratings])
         self._per_bend = np.sin(lies + turned) / scale  # microstrain for 1/cm in the plane
-        self._zero = np.array([one.zero_ue for one in gratings])
+        self._zero = np.array([grating.zero_ue for grating in gratings])
         self._seat = np.zeros(len(gratings))
         self._own = np.zeros(len(gratings))
         self._out = np.zeros(len(gratings), dtype=np.bool_)
@@ -85,7 +85,7 @@ class EmulatedFibre:
         strain[rng.random(count) < known.dropout] = np.nan
         strain[[*self.lost]] = np.nan
         if not self.silent:
-            values = ",".join(f"{each:.2f}" for each in strain)
+            values = ",".join(f"{value:.2f}" for value in strain)
             self._lines.append(f"{number * self._step_s:.3f},{values}\n".encode())
 
     def read(self) -> bytes:
@@ -121,19 +121,19 @@ class LineServer:
             joined.setblocking(False)
             self._heard[joined] = bytearray(b"# t_s, then microstrain\n")
         data = self._fibre.read()
-        for each, left in [*self._heard.items()]:
+        for reader, left in [*self._heard.items()]:
             left += data
             try:
-                del left[: each.send(left)]
+                del left[: reader.send(left)]
             except BlockingIOError:
                 pass
             except OSError:
                 left += bytes(_QUEUE + 1)
             if len(left) > _QUEUE:
-                each.close()
-                del self._heard[each]
+                reader.close()
+                del self._heard[reader]
 
     def close(self) -> None:
         """Close all; may be called twice."""
-        for each in (self._listener, *self._heard):
-            each.close()
+        for connection in (self._listener, *self._heard):
+            connection.close()

@@ -50,8 +50,8 @@ def hold(
     def unfolded(forces: Floats) -> Floats:
         return miss(bent(forces, 0.0))
 
-    found = root(unfolded, start, tol=1e-10)
-    body = bent(found.x, 0.0)
+    solution = root(unfolded, start, tol=1e-10)
+    body = bent(solution.x, 0.0)
     critical = tube.critical_moment
     if critical is not None and abs(body.base_moment) > critical:
         limit = float(np.copysign(critical, body.base_moment))
@@ -60,9 +60,9 @@ def hold(
             held = bent(unknown[:-1], float(unknown[-1]))
             return np.append(miss(held), (held.base_moment - limit) / critical)
 
-        first = np.append(found.x * limit / body.base_moment, 0.0)
-        found = root(folded, first, tol=1e-10)
-        body = bent(found.x[:-1], float(found.x[-1]))
+        first = np.append(solution.x * limit / body.base_moment, 0.0)
+        solution = root(folded, first, tol=1e-10)
+        body = bent(solution.x[:-1], float(solution.x[-1]))
     if not np.abs(miss(body)).max() < _MISS_CM or abs(body.fold_angle) > _FOLD_MOST:
         places = ", ".join(f"y = {y:.1f} cm at {arc:.1f} cm" for arc, y in pushes)
         raise DataError(

@@ -7,7 +7,7 @@ outputs at the end of one step drive the plant in the next.
 
 from __future__ import annotations
 
-from thigmo.emulator.board import Board
+from thigmo.emulator.board import EmulatedBoard
 from thigmo.emulator.faults import FaultInjector
 from thigmo.emulator.plant import STEP_MS, Plant
 from thigmo.emulator.scene import Scene
@@ -21,7 +21,12 @@ class Lockstep:
     """
 
     def __init__(
-        self, scene: Scene, board: Board, *, seed: int | None = None, exchange_ms: int = STEP_MS
+        self,
+        scene: Scene,
+        board: EmulatedBoard,
+        *,
+        seed: int | None = None,
+        exchange_ms: int = STEP_MS,
     ) -> None:
         if exchange_ms < 1 or STEP_MS % exchange_ms:
             raise ConfigError(f"an exchange of {exchange_ms} ms does not divide {STEP_MS} ms")

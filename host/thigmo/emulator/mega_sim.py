@@ -48,7 +48,7 @@ HOLD_CYCLES = tuple(ms * CYCLES_PER_MS for ms in (60, 60, 30, 30))
 
 
 class SimulatedMega:
-    """The firmware image on the simulated chip, as the emulator's `Board`.
+    """The firmware image on the simulated chip, as the emulator's `EmulatedBoard`.
 
     Time passes only in `step`. Exchanges with the plant should be of 1 ms.
 

@@ -70,7 +70,7 @@ def flash_of(store: bytes, size: int = STORE_SIZE) -> bytes:
 
 
 class MicroPythonBoard:
-    """The controller under MicroPython, as the emulator's `Board`.
+    """The controller under MicroPython, as the emulator's `EmulatedBoard`.
 
     Time passes only in `step`; a program that has ended keeps its outputs off and is silent.
 

@@ -225,8 +225,8 @@ class Plant:
         draws = self._rng.standard_normal((len(wired), 2))
         phases = self._rng.uniform(0, 2 * pi, (len(wired), 2))
         sensors = []
-        for i, found in enumerate(wired):
-            sensor = found if isinstance(found, config.FlexSensor) else _NO_SENSOR
+        for i, on_input in enumerate(wired):
+            sensor = on_input if isinstance(on_input, config.FlexSensor) else _NO_SENSOR
             made = FlexSensor(
                 loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
                 wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
@@ -395,7 +395,7 @@ class Plant:
         air: tuple[bool, bool] = (False, False),
         motor_enables: tuple[bool, bool] = (False, False),
     ) -> None:
-        """Advance by 10 ms under a `Board`'s outputs; `analog` and `encoder` then hold its inputs.
+        """Advance by 10 ms under a board's outputs; `analog` and `encoder` then hold its inputs.
 
         If the scene has valves, muscles and body empty unless the air enables are held.
         """
@@ -408,8 +408,8 @@ class Plant:
         current = [
             20.0 * duty / DRIVE_FULL if on else 0.0 for duty, on in zip(drive, enabled, strict=True)
         ]
-        each = zip(self._muscles, current, outlets, strict=False)
-        bends = [muscle.advance(ma, psi) for muscle, ma, psi in each]
+        driven = zip(self._muscles, current, outlets, strict=False)
+        bends = [muscle.advance(ma, psi) for muscle, ma, psi in driven]
         self._swing.follow(sum(share * g for share, g in zip(self._in_plane, bends, strict=True)))
         if not self._planar:
             across = sum(share * g for share, g in zip(self._across, bends, strict=True))
@@ -559,8 +559,8 @@ class Plant:
         length, t_s = self.length_cm, self.t_s
         under = [0.0 if n is None else self._muscles[n].bend_psi for n in self._under]
         inputs = len(self._sensors)
-        each = zip(self._sensors, self._curvature[:inputs].tolist(), under, strict=True)
-        analog[:inputs, 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in each]
+        levels = zip(self._sensors, self._curvature[:inputs].tolist(), under, strict=True)
+        analog[:inputs, 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in levels]
         self.fibre.step(self.steps, self._curvature[inputs:], length)
         if self._turning.size:
             analog[self._turning, 1] = self.imus.counts(self._curvature[self._turning], length)
@@ -606,5 +606,5 @@ def _parts(
     placed: Sequence[config.Muscle] | Sequence[config.Sensor],
 ) -> tuple[list[float], list[float]]:
     """Shares of a bend at each direction that are in the plane, to the left, and across it."""
-    angles = [radians(each.direction_deg) for each in placed]
+    angles = [radians(thing.direction_deg) for thing in placed]
     return [sin(angle) for angle in angles], [cos(angle) for angle in angles]

@@ -53,8 +53,8 @@ def first_felt(robot: RobotConfig, pegs: Sequence[Peg]) -> Felt | None:
 def pressed(robot: RobotConfig, pegs: Sequence[Peg]) -> str:
     """Muscle and pressure, as `left=6`, that press the whole robot against a peg where it can."""
     full = robot.body.length_cm
-    felt = [one for side in robot.sides if (one := sweep_once(robot, pegs, full, side))]
-    best = max(felt, key=lambda one: one.peak, default=None)
+    felt = [sweep for side in robot.sides if (sweep := sweep_once(robot, pegs, full, side))]
+    best = max(felt, key=lambda sweep: sweep.peak, default=None)
     muscle = robot.muscle(best.side if best else robot.sides[0])
     psi = max(_PRESSED * best.pressure_psi, _LEAST_PSI) if best else np.inf
     return f"{muscle.name}={min(psi, muscle.max_pressure_psi):g}"

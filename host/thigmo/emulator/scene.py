@@ -319,8 +319,8 @@ class Scene(Model):
             raise ValueError("body.tip_rounding_cm exceeds the radius of robot.body")
         if self.start_length_cm > self.robot.body.length_cm:
             raise ValueError("start_length_cm exceeds robot.body.length_cm")
-        for what, cure in beyond_board(self.robot):
-            raise ValueError(f"robot: {what}; {cure}")
+        for problem, cure in beyond_board(self.robot):
+            raise ValueError(f"robot: {problem}; {cure}")
         return self
 
     @classmethod

@@ -1,8 +1,8 @@
 """`emulator://SCENE`: a connection to the firmware core inside an emulated robot and room.
 
 Reading is what makes virtual time pass: `read` turns the lockstep until bytes are there or its
-time-out is over, so a run of minutes takes seconds and is the same each time. The heart beats by
-the virtual clock. With `realtime` the steps are paced by the wall clock.
+time-out is over, so a run of minutes takes seconds and is the same each time. The heartbeat is sent
+by the virtual clock. With `realtime` the steps are paced by the wall clock.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from urllib.parse import parse_qs
 import numpy as np
 
 from thigmo.config import RobotConfig
-from thigmo.emulator.board import Board, virtual_board
+from thigmo.emulator.board import EmulatedBoard, virtual_board
 from thigmo.emulator.fibre import EmulatedFibre
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_MS, Truth
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.errors import ConfigError, LinkError
 from thigmo.link.framing import Decoder
-from thigmo.link.heart import HOLD_AFTER, Beat, Heart
+from thigmo.link.heartbeat import HOLD_AFTER, Beat, HeartbeatSource
 from thigmo.link.stop import Stopper
 from thigmo.link.stop_socket import StopListener
 from thigmo.mechanics import Peg
@@ -123,7 +123,7 @@ class EmulatorTransport:
     def __init__(
         self,
         scene: Scene,
-        board: Board,
+        board: EmulatedBoard,
         *,
         seed: int | None = None,
         realtime: bool = False,
@@ -138,7 +138,7 @@ class EmulatorTransport:
         self.config: RobotConfig = scene.believed(self.seed)
         self.operator: Operator = EmulatedOperator(self)
         self.read_s = 0.0  # host time at which the bytes last read had arrived
-        self._heart: Heart | None = None
+        self._heartbeat: HeartbeatSource | None = None
         self._stopper = Stopper(self.now)
         self._stops: StopListener | None = None
         self._echoes = Decoder()
@@ -192,12 +192,12 @@ class EmulatorTransport:
 
     def _advance(self) -> None:
         lockstep = self.lockstep
-        if self._heart is not None:
+        if self._heartbeat is not None:
             now = self.now()
-            frame = self._heart.beat(now)
+            frame = self._heartbeat.beat(now)
             if frame is not None and not lockstep.faults.host_silent:
                 self._send(frame)
-                self._beats.append(Beat(self._heart.counter, now))
+                self._beats.append(Beat(self._heartbeat.counter, now))
         stop = self._stopper.frame()
         if stop is not None:
             self._send(stop)
@@ -209,8 +209,8 @@ class EmulatorTransport:
             if self._stopper.calling:
                 for echo in self._echoes.feed(data):
                     self._stopper.take(echo)
-            if self._heart is not None:
-                self._heart.heard()
+            if self._heartbeat is not None:
+                self._heartbeat.heard()
             self.read_s = self.now()
         if self._realtime:
             ahead = self.now() - (time.monotonic() - self._began)
@@ -219,11 +219,11 @@ class EmulatorTransport:
 
     def start_heartbeat(self, session: int, period_s: float) -> None:
         """Beat by the virtual clock from now on."""
-        self._heart = Heart(session, period_s, hold_after=HOLD_AFTER)
+        self._heartbeat = HeartbeatSource(session, period_s, hold_after=HOLD_AFTER)
 
     def stop_heartbeat(self) -> None:
         """Send no further heartbeats."""
-        self._heart = None
+        self._heartbeat = None
 
     def beats(self) -> list[Beat]:
         """Heartbeats sent since the last call, oldest first (the last 64 at most)."""
@@ -249,7 +249,7 @@ class EmulatorTransport:
     def close(self) -> None:
         """Close; may be called twice."""
         self._closed = True
-        self._heart = None
+        self._heartbeat = None
         self._stopper.end()
         if self._stops is not None:
             self._stops.close()

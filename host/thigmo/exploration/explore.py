@@ -143,7 +143,7 @@ def explore(
         used = config or robot.known_config
         if used and (beyond := Wiring.of(used).unexplorable):
             raise ConfigError(
-                f"an exploration is in the plane, by sensors on the board: {beyond.what}",
+                f"an exploration is in the plane, by sensors on the board: {beyond.problem}",
                 beyond.cure,
             )
         if used is None:

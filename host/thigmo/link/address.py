@@ -76,11 +76,11 @@ def _hosts(host: str, port: int) -> list[str]:
     """A host's addresses; all that lead back to this computer are one."""
     if (host, port) not in _resolved:
         try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+            entries = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         except OSError:
             return []
-        addresses = [ip_address(str(entry[4][0]).partition("%")[0]) for entry in found]
-        hosts = {"localhost" if each.is_loopback else str(each) for each in addresses}
+        addresses = [ip_address(str(entry[4][0]).partition("%")[0]) for entry in entries]
+        hosts = {"localhost" if address.is_loopback else str(address) for address in addresses}
         _resolved[host, port] = sorted(hosts)[:_MOST_RESOLVED]
     return _resolved[host, port]
 

@@ -22,7 +22,7 @@ from thigmo.errors import CommandRefusedError, CommandTimeoutError, LinkError
 from thigmo.link import failures
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder, Frame, FrameError, encode
-from thigmo.link.heart import PERIOD_S
+from thigmo.link.heartbeat import PERIOD_S
 from thigmo.link.inbox import Inbox
 from thigmo.link.round_trip import RoundTrip
 from thigmo.link.stop import CONFIRM_S, REPEAT_S, UNCONFIRMED_CURE, StopCall
@@ -107,7 +107,7 @@ class Client(Inbox, Closing):
     # Life.
 
     def close(self) -> None:
-        """Stop the heart and close the transport. Commands nothing: the board's own limit acts."""
+        """Stop the heartbeat and close the transport. Commands nothing: the board's limit acts."""
         self._talking = self._connected = False
         self.transport.close()
 
@@ -202,9 +202,9 @@ class Client(Inbox, Closing):
                     self._resume(command, limit, until_s)
                 raise failures.timed_out(command, limit)
         if isinstance(reply, wire.Ack) and reply.status is wire.Status.REFUSED:
-            what, step = reply.reason.words
+            problem, step = reply.reason.words
             raise CommandRefusedError(
-                f"the board refused {command.NAME}: {what[:1].lower()}{what[1:]}",
+                f"the board refused {command.NAME}: {problem[:1].lower()}{problem[1:]}",
                 step,
                 reason=reply.reason.key,
                 detail=reply.detail,

@@ -145,10 +145,10 @@ def _run(program: str, port: str, image: Path) -> None:
 def explain(output: str, port: str) -> LinkError:
     """The error for what a failed avrdude printed."""
     lowered = output.lower()
-    found = re.search(r"device signature = 0x([0-9a-f]{6})", lowered)
+    match = re.search(r"device signature = 0x([0-9a-f]{6})", lowered)
     for pattern, error in _FAILURES.items():
         if re.search(pattern, lowered):
-            signature = found[1] if found else "unknown"
+            signature = match[1] if match else "unknown"
             if "signature" in pattern and signature == _MEGA_2560:
                 continue
             return type(error)(error.what.format(port=port, signature=signature), error.next_step)

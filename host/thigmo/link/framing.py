@@ -79,7 +79,7 @@ class Decoder:
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes as they come; return the frames that they complete, in order."""
         *pieces, rest = data.split(b"\0")
-        found: list[Frame] = []
+        frames: list[Frame] = []
         for piece in pieces:
             whole = self._rest + piece
             if self._overlong:
@@ -87,7 +87,7 @@ class Decoder:
                 self.bad_bytes += len(whole)
             elif whole:  # two zeros in a row are no loss
                 try:
-                    found.append(decode(whole))
+                    frames.append(decode(whole))
                 except FrameError:
                     self.bad += 1
                     self.bad_bytes += len(whole)
@@ -97,8 +97,8 @@ class Decoder:
             self.bad_bytes += len(self._rest)
             self._rest = b""
             self._overlong = True
-        self.frames += len(found)
-        return found
+        self.frames += len(frames)
+        return frames
 
     @property
     def garbage(self) -> int:

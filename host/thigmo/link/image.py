@@ -40,10 +40,10 @@ class Image:
     @classmethod
     def of(cls, path: Path, program: bytes, cure: str) -> Image:
         """An image by the signature in its program; ConfigError, with a cure, if there is none."""
-        found = program.partition(MAGIC)[2]
-        if len(found) < _SIGNATURE.size:
+        stated = program.partition(MAGIC)[2]
+        if len(stated) < _SIGNATURE.size:
             raise ConfigError(f"{path} is not a thigmo image", cure)
-        return cls(path, program, *_SIGNATURE.unpack_from(found))
+        return cls(path, program, *_SIGNATURE.unpack_from(stated))
 
     def require_own_schema(self) -> None:
         """Raise SchemaMismatchError if this host could not talk to it."""

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import Frame
-from thigmo.link.heart import Beat
+from thigmo.link.heartbeat import Beat
 
 _EVENTS = 1024
 _BEATS = 64
@@ -84,7 +84,7 @@ class EventLedger:
         seen = self._ahead.get(number, 0)
         self._ahead[number] = seen + 1
         below = number - 0x4000 if self._base is None else self._base
-        oldest = min(self._ahead, key=lambda each: (each - below) & 0xFFFF)
+        oldest = min(self._ahead, key=lambda event: (event - below) & 0xFFFF)
         if self._ahead[oldest] >= _REPEATS:
             self._base = (oldest - 1) & 0xFFFF
         while self._base is not None and self._ahead.pop((self._base + 1) & 0xFFFF, 0):

@@ -116,7 +116,7 @@ class Interrogator(Closing):
         """Host time and strains (readings,), nan where lost, of lines from a host time on."""
         self.take()
         at = ((line.stamp_s + self._offset_s, line.strain_ue) for line in self._lines)
-        return [one for one in at if one[0] >= t_s]
+        return [row for row in at if row[0] >= t_s]
 
     def take(self) -> None:
         """Read the lines that have come."""

@@ -48,8 +48,8 @@ class Documented(IntEnum):
     @property
     def words(self) -> tuple[str, str]:
         """The sentence in two: what it is, and what to do next (empty if it does not say)."""
-        what, _, step = self.doc.rstrip(".").partition("; ")
-        return what, step
+        problem, _, step = self.doc.rstrip(".").partition("; ")
+        return problem, step
 
     @property
     def mask(self) -> int:
@@ -108,12 +108,16 @@ class Message:
         cls.NAME = re.sub(r"\B(?=[A-Z])", "_", cls.__name__).lower()
         types = get_annotations(cls)
         # An enumeration is a byte.
-        cls.CODES = {name: getattr(of, "__metadata__", ("B",))[0] for name, of in types.items()}
-        cls._ENUMS = [(at, of) for at, of in enumerate(types.values()) if isinstance(of, type)]
+        cls.CODES = {name: getattr(hint, "__metadata__", ("B",))[0] for name, hint in types.items()}
+        cls._ENUMS = [
+            (at, hint) for at, hint in enumerate(types.values()) if isinstance(hint, type)
+        ]
         cls._COUNTED = tuple(
             dict.fromkeys(code.partition("?")[0] for code in cls.CODES.values() if "?" in code)
         )
-        cls.SIZE = cls._layout(tuple(_DATA["usual"][of] for of in cls._COUNTED)).struct.size
+        cls.SIZE = cls._layout(
+            tuple(_DATA["usual"][counted] for counted in cls._COUNTED)
+        ).struct.size
         if issubclass(cls, Command):
             cls.DEADLINE_S = deadline_s
             (cls.REPLY,) = get_args(vars(cls)["__orig_bases__"][0])
@@ -126,14 +130,14 @@ class Message:
         number = dict(zip(cls._COUNTED, counts, strict=True))
         code, place, places, at = "<", 0, [], {}
         for field in cls.CODES.values():
-            of, _, element = field.rpartition("?")
-            if of and of not in at:
-                at[of] = calcsize(code)
+            counted, _, element = field.rpartition("?")
+            if counted and counted not in at:
+                at[counted] = calcsize(code)
                 code += "B"
                 place += 1
-            count = number[of] if of else int(element[:-1] or 1)
+            count = number[counted] if counted else int(element[:-1] or 1)
             code += f"{count}{element[-1]}"
-            array = bool(of) or count > 1
+            array = bool(counted) or count > 1
             places.append(slice(place, place + count) if array else place)
             place += count
         return _Layout(Struct(code), tuple(places), tuple(at.values()))
@@ -170,9 +174,9 @@ class Message:
         flat: list[int] = []
         number: dict[str, int] = {}
         for code, value in zip(self.CODES.values(), values, strict=True):
-            of = code.rpartition("?")[0]
-            if of and of not in number:
-                number[of] = len(value)
+            counted = code.rpartition("?")[0]
+            if counted and counted not in number:
+                number[counted] = len(value)
                 flat.append(len(value))
             flat += value if isinstance(value, tuple) else (value,)
         return self._layout(tuple(number.values())).struct.pack(*flat)
@@ -229,7 +233,7 @@ class Parameter:
 @cache
 def parameters(**capacity: int) -> dict[str, Parameter]:
     """The parameter table, by name, of a board with these numbers of muscles, sensors and so on."""
-    found: dict[str, Parameter] = {}
+    parameters: dict[str, Parameter] = {}
     index = 0
     for row in _DATA["parameters"]:
         count = capacity[row["of"]] if row["of"] else 1
@@ -238,9 +242,9 @@ def parameters(**capacity: int) -> dict[str, Parameter]:
         given = row["defaults"]
         defaults = given * count if len(given) == 1 else [*given, *[0] * count][:count]
         stated = {key: row[key] for key in ("name", "id", "unit", "low", "high", "doc")}
-        found[row["name"]] = Parameter(index=index, count=count, defaults=defaults, **stated)
+        parameters[row["name"]] = Parameter(index=index, count=count, defaults=defaults, **stated)
         index += count
-    return found
+    return parameters
 
 
 # Of all parameters by their ids, also of those that a board may lack.

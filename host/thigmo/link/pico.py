@@ -116,19 +116,19 @@ def find_drive() -> Path:
     Raises:
         PortError: none is found, or more than one.
     """
-    found = [folder for folder in _mounted() if _is_drive(folder)]
-    if len(found) > 1:
+    drives = [folder for folder in _mounted() if _is_drive(folder)]
+    if len(drives) > 1:
         raise PortError(
-            f"{len(found)} boards' drives are mounted: {', '.join(map(str, found))}",
+            f"{len(drives)} boards' drives are mounted: {', '.join(map(str, drives))}",
             "give one of them as --robot",
         )
-    if not found:
+    if not drives:
         raise PortError(
             "no drive RPI-RP2 is mounted",
             "hold BOOTSEL while you plug the Pico in and mount its drive, or give its folder as"
             " --robot",
         )
-    return found[0]
+    return drives[0]
 
 
 def _mounted() -> list[Path]:

@@ -15,7 +15,7 @@ class Kind(Enum):
 
     # host -> process
     WRITE = auto()  # bytes for the port
-    START = auto()  # beat the heart: session, period
+    START = auto()  # send the heartbeat: session, period
     HUSH = auto()  # send no further heartbeats
     LEASE = auto()  # the host's main thread is alive
     ATTENDED = auto()  # it waits for its operator: the lease lasts until it speaks again

@@ -1,18 +1,18 @@
-"""The process that owns a serial port: relays its bytes and beats the heart.
+"""The process that owns a serial port: relays its bytes and sends the heartbeat.
 
 Run by `serial_port.SerialTransport` as `python -m thigmo.link.port_process URL BAUD`. It is a
 process of its own because no thread of the host is safe from its interpreter lock: a long
-compilation or fit would starve the heart and put the robot into a fault. It imports little, and
+compilation or fit would starve the heartbeat and put the robot into a fault. It imports little, and
 talks over its standard streams (`pipe`).
 
-The heart beats only while somebody is there to mind the robot: it stops when the host dies (its
-stream ends, or this process has another parent) and when the host's main thread has not touched
-the lease for 30 s, or 5 s while an output is energised; the next touch starts it again. Either is a
-dead host, and an armed robot is then stopped (`stop`), so that a run that wakes up does not carry
-on. While the body grows, the lease also ends with 12 mm of growth. Only a read or a write touches
-the lease, in the thread that reacts to what the board says: a program that computes for longer
-polls its robot meanwhile. The heart holds while the board is mute, which may mean that its boot
-loader is listening.
+The heartbeat is sent only while somebody is there to mind the robot: it stops when the host dies
+(its stream ends, or this process has another parent) and when the host's main thread has not
+touched the lease for 30 s, or 5 s while an output is energised; the next touch starts it again.
+Either is a dead host, and an armed robot is then stopped (`stop`), so that a run that wakes up does
+not carry on. While the body grows, the lease also ends with 12 mm of growth. Only a read or a write
+touches the lease, in the thread that reacts to what the board says: a program that computes for
+longer polls its robot meanwhile. The heartbeat holds while the board is mute, which may mean that
+its boot loader is listening.
 
 Stops also come from outside the host, which may hang: by Ctrl-C at its terminal (this process is
 in the terminal's foreground group, as the host is), by a termination, and over a socket
@@ -37,7 +37,7 @@ from serial.tools.list_ports import comports
 from thigmo.errors import LinkError, PortError
 from thigmo.link.address import AddressLock
 from thigmo.link.framing import Decoder
-from thigmo.link.heart import HOLD_AFTER, Heart
+from thigmo.link.heartbeat import HOLD_AFTER, HeartbeatSource
 from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
 from thigmo.link.port_owner import owner
 from thigmo.link.protocol import Activity, State, Telemetry
@@ -64,7 +64,7 @@ _ARMED = (State.READY, State.MOVING)
 class Outbox:
     """Packets on their way to the host, written by a thread of their own.
 
-    A host that does not read must stop neither the port nor the heart: the oldest packets are
+    A host that does not read must stop neither the port nor the heartbeat: the oldest packets are
     dropped. Gaps in the numbers of telemetry tell so.
     """
 
@@ -121,9 +121,9 @@ class PortProcess:
         self._url = url
         self._host = host_in
         self._outbox = outbox
-        self._write_lock = threading.Lock()  # frames of heart and host must not interleave
+        self._write_lock = threading.Lock()  # frames of heartbeat and host must not interleave
         self._heart_lock = threading.Lock()
-        self._heart: Heart | None = None
+        self._heartbeat: HeartbeatSource | None = None
         self._lease_s = self._written_s = time.monotonic()
         self._attended = False  # the main thread waits for its operator
         self._still_s = -math.inf  # when telemetry last told that no output is energised
@@ -147,7 +147,7 @@ class PortProcess:
             thread.start()
         self._end.wait()
         with self._heart_lock:
-            self._heart = None
+            self._heartbeat = None
         stops.close()
         self._finished.set()
         for thread in port:
@@ -158,7 +158,7 @@ class PortProcess:
         if not self._leaving.acquire(blocking=False):
             return
         with self._heart_lock:
-            minded, self._heart = self._heart is not None, None
+            minded, self._heartbeat = self._heartbeat is not None, None
         if minded and self._may_move():
             self.stopper.stop(_ORPHAN_S)
         self._end.set()
@@ -210,9 +210,9 @@ class PortProcess:
                 return
             if data:
                 self.stopper.heard()
-                heart = self._heart
-                if heart is not None:
-                    heart.heard()
+                heartbeat = self._heartbeat
+                if heartbeat is not None:
+                    heartbeat.heard()
                 self._watch(data)
                 self._outbox.put(Packet(Kind.DATA, data, time.monotonic()))
 
@@ -240,7 +240,7 @@ class PortProcess:
             self.stopper.call()
 
     def _beat(self) -> None:
-        """Thread: the heart, the lease, and the repeats of a stop."""
+        """Thread: the heartbeat, the lease, and the repeats of a stop."""
         while not self._finished.wait(_TICK_S):
             if os.getppid() != self._parent and not self._leaving.locked():
                 threading.Thread(target=self.leave, daemon=True).start()
@@ -249,8 +249,8 @@ class PortProcess:
             if frame is not None:
                 self._send(frame)
             with self._heart_lock:
-                heart = self._heart
-                if heart is None:
+                heartbeat = self._heartbeat
+                if heartbeat is None:
                     continue
                 if now - self._lease_s > self._limit_s():
                     if not self._lease_ended and self._may_move():
@@ -258,9 +258,9 @@ class PortProcess:
                     self._lease_ended = True
                     continue
                 self._lease_ended = False
-                frame = heart.beat(now)
+                frame = heartbeat.beat(now)
                 if frame is not None:
-                    self._outbox.put(Packet(Kind.BEATEN, heart.counter, time.monotonic()))
+                    self._outbox.put(Packet(Kind.BEATEN, heartbeat.counter, time.monotonic()))
                     self._send(frame)
 
     def _obey(self) -> None:
@@ -281,10 +281,10 @@ class PortProcess:
             elif packet.kind == Kind.START:
                 session, period_s = packet.value
                 with self._heart_lock:
-                    self._heart = Heart(session, period_s, hold_after=HOLD_AFTER)
+                    self._heartbeat = HeartbeatSource(session, period_s, hold_after=HOLD_AFTER)
             elif packet.kind == Kind.HUSH:
                 with self._heart_lock:
-                    self._heart = None
+                    self._heartbeat = None
 
 
 def _cause(error: Exception) -> tuple[int, str]:
@@ -309,8 +309,8 @@ def port_error(name: str, error: Exception) -> PortError:
             f"no permission to open {name}",
             "add yourself to the group that owns it (often dialout or uucp) and sign in again",
         )
-    found = ", ".join(sorted(port.device for port in comports()))
-    step = f"give one of: {found}" if found else "plug the board in: no serial port is there now"
+    ports = ", ".join(sorted(port.device for port in comports()))
+    step = f"give one of: {ports}" if ports else "plug the board in: no serial port is there now"
     if number == errno.ENOENT or "filenotfound" in lowered or "no such file" in lowered:
         return PortError(f"there is no port {name}", step)
     if number in (errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ENODEV, errno.ENXIO):

@@ -1,6 +1,6 @@
 """A serial port, or any pyserial URL, held by a process of its own (`port_process`).
 
-Here is the host's end: it starts that process, passes bytes, renews the heart's lease whenever
+Here is the host's end: it starts that process, passes bytes, renews the heartbeat's lease whenever
 the main thread reads or writes, and turns the process's complaints into typed errors.
 """
 
@@ -16,7 +16,7 @@ from contextlib import suppress
 from weakref import WeakSet
 
 from thigmo.errors import LinkError, PortError
-from thigmo.link.heart import Beat
+from thigmo.link.heartbeat import Beat
 from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
 
 _OPEN_S = 15.0  # a busy machine starts an interpreter slowly; socket:// waits for its peer
@@ -105,7 +105,7 @@ class SerialTransport:
                 raise packet.value
 
     def start_heartbeat(self, session: int, period_s: float) -> None:
-        """Have the port's process beat the heart."""
+        """Have the port's process send the heartbeat."""
         self._tell(Kind.START, (session, period_s))
 
     def stop_heartbeat(self) -> None:
@@ -149,7 +149,7 @@ class SerialTransport:
             ) from error
 
     def _touch(self) -> None:
-        """Renew the heart's lease; called by every read and write, and so by the main thread."""
+        """Renew the heartbeat's lease; every read and write calls it, and so the main thread."""
         if self.now() - self._touched_s >= _TOUCH_S and self._failure is None:
             self._tell(Kind.LEASE)
 

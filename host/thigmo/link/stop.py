@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from thigmo.link.framing import Frame, encode
-from thigmo.link.heart import HOLD_AFTER
+from thigmo.link.heartbeat import HOLD_AFTER
 from thigmo.link.protocol import Stop, Stopped
 
 REPEAT_S = 0.05

@@ -49,8 +49,8 @@ def folder() -> Path:
     path = place() / f"thigmo-{_user()}"
     with PortError.from_os(f"cannot make {path}", "create it as your own folder, with mode 700"):
         path.mkdir(mode=0o700, exist_ok=True)
-        found = path.lstat()
-    if sys.platform != "win32" and (found.st_uid != os.getuid() or found.st_mode & 0o077):
+        status = path.lstat()
+    if sys.platform != "win32" and (status.st_uid != os.getuid() or status.st_mode & 0o077):
         raise PortError(f"other users can enter {path}", "remove it, or own it with mode 700")
     return path
 

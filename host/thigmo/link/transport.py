@@ -12,11 +12,11 @@ from typing import Protocol
 
 from thigmo.errors import PortError
 from thigmo.extras import require_sources
-from thigmo.link.heart import Beat
+from thigmo.link.heartbeat import Beat
 
 
 class Transport(Protocol):
-    """A two-way stream of bytes with a clock and a heart."""
+    """A two-way stream of bytes with a clock and a heartbeat."""
 
     name: str  # what was opened, for messages
     virtual: bool  # time is virtual and advances while `read` waits
@@ -37,7 +37,7 @@ class Transport(Protocol):
         """
 
     def start_heartbeat(self, session: int, period_s: float) -> None:
-        """Beat a `heart.Heart` of this session from now on, whatever the main thread does."""
+        """Send this session's heartbeat from now on, whatever the main thread does."""
 
     def stop_heartbeat(self) -> None:
         """Send no further heartbeats."""
@@ -68,7 +68,7 @@ def _scheme(url: str) -> str:
 @cache
 def _emulators() -> dict[str, EntryPoint]:
     """By scheme. Installed packages do not change while a program runs."""
-    return {found.name: found for found in entry_points(group=_EMULATORS)}
+    return {emulator.name: emulator for emulator in entry_points(group=_EMULATORS)}
 
 
 def open_transport(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:

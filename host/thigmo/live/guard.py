@@ -62,8 +62,8 @@ def refusal(host: str, origin: str | None, *, acts: bool) -> str | None:
 def _here(host: str) -> bool:
     """Whether a request's Host is no name that others could have pointed here."""
     name = host.rpartition(":")[0] if host.rpartition(":")[2].isdigit() else host
-    own = socket.gethostname().lower()
-    if name.lower() in ("localhost", own, f"{own.partition('.')[0]}.local"):
+    hostname = socket.gethostname().lower()
+    if name.lower() in ("localhost", hostname, f"{hostname.partition('.')[0]}.local"):
         return True
     try:
         ip_address(name.strip("[]"))

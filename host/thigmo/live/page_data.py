@@ -40,13 +40,13 @@ _DIGITS = 5  # 1/cm: a hundredth of a sensor's noise
 
 def row(telemetry: Telemetry) -> tuple[float, ...]:
     """A reading's numbers in the order of `COLUMNS`; NaN where one is not known."""
-    each = (
+    groups = (
         telemetry.pressure_psi, telemetry.demand_psi, telemetry.drive_ma,
         telemetry.curvature_per_cm, telemetry.expected_per_cm,
     )  # fmt: skip
     padded = [
         (*values, *[nan] * (count - len(values)))
-        for values, count in zip(each, _COUNTS.values(), strict=True)
+        for values, count in zip(groups, _COUNTS.values(), strict=True)
     ]
     return telemetry.t_s, *chain(*padded), telemetry.length_cm, telemetry.motor
 
@@ -63,10 +63,11 @@ def text(message: Message) -> bytes:
         return said
     words = [
         {
-            "place": each.place_text, "along": each.along_text, "interval": each.interval_text,
-            "force": each.force_text, "certainty": each.certainty_text,
+            "place": contact.place_text, "along": contact.along_text,
+            "interval": contact.interval_text, "force": contact.force_text,
+            "certainty": contact.certainty_text,
         }
-        for each in message.contacts
+        for contact in message.contacts
     ]  # fmt: skip
     return b'%b,"words":%b}' % (said[:-1], json.dumps(words).encode())
 
@@ -125,9 +126,11 @@ class PastRun:
         self._folder = str(folder)
         self._document = RunFolder(folder).read_document()
         messages = list(read_messages(folder))
-        self._readings = [each for each in messages if isinstance(each, Telemetry)]
-        self._others: list[Message] = [each for each in messages if not isinstance(each, Telemetry)]
-        self._origin_s = min((each.t_s for each in messages), default=0.0)
+        self._readings = [message for message in messages if isinstance(message, Telemetry)]
+        self._others: list[Message] = [
+            message for message in messages if not isinstance(message, Telemetry)
+        ]
+        self._origin_s = min((message.t_s for message in messages), default=0.0)
 
     def page(self) -> dict[str, Any]:
         """What the page gets of it."""
@@ -143,7 +146,7 @@ class PastRun:
     def facts(self) -> bytes:
         """All messages but readings, and when the board's state changed, as JSON."""
         boards = json.dumps(self._boards())
-        others = b",".join(text(each) for each in self._others)
+        others = b",".join(text(message) for message in self._others)
         return b'{"origin_s":%r,"boards":%b,"messages":[%b]}' % (
             self._origin_s, boards.encode(), others,
         )  # fmt: skip
@@ -153,10 +156,10 @@ class PastRun:
         return block(self._readings, self._origin_s, _MOST_ROWS).astype("<f4").tobytes()
 
     def _boards(self) -> list[dict[str, Any]]:
-        found: list[dict[str, Any]] = []
+        boards: list[dict[str, Any]] = []
         last: dict[str, Any] = {}
         for reading in self._readings:
             if (now := board(reading)) != last:
-                found.append({"t": reading.t_s - self._origin_s, **now})
+                boards.append({"t": reading.t_s - self._origin_s, **now})
                 last = now
-        return found
+        return boards

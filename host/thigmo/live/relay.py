@@ -102,7 +102,7 @@ class Watched:
 
     def runs(self) -> list[Hello]:
         """The runs to choose from, the youngest last."""
-        return [each.hello for each in self._runs()]
+        return [run.hello for run in self._runs()]
 
     def choose(self, pid: int | None) -> None:
         """Look at the run of a process, as soon as it is there; None takes the youngest next."""
@@ -147,7 +147,9 @@ class Watched:
     def _follow(self) -> None:
         while not self._closed.is_set():
             chosen = self._chosen
-            runs = [each for each in self._runs() if chosen in (None, each.hello.pid)]
+            runs = [
+                watchable for watchable in self._runs() if chosen in (None, watchable.hello.pid)
+            ]
             with suppress(LinkError):  # it has just ended
                 if runs:
                     with attach(runs[-1].address) as run:

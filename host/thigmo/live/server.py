@@ -28,12 +28,12 @@ from thigmo.errors import ThigmoError
 from thigmo.link.protocol import Fault
 from thigmo.link.transport import emulated, open_transport
 from thigmo.live import page_data
-from thigmo.live.door import Door, Stop
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.page_data import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.page_request import PageRequest, parse
 from thigmo.live.relay import Target, Watched
 from thigmo.live.starting import Parameter, Started, exploration
+from thigmo.live.stop_http import Stop, StopHttp
 from thigmo.live.viewer import Viewer
 from thigmo.operator_prompts import Simulated
 from thigmo.robot import JOG_CM
@@ -161,7 +161,7 @@ class PageServer:
         return web.FileResponse(PAGE / "index.html")
 
     async def _parameters(self, request: web.Request) -> web.Response:
-        return web.json_response([asdict(each) for each in self.options.parameters])
+        return web.json_response([asdict(parameter) for parameter in self.options.parameters])
 
     async def _work(self, app: web.Application) -> AsyncIterator[None]:
         await asyncio.to_thread(self._look_ahead)
@@ -237,13 +237,13 @@ class PageServer:
         self._tell()
 
     def _pass_on(self, messages: list[Message]) -> None:
-        readings = [each for each in messages if isinstance(each, Telemetry)]
+        readings = [item for item in messages if isinstance(item, Telemetry)]
         if readings:
             self._pass_readings(readings)
-        if any(isinstance(each, RunState) and each.outcome != "running" for each in messages):
+        if any(isinstance(item, RunState) and item.outcome != "running" for item in messages):
             self._tell()  # of a stop, before the run says that it has ended
-        shapes = [each for each in messages if isinstance(each, BodyShape)]
-        others = [each for each in messages if not isinstance(each, Telemetry | BodyShape)]
+        shapes = [item for item in messages if isinstance(item, BodyShape)]
+        others = [item for item in messages if not isinstance(item, Telemetry | BodyShape)]
         for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *others]:
             if isinstance(message, RunState) and message.paused:
                 self._run.pausing = False
@@ -257,7 +257,7 @@ class PageServer:
 
     def _pass_readings(self, readings: list[Telemetry]) -> None:
         kept = readings[thinned(len(readings), _MOST_ROWS_A_TICK)]
-        rows, run = [row_text(each) for each in kept], self._run
+        rows, run = [row_text(shown) for shown in kept], self._run
         for reading, row in zip(kept, rows, strict=True):
             if not 0 <= reading.t_s - run.history_s < _HISTORY_S:
                 run.history.append(row)
@@ -343,8 +343,8 @@ class PageServer:
             "stop_robot": self._target.url,
             "last_stop": self._last_stop,
             "choices": [
-                {"pid": each.pid, "name": each.name, "url": each.url, "folder": each.folder}
-                for each in self._choices
+                {"pid": choice.pid, "name": choice.name, "url": choice.url, "folder": choice.folder}
+                for choice in self._choices
             ],
             "shown": run.moving.pid if run.moving else None,
             "silent_s": round(time.monotonic() - heard_s, 1),
@@ -562,11 +562,11 @@ async def serve(options: WatchOptions, announce: Callable[[str], None]) -> None:
         await runner.cleanup()
 
 
-def _door(server: web.Server, stop: Stop, options: WatchOptions) -> Door:
+def _door(server: web.Server, stop: Stop, options: WatchOptions) -> StopHttp:
     ports = (PORT, 0) if options.port is None else (options.port,)
     for port in ports:
         try:
-            return Door((options.host, port), server, stop)
+            return StopHttp((options.host, port), server, stop)
         except OSError as error:
             if error.errno != errno.EADDRINUSE or port == ports[-1]:
                 raise ThigmoError(

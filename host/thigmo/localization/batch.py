@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.display.bars import Bar
+from thigmo.display.series import draw_series
 from thigmo.errors import DataError
 from thigmo.extras import data_frame
 from thigmo.localization.doubts import MISTAKES, remarks
@@ -16,6 +18,7 @@ from thigmo.localization.result import STATUSES, Array, Status, message
 from thigmo.localization.validation import refusal
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 
@@ -45,6 +48,7 @@ class BatchResult:
         noise: (M,) standard deviation of a reading's white noise.
         discarded: (M,) index of the reading taken for bad; -1 if there is none.
         predicted, residuals: (M, N) if they were asked for; else None.
+        length: length of the body.
     """
 
     status: list[Status]
@@ -67,6 +71,7 @@ class BatchResult:
     discarded: npt.NDArray[np.int64]
     predicted: Array | None = None
     residuals: Array | None = None
+    length: float = 1.0
 
     def __len__(self) -> int:
         return len(self.arc)
@@ -93,6 +98,48 @@ class BatchResult:
                 "discarded": self.discarded[row],
             }
         )
+
+    def plot(
+        self,
+        axes: Axes | None = None,
+        *,
+        moments: npt.ArrayLike | None = None,
+        label: str = "row",
+        unit: str = "",
+    ) -> Axes:
+        """Draw the contacts of all rows with their 95 % intervals.
+
+        Args:
+            axes: the axes to draw on; None makes a new figure with matplotlib's pyplot.
+            moments: (M,) where to draw each row, such as times; None for the numbers of the rows.
+            label: what the moments are.
+            unit: name of the unit of length, for the label.
+
+        Returns:
+            The axes.
+        """
+        when = np.arange(len(self)) if moments is None else np.asarray(moments, dtype=np.float64)
+        if when.shape != (len(self),):
+            raise DataError(
+                f"moments has shape {when.shape}", f"give one number for each of {len(self)} rows"
+            )
+        bars = [
+            [
+                Bar(
+                    float(self.arc[row, n]),
+                    ((float(self.low[row, n]), float(self.high[row, n])),),
+                    "localized" if self.localized[row, n] else self._other_status(row),
+                    "",
+                )
+                for n in range(self.count[row])
+            ]
+            for row in range(len(self))
+        ]
+        return draw_series(when.tolist(), bars, self.length, label, axes=axes, unit=unit)
+
+    def _other_status(self, row: int) -> Status:
+        """Status of a contact that is not localized."""
+        return "below detection" if self.status[row] == "below detection" else "ambiguous"
 
     def __repr__(self) -> str:
         count = Counter(self.status)
@@ -145,7 +192,7 @@ class BatchResult:
             numbers["touched"], numbers["log_odds"], numbers["log_evidence"],
             {name: numbers[name] for name in MISTAKES},
             chi2, numbers["correlation"], numbers["noise"],
-            numbers["discarded"].astype(np.int64), predicted, residuals,
+            numbers["discarded"].astype(np.int64), predicted, residuals, length,
         )  # fmt: skip
 
 

@@ -105,16 +105,23 @@ class Explanations {
     weigh_free_body();
     // Beyond this misfit the noise may be larger than stated.
     doubtful_ = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
-    std::size_t one = weigh(kOne, contact_, body_->start);
-    if (frame_.rows.size() > 1 && !looks_free()) {
-      one = weigh_again(each_row(frame_.levels), found[one].shape);
+    // What is weighed again needs no marks before.
+    const bool doubted = frame_.rows.size() > 1;
+    std::size_t one = weigh(kOne, contact_, body_->start, 0.0, kNoMark, !doubted);
+    if (doubted) {
+      if (!looks_free()) {
+        whiten_by(each_row(frame_.levels));
+        drop_hopeless_levels(found[one].shape);
+      }
+      one = weigh_again(found[one].shape);
     }
     const bool misfit = readings.known && found[one].misfit > limit_;
     if (readings.known) explained = found[0].misfit - found[one].misfit;
     if (explained < found[one].misfit) explained = 0.0;
     if (found[one].misfit > doubtful_) {
       doubtful_ = INFINITY;
-      one = weigh_again(each_noise(frame_.levels), found[one].shape);
+      whiten_by(each_noise(frame_.levels));
+      one = weigh_again(found[one].shape);
     }
     drop_unlikely_levels();
     const Row bent = found[one].shape;
@@ -173,6 +180,7 @@ class Explanations {
 
  private:
   static constexpr std::size_t kNone = -1;
+  static constexpr int kNoMark = -1;
 
   std::unique_ptr<Body> body(const Input& in) {
     if (options_.direction.rows > 0) return std::make_unique<SpaceBody>(readings, in, options_);
@@ -274,33 +282,32 @@ class Explanations {
     return out;
   }
 
-  // Weighs the free body and one contact by other models of the errors. Returns
-  // the index of one contact.
-  std::size_t weigh_again(std::vector<Level> levels, Row shape) {
+  // Takes other models of the errors.
+  void whiten_by(std::vector<Level> levels) {
     readings.frame.levels = std::move(levels);
     white_ = Whitened(frame_);
+  }
+
+  // Weighs the free body and one contact by these. Returns the index of one
+  // contact.
+  std::size_t weigh_again(Row shape) {
     found.clear(), doubts_.clear();
     weigh_free_body();
     return weigh(kOne, contact_, std::move(shape));
   }
 
-  // Leaves models of the errors that explain neither a free body nor one
-  // contact out of what is weighed from here on. Those as stated stay.
-  void drop_unlikely_levels() {
-    const std::size_t count = white_.levels.size();
-    Row log_weight(count, -INFINITY);
-    double top = -INFINITY;
-    for (const Hypothesis& hypothesis : found) {
-      for (std::size_t s = 0; s < hypothesis.level_shares.size(); ++s) {
-        const double own = hypothesis.log_weight + std::log(hypothesis.level_shares[s] + 1e-300);
-        log_weight[s] = std::max(log_weight[s], own), top = std::max(top, own);
-      }
-    }
+  static bool stated(const Level& level, bool known) {
+    return level.row == 0 && (level.factor == 1.0 || !known);
+  }
+
+  // Leaves out the models of the errors, beside those as stated, whose log
+  // weight is less than the least of each.
+  template <class Least>
+  void drop_levels(const Row& log_weight, const Least& least) {
     std::size_t kept = 0;
-    for (std::size_t s = 0; s < count; ++s) {
+    for (std::size_t s = 0; s < white_.levels.size(); ++s) {
       const Level& level = frame_.levels[s];
-      const bool stated = level.row == 0 && (level.factor == 1.0 || !readings.known);
-      if (!stated && log_weight[s] < top + priors_.dropped_row) continue;
+      if (!stated(level, readings.known) && log_weight[s] < least(level)) continue;
       if (kept < s) {
         readings.frame.levels[kept] = readings.frame.levels[s];
         white_.levels[kept] = std::move(white_.levels[s]);
@@ -310,6 +317,46 @@ class Explanations {
     readings.frame.levels.resize(kept, {1.0, 0.0});
     white_.levels.erase(white_.levels.begin() + static_cast<std::ptrdiff_t>(kept),
                         white_.levels.end());
+  }
+
+  // Leaves out models of the errors that are hopeless for a free body and, on
+  // this shape, for one contact. The shape is far from that of a model that
+  // bends the free body otherwise.
+  void drop_hopeless_levels(const Row& shape) {
+    Grid grid;
+    prepare(kOne, 0.0, grid);
+    body_->begin(kOne, false);
+    std::vector<Loaded> loads;
+    body_->take(shape, 1.0, loads);
+    Left room;
+    lay(grid, white_, room);
+    if (!grid.weigh(options_)) return;
+    Row log_weight;
+    const Row shares = grid.level_shares();
+    const double contact = contact_ + evidence(grid, true);
+    for (std::size_t s = 0; s < shares.size(); ++s) {
+      const double touched = contact + std::log(std::max(shares[s], 1e-300));
+      log_weight.push_back(std::max(white_.levels[s].log_density, touched));
+    }
+    const double top = *std::max_element(log_weight.begin(), log_weight.end());
+    drop_levels(log_weight, [&](const Level& level) {
+      const ErrorRow& row = frame_.rows[level.row];
+      return top + (row.mirrored || row.bends.rows > 0 ? kFarFromIt : priors_.dropped_row);
+    });
+  }
+
+  // Leaves models of the errors that explain neither a free body nor one
+  // contact out of what is weighed from here on. Those as stated stay.
+  void drop_unlikely_levels() {
+    Row log_weight(white_.levels.size(), -INFINITY);
+    double top = -INFINITY;
+    for (const Hypothesis& hypothesis : found) {
+      for (std::size_t s = 0; s < hypothesis.level_shares.size(); ++s) {
+        const double own = hypothesis.log_weight + std::log(hypothesis.level_shares[s] + 1e-300);
+        log_weight[s] = std::max(log_weight[s], own), top = std::max(top, own);
+      }
+    }
+    drop_levels(log_weight, [&](const Level&) { return top + priors_.dropped_row; });
   }
 
   // Probability of each mistake, and of a noise larger than stated, by that of
@@ -434,11 +481,11 @@ class Explanations {
     return read;
   }
 
-  // Weighs an explanation from a shape on, beside a mark or none, and beside marks that may matter.
-  // `side`: of the moment that folds the base. Returns the index of the hypothesis, or `kNone` if
-  // it is of no account.
+  // Weighs an explanation from a shape on, beside a mark or none, and beside marks that may matter,
+  // if it `may_have` any. `side`: of the moment that folds the base. Returns the index of the
+  // hypothesis, or `kNone` if it is of no account.
   std::size_t weigh(const Explanation& of, double weight, Row shape, double side = 0.0,
-                    int mark = -1) {
+                    int mark = kNoMark, bool may_have = true) {
     Frame marked;
     std::optional<Whitened> own;
     if (mark >= 0) marked = frame_, marked.share(marks_[mark]), own.emplace(marked);
@@ -521,7 +568,7 @@ class Explanations {
       };
       add(grid, log_evidence + odds, mark);
       const std::size_t index = found.size() - 1;
-      if (mark >= 0) return index;
+      if (mark >= 0 || !may_have) return index;
       const double misfit = found[index].misfit;
       int marks = misfit > limit_ ? frame_.size() : 0;
       if (&of == &kOne) marks = misfit > doubtful_ ? 0 : static_cast<int>(marks_.size());

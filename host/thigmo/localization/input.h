@@ -12,9 +12,10 @@ namespace thigmo {
 #define THIGMO_PRIORS(X) \
   X(least_lever) X(contact) X(end) X(end_straight) X(held) X(held_straight) X(another) X(hinge) \
   X(base_fold) X(bad_deviation) X(angle) X(near_fold) X(straight) X(end_turn) X(shape_rests) \
-  X(level) X(excluded) X(held_excluded) X(five_sigma) X(hopeless) X(slight_odds) X(slight_map) \
+  X(level) X(excluded) X(held_excluded) X(five_sigma) X(hopeless) X(slight_map_odds) X(slight_offset_odds) X(slight_map) \
   X(slight_offset) X(turned_odds) X(far_odds) X(not_given_odds) X(small_fold_odds) X(small_fold) \
-  X(correlated_odds) X(dense) X(untouched) X(dropped_row) X(trust) X(end_cell) X(misfit_deviate) X(noise_deviate) X(contact_unsure) X(felt) X(swept)
+  X(correlated_odds) X(dense) X(untouched) X(dropped_row) X(trust) X(end_cell) X(misfit_deviate) X(noise_deviate) X(contact_unsure) X(felt) X(swept) \
+  X(known_place)
 // clang-format on
 struct Priors {
   Row moments, noise_levels, noise_factors, noise_odds, correlations;
@@ -166,7 +167,7 @@ inline std::vector<ErrorRow> mistakes(const Readings& readings, const Options& o
     row.mistake = mistake, row.log_odds = std::log(odds), row.columns = Matrix(columns, n);
     return row;
   };
-  // The map a little off, and an offset of the size of the noise.
+  // The map a little off, and an offset as large as the noise or twice that.
   const auto slight = [&](ErrorRow& row, int from) {
     for (int i = 0; i < n; ++i) {
       int k = from;
@@ -177,7 +178,11 @@ inline std::vector<ErrorRow> mistakes(const Readings& readings, const Options& o
     }
   };
   const int slight_columns = (!map_stated && bends) + (!offset_stated && readings.known);
-  if (slight_columns > 0) slight(add(Mistake::slight, priors.slight_odds, slight_columns), 0);
+  if (slight_columns > 0) {
+    const double odds = (!map_stated && bends ? priors.slight_map_odds : 0.0) +
+                        (!offset_stated && readings.known ? priors.slight_offset_odds : 0.0);
+    slight(add(Mistake::slight, odds, slight_columns), 0);
+  }
   if (!map_stated && bends) {
     ErrorRow& sign = add(Mistake::sign, priors.turned_odds, slight_columns);
     slight(sign, 0), sign.mirrored = true;

@@ -313,6 +313,17 @@ struct Loaded {
   std::array<double, kMostOfLoad> value{}, spread{};
 };
 
+// What is filled before use and of no use to a copy, which is made without it.
+template <class Values>
+struct Scratch : Values {
+  Scratch() = default;
+  Scratch(const Scratch&) : Values() {}
+  Scratch(Scratch&&) = default;
+  Scratch& operator=(const Scratch&) { return *this; }
+  Scratch& operator=(Scratch&&) = default;
+  ~Scratch() = default;
+};
+
 // Sets of places, one of each load's cells. What their evidence needs stands side by side, set
 // after set, so that loops over sets become vector code.
 class Grid {
@@ -379,7 +390,10 @@ class Grid {
       }
     }
     levels_.resize(readings.levels.size());
-    for (std::size_t s = 0; s < levels_.size(); ++s) take(readings.levels[s], levels_[s]);
+    white_.resize(levels_.size());
+    for (std::size_t s = 0; s < levels_.size(); ++s) {
+      take(readings.levels[s], white_[s], levels_[s]);
+    }
   }
 
   // Weighs all sets, over levels of the noise and scales of the forces. Returns whether any of them
@@ -572,7 +586,7 @@ class Grid {
     std::vector<Matrix> weighted;
     weighted.reserve(levels_.size());
     for (std::size_t s = 0; s < levels_.size(); ++s) {
-      weighted.push_back(levels_[s].white);
+      weighted.push_back(white_[s]);
       readings.levels[s].by.raise(weighted.back());
     }
     return weighted;
@@ -649,11 +663,11 @@ class Grid {
   }
 
  private:
-  // At one level of the noise: log density and square of the readings; whitened columns; of each
-  // set, products of its numbers' columns with the readings and, lower half, with each other.
+  // At one level of the noise: log density and square of the readings; of each set, products of its
+  // numbers' columns with the readings and, lower half, with each other.
   struct Products {
     double constant, square;
-    Matrix white, of;
+    Matrix of;
   };
   // Prior precisions of the numbers at one scale of the forces, and what they add to a log weight.
   struct Scaled {
@@ -696,14 +710,14 @@ class Grid {
     }
   }
 
-  THIGMO_WIDE void take(const Whitened::At& at, Products& out) {
+  THIGMO_WIDE void take(const Whitened::At& at, Matrix& white, Products& out) {
     const int count = static_cast<int>(number_.size()), wide = column_.columns, n = column_.rows;
     out.constant = at.log_density, out.square = at.square;
-    at.by(column_, out.white);
+    at.by(column_, white);
     out.of.resize(count + count * (count + 1) / 2, padded());
     Row told(wide);
     for (int i = 0; i < n; ++i) {
-      const double *row = out.white[i], own = at.read[i];
+      const double *row = white[i], own = at.read[i];
       for (int c = 0; c < wide; ++c) told[c] += own * row[c];
     }
     blocks_.clear();
@@ -717,10 +731,10 @@ class Grid {
         const int *left = cell_[a].data(), rows = placed[a].cells, beside = first_[a] + c * rows;
         to = out.of[gram(count, k, l)];
         if (a == b) {
-          const double* own = block(out.white, from, cells, beside, 0);
+          const double* own = block(white, from, cells, beside, 0);
           for (int s = 0; s < padded(); ++s) to[s] = own[right[s]];
         } else {
-          const double* both = block(out.white, from, cells, beside, rows);
+          const double* both = block(white, from, cells, beside, rows);
           for (int s = 0; s < padded(); ++s) to[s] = both[left[s] * cells + right[s]];
         }
       }
@@ -866,11 +880,13 @@ class Grid {
   std::vector<int> first_;  // column of each load
   Matrix column_, weight_;
   std::vector<Products> levels_;
+  Scratch<std::vector<Matrix>> white_;  // whitened columns, at each level of the noise
   std::vector<Way> ways_;
   // Blocks of products of columns, by where they are taken: their first one.
   std::vector<std::pair<std::array<int, 3>, std::size_t>> blocks_;
   std::size_t ends_ = 0;
-  Row both_, density_;
+  Scratch<Row> both_;
+  Row density_;
   const Priors* priors_ = nullptr;
   double scale_ = 0.0;  // of the forces, and index, of the likeliest set
   int best_ = 0, sets_ = 0;

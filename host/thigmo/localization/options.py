@@ -99,7 +99,7 @@ class Errors:
         gain_error: relative error of each sensor's gain, independent of the others', scalar or
             (N,). An error that all gains share looks like one of the map: not stated, it is 0.
         offset_error: error of an offset that all readings share, 1/length. If it is not stated, an
-            offset of the size of the noise is weighed.
+            offset of twice the noise is weighed.
         map_error: relative error of the free curvature, shared by all readings. If it is not
             stated, a free curvature is weighed that is 8 % off, has the wrong sign, was subtracted
             already, is far off, or was not given.
@@ -133,7 +133,7 @@ class Priors:
             pulled; or, as a float, the prior odds of that against a contact on the side. If not
             given, default odds are used.
         contact_couple_odds: prior odds of a contact that bears a couple, such as a clamp, against
-            one that does not; 0 rules it out. 0.03 if not given.
+            one that does not; 0 rules it out. 0.015 if not given.
         end_face_odds: prior odds of a contact on the face of the end against one on the side; 0 if
             the face cannot be touched. If not given, default odds are used.
         within: two arcs between which a single contact is known to lie from other sources, such as

@@ -79,6 +79,9 @@ FELT = 3.0
 HELD_EXCLUDED = 0.005
 # A contact is localized if its interval is no wider than this share of the length: 10 cm of 53.
 WIDTH_SHARE = 10.0 / 53.0
+# Share of the length below which the likeliest explanation's interval is narrow enough for its
+# likeliest place to be the best point: its standard deviation is then about a tenth of the length.
+KNOWN_PLACE = 2.0 * WIDTH_SHARE
 # Misfit of a free body less that of a contact, from which the contact is listed whatever its
 # probability: five standard errors.
 FIVE_SIGMA = 25.0
@@ -98,11 +101,12 @@ NOISE_FACTORS = (2.4, 6.0, 15.0)
 NOISE_ODDS = (0.05, 0.06, 0.07)
 
 # Mistakes in the readings that are weighed if the caller does not state the error: probability of
-# each row, and its size. A free curvature a little off, as a share of itself, beside an offset of
-# all readings, as a multiple of the noise.
-SLIGHT_ODDS = 0.25
+# each row, and its size. A free curvature a little off, as a share of itself, and an offset of all
+# readings, as a multiple of the noise; one row has both, with the sum of their odds.
+SLIGHT_MAP_ODDS = 0.08
+SLIGHT_OFFSET_ODDS = 0.12
 SLIGHT_MAP = 0.08
-SLIGHT_OFFSET = 1.0
+SLIGHT_OFFSET = 2.0
 # A free curvature of the wrong sign, and one that was subtracted already.
 TURNED_ODDS = 0.03
 # A free curvature that is off by as much as itself, or by a curvature of one over the length; the
@@ -118,12 +122,12 @@ CORRELATIONS = (0.5, 0.9)
 CORRELATED_ODDS = 0.1
 DENSE = 40.0
 # Prior odds of a contact that bears a couple, against one that does not.
-COUPLE_ODDS = 0.03
+COUPLE_ODDS = 0.015
 # Log odds of anything else against a free body below which no mistake is weighed: then the readings
 # as stated are those of the free body.
 UNTOUCHED = -1.0
 # Log odds against the likeliest below which a row is left out after one contact was weighed.
-DROPPED_ROW = -12.0
+DROPPED_ROW = -5.0
 # Noise levels considered if the noise is unknown, as shares of the readings' root mean square.
 NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
 

@@ -36,7 +36,9 @@ class Contact:
     """One contact. The arc is in the caller's unit, the force over EI in that unit to the power -2.
 
     Attributes:
-        arc: place along the body, the median of the posterior.
+        arc: best point of the place along the body: the likeliest place by the likeliest
+            explanation, if its 95 % interval is no wider than twice the usual `width_limit`; else
+            the median of the posterior.
         force: normal force over EI if the contact is at `arc`, positive towards positive curvature.
         interval: hull of `intervals`; the whole body if the status is `point estimate`.
         status: `localized` (the interval is no wider than the limit, and the probability that there
@@ -162,8 +164,9 @@ class LocalizeResult:
         objective: 1-norm of the residual for `thesis`, 1/length; else None.
         touched: probability of any contact.
         doubts: probability of each mistake in the readings that was weighed because its error is
-            not stated, or its noise may be larger; the rest is `as stated`. Empty if the readings
-            as stated are those of a free body, or all errors are stated.
+            not stated, or its noise may be larger; the rest is `as stated`. Mistakes that are
+            hopeless for these readings are left out. Empty if the readings as stated are those of a
+            free body, or all errors are stated.
         remarks: what to check in the readings or in what was stated of them.
         predicted: (N,) readings that the likeliest explanation predicts, with its mistake and the
             likeliest size of all shared errors, 1/length; NaN where one is missing. Empty for a

@@ -258,7 +258,7 @@ class Stall:
             ),
             reverse=True,
         )
-        said = ", ".join(f"{what} ({100 * share:.0f} %)" for share, what in shares)
+        said = ", ".join(f"{cause} ({100 * share:.0f} %)" for share, cause in shares)
         tried = "" if self.moved_on is None else ", after a trial at a higher body pressure"
         return f"growth stalled at {self.length_cm:.1f} cm: {said}{tried}"
 

@@ -99,12 +99,12 @@ class Log:
     @property
     def entries(self) -> list[Entry]:
         """The frames, in their order."""
-        return [each for each in self.items if isinstance(each, Entry)]
+        return [item for item in self.items if isinstance(item, Entry)]
 
     @property
     def notes(self) -> list[Note]:
         """The notes, in their order."""
-        return [each for each in self.items if isinstance(each, Note)]
+        return [item for item in self.items if isinstance(item, Note)]
 
     @property
     def missing(self) -> str:
@@ -172,7 +172,7 @@ class LogWriter(Closing):
         if not self._fibre:
             schema = json.dumps(_FIBRE_SCHEMA).encode()
             self._fibre = self.add_channel(_FIBRE, "json", "thigmo.FibreLine", "jsonschema", schema)
-        strains = [each if isfinite(each) else None for each in line.strain_ue]
+        strains = [strain if isfinite(strain) else None for strain in line.strain_ue]
         data = {"t_s": line.t_s, "strain_ue": strains, "zero": line.zero}
         self.message(self._fibre, json.dumps(data).encode(), t_s)
 
@@ -267,18 +267,18 @@ def read_log(path: Path) -> Log:
     Raises RunFolderError if there is no such file, it is no MCAP file, or its frames are of another
     protocol schema.
     """
-    found = read_mcap(path, {*_TOPICS, _NOTES, _FIBRE})
-    schema = found.metadata.get("schema_hash", _SCHEMA)  # damaged records name none
+    record = read_mcap(path, {*_TOPICS, _NOTES, _FIBRE})
+    schema = record.metadata.get("schema_hash", _SCHEMA)  # damaged records name none
     if schema != _SCHEMA:
         raise RunFolderError(
             f"{path} was recorded with protocol schema {schema}, and this is {_SCHEMA}",
-            f"read it with thigmo {found.metadata.get('thigmo', 'of its time')}",
+            f"read it with thigmo {record.metadata.get('thigmo', 'of its time')}",
         )
-    epoch = found.metadata.pop(EPOCH, "0")  # damaged records hold none
+    epoch = record.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(epoch) if epoch.isdecimal() else 0
     items: list[Entry | Note | FibreLine] = []
-    gaps = found.gaps
-    for topic, log_ns, data in found.messages:
+    gaps = record.gaps
+    for topic, log_ns, data in record.messages:
         t_s = (log_ns - epoch_ns) / 1e9
         if topic in _TOPICS:
             items.append(Entry(t_s, _TOPICS[topic], data))
@@ -287,7 +287,7 @@ def read_log(path: Path) -> Log:
             items.append(_note(t_s, data) if topic == _NOTES else _fibre_line(data))
         except (ValueError, KeyError, TypeError, RecursionError):
             gaps += 1
-    return Log(items, found.metadata, found.truncated, gaps)
+    return Log(items, record.metadata, record.truncated, gaps)
 
 
 def _note(t_s: float, data: bytes) -> Note:

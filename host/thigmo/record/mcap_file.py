@@ -58,7 +58,7 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
     with RunFolderError.from_os(f"cannot read {path}", "give a run folder that holds run.mcap"):
         data = read_file(path, RECORD_BYTES)
     truncated = not data.endswith(MAGIC) or len(data) < 2 * len(MAGIC)
-    found: list[McapRecord] = []
+    contents: list[McapRecord] = []
     place: int | None = len(MAGIC)
     broken = not data.startswith(MAGIC)  # nothing whole has come since the last gap
     if broken:
@@ -85,20 +85,20 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
         except _DAMAGE:
             place = _next_chunk(data, place + 1)
         if records is not None:
-            found += records
+            contents += records
             broken = broken and opcode != Opcode.CHUNK
         elif not broken and (place is not None or not truncated):
             gaps += 1
             broken = True
     # A damaged file may tell of a channel after its messages: in its summary.
-    channels = {each.id: each.topic for each in found if isinstance(each, Channel)}
-    metadata = [each.metadata for each in found if isinstance(each, Metadata)]
+    channels = {record.id: record.topic for record in contents if isinstance(record, Channel)}
+    metadata = [record.metadata for record in contents if isinstance(record, Metadata)]
     messages = [
-        (channels[each.channel_id], each.log_time, each.data)
-        for each in found
-        if isinstance(each, Message) and channels.get(each.channel_id) in wanted
+        (channels[record.channel_id], record.log_time, record.data)
+        for record in contents
+        if isinstance(record, Message) and channels.get(record.channel_id) in wanted
     ]
-    facts = {name: value for each in metadata for name, value in each.items()}
+    facts = {name: value for record in metadata for name, value in record.items()}
     return McapContents(frozenset(channels.values()), facts, messages, gaps, truncated)
 
 

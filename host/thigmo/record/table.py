@@ -87,21 +87,21 @@ class Table:
 
         Raises MissingColumnError without a default, and DataError: a word where a number belongs.
         """
-        found = np.empty(len(self.lines))
+        values = np.empty(len(self.lines))
         cells = self.words(column, None if default is None else str(default))
         for number, (cell, line) in enumerate(zip(cells, self.lines, strict=True)):
             where, cure = f"{self.name}, line {line}: {column}", "correct it, or leave that row out"
             try:
                 if self.decimal_commas and cell.count(",") == 1 and "." not in cell:
                     cell = cell.replace(",", ".")
-                found[number] = float(cell) if cell else np.nan
+                values[number] = float(cell) if cell else np.nan
             except ValueError as error:
                 if cell.count(",") == 1 and cell.replace(",", "").lstrip("+-").isdecimal():
                     cure = "export it with points in numbers, not commas"
                 raise DataError(f"{where} is {_short(cell)}, not a number", cure) from error
-            if np.isinf(found[number]):
+            if np.isinf(values[number]):
                 raise DataError(f"{where} is {cell}, not a finite number", cure)
-        return found
+        return values
 
     def whole(self, column: str, default: int | None = None) -> NDArray[np.int64]:
         """A column of whole numbers (n,), none of them empty.

@@ -278,7 +278,7 @@ def _frame(axes: Axes, document: RunDocument) -> None:
     axes.set(xlabel="x, along the straight robot (cm)", ylabel="y, to its left (cm)")
     plain(axes)
     count = len(document.contacts)
-    found = "no contact" if count == 0 else f"{count} contact{'s' if count > 1 else ''}"
+    count_text = "no contact" if count == 0 else f"{count} contact{'s' if count > 1 else ''}"
     facts = [shorten(document.outcome, 70, placeholder=" ...")]
     if document.error_x_cm is not None:
         facts.append(
@@ -287,7 +287,7 @@ def _frame(axes: Axes, document: RunDocument) -> None:
     if document.stall is not None and document.stall.pressure > 0.5:
         facts.append(f"stalled at {document.stall.length_cm:.0f} cm, for want of pressure")
     facts.append(f"{document.robot_time_s:.0f} s of robot time")
-    titled(axes, f"{document.name}: {found}", "; ".join(facts))
+    titled(axes, f"{document.name}: {count_text}", "; ".join(facts))
 
 
 def _legend(axes: Axes) -> None:

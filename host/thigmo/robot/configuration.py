@@ -136,8 +136,8 @@ def send_config(client: Client, wiring: Wiring) -> bool:
         if client.request(where).curvature_e5 != setting.curvature_e5:
             changed = True
             client.request(setting)
-            what = f"the map of zone {setting.zone}, muscle {muscles[setting.muscle].name}"
-            _verify(what, client.request(where).curvature_e5, setting.curvature_e5)
+            map_name = f"the map of zone {setting.zone}, muscle {muscles[setting.muscle].name}"
+            _verify(map_name, client.request(where).curvature_e5, setting.curvature_e5)
     return changed
 
 
@@ -212,9 +212,9 @@ def _row(client: Client, name: str) -> wire.Parameter:
     return client.parameters[name]
 
 
-def _verify(what: str, got: object, wanted: object) -> None:
+def _verify(subject: str, got: object, wanted: object) -> None:
     if got != wanted:
         raise ConfigError(
-            f"the board holds {got} instead of {wanted} for {what}",
+            f"the board holds {got} instead of {wanted} for {subject}",
             "check that firmware and host are of the same version",
         )

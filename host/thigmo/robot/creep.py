@@ -90,10 +90,10 @@ class CreepWatch:
             noise = float(self._table.noise[i])
             # A second pass lets this eversion's own amplitude carry the doubt about tau.
             law = self._laws[i]
-            *_, own = law.observe(when, level_at, noise)
-            again = Settling(law.tau_s, law.tau_se_s, own.amplitude, law.amplitude_sd)
-            settled, settled_sd, own = again.observe(when, level_at, noise)
-            excess, excess_sd = own.excess(at_s - self._everted_s[i])
+            *_, eversion = law.observe(when, level_at, noise)
+            again = Settling(law.tau_s, law.tau_se_s, eversion.amplitude, law.amplitude_sd)
+            settled, settled_sd, eversion = again.observe(when, level_at, noise)
+            excess, excess_sd = eversion.excess(at_s - self._everted_s[i])
             value[i] = level + settled + float(excess)
             sigma[i] = np.hypot(settled_sd, float(excess_sd))
         return value, sigma

@@ -102,7 +102,9 @@ class SensorTable:
         if self.inputs == len(self.healthy):
             return self
         arrays = (
-            each.name for each in fields(self) if isinstance(getattr(self, each.name), np.ndarray)
+            entry.name
+            for entry in fields(self)
+            if isinstance(getattr(self, entry.name), np.ndarray)
         )
         return replace(self, **{name: getattr(self, name)[: self.inputs] for name in arrays})
 

@@ -127,7 +127,7 @@ class Fibre:
                 f"only {len(pairs)} lines of strains match the board's telemetry in time",
                 "let the interrogator send 10 a second or more, and read for longer",
             )
-        strain = np.array([each for _, each, _ in pairs])
+        strain = np.array([strain_ue for _, strain_ue, _ in pairs])
         known = np.isfinite(strain).sum(axis=0) >= _FEWEST
         mean = np.full(len(known), np.nan)
         mean[known] = np.nanmean(strain[:, known], axis=0)

@@ -19,7 +19,7 @@ from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import heading_along, traced
 from thigmo.robot.curvature import SensorTable
 from thigmo.robot.idle_pressure import UNBENT_CPSI, UNBENT_PSI
-from thigmo.robot.state import Status
+from thigmo.robot.state import RobotStatus
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
 from thigmo.stream.messages import Severity
 from thigmo.wiring import Wiring
@@ -50,8 +50,8 @@ def _described(event: wire.Event, wiring: Wiring) -> tuple[str, Severity, str, s
     if code is wire.EventCode.ACTIVITY_ABORTED and value == wire.Reason.NONE:
         return code.key, "info", f"{wire.Activity(arg).key} was ended by the program", ""
     if code is wire.EventCode.ACTIVITY_ABORTED:
-        what, cure = wire.Reason(value).words
-        return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure
+        problem, cure = wire.Reason(value).words
+        return code.key, "warning", f"{wire.Activity(arg).key} ended early: {problem}", cure
     text = {
         wire.EventCode.CONTACT: lambda: (
             f"contact felt at the base while the {wiring.muscle_name(arg)} muscle "
@@ -99,7 +99,7 @@ class Publisher:
         everted_cm = np.where(used, table.center_cm + table.span_cm / 2, np.inf)
         self._everted_cm: list[float] = everted_cm.tolist()
 
-    def note_status(self, status: Status) -> None:
+    def note_status(self, status: RobotStatus) -> None:
         """Publish this supply with the telemetry from now on."""
         self.supply_v = status.supply_v
 

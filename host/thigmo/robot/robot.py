@@ -19,7 +19,7 @@ from thigmo.closing import Closing
 from thigmo.config import RobotConfig, Side
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
-from thigmo.link.heart import PERIOD_S
+from thigmo.link.heartbeat import PERIOD_S
 from thigmo.link.stored import StoredConfiguration
 from thigmo.link.transport import open_transport
 from thigmo.operator_prompts import NoOperator, Operator, Patient, Simulated
@@ -31,7 +31,7 @@ from thigmo.robot.fibre_guard import FibreGuard
 from thigmo.robot.idle_pressure import VENTED_PSI
 from thigmo.robot.publishing import Publisher
 from thigmo.robot.readings import Readings
-from thigmo.robot.state import Reading, Recording, Status, SweepFrame, SweepResult, together
+from thigmo.robot.state import Reading, Recording, RobotStatus, SweepFrame, SweepResult, together
 from thigmo.robot.strains import Strains
 from thigmo.robot.supervisor import Supervisor
 from thigmo.robot.watchers import GrowthWatcher, SweepWatcher, peak_frame
@@ -188,7 +188,7 @@ class Robot(Closing):
         """robot.toml as last sent with `configure`; before, `known_config` or the defaults."""
         return self.wiring.config
 
-    def status(self) -> Status:
+    def status(self) -> RobotStatus:
         """Ask the board for its whole state."""
         return self.supervisor.status()
 
@@ -345,7 +345,7 @@ class Robot(Closing):
         except CommandRefusedError as error:
             if error.reason != "host_silent":
                 raise
-            # While an operator was asked nothing was heard of the board, and the heart held still.
+            # While an operator was asked nothing was heard of the board, and the heartbeat paused.
             self.wait(2.0 * PERIOD_S)
             self.supervisor.request(wire.Arm())
         while self.status().activity == wire.Activity.TESTING.key:  # the brake is being proved

@@ -21,7 +21,7 @@ def pressures_psi(cpsi: Sequence[float], wiring: Wiring) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class RobotStatus:
     """The board's whole state."""
 
     state: str  #: its name in the schema

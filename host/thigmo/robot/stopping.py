@@ -66,7 +66,7 @@ def stop_robot(url: str, program: int | None = None) -> list[Stopped]:
     """
     try:
         if stopped := _call(stop_socket.owners(url, program)):
-            return [Stopped(url, each.confirmed_by, each.failure) for each in stopped]
+            return [Stopped(url, result.confirmed_by, result.failure) for result in stopped]
         if emulated(url):
             return []
         with Client(open_transport(url), connect=False) as client:

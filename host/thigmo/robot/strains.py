@@ -43,7 +43,7 @@ class Strains:
         gratings = len(table.healthy) - table.inputs
         if not gratings:
             return flex_sum
-        found = np.full((len(t_s), gratings), np.nan)
+        strains_ue = np.full((len(t_s), gratings), np.nan)
         end = None if count is None else len(self._t_s) - (self.count - count)
         times = np.array(self._t_s[:end])
         if len(times) and len(t_s):
@@ -54,8 +54,8 @@ class Strains:
                 if known.any():
                     near = _apart(times[known], t_s) <= MAX_AGE_S
                     values = np.interp(t_s, times[known], strain[known, number])
-                    found[:, number] = np.where(near, values, np.nan)
-        return np.concatenate([flex_sum, found], axis=1)
+                    strains_ue[:, number] = np.where(near, values, np.nan)
+        return np.concatenate([flex_sum, strains_ue], axis=1)
 
 
 def _apart(times: Floats, t_s: Floats) -> Floats:

@@ -21,7 +21,7 @@ from thigmo.errors import (
 from thigmo.link import protocol as wire
 from thigmo.robot.fibre import Fibre
 from thigmo.robot.fibre_guard import FibreGuard
-from thigmo.robot.state import Status, pressures_psi
+from thigmo.robot.state import RobotStatus, pressures_psi
 from thigmo.wiring import Wiring
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Supervisor:
         self.link = link
         self.fibre = fibre
         self.on_wait: list[Callable[[], None]] = []
-        self.on_status: list[Callable[[Status], None]] = []
+        self.on_status: list[Callable[[RobotStatus], None]] = []
         self._wiring = wiring
         self._address = address  # at which an operator clears faults; empty if there is none
         self._fault_channels: dict[wire.Fault, int] = {}  # which only their events tell
@@ -72,11 +72,11 @@ class Supervisor:
         """Name muscles and sensors by this robot from now on."""
         self._wiring = wiring
 
-    def status(self) -> Status:
+    def status(self) -> RobotStatus:
         """Ask the board for its whole state."""
         report = self.link.request(wire.GetStatus())
         conditions = frozenset(c.key for c in wire.Condition.from_mask(report.conditions))
-        status = Status(
+        status = RobotStatus(
             state=report.state.key,
             activity=report.activity.key,
             zone=None if report.zone == _UNKNOWN_ZONE else report.zone,
@@ -242,9 +242,9 @@ class Supervisor:
             for event in look:
                 if event.code == wire.EventCode.ACTIVITY_ABORTED and event.arg == activity:
                     reason = wire.Reason(event.value)
-                    what, cure = reason.words
+                    problem, cure = reason.words
                     raise CommandRefusedError(
-                        f"{activity.key} ended early: {what}", cure, reason=reason.key
+                        f"{activity.key} ended early: {problem}", cure, reason=reason.key
                     )
                 yield event
                 if event.code == wire.EventCode.ACTIVITY_DONE and event.arg == activity:
@@ -284,28 +284,30 @@ class Supervisor:
         """
         self._note_channels()
         first = wire.Fault[faults[0].upper()]
-        what, cure = first.words
+        problem, cure = first.words
         others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
         channel = self._fault_channels.get(first)
         if channel == _BEFORE_RESET:
-            what, channel = f"{what} (before the board's last reset)", None
+            problem, channel = f"{problem} (before the board's last reset)", None
         if first in _OF_A_MUSCLE and channel is not None:
-            what += f" ({self._wiring.muscle_name(channel)} muscle)"
+            problem += f" ({self._wiring.muscle_name(channel)} muscle)"
         if first in _CAUSES and channel is not None:
-            what += f" ({_CAUSES[first](channel).words[0]})"
+            problem += f" ({_CAUSES[first](channel).words[0]})"
         if first in _BAD_SENSOR:
             names = self._bad_sensors(_BAD_SENSOR[first], channel)
-            what += f": {names} (0 = at the base)" if names else " now and then, at present none is"
+            problem += (
+                f": {names} (0 = at the base)" if names else " now and then, at present none is"
+            )
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
             for kind in {type(sensor) for sensor in self._wiring.config.sensors}:
                 for words, other_words in kind.fault_words.items():
-                    what = what.replace(words, other_words)
+                    problem = problem.replace(words, other_words)
                     cure = cure.replace(words, other_words)
         if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self._wiring.config)):
             cure = f"{hint}; {cure}"
         if self._address:
             cure = f"{cure} (`thigmo clear --robot {self._address}`)"
-        return RobotFaultError(f"{first.key}{others}: {what}", cure, faults=tuple(faults))
+        return RobotFaultError(f"{first.key}{others}: {problem}", cure, faults=tuple(faults))
 
     def _bad_sensors(self, flag: int, channel: int | None) -> str:
         """Names of the enabled sensors with a flag set, and of the one that an event named."""

@@ -201,7 +201,7 @@ CHANNELS: Mapping[str, type[Message]] = {
     )
 }  # fmt: skip
 _OF_NOW = (Hello.CHANNEL, Dropped.CHANNEL, Question.CHANNEL)
-RECORDED = tuple(each for each in CHANNELS if each not in _OF_NOW)
+RECORDED = tuple(channel for channel in CHANNELS if channel not in _OF_NOW)
 # The last of each is given to later subscribers.
 RETAINED = frozenset(
     kind.CHANNEL for kind in (RunState, BodyShape, Posterior, Contacts, Grid, Question)
@@ -235,7 +235,8 @@ def validated(channel: str, fields: dict[str, Any]) -> Message:
     return message
 
 
-def _foreign(what: object) -> DataError:
+def _foreign(value: object) -> DataError:
     return DataError(
-        f"no message of the stream: {str(what)[:80]}", "use the same version of thigmo on both ends"
+        f"no message of the stream: {str(value)[:80]}",
+        "use the same version of thigmo on both ends",
     )

@@ -86,7 +86,8 @@ def topics() -> dict[str, tuple[str, bytes]]:
     """What a run tells by protobuf, in records and to Foxglove: topics and their schemas."""
     drawn = {topic: kind.DESCRIPTOR for topic, kind in VIEWS.items()}
     return {f"/{channel}": schema(channel) for channel in RECORDED} | {
-        topic: (each.full_name, _descriptor_set(each.file)) for topic, each in drawn.items()
+        topic: (drawing.full_name, _descriptor_set(drawing.file))
+        for topic, drawing in drawn.items()
     }
 
 
@@ -100,11 +101,11 @@ def _descriptor_set(file: Any) -> bytes:
     """A file and all that it imports, as a serialized FileDescriptorSet."""
     every = FileDescriptorSet()
 
-    def add(each: Any) -> None:
-        for needed in each.dependencies:
+    def add(descriptor: Any) -> None:
+        for needed in descriptor.dependencies:
             add(needed)
-        if not any(known.name == each.name for known in every.file):
-            each.CopyToProto(every.file.add())
+        if not any(known.name == descriptor.name for known in every.file):
+            descriptor.CopyToProto(every.file.add())
 
     add(file)
     return every.SerializeToString()
@@ -131,8 +132,8 @@ def _held(value: Any) -> Any:
     if not isinstance(value, tuple | list) or not value:
         return value
     if is_dataclass(value[0]):
-        return [_arguments(each) for each in value]
-    return [{"values": each} for each in value] if isinstance(value[0], tuple | list) else value
+        return [_arguments(part) for part in value]
+    return [{"values": part} for part in value] if isinstance(value[0], tuple | list) else value
 
 
 def to_protobuf(message: Message) -> bytes:
@@ -162,5 +163,5 @@ def _read(proto: Any) -> dict[str, Any]:
         elif field.message_type.name == _ROW:
             read[field.name] = [row.values for row in value]
         else:
-            read[field.name] = [_read(each) for each in value]
+            read[field.name] = [_read(part) for part in value]
     return read

@@ -77,16 +77,16 @@ def read_messages(
     path = Path(run)
     path = path / "run.mcap" if path.is_dir() else path
     wanted = {f"/{channel}" for channel in (RECORDED if channels is None else channels)}
-    found = read_mcap(path, wanted)
-    if not found.topics:
+    record = read_mcap(path, wanted)
+    if not record.topics:
         raise RunFolderError(f"{path} is empty", "its run ended before it began: run it again")
-    if found.topics.isdisjoint(f"/{channel}" for channel in RECORDED):
+    if record.topics.isdisjoint(f"/{channel}" for channel in RECORDED):
         raise RunFolderError(
             f"{path} holds only raw frames", "record the run again with this version of thigmo"
         )
     from thigmo.stream.protobuf import from_protobuf
 
-    ordered = sorted(found.messages, key=lambda each: each[1])
+    ordered = sorted(record.messages, key=lambda each: each[1])
     return (from_protobuf(topic[1:], data) for topic, _, data in ordered)
 
 
@@ -107,8 +107,8 @@ def export_csv(run: str | os.PathLike[str], folder: str | os.PathLike[str]) -> l
             # As it was measured: sums of binary fractions are cut where they say nothing.
             writers[channel].writerow(
                 [
-                    each if type(each) is not float else f"{each:.15g}" if each == each else ""
-                    for each in values
+                    value if type(value) is not float else f"{value:.15g}" if value == value else ""
+                    for value in values
                 ]
             )
     return [target / f"{channel}.csv" for channel in writers]
@@ -186,10 +186,10 @@ def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Callable[[], list[
     named = _named(wiring)
     muscles: dict[str, str] = {m.side: m.name for m in wiring.config.muscles if m.side}
     for message in read_messages(run, set(RECORDED) - {Grid.CHANNEL}):
-        own = _values(message, named)
+        shared_values = _values(message, named)
         for entry in _entries(message, muscles):
             names = partial(_columns, message, named, entry)
-            yield message.CHANNEL, names, [*own, *entry.values()]
+            yield message.CHANNEL, names, [*shared_values, *entry.values()]
 
 
 def _columns(message: Message, named: Named, entry: Row) -> list[str]:
@@ -199,7 +199,7 @@ def _columns(message: Message, named: Named, entry: Row) -> list[str]:
 @cache
 def _own(channel: str) -> tuple[str, ...]:
     """Names of the fields that each row of a message has."""
-    return tuple(each.name for each in fields(CHANNELS[channel]) if each.name not in _APART)
+    return tuple(entry.name for entry in fields(CHANNELS[channel]) if entry.name not in _APART)
 
 
 def _names(message: Message, named: Named) -> list[str]:
@@ -210,7 +210,7 @@ def _names(message: Message, named: Named) -> list[str]:
         if name == "faults" or not isinstance(value, tuple):
             names.append(name)
             continue
-        names += [f"{name}_{each}" for _, each in named[len(value)]]
+        names += [f"{name}_{column}" for _, column in named[len(value)]]
     return names
 
 

@@ -55,8 +55,12 @@ def _folder() -> Path:
 
 def _new_address(name: str) -> str:
     label = re.sub(r"\W+", "-", name)[:24].strip("-")
-    own = f"{label}-{os.getpid()}-{secrets.token_hex(4)}"
-    return rf"\\.\pipe\{_PIPE_PREFIX}{own}" if sys.platform == "win32" else str(_folder() / own)
+    file_name = f"{label}-{os.getpid()}-{secrets.token_hex(4)}"
+    return (
+        rf"\\.\pipe\{_PIPE_PREFIX}{file_name}"
+        if sys.platform == "win32"
+        else str(_folder() / file_name)
+    )
 
 
 def _addresses() -> list[str]:
@@ -257,12 +261,12 @@ def running(hung: set[str] | None = None) -> list[Watchable]:
     A caller that looks repeatedly passes the same set as `hung`: it collects the addresses that did
     not answer, which are then waited for only briefly.
     """
-    found = []
+    runs = []
     silent = set() if hung is None else hung
     for address in _addresses():
         patience_s = _HUNG_S if address in silent else _PATIENCE_S
         silent.add(address)
         with contextlib.suppress(LinkError), attach(address, patience_s) as run:
-            found.append(Watchable(address, run.hello))
+            runs.append(Watchable(address, run.hello))
             silent.discard(address)
-    return sorted(found, key=lambda each: each.hello.epoch_s)
+    return sorted(runs, key=lambda run: run.hello.epoch_s)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from thigmo.cli import ending
+from thigmo.cli import signals
 from thigmo.cli.output import print_json
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: 
                 outcome = study(own)
             except KeyboardInterrupt:
                 typer.echo(f"thigmo: stopped; finished parts are in {out}/{name}-*", err=True)
-                raise typer.Exit(ending.status()) from None
+                raise typer.Exit(signals.status()) from None
         outcome.samples = own.samples
         found.append(report(name, outcome, out, as_json, context.scale))
     if as_json:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from thigmo.emulator.board import Board, virtual_board
+from thigmo.emulator.board import EmulatedBoard, virtual_board
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import CommandRefusedError, RobotFaultError
@@ -47,6 +47,7 @@ BRAKE = "the brake, or venting the body"
 SHORT = "the brake and the contacts in the motor's supply; else the e-stop empties the body"
 PULLS = SHORT + "; a line that holds 271 N"
 SNAPPED = "valve Y3 empties the body; a line of a rating that nothing reaches"
+BY_TOUCH = "none needed: homing ends at the base, by touch; else no motor is driven"
 NO_HARM = "none needed: outputs are sound; the localizer weighs such readings"
 
 
@@ -100,9 +101,9 @@ FAILURES = (
             covered=PULLS),
     Failure("encoder dead", "encoder_lost", covered=NO_DRIVE),
     Failure("encoder loses three counts of ten", "encoder_share", {"value": 0.7},
-            covered=NO_DRIVE),
+            covered=BY_TOUCH),
     Failure("encoder shows twice its counts", "encoder_share", {"value": 2.0},
-            covered=NO_DRIVE),
+            covered=BY_TOUCH),
     Failure("line snapped", "line_snapped", spool=True, covered=SNAPPED),
     Failure("tail jammed", "tail_jam", covered=NO_DRIVE),
     Failure("brake stuck open", "brake_open",
@@ -178,7 +179,7 @@ class Visit:
     driven: int  # largest number of muscles driven at once, above the transducers' live zero
 
 
-BoardFor = Callable[[bytes], Board]
+BoardFor = Callable[[bytes], EmulatedBoard]
 
 
 def _scene(fit: Fit = "bare", muscles: int = 2) -> Scene:

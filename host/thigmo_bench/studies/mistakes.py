@@ -249,6 +249,7 @@ EMPTY_KINDS: dict[str, Kind] = {
     },
 }  # fmt: skip
 KINDS = TOUCHED_KINDS | EMPTY_KINDS
+ACCUSING = (TOUCHED_KINDS["sign turned"].remark, TOUCHED_KINDS["subtracted twice"].remark)
 CLEAN = ("one contact", "two contacts", "peg on the end", "grip")
 
 
@@ -290,6 +291,7 @@ class Seen(NamedTuple):
     held: int  # of these, whose set holds a true contact
     off_cm: float  # largest distance of a true contact from the nearest that is listed; NaN: none
     named: bool  # whether a remark names the mistake
+    accused: bool  # whether a remark doubts the sign or the use of the free curvature
     remarked: bool  # whether there is any remark
 
 
@@ -340,6 +342,7 @@ def judge(task: tuple[Case, int, int, int]) -> list[Seen]:
                 sum(holds(contact, arcs) for contact in found.contacts),
                 float(apart.min(axis=1).max()) if apart.size else np.nan,
                 any(kind.remark in remark for remark in found.remarks),
+                any(each in remark for remark in found.remarks for each in ACCUSING),
                 bool(found.remarks),
             )
         )
@@ -360,7 +363,8 @@ def score(case: Case, seen: Sequence[Seen]) -> Row:
         "wrong": share([s.wrong for s in seen]), "wrong_of_localized": share(placed),
         "covered": sum(each.held for each in seen) / listed if listed else np.nan,
         "median_off_cm": float(np.nanmedian(off)) if np.isfinite(off).any() else np.nan,
-        "named": share([s.named for s in seen]), "remarked": share([s.remarked for s in seen]),
+        "named": share([s.named for s in seen]), "accused": share([s.accused for s in seen]),
+        "remarked": share([s.remarked for s in seen]),
     }  # fmt: skip
 
 
@@ -405,9 +409,16 @@ def _claims(rows: list[Row]) -> list[Claim]:
         text = f"{name}, 20 sensors or more: named, least"
         claims.append(Claim(text, min(row["named"] for row in some), kind.named, False))
     clean = [row for row in unstated if row["kind"] in CLEAN[:3] and row["sensors"] >= 20]
-    hinted = sum(row["remarked"] * row["count"] for row in clean)
     frames = sum(row["count"] for row in clean)
-    claims.append(Claim(f"remarks on {frames} frames without a mistake or a grip", hinted, 0.0))
+    accused, remarked = (
+        sum(row[column] * row["count"] for row in clean) for column in ("accused", "remarked")
+    )
+    text = f"{frames} frames without a mistake or a grip"
+    claims += [
+        Claim(f"{text}: sign or use of the free curvature doubted", accused, 0.0),
+        # Chi-square and the correlation are remarked in one of a hundred right frames each.
+        Claim(f"{text}: share with any remark", remarked / max(frames, 1), 0.02),
+    ]
     return claims
 
 

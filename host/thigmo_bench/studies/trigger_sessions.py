@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from thigmo.config import SIDES, RobotConfig
 from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.board import CHANNELS, FLEX_RIGHT, PRESSURE, Board, Floats
+from thigmo.emulator.board import CHANNELS, FLEX_RIGHT, PRESSURE, EmulatedBoard, Floats
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_MS
 from thigmo.emulator.scene import Scene
@@ -28,7 +28,7 @@ from thigmo.emulator.transport import EmulatorTransport
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.framing import Decoder, encode
-from thigmo.link.heart import Heart
+from thigmo.link.heartbeat import HeartbeatSource
 from thigmo.robot.robot import Robot
 from thigmo.robot.sweep import rising_period_s
 
@@ -119,7 +119,7 @@ def _stored(robot_json: str) -> bytes:
 
 
 def converse(
-    board: Board,
+    board: EmulatedBoard,
     script: Script,
     end_ms: int,
     advance: Callable[[int], None],
@@ -134,20 +134,20 @@ def converse(
         RuntimeError: a command was refused, or the sensors were not zeroed, so that the session is
             useless.
     """
-    decoder, waiting, heart = Decoder(), deque(script), None
+    decoder, waiting, heartbeat = Decoder(), deque(script), None
     said: list[wire.Message] = []
     events: list[wire.Event] = []
 
     def say(message: wire.Message) -> None:
-        assert heart is not None
+        assert heartbeat is not None
         said.append(message)
-        board.write(encode(message, len(said), heart.session))
+        board.write(encode(message, len(said), heartbeat.session))
 
     for now in range(0, end_ms, step_ms):
         for frame in decoder.feed(board.read()):
             message = frame.message()
             if isinstance(message, wire.HelloReply):
-                heart = Heart(message.session)
+                heartbeat = HeartbeatSource(message.session)
             elif isinstance(message, wire.Ack) and message.status is wire.Status.REFUSED:
                 raise RuntimeError(f"{said[frame.seq - 1]} was refused: {message.reason.key}")
             elif isinstance(message, wire.Event):
@@ -156,10 +156,10 @@ def converse(
                 say(wire.AckEvent(message.number))
         if now == _HELLO_MS:
             board.write(encode(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 1), 0, 0))
-        if heart is not None:
+        if heartbeat is not None:
             while waiting and waiting[0][0] <= now:
                 say(waiting.popleft()[1])
-            board.write(heart.beat(now / 1000) or b"")
+            board.write(heartbeat.beat(now / 1000) or b"")
         advance(now)
     if not any(event.code is wire.EventCode.ZEROED for event in events):
         raise RuntimeError("the sensors were not zeroed")

@@ -43,7 +43,7 @@ def library() -> Path:
 
 
 class Pico:
-    """The chip: both cores, its converters and its USB prompt, as the emulator's `Board`.
+    """The chip: both cores, its converters and its USB prompt, as the emulator's `EmulatedBoard`.
 
     Time passes only in `step`.
     """

@@ -12,7 +12,7 @@ from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport, parse_url
 from thigmo.errors import ConfigError, DataError, LinkError
-from thigmo.link.heart import HOLD_AFTER
+from thigmo.link.heartbeat import HOLD_AFTER
 from thigmo.link.protocol import ResetCause
 from thigmo.mechanics import Peg
 

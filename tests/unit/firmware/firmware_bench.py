@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 
 from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.board import Board
+from thigmo.emulator.board import EmulatedBoard
 from thigmo.emulator.mega_sim import SimulatedMega
 from thigmo.link import protocol as wire
 from thigmo.link.framing import Decoder, encode
@@ -119,7 +119,7 @@ class Bench:
     override: dict[int, float] = field(default_factory=dict)  # channel -> ideal count
 
     def __post_init__(self) -> None:
-        self.board: Board = self.made()
+        self.board: EmulatedBoard = self.made()
         if self.noise:
             self.board.set_adc_noise(np.full(16, self.noise))
         self.air = FlowingAir(len(self.board.drive))
@@ -134,7 +134,7 @@ class Bench:
         self.nonce = 0
         self.counts = self.inputs()
 
-    def made(self) -> Board:
+    def made(self) -> EmulatedBoard:
         if self.mega:
             return SimulatedMega(self.seed, self.eeprom, boot_loader=False)
         return VirtualBoard(self.seed, self.eeprom)

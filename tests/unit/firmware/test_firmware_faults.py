@@ -12,7 +12,7 @@ import pytest
 from firmware_bench import Bench, FlowingAir, pressure_count
 
 from thigmo.emulator._board import VirtualBoard
-from thigmo.emulator.board import Board
+from thigmo.emulator.board import EmulatedBoard
 from thigmo.link import protocol as wire
 from thigmo.link.framing import encode
 
@@ -446,7 +446,7 @@ def test_an_empty_muscle_ends_no_motion(psi: float) -> None:
 class SwappedAir(FlowingAir):
     """The plugs of the two pressure sensors, or of the two transducers, are swapped."""
 
-    def step(self, board: Board, dt: float) -> None:
+    def step(self, board: EmulatedBoard, dt: float) -> None:
         self.psi.reverse()
         super().step(board, dt)
         self.psi.reverse()

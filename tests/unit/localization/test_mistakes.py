@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import thigmo
+from thigmo.errors import DataError
 from thigmo.mechanics.closed_forms import phi
 from thigmo_bench.studies.scenes import STATED
 
@@ -62,7 +63,7 @@ def test_what_is_stated_is_not_doubted():
     usual = find(curvature, free_curvature=FREE)
     assert "slightly off" in usual.doubts
     for stated, gone in (
-        ({"map_error": 0.0}, "free curvature of the wrong sign"),
+        ({"map_error": 0.0}, "free curvature far off"),
         ({"base_fold_error": 0.0}, "small fold at the base"),
         ({"map_error": 0.0, "offset_error": 0.0}, "slightly off"),
     ):
@@ -157,3 +158,15 @@ def test_a_held_end_is_true_or_one():
 def test_a_localizer_prints_short():
     localizer = thigmo.Localizer.of(position=POSITION, length=LENGTH, noise=NOISE)
     assert repr(localizer) == "Localizer(20 sensors, body of 53, posterior)"
+
+
+def test_a_batch_draws_each_contact_at_its_row() -> None:
+    frames = np.array([TOUCH + noise(1), noise(2), TOUCH + noise(3)])
+    rows = thigmo.localize_batch(frames, POSITION, length=LENGTH, noise=NOISE, free_curvature=0.0)
+    axes = rows.plot(moments=[0.5, 1.0, 2.0], label="time (s)", unit="cm")
+    points = [line.get_xydata()[0] for line in axes.lines if line.get_marker() == "o"]
+    assert [tuple(point) for point in points] == [(0.5, rows.arc[0, 0]), (2.0, rows.arc[2, 0])]
+    assert axes.get_xlabel() == "time (s)"
+    assert axes.get_ylim() == (0.0, LENGTH)
+    with pytest.raises(DataError, match="moments"):
+        rows.plot(moments=[1.0])

@@ -27,15 +27,15 @@ HOLD_AFTER = 4  # beats unheard after which a board counts as mute
 
 
 @dataclass(slots=True)
-class Heart:
+class HeartbeatSource:
     """Beats of one session."""
 
     session: int  # its number
     period_s: float = PERIOD_S  # between beats
     counter: int = 0  # of the last beat; 0 before the first
     next_s: float = float("-inf")  # when the next one is due, by the clock that `beat` is given
-    # beats without a byte from the board after which the heart holds until `heard`: a board that
-    # restarted is in its boot loader, which a stray byte keeps for 9.3 s
+    # beats without a byte from the board after which the heartbeat holds until `heard`: a board
+    # that restarted is in its boot loader, which a stray byte keeps for 9.3 s
     # (docs/hardware/facts.md). None: never.
     hold_after: int | None = None
     unheard: int = 0  # beats since the board was last heard

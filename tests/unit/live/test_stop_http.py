@@ -15,8 +15,8 @@ import pytest
 from aiohttp import web
 from page_server import Served
 
-from thigmo.live.door import Door
 from thigmo.live.server import WatchOptions
+from thigmo.live.stop_http import StopHttp
 
 REFUSED = b"403"
 GARBAGE = [
@@ -118,7 +118,7 @@ def test_nothing_but_a_stop_may_keep_the_server_waiting_for_more(address: str, r
 
 
 @pytest.fixture
-def slow() -> Iterator[tuple[Door, threading.Event, list[str]]]:
+def slow() -> Iterator[tuple[StopHttp, threading.Event, list[str]]]:
     """A door whose stops take until an event; and who asked for each."""
     go_on = threading.Event()
     asked: list[str] = []
@@ -131,11 +131,11 @@ def slow() -> Iterator[tuple[Door, threading.Event, list[str]]]:
         return {"stopped": ["robot"]}
 
     async def keep() -> None:
-        with Door(("127.0.0.1", 0), web.Server(_nobody), stop) as door:
+        with StopHttp(("127.0.0.1", 0), web.Server(_nobody), stop) as door:
             doors.put(door)
             await asyncio.to_thread(closing.wait)
 
-    doors: queue.SimpleQueue[Door] = queue.SimpleQueue()
+    doors: queue.SimpleQueue[StopHttp] = queue.SimpleQueue()
     closing = threading.Event()
     thread = threading.Thread(target=lambda: asyncio.run(keep()))
     thread.start()
@@ -150,7 +150,7 @@ async def _nobody(request: web.BaseRequest) -> web.StreamResponse:
 
 
 def test_a_complete_stop_is_never_turned_out_and_all_that_wait_are_answered_by_one(
-    slow: tuple[Door, threading.Event, list[str]],
+    slow: tuple[StopHttp, threading.Event, list[str]],
 ) -> None:
     door, go_on, asked = slow
     whole = STOP.format(host=f"127.0.0.1:{door.port}", origin=f"http://127.0.0.1:{door.port}")
@@ -169,7 +169,7 @@ def test_a_complete_stop_is_never_turned_out_and_all_that_wait_are_answered_by_o
 
 
 def test_a_stop_that_fails_is_told_and_the_next_one_is_answered(
-    slow: tuple[Door, threading.Event, list[str]],
+    slow: tuple[StopHttp, threading.Event, list[str]],
 ) -> None:
     door, go_on, _ = slow
     go_on.set()
@@ -180,7 +180,7 @@ def test_a_stop_that_fails_is_told_and_the_next_one_is_answered(
     assert "emergency stop" in answers[1]["failed"]
 
 
-def _connected(door: Door) -> socket.socket:
+def _connected(door: StopHttp) -> socket.socket:
     return socket.create_connection(("127.0.0.1", door.port), timeout=60)
 
 

@@ -81,7 +81,7 @@ class _Request:
         )
 
 
-class Door(Closing):
+class StopHttp(Closing):
     """Keeps the door at an address until it is closed; OSError if it cannot be listened at."""
 
     def __init__(self, place: tuple[str, int], server: web.Server, stop: Stop) -> None:

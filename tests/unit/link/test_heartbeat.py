@@ -5,14 +5,14 @@ from __future__ import annotations
 import random
 
 from thigmo.link.framing import decode
-from thigmo.link.heart import Heart
+from thigmo.link.heartbeat import HeartbeatSource
 from thigmo.link.inbox import EventLedger
 from thigmo.link.protocol import Heartbeat
 from thigmo.link.round_trip import RoundTrip
 
 
 def test_beats_come_at_their_period_and_rise() -> None:
-    heart = Heart(session=5, period_s=0.1)
+    heart = HeartbeatSource(session=5, period_s=0.1)
     beats = [f for ms in range(1000) if (f := heart.beat(ms / 1000)) is not None]
     assert len(beats) == 10
     frames = [decode(b[:-1]) for b in beats]
@@ -21,14 +21,14 @@ def test_beats_come_at_their_period_and_rise() -> None:
 
 
 def test_late_beats_are_not_made_up_for() -> None:
-    heart = Heart(1, 0.1)
+    heart = HeartbeatSource(1, 0.1)
     assert heart.beat(0.0)
     assert heart.beat(5.0)
     assert heart.beat(5.05) is None
 
 
 def test_the_heart_holds_while_the_board_is_mute() -> None:
-    heart = Heart(1, 0.1, hold_after=4)
+    heart = HeartbeatSource(1, 0.1, hold_after=4)
     assert sum(heart.beat(n * 0.1) is not None for n in range(50)) == 4
     heart.heard()
     assert heart.beat(5.0)

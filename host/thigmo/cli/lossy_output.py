@@ -23,7 +23,7 @@ _PATIENCE_S = 1.0
 _PIECE = 128  # characters, at most 512 bytes: a pipe or terminal that is ready takes them at once
 
 
-class Unread(io.TextIOWrapper):
+class LossyOutput(io.TextIOWrapper):
     """A stream that loses what it cannot write.
 
     The stream below stays the standard library's own: a signal does not leave its writes half
@@ -98,13 +98,13 @@ def be_lossy() -> None:
 def _lossy(stream: TextIO | None, *, patient: bool) -> TextIO:
     if stream is None:  # it was closed
         return Path(os.devnull).open("w")
-    return Unread(stream, patient=patient)
+    return LossyOutput(stream, patient=patient)
 
 
 def lost() -> bool:
     """Say in one line if a part of the result was lost that somebody may want; whether so."""
     sys.stdout.flush()
-    if not isinstance(sys.stdout, Unread) or sys.stdout.lost is None:
+    if not isinstance(sys.stdout, LossyOutput) or sys.stdout.lost is None:
         return False
     why = sys.stdout.lost
     if why.errno in _LEFT:
