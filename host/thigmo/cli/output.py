@@ -43,7 +43,7 @@ def method_option(default: str, *, explores: bool = False) -> Any:
     """
     whole = (
         "field: one fit to all sweeps of each side, with seconds of computing at each stage; it "
-        "knows one peg on a side, and no walls. "
+        "knows pegs, and no walls. "
     )
     return typer.Option(
         help="How contacts are localized: posterior, or thesis (the thesis's alternating fit, "

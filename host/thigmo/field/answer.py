@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from thigmo.field.atlas import Atlas
-from thigmo.field.fit import ALIKE
+from thigmo.field.fit import ALIKE, FieldFit
 from thigmo.field.hypotheses import FRICTION, RADIUS
 from thigmo.field.posterior import ENOUGH, PegSearch, Samples
 from thigmo.field.readings import Errors, Floats, Readings
@@ -50,6 +50,7 @@ class FieldContact:
     doubt: str  # why not, in words
     felt_at_cm: tuple[float, ...]  # everted lengths whose sweeps touched it, ascending
     log_odds: float  # log Bayes factor times prior odds, against nothing
+    log_evidence: float  # of the readings, with the prior odds, less what all hypotheses share
     misfit: float  # sum of squares over the number of independent readings: 1 if the model holds
     effective: float  # samples
     peg_radius_cm: float  # posterior median
@@ -100,6 +101,11 @@ def _contacts(
     return [] if contact is None else [contact]
 
 
+def untouched_evidence(readings: Readings, errors: Errors) -> float:
+    """Log evidence of the readings if nothing was touched, less what all hypotheses share."""
+    return -0.5 * FieldFit(readings, errors).nothing().cost
+
+
 def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldContact | None:
     touches = np.isfinite(samples.touch[:, :, 0])  # (n, stages)
     shares = samples.weight @ touches
@@ -145,6 +151,7 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         doubt=doubt,
         felt_at_cm=tuple(felt),
         log_odds=log_odds,
+        log_evidence=samples.log_evidence,
         misfit=leaves,
         effective=samples.effective,
         peg_radius_cm=_quantiles(np.exp(q[:, RADIUS]), weight, (0.5, 0.5))[0] * readings.radius,

@@ -1,0 +1,43 @@
+"""What a fit to a side's sweeps answers, for tests of what is made of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thigmo.field import FieldContact
+
+
+def a_fit(
+    arc_cm: float,
+    length_cm: float = 53.0,
+    *,
+    x_cm: float = 40.0,
+    y_cm: float = 20.0,
+    misfit: float = 1.0,
+    log_evidence: float = 0.0,
+    felt_at_cm: tuple[float, ...] = (),
+) -> FieldContact:
+    """A sure contact at an arc and a place in the side's plane."""
+    return FieldContact(
+        length_cm=length_cm,
+        arc_cm=arc_cm,
+        interval_cm=(arc_cm - 1.0, arc_cm + 1.0),
+        x_cm=x_cm,
+        y_cm=y_cm,
+        covariance_cm2=np.array([[0.09, 0.02], [0.02, 0.04]]),
+        normal_rad=1.2,
+        force_per_cm2=2e-4,
+        force_interval_per_cm2=(1.5e-4, 2.5e-4),
+        track=np.array([[x_cm - 1.0, y_cm - 0.5], [x_cm, y_cm], [x_cm + 1.0, y_cm + 0.5]]),
+        probability=1.0,
+        places=True,
+        doubt="",
+        felt_at_cm=felt_at_cm or (length_cm,),
+        log_odds=9.0,
+        log_evidence=log_evidence,
+        misfit=misfit,
+        effective=80.0,
+        peg_radius_cm=1.0,
+        friction=0.1,
+        yield_cm=0.0,
+    )
