@@ -63,14 +63,14 @@ def test_good_results_reach_robot_toml_with_a_backup_and_bad_ones_do_not(tmp_pat
     assert last.endswith("robot.toml updated; the one before is robot.toml.1.bak")
     assert (tmp_path / "robot.toml.1.bak").read_text() == before
     assert RobotConfig.load(session.robot_file).muscle("left").maps[2] == result.zone
-    assert session.done("actuator")["verdict"]["good"]
+    assert session.good_result("actuator")["verdict"]["good"]
     after = session.robot_file.read_text()
     wrong = bends(1)
     swapped = fit_actuator(type(wrong)(**{**wrong.__dict__, "curvature": -wrong.curvature}))
     (said,) = session.keep("actuator", swapped)
     assert said.startswith("actuator: BAD: ")
     assert session.robot_file.read_text() == after
-    assert session.done("actuator") is None
+    assert session.good_result("actuator") is None
 
 
 def test_an_unwritable_folder_is_said(tmp_path):
