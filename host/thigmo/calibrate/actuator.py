@@ -88,7 +88,7 @@ class BendReadings:
         sign = np.array([SIGN[muscle.side] if muscle.side else 1.0 for muscle in muscles])
         p, k = table.numbers("pressure_psi"), sign * table.numbers("curvature")
         _check_units(table.name, p, k, max(m.max_pressure_psi for m in muscles), config)
-        e, trial = table.numbers("curvature_se", _PICTURE_SE), table.whole("trial", 0)
+        e, trial = table.numbers("curvature_se", _PICTURE_SE), table.integers("trial", 0)
         return [
             cls(
                 name,

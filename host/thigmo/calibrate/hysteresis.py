@@ -91,7 +91,7 @@ def guided(bench: Bench) -> HysteresisResult:
 
 def of_csv(table: Table, config: RobotConfig) -> HysteresisResult:
     """Fit records of one or more eversions from a CSV."""
-    keys = _names(table, config), table.whole("eversion", 0).tolist()
+    keys = _names(table, config), table.integers("eversion", 0).tolist()
     t, k = table.numbers("t_s"), table.numbers("curvature")
     records = [
         CreepRecord(name, t[rows], k[rows]) for (name, _), rows in grouped(zip(*keys, strict=True))

@@ -8,9 +8,9 @@ from thigmo.camera import (
     AxisDoubtfulError,
     CameraModel,
     Detection,
+    DetectionRequest,
     PictureSource,
     Sheet,
-    Wanted,
     detect,
 )
 from thigmo.camera.centerline import Centerline
@@ -30,8 +30,8 @@ class OverheadCamera:
     dowel_radius_cm: float | None = None  # radius of the obstacles; detection errs less with it
 
     @property
-    def _request(self) -> Wanted:
-        return Wanted(self.body.diameter_cm, full_cm=self.body.length_cm)
+    def _request(self) -> DetectionRequest:
+        return DetectionRequest(self.body.diameter_cm, full_cm=self.body.length_cm)
 
     def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
         """The body's axis. A pushed tip needs its marker, a free bend does not.

@@ -59,7 +59,7 @@ def of_csv(table: Table, config: RobotConfig) -> StepResult:
     """Fit a CSV of pulls with known forces (`bending`), or of points along the axis by picture."""
     if "force_n" in table:
         return bending.of_csv(table, config)
-    picture = table.whole("picture")
+    picture = table.integers("picture")
     rows = np.column_stack([table.numbers(name) for name in ("x_cm", "y_cm", "force_arc_cm")])
     finite = np.isfinite(rows).all(axis=1)
     picture, rows = picture[finite], rows[finite]

@@ -136,7 +136,7 @@ def test_infinite_and_fractional_cells_name_the_line(tmp_path):
     for text in ("a\n1\n2.5\n", "a,b\n1,1\n,1\n"):
         path.write_text(text)
         with pytest.raises(DataError, match="line 3: column 'a' needs a whole number"):
-            Table.read(path).whole("a")
+            Table.read(path).integers("a")
 
 
 @pytest.mark.parametrize("step", [step for step in steps_of(RobotConfig()) if step in FITS])
