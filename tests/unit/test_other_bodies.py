@@ -1,4 +1,4 @@
-"""Robots that do not grow, have no muscles, or hold more than 20 psi: described, written, checked."""
+"""Robots that do not grow, have no muscles, or hold more than 20 psi."""
 
 from __future__ import annotations
 
