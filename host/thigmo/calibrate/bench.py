@@ -88,7 +88,7 @@ def grow_to(
     for stop in sorted(stops | boundaries):
         if stop <= grown_cm + SAME_LENGTH_CM:
             continue
-        robot.set_body_pressure(body.zone_at(min(grown_cm + SAME_LENGTH_CM, stop)))
+        robot.pressurize(body.zone_at(min(grown_cm + SAME_LENGTH_CM, stop)))
         say(f"growing to {stop:.1f} cm")
         robot.grow_to(stop)
         grown_cm = stop
@@ -179,7 +179,7 @@ class Bench:
 
     def set_zone(self, zone: int) -> None:
         """Set the body pressure of a zone, and say so to the board."""
-        self.robot.set_body_pressure(zone)
+        self.robot.pressurize(zone)
 
     def bring_to(
         self,

@@ -218,7 +218,7 @@ class Exploration:
         pressure = self.config.body.zones[zone].pressure_psi
         if pressure:
             self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
-        self.robot.set_body_pressure(zone)
+        self.robot.pressurize(zone)
         self._body_psi = pressure
 
     def _grow(self) -> str:

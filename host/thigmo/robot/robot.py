@@ -457,7 +457,7 @@ class Robot(Closing):
         self.confirm_length(length_cm, settled=not body.grows)
         return length_cm
 
-    def set_body_pressure(self, zone: int) -> None:
+    def pressurize(self, zone: int) -> None:
         """Have the operator set the body pressure of a zone, if it has air, and tell the board."""
         pressure_psi = self.config.body.zones[zone].pressure_psi
         if pressure_psi:

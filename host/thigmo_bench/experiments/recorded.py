@@ -76,7 +76,7 @@ def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
     if robot.status().state == "safe":
         robot.arm()
     grow_to(robot, config, config.body.length_cm, say)
-    robot.set_body_pressure(len(config.body.zones) - 1)
+    robot.pressurize(len(config.body.zones) - 1)
     say("waiting for the sensors to settle")
     robot.wait_settled()
 
