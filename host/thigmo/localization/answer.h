@@ -2,7 +2,7 @@
 //
 // Two claims are kept apart. The number of contacts counts those that move the readings by enough
 // (`felt`), over all hypotheses. Each contact that is listed has the set of places where, in every
-// hypothesis and whatever its number, the contact nearest to its median lies. A contact is
+// hypothesis and whatever its number, the contact nearest to its best point lies. A contact is
 // localized if that set is no wider than the limit, and the contact is there with the level's
 // probability.
 #pragma once
@@ -151,6 +151,20 @@ class Mixture {
     return pieces;
   }
 
+  // The best point: the median or, where the highest-density set has several pieces, that of the
+  // piece which holds most. So a less likely place far away, such as the end, does not draw it to
+  // where hardly any mass is.
+  double best_point(double share) const {
+    const auto pieces = densest(share);
+    if (pieces.size() == 1) return quantile(0.5);
+    double most = 0.0, middle = 0.5;
+    for (const auto& [near, far] : pieces) {
+      const double held = below(far) - below(near);
+      if (held > most) most = held, middle = 0.5 * (below(near) + below(far));
+    }
+    return quantile(middle);
+  }
+
   // Root mean square of what parts the force from `value`, wherever in these pieces it acts.
   double departure(double value, const std::vector<std::pair<double, double>>& pieces) const {
     double total = 0.0, square = 0.0;
@@ -164,6 +178,12 @@ class Mixture {
   }
 
  private:
+  // Mass below an edge.
+  double below(double edge) const {
+    double sum = 0.0;
+    for (std::size_t c = 0; c < mass.size() && edges[c] < edge; ++c) sum += mass[c];
+    return sum;
+  }
   void add_edge(double edge, Window within) {
     if (edge > within.near && edge < within.far) edges.push_back(edge);
   }
@@ -355,20 +375,20 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
   const bool sure = out.touched > 1.0 - priors.excluded && open <= priors.excluded * all &&
                     (asked || out.number[count] >= options.number_level);
   const Window within = count == 1 ? options.within : Window{0.0, 1.0};
-  Row medians(count);
+  Row best_points(count);
   for (std::size_t j = 0; j < count; ++j) {
     const auto ordinal = [&](const FeltSet& set) {
       return set.count == static_cast<int>(count) ? static_cast<int>(j) : -1;
     };
-    medians[j] = posterior.mixture(within, ordinal).quantile(0.5);
+    best_points[j] = posterior.mixture(within, ordinal).best_point(priors.level);
   }
-  const Row present = count > 0 ? posterior.present(medians) : Row{};
+  const Row present = count > 0 ? posterior.present(best_points) : Row{};
   for (std::size_t j = 0; j < count; ++j) {
     Mixture mixture = posterior.mixture(within, [&](const FeltSet& set) {
-      return Posterior::nearest(set.arc.data(), set.count, medians[j]);
+      return Posterior::nearest(set.arc.data(), set.count, best_points[j]);
     });
     FeltContact felt;
-    felt.arc = medians[j];
+    felt.arc = best_points[j];
     felt.probability = present[j];
     felt.pieces = mixture.densest(priors.level);
     felt.low = felt.pieces.front().first;
