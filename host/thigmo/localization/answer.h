@@ -151,14 +151,10 @@ class Mixture {
     return pieces;
   }
 
-  // The best point: the median or, where the highest-density set has several pieces, that of the
-  // piece which holds most. So a less likely place far away, such as the end, does not draw it to
-  // where hardly any mass is.
-  double best_point(double share) const {
-    const auto pieces = densest(share);
-    if (pieces.size() == 1) return quantile(0.5);
+  // Median of that piece of the highest-density set which holds most.
+  double median_of_piece(double share) const {
     double most = 0.0, middle = 0.5;
-    for (const auto& [near, far] : pieces) {
+    for (const auto& [near, far] : densest(share)) {
       const double held = below(far) - below(near);
       if (held > most) most = held, middle = 0.5 * (below(near) + below(far));
     }
@@ -375,22 +371,32 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
   const bool sure = out.touched > 1.0 - priors.excluded && open <= priors.excluded * all &&
                     (asked || out.number[count] >= options.number_level);
   const Window within = count == 1 ? options.within : Window{0.0, 1.0};
-  Row best_points(count);
+  Row medians(count);
   for (std::size_t j = 0; j < count; ++j) {
     const auto ordinal = [&](const FeltSet& set) {
       return set.count == static_cast<int>(count) ? static_cast<int>(j) : -1;
     };
-    best_points[j] = posterior.mixture(within, ordinal).best_point(priors.level);
+    medians[j] = posterior.mixture(within, ordinal).quantile(0.5);
   }
-  const Row present = count > 0 ? posterior.present(best_points) : Row{};
+  const Row present = count > 0 ? posterior.present(medians) : Row{};
   for (std::size_t j = 0; j < count; ++j) {
-    Mixture mixture = posterior.mixture(within, [&](const FeltSet& set) {
-      return Posterior::nearest(set.arc.data(), set.count, best_points[j]);
-    });
+    const auto nearest_to = [&](double arc) {
+      return posterior.mixture(within, [&](const FeltSet& set) {
+        return Posterior::nearest(set.arc.data(), set.count, arc);
+      });
+    };
     FeltContact felt;
-    felt.arc = best_points[j];
+    felt.arc = medians[j];
     felt.probability = present[j];
+    Mixture mixture = nearest_to(felt.arc);
     felt.pieces = mixture.densest(priors.level);
+    // A less likely place far away, such as the end, would draw a single contact's median to where
+    // hardly any mass is.
+    if (count == 1 && felt.pieces.size() > 1) {
+      felt.arc = mixture.median_of_piece(priors.level);
+      mixture = nearest_to(felt.arc);
+      felt.pieces = mixture.densest(priors.level);
+    }
     felt.low = felt.pieces.front().first;
     felt.high = felt.pieces.back().second;
     felt.force = mixture.force[mixture.cell(felt.arc)];

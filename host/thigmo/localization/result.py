@@ -40,8 +40,8 @@ class Contact:
     """One contact. The arc is in the caller's unit, the force over EI in that unit to the power -2.
 
     Attributes:
-        arc: best point along the body: the median of the posterior or, if `intervals` has several
-            pieces, that of the piece that holds most.
+        arc: best point along the body: the median of the posterior or, if a single contact's
+            `intervals` are several, that of the interval that holds most.
         force: normal force over EI if the contact is at `arc`, positive towards positive curvature.
         interval: hull of `intervals`; the whole body if the status is `point estimate`.
         status: `localized` (the interval is no wider than the limit, and the probability that there
