@@ -22,8 +22,8 @@ LEAST_GAIN = 3.0
 # Share of sweeps that their own model explains, and that are taken for unexplained.
 FALSE_ALARMS = 0.05
 # Log evidence by which an explanation must be likelier than the next for its place to count, and
-# beyond which a less likely one need not be sampled.
-_SURELY, _NEAR = 3.0, 10.0
+# beyond which a less likely one need not be sampled: its mode alone says so much.
+_SURELY, _NEAR = 3.0, 5.0
 # Everted length by the spool's encoder, and the side against the corner of the end, cm.
 _LENGTH_CM = 0.1
 _TRACK = 25  # points
@@ -96,10 +96,10 @@ def _contacts(
         return []
     if _explains(peg, readings):
         return _answer(search, peg, "")
-    explanations = [peg]
+    explanations, best = [peg], peg
     for sought in (search.pairs, search.walls):
         modes = sought()
-        if modes and max(map(search.laplace, modes)) > peg.log_evidence - _NEAR:
+        if modes and max(map(search.laplace, modes)) > best.log_evidence - _NEAR:
             samples = search.sample([modes], expected=expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
