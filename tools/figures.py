@@ -482,6 +482,19 @@ def draw_dial() -> None:
     dial_figure(study["dial"]).savefig(ROOT / "docs" / "dial.png", dpi=200)
 
 
+DIAL = ROOT / "host" / "thigmo" / "exploration" / "dial.json"
+_DIAL_COLUMNS = ("kind", "setting", "rooms", "time_s", "error_cm", "missed")
+
+
+def dial_rows() -> str:
+    """dial.json: what the page tells of efforts and budgets before a run."""
+    (study,) = json.loads((RESULTS / "bench-exploration.json").read_text())
+    rows = [{name: row[name] for name in _DIAL_COLUMNS} for row in study["dial"]]
+    for row in rows:
+        row.update({name: round(row[name], 3) for name in ("time_s", "error_cm", "missed")})
+    return json.dumps(rows, indent=1) + "\n"
+
+
 # The five rows of README, by source and name, with the words that README has for them.
 HEADLINES = (
     (
@@ -597,9 +610,9 @@ def main() -> None:
             run(name)
             if name == "bench-exploration":
                 draw_dial()
-    for page in PAGES:
-        made = rendered(page)
-        if options.check and made != page.read_text():
+    made_of = {page: rendered(page) for page in PAGES} | {DIAL: dial_rows()}
+    for page, made in made_of.items():
+        if options.check and (not page.is_file() or made != page.read_text()):
             sys.exit(
                 f"{page.name}'s figures are not what docs/results say; run "
                 "tools/figures.py --render"
