@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page
 
 __all__ = ["PATIENCE_MS", "Looking", "Served"]
 
-PATIENCE_MS = 25_000  # what has not come by then, on a busy computer too, never will
+PATIENCE_MS = 300_000  # what has not come by then, on a busy computer too, never will
 
 
 class Looking:

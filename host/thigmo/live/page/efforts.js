@@ -15,7 +15,7 @@ export async function connectEfforts() {
   if (!efforts?.length) return;
   const kinds = efforts[0].measured;
   $("effort-kinds").replaceChildren(
-    element("th", { colspan: 2 }),
+    element("td", { colspan: 2 }),
     ...kinds.map((row) => element("th", { colspan: 2, scope: "colgroup" }, `${ROOMS[row.kind] ?? row.kind}, ${row.rooms} rooms`)),
   );
   $("effort-heads").replaceChildren(...["effort", "robot time", ...kinds.flatMap(() => ["error", "missed"])].map((head) => element("th", {}, head)));
