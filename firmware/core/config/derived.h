@@ -67,6 +67,7 @@ struct Derived {
   Gain16 pressure_gain[kMuscles];           // 0.01 psi per 1/64 count of a sum of five
   uint32_t reversal_inverse_q24[kMuscles];  // rounded up, so that the whole width gives 256 / 256
   uint16_t lag_alpha_q16[kMuscles];         // share of the way to the input in one control step
+  uint16_t supports_per_cpsi_q22;           // of a free-curvature map
   int16_t drive_ceiling_cpsi;               // highest transducer output that a loop may ask for
   uint16_t drive_slope_q16;                 // duty per 0.01 psi
   uint32_t um_per_count_q16;                // tip movement per encoder count
@@ -117,6 +118,7 @@ struct Derived {
     update_bases(c);
     waiting = kEveryPart;
     while (waits()) step(c);
+    update_supports(c);
     update_drive(c);
     update_top_speed(c);
     update_slew(c);
@@ -166,6 +168,8 @@ struct Derived {
       update_bases(c);
     } else if (within(Param::kDrive4maCpsi, 1) || within(Param::kDrive20maCpsi, 1)) {
       update_drive(c);
+    } else if (within(Param::kMapTopCpsi, 1)) {
+      update_supports(c);
     } else if (within(Param::kHeartbeatMs, 1)) {
       update_top_speed(c);
     } else if (within(Param::kPressureSlewCpsiS, 1)) {
@@ -341,6 +345,12 @@ struct Derived {
     const int32_t line_um_s = rating_n * 1000 / touch * (1000 / kMomentumShare);
     winding_speed_um_s = line_um_s / c.get(Param::kPayoutQ8) * 128;
     home_speed_um_s = lesser(c.get(Param::kHomeSpeedUmS), winding_speed_um_s);
+  }
+
+  void update_supports(const Configuration& c) {
+    constexpr uint32_t kLastQ22 = uint32_t{protocol::kMapPoints - 1} << 22;
+    const uint32_t top = static_cast<uint32_t>(c.get(Param::kMapTopCpsi));
+    supports_per_cpsi_q22 = static_cast<uint16_t>((kLastQ22 + top / 2) / top);
   }
 
   void update_drive(const Configuration& c) {
