@@ -59,7 +59,7 @@ def test_a_muscleless_vine_grows() -> None:
     robot.pressurize(0)
     assert robot.grow_to(20.0) == pytest.approx(20.0, abs=0.1)
     assert transport.lockstep.plant.length_cm == pytest.approx(20.0, abs=0.3)
-    assert robot.retract_to(10.0) == pytest.approx(10.0, abs=0.1)
+    assert robot.retract_to(10.0).length_cm == pytest.approx(10.0, abs=0.1)
 
 
 def test_thigmo_feel_grows_a_muscleless_vine_and_answers(thigmo: Thigmo, tmp_path: Path) -> None:
@@ -70,3 +70,14 @@ def test_thigmo_feel_grows_a_muscleless_vine_and_answers(thigmo: Thigmo, tmp_pat
     (answer,) = json.loads(said.out)
     assert answer["length_cm"] == pytest.approx(20.0, abs=0.1)
     assert answer["status"] == "no contact"
+
+
+def test_bring_up_leaves_out_the_spool_of_a_robot_that_has_none(
+    thigmo: Thigmo, tmp_path: Path
+) -> None:
+    finger = GALLERY / "finger.toml"
+    url = room_file(tmp_path, room_for(RobotConfig.load(finger), 1, peg=False))
+    said = thigmo("bringup", "--robot", url, "--config", str(finger), "--from", "motor", "--json")
+    assert [one["observation"] for one in json.loads(said.out)["findings"]] == [
+        "none (grows = false in robot.toml)"
+    ] * 3

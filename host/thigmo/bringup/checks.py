@@ -237,6 +237,8 @@ def _enables(robot: Robot, attendant: Attendant) -> CheckOutcomes:
         elif remaining_psi - empty > _NO_RISE_PSI:
             cure = f"Y{side + 1} sticks or is bridged, or Q21 is shorted: check J{12 + side}"
         yield f"Y{side + 1}", observation, cure
+    if not _grows(robot):
+        return  # its body holds no air
     attendant.ready("Set PR1 to 0.5 psi: the body fills and must stand firm")
     robot.body_air(True)
     robot.wait(_BODY_S)
@@ -250,6 +252,10 @@ def _enables(robot: Robot, attendant: Attendant) -> CheckOutcomes:
     elif not limp:
         observation, cure = "the body keeps its air without the enable", "check Y3, Q31 and J14"
     yield "Y3", observation, cure
+
+
+def _grows(robot: Robot) -> bool:
+    return bool(robot.parameter("grows")[0])
 
 
 def _brake(robot: Robot, attendant: Attendant) -> CheckOutcomes:
@@ -337,6 +343,7 @@ _CHECKS: dict[str, Callable[[Robot, Attendant], CheckOutcomes]] = {
     "valves": _valves, "enables": _enables, "motor": _motor, "brake": _brake, "home": _home,
 }  # fmt: skip
 STAGES = tuple(_CHECKS)
+_OF_THE_SPOOL = ("motor", "brake", "home")
 
 
 @dataclass
@@ -347,6 +354,11 @@ class BringUp:
     attendant: Attendant  # the person beside it
     tell: Callable[[Finding], None] = lambda finding: None  # shown each finding as it comes
 
+    def _outcomes(self, stage: str) -> CheckOutcomes:
+        if stage in _OF_THE_SPOOL and not _grows(self.robot):
+            return iter([(stage, "none (grows = false in robot.toml)", "")])
+        return _CHECKS[stage](self.robot, self.attendant)
+
     def run(self, first: str = STAGES[0], last: str = STAGES[-1]) -> list[Finding]:
         """Check stage after stage, up to the first in which something is wrong.
 
@@ -355,7 +367,7 @@ class BringUp:
         findings: list[Finding] = []
         for stage in STAGES[STAGES.index(first) : STAGES.index(last) + 1]:
             try:
-                for subject, observation, cure in _CHECKS[stage](self.robot, self.attendant):
+                for subject, observation, cure in self._outcomes(stage):
                     findings.append(Finding(stage, subject, not cure, observation, cure))
                     self.tell(findings[-1])
             except ThigmoError as error:  # one that the check does not expect is a finding, too
