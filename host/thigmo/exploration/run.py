@@ -80,7 +80,6 @@ class Exploration:
     _zone: int = 0
     _measured_zone: int = 0  # of the body pressure at which the stage's contacts are measured
     _body_psi: float | None = None  # what the operator last set
-    _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
     _measurements: int = 0  # sweeps that have measured the stage's contacts
@@ -323,7 +322,7 @@ class Exploration:
     def _sweep(self) -> str:
         thesis = self.protocol == "thesis"
         period_s = sweep_period_s if thesis else rising_period_s
-        self._known, self._measurements = set(), 0
+        self._measurements = 0
         looked = self.robot.sweep(
             {
                 muscle.name: muscle.max_pressure_psi
@@ -341,33 +340,24 @@ class Exploration:
         if thesis:
             return "contact, thesis protocol"
         measures = self.effort.measures(self.config, self._stage_cm, self.robot.elapsed_s)
-        return "contact" if fired - self._known and measures else "contact, and its place"
+        return "contact" if self._unplaced() and measures else "contact, and its place"
 
     def _enough(self, so_far: SweepResult) -> bool:
-        """Whether a side's sweep can stop: its contact's place is known, or the base near its fold.
+        """Whether a side's sweep can stop, because the base is near its fold."""
+        held = held_now(so_far.frames, so_far.peaks[-1].side)
+        if held > TRIGGER_PER_CM:
+            self._show(so_far, self._zone)
+        return pressed_enough(held, self.config, self._zone)
 
-        The latter is measured again, slowly, with every sensor.
-        """
-        side = so_far.peaks[-1].side
-        held = held_now(so_far.frames, side)
-        if held <= TRIGGER_PER_CM:
-            return False
-        answer = self._found.so_far(so_far, self._zone)
-        if answer is not None and self.live.due:
-            self.live.posterior(self.length_cm, answer, sweeping=True)
-        if answer is None or not self._found.placed(answer):
-            return pressed_enough(held, self.config, self._zone)
-        self._known.add(side)
-        return True
-
-    def _measured_enough(self, so_far: SweepResult) -> bool:
-        """Whether a measurement at a raised body pressure can stop: the base is near its fold.
-
-        Publishes what it feels so far to viewers.
-        """
-        zone = self._measured_zone
+    def _show(self, so_far: SweepResult, zone: int) -> None:
+        """Publish what a sweep feels so far to viewers."""
         if self.live.due and (answer := self._found.so_far(so_far, zone)) is not None:
             self.live.posterior(self.length_cm, answer, sweeping=True)
+
+    def _measured_enough(self, so_far: SweepResult) -> bool:
+        """Whether a measurement at a raised body pressure can stop: the base is near its fold."""
+        zone = self._measured_zone
+        self._show(so_far, zone)
         held = held_now(so_far.frames, so_far.peaks[-1].side)
         return zone != self._zone and pressed_enough(held, self.config, zone)
 
@@ -405,8 +395,9 @@ class Exploration:
         return "pressure set"
 
     def _unplaced(self) -> set[Side]:
-        """Sides with a contact that the first sweep does not place well enough."""
-        return self._found.felt_sides(self._knows.looked) - self._known
+        """Sides with a contact that the sweeps so far do not place well enough."""
+        looked = self._knows.looked
+        return self._found.felt_sides(looked) - self._found.placed_sides(looked)
 
     def _measure(self) -> str:
         frames, zone, unplaced = self._knows.looked.frames, self._measured_zone, self._unplaced()
@@ -426,7 +417,7 @@ class Exploration:
         )
         self._measurements += 1
         self._knows.has_measured(measured, zone)
-        again = self._measurements < self.effort.measurements
+        again = self._measurements < self.effort.measurements and self._unplaced()
         return "once more" if again else "measured"
 
     def _localize(self) -> str:
@@ -436,7 +427,7 @@ class Exploration:
         if not answers:
             nothing = "nothing was felt at this stage"
             self.live.tell(Posterior, "", self.length_cm, (), (), "no contact", "", nothing)
-        return "contact" if any(answer.sightings for answer in answers) else "none"
+        return "contact" if answers else "none"
 
     def _map(self) -> str:
         self._knows.mapped()

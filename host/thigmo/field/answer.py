@@ -47,6 +47,8 @@ class FieldContact:
     force_per_cm2: float  # across the body over EI, without sign
     force_interval_per_cm2: tuple[float, float]  # 95 %
     track: Floats  # (25, 2) the interval drawn along the skin
+    arcs: Floats  # (n,) samples of the arc, cm, widened as the interval is
+    weights: Floats  # (n,) of the samples, of sum one
     probability: float  # that something stands there
     places: bool  # whether its place is an answer: the model holds, and enough samples agree
     doubt: str  # why not, in words
@@ -124,6 +126,8 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         normal_rad=float(turn),
         force_per_cm2=float(weight @ np.abs(force)),
         force_interval_per_cm2=_quantiles(np.abs(force), weight, (0.025, 0.975)),
+        arcs=mean[0] + off[:, 0],
+        weights=weight,
         track=mean[1:] + along * covariance[0, 1:] / covariance[0, 0],
         probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
         places=not doubt,
