@@ -80,6 +80,8 @@ class Exploration:
     _zone: int = 0
     _measured_zone: int = 0  # of the body pressure at which the stage's contacts are measured
     _body_psi: float | None = None  # what the operator last set
+    # sides with a contact that the stage's first sweep has not placed well enough
+    _unplaced: set[Side] = field(default_factory=set)
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
     _measurements: int = 0  # sweeps that have measured the stage's contacts
@@ -340,7 +342,8 @@ class Exploration:
         if thesis:
             return "contact, thesis protocol"
         measures = self.effort.measures(self.config, self._stage_cm, self.robot.elapsed_s)
-        return "contact" if self._unplaced() and measures else "contact, and its place"
+        self._unplaced = fired - self._found.placed_sides(self._knows.looked)
+        return "contact" if self._unplaced and measures else "contact, and its place"
 
     def _enough(self, so_far: SweepResult) -> bool:
         """Whether a side's sweep can stop, because the base is near its fold."""
@@ -383,7 +386,7 @@ class Exploration:
     def _press(self) -> str:
         """Raise the body pressure if contacts can be pressed harder with it."""
         self._measured_zone = self._zone
-        zone = pressing_zone(self._knows.looked.frames, self._unplaced(), self.config, self._zone)
+        zone = pressing_zone(self._knows.looked.frames, self._unplaced, self.config, self._zone)
         if zone == self._zone or not self.effort.raises(self.config, self._stage_cm):
             return "pressure as it is"
         self.robot.vent()
@@ -394,19 +397,14 @@ class Exploration:
         self._measured_zone = zone
         return "pressure set"
 
-    def _unplaced(self) -> set[Side]:
-        """Sides with a contact that the sweeps so far do not place well enough."""
-        looked = self._knows.looked
-        return self._found.felt_sides(looked) - self._found.placed_sides(looked)
-
     def _measure(self) -> str:
-        frames, zone, unplaced = self._knows.looked.frames, self._measured_zone, self._unplaced()
+        frames, zone = self._knows.looked.frames, self._measured_zone
         tops: dict[str | float, float] = {
             muscle.name: measuring_pressure(frames, muscle.side, self.config, zone)
             if zone == self._zone
             else muscle.max_pressure_psi
             for muscle in self.config.muscles
-            if muscle.side in unplaced
+            if muscle.side in self._unplaced
         }
         self.robot.vent()
         measured = self.robot.sweep(
@@ -417,7 +415,7 @@ class Exploration:
         )
         self._measurements += 1
         self._knows.has_measured(measured, zone)
-        again = self._measurements < self.effort.measurements and self._unplaced()
+        again = self._measurements < self.effort.measurements
         return "once more" if again else "measured"
 
     def _localize(self) -> str:
