@@ -213,6 +213,37 @@ def _accuracy(found: list[dict[str, Any]]) -> list[Row]:
     return rows
 
 
+def _wrong(row: dict[str, Any]) -> str:
+    """Frames with a localized contact where nothing is: of all, and of those with a localized one.
+
+    The latter is not there if none is localized.
+    """
+    if not row["localized"]:
+        return "wrong 0.0 %"
+    of_localized = row["wrong"] / row["localized"]
+    return f"wrong {100 * row['wrong']:.1f} % ({100 * of_localized:.1f} % of localized)"
+
+
+def _mistakes(found: list[dict[str, Any]]) -> list[Row]:
+    """A row a group: wrong answers with nothing stated, and beside them with the error stated."""
+    (study,) = found
+    rows = []
+    stated = {(row["kind"], row["body"]): row for row in study["rows"] if row["stated"]}
+    for row in study["rows"]:
+        if row["stated"] or row["kind"].startswith("empty"):
+            continue  # empty bodies stand among the claims
+        right = stated[row["kind"], row["body"]]
+        rows.append(
+            (
+                f"{row['kind']}: {row['body']}",
+                _wrong(row),
+                f"of {row['count']} frames, localized {100 * row['localized']:.0f} %; with the "
+                f"error stated {_wrong(right)}, localized {100 * right['localized']:.0f} %",
+            )
+        )
+    return rows + _claims(found)
+
+
 def _loads(found: list[dict[str, Any]]) -> list[Row]:
     (study,) = found
     return _claims(found) + [
@@ -220,7 +251,7 @@ def _loads(found: list[dict[str, Any]]) -> list[Row]:
             row["group"],
             " / ".join(f"{100 * row[count]:.1f}" for count in ("none", "one", "two")) + " %",
             f"of {row['count']} frames answered with no, one, two contacts; "
-            f"localized {100 * row['localized']:.1f} %, wrong {100 * row['wrong']:.1f} %",
+            f"localized {100 * row['localized']:.1f} %, {_wrong(row)}",
         )
         for row in study["rows"]
     ]
@@ -233,7 +264,7 @@ def _in_space(found: list[dict[str, Any]]) -> list[Row]:
             f"{row['group']}: mean place error",
             f"{100 * row['place_off']:.2f} %",
             f"coverage {row['coverage']:.3f}, number right {100 * row['found']:.1f} %, "
-            f"localized {100 * row['localized']:.1f} %, wrong {100 * row['wrong']:.1f} %, "
+            f"localized {100 * row['localized']:.1f} %, {_wrong(row)}, "
             f"force in its interval {100 * row['newtons_covered']:.1f} % of {row['count']} rods",
         )
         for study in found
@@ -337,6 +368,7 @@ LONG = (
     "speed-accuracy",
     "stability",
     "accuracy",
+    "mistakes",
     "loads",
     "number",
     "exploration",
@@ -348,6 +380,7 @@ OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,
     "robots": _robots,
     "accuracy": _accuracy,
+    "mistakes": _mistakes,
     "loads": _loads,
     "number": _number_claims,
     "space": _in_space,
@@ -392,6 +425,7 @@ SOURCES: dict[str, Source] = {
             "scaling": {},
             "space": {},
             "accuracy": {"accuracy-stated.png": "stated.png", "accuracy-odds.png": "odds.png"},
+            "mistakes": {"mistakes-chart.png": "mistakes.png"},
             "loads": {},
             "number": {"number-number.png": "number.png", "number-trade.png": "trade.png"},
             "exploration": {

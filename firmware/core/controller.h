@@ -143,6 +143,7 @@ class Controller {
   static constexpr uint8_t kPressureSteps = 3;
   static constexpr uint16_t kPressureMemory = 200;
   static constexpr uint8_t kAppliedAtOnce = 18;  // parameters looked at in a control period
+  static constexpr uint8_t kDefaultsAtOnce = 8;  // and maps, for defaults
   static constexpr uint16_t kRearmMs = 200;
   // While the spool winds, telemetry comes so often at least, whatever its period: by it the host's
   // port process sees how far the body grows while the host hangs, and stops it.
@@ -255,9 +256,12 @@ class Controller {
     return {derived_.um_per_count_q16, derived_.oversample_log2, derived_.trigger_log2};
   }
   void take_over(const Scales& before);
+  // What is being changed: parameters that wait become the running ones, or all become defaults.
+  enum class Change : uint8_t { kNone, kApply, kDefaults };
+  void begin_change(Change change);
+  void change_items(uint16_t items);
+  bool change_item(uint16_t item);
   void take_parameter(uint16_t index);
-  bool apply_step();
-  bool defaults_step();
   uint8_t active_muscle() const;
   bool bending() const {
     return activity_ == Activity::kSweeping || activity_ == Activity::kPressing ||
@@ -267,7 +271,7 @@ class Controller {
     return activity_ == Activity::kGrowing || activity_ == Activity::kRetracting ||
            activity_ == Activity::kHoming;
   }
-  bool moves() const { return winding() && !starts_; }
+  bool moves() const { return winding() && start_ == Start::kDone; }
 
   Configuration config_;
   StagedParameters staged_;
@@ -340,20 +344,20 @@ class Controller {
   LeakyCount<uint16_t, kPressureMemory> unvented_;
   uint8_t sweep_options_ = 0;
   uint8_t zeroing_next_ = 0;
-  uint16_t defaults_next_ = Configuration::kItems;
-  uint16_t apply_next_ = protocol::kParamCount;
+  Change change_ = Change::kNone;
+  uint16_t next_item_ = 0;      // of what is being changed: parameters, then maps
   uint8_t zeroing_window_ = 0;  // drift windows closed when the zeroing began
   uint8_t peak_muscle_ = 0;
   enum class Homing : uint8_t { kSeek, kBackOff, kTouch } homing_ = Homing::kSeek;
+  // Of a move, what the spool's next turn does first.
+  enum class Start : uint8_t { kDone, kSensors, kSpool } start_ = Start::kDone;
   bool column_known_[kColumns] = {};
-  bool rescaled_ = false;  // by what is being applied
   bool greeted_ = false;
   bool beaten_ = false;
   bool length_known_ = false;
   bool config_valid_ = false;
   bool store_damaged_ = false;  // until a host has saved
   bool estop_ = false;
-  bool starts_ = false;  // a move, with the spool's next turn
   bool slipping_ = false;
   bool motor_power_ = false;
   bool power_was_wanted_ = false;

@@ -19,7 +19,7 @@ inline void Controller::greet(bool same_host) {
     supervise(bit(Signal::kDisarm));
   }
   greeted_ = true;
-  staged_.clear();  // what another host has left
+  if (change_ != Change::kApply) staged_.clear();  // what another host has left
   events_.resend();
   supervise(0);
 }
@@ -159,10 +159,10 @@ inline Outcome Controller::set_pressure(const protocol::SetPressure& wanted) {
   return {Reason::kNone, unguarded};
 }
 
-// The spool's next turn starts the move, and its first step is one turn later: command,
+// The spool's next two turns start the move, and its first step is one turn later: command,
 // acknowledgement, telemetry and a step would be too much for one millisecond.
 inline void Controller::start_spool(Activity activity, int32_t target_counts, int32_t speed_um_s) {
-  starts_ = true;
+  start_ = Start::kSensors;
   target_counts_ = target_counts;
   target_speed_um_s_ = speed_um_s;
   errors_before_ = encoder_errors_;
@@ -173,9 +173,14 @@ inline void Controller::start_spool(Activity activity, int32_t target_counts, in
 }
 
 THIGMO_NOINLINE inline void Controller::begin_move() {
-  starts_ = false;
   const bool growing = activity_ == Activity::kGrowing;
   const bool homing = activity_ == Activity::kHoming;
+  if (start_ == Start::kSensors) {
+    fold_.begin(length_um_, growing, homing ? uint16_t{0} : derived_.enabled_mask, config_);
+    start_ = Start::kSpool;
+    return;
+  }
+  start_ = Start::kDone;
   // A line cannot be pushed: what winds in is bounded by what the line holds.
   const int32_t most = homing ? derived_.home_speed_um_s : derived_.winding_speed_um_s;
   const int32_t speed = growing ? target_speed_um_s_ : lesser(target_speed_um_s_, most);
@@ -183,7 +188,6 @@ THIGMO_NOINLINE inline void Controller::begin_move() {
                homing ? derived_.homing_duty : derived_.top_duty);
   // What growth has missed adds up over the moves that follow each other.
   if (!growing) motion_.restart(encoder_);
-  fold_.begin(length_um_, growing, homing ? uint16_t{0} : derived_.enabled_mask, config_);
 }
 
 inline Outcome Controller::wind_to(Permit kind, int32_t length_um, uint32_t speed_um_s) {
@@ -236,7 +240,7 @@ inline Outcome Controller::confirm_length(int32_t length_um, bool settled) {
   length_known_ = true;
   slip_.accept(encoder_);
   motion_.restart(encoder_);
-  fold_.restart();
+  fold_.confirm(length_um, config_);
   follow_length();  // nothing everts by being vouched for: no events
   eversion_.confirm(settled, tick_);
   if (!settled) zeros_.invalidate(0xFFFF);
@@ -341,35 +345,70 @@ inline Outcome Controller::begin_apply() {
   if (allowed.reason != Reason::kNone) return allowed;
   const int16_t conflict = staged_.first_conflict(config_);
   if (conflict >= 0) return {Reason::kContradiction, conflict};
-  activity_ = Activity::kSaving;
-  apply_next_ = 0;
-  rescaled_ = false;
+  begin_change(Change::kApply);
   return kAccepted;
+}
+
+inline Outcome Controller::begin_defaults() {
+  const Outcome allowed = permit(Permit::kConfigure);
+  if (allowed.reason != Reason::kNone) return allowed;
+  staged_.clear();
+  begin_change(Change::kDefaults);
+  return kAccepted;
+}
+
+inline void Controller::begin_change(Change change) {
+  activity_ = Activity::kSaving;
+  change_ = change;
+  next_item_ = 0;
+}
+
+// All at once would keep the loop busy for milliseconds: so in a control period one item that
+// changes, and after all items one part of the constants that follow from them. Until the last one
+// nothing else may begin, arming included, whoever stops the robot or says hello meanwhile.
+inline bool Controller::configure_step() {
+  if (phase_ != kSparePhase || change_ == Change::kNone) return false;
+  const uint16_t items = change_ == Change::kApply ? protocol::kParamCount : Configuration::kItems;
+  if (next_item_ < items) {
+    change_items(items);
+  } else {
+    const Scales before = scales();
+    derived_.step(config_);
+    take_over(before);
+  }
+  if (next_item_ < items || derived_.waits()) return false;
+  if (change_ == Change::kDefaults) config_valid_ = !store_damaged_;
+  change_ = Change::kNone;
+  staged_.clear();
+  activity_ = Activity::kIdle;
+  assemble_conditions();
+  return true;
+}
+
+inline void Controller::change_items(uint16_t items) {
+  const uint8_t most = change_ == Change::kApply ? kAppliedAtOnce : kDefaultsAtOnce;
+  for (uint8_t tries = 0; tries < most && next_item_ < items; ++tries) {
+    const uint16_t item = next_item_++;
+    if (!change_item(item)) continue;
+    if (item < protocol::kParamCount) take_parameter(item);
+    return;
+  }
+}
+
+// Whether that changed it.
+inline bool Controller::change_item(uint16_t item) {
+  if (change_ == Change::kDefaults) return config_.load_default(item);
+  const int32_t wanted = staged_.get(config_, item);
+  const bool changes = wanted != config_.value[item];
+  config_.value[item] = wanted;
+  return changes;
 }
 
 inline void Controller::take_parameter(uint16_t index) {
   const Scales before = scales();
   derived_.update(config_, index);
-  rescaled_ = rescaled_ || Derived::is_scale(index);
   take_over(before);
   if (index == static_cast<uint16_t>(Param::kReferenceMv)) scale_supply();
-}
-
-inline bool Controller::apply_step() {
-  for (uint8_t tries = 0; tries < kAppliedAtOnce; ++tries) {
-    const uint16_t index = apply_next_++;
-    const bool changes = staged_.waits(index);
-    const bool due = changes || (rescaled_ && Derived::is_scaled(index));
-    if (changes) config_.value[index] = staged_.get(config_, index);
-    if (due) take_parameter(index);
-    if (apply_next_ == protocol::kParamCount) {
-      staged_.clear();
-      activity_ = Activity::kIdle;
-      return true;
-    }
-    if (due) break;
-  }
-  return false;
 }
 
 // After a change of the scaled constants: what it voids.
@@ -399,40 +438,6 @@ inline Outcome Controller::set_map(const protocol::SetMap& wanted) {
     config_.map[wanted.zone][wanted.muscle][branch][i] = wanted.curvature_e5[i];
   }
   return kAccepted;
-}
-
-// All at once would keep the loop busy for 2 ms: so one item that changes in a control period, and
-// nothing else may begin meanwhile.
-inline bool Controller::configure_step() {
-  if (phase_ != kSparePhase) return false;
-  if (apply_next_ != protocol::kParamCount) return apply_step();
-  return defaults_next_ != Configuration::kItems && defaults_step();
-}
-
-inline Outcome Controller::begin_defaults() {
-  const Outcome allowed = permit(Permit::kConfigure);
-  if (allowed.reason != Reason::kNone) return allowed;
-  staged_.clear();
-  activity_ = Activity::kSaving;
-  defaults_next_ = 0;
-  rescaled_ = false;
-  return kAccepted;
-}
-
-inline bool Controller::defaults_step() {
-  for (uint8_t tries = 0; tries < 8; ++tries) {
-    const uint16_t item = defaults_next_++;
-    const bool changed = config_.load_default(item) || (rescaled_ && Derived::is_scaled(item));
-    if (changed && item < protocol::kParamCount) take_parameter(item);
-    if (defaults_next_ == Configuration::kItems) {
-      activity_ = Activity::kIdle;
-      config_valid_ = !store_damaged_;
-      assemble_conditions();
-      return true;
-    }
-    if (changed) break;
-  }
-  return false;
 }
 
 inline Outcome Controller::begin_save() {

@@ -179,7 +179,7 @@ __attribute__((always_inline)) inline void Controller::pressure_step(uint8_t mus
 
 inline void Controller::spool_step() {
   watch_motion(outputs_.motor);
-  if (winding() && starts_) {
+  if (winding() && !moves()) {
     begin_move();
     outputs_.motor = 0;
   } else if (winding()) {
@@ -692,7 +692,7 @@ inline void Controller::start(Activity activity, Permit permit) {
 
 inline void Controller::finish_activity(protocol::EventCode code, int32_t value) {
   const Activity ended = activity_;
-  starts_ = false;
+  start_ = Start::kDone;
   activity_ = Activity::kIdle;
   post(code, static_cast<uint8_t>(ended), value);
 }

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import SAME_IMU_CM, FibreSensor, HeadingSensor, RobotConfig, Sensor, Side
+from thigmo.config import RobotConfig, Sensor, Side
 from thigmo.errors import DataError
+from thigmo.sensors import KINDS
 
 Floats = npt.NDArray[np.float64]
 
@@ -49,35 +50,20 @@ class ReadingErrors:
 
     def arguments(self) -> dict[str, Any]:
         """Keywords of `thigmo.localize`; nothing holds the end of a robot that everts."""
-        stated = {each.name: getattr(self, each.name) for each in fields(self)}
+        stated = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         return {"held_end": False} | SETTLED | stated
 
 
-def imus_of(sensors: Sequence[HeadingSensor]) -> tuple[Floats, npt.NDArray[np.intp]]:
-    """Places (k,) of IMUs, cm, and the numbers (n, 2) of those where each span begins and ends.
-
-    Spans that meet share one. A place of 0 is the base, which does not turn, and no IMU.
-    """
-    ends = np.array([sensor.ends_cm for sensor in sensors]).reshape(-1, 2)
-    ascending = np.sort(ends, axis=None)
-    places = ascending[np.diff(ascending, prepend=-np.inf) > SAME_IMU_CM]
-    return places, np.searchsorted(places, ends + SAME_IMU_CM) - 1
-
-
 def shared_errors(sensors: Sequence[Sensor | None]) -> Floats:
-    """What sensors share, at one standard error: (N, K) columns, 1/cm.
-
-    An IMU stands between two turns: what it drifts by is in both, with opposite signs. What the
-    temperature adds is in all gratings of a fibre alike.
-    """
-    turning = {n: s for n, s in enumerate(sensors) if isinstance(s, HeadingSensor)}
-    places, imus = imus_of([*turning.values()])
-    columns = np.zeros((len(sensors), len(places)))
-    for (row, sensor), ends in zip(turning.items(), imus, strict=True):
-        columns[row, ends] = np.array([-1.0, 1.0]) * sensor.heading_se_rad / sensor.span_cm
-    columns = columns[:, places > SAME_IMU_CM]
-    warm = [[s.temperature_se if isinstance(s, FibreSensor) else 0.0] for s in sensors]
-    return np.hstack([columns, warm]) if np.any(warm) else columns
+    """What sensors share with others of their kind, at one standard error: (N, K) columns, 1/cm."""
+    blocks = []
+    for kind in KINDS.values():
+        members = {n: sensor for n, sensor in enumerate(sensors) if isinstance(sensor, kind)}
+        columns = kind.shared_errors([*members.values()])
+        block = np.zeros((len(sensors), columns.shape[1]))
+        block[[*members]] = columns
+        blocks.append(block)
+    return np.hstack(blocks)
 
 
 def reading_errors(
@@ -101,7 +87,7 @@ def reading_errors(
 
 
 def errors_of(
-    config: RobotConfig, side: Side | None, zone: int, found: Sequence[Sensor]
+    config: RobotConfig, side: Side | None, zone: int, sensors: Sequence[Sensor]
 ) -> ReadingErrors:
     """As `reading_errors`, of sensors of any kind that robot.toml has."""
     body = config.body
@@ -109,11 +95,11 @@ def errors_of(
         raise DataError(f"robot.toml has no pressure zone {zone}", "count body.pressure from 0")
     ratio = body.zones[zone].pressure_psi / body.critical_pressure_psi
     muscle = None if side is None else config.muscle(side)
-    shared = shared_errors(found)
+    shared = shared_errors(sensors)
     return ReadingErrors(
-        noise=np.array([sensor.noise for sensor in found]),
-        zero_error=np.array([sensor.zero_error for sensor in found]),
-        gain_error=np.array([sensor.gain_error for sensor in found]),
+        noise=np.array([sensor.noise for sensor in sensors]),
+        zero_error=np.array([sensor.zero_error for sensor in sensors]),
+        gain_error=np.array([sensor.gain_error for sensor in sensors]),
         offset_error=0.0 if muscle is None else muscle.offset_se,
         map_error=0.0 if muscle is None else muscle.maps[zone].scale_se,
         critical_curvature=body.critical_curvature * ratio,

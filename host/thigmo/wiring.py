@@ -1,21 +1,22 @@
-"""The board that a robot needs, and on which of its inputs the sensors hang.
+"""The board that a robot needs, and on which of its inputs and outputs the robot hangs.
 
 A board's first half of inputs is for one column, the second for the other; the contact trigger can
 work on the first input of each. A column takes its own half first, base first, and then what the
-other column leaves free: the first input of that last.
+other column leaves free: the first input of that last. `Wiring.of` computes this once from a
+robot.toml; whoever needs it is given it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from math import cos, radians
 from typing import NamedTuple
 
 from thigmo.config import (
-    SAME_IMU_CM,
     SIDES,
-    SIGN,
     BoardSensor,
-    HeadingSensor,
     Muscle,
     RobotConfig,
     Sensor,
@@ -24,9 +25,10 @@ from thigmo.config import (
 from thigmo.errors import ConfigError
 
 _LEAST_SHARE = 0.5 - 1e-6  # of a bend, that a sensor must read to measure it: at 60 degrees too
+_SAME_SHARE = 1e-6
 
 
-class Board(NamedTuple):
+class BoardSize(NamedTuple):
     """What a board holds, as its `capacity` tells."""
 
     name: str
@@ -43,163 +45,56 @@ class Board(NamedTuple):
     def holds(self, config: RobotConfig) -> bool:
         """Whether its inputs, outputs and maps are enough."""
         wired = config.board_sensors
-        turns = sum(isinstance(sensor, HeadingSensor) for sensor in wired)
-        needed = len(config.muscles), len(wired), len(config.body.zones), turns
-        most = self.capacity.values()
-        return all(n <= each for n, each in zip(needed, most, strict=True))
+        imus = sum(sensor.imu_inputs for sensor in wired)
+        needed = len(config.muscles), len(wired), len(config.body.zones), imus
+        return all(n <= most for n, most in zip(needed, self.capacity.values(), strict=True))
 
 
-BOARDS = (
-    Board("mega", 2, 10, 3, 0),
-    Board("large, the virtual board with an external converter", 4, 16, 8, 16),
+BOARD_SIZES = (
+    BoardSize("mega", 2, 10, 3, 0),
+    BoardSize("large, the virtual board with an external converter", 4, 16, 8, 16),
 )  # the smallest first
 
 
-class Beyond(NamedTuple):
+class Limitation(NamedTuple):
     """What is not possible with a robot, and what to do about it."""
 
     what: str
     cure: str
 
 
-def board_of(config: RobotConfig) -> Board:
+def board_size(config: RobotConfig) -> BoardSize:
     """The smallest board that holds the robot; the largest if none does."""
-    return next((board for board in BOARDS if board.holds(config)), BOARDS[-1])
+    return next((size for size in BOARD_SIZES if size.holds(config)), BOARD_SIZES[-1])
 
 
-def beyond_board(config: RobotConfig) -> list[Beyond]:
+def beyond_board(config: RobotConfig) -> list[Limitation]:
     """What of the robot no board can hold; empty if its board holds all of it."""
-    board, found = board_of(config), []
-    for what, count, most in (
-        ("muscles", len(config.muscles), board.muscles),
-        ("sensors", len(config.board_sensors), board.sensors),
-        ("body pressures", len(config.body.zones), board.body_pressures),
+    size, limitations = board_size(config), []
+    for part, count, most in (
+        ("muscles", len(config.muscles), size.muscles),
+        ("sensors", len(config.board_sensors), size.sensors),
+        ("body pressures", len(config.body.zones), size.body_pressures),
     ):
         if count > most:
-            cure = f"keep at most {most} in robot.toml"
-            found.append(Beyond(f"{count} {what}, and the largest board holds {most}", cure))
+            what = f"{count} {part}, and the largest board holds {most}"
+            limitations.append(Limitation(what, f"keep at most {most} in robot.toml"))
     # The board would take the column's last sensor, on its other trigger input, for a base sensor.
     if any(
-        len(column) == board.sensors and not column[0].healthy
+        len(column) == size.sensors and not column[0].healthy
         for column in map(config.column, SIDES)
     ):
-        found.append(
-            Beyond(
-                f"a column of {board.sensors} sensors without a healthy one at its base",
+        limitations.append(
+            Limitation(
+                f"a column of {size.sensors} sensors without a healthy one at its base",
                 "correct that sensor: the contact trigger works on it",
             )
         )
-    return found
+    return limitations
 
 
-def unexplored(config: RobotConfig) -> Beyond | None:
-    """What of the robot `explore` cannot do: bends out of the plane, or that no trigger guards."""
-    if config.gratings and config.interrogator is None:
-        return Beyond(
-            f"{len(config.gratings)} readings of a fibre that no interrogator sends",
-            'give `interrogator = "host:port"` in robot.toml, or leave the gratings out of it',
-        )
-    names = [
-        f"muscle {muscle.name} ({muscle.direction_deg:g} degrees)"
-        for muscle in config.muscles
-        if muscle.side is None
-    ]
-    if count := sum(sensor.side is None for sensor in config.board_sensors):
-        names.append(f"{count} sensor{'s'[: count > 1]}")
-    if names:
-        return Beyond(
-            f"{' and '.join(names)} out of the plane, which is 90 and 270 degrees",
-            "press its muscles by name (`Robot.press`), and localize its readings with a column "
-            "`direction` (`thigmo localize`)",
-        )
-    if len(blind(config)) == len(config.muscles):
-        return Beyond(
-            "no healthy sensor at the base answers to the muscles, so no sweep feels a contact",
-            "repair a base sensor, or correct its `healthy` and `valid_direction` in robot.toml"
-            + (", or wire one to the board: its trigger sees no fibre" if config.gratings else ""),
-        )
-    return None
-
-
-def blind(config: RobotConfig) -> list[Muscle]:
-    """Muscles that bend the body without any sensor for the contact trigger.
-
-    Raises as `places` for a robot with muscles out of the plane.
-    """
-    return [
-        muscle
-        for muscle in config.muscles
-        if not (trigger_sensors(config, muscle.side) if muscle.side else guards(config, muscle))
-    ]
-
-
-def trigger_sensors(config: RobotConfig, side: Side) -> list[BoardSensor]:
-    """The healthy base sensors that answer while the muscle of a side bends the body."""
-    return [
-        sensor
-        for sensor in config.sensors_for(side)
-        if isinstance(sensor, BoardSensor)
-        and sensor.healthy
-        and sensor.valid_direction in (0, SIGN[side])
-        and _first(config, sensor)
-    ]
-
-
-def places(config: RobotConfig) -> list[tuple[Side, int] | None]:
-    """Side and index from the base of the sensor on each input; None where there is none.
-
-    Raises ConfigError for a robot that the board cannot hold.
-    """
-    for what, cure in beyond_board(config):
-        raise ConfigError(what, cure)
-    board = board_of(config)
-    found: list[tuple[Side, int] | None] = [None] * board.sensors
-    half = board.sensors // 2
-    firsts = dict(zip(SIDES, (0, half), strict=True))
-    for side, other in (SIDES, SIDES[::-1]):
-        own, free = firsts[side], firsts[other]
-        taken = len(config.column(other))
-        inputs = [*range(own, own + half), *range(free + max(taken, 1), free + half), free]
-        for index, number in zip(range(len(config.column(side))), inputs, strict=False):
-            found[number] = side, index
-    return found
-
-
-def base_inputs(config: RobotConfig) -> list[int]:
-    """The inputs of the columns' base sensors, on which the contact trigger works."""
-    wired = sensors(config)
-    return [
-        number
-        for number in (0, len(wired) // 2)
-        if (sensor := wired[number]) is not None and _first(config, sensor)
-    ]
-
-
-def sensors(config: RobotConfig) -> list[BoardSensor | None]:
-    """The sensor on each input; None where there is none. Raises as `places`.
-
-    Those that lie out of the plane take what the two columns leave, a base sensor first where the
-    trigger can work.
-    """
-    found = [place and config.column(place[0])[place[1]] for place in places(config)]
-    half = len(found) // 2
-    free = sorted(
-        (n for n, sensor in enumerate(found) if sensor is None), key=lambda n: n % half > 0
-    )
-    others = [sensor for sensor in config.board_sensors if sensor.side is None]
-    others.sort(key=lambda sensor: not _first(config, sensor))
-    for number, sensor in zip(free, others, strict=False):
-        found[number] = sensor
-    return found
-
-
-def rows(config: RobotConfig) -> list[Sensor | None]:
-    """The sensor behind each reading of a sweep: on each input, and then the fibre's gratings."""
-    return [*sensors(config), *config.gratings]
-
-
-class Witness(NamedTuple):
-    """A sensor that reads part of a muscle's bend."""
+class WiredSensor(NamedTuple):
+    """A sensor on one of the board's inputs, as it reads the bend of one muscle."""
 
     number: int  # of its input
     sensor: BoardSensor
@@ -212,48 +107,6 @@ class Witness(NamedTuple):
         return self.sensor.healthy and answers
 
 
-def witnesses(config: RobotConfig, muscle: Muscle) -> list[Witness]:
-    """The sensors that read at least half of a muscle's bend and do not wrinkle, base first.
-
-    A sensor and the one opposite read positive towards the same direction, that below 180 degrees:
-    in the plane towards 90. Raises as `places`.
-    """
-    found = []
-    for number, sensor in enumerate(sensors(config)):
-        if sensor is None:
-            continue
-        lies, bends = radians(sensor.direction_deg), radians(muscle.direction_deg)
-        share = cos(lies - bends) * (1 if sensor.direction_deg < 180.0 else -1)
-        wrinkles = sensor.wrinkles and cos(lies - bends) > 1e-6
-        if abs(share) >= _LEAST_SHARE and not wrinkles:
-            found.append(Witness(number, sensor, share))
-    return sorted(found, key=lambda one: one.sensor.center_cm)
-
-
-def guards(config: RobotConfig, muscle: Muscle) -> list[Witness]:
-    """The base sensors with which the board's trigger guards a muscle's bend; empty if none can.
-
-    They are healthy and answer to the bend. The board compares their mean with one map, so all of
-    them read the same share of the bend: the largest that one of them reads. Raises as `places`.
-    """
-    bases = base_inputs(config)
-    found = [one for one in witnesses(config, muscle) if one.sound and one.number in bases]
-    best = max(found, key=lambda one: abs(one.share), default=None)
-    return [one for one in found if best and abs(one.share - best.share) < 1e-6]
-
-
-def _first(config: RobotConfig, sensor: BoardSensor) -> bool:
-    """Whether a sensor is the base one at its direction."""
-    return sensor is next(
-        s for s in config.board_sensors if s.direction_deg == sensor.direction_deg
-    )
-
-
-def input_of(config: RobotConfig) -> dict[tuple[Side, int], int]:
-    """The input of each sensor, by side and index from the base. Raises as `places`."""
-    return {place: number for number, place in enumerate(places(config)) if place}
-
-
 class Column(NamedTuple):
     """The sensors at one direction, base first."""
 
@@ -263,65 +116,171 @@ class Column(NamedTuple):
     centers_cm: list[float]
 
 
-def column_name(config: RobotConfig, direction_deg: float) -> str:
-    """What the sensors at a direction are called: as the muscle there, or by the direction."""
-    names = (m.name for m in config.muscles if m.direction_deg == direction_deg)
-    return next(names, f"{direction_deg:g} deg")
+@dataclass(frozen=True, eq=False)
+class Wiring:
+    """Where a robot's sensors and muscles hang. It does not follow later changes of the config."""
+
+    config: RobotConfig
+    size: BoardSize  # of the board that the robot needs
+    sensors: tuple[BoardSensor | None, ...]  # on each input; None where there is none
+    inputs: Mapping[tuple[Side, int], int]  # in the plane, by side and place from the base
+
+    @classmethod
+    def of(cls, config: RobotConfig) -> Wiring:
+        """Lay out a robot's sensors; ConfigError for one that no board can hold.
+
+        Those that lie out of the plane take what the two columns leave, a base sensor first where
+        the trigger can work.
+        """
+        for what, cure in beyond_board(config):
+            raise ConfigError(what, cure)
+        size = board_size(config)
+        sensors: list[BoardSensor | None] = [None] * size.sensors
+        inputs = _column_inputs(config, size.sensors // 2)
+        for (side, place), number in inputs.items():
+            sensors[number] = config.column(side)[place]
+        half = size.sensors // 2
+        free = [number for number, sensor in enumerate(sensors) if sensor is None]
+        free.sort(key=lambda number: number % half > 0)
+        others = [sensor for sensor in config.board_sensors if sensor.side is None]
+        others.sort(key=lambda sensor: not _is_base(config, sensor))
+        for number, sensor in zip(free, others, strict=False):
+            sensors[number] = sensor
+        return cls(config, size, tuple(sensors), inputs)
+
+    @property
+    def read_sensors(self) -> tuple[Sensor | None, ...]:
+        """The sensor behind each reading of a sweep: on each input, then the fibre's gratings."""
+        return (*self.sensors, *self.config.gratings)
+
+    @cached_property
+    def base_inputs(self) -> tuple[int, ...]:
+        """The inputs of the columns' base sensors, on which the contact trigger works."""
+        return tuple(
+            number
+            for number in (0, len(self.sensors) // 2)
+            if (sensor := self.sensors[number]) is not None and _is_base(self.config, sensor)
+        )
+
+    def sensors_reading(self, muscle: Muscle) -> list[WiredSensor]:
+        """The sensors that read at least half of a muscle's bend and do not wrinkle, base first.
+
+        A sensor and the one opposite read positive towards the same direction, that below 180
+        degrees: in the plane towards 90.
+        """
+        reading = []
+        for number, sensor in enumerate(self.sensors):
+            if sensor is None:
+                continue
+            lies, bends = radians(sensor.direction_deg), radians(muscle.direction_deg)
+            share = cos(lies - bends) * (1 if sensor.direction_deg < 180.0 else -1)
+            wrinkles = sensor.wrinkles and cos(lies - bends) > _SAME_SHARE
+            if abs(share) >= _LEAST_SHARE and not wrinkles:
+                reading.append(WiredSensor(number, sensor, share))
+        return sorted(reading, key=lambda wired: wired.sensor.center_cm)
+
+    def trigger_sensors(self, muscle: Muscle) -> list[WiredSensor]:
+        """The base sensors with which the board's contact trigger guards a muscle's bend.
+
+        They are healthy and answer to the bend; empty if none can. The board compares their mean
+        with one map, so all of them read the same share of the bend: the largest that a base sensor
+        reads.
+        """
+        bases = [
+            wired
+            for wired in self.sensors_reading(muscle)
+            if wired.sound and wired.number in self.base_inputs
+        ]
+        best = max(bases, key=lambda wired: abs(wired.share), default=None)
+        return [wired for wired in bases if best and abs(wired.share - best.share) < _SAME_SHARE]
+
+    @cached_property
+    def unguarded_muscles(self) -> tuple[Muscle, ...]:
+        """Muscles that bend the body without any sensor for the contact trigger."""
+        return tuple(m for m in self.config.muscles if not self.trigger_sensors(m))
+
+    @cached_property
+    def columns(self) -> tuple[Column, ...]:
+        """The robot's columns, and the inputs that they hang on."""
+        inputs = {id(sensor): number for number, sensor in enumerate(self.sensors) if sensor}
+        columns: dict[float, Column] = {}
+        for sensor in sorted(self.config.board_sensors, key=lambda sensor: sensor.direction_deg):
+            lies = sensor.direction_deg
+            name = self.config.column_name(lies)
+            column = columns.setdefault(lies, Column(name, sensor.side, [], []))
+            column.inputs.append(inputs[id(sensor)])
+            column.centers_cm.append(sensor.center_cm)
+        return tuple(columns.values())
+
+    def sensor_name(self, number: int) -> str:
+        """The sensor on an input, by its column and its place from the base."""
+        for column in self.columns:
+            if number in column.inputs:
+                return f"{column.name} {column.inputs.index(number)}"
+        return f"on input {number}, which robot.toml leaves free"
+
+    def muscle_name(self, output: int) -> str:
+        """The muscle on an output: outputs are in the file's order."""
+        muscles = self.config.muscles
+        return muscles[output].name if output < len(muscles) else str(output)
+
+    @property
+    def unexplorable(self) -> Limitation | None:
+        """What of the robot `explore` cannot do: bends out of the plane, or that nothing guards."""
+        config = self.config
+        if config.gratings and config.interrogator is None:
+            return Limitation(
+                f"{len(config.gratings)} readings of a fibre that no interrogator sends",
+                'give `interrogator = "host:port"` in robot.toml, or leave the gratings out of it',
+            )
+        names = [
+            f"muscle {muscle.name} ({muscle.direction_deg:g} degrees)"
+            for muscle in config.muscles
+            if muscle.side is None
+        ]
+        if count := sum(sensor.side is None for sensor in config.board_sensors):
+            names.append(f"{count} sensor{'s'[: count > 1]}")
+        if names:
+            return Limitation(
+                f"{' and '.join(names)} out of the plane, which is 90 and 270 degrees",
+                "press its muscles by name (`Robot.press`), and localize its readings with a "
+                "column `direction` (`thigmo localize`)",
+            )
+        if len(self.unguarded_muscles) == len(config.muscles):
+            return Limitation(
+                "no healthy sensor at the base answers to the muscles, so no sweep feels a contact",
+                "repair a base sensor, or correct its `healthy` and `valid_direction` in robot.toml"
+                + (
+                    ", or wire one to the board: its trigger sees no fibre"
+                    if config.gratings
+                    else ""
+                ),
+            )
+        return None
 
 
-def key_of(name: str) -> str:
+def _column_inputs(config: RobotConfig, half: int) -> dict[tuple[Side, int], int]:
+    """The inputs of the two columns in the plane, by side and place from the base."""
+    firsts = dict(zip(SIDES, (0, half), strict=True))
+    inputs: dict[tuple[Side, int], int] = {}
+    for side, other in (SIDES, SIDES[::-1]):
+        first, free = firsts[side], firsts[other]
+        taken = len(config.column(other))
+        numbers = [*range(first, first + half), *range(free + max(taken, 1), free + half), free]
+        inputs |= {
+            (side, place): number
+            for place, number in zip(range(len(config.column(side))), numbers, strict=False)
+        }
+    return inputs
+
+
+def _is_base(config: RobotConfig, sensor: BoardSensor) -> bool:
+    """Whether a sensor is the base one at its direction."""
+    lies = sensor.direction_deg
+    return sensor is next(other for other in config.board_sensors if other.direction_deg == lies)
+
+
+def table_key(name: str) -> str:
     """A sensor's name as headers of tables have it: `left_0`, `270deg_7`."""
     column, _, place = name.rpartition(" ")
     return f"{column.replace(' ', '')}_{place}"
-
-
-def columns(config: RobotConfig) -> list[Column]:
-    """The robot's columns, and the inputs that they hang on; none if the board cannot hold them."""
-    if beyond_board(config):
-        return []
-    inputs = {id(sensor): number for number, sensor in enumerate(sensors(config)) if sensor}
-    found: dict[float, Column] = {}
-    for sensor in sorted(config.board_sensors, key=lambda sensor: sensor.direction_deg):
-        lies = sensor.direction_deg
-        column = found.setdefault(lies, Column(column_name(config, lies), sensor.side, [], []))
-        column.inputs.append(inputs[id(sensor)])
-        column.centers_cm.append(sensor.center_cm)
-    return list(found.values())
-
-
-def muscle_outputs(config: RobotConfig) -> dict[int, str]:
-    """The names of the muscles by the board's outputs that they hang on: in the file's order."""
-    return {number: muscle.name for number, muscle in enumerate(config.muscles)}
-
-
-def sensor_name(config: RobotConfig, number: int) -> str:
-    """The sensor on an input, by its column and its place from the base."""
-    for column in columns(config):
-        if number in column.inputs:
-            return f"{column.name} {column.inputs.index(number)}"
-    return f"on input {number}, which robot.toml leaves free"
-
-
-def imu_ends(config: RobotConfig) -> tuple[list[int], list[int]]:
-    """The IMUs where the span on each input begins and ends, as `imu_from` and `imu_to` have them.
-
-    0 is the base, and no IMU. An IMU has the address of the sensor that ends with it: a span that
-    begins where none ends has no address there, and does not count as read over the bus.
-    """
-    wired = sensors(config)
-    places = [
-        (sensor.ends_cm[1], sensor.mux_channel << 7 | sensor.i2c_address)
-        for sensor in wired
-        if isinstance(sensor, HeadingSensor) and sensor.i2c_address
-    ]
-    begins, ends = [0] * len(wired), [0] * len(wired)
-    for number, sensor in enumerate(wired):
-        if not isinstance(sensor, HeadingSensor):
-            continue
-        start = sensor.ends_cm[0]
-        nearest = min(places, key=lambda place: abs(place[0] - start), default=(0.0, 0))
-        based = start < SAME_IMU_CM
-        if sensor.i2c_address and (based or abs(nearest[0] - start) < SAME_IMU_CM):
-            begins[number] = 0 if based else nearest[1]
-            ends[number] = sensor.mux_channel << 7 | sensor.i2c_address
-    return begins, ends

@@ -59,14 +59,15 @@ def test_other_readings_tell_of_a_bad_one_in_their_midst() -> None:
 def test_scores_count_what_they_say() -> None:
     nan = float("nan")
     rows = [
-        # found, covered, wrong, squared error, bound, other readings tell
-        (1, 1, 0, 4.0, 2.0, 0),
-        (1, 0, 1, 36.0, 4.0, 1),
-        (1, 1, 0, 100.0, 9.0, 1),
-        (0, nan, 0, nan, 1.0, 0),
+        # found, covered, wrong, squared error, bound, other readings tell, localized
+        (1, 1, 0, 4.0, 2.0, 0, 1),
+        (1, 0, 1, 36.0, 4.0, 1, 1),
+        (1, 1, 0, 100.0, 9.0, 1, 0),
+        (0, nan, 0, nan, 1.0, 0, 0),
     ]
     found = score(Case("peg", "none"), np.array(rows, dtype=float))
     assert (found["count"], found["found"], found["wrong"]) == (4, 0.75, 0.25)
+    assert (found["localized"], found["wrong_of_localized"]) == (0.5, 0.5)
     assert found["covered"] == pytest.approx(2 / 3)
     assert found["wrong_against_others"] == 0.5
     assert found["rmse_over_bound"] == pytest.approx(np.sqrt(40.0 / 20.0))

@@ -41,10 +41,10 @@ def test_the_motor_has_its_supply_only_while_it_moves() -> None:
     ready(robot)
     robot.wait(0.5)
     assert not plant.motor_power
-    robot._start(wire.GrowTo(300_000, 0))
+    robot.supervisor.start(wire.GrowTo(300_000, 0))
     robot.wait(1.0)
     assert plant.motor_power
-    robot._finish(wire.Activity.GROWING, 20.0)
+    robot.supervisor.finish(wire.Activity.GROWING, 20.0)
     robot.wait(0.2)
     assert not plant.motor_power
     robot.retract_to(25.0)
@@ -85,7 +85,7 @@ def test_a_brake_that_stays_closed_is_a_stall() -> None:
 def shorted(robot: Robot, transport: EmulatorTransport, duty: int) -> tuple[float, float]:
     """A driver that is shorted in growth; how far the tip goes, and the highest pull."""
     ready(robot)
-    robot._start(wire.GrowTo(530_000, 0))
+    robot.supervisor.start(wire.GrowTo(530_000, 0))
     robot.wait(2.0)
     lockstep, length_cm = transport.lockstep, transport.lockstep.plant.length_cm
     break_now(transport, kind="motor_shorted", value=duty)
@@ -124,12 +124,12 @@ def test_the_emergency_stop_takes_the_motors_supply_by_itself() -> None:
 def test_an_emergency_stop_that_leaves_the_motor_its_supply_is_named() -> None:
     robot, transport = robot_with()
     ready(robot)
-    robot._start(wire.GrowTo(530_000, 0))
+    robot.supervisor.start(wire.GrowTo(530_000, 0))
     robot.wait(1.0)
     transport.lockstep.board.set_estop(True)  # seen by the board; its other contact stays closed
     robot.wait(0.5, despite_faults=True)
     assert {"estop", "spool_slip"} <= set(robot.status().faults)
     with pytest.raises(RobotFaultError, match="emergency stop did not cut"):
-        raise robot._fault_error(["spool_slip"])
+        raise robot.supervisor.fault_error(["spool_slip"])
     robot.wait(1.0, despite_faults=True)
     assert not transport.lockstep.plant.motor_power  # the enable's contact did

@@ -179,7 +179,7 @@ def test_a_jog_ends_when_the_encoder_disagrees() -> None:
 
 def test_a_jog_ends_with_its_host() -> None:
     robot = ready()
-    transport = robot._client.transport
+    transport = robot.link.transport
     assert isinstance(transport, EmulatorTransport)
     robot.test_output(wire.Output.MOTOR, 160, 0.4)
     transport.pass_time(0.1)

@@ -129,7 +129,7 @@ def test_fault_of_the_body_is_named_and_leaves_a_safe_robot_that_works_again(
     assert name in refused.value.faults
     transport.pass_time(max(begins_s + LASTS_S - robot.now(), 0.0) + 2.0)
     assert robot.clear_faults() == ()
-    robot._client.events.clear()
+    robot.link.events.clear()
     robot.arm()
     assert (robot.status().length_cm is None) == name.startswith("spool")
     robot.confirm_length(plant.length_cm, settled=True)

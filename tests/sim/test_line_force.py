@@ -24,8 +24,8 @@ def wound_in(command: wire.Command[wire.Ack], *, jam: bool, share: float = 1.0) 
     if jam:
         lockstep.faults.inject(FaultTable(kind="tail_jam", at_s=robot.now() + 3.0))
     try:
-        robot._start(command)
-        robot._finish(_ACTIVITY[type(command)], 60.0)
+        robot.supervisor.start(command)
+        robot.supervisor.finish(_ACTIVITY[type(command)], 60.0)
     except (RobotFaultError, CommandRefusedError):
         pass
     assert len(pulls) > 300  # it did wind
@@ -63,7 +63,7 @@ def test_motion_against_the_command_is_noticed_within_50_ms(
     robot, transport = armed(scene_at(20.0))
     plant = transport.lockstep.plant
     if command is not None:
-        robot._start(command)
+        robot.supervisor.start(command)
     robot.wait(2.0)
     transport.read(0.0)
     begins, line_cm = transport.now(), plant.line_cm

@@ -9,7 +9,6 @@ import pytest
 from command import Thigmo
 from emulated import armed, room_file
 
-from thigmo import wiring
 from thigmo.config import RobotConfig
 from thigmo.design import draft, judge
 from thigmo.emulator.board import virtual_board
@@ -23,7 +22,7 @@ from thigmo.link.client import Client
 from thigmo.mechanics import Peg
 from thigmo.robot import Robot, connect
 from thigmo.stream import Telemetry
-from thigmo.wiring import input_of
+from thigmo.wiring import Wiring
 from thigmo_bench.studies.robots import (
     MIXED,
     ROBOTS,
@@ -136,10 +135,10 @@ def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
         for lies in turned.values()
         for sensor in column
     ]
-    assert [sensor.center_cm for sensor in wiring.sensors(robot) if sensor].count(
+    assert [sensor.center_cm for sensor in Wiring.of(robot).sensors if sensor].count(
         column[0].center_cm
     ) == 3
-    assert wiring.base_inputs(robot) == [0, 8]
+    assert Wiring.of(robot).base_inputs == (0, 8)
     scene = room_for(robot, 0, peg=False)
     scene.start_length_cm, scene.start_settled = robot.body.length_cm, True
     scene.save(tmp_path / "space.toml")
@@ -222,7 +221,7 @@ def test_a_side_without_a_base_sensor_is_not_swept_and_the_run_says_so(tmp_path:
         ("right", "lower"),
     ]
     robot.column("right")[0].healthy = False
-    beyond = wiring.unexplored(robot)
+    beyond = Wiring.of(robot).unexplorable
     assert beyond is not None
     assert "so no sweep feels a contact" in beyond.what
 
@@ -231,9 +230,9 @@ def test_either_base_sensor_of_two_kinds_is_enough_for_a_sweep() -> None:
     """A flex sensor and a string of IMUs on opposite sides: both read bends to the right."""
     robot = draft(120, 8, 2, kind="heading")
     robot.sensors += draft(120, 5, 2).column("left")
-    assert len(wiring.trigger_sensors(robot, "right")) == 2
+    assert len(Wiring.of(robot).trigger_sensors(robot.muscle("right"))) == 2
     robot.column("left")[0].healthy = False
-    assert wiring.blind(robot) == []
+    assert Wiring.of(robot).unguarded_muscles == ()
     swept = [each for each in judge(robot) if each.what == "sweep of right"]
     assert [each.mark for each in swept] == ["ok", "ok"]
 
@@ -241,8 +240,8 @@ def test_either_base_sensor_of_two_kinds_is_enough_for_a_sweep() -> None:
 def test_a_sweep_that_nothing_at_the_base_can_feel_is_refused() -> None:
     with connect("emulator://empty") as robot:
         config = robot.config
-        for sensor in wiring.trigger_sensors(config, "left"):
-            sensor.healthy = False
+        for base in Wiring.of(config).trigger_sensors(config.muscle("left")):
+            base.sensor.healthy = False
         robot.configure(config)
         with pytest.raises(ConfigError, match=r"no healthy sensor .* to muscle left"):
             robot.sweep({"right": 5.0, "left": 5.0}, period_s=10.0)
@@ -265,7 +264,7 @@ def test_an_imu_that_hangs_is_a_fault_that_leaves_the_robot_safe(tmp_path: Path)
             robot.wait(5.0)
         assert robot.status().state == "fault"
         read = robot.read(0.2, despite_faults=True).resistance
-        inputs = input_of(scene.robot)
+        inputs = Wiring.of(scene.robot).inputs
         open_ = {n for (_, n), number in inputs.items() if not np.isfinite(read[number])}
         assert open_ == {3, 4}
 

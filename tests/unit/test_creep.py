@@ -10,9 +10,10 @@ from thigmo.link import protocol as wire
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.robot import CreepWatch
 from thigmo.robot.curvature import Floats, SensorTable
+from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
-TABLE = SensorTable.of(CONFIG)
+TABLE = SensorTable.of(Wiring.of(CONFIG))
 OVERSAMPLE = 16
 YOUNG = 1 << 4 | 1 << 9  # the last sensor of each side
 
@@ -32,7 +33,7 @@ def _watched(
     creep = 0.02 * rng.standard_normal(10)
     offset = 0.002 * rng.standard_normal(10)
     everted_s = -1.125  # the tip passed 47.75 cm then, at 2 cm/s
-    watch = CreepWatch(CONFIG, OVERSAMPLE)
+    watch = CreepWatch(Wiring.of(CONFIG), OVERSAMPLE)
     for t in np.arange(-5.0, until_s, 0.02):
         length = 50.0 + 2.0 * min(t, 0.0)
         late = np.zeros(10)

@@ -19,8 +19,9 @@ from thigmo.record import LogWriter
 from thigmo.robot import SensorTable
 from thigmo.robot.publishing import Publisher, bent
 from thigmo.stream import BodyShape, Telemetry, read_messages, recording
+from thigmo.wiring import Wiring
 
-TABLE = SensorTable.of(RobotConfig()).zeroed(dict.fromkeys(range(10), 16 * 660.0))
+TABLE = SensorTable.of(Wiring.of(RobotConfig())).zeroed(dict.fromkeys(range(10), 16 * 660.0))
 
 
 def _frame(
@@ -39,7 +40,7 @@ def _frame(
 
 def _publisher(table: SensorTable, epoch_s: float) -> Publisher:
     link: Any = SimpleNamespace(now=lambda: 0.0, on_telemetry=[], on_event=[])
-    publisher = Publisher(link, RobotConfig(), table)
+    publisher = Publisher(link, Wiring.of(RobotConfig()), table)
     publisher.epoch_s = epoch_s
     return publisher
 

@@ -15,6 +15,7 @@ from thigmo.design import Finding, draft, judge
 from thigmo.design.draft import Kind
 from thigmo.errors import ConfigError
 from thigmo.mechanics import Peg, Rod, Tube
+from thigmo.wiring import Wiring
 
 
 def _bad(found: list[Finding]) -> list[str]:
@@ -97,7 +98,7 @@ def test_what_the_board_cannot_hold_is_refused_with_its_number() -> None:
     (beyond,) = wiring.beyond_board(config)
     assert "18 sensors, and the largest board holds 16" in beyond.what
     with pytest.raises(ConfigError, match="18 sensors"):
-        wiring.sensors(config)
+        Wiring.of(config)
     more = RobotConfig()
     last = more.body.zones[-1]
     more.body.zones += [last.model_copy(update={"until_cm": 60.0 + n}) for n in range(6)]
@@ -127,12 +128,12 @@ def test_every_sensor_has_an_input_and_base_sensors_those_of_the_trigger(
 ) -> None:
     config = draft(200, 16, 2)
     config.sensors = [*config.column("left")[:left], *config.column("right")[:right]]
-    inputs = wiring.input_of(config)
+    inputs = Wiring.of(config).inputs
     assert len(inputs) == len(set(inputs.values())) == left + right
     half = 5 if left + right <= 10 else 8
-    assert wiring.base_inputs(config) == [
+    assert Wiring.of(config).base_inputs == tuple(
         first for first, count in ((0, left), (half, right)) if count
-    ]
+    )
     for side, first in zip(SIDES, (0, half), strict=True):
         if config.column(side):
             assert inputs[side, 0] == first
@@ -249,10 +250,10 @@ def test_a_robot_of_more_than_two_muscles_has_a_column_opposite_each(
     config = draft(53, None, muscles)
     assert len(config.board_sensors) == 16
     for muscle in config.muscles:
-        column = [w for w in wiring.witnesses(config, muscle) if abs(w.share) > 0.99]
+        column = [w for w in Wiring.of(config).sensors_reading(muscle) if abs(w.share) > 0.99]
         assert len(column) == (5 if muscles == 3 else 4)
         assert all(one.sound for one in column)
-    assert [muscle.name for muscle in wiring.blind(config)] == unguarded
+    assert [muscle.name for muscle in Wiring.of(config).unguarded_muscles] == unguarded
     said = judge(config)
     assert _bad(said) == []
     warned = [one.what for one in said if "no base sensor on the board" in one.text]

@@ -19,6 +19,7 @@ from thigmo.errors import DataError
 from thigmo.reading_errors import errors_of
 from thigmo.robot.configuration import parameter_settings
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
 
 DRAFT = draft(53, 10, 2, kind="fibre")
 CONFIG = DRAFT.model_copy(update={"sensors": DRAFT.gratings})  # and nothing on the board
@@ -37,21 +38,21 @@ def test_a_fibre_takes_no_input_of_the_board_and_alone_is_not_explored(tmp_path:
     CONFIG.save(tmp_path / "robot.toml")
     assert RobotConfig.load(tmp_path / "robot.toml") == CONFIG
     assert len(CONFIG.gratings) == 20  # two a grating
-    assert wiring.board_of(CONFIG).name == "mega"
-    assert not any(wiring.sensors(CONFIG))
-    assert not any(parameter_settings(CONFIG)["flex_enabled"])
+    assert wiring.board_size(CONFIG).name == "mega"
+    assert not any(Wiring.of(CONFIG).sensors)
+    assert not any(parameter_settings(Wiring.of(CONFIG))["flex_enabled"])
     alone = CONFIG.model_copy(update={"interrogator": "127.0.0.1:7400"})
-    assert "no healthy sensor at the base" in (wiring.unexplored(alone) or ("",))[0]
-    assert "its trigger sees no fibre" in (wiring.unexplored(alone) or ("", ""))[1]
+    assert "no healthy sensor at the base" in (Wiring.of(alone).unexplorable or ("",))[0]
+    assert "its trigger sees no fibre" in (Wiring.of(alone).unexplorable or ("", ""))[1]
     said = {(one.what, one.mark) for one in judge(CONFIG)}
     assert {("explore", "warning"), ("fibre", "ok"), ("sweep of left", "warning")} <= said
     both = RobotConfig()
     both.sensors = [*both.sensors, *IN_PLANE]
-    assert "no interrogator" in (wiring.unexplored(both) or ("",))[0]
+    assert "no interrogator" in (Wiring.of(both).unexplorable or ("",))[0]
     both.interrogator = "127.0.0.1:7400"
-    assert wiring.unexplored(both) is None
+    assert Wiring.of(both).unexplorable is None
     # The flex sensors keep their inputs, and the trigger works on them.
-    assert wiring.sensors(both) == wiring.sensors(RobotConfig())
+    assert Wiring.of(both).sensors == Wiring.of(RobotConfig()).sensors
     assert ("sweep of left", "warning") not in {(one.what, one.mark) for one in judge(both)}
 
 
@@ -82,7 +83,7 @@ def test_free_bends_tell_scale_zero_twist_and_the_drift_that_all_share() -> None
     made = [s for s in found.apply(CONFIG).gratings if s.side]
     assert [s.scale_per_ue for s in made] == got
     assert made[0].noise == pytest.approx(0.5 * 2.7e-4, rel=0.4)
-    assert made[0].curvature(made[0].zero_ue + 100.0) == pytest.approx(0.027, rel=0.2)
+    assert made[0].reading(made[0].zero_ue + 100.0) == pytest.approx(0.027, rel=0.2)
 
 
 def test_peaks_that_drop_out_cost_their_rows_and_a_lost_grating_is_named() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thigmo import from_headings, wiring
+from thigmo import from_headings
 from thigmo.calibrate.heading import fit_heading
 from thigmo.calibrate.step_figures import draw
 from thigmo.calibrate.steps import fit_csv
@@ -19,9 +19,10 @@ from thigmo.errors import ConfigError, DataError
 from thigmo.reading_errors import reading_errors
 from thigmo.robot import SensorTable
 from thigmo.robot.configuration import parameter_settings
+from thigmo.wiring import Wiring
 
 CONFIG = draft(100, 12, 2, kind="heading")
-TABLE = SensorTable.of(CONFIG)
+TABLE = SensorTable.of(Wiring.of(CONFIG))
 STRING = [sensor for sensor in CONFIG.sensors if isinstance(sensor, HeadingSensor)]
 ROWS = np.flatnonzero(TABLE.healthy)[np.argsort(TABLE.center_cm[TABLE.healthy])]
 
@@ -48,10 +49,10 @@ def test_what_neighbours_share_is_what_from_headings_says() -> None:
 def test_a_string_serves_both_muscles_and_its_base_counts_while_either_bends() -> None:
     every = (1 << len(TABLE.healthy)) - 1
     assert TABLE.usable("left", every).sum() == TABLE.usable("right", every).sum() == 12
-    answer = parameter_settings(CONFIG)
+    answer = parameter_settings(Wiring.of(CONFIG))
     assert [when for when in answer["trigger_when"] if when] == [0b10000011]
     # The fold must not lie on an IMU; between two of them it may.
-    first = wiring.base_inputs(CONFIG)[0]
+    first = Wiring.of(CONFIG).base_inputs[0]
     assert answer["flex_center_um"][first] == round(STRING[0].ends_cm[1] * 1e4)
     assert answer["flex_span_um"][first] == 12_000
 

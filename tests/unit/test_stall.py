@@ -12,9 +12,10 @@ from thigmo.exploration.map import ContactMap
 from thigmo.exploration.stall import Obstruction, causes, stall
 from thigmo.robot import SensorTable
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
-TABLE = SensorTable.of(CONFIG)
+TABLE = SensorTable.of(Wiring.of(CONFIG))
 
 
 def _growth(start: float, stop: float, tip: float = 99.0, seed: int = 0) -> tuple[Floats, Floats]:
@@ -60,7 +61,7 @@ def test_a_thicker_body_folds_more_gently() -> None:
     thick = RobotConfig()
     thick.body.diameter_cm *= 4
     length, bend = _growth(30.0, 40.0, 35.0)
-    found = stall(length, bend / 6, SensorTable.of(thick))
+    found = stall(length, bend / 6, SensorTable.of(Wiring.of(thick)))
     assert found is not None
     assert found.arc_cm == pytest.approx(35.0, abs=1.0)
     # Of the thesis's tube so small a rise is creep.

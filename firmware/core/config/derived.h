@@ -1,5 +1,7 @@
 // Scaled constants that the loops use, computed from the configuration after each change, so that
-// the expensive divisions (64 bits wide here and there) happen while nothing moves.
+// the expensive divisions (64 bits wide here and there) happen while nothing moves. After a change
+// of parameters the quick ones follow at once, and the slow ones part by part: until none of those
+// waits, constants and parameters may contradict each other, and nothing may be driven by them.
 #ifndef THIGMO_CORE_CONFIG_DERIVED_H_
 #define THIGMO_CORE_CONFIG_DERIVED_H_
 
@@ -100,7 +102,9 @@ struct Derived {
   bool judges_encoder;  // by the motor's duty, and by the sensors that pass the tip
   uint8_t oversample_log2;
   uint8_t trigger_log2;
+  uint8_t waiting = 0;  // parts that are not up to date
 
+  // All of them.
   void update(const Configuration& c) {
     for (uint8_t i = 0; i < kSensors; ++i) update_flex(c, i);
     for (uint8_t muscle = 0; muscle < kMuscles; ++muscle) {
@@ -110,11 +114,8 @@ struct Derived {
       update_fitted(c, muscle);
     }
     update_bases(c);
-    update_scale(c);
-    update_distances(c);
-    update_motor(c);
-    update_force(c);
-    update_acceleration(c);
+    waiting = kEveryPart;
+    while (waits()) step(c);
     update_drive(c);
     update_top_speed(c);
     update_slew(c);
@@ -123,20 +124,8 @@ struct Derived {
     update_telemetry(c);
   }
 
-  // What the encoder's scale changes besides the scale itself comes with later parameters,
-  // which are then due as well: all in one pass would be too long.
-  static bool is_scale(uint16_t index) {
-    return index == static_cast<uint16_t>(Param::kCountsPerM) ||
-           index == static_cast<uint16_t>(Param::kPayoutQ8);
-  }
-  static bool is_scaled(uint16_t index) {
-    return index == static_cast<uint16_t>(Param::kSpoolAccelUmS2) ||
-           index == static_cast<uint16_t>(Param::kSlipUm) ||
-           index == static_cast<uint16_t>(Param::kSpeedMarginDuty) ||
-           index == static_cast<uint16_t>(Param::kTouchNSM);
-  }
-
-  // After a change of one parameter: only what follows from it, to keep the pass short.
+  // After a change of one parameter: only what follows from it, to keep the pass short. Parts that
+  // take several divisions then wait for step().
   void update(const Configuration& c, uint16_t index) {
     const auto within = [index](Param first, uint8_t count) {
       return index >= static_cast<uint16_t>(first) && index < static_cast<uint16_t>(first) + count;
@@ -145,18 +134,22 @@ struct Derived {
       update_flex(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kFlexScale)));
     } else if (within(Param::kFlexEnabled, kSensors)) {
       update_flex(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kFlexEnabled)));
-    } else if (is_scale(index)) {
-      update_scale(c);
+    } else if (within(Param::kCountsPerM, 1) || within(Param::kPayoutQ8, 1)) {
+      waiting = kEveryPart;
     } else if (within(Param::kSlipUm, 1) || within(Param::kSpoolToleranceUm, 1)) {
-      update_distances(c);
-    } else if (within(Param::kSpoolDeadZone, 1) || within(Param::kLineSpeedUmS, 2) ||
-               within(Param::kMotorStallN, 1)) {
-      update_motor(c);
-      update_force(c);
+      wait_for(kDistances);
+    } else if (within(Param::kLineSpeedUmS, 2)) {
+      wait_for(kMotor);
     } else if (within(Param::kBodyPullN, 1)) {
-      update_motor(c);
+      wait_for(kPull);
+    } else if (within(Param::kSpoolDeadZone, 1)) {
+      wait_for(kMotor | kForce);
+    } else if (within(Param::kMotorStallN, 1)) {
+      wait_for(kPull | kForce);
     } else if (within(Param::kLineRatingN, 2) || within(Param::kHomeSpeedUmS, 1)) {
-      update_force(c);
+      wait_for(kForce);
+    } else if (within(Param::kSpoolAccelUmS2, 1)) {
+      wait_for(kAcceleration);
     } else if (within(Param::kPressureSpan, kMuscles)) {
       update_gain(c, static_cast<uint8_t>(index - static_cast<uint16_t>(Param::kPressureSpan)));
     } else if (within(Param::kPressureFullCpsi, 1)) {
@@ -172,8 +165,6 @@ struct Derived {
       update_bases(c);
     } else if (within(Param::kDrive4maCpsi, 1) || within(Param::kDrive20maCpsi, 1)) {
       update_drive(c);
-    } else if (within(Param::kSpoolAccelUmS2, 1)) {
-      update_acceleration(c);
     } else if (within(Param::kHeartbeatMs, 1)) {
       update_top_speed(c);
     } else if (within(Param::kPressureSlewCpsiS, 1)) {
@@ -189,6 +180,22 @@ struct Derived {
     } else {
       update_plain(c);
     }
+  }
+
+  bool waits() const { return waiting != 0; }
+
+  // Brings one part up to date, in an order in which each uses those before it.
+  void step(const Configuration& c) {
+    if (take(kScale)) return update_scale(c);
+    if (take(kDistances)) return update_distances(c);
+    if (take(kTolerances)) return update_tolerances();
+    if (take(kAcceleration)) return update_acceleration(c);
+    if (take(kMotor)) {
+      update_motor(c);
+      return wait_for(kPull);
+    }
+    if (take(kPull)) return update_pull(c);
+    if (take(kForce)) update_force(c);
   }
 
   // A slew rate as the most change in a control step, 1/256 of 0.01 psi.
@@ -217,6 +224,25 @@ struct Derived {
   }
 
  private:
+  // Parts that take several divisions.
+  static constexpr uint8_t kScale = 1;
+  static constexpr uint8_t kDistances = 2;
+  static constexpr uint8_t kTolerances = 4;
+  static constexpr uint8_t kAcceleration = 8;
+  static constexpr uint8_t kMotor = 16;
+  static constexpr uint8_t kPull = 32;
+  static constexpr uint8_t kForce = 64;
+  static constexpr uint8_t kEveryPart = 127;
+
+  void wait_for(uint8_t parts) { waiting = static_cast<uint8_t>(waiting | parts); }
+
+  // Whether a part waits, and no longer does.
+  bool take(uint8_t part) {
+    const bool waited = (waiting & part) != 0;
+    waiting = static_cast<uint8_t>(waiting & ~part);
+    return waited;
+  }
+
   void update_flex(const Configuration& c, uint8_t i) {
     // 1e-9/cm per ohm -> 1e-5/cm per 1/16 ohm: / 160000; times 65536 is 256 / 625.
     flex_gain_q16[i] = c.get(Param::kFlexScale, i) * 256 / 625;
@@ -282,11 +308,17 @@ struct Derived {
     const int32_t tip_um_s = c.get(Param::kLineSpeedUmS) * 256 / c.get(Param::kPayoutQ8);
     motor_slope_q16 = speed_q16(tip_um_s) / (kMotorFull - c.get(Param::kSpoolDeadZone));
     speed_margin_q16 = c.get(Param::kSpeedMarginDuty) * motor_slope_q16;
+    judges_encoder = c.get(Param::kSpeedMarginDuty) < kMotorFull;
+  }
+
+  void update_pull(const Configuration& c) {
     const int32_t pull_duty = c.get(Param::kBodyPullN) * kMotorFull / c.get(Param::kMotorStallN);
     holding_duty = static_cast<int16_t>(
         limited<int32_t>(pull_duty - c.get(Param::kSpoolDeadZone), 0, kMotorFull / 2));
     helped_q16 = (pull_duty + c.get(Param::kSpoolDeadZone) / kFrictionShare) * motor_slope_q16;
-    judges_encoder = c.get(Param::kSpeedMarginDuty) < kMotorFull;
+  }
+
+  void update_tolerances() {
     excess_q16 = speed_q16(kExcessUm * kControlHz);
     missed_q16 = speed_q16(kMissedUm * kControlHz);
     astray_q16 = greater<int32_t>(speed_q16(kAstrayUm * kControlHz), 3 * 65536);

@@ -134,8 +134,8 @@ constexpr uint16_t kWinding =
 // A row a permit, in their order. What arming needs has faults of its own.
 constexpr Interlock kInterlocks[] THIGMO_PROGMEM = {
     {Permit::kArm,
-     static_cast<uint8_t>(bit(State::kSafe) | bit(State::kReady) | bit(State::kMoving)), 0xFFFF,
-     kArmable, mask(Condition::kEstop), 0},
+     static_cast<uint8_t>(bit(State::kSafe) | bit(State::kReady) | bit(State::kMoving)),
+     static_cast<uint16_t>(~bit(Activity::kSaving)), kArmable, mask(Condition::kEstop), 0},
     {Permit::kBend, kArmed, bit(Activity::kIdle),
      static_cast<uint16_t>(kWholeBody | mask(Condition::kVented)), mask(Condition::kHalfEverted),
      kBent},

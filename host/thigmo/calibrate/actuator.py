@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from thigmo import wiring
 from thigmo.calibrate.bench import Bench, Row, bend_rows, unseen_bend_rows
 from thigmo.calibrate.columns import Array, column, grouped, sides_of
 from thigmo.calibrate.lag import Lag, fit_lag, ramp, tanh_curve
@@ -32,6 +31,7 @@ from thigmo.calibrate.verdict import StepResult, Verdict, listed
 from thigmo.config import SAME_PRESSURE, SIGN, Muscle, RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table
+from thigmo.wiring import WiredSensor, Wiring
 
 Branch = Literal["inflate", "deflate"]
 BRANCHES: tuple[Branch, ...] = get_args(Branch)
@@ -44,6 +44,7 @@ _DAYS_SE = 2e-4  # 1/cm, difference between days, which one session cannot show 
 # Prior standard deviation of a trial's gain [a guess], and its weight in trials.
 _TRIAL_GAIN, _TRIAL_GAIN_COUNT = 0.015, 2
 _MOST_SE = 0.02  # largest standard error of g, as a share of full scale
+_MOST_OVER = 1.25  # times max_pressure_psi: a calibration goes a little above what sweeps use
 _LEAST_BEND = 1e-3  # 1/cm, that the upper half of the pressures must reach
 
 
@@ -86,6 +87,7 @@ class BendReadings:
         branch = table.words("branch", "inflate")
         sign = np.array([SIGN[muscle.side] if muscle.side else 1.0 for muscle in muscles])
         p, k = table.numbers("pressure_psi"), sign * table.numbers("curvature")
+        _check_units(table.name, p, k, max(m.max_pressure_psi for m in muscles), config)
         e, trial = table.numbers("curvature_se", _PICTURE_SE), table.whole("trial", 0)
         return [
             cls(name, body, p[own], k[own], e[own], tuple(branch[r] for r in own), trial[own])
@@ -94,14 +96,36 @@ class BendReadings:
         ]
 
 
+def _check_units(
+    name: str, psi: Array, curvature: Array, most_psi: float, config: RobotConfig
+) -> None:
+    """Raise DataError for pressures or curvatures that no muscle of this robot reaches."""
+    highest = float(np.nanmax(psi, initial=0.0))
+    if highest > _MOST_OVER * most_psi:
+        raise DataError(
+            f"{name}: pressure_psi reaches {highest:.4g}, and max_pressure_psi is {most_psi:g}",
+            f"divide kPa by 6.895 (then {highest / 6.895:.3g} psi), or raise max_pressure_psi in "
+            "robot.toml",
+        )
+    tightest = float(np.nanmax(np.abs(curvature), initial=0.0))
+    if tightest * config.body.radius_cm >= 1.0:
+        raise DataError(
+            f"{name}: curvature reaches {tightest:.4g} 1/cm, tighter than the body's radius of "
+            f"{config.body.radius_cm:g} cm",
+            f"divide 1/m by 100 (then {tightest / 100:.3g} 1/cm), or correct diameter_cm in "
+            "robot.toml",
+        )
+
+
 @dataclass(frozen=True)
 class ActuatorResult(StepResult):
     """One muscle at one body pressure."""
 
     readings: BendReadings  # what was fitted
     zone: ZoneMap  # the maps, ready for the configuration
-    g_se: float  # largest standard error of g over 0..18 psi (both branches), 1/cm
-    full_scale: float  # g at the highest pressure, 1/cm
+    g_se: float  # largest standard error of g, both branches, up to highest_psi, 1/cm
+    highest_psi: float  # largest pressure that was measured
+    full_scale: float  # g at that pressure, 1/cm
     offset_se: float  # standard error of a trial's offset and the map's shape together, 1/cm
     used: Mask  # (n,) rows that were kept
     verdict: Verdict  # in words
@@ -117,8 +141,16 @@ class ActuatorResult(StepResult):
             "rows_left_out": np.flatnonzero(~self.used).tolist(),
         }
 
+    def ends_early(self, config: RobotConfig) -> bool:
+        """Whether no bend was measured near the muscle's largest pressure."""
+        muscle = config.muscles[config.muscle_number(self.readings.muscle)]
+        return self.highest_psi < (1 - SAME_PRESSURE) * muscle.max_pressure_psi
+
     def write(self, config: RobotConfig) -> None:
-        """Put the map into the zone of its body pressure (within 10 %)."""
+        """Put the map into the zone of its body pressure (within 10 %).
+
+        A muscle that was measured to less than its largest pressure is pressed to that much only.
+        """
         actuator = config.muscles[config.muscle_number(self.readings.muscle)]
         gaps = [abs(z.pressure_psi / self.zone.body_pressure_psi - 1) for z in config.body.zones]
         zone = int(np.argmin(gaps))
@@ -128,6 +160,8 @@ class ActuatorResult(StepResult):
                 "correct body.pressure in robot.toml",
             )
         actuator.maps[zone] = self.zone
+        if self.ends_early(config):
+            actuator.max_pressure_psi = round(self.highest_psi, 2)
         actuator.offset_se = self.offset_se
         if self.lag is not None:
             # The board has one constant, and looks for contacts while pressure rises.
@@ -215,8 +249,8 @@ def guided(bench: Bench) -> ActuatorResults:
     return together(found, unseen)
 
 
-def _sound(config: RobotConfig, muscle: Muscle) -> list[wiring.Witness]:
-    return [one for one in wiring.witnesses(config, muscle) if one.sound]
+def _sound(config: RobotConfig, muscle: Muscle) -> list[WiredSensor]:
+    return [wired for wired in Wiring.of(config).sensors_reading(muscle) if wired.sound]
 
 
 def readings_of(
@@ -228,40 +262,51 @@ def readings_of(
         error = np.nan_to_num(column(rows, "k_se"), nan=_PICTURE_SE)
         scale_se, sensors = CAMERA_SCALE_SE, 0
     else:
-        found = _sound(config, muscle)
-        k, error, scale_se = curvature_by_sensors(column(rows, "ohm"), found)
-        sensors = len(found)
+        sound = _sound(config, muscle)
+        k, error, scale_se = curvature_by_sensors(column(rows, "ohm"), sound)
+        sensors = len(sound)
     branch, trial = tuple(r["branch"] for r in rows), np.array([r["trial"] for r in rows], np.int64)
     psi, body_psi = column(rows, "psi"), config.body.zones[zone].pressure_psi
     return BendReadings(muscle.name, body_psi, psi, k, error, branch, trial, scale_se, sensors)
 
 
-def curvature_by_sensors(
-    ohm: Array, sensors: Sequence[wiring.Witness]
-) -> tuple[Array, Array, float]:
+def curvature_by_sensors(ohm: Array, sensors: Sequence[WiredSensor]) -> tuple[Array, Array, float]:
     """Curvature (n,) towards a muscle, its standard error (n,), and the scale's relative error.
 
     `ohm` (n, inputs) holds the changes of resistance from the straight body. The curvature is a
     weighted least-squares fit to all sensors that were read. Errors of their scales are
     independent.
     """
-    share = np.array([one.share for one in sensors])
-    read = ohm[:, [one.number for one in sensors]] * [s.sensor.scale_per_ohm for s in sensors]
-    weight = np.isfinite(read) / np.array([one.sensor.reading_se for one in sensors]) ** 2
+    share = np.array([wired.share for wired in sensors])
+    scale = [wired.sensor.scale_per_ohm for wired in sensors]
+    read = ohm[:, [wired.number for wired in sensors]] * scale
+    weight = np.isfinite(read) / np.array([wired.sensor.reading_se for wired in sensors]) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
         power = weight @ share**2
         k = (weight * np.nan_to_num(read)) @ share / power
-        gain = weight * share**2 / power[:, None] * [one.sensor.gain_error for one in sensors]
+        gain = weight * share**2 / power[:, None] * [w.sensor.gain_error for w in sensors]
     scale_se = float(np.nanmax(np.hypot.reduce(gain, axis=1), initial=0.0))
     return k, np.where(power > 0, power, np.inf) ** -0.5, scale_se
 
 
 def of_csv(table: Table, config: RobotConfig) -> ActuatorResults:
     """Fit the bends of one or more muscles from a CSV."""
-    found = [fit_actuator(readings) for readings in BendReadings.read_all(table, config)]
-    if not found:
+    results = [fit_actuator(readings) for readings in BendReadings.read_all(table, config)]
+    if not results:
         raise DataError(f"{table.name} holds no bends", "give one line for each bend")
-    return together(found)
+    return together([
+        replace(result, verdict=_with_end_of_map(result.verdict, result.highest_psi))
+        if result.ends_early(config) else result
+        for result in results
+    ])  # fmt: skip
+
+
+def _with_end_of_map(verdict: Verdict, highest_psi: float) -> Verdict:
+    note = (
+        f"no bend was measured above {highest_psi:.2f} psi: max_pressure_psi is lowered to it, so "
+        "that no sweep goes beyond; measure further, and raise it, for larger sweeps"
+    )
+    return replace(verdict, notes=(*verdict.notes, note)) if verdict.good else verdict
 
 
 def fit_actuator(readings: BendReadings) -> ActuatorResult:
@@ -269,10 +314,10 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     p, k, error = readings.pressure_psi, readings.curvature, readings.curvature_se
     finite = np.isfinite(p) & np.isfinite(k)
     total = int(finite.sum())
-    if total < 8 or np.ptp(p[finite]) < 6:
+    if total < 8 or np.ptp(p[finite]) < 0.5 * p[finite].max():
         raise DataError(
             f"{total} usable bends of the {readings.muscle} muscle",
-            "take 0..20 psi in steps of 2, three trials",
+            "take ten pressures from 0 to the highest that a sweep shall use, three trials",
         )
     notes: list[str] = []
     if not finite.all():
@@ -286,7 +331,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     if bend < _LEAST_BEND:
         verdict = Verdict(False, _not_towards(readings, bend), tuple(notes))
         zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi)
-        return ActuatorResult(readings, zone, np.inf, 0.0, np.inf, finite, verdict)
+        return ActuatorResult(readings, zone, np.inf, highest, 0.0, np.inf, finite, verdict)
     branches = [b for b in BRANCHES if b in np.array(readings.branch)[finite]]
     branch = np.array([branches.index(b) if b in branches else 0 for b in readings.branch])
     trials = np.unique(readings.trial[finite])
@@ -360,7 +405,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     )  # fmt: skip
     offset_se = float(np.hypot(max(spread, _DAYS_SE), np.hypot(shape_se, camera_se)))
     verdict = Verdict(good, reason, tuple(notes))
-    return ActuatorResult(readings, zone, g_se, full, offset_se, used, verdict)
+    return ActuatorResult(readings, zone, g_se, highest, full, offset_se, used, verdict)
 
 
 def _maps(
@@ -368,10 +413,10 @@ def _maps(
 ) -> tuple[dict[str, TanhMap], Array]:
     """The map of each branch, and the largest standard errors of these maps, (3,).
 
-    The errors are that of the curvature at any pressure (1/cm), the relative one at the highest
-    pressure, and that of the shape, which the map's scale does not account for (1/cm).
+    The errors are that of the curvature at any pressure up to `highest` (1/cm), the relative one
+    at that pressure, and that of the shape, which the map's scale does not account for (1/cm).
     """
-    grid, errors, built = np.linspace(0.0, 18.0, 37), np.zeros(3), {}
+    grid, errors, built = np.linspace(0.0, highest, 37), np.zeros(3), {}
     for name, own in zip(branches, np.arange(best.size).reshape(-1, 3), strict=True):
         x, values = best[own], _map_values(grid, *best[own])
         slopes = np.array([

@@ -14,7 +14,6 @@ from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 
-from thigmo import wiring
 from thigmo.calibrate.columns import Array, places_of
 from thigmo.calibrate.drive import Drive
 from thigmo.calibrate.overhead import OverheadCamera
@@ -25,9 +24,10 @@ from thigmo.config import SIDES, Muscle, RobotConfig
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.link import protocol as wire
 from thigmo.mechanics import push_tip
+from thigmo.operator_prompts import Operator
 from thigmo.robot import Reading, Robot
 from thigmo.robot.state import Recording
-from thigmo.room import Operator
+from thigmo.wiring import Wiring
 
 Row = dict[str, Any]
 T = TypeVar("T")
@@ -74,11 +74,13 @@ def grow_to(
     length_cm: float,
     say: Callable[[str], None],
     at_stop: Callable[[float], None] | None = None,
+    *,
+    spacing_cm: float | None = None,
 ) -> None:
-    """Grow to a length, pitch by pitch, with the body pressure of each zone.
+    """Grow to a length, stop by stop, with the body pressure of each zone.
 
-    `at_stop` is called with the length at each multiple of the pitch and at the end. Raises
-    DataError if the robot is longer already: this never retracts.
+    `at_stop` is called with the length at each multiple of the spacing (None: the pitch) and at the
+    end. Raises DataError if the robot is longer already: this never retracts.
     """
     now, body = robot.known_length_cm(), config.body
     if now > length_cm + SAME_CM:
@@ -86,7 +88,7 @@ def grow_to(
             f"the robot is {now:.1f} cm long, {length_cm:.1f} cm are needed",
             "retract it with `thigmo retract`, then run this again",
         )
-    stops = {*np.arange(body.pitch_cm, length_cm, body.pitch_cm).tolist(), length_cm}
+    stops = _stops_cm(spacing_cm or body.pitch_cm, length_cm)
     boundaries = {z.until_cm for z in body.zones if z.until_cm < length_cm}
     robot.vent()
     for stop in sorted(stops | boundaries):
@@ -98,6 +100,10 @@ def grow_to(
         now = stop
         if at_stop is not None and stop in stops:
             at_stop(stop)
+
+
+def _stops_cm(spacing_cm: float, length_cm: float) -> set[float]:
+    return {*np.arange(spacing_cm, length_cm, spacing_cm).tolist(), length_cm}
 
 
 def zero(robot: Robot, say: Callable[[str], None]) -> None:
@@ -144,6 +150,11 @@ class Bench:
         """The constants measured so far."""
         return self.session.config
 
+    @property
+    def wiring(self) -> Wiring:
+        """Where the robot's sensors hang, with the constants measured so far."""
+        return Wiring.of(self.config)
+
     def configure(self) -> None:
         """Give the robot the session's constants, once."""
         if not self._configured:
@@ -164,7 +175,7 @@ class Bench:
     def ohm(self, read: Reading | Recording) -> Array:
         """Resistances (..., m) of the robot's sensors, without unused inputs of the board."""
         every = np.asarray(read.resistance)
-        inputs = wiring.input_of(self.config)
+        inputs = self.wiring.inputs
         return every[..., [inputs[place] for place in places_of(self.config)]]
 
     def mean_ohm(self, record: Recording) -> Array:
@@ -176,9 +187,15 @@ class Bench:
         """Set the body pressure of a zone, and say so to the board."""
         set_zone(self.robot, self.config, zone)
 
-    def bring_to(self, length_cm: float, at_stop: Callable[[float], None] | None = None) -> None:
+    def bring_to(
+        self,
+        length_cm: float,
+        at_stop: Callable[[float], None] | None = None,
+        *,
+        spacing_cm: float | None = None,
+    ) -> None:
         """Grow to a length with `grow_to`."""
-        grow_to(self.robot, self.config, length_cm, self.say, at_stop)
+        grow_to(self.robot, self.config, length_cm, self.say, at_stop, spacing_cm=spacing_cm)
 
     def ready_to_bend(self, zone: int | None = None) -> None:
         """Grow to full length, settle and zero the sensors, and set the body pressure of a zone.
@@ -250,13 +267,22 @@ class Bench:
 
 
 def growth_rows(bench: Bench) -> list[Row]:
-    """Grow to full length, and record counts, length and the sensors' creep at each stop."""
+    """Grow to full length, and record counts, length and the sensors' creep at each stop.
+
+    Stops are a pitch apart. Where these did not give a good encoder, lengths halfway between those
+    that the folder holds are taken too. Raises DataError if the robot is too long for that.
+    """
     spool, held = bench.config.spool, bench.session.rows("growth")
+    spacing_cm = bench.config.body.pitch_cm
+    planned = _stops_cm(spacing_cm, bench.config.body.length_cm)
+    while bench.session.failed("encoder") and all(_stop_key(cm) in held for cm in planned):
+        spacing_cm /= 2
+        planned = _stops_cm(spacing_cm, bench.config.body.length_cm)
 
     def stop(length: float) -> None:
         for row in drive.rows():
             bench.session.add("drive", {"key": f"stop {length:g} zone {row['zone']}", **row})
-        key = f"stop {length:g}"
+        key = _stop_key(length)
         if key in held:
             return
         began = bench.robot.read(0.05).t_s
@@ -277,10 +303,21 @@ def growth_rows(bench: Bench) -> list[Row]:
     bench.robot.set_parameter(_JUDGED, [wire.PARAMETERS[_JUDGED].high])
     try:
         with Drive(bench.robot, bench.config) as drive:
-            bench.bring_to(bench.config.body.length_cm, stop)
+            bench.bring_to(bench.config.body.length_cm, stop, spacing_cm=spacing_cm)
     finally:
         bench.robot.set_parameter(_JUDGED, list(margin))
-    return list(bench.session.rows("growth").values())
+    rows = bench.session.rows("growth")
+    missing = sorted(cm for cm in planned if _stop_key(cm) not in rows)
+    if missing and spacing_cm < bench.config.body.pitch_cm:
+        raise DataError(
+            f"the robot is longer than {missing[0]:g} cm, where more lengths are needed",
+            "retract it with `thigmo retract`, then run this again",
+        )
+    return list(rows.values())
+
+
+def _stop_key(length_cm: float) -> str:
+    return f"stop {length_cm:g}"
 
 
 def bend_set_points(bench: Bench, muscle: Muscle) -> list[tuple[str, float]]:

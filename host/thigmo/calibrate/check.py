@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from thigmo import wiring
 from thigmo.calibrate.actuator import curvature_by_sensors
 from thigmo.calibrate.bench import STEADY_S, Bench
 from thigmo.calibrate.columns import Array, medians, sensors_of
@@ -67,7 +66,7 @@ def guided(bench: Bench) -> CheckResult:
         held = np.column_stack([record.t_s - record.t_s[0], record.pressure_psi[:, number]])
         if muscle.side is None:
             gone = robot.read(1.0).resistance - straight
-            sensors = [one for one in wiring.witnesses(config, muscle) if one.sound]
+            sensors = [w for w in bench.wiring.sensors_reading(muscle) if w.sound]
             bend = curvature_by_sensors(gone[None], sensors)[0][0]
             readings.unseen[muscle.name] = float(bend), held
         else:
@@ -173,7 +172,7 @@ def _bent(
         yield ("sensor columns", "bad", "read bends with the wrong sign: swapped sides, or an old "
                "robot.toml")  # fmt: skip
     elif off > 0.15:
-        column = wiring.column_name(config, DEGREES[far])
+        column = config.column_name(DEGREES[far])
         off_text = f"read {100 * off:.0f} % off the bend: recalibrate flex"
         yield f"{column} sensors", "warning", off_text
 

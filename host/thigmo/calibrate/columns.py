@@ -8,10 +8,10 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo import wiring
 from thigmo.config import DEGREES, SIDES, BoardSensor, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record.table import Table
+from thigmo.wiring import table_key
 
 Array = NDArray[np.float64]
 Key = TypeVar("Key", bound=Any)
@@ -32,7 +32,7 @@ def places_of(config: RobotConfig) -> list[Place]:
 def sensors_of(config: RobotConfig) -> dict[str, BoardSensor]:
     """The board's sensors in the plane, by the names that page, record and export use."""
     return {
-        f"{wiring.column_name(config, DEGREES[side])} {k}": config.column(side)[k]
+        f"{config.column_name(DEGREES[side])} {k}": config.column(side)[k]
         for side, k in places_of(config)
     }
 
@@ -51,7 +51,7 @@ def medians(rows: Array) -> Array:
 
 def of_sensors(table: Table, what: str, config: RobotConfig) -> Array:
     """(n, m) values of the columns `WHAT_SENSOR` of a CSV: `ohm_left_0` or `ohm_270deg_0`."""
-    keys = [wiring.key_of(name) for name in sensors_of(config)]
+    keys = [table_key(name) for name in sensors_of(config)]
     return np.column_stack([table.numbers(f"{what}_{key}") for key in keys])
 
 

@@ -90,7 +90,8 @@ def fit_encoder(
         row, size = slip
         reason = (
             f"the line slipped by about {size:.1f} cm before row {row + 1}: the spool turned and "
-            "the tip did not follow; tighten the line and repeat"
+            "the tip did not follow; tighten the line, `thigmo retract`, and run "
+            "`thigmo calibrate encoder --again`"
         )
     else:
         out = np.flatnonzero(~fit.used & ~missing).tolist()
@@ -107,7 +108,10 @@ def fit_encoder(
         good = error / value < 0.02
         reason = f"{value:.2f} counts per cm of line +- {100 * error / value:.2f} %"
         if not good:
-            reason += "; take more lengths"
+            reason += (
+                ", and 2 % are needed; `thigmo retract`, then `thigmo calibrate encoder` takes "
+                "lengths between these"
+            )
     pulls = pull_duty(drive, value, config)
     if drive and None in pulls:
         notes.append("the motor's duty was not seen at every body pressure: retract the robot and "

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo import wiring
 from thigmo.calibrate.bench import Row
 from thigmo.calibrate.columns import Array, column, medians, muscle_sides, of_sensors, sensors_of
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
+from thigmo.wiring import table_key
 
 KINDS = ("straight", "tip", "bend")
 _VENTED_PSI = 0.5
@@ -120,5 +120,5 @@ class FlexReadings:
             "length_cm": [self.length_cm] * len(self.kind), "intended_y_cm": self.intended_y_cm,
             "block": self.block,
         }  # fmt: skip
-        ohm = [f"ohm_{wiring.key_of(name)}" for name in sensors_of(config)]
+        ohm = [f"ohm_{table_key(name)}" for name in sensors_of(config)]
         write_table(path, columns | dict(zip(ohm, self.ohm.T, strict=True)))

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.optimize import curve_fit, least_squares
 from scipy.stats import median_abs_deviation
 
-from thigmo import wiring
 from thigmo.calibrate.bench import SAME_CM, Bench, growth_rows
 from thigmo.calibrate.columns import Array, grouped, sensors_of
 from thigmo.calibrate.verdict import StepResult, Verdict
@@ -22,6 +21,7 @@ from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics.settling import Settling
 from thigmo.record.table import Table
+from thigmo.wiring import table_key
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def of_csv(table: Table, config: RobotConfig) -> HysteresisResult:
 
 def _names(table: Table, config: RobotConfig) -> list[str]:
     """(n,) names of the sensors, from the column `sensor`."""
-    known = {wiring.key_of(name): name for name in sensors_of(config)}
+    known = {table_key(name): name for name in sensors_of(config)}
     given = table.words("sensor")
     for one in given:
         if one not in known:

@@ -16,7 +16,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
-from thigmo import wiring
 from thigmo.calibrate.bench import Bench, Row
 from thigmo.calibrate.columns import Array
 from thigmo.calibrate.flex_lines import loop_turns
@@ -58,9 +57,10 @@ def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] 
     sensor. Returns None if no sound sensor reads it.
     """
     robot, top = bench.robot, 0.9 * muscle.max_pressure_psi
-    found, bases = wiring.witnesses(bench.config, muscle), wiring.base_inputs(bench.config)
-    inputs = [one.number for one in found]
-    if not any(one.sound for one in found):
+    wiring = bench.wiring
+    sensors, bases = wiring.sensors_reading(muscle), wiring.base_inputs
+    inputs = [wired.number for wired in sensors]
+    if not any(wired.sound for wired in sensors):
         return None
 
     def take(key: str, _: None) -> Row:
@@ -82,11 +82,11 @@ def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] 
     t, psi, ohm = (np.array(row[name], float) for name in ("t_s", "psi", "ohm"))
     later = _LATER_SCAN_S * (1 << robot.parameter("oversample_log2")[0])
     bends = [
-        np.interp(t + (0.0 if one.number in bases else later), t, ohm[:, n])
-        * one.sensor.scale_per_ohm
-        / one.share
-        for n, one in enumerate(found)
-        if one.sound
+        np.interp(t + (0.0 if wired.number in bases else later), t, ohm[:, n])
+        * wired.sensor.scale_per_ohm
+        / wired.share
+        for n, wired in enumerate(sensors)
+        if wired.sound
     ]
     return t, psi, np.mean(bends, axis=0)
 

@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import json
 import os
-from math import copysign
 from pathlib import Path
 from typing import Any
 
 from thigmo.calibrate.verdict import StepResult, plain
-from thigmo.config import FibreSensor, FlexSensor, RobotConfig, Sensor, ZoneMap
+from thigmo.config import RobotConfig, Sensor, ZoneMap
 from thigmo.errors import DataError
 from thigmo.files import DATA_BYTES, read_file, write_whole
+from thigmo.sensors import BoardSensor
 
 _FULL = "free some space, then run it again"
 
@@ -84,17 +84,26 @@ class Session:
 
     def done(self, step: str) -> dict[str, Any] | None:
         """The stored result of a step, if it was good."""
+        data = self._result(step)
+        return data if data is not None and data["verdict"]["good"] else None
+
+    def failed(self, step: str) -> bool:
+        """Whether the stored result of a step is not good."""
+        data = self._result(step)
+        return data is not None and not data["verdict"]["good"]
+
+    def _result(self, step: str) -> dict[str, Any] | None:
         path = self.folder / f"{step}.json"
         if not path.exists():
             return None
         try:
             data: dict[str, Any] = json.loads(read_file(path, DATA_BYTES))
-            good = data["verdict"]["good"]
+            _ = data["verdict"]["good"]
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise DataError(
                 f"{path} is damaged", f"delete it, and run `thigmo calibrate {step}` again"
             ) from error
-        return data if good else None
+        return data
 
     def figure(self, step: str) -> Path:
         """The file of a step's figure."""
@@ -135,15 +144,8 @@ def blank(config: RobotConfig) -> RobotConfig:
 def _blank_sensor(sensor: Sensor) -> Sensor:
     """A sensor before its calibration.
 
-    The board's sensors out of the plane keep their constants, because no step measures them. A flex
-    sensor in the plane keeps the sign of its scale: the sensors measure the bends of muscles out of
-    the plane before the step `flex`.
+    The board's sensors out of the plane keep their constants, because no step measures them.
     """
-    if sensor.side is None and not isinstance(sensor, FibreSensor):
+    if sensor.side is None and isinstance(sensor, BoardSensor):
         return sensor.model_copy()
-    made = type(sensor)(
-        **sensor.model_dump(include={"direction_deg", "kind", "center_cm", "span_cm"})
-    )
-    if isinstance(sensor, FlexSensor) and isinstance(made, FlexSensor):
-        made.scale_per_ohm = copysign(made.scale_per_ohm, sensor.scale_per_ohm)
-    return made
+    return sensor.uncalibrated()

@@ -36,7 +36,7 @@ from thigmo.calibrate.verdict import StepResult
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import MissingColumnError, Table
-from thigmo.wiring import key_of
+from thigmo.wiring import table_key
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def fit_csv(
     except MissingColumnError as error:
         error.add_note(f"columns of {step}: {columns}; those in brackets may be omitted")
         if "SENSOR" in columns or "sensor" in columns:
-            names = ", ".join(map(key_of, sensors_of(config)))
+            names = ", ".join(map(table_key, sensors_of(config)))
             error.add_note(f"sensors of this robot: {names}")
         raise
     verdict = replace(result.verdict, notes=(*table.remarks, *result.verdict.notes))

@@ -22,8 +22,8 @@ from pydantic import Field, PlainSerializer, PlainValidator, TypeAdapter, Valida
 
 from thigmo.camera.exceptions import CameraError, CameraMovedError, SheetHiddenError
 from thigmo.camera.sheet import Sheet, board, dictionary
-from thigmo.config import invalid_entry
 from thigmo.files import CONFIG_BYTES, read_file, why_unreadable, write_whole
+from thigmo.toml_model import invalid_entry
 
 Picture = NDArray[np.uint8]
 Points = Annotated[

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from thigmo.camera.exceptions import CameraError
-from thigmo.config import Finite, Model, Positive, load_toml
 from thigmo.files import whole_file
+from thigmo.toml_model import Finite, Model, Positive, load_toml
 
 Gray = NDArray[np.uint8]
 Points = NDArray[np.float64]
@@ -133,7 +133,7 @@ class Sheet(Model):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the sheet file (TOML)."""
-        self._write(path)
+        self.write(path)
 
     @property
     def card_cm(self) -> float:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from thigmo.exploration import ExplorationResult
-    from thigmo.room import Dowel, Viewers
+    from thigmo.operator_prompts import Dowel, Viewers
 
 Show = Callable[[str, float], None]
 _ANSWER_S = 0.1  # between two looks whether somebody has answered

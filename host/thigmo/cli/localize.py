@@ -284,8 +284,8 @@ def _calibrated(
                 "strains, but not only of a fibre", f"correct {path}, or give curvatures"
             )
         pairs = zip(found, table.strain.tolist(), strict=True)
-        bent = [each.curvature(ue) for each, ue in pairs if isinstance(each, FibreSensor)]
-        table = replace(table, curvature=np.array(bent))
+        bends = [sensor.reading(strain_ue) for sensor, strain_ue in pairs]
+        table = replace(table, curvature=np.array(bends))
     return errors_of(robot, inflated, zone, found).arguments(), table
 
 

@@ -28,7 +28,7 @@ from thigmo.cli.localize import localize
 from thigmo.cli.output import visible
 from thigmo.cli.robot import robot
 from thigmo.cli.ros import ros
-from thigmo.cli.runs import export, info, replay
+from thigmo.cli.runs import export, info, replay, runs
 from thigmo.cli.watch import watch
 from thigmo.errors import ThigmoError
 from thigmo.version import VERSION
@@ -74,13 +74,13 @@ app = typer.Typer(
     cls=_Thigmo,
     help="Make a soft growing robot feel: where along its body, how hard, and where in the room.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
 for function in (
-    explore, watch, localize, feel, replay, info, export, stop, params, clear, retract, ros, flash,
-    bringup, jog, press, emulator.emulate, calibrate, design,
+    explore, watch, localize, feel, runs, replay, info, export, stop, params, clear, retract, ros,
+    flash, bringup, jog, press, emulator.emulate, calibrate, design,
 ):  # fmt: skip
     app.command()(function)
 add_commands(app)

@@ -47,7 +47,7 @@ def new(
     from thigmo.design import draft
     from thigmo.emulator.reach import pressed, room_for
     from thigmo.errors import ConfigError
-    from thigmo.wiring import beyond_board, unexplored
+    from thigmo.wiring import Wiring, beyond_board
 
     config = draft(length, sensors, muscles, diameter, kind=kind)
     with ConfigError.from_os(f"cannot make {out}", "choose another folder"):
@@ -58,7 +58,7 @@ def new(
     written, said = [str(out / "robot.toml")], []
     if beyond := beyond_board(config):
         said = [filled(f"no scene: {what}; {cure}") for what, cure in beyond]
-    elif refused := unexplored(config):
+    elif refused := Wiring.of(config).unexplorable:
         said = [filled(f"explore does not work with it: {refused.what}; {refused.cure}")]
     else:
         room = room_for(config, seed)

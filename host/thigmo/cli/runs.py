@@ -1,10 +1,10 @@
-"""`thigmo replay`, `info` and `export`: what runs leave behind, and what a board reports."""
+"""`thigmo runs`, `replay`, `info` and `export`: what runs leave behind, what a board reports."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,9 +17,132 @@ from thigmo.cli.output import (
     visible,
 )
 
+if TYPE_CHECKING:
+    from thigmo.record import MapContact, RunDocument
+
 _OF_THE_RUN = ("name", "url", "started", "thigmo", "outcome")
 # In a record's metadata; the rest is the board's.
 _OF_THE_HOST = ("thigmo", "url", "seed", "started", "protocol", "effort")
+
+
+def runs(
+    folders: Annotated[
+        list[Path] | None,
+        typer.Argument(help="A folder of runs (runs if omitted), or two run folders to compare."),
+    ] = None,
+    find: Annotated[
+        str, typer.Option(help="Only runs with this text in folder, robot, outcome or effort.")
+    ] = "",
+    within: Annotated[
+        float, typer.Option(help="Contacts of two runs that are farther apart are not one, cm.")
+    ] = 4.0,
+    as_json: JsonOption = False,
+) -> None:
+    """List the runs in a folder, or compare the contacts of two of them.
+
+    `thigmo runs` lists what is in runs/, the oldest first.
+
+    `thigmo runs --find "peg ahead"` lists those that stopped before a peg.
+
+    `thigmo runs RUN RUN` puts the contacts of two runs beside each other.
+    """
+    from thigmo.errors import DataError
+    from thigmo.record.listing import is_run
+
+    given = folders or [Path("runs")]
+    if len(given) == 2 and all(map(is_run, given)):
+        _compare(given[0], given[1], within, as_json)
+        return
+    if len(given) != 1 or is_run(given[0]):
+        raise DataError(
+            "runs lists a folder of runs, or compares two",
+            "give one folder of runs, or two run folders; `thigmo info RUN` describes one",
+        )
+    _list(given[0], find, as_json)
+
+
+def _list(parent: Path, find: str, as_json: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from thigmo.record.listing import list_runs
+
+    listed = [run for run in list_runs(parent) if run.matches(find)]
+    if as_json:
+        print_json([
+            {"run": str(run.path), "problem": run.problem}
+            | ({} if run.document is None else _listed_facts(run.document))
+            for run in listed
+        ])  # fmt: skip
+        return
+    if not listed:
+        typer.echo(f"no run{f' with {find!r}' * bool(find)} in {parent}")
+        return
+    table = Table("run", "effort", "outcome", "contacts", "time", "error", box=None)
+    for run in listed:
+        if (document := run.document) is None:
+            table.add_row(*map(Text, (run.path.name, "", visible(run.problem), "", "", "")))
+            continue
+        error = "" if document.error_cm is None else f"{document.error_cm:.1f} cm"
+        cells = (
+            run.path.name, document.effort, document.outcome, str(len(document.contacts)),
+            f"{document.robot_time_s:.0f} s", error,
+        )  # fmt: skip
+        table.add_row(*(Text(visible(cell)) for cell in cells))
+    Console().print(table)
+
+
+def _listed_facts(document: RunDocument) -> dict[str, Any]:
+    names = ("name", "url", "started", "outcome", "effort", "method", "robot_time_s", "error_cm")
+    return {name: getattr(document, name) for name in names} | {"contacts": len(document.contacts)}
+
+
+def _compare(first: Path, second: Path, within_cm: float, as_json: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from thigmo.record import RunFolder
+    from thigmo.record.listing import compare_contacts
+
+    documents = [RunFolder(path).read_document() for path in (first, second)]
+    compared = compare_contacts(documents[0].contacts, documents[1].contacts, within_cm)
+    if as_json:
+        print_json({
+            "runs": [{"run": str(path)} | _listed_facts(document)
+                     for path, document in zip((first, second), documents, strict=True)],
+            "contacts": [
+                {"first": _place(pair.first), "second": _place(pair.second),
+                 "distance_cm": pair.distance_cm}
+                for pair in compared
+            ],
+        })  # fmt: skip
+        return
+
+    def shown(contact: MapContact | None) -> str:
+        if contact is None:
+            return "not found"
+        return f"x {contact.x_cm:.1f}, y {contact.y_cm:.1f} cm, {contact.certainty_text}"
+
+    for letter, path, document in zip("AB", (first, second), documents, strict=True):
+        typer.echo(visible(
+            f"{letter}: {path}, {document.effort}, {document.outcome}, "
+            f"{document.robot_time_s:.0f} s"
+        ))  # fmt: skip
+    if not compared:
+        typer.echo("neither has a contact")
+        return
+    table = Table("A", "B", "apart", box=None)
+    for pair in compared:
+        apart = "" if pair.distance_cm is None else f"{pair.distance_cm:.1f} cm"
+        table.add_row(shown(pair.first), shown(pair.second), apart)
+    Console().print(table)
+
+
+def _place(contact: MapContact | None) -> dict[str, Any] | None:
+    if contact is None:
+        return None
+    return {name: getattr(contact, name) for name in ("x_cm", "y_cm", "probability", "status")}
 
 
 def replay(

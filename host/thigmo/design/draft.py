@@ -8,7 +8,9 @@ a long robot are drafted weaker, so that a full bend does not close on itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -86,13 +88,10 @@ def draft(
         )
     if muscles not in _MUSCLES_DEG:
         raise ConfigError(f"{muscles} muscles", "give 1 or 2 in a plane, or 3 or 4 around the body")
-    if muscles > 2 and kind != "flex":
-        why = {
-            "heading": "the board's reader of IMUs measures turns about one axis",
-            "fibre": "a fibre feels contacts in the plane only",
-        }[kind]
+    layout = _LAYOUTS[kind]
+    if muscles > 2 and layout.plane_only:
         raise ConfigError(
-            f"{muscles} muscles with sensors of kind {kind}: {why}",
+            f"{muscles} muscles with sensors of kind {kind}: {layout.plane_only}",
             "give 1 or 2 muscles, or flex sensors",
         )
     if sensors is None:
@@ -101,34 +100,32 @@ def draft(
         raise ConfigError(
             f"a diameter of {diameter_cm:g} cm", f"give 0.5 to {length_cm / 4:g}, a slender body"
         )
-    least = {"flex": 1.0 + _GAP_CM, "heading": _CLEAR_CM + 2 * IMU_CM, "fibre": _GRATING_CM}[kind]
-    most = int((length_cm - _END_CM) / least)
+    most = int((length_cm - _END_CM) / layout.least_pitch_cm)
     if not 1 <= sensors <= most:
         raise ConfigError(f"{sensors} sensors in a column", f"give 1 to {most} at this length")
     pitch = np.floor(2 * (length_cm - _END_CM) / sensors) / 2
-    body = _body(length_cm, diameter_cm, _POUCH_CM if kind == "fibre" else float(pitch))
+    pouch_cm = _POUCH_CM if layout.flex_bases else float(pitch)
+    body = _body(length_cm, diameter_cm, pouch_cm)
     bends = _MUSCLES_DEG[muscles]
     far = [(towards + 180.0) % 360.0 for towards in bends]
-    columns = sorted(far) if kind == "flex" else far[:1]
+    columns = far[:1] if layout.one_column else sorted(far)
     # Base sensors alone, for the board's trigger.
-    bases = sorted(far) if kind == "fibre" else [90.0] if muscles == 3 else []
-    made = {"flex": _flex, "heading": _imu, "fibre": _grating}[kind]
-    base_cm = _POUCH_CM if kind == "fibre" else float(pitch)
+    bases = sorted(far) if layout.flex_bases else [90.0] if muscles == 3 else []
     return RobotConfig(
         name=name or f"vine-{length_cm:g}",
-        interrogator=_INTERROGATOR if kind == "fibre" else None,
+        interrogator=layout.interrogator,
         body=body,
         muscles=[_muscle(towards, body) for towards in bends],
         sensors=[
-            *(sensor for lies in bases for sensor in _flex(lies, base_cm, 0)),
+            *(sensor for lies in bases for sensor in _flex(lies, pouch_cm, 0)),
             *(
                 sensor
                 for lies in columns
                 for number in range(sensors)
-                for sensor in made(lies, float(pitch), number)
+                for sensor in layout.place(lies, float(pitch), number)
             ),
         ],
-        board=Board(settle_s=_REST_S) if kind == "heading" else Board(),
+        board=layout.board(),
     )
 
 
@@ -173,6 +170,39 @@ def _grating(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
         FibreSensor(kind="fibre", center_cm=center_cm, direction_deg=lies, scale_per_ue=each)
         for lies, each in ((lies_deg, scale), (0.0, abs(scale)))
     ]
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How a kind of sensors is laid along a robot."""
+
+    place: Callable[[float, float, int], list[Sensor]]  # at a direction and pitch, by number
+    least_pitch_cm: float
+    plane_only: str = ""  # why it cannot serve muscles out of the plane; empty if it can
+    one_column: bool = False  # one serves all muscles
+    flex_bases: bool = False  # flex sensors beside it at the base, for the board's trigger
+    interrogator: str | None = None
+    board: Callable[[], Board] = Board
+
+
+_LAYOUTS: dict[Kind, _Layout] = {
+    "flex": _Layout(_flex, 1.0 + _GAP_CM),
+    "heading": _Layout(
+        _imu,
+        _CLEAR_CM + 2 * IMU_CM,
+        "the board's reader of IMUs measures turns about one axis",
+        one_column=True,
+        board=partial(Board, settle_s=_REST_S),
+    ),
+    "fibre": _Layout(
+        _grating,
+        _GRATING_CM,
+        "a fibre feels contacts in the plane only",
+        one_column=True,
+        flex_bases=True,
+        interrogator=_INTERROGATOR,
+    ),
+}
 
 
 def _body(length_cm: float, diameter_cm: float, pitch_cm: float) -> Body:

@@ -23,7 +23,6 @@ from thigmo.config import (
     SAME_PRESSURE,
     SIGN,
     BoardSensor,
-    FibreSensor,
     FlexSensor,
     HeadingSensor,
     Muscle,
@@ -40,17 +39,7 @@ from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi
 from thigmo.robot import TRIGGER_PER_CM
 from thigmo.robot.configuration import out_of_range, parameter_settings
-from thigmo.wiring import (
-    base_inputs,
-    beyond_board,
-    board_of,
-    column_name,
-    columns,
-    guards,
-    trigger_sensors,
-    unexplored,
-    witnesses,
-)
+from thigmo.wiring import Wiring, beyond_board
 
 _ENABLE_DECAY_S = 0.03  # of the brake's enable (docs/hardware/electronics.md), as the board has it
 _QUANTILES = 3.92  # width of a 95 % interval over its standard deviation
@@ -82,46 +71,54 @@ class Finding:
 
 def judge(config: RobotConfig) -> list[Finding]:
     """All findings, the board's first."""
-    found = [Finding("board", "bad", f"{what}; {cure}") for what, cure in beyond_board(config)]
-    if not found:
-        found = [
+    limitations = beyond_board(config)
+    wiring = None if limitations else Wiring.of(config)  # findings of the inputs need one
+    if wiring:
+        findings = [
             Finding("board", "bad", f"{problem}: correct what it comes from in robot.toml")
-            for problem in _not_held(config)
-        ] or [Finding("board", "ok", _board(config))]
+            for problem in _not_held(wiring)
+        ] or [Finding("board", "ok", _board(wiring))]
+    else:
+        findings = [Finding("board", "bad", f"{what}; {cure}") for what, cure in limitations]
     try:
         stages = stage_lengths(config)
-        found.append(Finding("stages", "ok", ", ".join(f"{each:g}" for each in stages) + " cm"))
+        lengths = ", ".join(f"{length:g}" for length in stages)
+        findings.append(Finding("stages", "ok", f"{lengths} cm"))
     except ConfigError as error:
-        found.append(Finding("stages", "bad", str(error)))
-    found += [*_growth(config), *_bends(config)]
-    if beyond := unexplored(config):
-        text = f"{beyond.what}: `thigmo explore` refuses; {beyond.cure}"
-        found.append(Finding("explore", "warning", text))
-    for side in config.sides:
-        found += _feels(config, side)
-    found += [*_inputs(config), *_resolution(config), *_signs(config)]
-    return [*found, *_rates(config), *_imus(config), *_fibre(config)]
+        findings.append(Finding("stages", "bad", str(error)))
+    findings += [*_growth(config), *_bends(config, wiring)]
+    if wiring and (refused := wiring.unexplorable):
+        text = f"{refused.what}: `thigmo explore` refuses; {refused.cure}"
+        findings.append(Finding("explore", "warning", text))
+    if wiring:
+        for side in config.sides:
+            findings += _feels(wiring, side)
+        findings += _inputs(wiring)
+    findings += [*_resolution(config), *_signs(config)]
+    if wiring:
+        findings += _rates(wiring)
+    return [*findings, *_imus(config), *_fibre(config)]
 
 
-def _not_held(config: RobotConfig) -> list[str]:
+def _not_held(wiring: Wiring) -> list[str]:
     """Values beyond the range of the board's parameters."""
-    held = parameters(**board_of(config).capacity)
-    settings = parameter_settings(config).items()
-    return [problem for name, values in settings for problem in out_of_range(held[name], values)]
+    rows = parameters(**wiring.size.capacity)
+    settings = parameter_settings(wiring).items()
+    return [problem for name, values in settings for problem in out_of_range(rows[name], values)]
 
 
-def _board(config: RobotConfig) -> str:
+def _board(wiring: Wiring) -> str:
     """The board that the robot needs, and its capacity, as text."""
-    board = board_of(config)
+    board = wiring.size
     return (
         f"{board.name}: {board.muscles} muscles, {board.sensors} sensors and "
         f"{board.body_pressures} body pressures"
     )
 
 
-def _inputs(config: RobotConfig) -> Iterator[Finding]:
+def _inputs(wiring: Wiring) -> Iterator[Finding]:
     """The board's inputs of each column, with the names that page, record and export use."""
-    for column in columns(config):
+    for column in wiring.columns:
         inputs = ", ".join(map(str, column.inputs))
         text = f"base first on the inputs {inputs}" if len(column.inputs) > 1 else f"input {inputs}"
         yield Finding(f"column {column.name}", "ok", text)
@@ -178,7 +175,7 @@ def _braked(what: str, pulls: str, spool: Spool, pull_n: float) -> Finding:
     )
 
 
-def _bends(config: RobotConfig) -> Iterator[Finding]:
+def _bends(config: RobotConfig, wiring: Wiring | None) -> Iterator[Finding]:
     body = config.body
     for muscle in config.muscles:
         top = max(m.inflate.curvature(muscle.max_pressure_psi) for m in muscle.maps)
@@ -196,8 +193,8 @@ def _bends(config: RobotConfig) -> Iterator[Finding]:
                 f"{text}: it runs into itself; lower max_pressure_psi until g is {most:.4f}",
             )
         yield from _maps(config, muscle)
-        if muscle.side is None and not beyond_board(config):
-            yield from _out_of_plane(config, muscle)
+        if muscle.side is None and wiring:
+            yield from _out_of_plane(wiring, muscle)
     for zone, moment in zip(body.zones, _fold_moments(config), strict=True):
         what = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
         if moment > TRIGGER_PER_CM:
@@ -211,24 +208,24 @@ def _bends(config: RobotConfig) -> Iterator[Finding]:
             )
 
 
-def _out_of_plane(config: RobotConfig, muscle: Muscle) -> Iterator[Finding]:
+def _out_of_plane(wiring: Wiring, muscle: Muscle) -> Iterator[Finding]:
     """What measures and what guards the bends of a muscle that the camera does not see."""
     what = f"muscle {muscle.name}"
-    if not any(one.sound for one in witnesses(config, muscle)):
+    if not any(wired.sound for wired in wiring.sensors_reading(muscle)):
         text = (
             "cannot be calibrated: no healthy sensor reads a bend towards "
             f"{muscle.direction_deg:g} degrees, and the camera sees the plane only"
         )
         yield Finding(what, "warning", text)
-    if not (found := guards(config, muscle)):
+    if not (bases := wiring.trigger_sensors(muscle)):
         text = (
             "no base sensor on the board's trigger reads its bends: the board refuses a sweep "
             "towards it, and `Robot.press` bends the body without feeling a contact"
         )
         yield Finding(what, "warning", text)
         return
-    share = abs(found[0].share)
-    names = " and ".join(f"{one.sensor.direction_deg:g} degrees" for one in found)
+    share = abs(bases[0].share)
+    names = " and ".join(f"{base.sensor.direction_deg:g} degrees" for base in bases)
     text = (
         f"the base sensor at {names} guards its bends and reads {100 * share:.0f} % of them, so "
         f"a contact is felt from {TRIGGER_PER_CM / share:.4f} 1/cm on"
@@ -255,15 +252,16 @@ def _fold_moments(config: RobotConfig) -> list[float]:
     ]
 
 
-def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
+def _feels(wiring: Wiring, side: Side) -> Iterator[Finding]:
     """Where a sweep towards a side detects and localizes a contact, at the full length."""
+    config = wiring.config
     muscle, body = config.muscle(side), config.body
     what = f"sweep of {muscle.name}"
     sign = SIGN[side]
     sensors = config.sensors_for(side)
     column = [s for s in sensors if s.healthy and s.valid_direction in (0, sign)]
     wired = any(isinstance(sensor, BoardSensor) for sensor in sensors)
-    bases = trigger_sensors(config, side)
+    bases = wiring.trigger_sensors(muscle)
     if not column or (wired and not bases):
         yield Finding(
             what,
@@ -275,7 +273,7 @@ def _feels(config: RobotConfig, side: Side) -> Iterator[Finding]:
     free = muscle.maps[-1].inflate.curvature(muscle.max_pressure_psi)
     moment = min(_PROPPED * free, _fold_moments(config)[-1])
     arcs = np.linspace(0.0, body.length_cm, _STEPS + 1)[1:]
-    base = bases[0] if wired else column[0]
+    base = bases[0].sensor if wired else column[0]
     held_back = moment * phi(arcs, base.center_cm, base.span_cm) / arcs
     felt = arcs[held_back > TRIGGER_PER_CM]
     if not wired:
@@ -351,10 +349,10 @@ def _signs(config: RobotConfig) -> Iterator[Finding]:
             )
             yield Finding(f"sensor {name}", "warning", text)
     scales: dict[tuple[str, float], list[float]] = {}
-    for each in config.sensors:
-        if not each.valid_direction:
-            scale = each.scale_per_ue if isinstance(each, FibreSensor) else each.scale_per_ohm
-            scales.setdefault((each.kind, each.direction_deg), []).append(scale)
+    for either in config.sensors:
+        if not either.valid_direction:
+            key = either.kind, either.direction_deg
+            scales.setdefault(key, []).append(either.raw_scale)
     for (kind, lies), column in scales.items():
         few, sign = min((sum(s > 0 for s in column), 1), (sum(s < 0 for s in column), -1))
         if few:
@@ -363,7 +361,7 @@ def _signs(config: RobotConfig) -> Iterator[Finding]:
                 f"scales of both signs: those of {kind} {places} (0 = at the base) differ from the "
                 "others'; correct them, unless these sensors lie the other way up"
             )
-            yield Finding(f"column {column_name(config, lies)}", "warning", text)
+            yield Finding(f"column {config.column_name(lies)}", "warning", text)
 
 
 def _flex_sensors(config: RobotConfig) -> list[tuple[str, FlexSensor]]:
@@ -374,19 +372,20 @@ def _flex_sensors(config: RobotConfig) -> list[tuple[str, FlexSensor]]:
         lies = sensor.direction_deg
         k = placed[lies] = placed.get(lies, -1) + 1
         if isinstance(sensor, FlexSensor) and sensor.healthy:
-            found.append((f"{column_name(config, lies)} {k}", sensor))
+            found.append((f"{config.column_name(lies)} {k}", sensor))
     return found
 
 
-def _rates(config: RobotConfig) -> Iterator[Finding]:
+def _rates(wiring: Wiring) -> Iterator[Finding]:
     """The rate of each kind of channel, by the schedule of firmware/core/board.h."""
     conversions = 2 ** PARAMETERS["oversample_log2"].defaults[0]
     bases, others = _TICKS_HZ / conversions, _TICKS_HZ / 2 / conversions
-    if not config.board_sensors or beyond_board(config):
+    wired = len(wiring.config.board_sensors)
+    if not wired:
         return
-    read = len(base_inputs(config))
+    read = len(wiring.base_inputs)
     text = f"base sensors ({read}) {bases:.1f} Hz, "
-    if rest := len(config.board_sensors) - read:
+    if rest := wired - read:
         text += f"the others ({rest}) {others:.1f} Hz, "
     yield Finding("rates", "ok", f"{text}pressures {_TICKS_HZ} Hz")
 
@@ -423,7 +422,7 @@ def _fibre(config: RobotConfig) -> Iterator[Finding]:
     text = (
         f"{len(config.gratings)} readings, each known to {worst.reading_se:.1e} 1/cm, of which "
         f"{worst.temperature_se:.1e} are the temperature's, in all alike; a contact of "
-        f"{TRIGGER_PER_CM:g} 1/cm strains by {TRIGGER_PER_CM / abs(worst.scale_per_ue):.0f} "
+        f"{TRIGGER_PER_CM:g} 1/cm strains by {TRIGGER_PER_CM / abs(worst.raw_scale):.0f} "
         "microstrain"
     )
     yield Finding("fibre", "ok", text)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from thigmo import wiring
 from thigmo.errors import ConfigError
+from thigmo.wiring import BOARD_SIZES, board_size
 
 if TYPE_CHECKING:
     from thigmo.config import RobotConfig
@@ -104,15 +104,15 @@ def virtual_board(robot: RobotConfig, seed: int, eeprom: bytes = b"") -> Board:
     """The virtual board that a robot needs, with an EEPROM of this content."""
     from thigmo.emulator import _board, _large_board
 
-    if wiring.board_of(robot) is wiring.BOARDS[0]:
+    if board_size(robot) is BOARD_SIZES[0]:
         return _board.VirtualBoard(seed, eeprom)
     return _large_board.VirtualBoard(seed, eeprom, *_CONVERTER)
 
 
 def require_usual(robot: RobotConfig) -> None:
     """Raise ConfigError for a robot that needs another board than the usual one."""
-    needed = wiring.board_of(robot)
-    if needed is not wiring.BOARDS[0]:
+    needed = board_size(robot)
+    if needed is not BOARD_SIZES[0]:
         raise ConfigError(
             f"this robot needs another board ({needed.name})", "open it by emulator://SCENE"
         )

@@ -16,7 +16,7 @@ from thigmo.emulator.board import Board
 from thigmo.emulator.plant import OPEN_COUNT, SHORT_COUNT, Plant
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.link.protocol import ResetCause
-from thigmo.wiring import input_of
+from thigmo.wiring import Wiring
 
 _POWER_OFF_S = 1.0
 # `value` where a scene gives none. Of pressure_stuck and pressure_frozen it is the pressure there.
@@ -92,7 +92,9 @@ class FaultInjector:
         muscle = next((n for n, m in enumerate(robot.muscles) if m.side == fault.side), 0)
         flex = fault.kind.startswith("flex")
         channel = (
-            input_of(robot)[fault.side, fault.sensor] if flex else plant.pressure_channel + muscle
+            Wiring.of(robot).inputs[fault.side, fault.sensor]
+            if flex
+            else plant.pressure_channel + muscle
         )
         value = _DEFAULTS.get(fault.kind, 0.0) if fault.value is None else fault.value
         match fault.kind:
@@ -105,7 +107,7 @@ class FaultInjector:
             case "flex_noisy":
                 self._hold(plant.flex_noise, channel, value, on)
             case "imu_hung":
-                end_cm = robot.column(fault.side)[fault.sensor].fold_cm[0]
+                end_cm = robot.column(fault.side)[fault.sensor].passes_at.center_cm
                 (plant.imus.hung.add if on else plant.imus.hung.discard)(plant.imus.at(end_cm))
             case "grating_lost":
                 (plant.fibre.lost.add if on else plant.fibre.lost.discard)(fault.sensor)

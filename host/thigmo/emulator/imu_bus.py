@@ -12,11 +12,11 @@ from math import cos, sin
 import numpy as np
 import numpy.typing as npt
 
-from thigmo import wiring
 from thigmo.config import HeadingSensor, RobotConfig
 from thigmo.emulator.imus import ImuString
 from thigmo.errors import ConfigError
-from thigmo.reading_errors import imus_of
+from thigmo.sensors import imus_of
+from thigmo.wiring import Wiring
 
 DONE, REFUSED, STUCK = 0, 2, 3  # how a transfer ends (firmware/core/sensing/imu_string.h)
 MULTIPLEXER = 0x70
@@ -143,7 +143,8 @@ def string_bus(config: RobotConfig, string: ImuString) -> ImuBus:
 
     Raises ConfigError for an IMU without an address, and for two with the same one.
     """
-    turning = {n: s for n, s in enumerate(wiring.sensors(config)) if isinstance(s, HeadingSensor)}
+    wired = Wiring.of(config).sensors
+    turning = {n: s for n, s in enumerate(wired) if isinstance(s, HeadingSensor)}
     chips: dict[tuple[int, int], Bno085] = {}
     _, ends = imus_of([*turning.values()])
     for row, sensor in enumerate(turning.values()):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from thigmo.config import IMU_CM, RAD_PER_OHM, SAME_IMU_CM, HeadingSensor
 from thigmo.emulator.scene import Imu
-from thigmo.reading_errors import imus_of
+from thigmo.sensors import imus_of
 
 Floats = npt.NDArray[np.float64]
 

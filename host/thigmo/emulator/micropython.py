@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
-from thigmo import wiring
 from thigmo.emulator._board import Analog
 from thigmo.emulator._large_board import Analog as LargeAnalog
 from thigmo.emulator.board import require_usual
@@ -31,6 +30,7 @@ from thigmo.emulator.transport import EmulatorTransport, parse_url
 from thigmo.errors import PortError
 from thigmo.link.framing import check_sequence
 from thigmo.link.protocol import ResetCause
+from thigmo.wiring import BOARD_SIZES, board_size
 
 if TYPE_CHECKING:
     from thigmo.link.transport import Transport
@@ -433,7 +433,7 @@ def open_micropython(url: str, *, seed: int | None = None, realtime: bool = Fals
     """Open `micropython://SCENE?seed=N&on=unix|cortex-m3`."""
     scene, used, options = parse_url(url, seed, on=("unix", "cortex-m3"))
     on: Processor = "cortex-m3" if options["on"] == "cortex-m3" else "unix"
-    large = wiring.board_of(scene.robot) is not wiring.BOARDS[0]
+    large = board_size(scene.robot) is not BOARD_SIZES[0]
     if on == "cortex-m3":
         require_usual(scene.robot)
     board = MicroPythonBoard(used, on=on, large=large)

@@ -15,7 +15,7 @@ from math import ceil, cos, exp, hypot, inf, isnan, nan, pi, radians, sin
 import numpy as np
 import numpy.typing as npt
 
-from thigmo import config, wiring
+from thigmo import config
 from thigmo.emulator import _plant
 from thigmo.emulator._plant import FlexSensor, Muscle, Spool, Swing
 from thigmo.emulator.board import CHANNELS, DRIVE_FULL
@@ -35,6 +35,7 @@ from thigmo.mechanics import (
     critical_moment,
     peg_for,
 )
+from thigmo.wiring import Wiring
 
 Floats = npt.NDArray[np.float64]
 
@@ -93,7 +94,8 @@ class Plant:
         robot = scene.robot
         self._robot = robot
         self._rng = rng
-        board = wiring.board_of(robot)
+        wiring = Wiring.of(robot)
+        board = wiring.size
         self.pressure_channel = first = board.sensors  # of the first muscle
         self.pegs = scene.peg_list()
         # What the mechanics know of: those obstacles that still stand, by their numbers.
@@ -166,7 +168,7 @@ class Plant:
         self._contacts = _Switch(b.contact_s, b.contact_s)
         self._brake = _Switch(b.opens_s, b.closes_s)
         self.length_cm = scene.start_length_cm
-        wired = wiring.sensors(robot)
+        wired = wiring.sensors
         turns = {n: s for n, s in enumerate(wired) if isinstance(s, config.HeadingSensor)}
         self._turning = np.array([*turns], dtype=np.intp)  # the inputs that IMUs are read into
         self.imus = ImuString(

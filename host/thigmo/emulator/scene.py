@@ -18,18 +18,13 @@ from pydantic import Field, model_validator
 
 from thigmo.config import (
     SIDES,
-    Finite,
     HeadingSensor,
-    Model,
-    NonNegative,
-    Positive,
     RobotConfig,
     Side,
-    read_toml,
-    validated,
 )
 from thigmo.errors import ConfigError
 from thigmo.mechanics import Peg, Wall
+from thigmo.toml_model import Finite, Model, NonNegative, Positive, read_toml, validated
 from thigmo.wiring import beyond_board
 
 SCENES = Path(__file__).parent / "scenes"
@@ -339,7 +334,7 @@ class Scene(Model):
 
     def save(self, path: str | Path) -> None:
         """Write the scene as TOML, with every entry that has a value."""
-        self._write(path)
+        self.write(path)
 
     def peg_list(self) -> tuple[Peg, ...]:
         """The pegs, for the mechanics."""

@@ -32,7 +32,7 @@ from thigmo.mechanics import Peg
 if TYPE_CHECKING:
     from thigmo.camera import PictureSource, Sheet
     from thigmo.link.transport import Transport
-    from thigmo.room import Dowel, Operator
+    from thigmo.operator_prompts import Dowel, Operator
 
 _KEPT_BEATS = 64
 _SEEN_CM = 0.02  # of line: what an eye beside the spool sees

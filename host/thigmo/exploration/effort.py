@@ -16,7 +16,7 @@ from thigmo.config import SIDES, RobotConfig
 from thigmo.errors import DataError
 from thigmo.exploration.plan import SAME_CM, stage_lengths
 from thigmo.robot import rising_period_s
-from thigmo.wiring import blind
+from thigmo.wiring import Wiring
 
 # What a step takes beside its motion, s: by the clock of emulated runs.
 _BEGINS_S = 5.0  # the operator measures the length
@@ -73,7 +73,7 @@ class Effort:
         said += [
             f"no sweeps towards {muscle.name}, because no healthy sensor at the base responds to "
             "them, so obstacles there are not felt"
-            for muscle in blind(config)
+            for muscle in Wiring.of(config).unguarded_muscles
         ]
         return "; ".join(said)
 

@@ -22,6 +22,7 @@ from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.resume import interrupted
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.exploration.run_control import Questions, RunControl
+from thigmo.operator_prompts import Reachable
 from thigmo.record import (
     PRIOR_FILE,
     NamedMuscle,
@@ -32,10 +33,9 @@ from thigmo.record import (
 )
 from thigmo.report import draw_map
 from thigmo.robot import Operator, connect
-from thigmo.room import Reachable
 from thigmo.stream import Event, recording
 from thigmo.version import VERSION
-from thigmo.wiring import unexplored
+from thigmo.wiring import Wiring
 
 _ENDINGS: dict[type[BaseException], str] = {
     KeyboardInterrupt: "interrupted by the operator",
@@ -142,7 +142,7 @@ def explore(
         connect(url, seed=seed, operator=operator, realtime=realtime) as robot,
     ):
         used = config or robot.known_config
-        if used and (beyond := unexplored(used)):
+        if used and (beyond := Wiring.of(used).unexplorable):
             raise ConfigError(
                 f"an exploration is in the plane, by sensors on the board: {beyond.what}",
                 beyond.cure,

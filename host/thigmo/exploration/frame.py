@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from thigmo import wiring
 from thigmo.config import RobotConfig
 from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.exploration.workspace import Bend, place_contact
@@ -20,6 +19,7 @@ from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.reading_errors import errors_of
 from thigmo.record import MapContact
 from thigmo.robot import Peak, SensorTable
+from thigmo.wiring import Wiring
 
 
 def localize_frame(peak: Peak, config: RobotConfig, zone: int, method: str) -> LocalizeResult:
@@ -28,10 +28,11 @@ def localize_frame(peak: Peak, config: RobotConfig, zone: int, method: str) -> L
     `zone` is that of the body pressure, `method` that of `localize`. Raises DataError if no sensor
     is usable.
     """
-    table = SensorTable.of(config).warmed(peak.warmth)
+    wiring = Wiring.of(config)
+    table = SensorTable.of(wiring).warmed(peak.warmth)
     use = np.flatnonzero(table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature))
-    rows = wiring.rows(config)
-    stated = errors_of(config, peak.side, zone, [row for n in use if (row := rows[n]) is not None])
+    sensors = [sensor for n in use if (sensor := wiring.read_sensors[n]) is not None]
+    stated = errors_of(config, peak.side, zone, sensors)
     averaged = {
         "noise": np.hypot(table.white, peak.added_noise)[use],  # zeros included
         "zero_error": 0.0,

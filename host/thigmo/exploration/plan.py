@@ -15,9 +15,9 @@ def half_everted(config: RobotConfig, length_cm: float) -> str:
     """Name of a sensor that lies in the tip's fold at a length, or an empty string."""
     for side in SIDES:
         for index, sensor in enumerate(config.column(side)):
-            center, span = sensor.fold_cm
-            away = span / 2 + FOLD_MARGIN_CM
-            if sensor.healthy and center - away < length_cm < center + away - 1e-6:
+            center_cm, span_cm, _ = sensor.passes_at
+            away = span_cm / 2 + FOLD_MARGIN_CM
+            if sensor.healthy and center_cm - away < length_cm < center_cm + away - 1e-6:
                 return f"{side}[{index}]"
     return ""
 

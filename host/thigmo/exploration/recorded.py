@@ -33,7 +33,7 @@ from thigmo.robot import (
     peak_frame,
 )
 from thigmo.robot.curvature import Floats
-from thigmo.wiring import board_of
+from thigmo.wiring import Wiring
 
 _ZEROED = 1 << 2  # of sensor_report.flags
 _SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
@@ -53,10 +53,10 @@ class _Frames:
     """Reads the board's state off its frames, as the robot object does live."""
 
     def __init__(self, config: RobotConfig) -> None:
-        self._config = config
-        self.table = SensorTable.of(config)
+        self._wiring = Wiring.of(config)
+        self.table = SensorTable.of(self._wiring)
         self._enabled = self.table.board.healthy.copy()
-        rows = wire.parameters(**board_of(config).capacity)
+        rows = wire.parameters(**self._wiring.size.capacity)
         self._first, self._oversample = (rows[n].index for n in ("flex_enabled", "oversample_log2"))
         self._creep: CreepWatch | None = None
         self._clock = DeviceClock()
@@ -112,7 +112,7 @@ class _Frames:
             case wire.StatusReport():
                 self._status = message
             case wire.Arm():
-                self._creep = CreepWatch(self._config, self.table.oversample)
+                self._creep = CreepWatch(self._wiring, self.table.oversample)
             case wire.ParameterValue() if 0 <= message.index - self._first < len(self._enabled):
                 self._enabled[message.index - self._first] = message.value
             case wire.ParameterValue() if message.index == self._oversample:
@@ -158,7 +158,7 @@ class _Frames:
             young = status.everted_mask & mask_of(self.table.board.healthy & ~self._enabled)
             mask = status.everted_mask & status.settled_mask & status.zeroed_mask
             length = status.length_um / 1e4
-        muscles = self._config.muscle_sides
+        muscles = self._wiring.config.muscle_sides
         watcher = SweepWatcher(
             self.table, mask, length, young, self._creep, sides=muscles, strains=self._strains
         )
@@ -172,7 +172,7 @@ class _Frames:
         if message.index != len(self._snapshots):
             return  # the reply to a repeated request
         at_s = self._device_s(message.t_us)
-        self._snapshots.append(peak_frame(message, at_s, self._config.muscle_sides))
+        self._snapshots.append(peak_frame(message, at_s, self._wiring.config.muscle_sides))
         if len(self._snapshots) == message.count:
             watcher.peaks.append(self._snapshots)
 

@@ -19,6 +19,7 @@ from thigmo.exploration.stall import Lean, Obstruction, lean, stall
 from thigmo.record import Obstacle, Stage, Stall
 from thigmo.robot import Profile, SensorTable, SweepResult
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
 
 _SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
 
@@ -41,7 +42,7 @@ class Reducer:
     def __init__(
         self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = FIELD
     ) -> None:
-        self._table = SensorTable.of(config)
+        self._table = SensorTable.of(Wiring.of(config))
         self._board = self._table.board  # its zeros last from stage to stage
         self._zone = self._measured_zone = 0
         self.found = Interpreter(config, prior, method)

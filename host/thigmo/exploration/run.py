@@ -43,7 +43,7 @@ from thigmo.robot import (
 )
 from thigmo.robot.state import together
 from thigmo.stream import Contacts, Grid, Log, Posterior, RunState
-from thigmo.wiring import base_inputs, blind
+from thigmo.wiring import Wiring
 
 _MOST_ZERO_TRIES = 5
 
@@ -92,10 +92,11 @@ class Exploration:
         self.live = Live(self.robot)
         self._knows = self.knows or Reducer(self.config, self.prior, self.document.method)
         self._found = self._knows.found
-        self._table = SensorTable.of(self.config)
+        self._wiring = Wiring.of(self.config)
+        self._table = SensorTable.of(self._wiring)
         if self.protocol == "thesis":
             self.effort = THESIS
-        self._base = sum(1 << number for number in base_inputs(self.config))
+        self._base = sum(1 << number for number in self._wiring.base_inputs)
 
     def run(self) -> None:
         """Walk the table to its end; each state has the method of its name.
@@ -240,7 +241,7 @@ class Exploration:
 
     def _grown(self) -> Profile:
         """Lengths of the stage's growth, and what the sensors read at each."""
-        return self._growth.profile(SensorTable.of(self.config, self.robot.oversample))
+        return self._growth.profile(SensorTable.of(self._wiring, self.robot.oversample))
 
     def _back_off(self) -> str:
         """Wind in until the tip is clear of what stopped or bent it.
@@ -329,7 +330,7 @@ class Exploration:
             {
                 muscle.name: muscle.max_pressure_psi
                 for muscle in self.config.muscles
-                if muscle not in blind(self.config)
+                if muscle not in self._wiring.unguarded_muscles
             },
             period_s=period_s(self.config, self._zone),
             rising_only=not thesis,

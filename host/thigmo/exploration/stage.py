@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo import wiring
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
 from thigmo.contact_status import LIKELY
 from thigmo.exploration.fitted import FittedContact
@@ -25,6 +24,7 @@ from thigmo.localization import METHODS
 from thigmo.record import MapContact, Obstacle, RunDocument, Shape, Stage, Trigger
 from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult, mean_peak
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
 
 _SHAPES_A_SIDE = 12
 _AVERAGED = 5  # frames behind a shape, a quarter of a second
@@ -63,7 +63,7 @@ class Interpreter:
         self._config = config
         self._thesis = method == THESIS
         self._prior = prior
-        self._table = SensorTable.of(config)
+        self._table = SensorTable.of(Wiring.of(config))
         self.map = ContactMap(config, prior)
 
     def take(self, sweep: SweepResult, zone: int) -> None:
@@ -235,8 +235,8 @@ def _words(contact: MapContact) -> str:
 
 def _gain_errors(config: RobotConfig) -> Floats:
     """(n,) relative standard error of each sensor's scale today; 1 where there is no sensor."""
-    rows = wiring.rows(config)
-    return np.array([np.hypot(row.gain_error, row.drift_se) if row else 1.0 for row in rows])
+    sensors = Wiring.of(config).read_sensors
+    return np.array([np.hypot(s.gain_error, s.drift_se) if s else 1.0 for s in sensors])
 
 
 def _swept_shapes(
@@ -249,7 +249,7 @@ def _swept_shapes(
     and so a sensor that reads too much makes no space free.
     """
     shapes = []
-    table = SensorTable.of(config)
+    table = SensorTable.of(Wiring.of(config))
     gain = _gain_errors(config)
     for side in SIDES:
         frames, readings = sweep.half(side)

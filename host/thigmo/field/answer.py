@@ -79,6 +79,8 @@ def contacts(
     if not chains:
         return []
     samples = search.sample(chains, expected=expected)
+    if samples is None:
+        return []
     log_odds = samples.log_evidence + 0.5 * search.nothing.cost
     if log_odds < np.log(_REFUSED):
         return []

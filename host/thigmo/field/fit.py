@@ -39,7 +39,8 @@ CELL = 3.0 / 53  # of the length, of the elastica's mesh: an error below 1e-4 1/
 ALIKE = 2.0
 # Standard deviation of the logarithm by which gains and maps have drifted more than stated.
 SPREAD_STD = 0.4
-MOST_PASSES = 12
+MOST_PASSES, MOST_EVIDENCE_PASSES = 12, 6
+_MET = 0.02  # log likelihood that a further pass for the errors may gain
 _DAMPING, _LEAST_DAMPING, _RAISED = 1e-2, 1e-4, 6.0
 _TRIES = 5  # of a step, each with more damping
 _GAIN = 0.02  # log likelihood below which a pass ends the fit
@@ -289,9 +290,11 @@ class FieldFit:
             d = self.departures(tables, xi, spread)
             z, effect = d.z, d.effect
             factor = np.linalg.cholesky(effect.T @ effect + np.eye(self.count))
-            if left:
-                right = np.linalg.solve(factor, effect.T @ z - xi)
-                xi = xi + np.linalg.solve(factor.T, right)
+            right = np.linalg.solve(factor, effect.T @ z - xi)
+            # Half of |right|^2 is what a pass gains.
+            if not left or right @ right < 2 * _MET:
+                break
+            xi = xi + np.linalg.solve(factor.T, right)
         inside = 2 * float(np.log(np.diag(factor)).sum())
         misfit = float(z @ z + xi @ xi)
         return -0.5 * (misfit + inside + d.volume), xi, misfit

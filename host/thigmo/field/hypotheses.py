@@ -25,6 +25,7 @@ FOLD, FRICTION, YIELD = -3, -2, -1
 
 # Friction of fabric and plastic film on what stands in a room is 0 to 0.6: two sigma.
 FRICTION_STD = 0.3
+_MOST_FRICTION = 4 * FRICTION_STD
 # Tube radii that an obstacle yields, one sigma, under a force at seven tenths of the longest body
 # that would fold its base: a cushion, a cable, a peg on a foot.
 YIELD_STD = 0.5
@@ -82,7 +83,7 @@ class Hypothesis:
 
     def possible(self, q: Floats, body: Body) -> bool:
         """Whether the straight body has room, and pegs do not overlap."""
-        if not np.isfinite(q).all():
+        if not np.isfinite(q).all() or (self.pegs and abs(q[FRICTION]) > _MOST_FRICTION):
             return False
         for p in range(self.pegs):
             arc, bend = q[PEG_UNKNOWNS * p + ARC], q[PEG_UNKNOWNS * p + BEND]

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from scipy.special import gammaln
 
 from thigmo.field.atlas import Atlas
-from thigmo.field.fit import SPREAD_STD, FieldFit, Mode
-from thigmo.field.hypotheses import PEG, RADIUS, RADIUS_MEAN, RADIUS_STD, YIELD
+from thigmo.field.fit import MOST_EVIDENCE_PASSES, SPREAD_STD, FieldFit, Mode
+from thigmo.field.hypotheses import FRICTION, PEG, RADIUS, RADIUS_MEAN, RADIUS_STD, YIELD
 from thigmo.field.readings import Errors, Floats, Readings
 
 # Logarithms of radii over the tube's at which the ridge has nodes.
@@ -35,19 +35,23 @@ _PROPOSED = 14.0  # and beyond which a node proposes no samples
 _DOF, _WIDER = 6, 1.3  # of the proposals
 _WIDEST = 6.0  # standard deviations over which an unknown direction is proposed
 _TEMPER = 0.35  # exponent of the modes' weights among the proposals
-_TEMPERED = 12.0  # effective samples from which later rounds learn
-_NARROWER = 0.5  # by which they lie nearer
+_TEMPERED = 25.0  # effective samples from which later rounds learn
+_SPREAD = 1.15  # of their covariance
+_LEARNT = 0.75  # share of a later round that lies as earlier samples are spread
+_LEAST_SHARE = 0.02  # of a chain's weight, with less of which nothing is learnt of it
 _NEGLIGIBLE = 1e-3  # share of a level of the mechanics' error that later rounds omit
-ROUND, ROUNDS = 60, 5
+ROUND, ROUNDS = 60, 6
 ENOUGH = 50.0  # effective samples
 _KEPT = np.array([0, 1, 3, 4, 5])  # unknowns other than the radius
+_UNSIGNED = [FRICTION, YIELD]  # unknowns whose signs mean nothing
+_MIRRORS = np.array([[1.0, 1.0, 1.0, 1.0, f, y] for f in (1, -1) for y in (1, -1)])
 
 
 @dataclass(frozen=True)
 class Samples:
     """Weighted samples of one peg."""
 
-    q: Floats  # (n, 5)
+    q: Floats  # (n, 6)
     model: Floats  # (n, levels) posterior of the level of the mechanics' error
     touch: Floats  # (n, stages, 5) arc, x, y, normal, force at each stage's last peak; NaN: none
     weight: Floats  # (n,) of sum one
@@ -134,53 +138,54 @@ class PegSearch:
         *,
         seed: int = 0,
         expected: Callable[[Floats], Floats] | None = None,
-    ) -> Samples:
-        """Importance samples, in rounds until enough of them count.
+    ) -> Samples | None:
+        """Importance samples, in rounds until enough of them count; None if no place is possible.
 
-        The first round is drawn around the ridges, later ones also around the samples so far; all
-        are weighed by the mixture of all rounds. `expected`: density of a given map at points
-        (n, 2) of the touched skin, over that of a new obstacle.
+        The first round is drawn around the ridges, later ones mostly as the samples so far are
+        spread; all are weighed by the mixture of all rounds. `expected`: density of a given map at
+        points (n, 2) of the touched skin, over that of a new obstacle.
         """
         rng, fit = np.random.default_rng(seed), self.fit
-        ridges, modes = _ridges(chains)
-        proposals: list[_Mixture] = []
+        ridges, modes, chain_of = _ridges(chains)
+        drifts = self._drifts(min(modes, key=lambda mode: mode.cost))
+        proposals: list[_Proposal] = [ridges]
+        counts = np.zeros(ROUNDS * len(chains) + 1)
         drawn: list[_Draw] = []
         levels = list(range(len(MODELS)))
-        weight = np.zeros(0)
+        weight, round_shares = np.zeros(0), [1.0]
         for _ in range(ROUNDS):
-            some = [ridges]
-            if weight.size:
-                some += [ridges.around(np.array([d.q for d in drawn]), weight)] * 2
-            for n in range(ROUND):
-                proposal = some[n % len(some)]
-                q = proposal.draw(rng)
-                proposals.append(proposal)
-                spread = float(np.exp(SPREAD_STD * rng.standard_normal()))
+            for n in rng.choice(len(round_shares), ROUND, p=round_shares):
+                at = len(proposals) - len(round_shares) + n if n else 0
+                counts[at] += 1
+                q, drift = proposals[at].draw(rng), drifts.draw(rng)
                 if PEG.possible(q, fit.body):
-                    drawn.append(self._drawn(q, modes[ridges.nearest(q[None])[0]], levels, spread))
+                    drawn.append(self._drawn(q, modes[ridges.nearest(q[None])[0]], levels, drift))
             if not drawn:
                 continue
             q = np.array([d.q for d in drawn])
-            different = {id(proposal): proposal for proposal in proposals}
             density = np.logaddexp.reduce(
                 [
-                    np.log(sum(p is proposal for p in proposals) / len(proposals))
-                    + proposal.log_density(q)
-                    for proposal in different.values()
+                    np.log(count / counts.sum()) + proposal.log_density(q)
+                    for count, proposal in zip(counts, proposals, strict=False)
+                    if count
                 ]
             )
-            logs = np.array([d.log for d in drawn]) - density
+            logs = np.array([d.log - drifts.log_ratio(d.drift) for d in drawn]) - density
             if expected is not None:
                 logs += np.log(expected(np.array([d.skin for d in drawn])))
             weight = np.exp(logs - logs.max())
-            total = float(logs.max() + np.log(weight.sum() / len(proposals)))
+            total = float(logs.max() + np.log(weight.sum() / counts.sum()))
             weight /= weight.sum()
             if ENOUGH * np.sum(weight**2) < 1:
                 break
             shares = weight @ np.array([d.levels for d in drawn])
             levels = [n for n in levels if shares[n] > _NEGLIGIBLE]
+            bells, bell_shares = _bells(q, weight, chain_of[ridges.nearest(q)])
+            proposals += bells
+            learnt = _LEARNT if bells else 0.0
+            round_shares = [1 - learnt, *(learnt * bell_shares)]
         if not drawn:
-            raise NothingPossibleError
+            return None
         best = drawn[int(np.argmax(weight))]
         return Samples(
             q, np.array([d.levels for d in drawn]), np.array([d.touch for d in drawn]), weight,
@@ -188,15 +193,32 @@ class PegSearch:
             best.misfit / float(np.sum(~fit.missing)), total,
         )  # fmt: skip
 
-    def _drawn(self, q: Floats, mode: Mode, levels: Sequence[int], spread: float) -> _Draw:
-        fit = self.fit
+    def _drifts(self, mode: Mode) -> _Drifts:
+        """How far gains and maps have drifted, as a mode has it."""
+        z = np.linspace(-2.0, 2.0, 9)
+        logs = np.array(
+            [
+                self.fit.evidence(mode.tables, mode.xi, spread=float(np.exp(SPREAD_STD * one)))[0]
+                for one in z
+            ]
+        )
+        logs -= 0.5 * z**2
+        weight = np.exp(logs - logs.max())
+        mean = float(weight @ z / weight.sum())
+        std = float(np.sqrt(weight @ (z - mean) ** 2 / weight.sum()))
+        return _Drifts(mean, _WIDER * max(std, 0.2))
+
+    def _drawn(self, q: Floats, mode: Mode, levels: Sequence[int], drift: float) -> _Draw:
+        fit, spread = self.fit, float(np.exp(SPREAD_STD * drift))
         tables = fit.tables(PEG, q)
         logs = np.full(len(MODELS), -np.inf)
         for n in levels:
             level = self._levels[n]
             xi = level.free()
             xi[: mode.xi.size] = mode.xi
-            log, fitted, misfit = level.evidence(tables, xi, spread=spread, passes=1)
+            log, fitted, misfit = level.evidence(
+                tables, xi, spread=spread, passes=MOST_EVIDENCE_PASSES
+            )
             logs[n] = log + np.log(MODEL_ODDS[n])
             if logs[n] == logs.max():
                 best, least = fitted, misfit
@@ -212,15 +234,28 @@ class PegSearch:
         (peg,) = PEG.place(q, fit.body)
         turn = float(q[0] * q[1])
         skin = np.array([peg.x + peg.radius * np.sin(turn), peg.y - peg.radius * np.cos(turn)])
-        return _Draw(q, total + prior, np.exp(logs - total), touch, skin, least)
+        return _Draw(q, drift, total + prior, np.exp(logs - total), touch, skin, least)
 
 
-class NothingPossibleError(Exception):
-    """No sample of a place was possible."""
+class _Drifts(NamedTuple):
+    """Proposal of the logarithm of how far gains and maps have drifted, over its prior sigma."""
+
+    mean: float
+    std: float
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """One logarithm."""
+        return self.mean + self.std * float(rng.standard_normal())
+
+    def log_ratio(self, drift: float) -> float:
+        """Logarithm of the proposal's density over the prior's."""
+        z = (drift - self.mean) / self.std
+        return 0.5 * (drift**2 - z**2) - float(np.log(self.std))
 
 
 class _Draw(NamedTuple):
     q: Floats
+    drift: float  # logarithm of the factor by which gains and maps drifted, over its prior sigma
     log: float  # posterior density
     levels: Floats  # (levels,) posterior of the mechanics' error
     touch: Floats
@@ -263,6 +298,7 @@ class _Mixture:
         q[RADIUS] += off
         q[_KEPT] += self._slopes[n] * off
         q[_KEPT] += wide * self._factors[n] @ rng.standard_normal(_KEPT.size)
+        q[_UNSIGNED] = np.abs(q[_UNSIGNED])
         drawn: Floats = q
         return drawn
 
@@ -272,9 +308,10 @@ class _Mixture:
         return nearest
 
     def log_density(self, q: Floats) -> Floats:
-        """(k,) logarithm of the density at unknowns (k, 5)."""
-        density: Floats = np.logaddexp.reduce(self._logs(q), axis=1) + self._norm
-        return density
+        """(k,) logarithm of the density at unknowns (k, 6), mirrored ones included."""
+        mirrored = [self._logs(q * sign) for sign in _MIRRORS]
+        density: Floats = np.logaddexp.reduce(np.concatenate(mirrored, axis=1), axis=1)
+        return density + self._norm
 
     def _logs(self, q: Floats) -> Floats:
         off = q[:, None, RADIUS] - self._centers[:, RADIUS]
@@ -285,23 +322,69 @@ class _Mixture:
         logs: Floats = share + bells - self._volumes - 0.5 * (off / self._step) ** 2
         return logs
 
-    def around(self, q: Floats, weight: Floats) -> _Mixture:
-        """A narrower mixture around weighted samples, each along its ridge."""
-        # Tempered until some samples share the weight.
-        while weight.size > _TEMPERED and _TEMPERED * np.sum(weight**2) > 1:
-            weight = weight**0.8
-            weight = weight / weight.sum()
-        near = self.nearest(q)
-        factors = _NARROWER * self._factors[near]
-        return _Mixture(q, self._slopes[near], factors, weight, _NARROWER * self._step)
+
+class _Bell:
+    """A t-distribution of unknowns."""
+
+    def __init__(self, center: Floats, covariance: Floats) -> None:
+        self._center = center
+        self._factor = np.linalg.cholesky(covariance)
+        d = center.size
+        self._norm = float(
+            gammaln((_DOF + d) / 2) - gammaln(_DOF / 2) - 0.5 * d * np.log(_DOF * np.pi)
+            - np.log(np.diag(self._factor)).sum()
+        )  # fmt: skip
+
+    def draw(self, rng: np.random.Generator) -> Floats:
+        """Unknowns."""
+        wide = np.sqrt(_DOF / rng.chisquare(_DOF))
+        q: Floats = self._center + wide * self._factor @ rng.standard_normal(self._center.size)
+        q[_UNSIGNED] = np.abs(q[_UNSIGNED])
+        return q
+
+    def log_density(self, q: Floats) -> Floats:
+        """(k,) logarithm of the density at unknowns (k, 6), mirrored ones included."""
+        logs = []
+        for sign in _MIRRORS:
+            z = np.linalg.solve(self._factor, (q * sign - self._center).T)
+            logs.append(-0.5 * (_DOF + len(z)) * np.log1p(np.sum(z**2, axis=0) / _DOF))
+        density: Floats = np.logaddexp.reduce(logs, axis=0) + self._norm
+        return density
 
 
-def _ridges(chains: Sequence[Sequence[Mode]]) -> tuple[_Mixture, list[Mode]]:
-    """Proposals around the nodes of ridges, and the nodes."""
+_Proposal = _Mixture | _Bell
+
+
+def _bells(q: Floats, weight: Floats, chain: npt.NDArray[np.intp]) -> tuple[list[_Bell], Floats]:
+    """What weighted samples of each chain are spread as, and the chains' shares of the weight."""
+    # Tempered until enough samples share the weight to give a covariance.
+    while weight.size > _TEMPERED and _TEMPERED * np.sum(weight**2) > 1:
+        weight = weight**0.8
+        weight = weight / weight.sum()
+    bells, shares = [], []
+    for number in np.unique(chain):
+        on = (chain == number) & (weight > 0.0)
+        share = weight[on].sum()
+        part = weight[on] / share if share else weight[on]
+        if share < _LEAST_SHARE or np.sum(part**2) > 1 / q.shape[1]:
+            continue
+        center = part @ q[on]
+        off = q[on] - center
+        covariance = _SPREAD * (part[:, None] * off).T @ off
+        bells.append(_Bell(center, covariance + 1e-9 * np.diag(np.diag(covariance))))
+        shares.append(share)
+    return bells, np.array(shares) / max(sum(shares), 1e-300)
+
+
+def _ridges(
+    chains: Sequence[Sequence[Mode]],
+) -> tuple[_Mixture, list[Mode], npt.NDArray[np.intp]]:
+    """Proposals around the nodes of ridges, the nodes, and the numbers of their chains."""
     best = min(mode.cost for chain in chains for mode in chain)
     modes: list[Mode] = []
     slopes, factors = [], []
-    for chain in chains:
+    numbers = []
+    for number, chain in enumerate(chains):
         q = np.array([mode.q for mode in chain])
         many = len(chain) > 1
         slope = np.gradient(q[:, _KEPT], q[:, RADIUS], axis=0) if many else [np.zeros(_KEPT.size)]
@@ -309,6 +392,7 @@ def _ridges(chains: Sequence[Sequence[Mode]]) -> tuple[_Mixture, list[Mode]]:
             if mode.cost < best + _PROPOSED:
                 w, v = np.linalg.eigh(mode.precision[np.ix_(_KEPT, _KEPT)])
                 modes.append(mode)
+                numbers.append(number)
                 slopes.append(along)
                 wide = np.minimum(1 / np.sqrt(np.maximum(w, 1e-9)), _WIDEST)
                 factors.append(_WIDER * v * wide)
@@ -316,4 +400,4 @@ def _ridges(chains: Sequence[Sequence[Mode]]) -> tuple[_Mixture, list[Mode]]:
     step = 0.75 * (RADII[1] - RADII[0])
     centers = np.array([mode.q for mode in modes])
     mixture = _Mixture(centers, np.array(slopes), np.array(factors), share / share.sum(), step)
-    return mixture, modes
+    return mixture, modes, np.array(numbers, dtype=np.intp)

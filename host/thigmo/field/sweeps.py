@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo import wiring
 from thigmo.config import SIGN, FlexSensor, RobotConfig, Side
 from thigmo.field.readings import Errors, Floats, Readings, Stage
 from thigmo.mechanics import critical_moment
 from thigmo.robot import Peak, SensorTable, SweepResult
+from thigmo.wiring import Wiring
 
 _FRAMES = 5  # of 20 Hz, in a bin
 _SWINGS_S = 0.7  # at its start a half sweep swings
@@ -60,7 +60,7 @@ def read(
     sweeps: Sequence[Swept], side: Side, config: RobotConfig
 ) -> tuple[Readings, Errors] | None:
     """Readings of a side's sweeps in their order, with their errors; None where there are none."""
-    table, sign = SensorTable.of(config), SIGN[side]
+    table, sign = SensorTable.of(Wiring.of(config)), SIGN[side]
     rows: list[_Bin] = []
     scatter = []
     number = 0
@@ -147,8 +147,9 @@ def _white(scatter: Floats, stated: Floats) -> Floats:
 
 def stated(config: RobotConfig, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
     """Errors of the sensors in `use` as robot.toml states them, with drifts since calibration."""
-    table, muscle, body = SensorTable.of(config), config.muscle(side), config.body
-    rows = [sensor for sensor, used in zip(wiring.rows(config), use, strict=True) if used]
+    wiring = Wiring.of(config)
+    table, muscle, body = SensorTable.of(wiring), config.muscle(side), config.body
+    rows = [sensor for sensor, used in zip(wiring.read_sensors, use, strict=True) if used]
     zero = np.array([sensor.zero_error if sensor else 0.0 for sensor in rows])
     constant, zeroing, sweep = (share * zero for share in _ZERO_PARTS)
     gain = np.array([sensor.gain_error if sensor else 0.0 for sensor in rows])

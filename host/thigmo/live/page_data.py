@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.config import RobotConfig
 from thigmo.files import DATA_BYTES, read_file
 from thigmo.link.protocol import MOST_MUSCLES, MOST_SENSORS
 from thigmo.record import RunFolder
 from thigmo.stream import Contacts, Message, Telemetry, read_messages, to_json
-from thigmo.stream.recorded import config_in
-from thigmo.wiring import columns, muscle_outputs
+from thigmo.stream.recorded import wiring_in
+from thigmo.wiring import Wiring
 
 _MOST_ROWS = 60_000  # five minutes at full rate, twenty at 50 Hz
 
@@ -95,16 +94,17 @@ def block(readings: Sequence[Telemetry], origin_s: float, most: int) -> NDArray[
     return np.ascontiguousarray(table.T, dtype=np.float32)
 
 
-def body(config: RobotConfig) -> dict[str, Any]:
+def body(wiring: Wiring) -> dict[str, Any]:
     """The robot's build."""
+    config = wiring.config
     return {
         "length_cm": config.body.length_cm,
         "radius_cm": config.body.radius_cm,
         "muscles": [
-            {"name": name, "side": config.muscles[output].side, "output": output}
-            for output, name in muscle_outputs(config).items()
+            {"name": muscle.name, "side": muscle.side, "output": output}
+            for output, muscle in enumerate(config.muscles)
         ],
-        "columns": [column._asdict() for column in columns(config) if column.side],
+        "columns": [column._asdict() for column in wiring.columns if column.side],
     }
 
 
@@ -136,7 +136,7 @@ class PastRun:
                 "id": self._folder, "name": self._document.name, "url": self._document.url,
                 "folder": self._folder, "t_s": self._origin_s, "virtual": False,
             },
-            "body": body(config_in(self._folder)),
+            "body": body(wiring_in(self._folder)),
             "truth": pegs(self._folder),
         }  # fmt: skip
 

@@ -17,7 +17,6 @@ from thigmo.reading_errors import Floats
 from thigmo.record import MapContact, Pose
 from thigmo.stream import BodyShape, Contacts, Grid, Telemetry
 from thigmo.stream.recorded import config_in
-from thigmo.wiring import muscle_outputs
 
 BASE, TIP = "thigmo_base", "thigmo_tip"
 _M_PER_CM = 0.01
@@ -203,8 +202,9 @@ def _board_values(board: Telemetry, facts: Facts) -> dict[str, str]:
         "motor duty": _number(board.motor, 3),
         "supply (V)": _number(board.supply_v, 2),
     }
-    muscles = muscle_outputs(config_in(facts.run.folder if facts.run else ""))
-    for number, name in muscles.items():
+    config = config_in(facts.run.folder if facts.run else "")
+    for number, muscle in enumerate(config.muscles):
+        name = muscle.name
         values[f"{name} pressure (Pa)"] = _number(board.pressure_psi[number] * _PA_PER_PSI, 0)
         values[f"{name} set point (Pa)"] = _number(board.demand_psi[number] * _PA_PER_PSI, 0)
         values[f"{name} transducer (mA)"] = _number(board.drive_ma[number], 2)

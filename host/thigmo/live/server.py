@@ -35,11 +35,12 @@ from thigmo.live.page_request import PageRequest, parse
 from thigmo.live.relay import Target, Watched
 from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.viewer import Viewer
+from thigmo.operator_prompts import Simulated
 from thigmo.robot import JOG_CM
 from thigmo.robot.stopping import Stopped, WayTo
-from thigmo.room import Simulated
 from thigmo.stream import RETAINED, BodyShape, Event, Hello, Message, RunState, Telemetry
-from thigmo.stream.recorded import config_in
+from thigmo.stream.recorded import wiring_in
+from thigmo.wiring import Wiring
 
 PAGE = Path(__file__).parent / "page"
 PORT = 8421
@@ -79,7 +80,7 @@ class _Run:
         self.over = asyncio.Event()
         self.pausing = False
         self.failure = ""
-        self.body = body(config_in(folder))
+        self.body = body(wiring_in(folder))
         self.length_cm: float | None = None  # everted before the run, where it is known
         self.pegs: list[dict[str, float]] = []
         # What a page that comes later has missed.
@@ -182,7 +183,7 @@ class PageServer:
         """What is known of the robot, and of an emulated one's room, before the first run."""
         url, config, run = self.options.url, self.options.config, self._run
         if config is not None:
-            run.body = body(RobotConfig.load(config))
+            run.body = body(Wiring.of(RobotConfig.load(config)))
         if url is None or url.partition("://")[0] != "emulator":
             return
         with contextlib.suppress(ThigmoError):  # Start tells what is wrong with the scene
@@ -191,7 +192,7 @@ class PageServer:
                 if isinstance(room, Simulated):
                     known = room.truth()
                     if config is None:
-                        run.body = body(room.config)
+                        run.body = body(Wiring.of(room.config))
                     run.length_cm = float(known.length_cm)
                     run.pegs = [
                         {"x_cm": peg.x, "y_cm": peg.y, "radius_cm": peg.radius}

@@ -17,12 +17,13 @@ from typing import TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from thigmo import files
-from thigmo.config import RobotConfig, invalid_entry
+from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.link.framing import FrameError, decode
 from thigmo.link.protocol import Telemetry
 from thigmo.record.document import KILLED, RUNNING, RunDocument
 from thigmo.record.log import Entry, Log, LogWriter, read_log
+from thigmo.toml_model import invalid_entry
 
 try:
     import fcntl

@@ -22,13 +22,13 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from thigmo.config import Finite, Positive, invalid_entry
 from thigmo.display.grid import draw_grid
 from thigmo.display.html import html_card, html_table
 from thigmo.errors import RunFolderError
 from thigmo.extras import require
 from thigmo.files import CONFIG_BYTES, DATA_BYTES, read_file, why_unreadable
 from thigmo.record.folder import write_whole
+from thigmo.toml_model import Finite, Positive, invalid_entry
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

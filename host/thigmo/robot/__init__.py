@@ -3,10 +3,11 @@
 What `thigmo.connect` returns. Units are cm, psi, 1/cm and s; the board's integers stay inside.
 """
 
+from thigmo.operator_prompts import Operator
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import SensorTable, in_mask, mask_of
 from thigmo.robot.fibre import FibreReading
-from thigmo.robot.robot import JOG_CM, Robot, connect
+from thigmo.robot.robot import JOG_CM, WITHOUT_BRAKE, Robot, connect
 from thigmo.robot.state import (
     ContactTrigger,
     Peak,
@@ -17,10 +18,8 @@ from thigmo.robot.state import (
     mean_peak,
 )
 from thigmo.robot.strains import Strains
-from thigmo.robot.supervised import WITHOUT_BRAKE
 from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.watchers import GrowthWatcher, Profile, SweepWatcher, peak_frame
-from thigmo.room import Operator
 
 __all__ = [
     "JOG_CM",

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from math import ceil, radians, sin
 from typing import TYPE_CHECKING
 
-from thigmo import wiring
-from thigmo.config import HeadingSensor, RobotConfig, Sensor
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.link import protocol as wire
+from thigmo.sensors import imu_ends
+from thigmo.wiring import Wiring
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client
@@ -24,25 +24,27 @@ _AT_REST = 1 << 7  # of trigger_when: while no muscle bends the body
 _PRESSURE_MARGIN_PSI = 0.5  # regulation overshoots; the set point itself never exceeds the muscle's
 
 
-def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
+def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
     """The schema's parameters that robot.toml decides, by name, in wire units.
 
     One value for each sensor's input, and the first ones of other arrays.
     """
+    config, flex = wiring.config, wiring.sensors
     board, spool, body = config.board, config.spool, config.body
-    flex, bases = wiring.sensors(config), wiring.base_inputs(config)
     pulls = [round(zone.pull_duty) for zone in body.zones]
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
     ratio = board.divider_ohm / _BOARD_DIVIDER_OHM
     muscles = config.muscles
-    begins, ends = wiring.imu_ends(config)
-    imus = {"imu_from": begins, "imu_to": ends} if wiring.board_of(config).imus else {}
+    begins, ends = imu_ends(flex)
+    imus = {"imu_from": begins, "imu_to": ends} if wiring.size.imus else {}
     return imus | {
         "flex_enabled": [int(s is not None and s.healthy) for s in flex],
-        "flex_center_um": [round(s.fold_cm[0] * 1e4) if s else 0 for s in flex],
-        "flex_center_se_um": [_place_se_um(s) if s else 0 for s in flex],
-        "flex_span_um": [round(s.fold_cm[1] * 1e4) if s else 0 for s in flex],
-        "flex_scale": [round(s.scale_per_ohm * ratio * 1e9) if s else 0 for s in flex],
+        "flex_center_um": [round(s.passes_at.center_cm * 1e4) if s else 0 for s in flex],
+        "flex_center_se_um": [
+            _um(s.passes_at.center_se_cm, "flex_center_se_um") if s else 0 for s in flex
+        ],
+        "flex_span_um": [round(s.passes_at.span_cm * 1e4) if s else 0 for s in flex],
+        "flex_scale": [round(s.raw_scale * ratio * 1e9) if s else 0 for s in flex],
         "settle_ms": [round(board.settle_s * 1e3)],
         "max_pressure_cpsi": [
             round((max(m.max_pressure_psi for m in muscles) + _PRESSURE_MARGIN_PSI) * 100)
@@ -63,85 +65,78 @@ def parameter_settings(config: RobotConfig) -> dict[str, list[int]]:
         "brake_closes_ms": [round(spool.brake_closes_s * 1e3)],
         "muscle_fitted": [1] * len(muscles),
         "trigger_when": [
-            _counts_while(config, number) if number in bases else 0 for number in range(len(flex))
+            _counts_while(wiring, number) if number in wiring.base_inputs else 0
+            for number in range(len(flex))
         ],
     }
 
 
-def _place_se_um(sensor: Sensor) -> int:
-    """Standard error of the place at which a sensor swings while the tip passes it.
-
-    An IMU whose turn the board reads as a divider's, not over the bus, looks like a flex sensor
-    that swings from where its span begins: it may do so a whole span early, and accuses nobody.
-    """
-    if isinstance(sensor, HeadingSensor) and not sensor.i2c_address:
-        return min(round(sensor.span_cm * 1e4), wire.PARAMETERS["flex_center_se_um"].high)
-    return round(sensor.center_se_cm * 1e4)
+def _um(centimetres: float, parameter: str) -> int:
+    """A length as a parameter holds it, or the most that it holds."""
+    return min(round(centimetres * 1e4), wire.PARAMETERS[parameter].high)
 
 
-def _counts_while(config: RobotConfig, base_input: int) -> int:
+def _counts_while(wiring: Wiring, base_input: int) -> int:
     """Bits of trigger_when of a base sensor: at rest, and while a muscle that it guards bends."""
     guarded = (
         1 << number
-        for number, muscle in enumerate(config.muscles)
-        if any(guard.number == base_input for guard in wiring.guards(config, muscle))
+        for number, muscle in enumerate(wiring.config.muscles)
+        if any(base.number == base_input for base in wiring.trigger_sensors(muscle))
     )
     return _AT_REST | sum(guarded)
 
 
-def map_settings(config: RobotConfig) -> list[wire.SetMap]:
+def map_settings(wiring: Wiring) -> list[wire.SetMap]:
     """The free-curvature maps of robot.toml: body pressure x muscle x branch, signed.
 
     The board compares a bend with the base sensors that guard it, so its maps are the share that
-    these read; of a muscle that none guards, the share in the plane. Raises ConfigError for a robot
-    that the board cannot hold.
+    these read; of a muscle that none guards, the share in the plane.
     """
-    found = []
-    for zone in range(len(config.body.zones)):
-        for number, muscle in enumerate(config.muscles):
-            shares = [guard.share for guard in wiring.guards(config, muscle)]
+    settings = []
+    for zone in range(len(wiring.config.body.zones)):
+        for number, muscle in enumerate(wiring.config.muscles):
+            shares = [base.share for base in wiring.trigger_sensors(muscle)]
             share = shares[0] if shares else sin(radians(muscle.direction_deg))
             for branch in wire.Branch:
                 curve = getattr(muscle.maps[zone], branch.key)
                 wired = tuple(round(share * curve.curvature(p) * 1e5) for p in _MAP_PSI)
-                found.append(wire.SetMap(zone, number, branch, wired))
-    return found
+                settings.append(wire.SetMap(zone, number, branch, wired))
+    return settings
 
 
-def send_config(client: Client, config: RobotConfig) -> bool:
+def send_config(client: Client, wiring: Wiring) -> bool:
     """Make the board's parameters and maps those of robot.toml; whether any of them changed.
 
     Raises ConfigError for another board than the robot needs, and for a value that the board cannot
     hold or does not give back.
     """
-    has, board = client.capacity, wiring.board_of(config)
-    if (has.muscles, has.sensors, has.body_pressures, has.imus) != (*board.capacity.values(),):
+    has, size, muscles = client.capacity, wiring.size, wiring.config.muscles
+    if (has.muscles, has.sensors, has.body_pressures, has.imus) != (*size.capacity.values(),):
         raise ConfigError(
             f"the board is built for {has.muscles} muscles, {has.sensors} sensors and "
-            f"{has.body_pressures} body pressures, and this robot needs one for {board.muscles}, "
-            f"{board.sensors} and {board.body_pressures} ({board.name})",
+            f"{has.body_pressures} body pressures, and this robot needs one for {size.muscles}, "
+            f"{size.sensors} and {size.body_pressures} ({size.name})",
             "use that board, or another robot.toml: see `thigmo robot check robot.toml`",
         )
     wanted = {
         name: [*values, *[0] * (client.parameters[name].count - len(values))]
-        for name, values in parameter_settings(config).items()
+        for name, values in parameter_settings(wiring).items()
     }
     # What hangs on no output keeps what it has.
     for name in ("lag_ms", "reversal_cpsi"):
-        count = len(config.muscles)
-        wanted[name][count:] = get_parameter(client, name)[count:]
+        wanted[name][len(muscles) :] = get_parameter(client, name)[len(muscles) :]
     differing = {name: v for name, v in wanted.items() if get_parameter(client, name) != v}
     if differing:
         set_parameters(client, differing)
         for name, values in differing.items():
             _verify(f"parameter {name}", get_parameter(client, name), values)
     changed = bool(differing)
-    for setting in map_settings(config):
+    for setting in map_settings(wiring):
         where = wire.GetMap(setting.zone, setting.muscle, setting.branch)
         if client.request(where).curvature_e5 != setting.curvature_e5:
             changed = True
             client.request(setting)
-            what = f"the map of zone {setting.zone}, muscle {config.muscles[setting.muscle].name}"
+            what = f"the map of zone {setting.zone}, muscle {muscles[setting.muscle].name}"
             _verify(what, client.request(where).curvature_e5, setting.curvature_e5)
     return changed
 

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from thigmo import wiring
-from thigmo.config import RobotConfig
 from thigmo.link.inbox import TelemetryFrame
 from thigmo.mechanics.settling import Settling
 from thigmo.robot.curvature import Floats, SensorTable
-from thigmo.robot.idle import VENTED_CPSI
+from thigmo.robot.idle_pressure import VENTED_CPSI
+from thigmo.wiring import Wiring
 
 _SPACING_S = 0.05
 _BIN_S = 0.25
@@ -31,13 +30,13 @@ _AMPLITUDE_SD = 0.03
 class CreepWatch:
     """Follows telemetry through a run; a raw reading sums `oversample` conversions."""
 
-    def __init__(self, config: RobotConfig, oversample: int) -> None:
-        self._table = SensorTable.of(config, oversample).board
+    def __init__(self, wiring: Wiring, oversample: int) -> None:
+        self._table = SensorTable.of(wiring, oversample).board
         self._laws = {
             number: Settling(
                 s.settle_tau_s, _TAU_SE * s.settle_tau_s, s.settle_amplitude, _AMPLITUDE_SD
             )
-            for number, s in enumerate(wiring.sensors(config))
+            for number, s in enumerate(wiring.sensors)
             if s
         }
         self._ends = self._table.center_cm + self._table.span_cm / 2

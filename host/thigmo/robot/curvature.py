@@ -15,9 +15,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo import wiring
-from thigmo.config import SIGN, FibreSensor, RobotConfig, Side
+from thigmo.config import SIGN, FibreSensor, Side
 from thigmo.reading_errors import shared_errors
+from thigmo.wiring import Wiring
 
 Floats = NDArray[np.float64]
 
@@ -74,23 +74,14 @@ class SensorTable:
     strained_s: float = -np.inf  # device time at which the gratings were zeroed
 
     @classmethod
-    def of(cls, config: RobotConfig, oversample: int = 16) -> SensorTable:
-        """Lay out the configuration's sensors in the board's order, without zeros."""
-        sensors = wiring.rows(config)
+    def of(cls, wiring: Wiring, oversample: int = 16) -> SensorTable:
+        """Lay out the robot's sensors in the board's order, without zeros."""
+        sensors, config = wiring.read_sensors, wiring.config
         return cls(
             inputs=len(sensors) - len(config.gratings),
             center_cm=np.array([s.center_cm if s else 0.0 for s in sensors]),
             span_cm=np.array([s.span_cm if s else 0.0 for s in sensors]),
-            scale=np.array(
-                [
-                    0.0
-                    if s is None
-                    else s.scale_per_ue
-                    if isinstance(s, FibreSensor)
-                    else s.scale_per_ohm
-                    for s in sensors
-                ]
-            ),
+            scale=np.array([s.raw_scale if s else 0.0 for s in sensors]),
             noise=np.array([s.reading_se if s else 1.0 for s in sensors]),
             white=np.array([np.hypot(s.noise, s.zero_error) if s else 1.0 for s in sensors]),
             shared=shared_errors(sensors),
@@ -98,12 +89,7 @@ class SensorTable:
                 [int(SIGN[s.side]) if s and s.side and s.wrinkles else 0 for s in sensors]
             ),
             direction=np.array([s.valid_direction if s else 0 for s in sensors]),
-            healthy=np.array(
-                [
-                    s is not None and s.healthy and not (isinstance(s, FibreSensor) and not s.side)
-                    for s in sensors
-                ]
-            ),
+            healthy=np.array([s is not None and s.usable for s in sensors]),
             radius_cm=config.body.radius_cm,
             divider_ohm=config.board.divider_ohm,
             oversample=oversample,

@@ -52,8 +52,8 @@ class Fibre:
         self._newest: TelemetryFrame | None = None
         self._t_s = -np.inf  # device time of the last line
         self._config, self._gratings = config, config.gratings
-        self._needed = np.array([one.healthy and one.side is not None for one in self._gratings])
-        self._ends = np.array([one.center_cm + one.span_cm / 2 for one in self._gratings])
+        self._needed = np.array([grating.usable for grating in self._gratings])
+        self._ends = np.array([g.center_cm + g.span_cm / 2 for g in self._gratings])
         self._zero_s = -np.inf
         self._zero_ue = np.full(len(self._gratings), np.nan)
 
@@ -94,7 +94,7 @@ class Fibre:
         apart = abs(np.nanmedian(halves[0], axis=0) - np.nanmedian(halves[1], axis=0))
         # From line to line, which drift does not raise; and what any reading may be off by.
         scatter = np.nanmedian(abs(np.diff(lines, axis=0)), axis=0) / _MEDIAN_STEP
-        noise = np.array([one.noise / abs(one.scale_per_ue) for one in self._gratings])
+        noise = np.array([grating.noise / abs(grating.raw_scale) for grating in self._gratings])
         if np.any(apart > noise[self._needed] + _DRIFT * scatter * (4 / len(lines)) ** 0.5):
             raise CommandRefusedError(
                 "the fibre's strains still drift", "wait until the body rests", reason="drifting"
@@ -131,7 +131,7 @@ class Fibre:
         known = np.isfinite(strain).sum(axis=0) >= _FEWEST
         mean = np.full(len(known), np.nan)
         mean[known] = np.nanmean(strain[:, known], axis=0)
-        scale = np.array([one.scale_per_ue for one in self._gratings])
+        scale = np.array([grating.raw_scale for grating in self._gratings])
         muscles = len(self._config.muscles)
         psi = np.mean([row.pressure_cpsi[:muscles] for *_, row in pairs], axis=0) / 100
         bent = float(psi.max()) >= _BENT_PSI

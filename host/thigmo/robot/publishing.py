@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thigmo.config import SIGN, RobotConfig
+from thigmo.config import SIGN
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
 from thigmo.mechanics import traced
 from thigmo.robot.curvature import SensorTable
-from thigmo.robot.idle import UNBENT_CPSI
+from thigmo.robot.idle_pressure import UNBENT_CPSI
+from thigmo.robot.state import Status
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
 from thigmo.stream.messages import Severity
-from thigmo.wiring import muscle_outputs, sensor_name
+from thigmo.wiring import Wiring
 
 if TYPE_CHECKING:
     from thigmo.link.client import Client
@@ -41,7 +42,7 @@ def _names(both: int, faults: int) -> tuple[str, str, tuple[str, ...]]:
     )
 
 
-def _described(event: wire.Event, config: RobotConfig) -> tuple[str, Severity, str, str]:
+def _described(event: wire.Event, wiring: Wiring) -> tuple[str, Severity, str, str]:
     """Name, severity, what happened, and what to do next."""
     code, arg, value = event.code, event.arg, event.value
     if code is wire.EventCode.FAULT:
@@ -53,18 +54,18 @@ def _described(event: wire.Event, config: RobotConfig) -> tuple[str, Severity, s
         return code.key, "warning", f"{wire.Activity(arg).key} ended early: {what}", cure
     text = {
         wire.EventCode.CONTACT: lambda: (
-            f"contact felt at the base while the {muscle_outputs(config).get(arg, arg)} muscle "
+            f"contact felt at the base while the {wiring.muscle_name(arg)} muscle "
             f"bends the body ({value / 1e5:+.4f} 1/cm off its free bend)"
         ),
         wire.EventCode.PEAK: lambda: (
-            f"the {muscle_outputs(config).get(arg, arg)} muscle was at its peak: {value} readings"
+            f"the {wiring.muscle_name(arg)} muscle was at its peak: {value} readings"
         ),
         wire.EventCode.ACTIVITY_DONE: lambda: (
             f"{wire.Activity(arg).key} ended at {value / 1e4:.1f} cm"
         ),
         wire.EventCode.ZEROED: lambda: f"{arg.bit_count()} sensors zeroed",
         wire.EventCode.EVERTED: lambda: (
-            f"sensor {sensor_name(config, arg)} everted at {value / 1e4:.1f} cm"
+            f"sensor {wiring.sensor_name(arg)} everted at {value / 1e4:.1f} cm"
         ),
         wire.EventCode.SAVED: lambda: f"configuration {value} stored",
     }[code]()
@@ -74,29 +75,33 @@ def _described(event: wire.Event, config: RobotConfig) -> tuple[str, Severity, s
 class Publisher:
     """Publishes a client's telemetry and events on its hub."""
 
-    def __init__(self, client: Client, config: RobotConfig, table: SensorTable) -> None:
+    def __init__(self, client: Client, wiring: Wiring, table: SensorTable) -> None:
         self.hub = Hub()
         self.epoch_s = time.time() - client.now()  # UTC seconds at which the link's clock was 0
         self.supply_v = nan  # the board's supply, as last asked for
         self._shape_s = 0.0
-        self.use(config, table)
+        self.use(wiring, table)
         client.on_telemetry.append(self.take)
         client.on_event.append(lambda received: self.hub.publish(self.event(received)))
 
-    def use(self, config: RobotConfig, table: SensorTable) -> None:
+    def use(self, wiring: Wiring, table: SensorTable) -> None:
         """Decode with these constants and zeros from now on."""
-        self._config = config
-        self._radius_cm = config.body.radius_cm
+        self._wiring = wiring
+        self._radius_cm = wiring.config.body.radius_cm
         self._table = table
         self._decode = table.board_decoder()
         # 0 for a muscle that bends the body out of the plane.
-        self._bends = [SIGN[m.side] if m.side else 0.0 for m in config.muscles]
+        self._bends = [SIGN[m.side] if m.side else 0.0 for m in wiring.config.muscles]
         self._lies: list[int] = table.lies.tolist()
         self._centers: list[float] = table.center_cm.tolist()
         # Everted where it ends, and never if it is not to be used.
         used = table.healthy & np.isfinite(table.zero_sum)
         everted_cm = np.where(used, table.center_cm + table.span_cm / 2, np.inf)
         self._everted_cm: list[float] = everted_cm.tolist()
+
+    def note_status(self, status: Status) -> None:
+        """Publish this supply with the telemetry from now on."""
+        self.supply_v = status.supply_v
 
     def take(self, frame: TelemetryFrame) -> None:
         """Publish a frame, and the body's shape if it is due, to their listeners.
@@ -162,7 +167,7 @@ class Publisher:
 
     def event(self, received: ReceivedEvent) -> Event:
         """An event in words, with the operator's next step if there is one."""
-        words = _described(received.message, self._config)
+        words = _described(received.message, self._wiring)
         return Event(received.t_s, self.epoch_s + received.t_s, *words)
 
     def _shape(self, telemetry: Telemetry) -> BodyShape:

@@ -12,6 +12,12 @@ import numpy as np
 from thigmo.config import Side
 from thigmo.record import Truth
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
+
+
+def pressures_psi(cpsi: Sequence[float], wiring: Wiring) -> tuple[float, ...]:
+    """Pressures (psi) of the robot's muscles, of those (0.01 psi) that the board has."""
+    return tuple(pressure / 100 for pressure in cpsi[: len(wiring.config.muscles)])
 
 
 @dataclass(frozen=True, slots=True)

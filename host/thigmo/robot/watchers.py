@@ -17,7 +17,7 @@ from thigmo.link.inbox import TelemetryFrame
 from thigmo.record import Truth
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import Floats, SensorTable, mask_of
-from thigmo.robot.idle import UNBENT_CPSI
+from thigmo.robot.idle_pressure import UNBENT_CPSI
 from thigmo.robot.state import ContactTrigger, Peak, SweepFrame, SweepResult
 from thigmo.robot.strains import Strains
 

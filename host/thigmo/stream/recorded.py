@@ -37,7 +37,7 @@ from thigmo.stream.messages import (
     Message,
     Posterior,
 )
-from thigmo.wiring import board_of, columns, key_of, muscle_outputs
+from thigmo.wiring import Wiring, table_key
 
 Row = dict[str, Any]
 Named = dict[int, list[tuple[int, str]]]  # place in a message's tuple and name
@@ -160,23 +160,31 @@ def config_in(folder: str | os.PathLike[str]) -> RobotConfig:
         return RobotConfig()
 
 
-def _named(config: RobotConfig) -> Named:
+def wiring_in(folder: str | os.PathLike[str]) -> Wiring:
+    """The wiring of a run folder's robot, or of the default one if no board can hold it."""
+    try:
+        return Wiring.of(config_in(folder))
+    except ConfigError:
+        return Wiring.of(RobotConfig())
+
+
+def _named(wiring: Wiring) -> Named:
     """Names of muscles and sensors, by how many numbers a message has for them."""
     sensors = [
-        (number, key_of(f"{column.name} {place}"))
-        for column in columns(config)
+        (number, table_key(f"{column.name} {place}"))
+        for column in wiring.columns
         for place, number in enumerate(column.inputs)
     ]
-    board = board_of(config)
-    return {board.muscles: [*muscle_outputs(config).items()], board.sensors: sensors}
+    muscles = [(number, muscle.name) for number, muscle in enumerate(wiring.config.muscles)]
+    return {wiring.size.muscles: muscles, wiring.size.sensors: sensors}
 
 
 def _rows(run: str | os.PathLike[str]) -> Iterator[tuple[str, Callable[[], list[str]], list[Any]]]:
     """Rows of all tables: channel, function that names the columns, and values."""
     path = Path(run)
-    config = config_in(path if path.is_dir() else path.parent)
-    named = _named(config)
-    muscles: dict[str, str] = {m.side: m.name for m in config.muscles if m.side}
+    wiring = wiring_in(path if path.is_dir() else path.parent)
+    named = _named(wiring)
+    muscles: dict[str, str] = {m.side: m.name for m in wiring.config.muscles if m.side}
     for message in read_messages(run, set(RECORDED) - {Grid.CHANNEL}):
         own = _values(message, named)
         for entry in _entries(message, muscles):

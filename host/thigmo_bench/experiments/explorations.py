@@ -33,6 +33,7 @@ from thigmo.exploration.run import Progress
 from thigmo.exploration.run import Protocol as Way
 from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import Operator, SensorTable, connect
+from thigmo.wiring import Wiring
 from thigmo_bench.baselines import BASELINES, Problem
 from thigmo_bench.experiments import thesis
 from thigmo_bench.experiments.session import Attendant, Folder, Place, Row, Say
@@ -100,7 +101,7 @@ def _thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
 
     Stages with fewer readings than the solver needs are skipped, as in the thesis.
     """
-    table = SensorTable.of(run.read_config())
+    table = SensorTable.of(Wiring.of(run.read_config()))
     for sweep in recorded_sweeps(run.path):
         touched = {trigger.side for trigger in sweep.triggers}
         for peak in (peak for peak in sweep.peaks if peak.side in touched):

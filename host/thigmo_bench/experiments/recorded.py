@@ -15,13 +15,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from thigmo import wiring
 from thigmo.calibrate.bench import READ_S, STEADY_S, grow_to, set_zone, zero
 from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record import LogWriter
 from thigmo.robot import Reading, Robot, SensorTable
 from thigmo.version import VERSION
+from thigmo.wiring import Wiring
 from thigmo_bench.experiments import thesis
 from thigmo_bench.experiments.session import Attendant, Folder, Row, Say
 from thigmo_bench.experiments.specimen import frozen, pushed
@@ -138,7 +138,7 @@ def trials(folder: Folder) -> list[Trial]:
 
 def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
     """A line of the table as a trial with usable sensors only, and free curvature from the map."""
-    table, scale_se = SensorTable.of(config), _scale_errors(config)
+    table, scale_se = SensorTable.of(Wiring.of(config)), _scale_errors(config)
     side: Side = row["side"]
     muscle, sign = config.muscle(side), SIGN[side]
     zone = muscle.maps[-1]
@@ -173,7 +173,7 @@ def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> Floats
     As `Specimen.learn_gains`. On a real robot, however, the errors of a reading (zero, hysteresis)
     are much the same in all trials, so that many trials say no more than one.
     """
-    table, muscle = SensorTable.of(config), config.muscle(side)
+    table, muscle = SensorTable.of(Wiring.of(config)), config.muscle(side)
     mine = [row for row in rows if row["side"] == side and row["passed_psi"]]
     zone, sign = muscle.maps[-1], SIGN[side]
     spread = np.maximum(np.hypot(_scale_errors(config), zone.scale_se), _LEAST_GAIN_SE)
@@ -186,4 +186,5 @@ def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> Floats
 
 def _scale_errors(config: RobotConfig) -> Floats:
     """(n,) relative standard error of each sensor's scale; 0 where there is no sensor."""
-    return np.array([sensor.gain_error if sensor else 0.0 for sensor in wiring.rows(config)])
+    sensors = Wiring.of(config).read_sensors
+    return np.array([sensor.gain_error if sensor else 0.0 for sensor in sensors])

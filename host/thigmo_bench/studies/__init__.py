@@ -14,6 +14,7 @@ STUDIES: dict[str, str] = {
     "speed-accuracy": "speed against accuracy of every method",
     "stability": "error and failures of each method as conditions get harder",
     "accuracy": "coverage and wrong answers, each error stated and not stated",
+    "mistakes": "wrong answers under the mistakes of labs, stated and not",
     "loads": "few sensors, two contacts, held ends, kinks, near the base",
     "number": "how many contacts, and where, against what can be known",
     "space": "contacts in space, against an independent rod",

@@ -2,8 +2,9 @@
 
 Truth is independent (`contact_scenes`). Each body is read under every error that sensors and models
 have in practice (`ERRORS`), once stated to `localize` and once not. A localized contact is wrong if
-its 95 % interval contains no true place; shares are of all frames. A further chart shows contacts
-found and bad readings believed over the prior odds that a reading is bad.
+its 95 % interval contains no true place; their share is given of all frames, and of those with a
+localized contact. A further chart shows contacts found and bad readings believed over the prior
+odds that a reading is bad.
 """
 
 from __future__ import annotations
@@ -163,7 +164,9 @@ Row = dict[str, Any]
 
     found: share of frames with a contact of probability over one half.
     covered: of those, intervals that hold the true place.
+    localized: of all frames, with a localized contact.
     wrong: of all frames, localized where nothing is.
+    wrong_of_localized: likewise, of the frames with a localized contact.
     wrong_against_others: likewise of the frames in which the other readings tell of a bad one.
     rmse_over_bound: root mean square of errors over that of bounds, where the bound is small.
 """
@@ -195,8 +198,8 @@ def judge(task: tuple[Case, int, int, int]) -> Floats:
     is no contact, or none was found.
 
     Returns:
-        (size, 6) for each frame: found, covered, localized and wrong, squared error, bound, and
-        `other_readings_tell`.
+        (size, 7) for each frame: found, covered, localized and wrong, squared error, bound,
+        `other_readings_tell`, and localized.
     """
     case, seed, number, size = task
     scenes, error = _scenes(seed, case.group, number, size), ERRORS[case.error]
@@ -208,15 +211,16 @@ def judge(task: tuple[Case, int, int, int]) -> Floats:
         error.spoil(rng, Frame(clean, scenes.position, free, odds))
         for clean, free in zip(scenes.curvature, scenes.free.tolist(), strict=True)
     ]
-    out = np.full((size, 6), np.nan)
+    out = np.full((size, 7), np.nan)
     out[:, 4] = scenes.bound
     # Only needed for bad readings at the usual odds.
     out[:, 5] = other_readings_tell(frames) if case.error in BAD and case.odds is None else 0.0
     for i, (frame, arcs) in enumerate(zip(frames, scenes.arcs, strict=True)):
         contacts = ask(frame, error.tell(frame) if case.stated and error.tell else {}).contacts
         listed = [contact for contact in contacts if contact.probability > 0.5]
-        wrong = any(c.status == "localized" and not holds(arcs, c.interval) for c in contacts)
-        out[i, [0, 2]] = bool(listed), wrong
+        placed = [contact for contact in contacts if contact.status == "localized"]
+        wrong = any(not holds(arcs, contact.interval) for contact in placed)
+        out[i, [0, 2, 6]] = bool(listed), wrong, bool(placed)
         if listed and arcs.size:
             out[i, 1] = any(holds(arcs, contact.interval) for contact in listed)
             out[i, 3] = min((contact.arc - arcs[0]) ** 2 for contact in listed)
@@ -224,14 +228,15 @@ def judge(task: tuple[Case, int, int, int]) -> Floats:
 
 
 def score(case: Case, frames: Floats) -> Row:
-    """The row of a case, from the frames (n, 6) of `judge`."""
-    found, covered, wrong, off, bound, tells = frames.T
+    """The row of a case, from the frames (n, 7) of `judge`."""
+    found, covered, wrong, off, bound, tells, localized = frames.T
     felt = np.isfinite(off)
     fine = felt & (bound < RESOLVABLE)
     ratio = np.sqrt(off[fine].sum() / (bound[fine] ** 2).sum()) if fine.any() else np.nan
     return {
         "error": case.error, "group": case.group, "stated": case.stated, "count": len(frames),
-        "found": share(found), "covered": share(covered[felt]), "wrong": share(wrong),
+        "found": share(found), "covered": share(covered[felt]), "localized": share(localized),
+        "wrong": share(wrong), "wrong_of_localized": share(wrong[localized > 0.5]),
         "wrong_against_others": share(wrong[tells > 0.5]), "rmse_over_bound": float(ratio),
     }  # fmt: skip
 
@@ -270,28 +275,31 @@ def _stated_figure(rows: list[Row]) -> Figure:
     """Coverage and wrong answers under each error that can be stated: stated, and not."""
     lines = {(row["error"], row["group"], row["stated"]): row for row in rows}
     pairs = [(e, g) for e, g, stated in lines if stated and not g.startswith("free")]
-    figure, (first, second) = panels(1, 2, size=(5.5, 0.3 * len(pairs) + 1.4), share=True)
+    figure, (first, second, third) = panels(1, 3, size=(3.7, 0.3 * len(pairs) + 1.4), share=True)
     at = np.arange(len(pairs))
     for label, color, place in (("not stated", RED, at - 0.2), ("stated", BLUE, at + 0.2)):
         some = [lines[*pair, label == "stated"] for pair in pairs]
         first.barh(place, [100 * row["covered"] for row in some], 0.4, color=color)
         second.barh(place, [100 * row["wrong"] for row in some], 0.4, color=color, label=label)
+        third.barh(place, [100 * row["wrong_of_localized"] for row in some], 0.4, color=color)
     first.axvline(95.0, color="black", linewidth=0.8)
     second.axvline(3.0, color="black", linewidth=0.8, label="stated, and promised")
     names = [error if error.startswith(group) else f"{error}, {group}" for error, group in pairs]
     first.set_yticks(at, names, fontsize=8)
     first.set(xlabel="intervals that hold the contact (%)", xlim=(40, 100), ylim=(len(pairs), -1))
     second.set_xlabel("localized where nothing is (% of frames)")
+    third.set_xlabel("the same (% of localized)")
     legend_below(figure, second)
     return figure
 
 
 def _odds_figure(prices: list[Row]) -> Figure:
     """Contacts found, and bad readings believed, over the odds that are passed."""
-    figure, axes = panels(1, 2, size=(4.6, 3.6))
+    figure, axes = panels(1, 3, size=(3.1, 3.0))
     for axis, error, title, what, label in (
         (axes[0], "none", "all readings good", "found", "contacts found (%)"),
-        (axes[1], BAD[0], BAD[0], "wrong", "localized where nothing is (%)"),
+        (axes[1], BAD[0], BAD[0], "wrong", "localized where nothing is (% of frames)"),
+        (axes[2], BAD[0], BAD[0], "wrong_of_localized", "the same (% of localized)"),
     ):
         lines: dict[str, list[tuple[float, float]]] = {group: [] for group in TOUCHED}
         for price in prices:
@@ -323,7 +331,7 @@ def run(context: Context) -> Outcome:
         context.save(outcome)
     cases = [Case(g, e, odds=o) for o in ODDS for g in TOUCHED for e in ("none", *BAD)]
     priced = zip(cases, scored("odds of a bad reading", few, cases), strict=True)
-    kept = ("group", "error", "found", "wrong", "covered")
+    kept = ("group", "error", "found", "wrong", "wrong_of_localized", "covered")
     prices = [{"odds": case.odds} | {what: row[what] for what in kept} for case, row in priced]
     outcome.tables["odds"] = prices
     outcome.claims = _claims(rows)

@@ -17,11 +17,13 @@ import numpy as np
 from thigmo.errors import ThigmoError
 from thigmo.localization import METHODS, Localizer
 from thigmo_bench.baselines import BASELINES, Problem
-from thigmo_bench.studies.scenes import CRITICAL, LENGTH, ROBOT, SIGMA, SPAN, Case
+from thigmo_bench.studies.scenes import CRITICAL, LENGTH, RADIUS, ROBOT, SIGMA, Case
 
 FAILURE_CM = 10.0
 # The default method as on a robot: without the number of contacts, and with the calibrated fold.
 ON_A_ROBOT = "posterior on a robot"
+# The same, with no error stated but the noise.
+UNSTATED = "posterior, errors not stated"
 _CALLS, _CALLS_US = 5, 5_000.0  # most calls (the quickest counts), and their total time
 
 
@@ -50,12 +52,12 @@ def attempt(
 def _asked(case: Case, method: str, noise: float, start: float | None) -> Callable[[], list[float]]:
     """The call that is timed; it returns a method's arcs (cm)."""
     count = len(case.arcs)
-    if method not in (*METHODS, ON_A_ROBOT):
+    if method not in (*METHODS, ON_A_ROBOT, UNSTATED):
 
         def baseline() -> list[float]:
             read = np.isfinite(case.curvature)
-            excess, position = case.curvature[read] - case.free, case.position[read]
-            span = np.full(position.size, SPAN)
+            excess, position = case.curvature[read] - (case.free or 0.0), case.position[read]
+            span = np.full(position.size, case.span)
             begin = None if start is None else np.full(count, start)
             problem = Problem(excess, position, span, LENGTH, count, noise=noise, start=begin)
             found: list[float] = BASELINES[method](problem)[0].tolist()
@@ -63,9 +65,13 @@ def _asked(case: Case, method: str, noise: float, start: float | None) -> Callab
 
         return baseline
     fold: dict[str, Any] = {"critical_curvature": CRITICAL, "critical_curvature_error": 0.1}
-    how = ROBOT | (fold if method == ON_A_ROBOT else {"contacts": count, "method": method})
+    how: dict[str, Any] = {"tube_radius": RADIUS, "contacts": count}
+    if method == ON_A_ROBOT:
+        how = ROBOT | fold
+    elif method != UNSTATED:
+        how = ROBOT | {"contacts": count, "method": method}
     localizer = Localizer.of(
-        position=case.position, length=LENGTH, span=SPAN, noise=noise, **how
+        position=case.position, length=LENGTH, span=case.span, noise=noise, **how
     )  # fmt: skip
     return lambda: [
         contact.arc

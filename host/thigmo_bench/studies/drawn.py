@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thigmo import wiring
 from thigmo.config import RobotConfig
 from thigmo.mechanics import critical_moment
 from thigmo.robot import Peak, SweepFrame, SweepResult
+from thigmo.wiring import Wiring
 from thigmo_bench.studies.obstructed import Mechanics, Obstacles, Sweeper, Swept
 from thigmo_bench.studies.rod import Floats
 
@@ -247,7 +247,7 @@ class _Sensors:
 
     @classmethod
     def draw(cls, kind: Drawn, config: RobotConfig, rng: np.random.Generator) -> _Sensors:
-        rows = wiring.rows(config)
+        rows = Wiring.of(config).read_sensors
         inputs = [n for n, sensor in enumerate(rows) if sensor and sensor.side == "right"]
         own = [sensor for sensor in rows if sensor and sensor.side == "right"]
         count = len(own)

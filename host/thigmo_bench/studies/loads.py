@@ -414,6 +414,7 @@ def _row(name: str, seen: list[Seen]) -> Record:
         **{what: share([getattr(f, what) for f in seen]) for what in ("localized", "ambiguous")},
         "covered": _coverage(seen),
         **{what: share([getattr(f, what) for f in seen]) for what in ("wrong", "hinge")},
+        "wrong_of_localized": share([f.wrong for f in seen if f.localized]),
         "stand_out": sum(f.stands_out >= clear for f in seen),
         "localized_most_off_cm": max(f.off_cm for f in seen),
     }  # fmt: skip

@@ -58,6 +58,7 @@ class Traded:
     level: float
     localized: float
     wrong: float  # share of all frames
+    wrong_of_localized: float  # share of the frames with a localized contact
     count: int
 
 
@@ -195,8 +196,9 @@ def _trade_figure(traded: list[Traded], priced: list[dict[str, Any]]) -> Figure:
         lines: dict[str, list[tuple[float, float]]] = {group: [] for group in TRADED}
         for row in traded:
             if row.claim == claim:
-                lines[row.group].append((100 * row.localized, 100 * row.wrong))
-        curves(axis, lines, xlabel="localized (%)", ylabel="localized and wrong (%)", title=title)
+                point = (100 * row.localized, 100 * row.wrong_of_localized)
+                lines[row.group].append(point)
+        curves(axis, lines, xlabel="localized (%)", ylabel="wrong (% of localized)", title=title)
     at = np.arange(len(priced))
     for shift, what, color in ((-0.2, "said", BLUE), (0.2, "not_said", ORANGE)):
         values = [100 * row[f"localized_{what}"] for row in priced]
@@ -242,12 +244,15 @@ def run(context: Context) -> Outcome:
         together = np.concatenate(batch, axis=1)
         for (claim, level), frames in zip(levels, together[:-1], strict=True):
             localized, wrong = frames.mean(axis=0).tolist()
-            traded.append(Traded(name, claim, level, localized, wrong, len(frames)))
-        (stated, wrong), (silent, silent_wrong) = together[[0, -1]].mean(axis=1).tolist()
-        priced.append({
-            "group": name, "localized_said": stated, "wrong_said": wrong,
-            "localized_not_said": silent, "wrong_not_said": silent_wrong,
-        })  # fmt: skip
+            of_localized = share(frames[frames[:, 0], 1])
+            traded.append(Traded(name, claim, level, localized, wrong, of_localized, len(frames)))
+        priced.append({"group": name})
+        for statement, frames in (("said", together[0]), ("not_said", together[-1])):
+            localized, wrong = frames.mean(axis=0).tolist()
+            priced[-1] |= {
+                f"localized_{statement}": localized, f"wrong_{statement}": wrong,
+                f"wrong_of_localized_{statement}": share(frames[frames[:, 0], 1]),
+            }  # fmt: skip
     kept = [row["localized_not_said"] / max(row["localized_said"], 1e-9)
             for row in priced if row["group"] in SINGLES]  # fmt: skip
     claims = [

@@ -39,8 +39,9 @@ class Case:
 
     curvature: Floats
     position: Floats
-    free: float
+    free: float | None  # that is passed; None if it is not given
     arcs: tuple[float, ...]
+    span: float = SPAN  # of each sensor
 
 
 def read(

@@ -47,7 +47,7 @@ class Answered:
     found: bool  # as many contacts as there are
     off: float  # of the place, the worse of two
     covered: bool  # each true place lies in a set
-    localized: bool
+    localized: bool  # whether a contact is
     wrong: bool  # localized, in a set that holds no true place
     force_square: float  # of the error of the force across the body
     force_bound_square: float
@@ -123,7 +123,7 @@ def answers(task: tuple[str, tuple[int, ...], int]) -> list[Answered]:
                 found,
                 float(np.abs(off).max()),
                 all(_holds(result, arc) for arc in true),
-                result.status == "localized",
+                bool(placed),
                 any(
                     not any(low <= arc <= high for low, high in c.intervals for arc in true)
                     for c in placed
@@ -169,6 +169,7 @@ def run(context: Context) -> Outcome:
             "group": group, "count": count, "found": share(of["found"]),
             "place_off": float(np.nanmean(of["off"])), "coverage": share(of["covered"]),
             "localized": share(of["localized"]), "wrong": share(of["wrong"]),
+            "wrong_of_localized": share(of["wrong"][of["localized"] == 1.0]),
             "newtons_covered": share(of["newtons"]),
         })  # fmt: skip
     single = [columns[name] for name in ("one", "weight")]

@@ -9,7 +9,7 @@ import pytest
 
 import thigmo
 from thigmo.calibrate import steps
-from thigmo.calibrate.bench import Bench, Plan, tip_rows
+from thigmo.calibrate.bench import Bench, Plan, growth_rows, tip_rows
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.overhead import OverheadCamera
 from thigmo.calibrate.session import Session, blank
@@ -63,6 +63,22 @@ def lab(tmp_path):
     made = Lab(tmp_path)
     yield made
     made.robot.close()
+
+
+@pytest.mark.ci
+def test_an_encoder_that_is_not_good_takes_lengths_between_the_earlier_ones(tmp_path):
+    lab = Lab(tmp_path, start_length_cm=0.0)
+    pitch, length = lab.robot.config.body.pitch_cm, lab.robot.config.body.length_cm
+    earlier = [*np.arange(pitch, length, pitch).tolist(), length]
+    for stop in earlier:
+        lab.session.add("growth", {"key": f"stop {stop:g}", "counts": 0.0, "seen_cm": None})
+    (lab.session.folder / "encoder.json").write_text('{"verdict": {"good": false}}')
+    bench = replace(lab.bench(), plan=Plan(creep_s=0.5))
+    taken = [row["key"] for row in growth_rows(bench)][len(earlier) :]
+    assert taken == [f"stop {cm:g}" for cm in np.arange(pitch / 2, length, pitch).tolist()]
+    with pytest.raises(DataError, match=r"longer than .* retract it"):
+        growth_rows(bench)
+    lab.robot.close()
 
 
 @pytest.mark.ci

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from command import Thigmo
 
-from thigmo import wiring
 from thigmo.config import RAD_PER_OHM, HeadingSensor
 from thigmo.design import draft
 from thigmo.design.judge import IMU_BITS
@@ -27,6 +26,7 @@ from thigmo.link.client import Client
 from thigmo.link.framing import check_sequence
 from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.robot import Robot
+from thigmo.wiring import Wiring
 
 LENGTH_CM = 100.0
 FAULTY = 6  # the seventh IMU from the base
@@ -56,7 +56,7 @@ class String:
     @property
     def inputs(self) -> list[int]:
         """Inputs of the spans, base first."""
-        (column,) = wiring.columns(self.transport.config)
+        (column,) = Wiring.of(self.transport.config).columns
         return column.inputs
 
     @property

@@ -8,14 +8,20 @@ import numpy as np
 import pytest
 from calibration_truth import DEFLATE, INFLATE, bends
 
-from thigmo import wiring
-from thigmo.calibrate.actuator import BendReadings, fit_actuator, readings_of, together
+from thigmo.calibrate.actuator import (
+    BendReadings,
+    fit_actuator,
+    of_csv,
+    readings_of,
+    together,
+)
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.lag import fit_lag
 from thigmo.calibrate.step_figures import draw
 from thigmo.config import SIDES, FlexSensor, Muscle, RobotConfig, TanhMap, ZoneMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
+from thigmo.wiring import Wiring
 
 pytestmark = pytest.mark.sim  # sensors are simulated by the hundred
 
@@ -210,7 +216,7 @@ def lifted_rows(config: RobotConfig, seed: int, gains: np.ndarray):
     """Bends of that muscle as the bench keeps them; its first sensor broke on the way."""
     rng = np.random.default_rng(seed)
     made, up = bends(seed, "up", sigma=0.0), config.muscles[2]
-    found = wiring.witnesses(config, up)
+    found = Wiring.of(config).sensors_reading(up)
     rows = []
     for n, (k, psi) in enumerate(zip(made.curvature, made.pressure_psi, strict=True)):
         ohm = rng.normal(0, 500, 16)
@@ -255,7 +261,53 @@ def test_sensors_that_see_nothing_of_a_bend_do_not_make_a_map_of_it():
 @pytest.mark.parametrize("lies", [0.0, 90.0, 60.0, 300.0, 110.0])
 def test_sensors_that_wrinkle_or_lie_across_are_no_witnesses(lies):
     config = lifted(lies)
-    assert wiring.witnesses(config, config.muscles[2]) == []
-    left = [one.sensor.direction_deg for one in wiring.witnesses(config, config.muscles[0])]
+    assert Wiring.of(config).sensors_reading(config.muscles[2]) == []
+    left = [
+        one.sensor.direction_deg for one in Wiring.of(config).sensors_reading(config.muscles[0])
+    ]
     assert left.count(270.0) == 5
     assert set(left) <= {270.0, 300.0}
+
+
+def soft_bends(top_psi: float, *, pressure: float = 1.0, curvature: float = 1.0) -> str:
+    """A CSV of a soft muscle that is measured to a low pressure, in other units if asked for."""
+    rng = np.random.default_rng(7)
+    rows = ["muscle,body_pressure_psi,pressure_psi,curvature,trial"]
+    for trial in range(3):
+        for psi in np.linspace(0, top_psi, 12):
+            bend = 0.18 * (np.tanh((psi - 6) / 6) + np.tanh(1.0)) + rng.normal(0, 5e-4)
+            rows.append(f"left,1.0,{psi * pressure:.4f},{bend * curvature:.6f},{trial}")
+    return "\n".join(rows) + "\n"
+
+
+def test_a_muscle_is_judged_within_its_pressures_and_swept_no_further(tmp_path):
+    (tmp_path / "bends.csv").write_text(soft_bends(8.9))
+    config = RobotConfig()
+    results = of_csv(Table.read(tmp_path / "bends.csv"), config)
+    assert results.verdict.good, results.verdict
+    assert "no bend was measured above 8.90 psi" in str(results.verdict)
+    swept = results.apply(config)
+    assert swept.muscle("left").max_pressure_psi == 8.9
+    assert swept.muscle("right").max_pressure_psi == config.muscle("right").max_pressure_psi
+
+
+@pytest.mark.parametrize(
+    ("units", "cure"),
+    [
+        ({"pressure": 6.895}, "divide kPa by 6.895 (then 8.9 psi)"),
+        ({"curvature": 100.0}, "divide 1/m by 100"),
+    ],
+)
+def test_other_units_are_noticed(tmp_path, units, cure):
+    (tmp_path / "bends.csv").write_text(soft_bends(8.9, **units))
+    with pytest.raises(DataError) as refused:
+        of_csv(Table.read(tmp_path / "bends.csv"), RobotConfig())
+    assert cure in str(refused.value)
+
+
+def test_bends_at_high_pressures_alone_are_no_map(tmp_path):
+    rows = soft_bends(8.9).splitlines()
+    high = [row for row in rows[1:] if float(row.split(",")[2]) > 5]
+    (tmp_path / "bends.csv").write_text("\n".join([rows[0], *high]) + "\n")
+    with pytest.raises(DataError, match="ten pressures from 0"):
+        of_csv(Table.read(tmp_path / "bends.csv"), RobotConfig())

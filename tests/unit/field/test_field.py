@@ -12,6 +12,7 @@ from thigmo.field.answer import _widened
 from thigmo.field.fit import ALIKE, FieldFit
 from thigmo.field.hypotheses import ARC, BEND, NOTHING, PEG, Body, touched, untouched
 from thigmo.field.hypotheses import RADIUS as RADIUS_LOG
+from thigmo.field.posterior import _Bell
 from thigmo.mechanics import Rod, Tube
 from thigmo_bench.studies.pegs import inflate, press
 
@@ -204,6 +205,7 @@ def test_a_peg_of_the_independent_rod_is_found_in_the_plane(
             rows[length], (at, x, y) = _beside_peg(arc, bend, peg_radius, length, rng)
     contact = _one(contacts(_readings(rows), _errors(), atlas))
     assert contact.probability > 0.99
+    assert contact.effective > 50
     assert contact.length_cm == 53.0
     low, high = contact.interval_cm
     assert low <= at <= high
@@ -228,6 +230,18 @@ def test_a_longer_body_with_all_else_in_proportion_has_the_same_answer() -> None
     two = _one(contacts(_readings(rows, 2.0), errors, Atlas(106.0, 0.012)))
     assert two.arc_cm / 2 == pytest.approx(one.arc_cm, abs=0.3)
     assert two.x_cm / 2 == pytest.approx(one.x_cm, abs=0.3)
+
+
+def test_a_proposal_whose_friction_and_yield_have_no_sign_has_a_density_of_one() -> None:
+    rng = np.random.default_rng(8)
+    widths = np.array([1.0, 1e-3, 0.5, 0.1, 0.2, 0.2])
+    # Both lie near no friction and no yield, so that half of what is drawn is mirrored.
+    drawn_from = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.1, 0.05]), np.diag(1.5 * widths**2))
+    other = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.15, 0.1]), np.diag(widths**2))
+    q = np.array([drawn_from.draw(rng) for _ in range(4000)])
+    assert (q[:, 4:] >= 0.0).all()
+    ratio = np.exp(other.log_density(q) - drawn_from.log_density(q))
+    assert ratio.mean() == pytest.approx(1.0, abs=0.05)
 
 
 def test_weights_of_few_samples_are_widened_until_enough_count() -> None:

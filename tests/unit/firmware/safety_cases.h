@@ -86,9 +86,10 @@ TEST(every_refusal_has_its_reason) {
           Reason want = Reason::kNone;
           if (!state_good) {
             want = state == State::kFault ? Reason::kFaultLatched : Reason::kWrongState;
-          } else if (!arm && !air && activity != Activity::kIdle &&
-                     !(permit == Permit::kPress && activity == Activity::kPressing) &&
-                     !(test && activity == Activity::kTesting)) {
+          } else if (arm ? activity == Activity::kSaving
+                         : !air && activity != Activity::kIdle &&
+                               !(permit == Permit::kPress && activity == Activity::kPressing) &&
+                               !(test && activity == Activity::kTesting)) {
             want = Reason::kBusy;
           } else if (arm && has(c, Condition::kEstop)) {
             want = Reason::kEstop;

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from thigmo.config import RobotConfig
+from thigmo.errors import DataError
 
 
 class Dowel(Protocol):
@@ -98,3 +100,29 @@ class Simulated(Protocol):
 
     def truth(self) -> Any:
         """What the room knows: pegs, contacts and shapes."""
+
+
+class NoOperator:
+    """The operator of a program that named none: every question is a DataError.
+
+    Dangers are Python's warnings.
+    """
+
+    def everted_length_cm(self) -> float:
+        """Refused."""
+        raise DataError("the everted length is unknown", "measure it, and call confirm_length")
+
+    def set_body_pressure(self, pressure_psi: float) -> None:
+        """Refused."""
+        raise DataError(
+            f"the body pressure must be set to {pressure_psi:g} psi by hand",
+            "set the regulator, and call select_zone",
+        )
+
+    def warn(self, danger: str) -> None:
+        """Warn."""
+        warnings.warn(danger, stacklevel=5)
+
+    def place_pegs(self, pegs: Sequence[Dowel]) -> None:
+        """Refused."""
+        raise DataError("the room's dowels must be moved by hand", "name an operator to connect()")

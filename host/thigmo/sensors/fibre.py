@@ -1,0 +1,70 @@
+"""Gratings of a fibre: the strain of its cores, which an interrogator reads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, hypot
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from thigmo.sensors.sensor import AnySensor, Floats
+from thigmo.toml_model import Finite, NonNegative, NonZero, Positive
+
+
+class FibreSensor(AnySensor):
+    """One bend at a grating of a multi-core fibre: the strain of its cores in one direction.
+
+    A grating has two, at different directions. An interrogator reads them, and the board does not.
+    Defaults: an outer core 37 um off the axis, where a bend of 0.01 1/cm strains by 37 microstrain.
+    """
+
+    wrinkles = False
+    kind: Literal["fibre"]
+    span_cm: NonNegative = 0.5  # length of the grating
+    scale_per_ue: NonZero = 2.7e-4  # 1/cm per microstrain; sign included
+    scale_se: NonNegative = 0.05
+    zero_ue: Finite = 0.0  # of the straight body
+    noise: Positive = 2.7e-4  # a microstrain
+    # What temperature adds to all gratings alike, 1/cm. A kelvin strains a core by 11 microstrain
+    # [a typical grating at 1550 nm]; reading each core by itself leaves a tenth of that [assumed].
+    temperature_se: NonNegative = 3e-4
+    twist_se_rad: NonNegative = 0.05  # by which the fibre lies turned about its axis
+
+    valid_direction: ClassVar[int] = 0
+    warm_s: ClassVar[float] = 20.0  # from zeros to a reading, for which `temperature_se` holds
+
+    @property
+    def gain_error(self) -> float:
+        """One sigma of its scale, relative: what a twist turns out of its direction is lost."""
+        return hypot(self.scale_se, 1 - cos(self.twist_se_rad))
+
+    @property
+    def reading_se(self) -> float:
+        """One sigma of an averaged reading, 1/cm: noise and temperature."""
+        return hypot(self.noise, self.temperature_se)
+
+    def rescale(self, factor: float) -> None:
+        """Let it stand for so much more curvature."""
+        self.scale_per_ue *= factor
+
+    @property
+    def raw_scale(self) -> float:
+        """Curvature (1/cm) for each microstrain."""
+        return self.scale_per_ue
+
+    @property
+    def raw_zero(self) -> float:
+        """Strain of the straight body, microstrain."""
+        return self.zero_ue
+
+    @property
+    def usable(self) -> bool:
+        """Bends out of the plane are only read for the fibre's twist."""
+        return self.healthy and self.side is not None
+
+    @classmethod
+    def shared_errors(cls, sensors: Sequence[Self]) -> Floats:
+        """What the temperature adds is in all gratings of a fibre alike."""
+        warm = np.array([[sensor.temperature_se] for sensor in sensors]).reshape(-1, 1)
+        return warm if warm.any() else warm[:, :0]

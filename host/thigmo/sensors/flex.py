@@ -1,0 +1,52 @@
+"""Flex sensors: strips whose resistance changes with the bend."""
+
+from __future__ import annotations
+
+from math import copysign
+from typing import Literal, Self
+
+from thigmo.sensors.sensor import AnySensor
+from thigmo.toml_model import NonNegative, NonZero, Positive
+
+
+class FlexSensor(AnySensor):
+    """One flex sensor: reading = scale_per_ohm * (R - R at the last zeroing)."""
+
+    wrinkles = True
+    kind: Literal["flex"] = "flex"
+    span_cm: NonNegative = 5.5
+    scale_per_ohm: NonZero = 3.5e-5  # 1/cm per ohm; sign included, so that left bends read positive
+    scale_se: NonNegative = 0.15  # resistances differ by 30 % from part to part
+    zero_ohm: Positive = 12_000.0  # flat resistance, a start value: zeroing re-measures it
+    zero_se: NonNegative = 3.6e-4  # 1/cm, what zeroing and averaging leave: its loop, slow drift
+    valid_direction: Literal[-1, 0, 1] = 0  # the bending direction it answers to; 0 = both
+    # Response to bends against `valid_direction` over that to bends along it, and one sigma: a data
+    # sheet states one direction only. A bench that bends both ways measures it.
+    against_gain: NonNegative = 0.7
+    against_gain_se: NonNegative = 0.3
+    noise: Positive = 4.8e-4  # 6e-4 with `zero_se`
+
+    @property
+    def zero_error(self) -> float:
+        """One sigma of its zero, 1/cm, of its own."""
+        return self.zero_se
+
+    @property
+    def raw_scale(self) -> float:
+        """Curvature (1/cm) for each ohm."""
+        return self.scale_per_ohm
+
+    @property
+    def raw_zero(self) -> float:
+        """Resistance (ohm) of the straight body."""
+        return self.zero_ohm
+
+    def uncalibrated(self) -> Self:
+        """It keeps the sign of its scale: the step `flex` comes after bends that it measures."""
+        fresh = super().uncalibrated()
+        fresh.scale_per_ohm = copysign(fresh.scale_per_ohm, self.scale_per_ohm)
+        return fresh
+
+    def rescale(self, factor: float) -> None:
+        """Let it stand for so much more curvature."""
+        self.scale_per_ohm *= factor
