@@ -17,6 +17,8 @@ def a_fit(
     y_cm: float = 20.0,
     probability: float = 1.0,
     places: bool = True,
+    misfit: float = 1.0,
+    log_evidence: float = 0.0,
     felt_at_cm: tuple[float, ...] = (),
 ) -> FieldContact:
     """A contact with a 95 % interval so wide, at a place in the side's plane."""
@@ -40,7 +42,8 @@ def a_fit(
         doubt="" if places else "the model does not explain these sweeps",
         felt_at_cm=felt_at_cm or (length_cm,),
         log_odds=9.0,
-        misfit=1.0,
+        log_evidence=log_evidence,
+        misfit=misfit,
         effective=80.0,
         peg_radius_cm=1.0,
         friction=0.1,

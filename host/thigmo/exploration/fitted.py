@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
@@ -21,6 +22,10 @@ _MAP_ERRS = 1.3  # bends of the atlas over the map's highest
 _CELL_CM = 0.5  # of the posterior along the body
 _SMOOTH_CM = 0.25  # one sigma by which a sample of the arc is spread over the cells
 _SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
+# Sum of squares over the number of independent readings beyond which one peg for all sweeps is
+# compared with one for each stage, which takes time. A peg that explains its sweeps leaves about 1.
+_DOUBTED = 1.15
+_SAME_SIGMA = 3.0  # within which two stages' places may be one
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +35,8 @@ class FittedContact:
     contact: MapContact
     arcs: Floats  # (n,) cm
     weights: Floats  # (n,) of sum one
+    misfit: float  # 1 if the peg explains its sweeps
+    log_evidence: float  # of these sweeps
 
     def felt_at(self, length_cm: float) -> bool:
         """Whether a sweep at an everted length touched it."""
@@ -74,7 +81,37 @@ class SideFits:
         return known
 
     def _fit(self, side: Side) -> list[FittedContact]:
-        prepared = read(self._sweeps[side], side, self._config)
+        """One peg for all sweeps of a side, or several for its stages if that is likelier."""
+        sweeps = self._sweeps[side]
+        found = self._fitted(sweeps, side)
+        if all(fitted.misfit <= _DOUBTED for fitted in found):
+            return found
+        stages: dict[int, list[Swept]] = {}
+        for swept in sweeps:
+            stages.setdefault(round(swept.sweep.peaks[0].length_cm / _SAME_CM), []).append(swept)
+        groups = [
+            _Group(mine, alone)
+            for _, mine in sorted(stages.items())
+            if (alone := self._fitted(mine, side))
+        ]
+        several: list[_Group] = []
+        for group in groups:
+            for n, other in enumerate(several):
+                if _may_be_one(group, other):
+                    both = [*other.sweeps, *group.sweeps]
+                    joint = _Group(both, self._fitted(both, side))
+                    if joint.found and _evidence([joint]) > _evidence([group, other]):
+                        several[n] = joint
+                        break
+            else:
+                several.append(group)
+        if len(several) < 2 or _evidence(several) < _evidence([_Group(sweeps, found)]):
+            return found
+        return [_of_several(fitted) for group in several for fitted in group.found]
+
+    def _fitted(self, sweeps: Sequence[Swept], side: Side) -> list[FittedContact]:
+        """What explains some of a side's sweeps."""
+        prepared = read(sweeps, side, self._config)
         if prepared is None:
             return []
         expected = None
@@ -85,21 +122,25 @@ class SideFits:
                 return boost(self._prior, mirrored, self._config.body.length_cm)
 
         found = contacts(*prepared, self._atlas, expected=expected)
+        sensors = prepared[0].centers.size
         return [
             FittedContact(
-                self._mapped(contact, side, prepared[0].centers.size), contact.arcs, contact.weights
+                self._mapped(contact, side, len(sweeps), sensors),
+                contact.arcs,
+                contact.weights,
+                contact.misfit,
+                contact.log_evidence,
             )
             for contact in found
         ]
 
-    def _mapped(self, contact: FieldContact, side: Side, sensors: int) -> MapContact:
-        """The contact by the readings of so many sensors, in the workspace."""
+    def _mapped(self, contact: FieldContact, side: Side, sweeps: int, sensors: int) -> MapContact:
+        """The contact by so many sweeps and sensors, in the workspace."""
         sign = SIGN[side]
         mirror = np.diag([1.0, sign])
         (xx, xy), (yx, yy) = (mirror @ contact.covariance_cm2 @ mirror).tolist()
         sure = narrow(contact.interval_cm, self._config.body.length_cm)
         localized = contact.places and sure and contact.probability >= SURE
-        sweeps = len(self._sweeps[side])
         force = -sign * contact.force_per_cm2
         mapped = MapContact(
             arc_cm=contact.arc_cm,
@@ -143,3 +184,31 @@ class SideFits:
         value = force * stiffness
         outwards = float(np.sign(force))
         return value, sorted([value - outwards * below, value + outwards * above])
+
+
+class _Group(NamedTuple):
+    """Sweeps that felt one obstacle, and the fit to them."""
+
+    sweeps: list[Swept]
+    found: list[FittedContact]
+
+
+def _of_several(fitted: FittedContact) -> FittedContact:
+    """One of several obstacles; where it leaves a misfit, others have borne on the body as well."""
+    contact = fitted.contact
+    status = contact.status if fitted.misfit <= _DOUBTED else "ambiguous"
+    model = f"{contact.model}; one of several"
+    return replace(fitted, contact=replace(contact, status=status, model=model))
+
+
+def _evidence(groups: Sequence[_Group]) -> float:
+    """Log evidence that each group of sweeps felt an obstacle of its own, with its own errors."""
+    return sum(fitted.log_evidence for group in groups for fitted in group.found)
+
+
+def _may_be_one(one: _Group, other: _Group) -> bool:
+    """Whether two groups' obstacles lie within each other's errors."""
+    a, b = one.found[0].contact, other.found[0].contact
+    covariance = np.asarray(a.covariance_cm2) + np.asarray(b.covariance_cm2)
+    apart = np.array([a.x_cm - b.x_cm, a.y_cm - b.y_cm])
+    return float(apart @ np.linalg.solve(covariance, apart)) < _SAME_SIGMA**2

@@ -54,6 +54,7 @@ class FieldContact:
     doubt: str  # why not, in words
     felt_at_cm: tuple[float, ...]  # everted lengths whose sweeps touched it, ascending
     log_odds: float  # log Bayes factor times prior odds, against nothing
+    log_evidence: float  # of the readings, with the prior odds, less what all hypotheses share
     misfit: float  # sum of squares over the number of independent readings: 1 if the model holds
     effective: float  # samples
     peg_radius_cm: float  # posterior median
@@ -136,6 +137,7 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         doubt=doubt,
         felt_at_cm=tuple(felt),
         log_odds=log_odds,
+        log_evidence=samples.log_evidence,
         misfit=leaves,
         effective=samples.effective,
         peg_radius_cm=_quantiles(np.exp(q[:, RADIUS]), weight, (0.5, 0.5))[0] * readings.radius,
