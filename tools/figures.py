@@ -545,12 +545,40 @@ def headlines() -> str:
     return "\n".join([*lines, "", ""])
 
 
+MISSED = ("**missed**", "**exceeded**", "**above what is allowed**")
+
+
+def summary() -> str:
+    """How many promises each table keeps, and the rows that miss theirs."""
+    counts = ["| command | promises | kept |", "| --- | --- | --- |"]
+    missed = ["| missed | value | |", "| --- | --- | --- |"]
+    for name, source in SOURCES.items():
+        promised = [row for row in _rows(name) if _is_promise(row)]
+        late = [row for row in promised if any(mark in row[2] for mark in MISSED)]
+        if promised:
+            command = source.shown.replace(".venv/bin/", "").replace(" --json", "")
+            counts.append(f"| `{command}` | {len(promised)} | {len(promised) - len(late)} |")
+        missed += [f"| {what} | {value} | {note} |" for what, value, note in late]
+    return "\n".join([*counts, "", *missed, "", ""])
+
+
+def _is_promise(row: Row) -> bool:
+    note = row[2]
+    return note.startswith(("promised", "at least", "at most")) or any(m in note for m in MISSED)
+
+
+# Tables of more than one source.
+ACROSS = {"headlines": headlines, "summary": summary}
+
+
 def rendered(page: Path) -> str:
     """The page with every table generated again."""
-    text = page.read_text()
-    return PLACE.sub(
-        lambda m: m[1] + (headlines() if m[2] == "headlines" else table(m[2])) + m[3], text
-    )
+
+    def place(mark: re.Match[str]) -> str:
+        name = mark[2]
+        return mark[1] + (ACROSS[name]() if name in ACROSS else table(name)) + mark[3]
+
+    return PLACE.sub(place, page.read_text())
 
 
 def main() -> None:
@@ -561,8 +589,8 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
     options = parser.parse_args()
     placed = {name for page in PAGES for _, name, _ in PLACE.findall(page.read_text())}
-    if placed != {*SOURCES, "headlines"}:
-        wrong = ", ".join(sorted(placed ^ {*SOURCES, "headlines"}))
+    if placed != {*SOURCES, *ACROSS}:
+        wrong = ", ".join(sorted(placed ^ {*SOURCES, *ACROSS}))
         sys.exit(f"docs/figures.md and SOURCES differ in: {wrong}; give each table its place")
     if not (options.render or options.check):
         for name in options.sources or SOURCES:

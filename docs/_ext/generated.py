@@ -1,22 +1,29 @@
-"""Pages made from the code's own texts: every command, every fault, refusal and error.
+"""Pages made from the code's own texts: every command, every fault, refusal and
+error, and every entry of robot.toml.
 
-Written to docs/_made before the pages are read, and included by commands.md and troubleshooting.md.
+Written to docs/_made before the pages are read, and included by commands.md,
+troubleshooting.md and robot-toml.md.
 """
 
 from __future__ import annotations
 
 import ast
 import inspect
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
 import yaml
+from pydantic.fields import FieldInfo
 
 from thigmo import errors
 from thigmo.cli.main import app as thigmo
+from thigmo.config import Board, Body, BodyPressure, Muscle, RobotConfig, Spool, TanhMap, ZoneMap
+from thigmo.sensors import KINDS
+from thigmo.toml_model import Model
 
 ROOT = Path(__file__).resolve().parents[2]
 _ERRORS = {
@@ -173,6 +180,91 @@ def _kinds_page() -> str:
     )
 
 
+# The tables of robot.toml: their heading in the file, and the model behind it.
+_ROBOT_TABLES: dict[str, type[Model]] = {
+    "the file itself": RobotConfig,
+    "[body]": Body,
+    "[[body.pressure]]": BodyPressure,
+    "[[muscle]]": Muscle,
+    "[[muscle.map]]": ZoneMap,
+    "[muscle.map.inflate], [muscle.map.deflate]": TanhMap,
+    **{f'[[sensor]], kind = "{name}"': kind for name, kind in KINDS.items()},
+    "[spool]": Spool,
+    "[board]": Board,
+}
+
+
+def _comments(model: type[Model]) -> dict[str, str]:
+    """What the source says of each field of a model and its bases: above it, and behind it."""
+    texts: dict[str, str] = {}
+    for base in reversed(model.__mro__[: model.__mro__.index(Model)]):
+        above: list[str] = []
+        open_field = ""
+        for line in inspect.getsource(base).splitlines():
+            code, _, comment = line.partition("  # ") if "  # " in line else (line, "", "")
+            if line.strip().startswith("# "):
+                above.append(line.strip()[2:])
+            elif field := re.match(r"    (\w+): (?!ClassVar)", code):
+                texts[field[1]] = " ".join([*above, comment]).strip()
+                above, open_field = [], field[1]
+            elif comment and open_field:
+                texts[open_field] = f"{texts[open_field]} {comment}".strip()
+            elif not line.strip():
+                above, open_field = [], ""
+            else:
+                above = []
+    return texts
+
+
+def _limits(field: FieldInfo) -> str:
+    """What an entry must be: its kind and range."""
+    kind, metadata = field.annotation, list(field.metadata)
+    if type(None) in get_args(kind):  # it may be left out
+        (kind,) = (part for part in get_args(kind) if part is not type(None))
+        if get_origin(kind) is Annotated:
+            kind, *extra = get_args(kind)
+            metadata += [entry for part in extra for entry in getattr(part, "metadata", ())]
+    if get_origin(kind) is Literal:
+        return " or ".join(json.dumps(value) for value in get_args(kind))
+    if get_origin(kind) is list:
+        return "tables"
+    kinds = {bool: "true or false", str: "a text", int: "a whole number", float: "a number"}
+    signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+    bounds = [
+        f"{sign} {getattr(entry, name):g}"
+        for entry in metadata
+        for name, sign in signs.items()
+        if hasattr(entry, name)
+    ]
+    return f"{kinds.get(kind, 'a table')} {' and '.join(bounds)}".strip()
+
+
+def robot_entries() -> Iterator[tuple[str, str, str, str, str]]:
+    """Table, entry, what it must be, default and meaning of everything in robot.toml."""
+    for table, model in _ROBOT_TABLES.items():
+        texts = _comments(model)
+        for name, field in model.model_fields.items():
+            default = field.get_default(call_default_factory=True)
+            shown = "needed" if field.is_required() else "none" if default is None else ""
+            if not shown:
+                simple = isinstance(default, bool | int | float | str)
+                shown = f"`{json.dumps(default)}`" if simple else "the thesis's robot"
+            yield table, field.serialization_alias or name, _limits(field), shown, texts[name]
+
+
+def _robot_toml_page() -> str:
+    lines: list[str] = []
+    last = ""
+    for table, name, limits, default, text in robot_entries():
+        if table != last:
+            doc = inspect.cleandoc(_ROBOT_TABLES[table].__doc__ or "")
+            lines += ["", f"## {table}", "", doc.split("\n\n")[0], ""]
+            lines += ["| entry | must be | default | what |", "| --- | --- | --- | --- |"]
+            last = table
+        lines.append(f"| `{name}` | {_cell(limits)} | {default} | {_cell(text)} |")
+    return "\n".join(lines) + "\n"
+
+
 def write(folder: Path) -> None:
     """Write every made page; one that has not changed is left alone."""
     folder.mkdir(exist_ok=True)
@@ -182,6 +274,7 @@ def write(folder: Path) -> None:
         "refusals.md": _from_schema("Reason"),
         "errors.md": _errors_page(),
         "kinds.md": _kinds_page(),
+        "robot_toml.md": _robot_toml_page(),
     }.items():
         path = folder / name
         if not path.exists() or path.read_text() != text:

@@ -127,6 +127,10 @@ class Controller {
   uint16_t conditions() const { return conditions_; }
   uint16_t faults() const { return faults_.latched(); }
   int32_t length_um() const { return length_um_; }
+  // Whether a sensor reads curvature: enabled, everted, zeroed.
+  bool reads(uint8_t sensor) const { return (usable_mask() >> sensor & 1) != 0; }
+  // Curvature by a sensor's latest reading, 1e-5/cm.
+  int16_t bend_e5(uint8_t sensor) const;
   bool body_air() const { return body_air_; }
   Enables enables() const;
   Latches latches() const { return {stop_, faults_.latched()}; }

@@ -455,6 +455,11 @@ THIGMO_NOINLINE inline void Controller::look_at_base(uint8_t column) {
       curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
 }
 
+inline int16_t Controller::bend_e5(uint8_t sensor) const {
+  const int32_t total = total_ohm_q4(count_q6(flex_.latest(sensor), flex_.log2()));
+  return curvature_e5(total, zeros_.total_at_zero(sensor), derived_.flex_gain_q16[sensor]);
+}
+
 THIGMO_NOINLINE inline void Controller::trigger_step() {
   const uint16_t usable = usable_mask();
   const bool vented = (conditions_ & mask(Condition::kVented)) != 0 && !bending();

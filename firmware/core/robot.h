@@ -53,6 +53,27 @@ class Robot {
 
   const Controller& controller() const { return controller_; }
 
+  // --- for a program on the same chip ------------------------------------------------------------
+  // Called between two passes of the main loop. Such a program is a host that needs no line: its
+  // commands meet the same checks, and its heart must beat.
+  bool hosted() const { return session_.session() != 0; }  // by a host on the line
+  // Takes the robot over, as another host's hello does: what moves is ended, and it is disarmed.
+  void take() {
+    session_.leave();
+    commands_.hello(false);
+    settle();
+  }
+  void beat() { controller_.beat(); }
+  void execute(const Frame& command, Frame* reply) {
+    commands_.execute(command, reply);
+    settle();
+  }
+  void stop(uint32_t nonce) {
+    commands_.stop(nonce);
+    settle();
+  }
+  EventQueue& events() { return controller_.events(); }
+
  private:
   static constexpr int16_t kNever = INT16_MIN;  // no output has this value
 
@@ -74,7 +95,12 @@ class Robot {
     }
     if (!session_.heard()) return;
     session_.answer(board_.micros(), commands_);
-    write_outputs();  // a stop takes effect now, not at the next tick
+    settle();
+  }
+
+  // What a command has changed takes effect now, not at the next tick.
+  void settle() {
+    write_outputs();
     keep_latches();
   }
 

@@ -48,6 +48,7 @@ __all__ = [
     "IMU_CM",
     "RAD_PER_OHM",
     "SAME_IMU_CM",
+    "SAME_LENGTH_CM",
     "SAME_PRESSURE",
     "SIDES",
     "SIGN",
@@ -70,6 +71,7 @@ __all__ = [
 ]
 
 _PASCAL = 6894.757  # of one psi
+SAME_LENGTH_CM = 0.1  # everted lengths that are nearer are one: the spool stops within 0.05 cm
 SAME_PRESSURE = 0.1  # body pressures that differ by less, relative, have one map
 
 
@@ -85,27 +87,28 @@ def _host_and_port(address: str) -> str:
 class BodyPressure(Model):
     """Body pressure set by hand for a range of everted length (thesis, section 3.5)."""
 
-    until_cm: Positive
-    pressure_psi: Positive
+    until_cm: Positive  # everted length up to which it holds
+    pressure_psi: Positive  # of the regulator
     pull_duty: Finite = 0.0  # of 800, that the motor needs less in growth than its data say
 
 
 class Body(Model):
     """The tube."""
 
-    length_cm: Positive = 53.0
-    diameter_cm: Positive = 3.5
+    length_cm: Positive = 53.0  # fully everted
+    diameter_cm: Positive = 3.5  # of the inflated tube
     pitch_cm: Positive = 10.0  # pouch length: growth stops only at whole multiples of it
     # Contact moment over EI at which the base folds, measured at `critical_pressure_psi`;
     # it scales with body pressure.
     critical_curvature: Positive = 0.01108
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
-    critical_pressure_psi: Positive = 0.49
+    critical_pressure_psi: Positive = 0.49  # body pressure at which it was measured
     # Bending stiffness EI and its standard error; without them forces are given over EI only.
     stiffness_n_cm2: Positive | None = None
-    stiffness_se_n_cm2: NonNegative = 0.0
+    stiffness_se_n_cm2: NonNegative = 0.0  # one sigma of it, N cm^2
     growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
     growth_psi_per_cm: NonNegative = 0.003  # what the tail's friction adds for each cm everted
+    # Body pressures, set by hand, by everted length.
     zones: list[BodyPressure] = Field(
         default_factory=lambda: [
             BodyPressure(until_cm=26.5, pressure_psi=1.47),
@@ -160,8 +163,8 @@ class TanhMap(Model):
     """g(p) = amplitude * tanh((p - p0) / scale) - the same at p = 0; see `curvature`."""
 
     amplitude: Positive = 0.04  # 1/cm
-    scale_psi: Positive = 10.0
-    offset_psi: Finite = 0.0
+    scale_psi: Positive = 10.0  # pressure over which g saturates
+    offset_psi: Finite = 0.0  # p0, where g is steepest
 
     def curvature(self, pressure_psi: float) -> float:
         """Magnitude of free curvature (1/cm) at a muscle pressure; zero at zero pressure."""
@@ -172,10 +175,10 @@ class TanhMap(Model):
 class ZoneMap(Model):
     """Free curvature of one muscle at one body pressure, inflating and deflating apart."""
 
-    body_pressure_psi: Positive
+    body_pressure_psi: Positive  # at which it was measured
     scale_se: NonNegative = 0.1  # of all of g from one sweep to the next, relative
-    inflate: TanhMap = Field(default_factory=TanhMap)
-    deflate: TanhMap = Field(default_factory=TanhMap)
+    inflate: TanhMap = Field(default_factory=TanhMap)  # while the pressure rises
+    deflate: TanhMap = Field(default_factory=TanhMap)  # while it falls
 
     @property
     def calibrated(self) -> bool:
@@ -197,8 +200,8 @@ def _word(name: str) -> str:
 class Muscle(Placed):
     """One pneumatic muscle with its transducer and pressure sensor."""
 
-    name: Annotated[str, AfterValidator(_word)]
-    max_pressure_psi: Positive = 18.0
+    name: Annotated[str, AfterValidator(_word)]  # for commands and tables
+    max_pressure_psi: Positive = 18.0  # no set point exceeds it
     lag_s: NonNegative = 0.2  # measured pressure to bend
     reversal_psi: Positive = 1.0  # pressure change over which the branch moves inflate <-> deflate
     lag_se_s: NonNegative = 0.05  # a quarter of the lag: inflating and deflating share one constant
@@ -209,7 +212,8 @@ class Muscle(Placed):
     # By how much the same sweep's bend differs from one to the next: a share of it, and 1/cm.
     # Repeated sweeps show both.
     sweep_se: NonNegative = 0.01
-    sweep_offset_se: NonNegative = 3e-4
+    sweep_offset_se: NonNegative = 3e-4  # the same, 1/cm
+    # Free curvature over pressure, one map for each body pressure.
     maps: list[ZoneMap] = Field(
         default_factory=_default_zone_maps, validation_alias="map", serialization_alias="map"
     )
@@ -230,9 +234,9 @@ class Spool(Model):
     """Motorised spool. Base-fed eversion pays out `payout_ratio` cm of tail per cm of growth."""
 
     counts_per_cm: Positive = 76.0  # x4 encoder counts per cm of line
-    payout_ratio: Positive = 2.0
+    payout_ratio: Positive = 2.0  # cm of line for each cm of tip
     max_speed_cm_s: Positive = 2.0  # of the tip
-    acceleration_cm_s2: Positive = 4.0
+    acceleration_cm_s2: Positive = 4.0  # of the tip
     line_speed_cm_s: Positive = 23.6  # of the line at full duty, without load
     stall_n: Positive = 147.0  # pull on the line at which full duty stalls
     line_rating_n: Positive = 100.0  # what line and tail may be pulled with
@@ -249,25 +253,27 @@ class RobotConfig(Model):
     """Contents of robot.toml."""
 
     union_tags = frozenset(KINDS)
-    version: Literal[2] = 2
-    name: str = "vine-53"
+    version: Literal[2] = 2  # of the file's entries
+    name: str = "vine-53"  # of the robot
     # Where lines of a fibre's strains come from (`thigmo.link.interrogator`): host:port.
     interrogator: Annotated[str, AfterValidator(_host_and_port)] | None = None
-    body: Body = Field(default_factory=Body)
+    body: Body = Field(default_factory=Body)  # the tube, and its pressures
+    # Muscles, in the order of the board's outputs.
     muscles: list[Muscle] = Field(
         default_factory=_default_muscles,
         min_length=1,
         validation_alias="muscle",
         serialization_alias="muscle",
     )
+    # Sensors, those of a direction base first.
     sensors: list[Sensor] = Field(
         default_factory=_default_sensors,
         min_length=1,
         validation_alias="sensor",
         serialization_alias="sensor",
     )
-    spool: Spool = Field(default_factory=Spool)
-    board: Board = Field(default_factory=Board)
+    spool: Spool = Field(default_factory=Spool)  # motor, line and brake
+    board: Board = Field(default_factory=Board)  # the controller
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

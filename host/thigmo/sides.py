@@ -34,7 +34,7 @@ def opposite(side: Side) -> Side:
 class Placed(Model):
     """What lies at a direction around the body."""
 
-    direction_deg: Direction = 90.0
+    direction_deg: Direction = 90.0  # 90 is left, 270 right; 0 and 180 leave the plane
 
     @property
     def side(self) -> Side | None:

@@ -13,7 +13,7 @@ from thigmo.errors import PortError
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "desk" in metafunc.fixturenames:
         port = metafunc.config.getoption("--robot")
-        backends = ["virtual", "mega-sim", "micropython", *([port] if port else [])]
+        backends = ["virtual", "mega-sim", "micropython", "skeleton", *([port] if port else [])]
         metafunc.parametrize("desk", backends, indirect=True, scope="module")
 
 
@@ -44,7 +44,21 @@ def micropython() -> Board:
     return MicroPythonBoard(1)
 
 
-SIMULATED = {"virtual": virtual_board, "mega-sim": simulated_mega, "micropython": micropython}
+def skeleton() -> Board:
+    """The binding that a newcomer copies, on QEMU's Cortex-M3."""
+    from skeleton import Skeleton, missing
+
+    if reason := missing():
+        pytest.skip(reason)
+    return Skeleton(1)
+
+
+SIMULATED = {
+    "virtual": virtual_board,
+    "mega-sim": simulated_mega,
+    "micropython": micropython,
+    "skeleton": skeleton,
+}
 
 
 @pytest.fixture(scope="module")

@@ -98,3 +98,14 @@ def test_what_the_operating_system_refuses_is_on_the_errors_page(
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
     said = {(what, step) for _, _, what, step in import_module("generated").messages()}
     assert ("cannot write <path>: <reason>", "choose a folder that you may write to") in said
+
+
+def test_every_entry_of_robot_toml_is_described(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+    entries = {
+        (table, entry): rest for table, entry, *rest in import_module("generated").robot_entries()
+    }
+    assert [name for name, (_, _, text) in entries.items() if not text] == []
+    assert entries["[body]", "stiffness_n_cm2"][:2] == ["a number > 0", "none"]
+    channel = entries['[[sensor]], kind = "heading"', "mux_channel"]
+    assert channel[:2] == ["a whole number >= 0 and <= 7", "`0`"]

@@ -11,6 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 import pytest
+from command import Thigmo
 from contacts import CONTACT
 from hypothesis import given
 from hypothesis import strategies as st
@@ -168,6 +169,19 @@ os.kill(os.getpid(), signal.SIGKILL)
     log = read_log(path)
     assert log.truncated
     assert 1800 <= len(log.entries) < 2000
+
+
+def test_a_record_of_another_schema_is_refused_in_one_line(tmp_path: Path, thigmo: Thigmo) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    with LogWriter(run / "run.mcap", {"thigmo": "0.1", "schema_hash": "0badcafe"}) as log:
+        log.frame("rx", b"1", 1.0)
+    with pytest.raises(RunFolderError, match="schema 0badcafe, and this is") as refused:
+        read_log(run / "run.mcap")
+    assert refused.value.next_step == "read it with thigmo 0.1"
+    described = thigmo("info", run)
+    assert described.code != 0
+    assert "schema 0badcafe" in described.err
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:

@@ -61,6 +61,15 @@ class EventQueue {
     waiting_ = true;
   }
 
+  // The oldest latched event after a number, or null.
+  const protocol::Event* after(uint16_t number) const {
+    for (uint8_t i = 0; i < count_; ++i) {
+      const protocol::Event& event = places_[wrapped(static_cast<uint8_t>(first_ + i))].event;
+      if (static_cast<int16_t>(event.number - number) > 0) return &event;
+    }
+    return nullptr;
+  }
+
   uint16_t newest() const { return number_; }
   uint8_t count() const { return count_; }
 

@@ -133,7 +133,18 @@ class Session {
     return telemetry_waits_ ? send_telemetry() : nullptr;
   }
 
-  uint16_t session() const { return session_; }  // 0 before the first hello
+  // Ends the host's session, if there is one: it has to say hello anew.
+  void leave() {
+    if (session_ == 0) return;
+    left_ = session_;
+    session_ = 0;
+    deferred_ = false;
+    reply_waits_ = false;
+    pulse_waits_ = false;
+    telemetry_waits_ = false;
+  }
+
+  uint16_t session() const { return session_; }  // 0 while no host has one
   const Counters& counters() const { return counters_; }
 
   // Whether telemetry was dropped; clear_dropped() when that was reported.
@@ -208,8 +219,8 @@ class Session {
       nonce_next_ = static_cast<uint8_t>((nonce_next_ + 1) % kNonces);
       if (nonce_count_ < kNonces) ++nonce_count_;
       host_nonce_ = hello.host_nonce;
-      left_ = 0;
       open_session(frame.seq());
+      left_ = 0;
       handler.hello(false);
     } else {
       ++counters_.rx_repeats;
@@ -244,8 +255,9 @@ class Session {
 
   void open_session(uint16_t seq) {
     // Differs at each hello, and from other boots' as well as 16 bits can.
-    session_ = static_cast<uint16_t>(
-        session_ == 0 ? identity_.boot_nonce ^ identity_.boot_nonce >> 16 : session_ + 1);
+    const uint16_t before = session_ != 0 ? session_ : left_;
+    session_ = static_cast<uint16_t>(before == 0 ? identity_.boot_nonce ^ identity_.boot_nonce >> 16
+                                                 : before + 1);
     if (session_ == 0) session_ = 1;
     last_seq_ = seq;
     heartbeat_ = 0;
@@ -385,7 +397,7 @@ class Session {
   uint32_t heartbeat_ = 0;
   uint32_t announced_tick_ = 0;
   uint16_t session_ = 0;
-  uint16_t left_ = 0;  // the session before this one, if its host came back
+  uint16_t left_ = 0;  // the session before this one, if its host came back or was left
   uint16_t last_seq_ = 0;
   uint16_t telemetry_seq_ = 0;
   uint8_t last_id_ = 0;

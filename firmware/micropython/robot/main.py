@@ -1,9 +1,9 @@
-# The robot's controller: runs until Ctrl-C, mpremote or an error; outputs go off first, always.
+# The lab's program: starts the controller, then leaves the prompt to you. `board` is there.
 #
-# A function given as run(PINS, each) is called about every millisecond, for a lamp or a display. It
-# may be slow and may collect garbage: the control tick does not wait for Python.
+# The controller runs beside Python. A host may connect by the link's pins at any time; without one,
+# arm() makes this program the host, and it must call board.beat() within every half second.
 import thigmo_board
-
 from pins import PINS
 
-thigmo_board.run(PINS)
+board = thigmo_board.Board(PINS)
+board.start()

@@ -22,7 +22,12 @@
 #include <new>
 
 #include "controller.h"
+#ifdef THIGMO_SKELETON
+#include "../../skeleton/mps2/injected_skeleton.h"
+#else
 #include "injected_board.h"
+#endif
+#include "program.h"
 #include "stream.h"
 
 namespace {
@@ -46,6 +51,7 @@ struct Machine {
   bool again;           // the program has begun before, without a reset
   uint32_t tick;        // since the controller began
   volatile bool alive;
+  const char* volatile halted;  // why, or null
   uint8_t received[kFlashSize + kStepHeader + kMostLine];
   uint32_t filled;
   uint8_t answer[kFlashSize + kEepromUsed + 32];
@@ -53,9 +59,13 @@ struct Machine {
 Machine machine;
 alignas(InjectedBoard) uint8_t board_storage[sizeof(InjectedBoard)];
 alignas(Robot<InjectedBoard>) uint8_t robot_storage[sizeof(Robot<InjectedBoard>)];
+alignas(Program<InjectedBoard>) uint8_t program_storage[sizeof(Program<InjectedBoard>)];
 
 InjectedBoard& board() { return *reinterpret_cast<InjectedBoard*>(board_storage); }
 Robot<InjectedBoard>& robot() { return *reinterpret_cast<Robot<InjectedBoard>*>(robot_storage); }
+Program<InjectedBoard>& program() {
+  return *reinterpret_cast<Program<InjectedBoard>*>(program_storage);
+}
 
 template <typename T>
 T take(const uint8_t*& at) {
@@ -113,13 +123,20 @@ void step(const uint8_t* at) {
     int32_t encoder = 0;
     for (uint8_t pass = 0; pass < kPasses && machine.alive; ++pass) {
       encoder = take<int32_t>(at);
+      if (machine.halted != nullptr) {
+        end();
+        break;
+      }
       board().at(begun + instants[pass], encoder);
       const Configuration& c = robot().controller().configuration();
 #if THIGMO_IMUS
       board().poll_imus(c);
 #endif
       if (instants[pass] == machine.frame_us) board().convert(machine.tick, counts, c);
-      if ((flags & 2) == 0) robot().loop();
+      if ((flags & 2) == 0) {
+        robot().loop();
+        if (program().look()) thigmo_call_soon();
+      }
       machine.latches.keep(board().kept_latches());
       if (!machine.flash.powered) end();
     }
@@ -252,9 +269,11 @@ const char* thigmo_begin(const int8_t*) {
                                     machine.again ? protocol::ResetCause::kExternal : machine.cause,
                                     machine.latches.kept());
   new (robot_storage) Robot<InjectedBoard>(board());
+  new (program_storage) Program<InjectedBoard>(robot());
   robot().begin();
   machine.tick = 0;
   machine.again = true;
+  machine.halted = nullptr;
   machine.alive = true;
   const uint8_t started = 'R';
   stream_send(&started, 1);
@@ -268,5 +287,21 @@ void thigmo_end(void) {
   stream_unlock();
 }
 
-bool thigmo_wait(void) { return stream_wait() && machine.alive; }
+void thigmo_halt(const char* why) {
+  if (machine.alive && machine.halted == nullptr) machine.halted = why;
+}
+
+const char* thigmo_halted(void) { return machine.halted; }
+
+bool thigmo_runs(void) { return machine.alive && machine.halted == nullptr; }
+
+bool thigmo_ask(thigmo_request_t* request) {
+  stream_lock();
+  const bool answered = thigmo_runs();
+  if (answered) program().answer(request);
+  stream_unlock();
+  return answered;
+}
+
+void thigmo_serve(void) {}  // its store is written as the controller asks
 }

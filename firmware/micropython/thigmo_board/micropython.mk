@@ -18,3 +18,6 @@ else
 SRC_USERMOD_LIB_C += $(THIGMO_BOARD_DIR)/stream_unix.c
 LDFLAGS_USERMOD += -lpthread
 endif
+COMMA := ,
+# What takes the program from its course passes through module.c first.
+LDFLAGS_USERMOD += $(addprefix -Wl$(COMMA)--wrap=,mp_sched_keyboard_interrupt mp_hal_stdin_rx_chr m_malloc_fail)

@@ -16,6 +16,7 @@
 #include "pico/multicore.h"
 #include "pico/time.h"
 #include "pico_board.h"
+#include "program.h"
 
 namespace {
 
@@ -26,6 +27,7 @@ constexpr uint32_t kSpiHz = 1000000;
 constexpr uint32_t kDriveHz = 10000;
 constexpr uint32_t kMotorHz = 20000;
 constexpr uint8_t kVectors = 16 + 32;
+constexpr int32_t kClockMs = 2;
 // What an image is, readable from its file: `thigmo flash` refuses one of another schema.
 const struct {
   char magic[12];
@@ -49,14 +51,21 @@ PicoFlash flash;
 LatchRecord kept __attribute__((section(".uninitialized_data")));
 bool again;  // the program has begun before, without a reset
 bool alive;
+const char* volatile halted;  // why, or null
+volatile bool asked;          // `request` waits for core 1
+volatile bool news;           // the program has not been told of
+thigmo_request_t request;
+repeating_timer_t clock;  // of core 0
 int8_t pin[THIGMO_PINS];
 alignas(PicoBoard) uint8_t board_storage[sizeof(PicoBoard)];
 alignas(Robot<PicoBoard>) uint8_t robot_storage[sizeof(Robot<PicoBoard>)];
+alignas(Program<PicoBoard>) uint8_t program_storage[sizeof(Program<PicoBoard>)];
 alignas(8) uint32_t stack[1024];
 alignas(256) uint32_t vectors[kVectors];
 
 PicoBoard& board() { return *reinterpret_cast<PicoBoard*>(board_storage); }
 Robot<PicoBoard>& robot() { return *reinterpret_cast<Robot<PicoBoard>*>(robot_storage); }
+Program<PicoBoard>& program() { return *reinterpret_cast<Program<PicoBoard>*>(program_storage); }
 
 // --- core 1
 // ---------------------------------------------------------------------------------------
@@ -75,10 +84,22 @@ void run() {
   nvic_hw->iser = 1u << (TIMER_IRQ_0 + PicoBoard::kAlarm) | 1u << IO_IRQ_BANK0;
   robot().begin();
   board().begin();
-  for (;;) {
+  while (halted == nullptr) {
     board().pump();
     robot().loop();
+    if (program().look()) news = true;
+    if (!asked) continue;
+    __dmb();
+    program().answer(&request);
+    __dmb();
+    asked = false;
   }
+  save_and_disable_interrupts();
+  board().drive_off(0);
+  board().drive_off(1);
+  board().brake();
+  board().release();
+  for (;;) board().kick_watchdog();
 }
 
 // --- core 0
@@ -186,6 +207,12 @@ void set_up() {
   hw_set_bits(&timer_hw->inte, 1u << PicoBoard::kAlarm);
 }
 
+// Core 0, every few milliseconds: what only Python's thread can do is put before it.
+bool on_clock(repeating_timer_t*) {
+  if (news || board().saving()) thigmo_call_soon();
+  return true;
+}
+
 }  // namespace
 
 extern "C" {
@@ -200,6 +227,9 @@ const char* thigmo_begin(const int8_t* given) {
   again = true;
   new (board_storage) PicoBoard(pin, flash, kept, why);
   new (robot_storage) Robot<PicoBoard>(board());
+  new (program_storage) Program<PicoBoard>(robot());
+  halted = nullptr;
+  asked = news = false;
   for (uint32_t& vector : vectors) vector = reinterpret_cast<uint32_t>(stand_still);
   vectors[16 + TIMER_IRQ_0 + PicoBoard::kAlarm] = reinterpret_cast<uint32_t>(on_slot);
   vectors[16 + IO_IRQ_BANK0] = reinterpret_cast<uint32_t>(on_edge);
@@ -207,11 +237,16 @@ const char* thigmo_begin(const int8_t* given) {
   alive = true;
   multicore_launch_core1_raw(run, stack + sizeof stack / sizeof *stack,
                              reinterpret_cast<uint32_t>(vectors));
+  if (!add_repeating_timer_ms(-kClockMs, on_clock, nullptr, &clock)) {
+    thigmo_end();
+    return "the chip has no alarm left";
+  }
   return nullptr;
 }
 
 void thigmo_end(void) {
   if (!alive) return;
+  cancel_repeating_timer(&clock);
   multicore_reset_core1();
   outputs_off();
   watchdog_disable();
@@ -224,9 +259,32 @@ void thigmo_end(void) {
   gpio_put(pin[THIGMO_ADC_SELECT_OTHER], true);
 }
 
-bool thigmo_wait(void) {
-  board().save_if_asked();
-  best_effort_wfe_or_timeout(make_timeout_time_ms(1));
+void thigmo_halt(const char* why) {
+  if (alive && halted == nullptr) halted = why;
+}
+
+const char* thigmo_halted(void) { return halted; }
+
+bool thigmo_runs(void) { return alive && halted == nullptr; }
+
+bool thigmo_ask(thigmo_request_t* wanted) {
+  if (!thigmo_runs()) return false;
+  request = *wanted;
+  __dmb();
+  asked = true;
+  while (asked) {  // a core that hangs is reset by the watchdog
+    if (halted != nullptr) return false;
+  }
+  __dmb();
+  *wanted = request;
   return true;
 }
+
+void thigmo_serve(void) {
+  news = false;
+  if (thigmo_runs()) board().save_if_asked();
+}
+
+int __real_mp_hal_stdin_rx_chr(void);
+int thigmo_key(void) { return __real_mp_hal_stdin_rx_chr(); }
 }

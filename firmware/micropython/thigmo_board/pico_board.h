@@ -134,7 +134,17 @@ class PicoBoard {
     measure_supply();
   }
 
+  // All enables low, where a charge pump gets nothing; no converter selected.
+  void release() {
+    sio_hw->gpio_set = bit(pin_[THIGMO_ADC_SELECT_FLEX]) | bit(pin_[THIGMO_ADC_SELECT_OTHER]);
+    for (const int8_t name :
+         {THIGMO_MUSCLE_AIR, THIGMO_BODY_AIR, THIGMO_MOTOR_ENABLE, THIGMO_BRAKE_ENABLE}) {
+      sio_hw->gpio_clr = bit(pin_[name]);
+    }
+  }
+
   // --- on core 0 ---------------------------------------------------------------------------------
+  bool saving() const { return saving_; }
   void save_if_asked() {
     if (!saving_) return;
     __dmb();

@@ -18,7 +18,7 @@ void stream_take(uint8_t* bytes, uint32_t count);
 // Nothing is received between the two.
 void stream_lock(void);
 void stream_unlock(void);
-// About a millisecond passes; false when the hardware has gone.
+// Waits for a moment; false when the hardware has gone.
 bool stream_wait(void);
 
 void injected_receive(const uint8_t* bytes, uint32_t count);

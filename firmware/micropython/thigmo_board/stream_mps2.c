@@ -1,4 +1,5 @@
 // The stream of QEMU's MPS2-AN385: UART 1, by its receive interrupt. UART 0 is Python's prompt.
+#include "controller.h"
 #include "py/runtime.h"
 #include "shared/runtime/interrupt_char.h"
 #include "stream.h"
@@ -26,11 +27,30 @@ static void receive(void) {
   }
 }
 
+// Keys that were typed before somebody asked for them.
+static uint8_t keys[256];
+static volatile uint8_t keys_in, keys_out;
+
 static void receive_key(void) {
   UART0->interrupt = RX_PENDING;
   while (UART0->state & RX_FULL) {
-    if ((int)UART0->data == mp_interrupt_char) mp_sched_keyboard_interrupt();
+    const uint8_t key = (uint8_t)UART0->data;
+    if (key == mp_interrupt_char) {
+      mp_sched_keyboard_interrupt();
+    } else {
+      keys[keys_in++] = key;
+    }
   }
+}
+
+int __real_mp_hal_stdin_rx_chr(void);
+int thigmo_key(void) {
+  if (!(UART1->control & RX_ENABLE)) return __real_mp_hal_stdin_rx_chr();
+  while (keys_in == keys_out) {
+    mp_handle_pending(false);
+    __asm volatile("wfi");
+  }
+  return keys[keys_out++];
 }
 
 const char* stream_open(void) {
@@ -41,6 +61,7 @@ const char* stream_open(void) {
   vectors[16 + UART1_RX] = (uint32_t)(uintptr_t)receive;
   VECTOR_TABLE = (uint32_t)(uintptr_t)vectors;
   UART1->divider = 16;
+  UART0->control |= RX_INTERRUPT;
   UART1->control = TX_ENABLE | RX_ENABLE | RX_INTERRUPT;
   INTERRUPT_ENABLE = 1u << UART0_RX | 1u << UART1_RX;
   (void)UART1->data;  // QEMU looks for waiting bytes after a read only
@@ -59,9 +80,6 @@ void stream_lock(void) { __asm volatile("cpsid i" ::: "memory"); }
 void stream_unlock(void) { __asm volatile("cpsie i" ::: "memory"); }
 
 bool stream_wait(void) {
-  // The port polls its prompt's UART; while the controller runs, Ctrl-C must wake the processor.
-  UART0->control |= RX_INTERRUPT;
   __asm volatile("wfi");
-  UART0->control &= ~RX_INTERRUPT;
   return true;
 }

@@ -1,11 +1,14 @@
 // The unix port's stream: a socket whose number is in THIGMO_HARDWARE, read by a thread of its own.
 #include <errno.h>
+#include <poll.h>
 #include <pthread.h>
 #include <signal.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
+#include "controller.h"
+#include "py/runtime.h"
 #include "stream.h"
 
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
@@ -31,7 +34,7 @@ const char* stream_open(void) {
   if (hardware >= 0) return NULL;
   const char* number = getenv("THIGMO_HARDWARE");
   if (number == NULL) {
-    return "no hardware here: connect the host to micropython://SCENE, which starts this program";
+    return "no hardware here: `thigmo emulate SCENE --prompt` gives this program an emulated robot";
   }
   hardware = atoi(number);
   // Signals are Python's: its thread takes Ctrl-C.
@@ -77,4 +80,11 @@ void stream_unlock(void) { pthread_mutex_unlock(&lock); }
 bool stream_wait(void) {
   usleep(1000);
   return !gone;
+}
+
+int __real_mp_hal_stdin_rx_chr(void);
+int thigmo_key(void) {
+  struct pollfd keys = {STDIN_FILENO, POLLIN, 0};
+  while (poll(&keys, 1, 5) <= 0) mp_handle_pending(false);
+  return __real_mp_hal_stdin_rx_chr();
 }

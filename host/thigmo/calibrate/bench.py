@@ -20,7 +20,7 @@ from thigmo.calibrate.overhead import OverheadCamera
 from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.exceptions import CameraError, CameraMovedError
-from thigmo.config import SIDES, Muscle, RobotConfig
+from thigmo.config import SAME_LENGTH_CM, SIDES, Muscle, RobotConfig
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.link import protocol as wire
 from thigmo.mechanics import push_tip
@@ -34,8 +34,8 @@ T = TypeVar("T")
 
 STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing and margin
 READ_S = 1.0
-SAME_CM = 0.2  # lengths that are nearer are one stop
 _TRIES = 3
+_SAID_EVERY = 10  # of the rows of a procedure, so that the messages between them are seen
 _QUIET_S = 5.0  # after venting, before zeros are taken
 _UNSEEN: Row = {"unseen": True}
 _PUSHES = 3  # attempts at one place if the tip goes to the other side
@@ -83,7 +83,7 @@ def grow_to(
     end. Raises DataError if the robot is longer already: this never retracts.
     """
     now, body = robot.known_length_cm(), config.body
-    if now > length_cm + SAME_CM:
+    if now > length_cm + SAME_LENGTH_CM:
         raise DataError(
             f"the robot is {now:.1f} cm long, {length_cm:.1f} cm are needed",
             "retract it with `thigmo retract`, then run this again",
@@ -92,9 +92,9 @@ def grow_to(
     boundaries = {z.until_cm for z in body.zones if z.until_cm < length_cm}
     robot.vent()
     for stop in sorted(stops | boundaries):
-        if stop <= now + SAME_CM:
+        if stop <= now + SAME_LENGTH_CM:
             continue
-        set_zone(robot, config, body.zone_at(min(now + SAME_CM, stop)))
+        set_zone(robot, config, body.zone_at(min(now + SAME_LENGTH_CM, stop)))
         say(f"growing to {stop:.1f} cm")
         robot.grow_to(stop)
         now = stop
@@ -232,7 +232,8 @@ class Bench:
         if missing:
             (prepare or self.ready_to_bend)()
         for number, key in enumerate(missing, start=done + 1):
-            self.say(f"{procedure} {number} of {len(planned)}: {key}")
+            if number in (done + 1, len(planned)) or number % _SAID_EVERY == 0:
+                self.say(f"{procedure} {number} of {len(planned)}: {key}")
             row = {"key": key, **take(key, planned[key])}
             self.session.add(procedure, row)
             if row.get("unseen"):

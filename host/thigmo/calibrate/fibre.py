@@ -24,7 +24,7 @@ from thigmo.record.table import Table
 _FEWEST = 8  # bends
 _LEAST_BEND = 1e-3  # 1/cm, between the least and the most
 _MOST_SE = 0.1  # largest relative error of a scale that is used
-_SAME_CM = 0.05  # readings closer than this belong to one grating
+_GRATING_CM = 0.05  # readings closer than this belong to one grating
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _fit(index: int, gratings: list[FibreSensor], lines: list[LinearFit | None])
     across = [
         lines[n]
         for n, other in enumerate(gratings)
-        if other.side is None and abs(other.center_cm - gratings[index].center_cm) < _SAME_CM
+        if other.side is None and abs(other.center_cm - gratings[index].center_cm) < _GRATING_CM
     ]
     twist = np.nan
     if across and (beside := across[0]) is not None:

@@ -14,10 +14,10 @@ from thigmo.calibrate.columns import Array, column, medians, muscle_sides, of_se
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
+from thigmo.robot import VENTED_PSI
 from thigmo.wiring import table_key
 
 KINDS = ("straight", "tip", "bend")
-_VENTED_PSI = 0.5
 _LEAST_OHM = 200.0  # below, the unit is not ohm: flex sensors have thousands
 
 
@@ -101,7 +101,7 @@ class FlexReadings:
             column(rows, "k"),
             np.nan_to_num(column(rows, "k_se")),
             # A vented muscle wrinkles no sensor, so both sides read such a row well.
-            tuple(r["side"] if "side" in r and float(r["psi"]) > _VENTED_PSI else "" for r in rows),
+            tuple(r["side"] if "side" in r and float(r["psi"]) > VENTED_PSI else "" for r in rows),
             column(rows, "ohm") - rest + medians(rest),  # a dead sensor has no rest
             length_cm,
             column(rows, "asked"),

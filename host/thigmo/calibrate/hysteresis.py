@@ -14,10 +14,10 @@ import numpy as np
 from scipy.optimize import curve_fit, least_squares
 from scipy.stats import median_abs_deviation
 
-from thigmo.calibrate.bench import SAME_CM, Bench, growth_rows
+from thigmo.calibrate.bench import Bench, growth_rows
 from thigmo.calibrate.columns import Array, grouped, sensors_of
 from thigmo.calibrate.verdict import StepResult, Verdict
-from thigmo.config import RobotConfig
+from thigmo.config import SAME_LENGTH_CM, RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics.settling import Settling
 from thigmo.record.table import Table
@@ -79,7 +79,7 @@ def guided(bench: Bench) -> HysteresisResult:
         ohm, t = np.array(row["ohm"], float), np.array(row["t_s"], float)
         for (name, sensor), own in zip(sensors_of(config).items(), ohm.T, strict=True):
             end = sensor.center_cm + sensor.span_cm / 2
-            if before + SAME_CM < end <= length and sensor.healthy:
+            if before + SAME_LENGTH_CM < end <= length and sensor.healthy:
                 # The sensor everted when the tip passed its end, a little before growth stopped.
                 since = t + (length - end) / float(row["speed_cm_s"])
                 rest = float(np.nanmedian(own[-max(3, len(own) // 10) :]))

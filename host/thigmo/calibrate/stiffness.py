@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
 
 from thigmo.calibrate import bending
@@ -24,6 +23,7 @@ from thigmo.calibrate.regression import lasting, outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
+from thigmo.mechanics import heading_along, traced
 from thigmo.record.table import Table
 
 _LEAST_BEND, _ASIDE = 0.055, (0.1, 0.19)  # offsets of the tip, as shares of the length
@@ -127,10 +127,8 @@ def _one(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
             lean = np.where(fine < arc, np.cos(heading - end), 0.0)
             lever = np.cumsum(lean[::-1])[::-1] * step
             k = x[2] * lever * (1 + x[3] * gap)
-            heading = x[1] + cumulative_trapezoid(k, dx=step, initial=0)
-        along, across = (
-            cumulative_trapezoid(way(heading), dx=step, initial=0) for way in (np.cos, np.sin)
-        )
+            heading = x[1] + heading_along(k, step)
+        along, across = traced(heading, step)
         ahead, aside = np.interp(at, fine, along), np.interp(at, fine, x[0] + across)
         turn = np.interp(at, fine, heading)
         return np.asarray(

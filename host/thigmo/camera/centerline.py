@@ -15,7 +15,7 @@ from scipy.interpolate import BSpline
 from scipy.optimize import least_squares
 
 from thigmo.errors import DataError
-from thigmo.mechanics import traced
+from thigmo.mechanics import heading_along, traced
 
 Array = NDArray[np.float64]
 _KNOT_CM = 7.0  # distance of the spline's knots
@@ -133,7 +133,7 @@ def _fit(
         knots = np.concatenate([[0.0] * 3, np.linspace(0, total, n - 2), [total] * 3])
         basis = np.asarray(BSpline.design_matrix(fine, knots, 3).toarray(), float)
     step = fine[1] - fine[0]
-    integral = np.vstack([np.zeros(n), np.cumsum((basis[1:] + basis[:-1]) / 2 * step, axis=0)])
+    integral = heading_along(basis.T, step).T
 
     def curve(p: Array) -> tuple[Array, Array, Array]:
         heading = p[1] + integral @ p[2:]

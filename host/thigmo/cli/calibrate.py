@@ -9,10 +9,12 @@ import typer
 
 from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOption
 from thigmo.cli.console import Console
-from thigmo.cli.output import AnyRobotOption, JsonOption, print_json, show
+from thigmo.cli.output import AnyRobotOption, JsonOption, print_json, show, visible
 from thigmo.errors import DataError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from thigmo.calibrate.overhead import OverheadCamera
     from thigmo.calibrate.session import Session
     from thigmo.calibrate.verdict import StepResult
@@ -172,11 +174,37 @@ def calibrate(
     if as_json:
         print_json({name: result.as_data() for name, result in found.items()})
     bad = [name for name, result in found.items() if not result.verdict.good]
+    if step == "all" and not as_json:
+        _summary(session, found)
     if bad:
         if step == "all":
-            say(f"not good: {', '.join(bad)}; see why above, correct it, and run this again")
+            say(f"next: correct what is BAD, and run `thigmo calibrate {bad[0]} --robot {robot}`")
         raise typer.Exit(2)
-    say(f"constants so far: {session.robot_file}")
+    if step == "all":
+        say(f"next: `thigmo explore --robot {robot} --config {session.robot_file}`")
+    else:
+        say(f"constants so far: {session.robot_file}")
+
+
+def _summary(session: Session, results: Mapping[str, StepResult]) -> None:
+    """A table of what each step has learnt: of this run, or of an earlier one."""
+    from rich.console import Console as RichConsole
+    from rich.table import Table
+    from rich.text import Text
+
+    from thigmo.calibrate.steps import steps_of
+
+    table = Table("step", "", "what was learnt", box=None)
+    for name in steps_of(session.config):
+        stored = session.done(name)
+        if name in results:
+            good, reason = results[name].verdict.good, results[name].verdict.reason
+            table.add_row(name, "good" if good else "BAD", Text(visible(reason)))
+        elif stored is not None:
+            table.add_row(name, "good", Text(visible(stored["verdict"]["reason"])))
+        else:
+            table.add_row(name, "not run", "")
+    RichConsole().print(table)
 
 
 def _status(session: Session, as_json: bool) -> None:

@@ -27,10 +27,21 @@ def emulate(
             "SCENE-robot.toml."
         ),
     ] = None,
+    prompt: Annotated[
+        bool,
+        typer.Option(
+            "--prompt",
+            help="Make this terminal MicroPython's prompt, whose `thigmo_board` is the robot's "
+            "controller (in a source checkout).",
+        ),
+    ] = False,
 ) -> None:
     """Serve an emulated robot on a pseudo-terminal, in real time, until Ctrl-C or SIGTERM."""
-    from thigmo.emulator.serve import serve
+    from thigmo.emulator.serve import attend, serve
 
+    if prompt:
+        attend(scene, seed=seed)
+        return
     with suppress(KeyboardInterrupt):  # a service: that is how it ends
         written = config or Path(f"{Path(scene).stem}-robot.toml")
         serve(scene, seed=seed, link=link, config=written, announce=typer.echo)

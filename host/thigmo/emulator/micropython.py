@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import select
-import signal
 import socket
 import struct
 import subprocess
@@ -33,6 +32,8 @@ from thigmo.link.protocol import ResetCause
 from thigmo.wiring import BOARD_SIZES, board_size
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from thigmo.link.transport import Transport
 
 Floats = npt.NDArray[np.float64]
@@ -81,12 +82,15 @@ class MicroPythonBoard:
         adc_bits: of the converter.
         frame_us: into a tick, when its conversions are complete.
         large: Whether it is built for more muscles and sensors, and for IMUs.
+        attended: Whether this terminal is its prompt, for a person who starts the controller; no
+            program is run then.
 
     Attributes:
         bus: Where it reads IMUs; set it before time passes. Only a large board asks it.
         direction: 1 pays out, -1 winds in.
         running: Whether the controller runs.
         powered: False after a power cut, until `reset`.
+        ended: Whether the person has left the prompt.
     """
 
     bus: ImuBus | None = None
@@ -101,11 +105,13 @@ class MicroPythonBoard:
         adc_bits: int = 10,
         frame_us: int = 832,
         large: bool = False,
+        attended: bool = False,
     ) -> None:
-        self._program = program or "import main"
+        self._program = program or "from main import board"
+        self._attended = attended
         if large:
             adc_bits, frame_us = _LARGE_BITS, _LARGE_FRAME_US
-        self._image = image("unix-large" if large else on)
+        self._image = self._built("unix-large" if large else on)
         self._on: Processor = on
         self._profile = (adc_bits, frame_us)
         self._passes = np.array(sorted({250, 500, 990, frame_us})) * 1e-3
@@ -119,6 +125,7 @@ class MicroPythonBoard:
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
         self._console = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the board
+        self._keys = -1  # where the unix port's prompt takes keys from
         self._sent = bytearray()
         self._received = bytearray()
         self._supply_mv = 5000
@@ -132,6 +139,9 @@ class MicroPythonBoard:
         self.boots = 0
         self.reset(ResetCause.POWER_ON)
 
+    def _built(self, kind: str) -> Path:
+        return image(kind)
+
     # --- life -------------------------------------------------------------------------------------
     def reset(self, cause: int) -> None:
         """Begin a start for a `ResetCause`; the program runs when the boot time is over."""
@@ -139,7 +149,8 @@ class MicroPythonBoard:
         if cause == ResetCause.POWER_ON:
             self._latches = bytes(_LATCHES.size)
         self._cause = ResetCause(cause)
-        self._boot_left = BOOT_MS  # until the program runs
+        self._boot_left = 1 if self._attended else BOOT_MS  # until the program runs
+        self.ended = False
         self._hung = False
         self.powered = True
         self._off()
@@ -160,6 +171,8 @@ class MicroPythonBoard:
         adc_bits, frame_us = self._profile
         described = bytes([self._cause]) + self._latches + struct.pack("<BH", adc_bits, frame_us)
         self._tell(b"I" + described + self._flash)
+        if self._attended:
+            return
         started, problem = b"", ""
         end = time.monotonic() + _START_S
         while not started and not problem and time.monotonic() < end:
@@ -174,18 +187,40 @@ class MicroPythonBoard:
                 f"MicroPython has not started the controller: {problem or 'it is silent'}",
                 "see firmware/micropython/README.md, and correct main.py and pins.py",
             )
+        self._begin()
+
+    def _begin(self) -> None:
         self._ticks = 0
         self.running = True
         self.boots += 1
 
+    def _begins(self) -> bool:
+        """Whether the controller has begun, for which a person is waited."""
+        assert self._socket is not None
+        assert self._process is not None
+        if not self.boots and select.select([self._socket], [], [], 0)[0]:
+            self._socket.recv(1)
+            self._begin()
+        self.ended = self._process.poll() is not None
+        return self.boots > 0 and not self.ended
+
     def _launch(self, its: socket.socket) -> subprocess.Popen[bytes]:
         if self._on == "unix":
-            return subprocess.Popen(
-                [self._image, "-X", "heapsize=128k", "-i", "-c", self._program],
-                env=os.environ | {"THIGMO_HARDWARE": str(its.fileno())},
-                pass_fds=(its.fileno(),), stdin=subprocess.PIPE,
-                stdout=self._console, stderr=subprocess.STDOUT,
-            )  # fmt: skip
+            command = [str(self._image), "-X", "heapsize=128k"]
+            environment = os.environ | {"THIGMO_HARDWARE": str(its.fileno())}
+            if self._attended:
+                return subprocess.Popen(command, env=environment, pass_fds=(its.fileno(),))
+            self._keys, terminal = os.openpty()
+            try:
+                # A new session's first terminal makes a signal of Ctrl-C while a program runs.
+                return subprocess.Popen(
+                    ["sh", "-c", 'exec "$@" <"$0"', os.ttyname(terminal), *command,
+                     "-i", "-c", self._program],
+                    env=environment, pass_fds=(its.fileno(),), start_new_session=True,
+                    stdin=subprocess.DEVNULL, stdout=self._console, stderr=subprocess.STDOUT,
+                )  # fmt: skip
+            finally:
+                os.close(terminal)
         monitor, its_monitor = socket.socketpair()
         with its_monitor, monitor:
             process = subprocess.Popen(
@@ -219,6 +254,9 @@ class MicroPythonBoard:
 
     def type(self, keys: bytes) -> None:
         """Type at Python's prompt."""
+        if self._keys >= 0:
+            os.write(self._keys, keys)
+            return
         assert self._process is not None
         assert self._process.stdin is not None
         self._process.stdin.write(keys)
@@ -226,11 +264,7 @@ class MicroPythonBoard:
 
     def interrupt(self) -> None:
         """Ctrl-C at Python's prompt."""
-        if self._on == "unix":  # where the terminal makes a signal of it
-            assert self._process is not None
-            self._process.send_signal(signal.SIGINT)
-        else:
-            self.type(b"\x03")
+        self.type(b"\x03")
 
     def console(self) -> str:
         """What Python has printed so far."""
@@ -262,6 +296,9 @@ class MicroPythonBoard:
         self._process.wait()
         if self._process.stdin is not None:
             self._process.stdin.close()
+        if self._keys >= 0:
+            os.close(self._keys)
+            self._keys = -1
         self._process = self._socket = None
 
     def __del__(self) -> None:
@@ -288,7 +325,7 @@ class MicroPythonBoard:
                 self._boot_left -= count
                 if not self._boot_left:
                     self._start()
-            elif self._process is not None:
+            elif self._process is not None and (not self._attended or self._begins()):
                 self._exchange(done, count, ticks)
             done += count
             self._now_ms += count

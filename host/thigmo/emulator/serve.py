@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import os
 import select
+import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -19,17 +21,19 @@ from pathlib import Path
 
 from thigmo.closing import Closing
 from thigmo.config import RobotConfig
-from thigmo.emulator.board import virtual_board
+from thigmo.emulator.board import require_usual, virtual_board
 from thigmo.emulator.fibre import LineServer
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
 from thigmo.emulator.scene import Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import PortError
+from thigmo.extras import require_sources
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 from thigmo.link.framing import Decoder
 from thigmo.link.protocol import ResetCause, SelectZone
+from thigmo.robot.robot import Robot
 
 # After a longer stall of this computer, virtual time slips. It is well below the board's limit of
 # silence: a computer that hangs for a moment must not look like a host that fell silent.
@@ -217,6 +221,40 @@ def brought_up(robot: RobotConfig | None = None) -> bytes:
         client.request(wire.ApplyParameters())
         client.request(wire.SaveConfig())
     return board.eeprom
+
+
+def configured(room: Scene, seed: int | None) -> bytes:
+    """Store of a usual board that holds the robot of a scene, as its lab knows it."""
+    board = virtual_board(room.robot, 0, brought_up(room.robot))
+    transport = EmulatorTransport(room, board, seed=seed)
+    with Client(transport) as client:
+        Robot(client).configure(transport.config)
+    return board.eeprom
+
+
+def attend(scene: str | Path, *, seed: int | None = None) -> None:
+    """Serve a scene beside MicroPython's prompt in this terminal, until it is left.
+
+    The prompt's `thigmo_board` is the controller of the scene's robot, which knows its constants. A
+    host may open the robot's link, which is printed, as on a Pico.
+
+    Raises PortError where MicroPython cannot be built, NotInstalledError in a wheel.
+    """
+    require_sources("thigmo.emulator.micropython", "MicroPython's prompt")
+    from thigmo.emulator.micropython import STORE_SIZE, MicroPythonBoard
+
+    room = Scene.load(scene)
+    require_usual(room.robot)
+    used = room.seed if seed is None else seed
+    board = MicroPythonBoard(used, configured(room, seed)[:STORE_SIZE], attended=True)
+    server = PtyServer(Lockstep(room, board, seed=seed), reset_on_open=False)
+    print(f"{room.name}: a host may open {server.path}; Ctrl-D leaves the prompt", file=sys.stderr)
+    before = signal.signal(signal.SIGINT, lambda *_: None)  # Ctrl-C is for the prompt
+    try:
+        server.run(lambda: not board.ended)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        server.close()
 
 
 def serve(

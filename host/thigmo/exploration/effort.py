@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import SAME_LENGTH_CM, SIDES, RobotConfig
 from thigmo.errors import DataError
-from thigmo.exploration.plan import SAME_CM, stage_lengths
+from thigmo.exploration.plan import stage_lengths
 from thigmo.robot import rising_period_s
 from thigmo.wiring import Wiring
 
@@ -64,7 +64,7 @@ class Effort:
         if short := [each for each in stage_lengths(config) if each < last and each not in stops]:
             where = ", ".join(f"{length:g}" for length in short)
             said.append(f"no sweeps at {where} cm, so obstacles that only they reach are missed")
-        if last < config.body.length_cm - SAME_CM:
+        if last < config.body.length_cm - SAME_LENGTH_CM:
             said.append(f"it ends at {last:g} cm, so obstacles farther out are not felt")
         if self.measurements == 0:
             said.append("no second, slower sweep of a contact, so its place is less certain")
@@ -99,7 +99,9 @@ class Effort:
             spent = _PRESSURE_S
             settled_s = spent + (base_cm - length_cm) / speed + config.board.settle_s
         for stop in stops:
-            passed = [end for end in {*pitches, *boundaries} if length_cm + SAME_CM < end < stop]
+            passed = [
+                end for end in {*pitches, *boundaries} if length_cm + SAME_LENGTH_CM < end < stop
+            ]
             spent += max(stop - length_cm, 0.0) / speed + _GROWS_MORE_S * (1 + len(passed))
             spent += _PRESSURE_S * sum(end in boundaries for end in passed)
             look_s = 2 * (rising_period_s(config, config.body.zone_at(stop)) / 4 + _VENTS_S)
@@ -111,11 +113,11 @@ class Effort:
 
     def raises(self, config: RobotConfig, length_cm: float) -> bool:
         """Whether a measurement at a length may raise the body pressure."""
-        return self.raises_often or length_cm > config.body.length_cm - SAME_CM
+        return self.raises_often or length_cm > config.body.length_cm - SAME_LENGTH_CM
 
     def measurement_s(self, config: RobotConfig, length_cm: float) -> float:
         """Robot time (s) that the measurement of a contact at a length takes."""
-        full = length_cm > config.body.length_cm - SAME_CM
+        full = length_cm > config.body.length_cm - SAME_LENGTH_CM
         turns = (1 if full else 2) if self.raises(config, length_cm) else 0
         rest_s = _REST_S / self.rest_noise
         return rest_s + turns * _PRESSURE_S + self.measurements * _MEASURE_S
@@ -136,7 +138,7 @@ class Effort:
         Where the budget is too short for the full length as well, the run ends at the longest that
         it allows.
         """
-        reached_cm = length_cm + (SAME_CM if swept else -SAME_CM)
+        reached_cm = length_cm + (SAME_LENGTH_CM if swept else -SAME_LENGTH_CM)
 
         def fits(effort: Effort, stops: list[float]) -> bool:
             needed_s = effort.expected_s(config, stops, length_cm, settles_s)
@@ -154,7 +156,7 @@ class Effort:
     def measures(self, config: RobotConfig, length_cm: float, spent_s: float) -> bool:
         """Whether a contact at a length is measured: a budget leaves time for the full length."""
         full_cm = config.body.length_cm
-        after = [full_cm] if length_cm < full_cm - SAME_CM else []
+        after = [full_cm] if length_cm < full_cm - SAME_LENGTH_CM else []
         look = replace(self, measurements=0)
         needed_s = self.measurement_s(config, length_cm) + look.expected_s(config, after, length_cm)
         return self.measurements > 0 and spent_s + needed_s <= self.time_s

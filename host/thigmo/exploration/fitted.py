@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from thigmo.config import SIGN, RobotConfig, Side
+from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
 from thigmo.contact_status import SURE
 from thigmo.exploration.prior import boost, match
 from thigmo.field import Atlas, FieldContact, Swept, contacts, read
@@ -21,7 +21,6 @@ from thigmo.robot.curvature import Floats
 _MAP_ERRS = 1.3  # bends of the atlas over the map's highest
 _CELL_CM = 0.5  # of the posterior along the body
 _SMOOTH_CM = 0.25  # one sigma by which a sample of the arc is spread over the cells
-_SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
 # Sum of squares over the number of independent readings beyond which one peg for all sweeps is
 # compared with one for each stage, which takes time. A peg that explains its sweeps leaves about 1.
 _DOUBTED = 1.15
@@ -41,7 +40,7 @@ class FittedContact:
     def felt_at(self, length_cm: float) -> bool:
         """Whether a sweep at an everted length touched it."""
         lengths = [*self.contact.merged, self.contact.everted_length_cm]
-        return any(abs(length - length_cm) < _SAME_CM for length in lengths)
+        return any(abs(length - length_cm) < SAME_LENGTH_CM for length in lengths)
 
     def cells(self, length_cm: float) -> tuple[Floats, Floats]:
         """Middles (n,) of cells along a body, cm, and the posterior mass (n,) of each."""
@@ -88,7 +87,9 @@ class SideFits:
             return found
         stages: dict[int, list[Swept]] = {}
         for swept in sweeps:
-            stages.setdefault(round(swept.sweep.peaks[0].length_cm / _SAME_CM), []).append(swept)
+            stages.setdefault(round(swept.sweep.peaks[0].length_cm / SAME_LENGTH_CM), []).append(
+                swept
+            )
         groups = [
             _Group(mine, alone)
             for _, mine in sorted(stages.items())

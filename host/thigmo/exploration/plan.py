@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from itertools import count, takewhile
 
-from thigmo.config import SIDES, RobotConfig
+from thigmo.config import SAME_LENGTH_CM, SIDES, RobotConfig
 from thigmo.errors import ConfigError
 
 FOLD_MARGIN_CM = 0.5  # keep-out around a sensor's ends for the tip's fold; the board's default
-SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
 
 
 def half_everted(config: RobotConfig, length_cm: float) -> str:
@@ -35,7 +34,7 @@ def stage_lengths(config: RobotConfig) -> list[float]:
             "mark it unhealthy, or correct its centre and span in robot.toml",
         )
     pitches = (number * config.body.pitch_cm for number in count(1))
-    whole = takewhile(lambda length: length <= full - SAME_CM, pitches)
+    whole = takewhile(lambda length: length <= full - SAME_LENGTH_CM, pitches)
     return [*(length for length in whole if not half_everted(config, length)), full]
 
 
@@ -44,7 +43,11 @@ def growth_zone(config: RobotConfig, length_cm: float, target_cm: float) -> int:
 
     On a boundary growth needs the next zone's pressure; without growth, the zone of the length.
     """
-    ahead = min(length_cm + SAME_CM, target_cm) if target_cm > length_cm + SAME_CM else target_cm
+    ahead = (
+        min(length_cm + SAME_LENGTH_CM, target_cm)
+        if target_cm > length_cm + SAME_LENGTH_CM
+        else target_cm
+    )
     return config.body.zone_at(ahead)
 
 
@@ -55,7 +58,8 @@ def growth_target(config: RobotConfig, length_cm: float, stage_cm: float) -> flo
     """
     ends = [*(zone.until_cm for zone in config.body.zones), *stage_lengths(config)]
     return min(
-        (end for end in ends if length_cm + SAME_CM < end < stage_cm - SAME_CM), default=stage_cm
+        (end for end in ends if length_cm + SAME_LENGTH_CM < end < stage_cm - SAME_LENGTH_CM),
+        default=stage_cm,
     )
 
 

@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import RunFolderError
 from thigmo.exploration.methods import FIELD
 from thigmo.exploration.plan import trial_zone
@@ -36,7 +36,6 @@ from thigmo.robot.curvature import Floats
 from thigmo.wiring import Wiring
 
 _ZEROED = 1 << 2  # of sensor_report.flags
-_SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
 
 
 @dataclass
@@ -273,7 +272,7 @@ def _last_length(sweeps: list[RecordedSweep]) -> list[RecordedSweep]:
     if not sweeps:
         return []
     length_cm = sweeps[-1].watcher.length_cm
-    return [each for each in sweeps if abs(each.watcher.length_cm - length_cm) < _SAME_CM]
+    return [each for each in sweeps if abs(each.watcher.length_cm - length_cm) < SAME_LENGTH_CM]
 
 
 def _check(folder: RunFolder, log: Log) -> None:
@@ -281,13 +280,10 @@ def _check(folder: RunFolder, log: Log) -> None:
         raise RunFolderError(
             f"the record of {folder.path} is empty", "its run ended before it began: run it again"
         )
-    schema = log.metadata.get("schema_hash", "")
-    theirs = log.metadata.get("thigmo", "of its time")
-    if schema != f"{wire.SCHEMA_HASH:08x}":
+    if "schema_hash" not in log.metadata:
         raise RunFolderError(
-            f"{folder.path} was recorded with protocol schema {schema or 'unknown'}, and this is "
-            f"{wire.SCHEMA_HASH:08x}",
-            f"replay it with thigmo {theirs}",
+            f"the record of {folder.path} does not say which robot it is of",
+            "its first block is damaged: take the run from a backup, or run it again",
         )
 
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thigmo.config import RobotConfig
+from thigmo.config import SAME_LENGTH_CM, RobotConfig
 from thigmo.exploration.methods import FIELD
 from thigmo.exploration.stage import Interpreter, SideAnswer
 from thigmo.exploration.stall import Lean, Obstruction, lean, stall
@@ -20,8 +20,6 @@ from thigmo.record import Obstacle, Stage, Stall
 from thigmo.robot import Profile, SensorTable, SweepResult
 from thigmo.robot.curvature import Floats
 from thigmo.wiring import Wiring
-
-_SAME_CM = 0.1  # the spool stops within 0.05 cm of its target
 
 
 class Reducer:
@@ -149,4 +147,6 @@ class Reducer:
 
     def swept(self, length_cm: float) -> bool:
         """Whether a stage at this length was swept to its end."""
-        return any(abs(each.everted_length_cm - length_cm) <= _SAME_CM for each in self.stages)
+        return any(
+            abs(each.everted_length_cm - length_cm) <= SAME_LENGTH_CM for each in self.stages
+        )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort
 from thigmo.exploration.map import peg_ahead
@@ -23,7 +23,7 @@ from thigmo.exploration.measuring import (
     pressing_zone,
 )
 from thigmo.exploration.obstacles import export_obstacles
-from thigmo.exploration.plan import SAME_CM, growth_target, growth_zone, stage_lengths, trial_zone
+from thigmo.exploration.plan import growth_target, growth_zone, stage_lengths, trial_zone
 from thigmo.exploration.reducer import Reducer
 from thigmo.exploration.run_control import Live, RunControl
 from thigmo.exploration.scoring import true_obstruction
@@ -178,7 +178,7 @@ class Exploration:
             self.config, stops, self.length_cm, settles_s
         )
         if not stops:
-            full = self.length_cm > self.config.body.length_cm - SAME_CM
+            full = self.length_cm > self.config.body.length_cm - SAME_LENGTH_CM
             self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
             return "fully deployed" if full else "time is up"
         stage = stops[0]

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.mechanics import traced
+from thigmo.mechanics import heading_along, traced
 from thigmo.record import Pose
 
 Floats = NDArray[np.float64]
@@ -74,8 +74,7 @@ def centreline(bend: Bend) -> Curve:
     if bend.excess:
         knots = np.array(bend.excess)
         above = np.interp(arc, knots[:, 0], knots[:, 1], right=0.0)
-        turned = np.cumsum(step * (above[1:] + above[:-1]) / 2)
-        heading = heading + np.concatenate(([0.0], turned))
+        heading = heading + heading_along(above, step)
     return Curve(arc, *traced(heading, step), heading)
 
 

@@ -4,7 +4,7 @@ EI = 1 everywhere: forces are in 1/cm^2, moments in 1/cm. Iterative solvers are 
 files beside these are the extension `_rod`.
 """
 
-from thigmo.mechanics.closed_forms import critical_moment, fold_share, phi, traced
+from thigmo.mechanics.closed_forms import critical_moment, fold_share, heading_along, phi, traced
 from thigmo.mechanics.elastica import (
     Model,
     ModelChoice,
@@ -38,6 +38,7 @@ __all__ = [
     "critical_moment",
     "fold_share",
     "from_headings",
+    "heading_along",
     "peg_for",
     "phi",
     "push",

@@ -54,6 +54,17 @@ def phi(arc: npt.ArrayLike, center: npt.ArrayLike, span: npt.ArrayLike) -> Float
     return np.where(into <= 0, 0.0, np.where(a >= x + width / 2, a - x, inside))
 
 
+def heading_along(curvature: Floats, step: Floats | float) -> Floats:
+    """Headings (..., n), rad, along a line that starts along x, by its curvature (..., n), 1/cm.
+
+    `step` is the distance between points, cm. The curvature is linear between them.
+    """
+    heading = np.zeros_like(curvature)
+    turns = step * (curvature[..., 1:] + curvature[..., :-1]) / 2
+    heading[..., 1:] = np.cumsum(turns, axis=-1)
+    return heading
+
+
 def traced(heading: Floats, step: Floats | float) -> tuple[Floats, Floats]:
     """Points x and y (..., n) of a line from the origin with headings (..., n), rad.
 

@@ -20,7 +20,7 @@ from typing import IO, Any, Literal, cast
 
 from thigmo.closing import Closing
 from thigmo.errors import RunFolderError
-from thigmo.link.protocol import MESSAGES
+from thigmo.link.protocol import MESSAGES, SCHEMA_HASH
 from thigmo.record.mcap_file import read_mcap
 
 Direction = Literal["tx", "rx"]
@@ -30,6 +30,7 @@ _CHUNK_BYTES = 16_384
 _SILENCE_S = 0.5  # host and board hear of each other five times as often
 EPOCH = "epoch_ns"  # metadata: UTC nanoseconds at which the robot's time base was 0
 _TOPICS: dict[str, Direction] = {"/link/tx": "tx", "/link/rx": "rx"}
+_SCHEMA = f"{SCHEMA_HASH:08x}"  # of the frames that this version can read
 _NOTES, _FIBRE = "/run/notes", "/fibre/strains"
 _FRAME_SCHEMA = (
     "One frame as it was on the wire, without its closing zero byte: COBS(id u8, seq u16, "
@@ -263,9 +264,16 @@ class _Pieces:
 def read_log(path: Path) -> Log:
     """Read the intact part of a `run.mcap`, even if it is damaged or its writer was killed.
 
-    Raises RunFolderError if there is no such file, or it is no MCAP file.
+    Raises RunFolderError if there is no such file, it is no MCAP file, or its frames are of another
+    protocol schema.
     """
     found = read_mcap(path, {*_TOPICS, _NOTES, _FIBRE})
+    schema = found.metadata.get("schema_hash", _SCHEMA)  # damaged records name none
+    if schema != _SCHEMA:
+        raise RunFolderError(
+            f"{path} was recorded with protocol schema {schema}, and this is {_SCHEMA}",
+            f"read it with thigmo {found.metadata.get('thigmo', 'of its time')}",
+        )
     epoch = found.metadata.pop(EPOCH, "0")  # damaged records hold none
     epoch_ns = int(epoch) if epoch.isdecimal() else 0
     items: list[Entry | Note | FibreLine] = []

@@ -7,6 +7,7 @@ from thigmo.operator_prompts import Operator
 from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import SensorTable, in_mask, mask_of
 from thigmo.robot.fibre import FibreReading
+from thigmo.robot.idle_pressure import VENTED_PSI
 from thigmo.robot.robot import JOG_CM, WITHOUT_BRAKE, Robot, connect
 from thigmo.robot.state import (
     ContactTrigger,
@@ -24,6 +25,7 @@ from thigmo.robot.watchers import GrowthWatcher, Profile, SweepWatcher, peak_fra
 __all__ = [
     "JOG_CM",
     "TRIGGER_PER_CM",
+    "VENTED_PSI",
     "WITHOUT_BRAKE",
     "ContactTrigger",
     "CreepWatch",

@@ -18,8 +18,8 @@ from thigmo.link.inbox import TelemetryFrame
 from thigmo.link.interrogator import MAX_AGE_S, Interrogator
 from thigmo.record import FibreLine
 from thigmo.robot.curvature import Floats
+from thigmo.robot.idle_pressure import UNBENT_PSI
 
-_BENT_PSI = 0.1
 _FEWEST = 3  # lines of a reading
 _LEAST_S = 1e-6  # between two stamps
 _DRIFT = 5.0  # standard errors between the two halves of a zeroing
@@ -134,7 +134,7 @@ class Fibre:
         scale = np.array([grating.raw_scale for grating in self._gratings])
         muscles = len(self._config.muscles)
         psi = np.mean([row.pressure_cpsi[:muscles] for *_, row in pairs], axis=0) / 100
-        bent = float(psi.max()) >= _BENT_PSI
+        bent = float(psi.max()) >= UNBENT_PSI
         return FibreReading(
             t_s=float(np.mean([t_s for t_s, *_ in pairs])),
             strain_ue=mean,

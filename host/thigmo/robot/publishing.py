@@ -16,9 +16,9 @@ import numpy as np
 from thigmo.config import SIGN
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
-from thigmo.mechanics import traced
+from thigmo.mechanics import heading_along, traced
 from thigmo.robot.curvature import SensorTable
-from thigmo.robot.idle_pressure import UNBENT_CPSI
+from thigmo.robot.idle_pressure import UNBENT_CPSI, UNBENT_PSI
 from thigmo.robot.state import Status
 from thigmo.stream import BodyShape, Event, Hub, Telemetry
 from thigmo.stream.messages import Severity
@@ -120,7 +120,7 @@ class Publisher:
 
     def _shape_is_due(self, telemetry: Telemetry) -> bool:
         """Whether the body has moved on since the last shape; rarely of a robot that rests."""
-        rests = telemetry.motor == 0.0 and max(telemetry.pressure_psi) < UNBENT_CPSI / 100
+        rests = telemetry.motor == 0.0 and max(telemetry.pressure_psi) < UNBENT_PSI
         # A board that restarted counts from 0 again.
         passed_s = telemetry.device_s - self._shape_s
         return not 0.0 <= passed_s < (_REST_S if rests else _MOVING_S)
@@ -196,6 +196,6 @@ def bent(
     places, values = zip(*knots, strict=True)
     curvature = np.interp(arc, places, values)
     step = arc[1]
-    heading = np.concatenate(([0.0], np.cumsum(step * (curvature[1:] + curvature[:-1]) / 2)))
+    heading = heading_along(curvature, step)
     x, y = traced(heading, step)
     return tuple(zip(x.tolist(), y.tolist(), heading.tolist(), strict=True))

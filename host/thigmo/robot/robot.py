@@ -28,6 +28,7 @@ from thigmo.robot.configuration import get_parameter, send_config, set_parameter
 from thigmo.robot.curvature import Floats
 from thigmo.robot.fibre import FibreReading
 from thigmo.robot.fibre_guard import FibreGuard
+from thigmo.robot.idle_pressure import VENTED_PSI
 from thigmo.robot.publishing import Publisher
 from thigmo.robot.readings import Readings
 from thigmo.robot.state import Reading, Recording, Status, SweepFrame, SweepResult, together
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
 JOG_CM = 5.0  # of tip that a jog turns the spool for, at most
 WITHOUT_BRAKE = "the emergency stop leaves the motor its supply; keep hands away and shut V1"
 _STREAM_S = 0.1
-_VENTED_PSI = 0.5
 _SWEEP_EXTRA_S = 15.0  # ramps at both ends, venting, retried commands
 
 
@@ -476,10 +476,10 @@ class Robot(Closing):
         self.vent()
         status = self.status()
         psi = max(status.pressure_psi)
-        if psi >= _VENTED_PSI:
+        if psi >= VENTED_PSI:
             raise CommandRefusedError(
                 f"a muscle holds {psi:.2f} psi",
-                f"empty it below {_VENTED_PSI} psi first",
+                f"empty it below {VENTED_PSI:g} psi first",
                 reason=wire.Reason.NOT_VENTED.key,
             )
         self.supervisor.start(wire.RetractTo(round(length_cm * 1e4), 0))

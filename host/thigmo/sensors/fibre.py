@@ -20,12 +20,12 @@ class FibreSensor(AnySensor):
     """
 
     wrinkles = False
-    kind: Literal["fibre"]
+    kind: Literal["fibre"]  # a grating's reading in one direction
     span_cm: NonNegative = 0.5  # length of the grating
     scale_per_ue: NonZero = 2.7e-4  # 1/cm per microstrain; sign included
-    scale_se: NonNegative = 0.05
+    scale_se: NonNegative = 0.05  # one sigma of it, relative
     zero_ue: Finite = 0.0  # of the straight body
-    noise: Positive = 2.7e-4  # a microstrain
+    noise: Positive = 2.7e-4  # 1/cm, white, of an averaged reading: a microstrain
     # What temperature adds to all gratings alike, 1/cm. A kelvin strains a core by 11 microstrain
     # [a typical grating at 1550 nm]; reading each core by itself leaves a tenth of that [assumed].
     temperature_se: NonNegative = 3e-4

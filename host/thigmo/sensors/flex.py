@@ -13,18 +13,18 @@ class FlexSensor(AnySensor):
     """One flex sensor: reading = scale_per_ohm * (R - R at the last zeroing)."""
 
     wrinkles = True
-    kind: Literal["flex"] = "flex"
-    span_cm: NonNegative = 5.5
+    kind: Literal["flex"] = "flex"  # a strip on the tube
+    span_cm: NonNegative = 5.5  # length of the strip
     scale_per_ohm: NonZero = 3.5e-5  # 1/cm per ohm; sign included, so that left bends read positive
-    scale_se: NonNegative = 0.15  # resistances differ by 30 % from part to part
+    scale_se: NonNegative = 0.15  # relative: resistances differ by 30 % from part to part
     zero_ohm: Positive = 12_000.0  # flat resistance, a start value: zeroing re-measures it
     zero_se: NonNegative = 3.6e-4  # 1/cm, what zeroing and averaging leave: its loop, slow drift
     valid_direction: Literal[-1, 0, 1] = 0  # the bending direction it answers to; 0 = both
     # Response to bends against `valid_direction` over that to bends along it, and one sigma: a data
     # sheet states one direction only. A bench that bends both ways measures it.
     against_gain: NonNegative = 0.7
-    against_gain_se: NonNegative = 0.3
-    noise: Positive = 4.8e-4  # 6e-4 with `zero_se`
+    against_gain_se: NonNegative = 0.3  # one sigma of it
+    noise: Positive = 4.8e-4  # 1/cm, white, of an averaged reading; 6e-4 with `zero_se`
 
     @property
     def zero_error(self) -> float:

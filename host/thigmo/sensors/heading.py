@@ -30,16 +30,16 @@ class HeadingSensor(AnySensor):
         "A flex sensor's circuit is open": "An IMU does not answer",
         "its wire": "the IMUs at both its ends, and their bus",
     }
-    kind: Literal["heading"]
+    kind: Literal["heading"]  # the turn between two IMUs
     span_cm: Positive  # from one IMU to the other
     scale: Positive = 1.0  # turn over what the IMUs say: how they lie, and their gain
-    scale_se: NonNegative = 0.05
+    scale_se: NonNegative = 0.05  # one sigma of it, relative
     zero_rad: Finite = 0.0  # turn that they say of the straight body
     heading_se_rad: NonNegative = 3e-3  # of either IMU: what it drifts by from zeroing to reading
-    noise: Positive = 1e-4
+    noise: Positive = 1e-4  # 1/cm, white, of an averaged reading
     # Of the IMU at the span's far end: the multiplexer's channel, and its address; 0 = not stated.
     mux_channel: Annotated[int, Field(ge=0, le=7)] = 0
-    i2c_address: Annotated[int, Field(ge=0, le=127)] = 0
+    i2c_address: Annotated[int, Field(ge=0, le=127)] = 0  # on that channel
 
     valid_direction: ClassVar[int] = 0
     straight_ohm: ClassVar[float] = 12_000.0  # that the reader says for no turn

@@ -41,12 +41,12 @@ class AnySensor(Placed):
     wrinkles: ClassVar[bool]
     imu_inputs: ClassVar[int] = 0
     fault_words: ClassVar[Mapping[str, str]] = {}
-    kind: str
-    center_cm: Positive
+    kind: str  # flex, heading or fibre
+    center_cm: Positive  # of its span, from the base
     # One sigma of its place. Default: a ruler along the tube, read to a millimetre.
     center_se_cm: NonNegative = 0.1
-    span_cm: NonNegative
-    scale_se: NonNegative  # relative
+    span_cm: NonNegative  # over which it averages the curvature
+    scale_se: NonNegative  # one sigma of its scale, relative
     # One sigma by which its scale has drifted since then, relative; `check` on later days shows it.
     drift_se: NonNegative = 0.04
     noise: Positive  # 1/cm, white, of an averaged reading

@@ -14,13 +14,12 @@ from math import nan
 
 import cv2
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from thigmo.camera import CameraModel, Lens, Sheet, Wanted, calibrate_lens, detect, locate
 from thigmo.camera.model import Picture
 from thigmo.camera.sheet import Decal, board, card_decals, tip_decal
 from thigmo.emulator.render import BodyShape, PegShape, View, overhead_camera, random_look, render
-from thigmo.mechanics import traced
+from thigmo.mechanics import heading_along, traced
 from thigmo_bench.studies.engine import Claim, Context, Outcome, share
 from thigmo_bench.studies.rod import Floats
 from thigmo_bench.studies.scenes import COLUMN, RADIUS, SPAN
@@ -54,8 +53,9 @@ class Glimpse:
 def axis_of(curvature: Floats, length: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Arc, heading, x and y of a body with that curvature, evenly spaced over its length."""
     s = np.linspace(0.0, length, len(curvature))
-    heading = cumulative_trapezoid(curvature, s, initial=0)
-    return s, heading, *traced(heading, np.diff(s))
+    step = np.diff(s)
+    heading = heading_along(curvature, step)
+    return s, heading, *traced(heading, step)
 
 
 def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:

@@ -3,42 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import pytest
 from rig import Rig
 
 from thigmo.emulator.micropython import MicroPythonBoard, Processor
-from thigmo.errors import LinkError, PortError
+from thigmo.errors import CommandTimeoutError, LinkError, PortError
 from thigmo.link import protocol as wire
 from thigmo.link.client import Client
 
 Make = Callable[..., Rig[MicroPythonBoard]]
 ON: list[Processor] = ["unix", "cortex-m3"]
 
-# Programs that never give the interrupt to anybody: only the module can put outputs off.
-SWALLOWS = """import thigmo_board, pins
+# Programs that go on after what should end them: only the module can put outputs off.
+SWALLOWS = """from main import board
 try:
-    thigmo_board.run(pins.PINS)
+    while True: pass
 except BaseException as error:
     print("swallowed", type(error))
     while True: pass
 """
-RAISES = """import thigmo_board, pins
-calls = 0
-def each():
-    global calls
-    calls += 1
-    if calls > 3000: raise ValueError("a lamp that broke")
-thigmo_board.run(pins.PINS, each)
+RAISES = """from main import board
+def broken(name, arg, value):
+    if name == "activity_done" and arg == 5: raise ValueError("a lamp that broke")
+board.on_event(broken)
 """
-FILLS = """import thigmo_board, pins
-calls = 0
+FILLS = """from main import board
+def fill(name, arg, value):
+    hog = []
+    while name == "activity_done" and arg == 5: hog.append(bytearray(5000))
+board.on_event(fill)
+"""
+HOARDS = """from main import board
 hog = []
-def each():
-    global calls
-    calls += 1
-    while calls > 3000: hog.append(bytearray(5000))
-thigmo_board.run(pins.PINS, each)
+try:
+    while True:
+        if board.activity() == "pressing":
+            while True: hog.append(bytearray(5000))
+except MemoryError:
+    hog = None
+    print("MemoryError swallowed")
+    while True: pass
 """
 
 
@@ -49,7 +55,29 @@ def test_ctrl_c_puts_outputs_off(bench: Make, on: Processor) -> None:
     robot.board.interrupt()
     robot.until(lambda: not robot.board.running)
     assert robot.airless
-    robot.until(lambda: "KeyboardInterrupt" in robot.board.console())
+    robot.board.type(b"board.curvature()\r")
+    robot.until(lambda: "the controller does not run: Ctrl-C" in robot.board.console())
+
+
+@pytest.mark.parametrize("on", ON)
+def test_typing_at_the_prompt_changes_nothing(bench: Make, on: Processor) -> None:
+    robot = bench(on)
+    robot.press()
+    robot.board.type(b"for n in range(3): print('typed', n * 7)\r\r")
+    robot.until(lambda: "typed 14" in robot.board.console())
+    robot.board.type(b"1 / 0\r")
+    robot.until(lambda: "ZeroDivisionError" in robot.board.console())
+    assert robot.board.running
+    assert robot.board.drive_enabled == (True, False)
+
+
+@pytest.mark.parametrize("on", ON)
+def test_ctrl_d_puts_outputs_off(bench: Make, on: Processor) -> None:
+    robot = bench(on)
+    robot.press()
+    robot.board.type(b"\x04")
+    robot.until(lambda: not robot.board.running)
+    assert robot.airless
 
 
 def test_outputs_are_off_though_the_program_swallows_ctrl_c(bench: Make) -> None:
@@ -65,12 +93,25 @@ def test_outputs_are_off_though_the_program_swallows_ctrl_c(bench: Make) -> None
 @pytest.mark.parametrize(
     ("program", "error"), [(RAISES, "ValueError: a lamp that broke"), (FILLS, "MemoryError")]
 )
-def test_an_error_beside_the_controller_puts_outputs_off(
-    bench: Make, program: str, error: str
-) -> None:
+def test_an_error_in_the_callback_puts_outputs_off(bench: Make, program: str, error: str) -> None:
     robot = bench(program=program)
     robot.press()
+    with suppress(LinkError, CommandTimeoutError):  # nobody answers
+        robot.robot.vent()  # whose event it does not bear
     robot.until(lambda: error in robot.board.console())
+    robot.transport.pass_time(0.01)
+    assert robot.airless
+    assert not robot.board.running
+    robot.board.type(b"board.state()\r")
+    robot.until(lambda: "the controller does not run: " in robot.board.console())
+
+
+def test_a_full_heap_puts_outputs_off_though_the_program_goes_on(bench: Make) -> None:
+    robot = bench(program=HOARDS)
+    robot.prepare()
+    with suppress(LinkError, CommandTimeoutError):  # nobody answers
+        robot.robot.press("left", 8.0)
+    robot.until(lambda: "MemoryError swallowed" in robot.board.console())
     robot.transport.pass_time(0.01)
     assert robot.airless
     assert not robot.board.running
@@ -98,6 +139,21 @@ def test_mpremote_that_comes_in_finds_outputs_off_and_a_raw_prompt(bench: Make) 
     assert robot.airless
 
 
+def test_a_raw_prompt_alone_puts_outputs_off(bench: Make) -> None:
+    robot = bench("cortex-m3")
+    robot.press()
+    robot.board.type(b"\x01")
+    robot.until(lambda: not robot.board.running)
+    assert robot.airless
+
+
+def test_a_pin_that_the_lab_names_for_itself_is_allowed(bench: Make) -> None:
+    bench()
+    board = MicroPythonBoard(5, program="import pins\npins.PINS['lamp'] = 22\nimport main")
+    board.step(900)
+    assert board.running
+
+
 def test_after_a_soft_reset_the_program_begins_again_and_a_stop_stays(bench: Make) -> None:
     robot = bench("cortex-m3")
     robot.press()
@@ -108,7 +164,7 @@ def test_after_a_soft_reset_the_program_begins_again_and_a_stop_stays(bench: Mak
     robot.until(lambda: not robot.board.running)
     robot.board.type(b"\x04")  # Ctrl-D
     robot.until(lambda: "soft reboot" in robot.board.console())
-    robot.board.type(b"import main\r")
+    robot.board.type(b"from main import board\r")
     robot.until(lambda: robot.board.running)
     assert robot.board.boots == 2
     client = Client(robot.transport)
@@ -136,7 +192,6 @@ def test_bytes_of_the_link_are_no_keys_at_the_prompt(bench: Make, on: Processor)
         ("pins.PINS['estop'] = 0", "'estop' and 'link_tx' share pin 0"),
         ("pins.PINS['estop'] = 30", "pin 'estop' is not 0 to 29"),
         ("del pins.PINS['estop']", "pins lacks 'estop'"),
-        ("pins.PINS['lamp'] = 22", "pins has a name that the board does not know"),
         ("pins.PINS = 7", "pins is a dictionary"),
     ],
 )

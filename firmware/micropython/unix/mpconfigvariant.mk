@@ -1,0 +1,1 @@
+# Of the variant (mpconfigvariant.h) nothing is set by make.
