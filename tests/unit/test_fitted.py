@@ -12,7 +12,8 @@ from fits import a_fit
 from thigmo.config import RobotConfig, Side
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.stage import Interpreter
-from thigmo.field import FieldContact
+from thigmo.field import FieldContact, Readings
+from thigmo.record import MapContact
 from thigmo.robot import Peak, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
@@ -155,3 +156,60 @@ def test_a_stage_says_what_it_felt_and_how_well(fits: Fits) -> None:
     assert answer.mass.sum() == pytest.approx(1.0)
     entry = found.entry(1.0, 53.0, sweep, [answer], 2)
     assert entry.shapes[-1].side == "left"
+
+
+@dataclass
+class ByLengths:
+    """Answers of the fit by the lengths of the sweeps that it is given."""
+
+    answers: dict[tuple[float, ...], FieldContact]
+
+    def __call__(self, readings: Readings, *_: Any, expected: Any = None) -> list[FieldContact]:
+        lengths = tuple(sorted({stage.length for stage in readings.stages}))
+        return [self.answers[lengths]] if lengths in self.answers else []
+
+
+def _of_stages(
+    monkeypatch: pytest.MonkeyPatch, answers: dict[tuple[float, ...], FieldContact]
+) -> list[MapContact]:
+    monkeypatch.setattr("thigmo.exploration.fitted.contacts", ByLengths(answers))
+    room = ContactMap(CONFIG)
+    for length_cm in sorted({length for lengths in answers for length in lengths}):
+        room.add_sweep(_sweep(length_cm=length_cm), 2, ["left"])
+    return room.contacts
+
+
+def test_a_peg_that_leaves_a_misfit_is_compared_with_one_for_each_stage(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two pegs: shorter bodies touch one of them, longer ones the other."""
+    near, far = {"x_cm": 22.0, "y_cm": 6.0}, {"x_cm": 43.0, "y_cm": 12.0}
+    answers = {
+        (30.0, 40.0, 50.0, 53.0): a_fit(44.0, misfit=1.8, log_evidence=-190.0, x_cm=41.0),
+        (30.0,): a_fit(24.0, 30.0, log_evidence=-20.0, **near),
+        (40.0,): a_fit(23.8, 40.0, log_evidence=-30.0, **near),
+        (30.0, 40.0): a_fit(23.7, 40.0, log_evidence=-40.0, felt_at_cm=(30.0, 40.0), **near),
+        (50.0,): a_fit(46.0, 50.0, log_evidence=-60.0, **far),
+        (53.0,): a_fit(45.8, 53.0, misfit=1.4, log_evidence=-50.0, **far),
+        (50.0, 53.0): a_fit(45.9, 53.0, log_evidence=-120.0, felt_at_cm=(50.0, 53.0), **far),
+    }
+    first, second, third = _of_stages(monkeypatch, answers)
+    # One peg for two stages where that is likelier than two, and never where it is not.
+    assert (first.arc_cm, first.merged, first.status) == (23.7, [30.0], "localized")
+    assert [second.everted_length_cm, third.everted_length_cm] == [50.0, 53.0]
+    assert third.status == "ambiguous"  # its misfit: something else bore on that body as well
+    assert all("one of several" in contact.model for contact in (first, second, third))
+
+
+@pytest.mark.parametrize(("misfit", "log_evidence"), [(1.8, -90.0), (1.0, -300.0)])
+def test_one_peg_stays_one_if_it_explains_its_sweeps_or_is_likelier(
+    monkeypatch: pytest.MonkeyPatch, misfit: float, log_evidence: float
+) -> None:
+    answers = {
+        (50.0, 53.0): a_fit(44.0, misfit=misfit, log_evidence=log_evidence),
+        (50.0,): a_fit(30.0, 50.0, log_evidence=-60.0, x_cm=28.0, y_cm=9.0),
+        (53.0,): a_fit(45.8, 53.0, log_evidence=-50.0),
+    }
+    (contact,) = _of_stages(monkeypatch, answers)
+    assert contact.arc_cm == 44.0
+    assert "several" not in contact.model

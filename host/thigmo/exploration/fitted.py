@@ -1,4 +1,7 @@
-"""The contacts of each side by one fit to all of its sweeps (`thigmo.field`), for the map."""
+"""The contacts of each side, for the map: fits of pegs to all frames of its sweeps.
+
+One peg for all sweeps, or several that shared the stages among them (`thigmo.field` fits each).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from scipy.special import ndtr
 from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
 from thigmo.contact_status import SURE
 from thigmo.exploration.prior import boost, match
-from thigmo.field import Atlas, FieldContact, Swept, contacts, read
+from thigmo.field import Atlas, FieldContact, Swept, contacts, read, untouched_evidence
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle
 from thigmo.robot import SweepResult
@@ -90,25 +93,28 @@ class SideFits:
             stages.setdefault(round(swept.sweep.peaks[0].length_cm / SAME_LENGTH_CM), []).append(
                 swept
             )
-        groups = [
-            _Group(mine, alone)
-            for _, mine in sorted(stages.items())
-            if (alone := self._fitted(mine, side))
-        ]
+        groups = [self._group(mine, side) for _, mine in sorted(stages.items())]
         several: list[_Group] = []
         for group in groups:
             for n, other in enumerate(several):
                 if _may_be_one(group, other):
-                    both = [*other.sweeps, *group.sweeps]
-                    joint = _Group(both, self._fitted(both, side))
-                    if joint.found and _evidence([joint]) > _evidence([group, other]):
+                    joint = self._group([*other.sweeps, *group.sweeps], side)
+                    if joint.log_evidence > group.log_evidence + other.log_evidence:
                         several[n] = joint
                         break
             else:
                 several.append(group)
-        if len(several) < 2 or _evidence(several) < _evidence([_Group(sweeps, found)]):
+        apart = [group for group in several if group.found]
+        likelier = sum(g.log_evidence for g in several) > _Group(sweeps, found).log_evidence
+        if len(apart) < 2 or not likelier:
             return found
-        return [_of_several(fitted) for group in several for fitted in group.found]
+        return [_of_several(fitted) for group in apart for fitted in group.found]
+
+    def _group(self, sweeps: list[Swept], side: Side) -> _Group:
+        """Some of a side's sweeps by themselves."""
+        found = self._fitted(sweeps, side)
+        prepared = None if found else read(sweeps, side, self._config)
+        return _Group(sweeps, found, untouched_evidence(*prepared) if prepared else 0.0)
 
     def _fitted(self, sweeps: Sequence[Swept], side: Side) -> list[FittedContact]:
         """What explains some of a side's sweeps."""
@@ -188,27 +194,30 @@ class SideFits:
 
 
 class _Group(NamedTuple):
-    """Sweeps that felt one obstacle, and the fit to them."""
+    """Sweeps that felt one obstacle or nothing, and the fit to them."""
 
     sweeps: list[Swept]
     found: list[FittedContact]
+    untouched: float = 0.0  # log evidence if nothing was found
+
+    @property
+    def log_evidence(self) -> float:
+        """Of these sweeps, with errors of their own."""
+        return self.untouched + sum(fitted.log_evidence for fitted in self.found)
 
 
 def _of_several(fitted: FittedContact) -> FittedContact:
     """One of several obstacles; where it leaves a misfit, others have borne on the body as well."""
     contact = fitted.contact
     status = contact.status if fitted.misfit <= _DOUBTED else "ambiguous"
-    model = f"{contact.model}; one of several"
+    model = f"{contact.model}; one of several, nearest here"
     return replace(fitted, contact=replace(contact, status=status, model=model))
-
-
-def _evidence(groups: Sequence[_Group]) -> float:
-    """Log evidence that each group of sweeps felt an obstacle of its own, with its own errors."""
-    return sum(fitted.log_evidence for group in groups for fitted in group.found)
 
 
 def _may_be_one(one: _Group, other: _Group) -> bool:
     """Whether two groups' obstacles lie within each other's errors."""
+    if not (one.found and other.found):
+        return False
     a, b = one.found[0].contact, other.found[0].contact
     covariance = np.asarray(a.covariance_cm2) + np.asarray(b.covariance_cm2)
     apart = np.array([a.x_cm - b.x_cm, a.y_cm - b.y_cm])

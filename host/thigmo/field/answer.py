@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.field.atlas import Atlas
-from thigmo.field.fit import ALIKE
+from thigmo.field.fit import ALIKE, FieldFit
 from thigmo.field.hypotheses import FRICTION, RADIUS
 from thigmo.field.posterior import ENOUGH, PegSearch, Samples
 from thigmo.field.readings import Errors, Floats, Readings
@@ -87,6 +87,11 @@ def contacts(
         return []
     contact = _placed(readings, samples, log_odds)
     return [] if contact is None else [contact]
+
+
+def untouched_evidence(readings: Readings, errors: Errors) -> float:
+    """Log evidence of the readings if nothing was touched, less what all hypotheses share."""
+    return -0.5 * FieldFit(readings, errors).nothing().cost
 
 
 def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldContact | None:
