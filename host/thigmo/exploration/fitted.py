@@ -1,54 +1,65 @@
-"""The method `field`: the map's contacts by one fit to all sweeps of a side (`thigmo.field`).
+"""The contacts of each side, for the map: fits of pegs to all frames of its sweeps.
 
-Kept beside the map, live and in replays; what a frame felt still steers the sweeps.
+One peg for all sweeps, or several that shared the stages among them (`thigmo.field` fits each).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
-from thigmo.config import SIGN, RobotConfig, Side
-from thigmo.errors import DataError
+from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
+from thigmo.contact_status import SURE
 from thigmo.exploration.prior import boost, match
-from thigmo.exploration.sighting import LEVEL
-from thigmo.field import Atlas, FieldContact, Swept, contacts, read
-from thigmo.localization import METHODS, check_method
+from thigmo.field import Atlas, FieldContact, Swept, contacts, read, untouched_evidence
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle
-from thigmo.robot import SensorTable, SweepResult
+from thigmo.robot import SweepResult
 from thigmo.robot.curvature import Floats
-from thigmo.wiring import Wiring
 
-FIELD = "field"  # the method; its single frames are localized as by "posterior"
 _MAP_ERRS = 1.3  # bends of the atlas over the map's highest
+_CELL_CM = 0.5  # of the posterior along the body
+_SMOOTH_CM = 0.25  # one sigma by which a sample of the arc is spread over the cells
+# Sum of squares over the number of independent readings beyond which one peg for all sweeps is
+# compared with one for each stage, which takes time. A peg that explains its sweeps leaves about 1.
+_DOUBTED = 1.15
+_SAME_SIGMA = 3.0  # within which two stages' places may be one
 
 
-def check_exploration_method(method: str) -> None:
-    """Raises DataError if explorations have no such method."""
-    if method == FIELD:
-        return
-    if method not in METHODS:
-        try:
-            check_method(method)
-        except DataError as error:
-            raise DataError(error.what, f"use one of {', '.join((*METHODS, FIELD))}") from None
+@dataclass(frozen=True, slots=True)
+class FittedContact:
+    """A contact for the map, with the samples of its arc along the body."""
+
+    contact: MapContact
+    arcs: Floats  # (n,) cm
+    weights: Floats  # (n,) of sum one
+    misfit: float  # 1 if the peg explains its sweeps
+    log_evidence: float  # of these sweeps
+
+    def felt_at(self, length_cm: float) -> bool:
+        """Whether a sweep at an everted length touched it."""
+        lengths = [*self.contact.merged, self.contact.everted_length_cm]
+        return any(abs(length - length_cm) < SAME_LENGTH_CM for length in lengths)
+
+    def cells(self, length_cm: float) -> tuple[Floats, Floats]:
+        """Middles (n,) of cells along a body, cm, and the posterior mass (n,) of each."""
+        edges = np.linspace(0.0, length_cm, max(round(length_cm / _CELL_CM), 1) + 1)
+        below = ndtr((edges[:, None] - self.arcs) / _SMOOTH_CM) @ self.weights
+        below[0], below[-1] = 0.0, 1.0  # what bears on the end lies in the last cell
+        return 0.5 * (edges[1:] + edges[:-1]), np.diff(below)
 
 
-def frame_method(method: str) -> str:
-    """The method of `localize` for the single frames of an exploration."""
-    return METHODS[0] if method == FIELD else method
-
-
-class FittedMap:
-    """Contacts of each side by all of its sweeps so far."""
+class SideFits:
+    """Fits to the sweeps of each side so far."""
 
     def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
         self._config, self._prior = config, prior
         self._sweeps: dict[Side, list[Swept]] = {side: [] for side in config.sides}
-        self._known: dict[Side, tuple[int, list[MapContact]]] = {}
+        self._known: dict[Side, tuple[int, list[FittedContact]]] = {}
         bend = max(
             zone.inflate.curvature(muscle.max_pressure_psi)
             for muscle in config.muscles
@@ -56,12 +67,12 @@ class FittedMap:
         )
         self._atlas = Atlas(config.body.length_cm, _MAP_ERRS * bend)
 
-    def add(self, sweep: SweepResult, zone: int) -> None:
-        """Take a sweep, in a zone of body pressure, for each side that it bent the body to."""
-        for side in {peak.side for peak in sweep.peaks}:
+    def add(self, sweep: SweepResult, zone: int, sides: Collection[Side]) -> None:
+        """Take what a sweep, in a zone of body pressure, read on its way to these sides."""
+        for side in sides:
             self._sweeps[side].append(Swept(sweep, zone))
 
-    def contacts(self, side: Side) -> list[MapContact]:
+    def contacts(self, side: Side) -> list[FittedContact]:
         """What the sweeps of one side touched, in the workspace."""
         if side not in self._sweeps:
             return []
@@ -71,8 +82,43 @@ class FittedMap:
             self._known[side] = len(self._sweeps[side]), known
         return known
 
-    def _fit(self, side: Side) -> list[MapContact]:
-        prepared = read(self._sweeps[side], side, self._config)
+    def _fit(self, side: Side) -> list[FittedContact]:
+        """One peg for all sweeps of a side, or several for its stages if that is likelier."""
+        sweeps = self._sweeps[side]
+        found = self._fitted(sweeps, side)
+        if all(fitted.misfit <= _DOUBTED for fitted in found):
+            return found
+        stages: dict[int, list[Swept]] = {}
+        for swept in sweeps:
+            stages.setdefault(round(swept.sweep.peaks[0].length_cm / SAME_LENGTH_CM), []).append(
+                swept
+            )
+        groups = [self._group(mine, side) for _, mine in sorted(stages.items())]
+        several: list[_Group] = []
+        for group in groups:
+            for n, other in enumerate(several):
+                if _may_be_one(group, other):
+                    joint = self._group([*other.sweeps, *group.sweeps], side)
+                    if joint.log_evidence > group.log_evidence + other.log_evidence:
+                        several[n] = joint
+                        break
+            else:
+                several.append(group)
+        apart = [group for group in several if group.found]
+        likelier = sum(g.log_evidence for g in several) > _Group(sweeps, found).log_evidence
+        if len(apart) < 2 or not likelier:
+            return found
+        return [_of_several(fitted) for group in apart for fitted in group.found]
+
+    def _group(self, sweeps: list[Swept], side: Side) -> _Group:
+        """Some of a side's sweeps by themselves."""
+        found = self._fitted(sweeps, side)
+        prepared = None if found else read(sweeps, side, self._config)
+        return _Group(sweeps, found, untouched_evidence(*prepared) if prepared else 0.0)
+
+    def _fitted(self, sweeps: Sequence[Swept], side: Side) -> list[FittedContact]:
+        """What explains some of a side's sweeps."""
+        prepared = read(sweeps, side, self._config)
         if prepared is None:
             return []
         expected = None
@@ -83,15 +129,25 @@ class FittedMap:
                 return boost(self._prior, mirrored, self._config.body.length_cm)
 
         found = contacts(*prepared, self._atlas, expected=expected)
-        return [self._mapped(contact, side) for contact in found]
+        sensors = prepared[0].centers.size
+        return [
+            FittedContact(
+                self._mapped(contact, side, len(sweeps), sensors),
+                contact.arcs,
+                contact.weights,
+                contact.misfit,
+                contact.log_evidence,
+            )
+            for contact in found
+        ]
 
-    def _mapped(self, contact: FieldContact, side: Side) -> MapContact:
+    def _mapped(self, contact: FieldContact, side: Side, sweeps: int, sensors: int) -> MapContact:
+        """The contact by so many sweeps and sensors, in the workspace."""
         sign = SIGN[side]
         mirror = np.diag([1.0, sign])
         (xx, xy), (yx, yy) = (mirror @ contact.covariance_cm2 @ mirror).tolist()
         sure = narrow(contact.interval_cm, self._config.body.length_cm)
-        localized = contact.places and sure and contact.probability >= LEVEL
-        sweeps = self._sweeps[side]
+        localized = contact.places and sure and contact.probability >= SURE
         force = -sign * contact.force_per_cm2
         mapped = MapContact(
             arc_cm=contact.arc_cm,
@@ -105,10 +161,9 @@ class FittedMap:
             normal_rad=sign * contact.normal_rad,
             covariance_cm2=((xx, xy), (yx, yy)),
             track=[(round(x, 4), round(sign * y, 4)) for x, y in contact.track.tolist()],
-            model=f"peg, by {len(sweeps)} sweeps" + (f"; {contact.doubt}" if contact.doubt else ""),
-            readings=int(
-                SensorTable.of(Wiring.of(self._config)).usable(side, sweeps[-1].sweep.sensors).sum()
-            ),
+            model=f"peg, by {sweeps} sweep{'s' if sweeps > 1 else ''}"
+            + (f"; {contact.doubt}" if contact.doubt else ""),
+            readings=sensors,
             merged=[length for length in contact.felt_at_cm if length < contact.length_cm - 0.1],
             probability=round(contact.probability, 4),
             peg_probability=round(contact.probability, 4),
@@ -136,3 +191,34 @@ class FittedMap:
         value = force * stiffness
         outwards = float(np.sign(force))
         return value, sorted([value - outwards * below, value + outwards * above])
+
+
+class _Group(NamedTuple):
+    """Sweeps that felt one obstacle or nothing, and the fit to them."""
+
+    sweeps: list[Swept]
+    found: list[FittedContact]
+    untouched: float = 0.0  # log evidence if nothing was found
+
+    @property
+    def log_evidence(self) -> float:
+        """Of these sweeps, with errors of their own."""
+        return self.untouched + sum(fitted.log_evidence for fitted in self.found)
+
+
+def _of_several(fitted: FittedContact) -> FittedContact:
+    """One of several obstacles; where it leaves a misfit, others have borne on the body as well."""
+    contact = fitted.contact
+    status = contact.status if fitted.misfit <= _DOUBTED else "ambiguous"
+    model = f"{contact.model}; one of several, nearest here"
+    return replace(fitted, contact=replace(contact, status=status, model=model))
+
+
+def _may_be_one(one: _Group, other: _Group) -> bool:
+    """Whether two groups' obstacles lie within each other's errors."""
+    if not (one.found and other.found):
+        return False
+    a, b = one.found[0].contact, other.found[0].contact
+    covariance = np.asarray(a.covariance_cm2) + np.asarray(b.covariance_cm2)
+    apart = np.array([a.x_cm - b.x_cm, a.y_cm - b.y_cm])
+    return float(apart @ np.linalg.solve(covariance, apart)) < _SAME_SIGMA**2

@@ -80,7 +80,8 @@ class Exploration:
     _zone: int = 0
     _measured_zone: int = 0  # of the body pressure at which the stage's contacts are measured
     _body_psi: float | None = None  # what the operator last set
-    _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
+    # sides with a contact that the stage's first sweep has not placed well enough
+    _unplaced: set[Side] = field(default_factory=set)
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
     _measurements: int = 0  # sweeps that have measured the stage's contacts
@@ -324,7 +325,7 @@ class Exploration:
     def _sweep(self) -> str:
         thesis = self.protocol == "thesis"
         period_s = sweep_period_s if thesis else rising_period_s
-        self._known, self._measurements = set(), 0
+        self._measurements = 0
         looked = self.robot.sweep(
             {
                 muscle.name: muscle.max_pressure_psi
@@ -342,33 +343,25 @@ class Exploration:
         if thesis:
             return "contact, thesis protocol"
         measures = self.effort.measures(self.config, self._stage_cm, self.robot.elapsed_s)
-        return "contact" if fired - self._known and measures else "contact, and its place"
+        self._unplaced = fired - self._found.placed_sides(self._knows.looked)
+        return "contact" if self._unplaced and measures else "contact, and its place"
 
     def _enough(self, so_far: SweepResult) -> bool:
-        """Whether a side's sweep can stop: its contact's place is known, or the base near its fold.
+        """Whether a side's sweep can stop, because the base is near its fold."""
+        held = held_now(so_far.frames, so_far.peaks[-1].side)
+        if held > TRIGGER_PER_CM:
+            self._show(so_far, self._zone)
+        return pressed_enough(held, self.config, self._zone)
 
-        The latter is measured again, slowly, with every sensor.
-        """
-        side = so_far.peaks[-1].side
-        held = held_now(so_far.frames, side)
-        if held <= TRIGGER_PER_CM:
-            return False
-        answer = self._found.so_far(so_far, self._zone)
-        if answer is not None and self.live.due:
-            self.live.posterior(self.length_cm, answer, sweeping=True)
-        if answer is None or not self._found.placed(answer):
-            return pressed_enough(held, self.config, self._zone)
-        self._known.add(side)
-        return True
-
-    def _measured_enough(self, so_far: SweepResult) -> bool:
-        """Whether a measurement at a raised body pressure can stop: the base is near its fold.
-
-        Publishes what it feels so far to viewers.
-        """
-        zone = self._measured_zone
+    def _show(self, so_far: SweepResult, zone: int) -> None:
+        """Publish what a sweep feels so far to viewers."""
         if self.live.due and (answer := self._found.so_far(so_far, zone)) is not None:
             self.live.posterior(self.length_cm, answer, sweeping=True)
+
+    def _measured_enough(self, so_far: SweepResult) -> bool:
+        """Whether a measurement at a raised body pressure can stop: the base is near its fold."""
+        zone = self._measured_zone
+        self._show(so_far, zone)
         held = held_now(so_far.frames, so_far.peaks[-1].side)
         return zone != self._zone and pressed_enough(held, self.config, zone)
 
@@ -394,7 +387,7 @@ class Exploration:
     def _press(self) -> str:
         """Raise the body pressure if contacts can be pressed harder with it."""
         self._measured_zone = self._zone
-        zone = pressing_zone(self._knows.looked.frames, self._unplaced(), self.config, self._zone)
+        zone = pressing_zone(self._knows.looked.frames, self._unplaced, self.config, self._zone)
         if zone == self._zone or not self.effort.raises(self.config, self._stage_cm):
             return "pressure as it is"
         self.robot.vent()
@@ -405,18 +398,14 @@ class Exploration:
         self._measured_zone = zone
         return "pressure set"
 
-    def _unplaced(self) -> set[Side]:
-        """Sides with a contact that the first sweep does not place well enough."""
-        return self._found.felt_sides(self._knows.looked) - self._known
-
     def _measure(self) -> str:
-        frames, zone, unplaced = self._knows.looked.frames, self._measured_zone, self._unplaced()
+        frames, zone = self._knows.looked.frames, self._measured_zone
         tops: dict[str | float, float] = {
             muscle.name: measuring_pressure(frames, muscle.side, self.config, zone)
             if zone == self._zone
             else muscle.max_pressure_psi
             for muscle in self.config.muscles
-            if muscle.side in unplaced
+            if muscle.side in self._unplaced
         }
         self.robot.vent()
         measured = self.robot.sweep(
@@ -437,7 +426,7 @@ class Exploration:
         if not answers:
             nothing = "nothing was felt at this stage"
             self.live.tell(Posterior, "", self.length_cm, (), (), "no contact", "", nothing)
-        return "contact" if any(answer.sightings for answer in answers) else "none"
+        return "contact" if answers else "none"
 
     def _map(self) -> str:
         self._knows.mapped()

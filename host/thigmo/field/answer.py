@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from thigmo.field.atlas import Atlas
-from thigmo.field.fit import ALIKE
+from thigmo.field.fit import ALIKE, FieldFit
 from thigmo.field.hypotheses import FRICTION, RADIUS
 from thigmo.field.posterior import ENOUGH, PegSearch, Samples
 from thigmo.field.readings import Errors, Floats, Readings
@@ -45,11 +45,14 @@ class FieldContact:
     force_per_cm2: float  # across the body over EI, without sign
     force_interval_per_cm2: tuple[float, float]  # 95 %
     track: Floats  # (25, 2) the interval drawn along the skin
+    arcs: Floats  # (n,) samples of the arc, cm, widened as the interval is
+    weights: Floats  # (n,) of the samples, of sum one
     probability: float  # that something stands there
     places: bool  # whether its place is an answer: the model holds, and enough samples agree
     doubt: str  # why not, in words
     felt_at_cm: tuple[float, ...]  # everted lengths whose sweeps touched it, ascending
     log_odds: float  # log Bayes factor times prior odds, against nothing
+    log_evidence: float  # of the readings, with the prior odds, less what all hypotheses share
     misfit: float  # sum of squares over the number of independent readings: 1 if the model holds
     effective: float  # samples
     peg_radius_cm: float  # posterior median
@@ -100,6 +103,11 @@ def _contacts(
     return [] if contact is None else [contact]
 
 
+def untouched_evidence(readings: Readings, errors: Errors) -> float:
+    """Log evidence of the readings if nothing was touched, less what all hypotheses share."""
+    return -0.5 * FieldFit(readings, errors).nothing().cost
+
+
 def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldContact | None:
     touches = np.isfinite(samples.touch[:, :, 0])  # (n, stages)
     shares = samples.weight @ touches
@@ -139,12 +147,15 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         normal_rad=float(turn),
         force_per_cm2=float(weight @ np.abs(force)),
         force_interval_per_cm2=_quantiles(np.abs(force), weight, (0.025, 0.975)),
+        arcs=mean[0] + off[:, 0],
+        weights=weight,
         track=mean[1:] + along * covariance[0, 1:] / covariance[0, 0],
         probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
         places=not doubt,
         doubt=doubt,
         felt_at_cm=tuple(felt),
         log_odds=log_odds,
+        log_evidence=samples.log_evidence,
         misfit=leaves,
         effective=samples.effective,
         peg_radius_cm=_quantiles(np.exp(q[:, RADIUS]), weight, (0.5, 0.5))[0] * readings.radius,

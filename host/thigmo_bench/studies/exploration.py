@@ -31,8 +31,8 @@ from thigmo.emulator.reach import first_felt, random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError, ThigmoError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort, within
-from thigmo.exploration.fitted import check_exploration_method
 from thigmo.exploration.map import best_contact, of_stage
+from thigmo.exploration.methods import FIELD, check_exploration_method
 from thigmo.exploration.obstacles import occupancy
 from thigmo.exploration.scoring import felt_pegs, from_line
 from thigmo.mechanics import Peg
@@ -40,7 +40,7 @@ from thigmo.record import RunDocument, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
 from thigmo_bench.studies import charts
 from thigmo_bench.studies.engine import Claim, Context, Explorations, Outcome, Record, share
-from thigmo_bench.studies.rooms import DEFAULT_METHOD, explored_scene
+from thigmo_bench.studies.rooms import explored_scene
 from thigmo_bench.studies.scenes import RADIUS
 
 ROUNDS = 10  # parts of all rooms; the results so far are written after each
@@ -304,7 +304,7 @@ class Room(NamedTuple):
     kind: str
     seed: int
     setting: str = "default"  # an effort, a budget of robot time, or the thesis's protocol
-    method: str = DEFAULT_METHOD
+    method: str = FIELD
 
 
 def visit(room: Room) -> Run:
@@ -370,7 +370,7 @@ def rooms(context: Context) -> list[list[Room]]:
     Where settings are chosen, every room is explored with each of them.
     """
     choice = context.explorations
-    method = choice.method or DEFAULT_METHOD
+    method = choice.method or FIELD
     rounds: list[list[Room]] = [[] for _ in range(2 * ROUNDS)]
     for number, (name, kind) in enumerate(KINDS.items()):
         if choice.kinds and name not in choice.kinds:

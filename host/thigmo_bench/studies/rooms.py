@@ -16,13 +16,11 @@ from thigmo.config import RobotConfig
 from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult
 from thigmo.exploration.effort import EFFORTS, Effort
+from thigmo.exploration.methods import FIELD
 from thigmo.exploration.run import Exploration, Protocol
-from thigmo.localization import METHODS
 from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import connect
 from thigmo.version import VERSION
-
-DEFAULT_METHOD = METHODS[0]
 
 
 def explored(
@@ -33,7 +31,7 @@ def explored(
     config: RobotConfig | None = None,
     protocol: Protocol = "measure",
     effort: Effort = EFFORTS["default"],
-    method: str = DEFAULT_METHOD,
+    method: str = FIELD,
     frames: bool = False,
 ) -> ExplorationResult:
     """Explore an emulated room.
