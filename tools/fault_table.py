@@ -57,15 +57,13 @@ hold 300 N.
 The board alone detects an encoder that loses counts, by three signs: the motor's speed at its duty,
 jumps of the encoder's signals, and two sensors that pass the tip before they may, judged by the
 length or by the place where the two before them passed. One that shows too much is detected by a
-speed that motor and body cannot have, by two sensors that pass the tip too late, and in retraction,
-where the tail is taut, by two that the tip has not met where it must.
+speed that motor and body cannot have, and by two sensors that pass the tip too late.
 
 For factors of 0.5 to 2.0 the tip then is within 3 cm of the length shown, or within half a pitch
-where that is more, in growth and in retraction. Where a motion begins with the tip in a sensor, the
-next ones judge; the bound grows by half of the way that they are farther off, 1.2 cm at most. With
-one column of sensors it is a whole pitch. An encoder off by 5 % may go unnoticed; over the whole
-length that is less than 3 cm. A tip that too little pressure moves too slowly passes its sensors
-late as well, and ends the growth by the same fault.
+where that is more, in growth; and in retraction for factors below 1. A retraction with an encoder
+that shows too much, by 1.2 to 2.0, may end a whole pitch farther out than shown. An encoder off by
+5 % may go unnoticed in growth; over the whole length that is less than 3 cm. A tip that too little
+pressure moves too slowly passes its sensors late as well, and ends the growth by the same fault.
 
 The host only provides a calibration:
 `thigmo calibrate encoder` measures how much duty the body's pull saves at each body pressure

@@ -72,6 +72,23 @@ def _reach(page: Page, moment: str, robot: ServedRobot) -> None:
         page.wait_for_function(SWEEPS)
 
 
+def _exploring(
+    looking: Looking,
+    serve_page: ServePage,
+    robot: ServedRobot,
+    config: Path,
+    tmp_path: Path,
+    moment: str,
+) -> Page:
+    """The page of a robot whose exploration has come to a moment."""
+    connect(robot.port, RobotConfig.load(config)).close()
+    # The thesis's protocol sweeps at 20 cm; the default one first grows.
+    options = ("--config", str(config), "--out", str(tmp_path / "runs"), "--protocol", "thesis")
+    page = looking.open(serve_page(url=robot.port, explore=options).address)
+    _reach(page, moment, robot)
+    return page
+
+
 def test_a_stopped_robot_is_cleared_retracted_and_started_again(
     looking: Looking,
     serve_page: ServePage,
@@ -80,11 +97,7 @@ def test_a_stopped_robot_is_cleared_retracted_and_started_again(
     tmp_path: Path,
     moment: str,
 ) -> None:
-    connect(robot.port, RobotConfig.load(config)).close()
-    # The thesis's protocol sweeps at 20 cm; the default one first grows.
-    options = ("--config", str(config), "--out", str(tmp_path / "runs"), "--protocol", "thesis")
-    page = looking.open(serve_page(url=robot.port, explore=options).address)
-    _reach(page, moment, robot)
+    page = _exploring(looking, serve_page, robot, config, tmp_path, moment)
     page.evaluate(LISTEN)
     page.keyboard.press("Escape")
     doing, phase, banners = (page.locator(f"#{name}") for name in ("doing", "phase", "banners"))
@@ -135,10 +148,7 @@ def test_an_open_page_sees_a_stop_cleared_from_a_terminal(
     tmp_path: Path,
     moment: str,
 ) -> None:
-    connect(robot.port, RobotConfig.load(config)).close()
-    options = ("--config", str(config), "--out", str(tmp_path / "runs"), "--protocol", "thesis")
-    page = looking.open(serve_page(url=robot.port, explore=options).address)
-    _reach(page, moment, robot)
+    page = _exploring(looking, serve_page, robot, config, tmp_path, moment)
     page.keyboard.press("Escape")
     expect(page.locator("#clear")).to_be_visible()
     expect(page.locator("#phase")).to_have_text("stopped")

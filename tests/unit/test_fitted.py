@@ -170,11 +170,14 @@ class ByLengths:
 
 
 def _of_stages(
-    monkeypatch: pytest.MonkeyPatch, answers: dict[tuple[float, ...], FieldContact]
+    monkeypatch: pytest.MonkeyPatch,
+    answers: dict[tuple[float, ...], FieldContact],
+    *untouched_cm: float,
 ) -> list[MapContact]:
     monkeypatch.setattr("thigmo.exploration.fitted.contacts", ByLengths(answers))
     room = ContactMap(CONFIG)
-    for length_cm in sorted({length for lengths in answers for length in lengths}):
+    touched = {length for lengths in answers for length in lengths}
+    for length_cm in sorted({*touched, *untouched_cm}):
         room.add_sweep(_sweep(length_cm=length_cm), 2, ["left"])
     return room.contacts
 
@@ -213,3 +216,19 @@ def test_one_peg_stays_one_if_it_explains_its_sweeps_or_is_likelier(
     (contact,) = _of_stages(monkeypatch, answers)
     assert contact.arc_cm == 44.0
     assert "several" not in contact.model
+
+
+def test_stages_that_felt_nothing_count_against_several(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their readings are part of what one peg for all has explained."""
+    answers = {
+        (40.0, 50.0, 53.0): a_fit(44.0, misfit=1.8, log_evidence=-120.0),
+        (50.0,): a_fit(30.0, 50.0, log_evidence=-60.0, x_cm=28.0, y_cm=9.0),
+        (53.0,): a_fit(45.8, 53.0, log_evidence=-50.0),
+    }
+    counts = []
+    for evidence in (-5.0, -15.0):
+        monkeypatch.setattr(
+            "thigmo.exploration.fitted.untouched_evidence", lambda *_, e=evidence: e
+        )
+        counts.append(len(_of_stages(monkeypatch, answers, 40.0)))
+    assert counts == [2, 1]

@@ -196,8 +196,8 @@ enum class StallCause : uint8_t {
   kSlow = 1,     // The encoder shows a lower speed than the motor has at this duty.
   kJumps = 2,    // The encoder's signals skip a state: edges are lost, or there is noise.
   kEverted = 3,  // Two sensors passed the tip before the encoder had counted that far.
-  kLate = 4,  // Two sensors passed the tip after the encoder had counted farther, or were not met
-              // on the way back: it shows too much, or the tip was held back and the tail is slack.
+  kLate = 4,     // Two sensors passed the tip after the encoder had counted farther: it shows too
+                 // much, or the tip was held back and the tail is slack.
   kFast = 5,  // The encoder shows a higher speed than the motor has at this duty, even if the body
               // pulls as hard as it can.
 };

@@ -5,21 +5,17 @@
 // looks back along the body while it is in the tail, and has turned half of that when it is in the
 // fold itself. Where the encoder then is, along the motion and less the sensor's place, is its lag.
 //
-// Sensors are judged in pairs of one kind, each with the one that passed before it, for one may be
-// bad: two that agree by their mean, others by the one that accuses less. The encoder shows too
-// little if a pair
+// Sensors are judged in pairs of one kind, in the order in which they pass, for one may be bad: two
+// that agree by their mean, others by the one that accuses less. The encoder shows too little if a
+// pair
 //
 // - lags by less than places and the confirmed length may be off, or
-// - lags by less than the pair of the two sensors before it, beyond what places are in doubt:
-//   between the two the body moved more than was counted.
+// - lags by less than the pair before it, beyond what places are in doubt: between the two the body
+//   moved more than was counted.
 //
 // It shows too much if a pair lags by more than a tip lags that pressure barely moves. A swing that
 // still grows there is late already, for its sensor has not reached the fold; one that begins
 // before the fold can have reached the sensor is early.
-//
-// In retraction the tail is taut, and what the fold has passed on the way out it must meet again: a
-// flex sensor there that has not begun to swing will lag by half its span more at least. In growth
-// a tip may stand still, and pay out slack, without an error of the encoder.
 //
 // While a reading still swings out the tip moves: the body then pulls at the tail.
 #ifndef THIGMO_CORE_SENSING_FOLD_WATCH_H_
@@ -56,7 +52,6 @@ class FoldWatch {
     const uint16_t awaited = grows != grows_ ? watched_ : uint16_t{0};
     if (grows != grows_) restart();
     grows_ = grows;
-    if (grows) out_ = static_cast<uint16_t>(out_ & nearer_mask(length_um, c));
     for (uint8_t i = 0; i < kSensors; ++i) {
       const uint16_t bit = static_cast<uint16_t>(1u << i);
       const int32_t lag = lag_um(length_um, i, c);
@@ -71,10 +66,11 @@ class FoldWatch {
     next_ = moves_ = 0;
   }
 
-  // A length was confirmed: what earlier motion felt says no more.
-  void confirm(int32_t length_um, const Configuration& c) {
-    restart();
-    out_ = nearer_mask(length_um - kDoubtUm, c);
+  // Forgets what earlier motion felt: when the spool turns the other way, and when a length is
+  // confirmed.
+  void restart() {
+    for (Pair& pair : pair_) pair = Pair{};
+    watched_ = 0;
   }
 
   // Looks at one sensor, in turn. Says what a pair that has passed the tip shows.
@@ -93,19 +89,13 @@ class FoldWatch {
     const int32_t place_se_um = c.get(Param::kFlexCenterSeUm, i);
     const bool passed =
         imu ? turned(i, total, fresh) : swung(i, total, lag, out_of_place(lag, i, c), fresh, d);
-    if (!passed) {
-      const int32_t least_um = imu ? lag : lag + c.get(Param::kFlexSpanUm, i) / 2;
-      if (top_e5_[i] >= kSwingE5 || !overdue(bit, least_um, place_se_um)) return Verdict::kNone;
-      watched_ = static_cast<uint16_t>(watched_ & ~bit);
-      return pair_[imu].judge(least_um, place_se_um);
-    }
+    if (!passed) return Verdict::kNone;
     // A reading that stays out after its top is no fold's that passes: it may stand in the sensor.
     if (!imu && lag - top_um_[i] > c.get(Param::kFlexSpanUm, i) / 2) {
       judged_ = static_cast<uint16_t>(judged_ & ~bit);
       return Verdict::kNone;
     }
     watched_ = static_cast<uint16_t>(watched_ & ~bit);
-    out_ = static_cast<uint16_t>(grows_ ? out_ | bit : out_ & ~bit);
     if ((judged_ & bit) == 0) return Verdict::kNone;
     return pair_[imu].judge(imu ? lag : top_um_[i], place_se_um);
   }
@@ -122,34 +112,34 @@ class FoldWatch {
     return greater(kLateUm, kDoubtUm + kSigmas * place_se_um);
   }
 
-  // The last sensor of a kind that has passed, and the last pairs.
+  // The last two sensors of a kind, and the pair before them.
   struct Pair {
-    static constexpr int32_t kNever = -1000000000;  // um: none has passed
+    static constexpr int32_t kNever = -1000000000;  // um: no pair has passed
 
     Verdict judge(int32_t lag, int32_t place_se_um) {
-      const int32_t first_um = last_um;
-      const int32_t first_se_um = last_se_um;
-      last_um = lag;
-      last_se_um = place_se_um;
-      if (first_um == kNever) return Verdict::kNone;
+      waits = !waits;
+      if (waits) {
+        first_um = lag;
+        first_se_um = place_se_um;
+        return Verdict::kNone;
+      }
       const int32_t places_um = kSigmas * greater(first_se_um, place_se_um);
       const int32_t most = greater(first_um, lag);
       const int32_t least = lesser(first_um, lag);
       const int32_t doubt_um = kDoubtUm + places_um;
       const bool agree = most - least < doubt_um;
       const int32_t mean = least + (most - least) / 2;
-      const int32_t earliest = greater(-doubt_um, apart_um - kApartUm - places_um);
-      apart_um = before_um;
-      before_um = agree ? mean : least;
+      const int32_t earliest = greater(-doubt_um, before_um - kApartUm - places_um);
       if ((agree ? mean : most) < earliest) return Verdict::kEarly;
       if ((agree ? mean : least) > late_um(lesser(first_se_um, place_se_um))) return Verdict::kLate;
+      before_um = agree ? mean : least;
       return Verdict::kNone;
     }
 
-    int32_t last_um = kNever;  // lag of the last sensor
-    int32_t last_se_um = 0;
-    int32_t before_um = kNever;  // lag of the last pair
-    int32_t apart_um = kNever;   // and of the one before it, which has none of the next one's
+    int32_t first_um = 0;  // lag of a pair's first sensor
+    int32_t first_se_um = 0;
+    int32_t before_um = kNever;  // lag of the pair before
+    bool waits = false;          // a pair's first sensor for the second
   };
 
   static bool is_imu(uint8_t sensor, const Configuration& c) {
@@ -174,29 +164,6 @@ class FoldWatch {
     const int32_t reach_um =
         c.get(Param::kFlexSpanUm, sensor) / 2 + c.get(Param::kFoldMarginUm) + kDoubtUm;
     return lag > late_um(place_se_um) || lag < -reach_um - kSigmas * place_se_um;
-  }
-
-  // Forgets what earlier motion felt.
-  void restart() {
-    for (Pair& pair : pair_) pair = Pair{};
-    watched_ = 0;
-  }
-
-  // Sensors whose centres lie nearer to the base than a length.
-  static uint16_t nearer_mask(int32_t length_um, const Configuration& c) {
-    uint16_t nearer = 0;
-    for (uint8_t i = 0; i < kSensors; ++i) {
-      if (c.get(Param::kFlexCenterUm, i) < length_um)
-        nearer = static_cast<uint16_t>(nearer | 1u << i);
-    }
-    return nearer;
-  }
-
-  // Whether a sensor that the fold must meet on its way back, and has not met yet, will lag by more
-  // than is late.
-  bool overdue(uint16_t bit, int32_t least_um, int32_t place_se_um) const {
-    const bool awaited = !grows_ && (out_ & judged_ & bit) != 0;
-    return awaited && least_um > late_um(place_se_um);
   }
 
   // Whether a flex sensor's reading has swung back by an eighth, or swings out where it must not;
@@ -234,7 +201,6 @@ class FoldWatch {
   uint16_t watched_ = 0;
   uint16_t judged_ = 0;  // with a resting value
   uint16_t unseen_ = 0;  // no resting value yet
-  uint16_t out_ = 0;     // that the fold has passed on the way out, or by a confirmed length
   uint8_t next_ = 0;
   uint8_t moves_ = 0;  // control steps for which the tip counts as moving
   bool grows_ = true;

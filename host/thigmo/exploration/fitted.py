@@ -15,7 +15,16 @@ from scipy.special import ndtr
 from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
 from thigmo.contact_status import SURE
 from thigmo.exploration.prior import boost, match
-from thigmo.field import Atlas, FieldContact, Swept, contacts, read, untouched_evidence
+from thigmo.field import (
+    Atlas,
+    Errors,
+    FieldContact,
+    Readings,
+    Swept,
+    contacts,
+    read,
+    untouched_evidence,
+)
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle
 from thigmo.robot import SweepResult
@@ -84,43 +93,51 @@ class SideFits:
 
     def _fit(self, side: Side) -> list[FittedContact]:
         """One peg for all sweeps of a side, or several for its stages if that is likelier."""
-        sweeps = self._sweeps[side]
-        found = self._fitted(sweeps, side)
-        if all(fitted.misfit <= _DOUBTED for fitted in found):
-            return found
-        stages: dict[int, list[Swept]] = {}
-        for swept in sweeps:
-            stages.setdefault(round(swept.sweep.peaks[0].length_cm / SAME_LENGTH_CM), []).append(
-                swept
-            )
-        groups = [self._group(mine, side) for _, mine in sorted(stages.items())]
-        several: list[_Group] = []
-        for group in groups:
-            for n, other in enumerate(several):
-                if _may_be_one(group, other):
-                    joint = self._group([*other.sweeps, *group.sweeps], side)
-                    if joint.log_evidence > group.log_evidence + other.log_evidence:
-                        several[n] = joint
-                        break
-            else:
-                several.append(group)
-        apart = [group for group in several if group.found]
-        likelier = sum(g.log_evidence for g in several) > _Group(sweeps, found).log_evidence
-        if len(apart) < 2 or not likelier:
-            return found
+        whole = self._group(self._sweeps[side], side)
+        if all(fitted.misfit <= _DOUBTED for fitted in whole.found):
+            return whole.found
+        groups = self._stages_apart(side)
+        apart = [group for group in groups if group.found]
+        if len(apart) < 2 or sum(g.log_evidence for g in groups) <= whole.log_evidence:
+            return whole.found
         return [_of_several(fitted) for group in apart for fitted in group.found]
 
-    def _group(self, sweeps: list[Swept], side: Side) -> _Group:
-        """Some of a side's sweeps by themselves."""
-        found = self._fitted(sweeps, side)
-        prepared = None if found else read(sweeps, side, self._config)
-        return _Group(sweeps, found, untouched_evidence(*prepared) if prepared else 0.0)
+    def _stages_apart(self, side: Side) -> list[_Group]:
+        """The stages by themselves, those together for which one obstacle is likelier than two."""
+        stages: dict[int, list[Swept]] = {}
+        for swept in self._sweeps[side]:
+            length = round(swept.sweep.peaks[0].length_cm / SAME_LENGTH_CM)
+            stages.setdefault(length, []).append(swept)
+        groups: list[_Group] = []
+        for _, sweeps in sorted(stages.items()):
+            stage = self._group(sweeps, side)
+            for n, other in enumerate(groups):
+                if _may_be_one(stage, other):
+                    joint = self._group([*other.sweeps, *stage.sweeps], side)
+                    if joint.log_evidence > stage.log_evidence + other.log_evidence:
+                        groups[n] = joint
+                        break
+            else:
+                groups.append(stage)
+        return groups
 
-    def _fitted(self, sweeps: Sequence[Swept], side: Side) -> list[FittedContact]:
-        """What explains some of a side's sweeps."""
+    def _group(self, sweeps: Sequence[Swept], side: Side) -> _Group:
+        """What explains some of a side's sweeps, with errors of their own."""
         prepared = read(sweeps, side, self._config)
         if prepared is None:
-            return []
+            return _Group(sweeps, [], 0.0)
+        found = self._fitted(*prepared, side, len(sweeps))
+        evidence = (
+            sum(fitted.log_evidence for fitted in found)
+            if found
+            else untouched_evidence(*prepared)
+        )
+        return _Group(sweeps, found, evidence)
+
+    def _fitted(
+        self, readings: Readings, errors: Errors, side: Side, sweeps: int
+    ) -> list[FittedContact]:
+        """What explains the readings of so many sweeps."""
         expected = None
         if self._prior:
 
@@ -128,17 +145,16 @@ class SideFits:
                 mirrored = points * [1.0, SIGN[side]]
                 return boost(self._prior, mirrored, self._config.body.length_cm)
 
-        found = contacts(*prepared, self._atlas, expected=expected)
-        sensors = prepared[0].centers.size
+        sensors = readings.centers.size
         return [
             FittedContact(
-                self._mapped(contact, side, len(sweeps), sensors),
+                self._mapped(contact, side, sweeps, sensors),
                 contact.arcs,
                 contact.weights,
                 contact.misfit,
                 contact.log_evidence,
             )
-            for contact in found
+            for contact in contacts(readings, errors, self._atlas, expected=expected)
         ]
 
     def _mapped(self, contact: FieldContact, side: Side, sweeps: int, sensors: int) -> MapContact:
@@ -196,14 +212,9 @@ class SideFits:
 class _Group(NamedTuple):
     """Sweeps that felt one obstacle or nothing, and the fit to them."""
 
-    sweeps: list[Swept]
+    sweeps: Sequence[Swept]
     found: list[FittedContact]
-    untouched: float = 0.0  # log evidence if nothing was found
-
-    @property
-    def log_evidence(self) -> float:
-        """Of these sweeps, with errors of their own."""
-        return self.untouched + sum(fitted.log_evidence for fitted in self.found)
+    log_evidence: float
 
 
 def _of_several(fitted: FittedContact) -> FittedContact:

@@ -139,8 +139,8 @@ class StallCause(Documented):  # How a spool_stall was noticed (value of its eve
     SLOW = 1  # The encoder shows a lower speed than the motor has at this duty.
     JUMPS = 2  # The encoder's signals skip a state: edges are lost, or there is noise.
     EVERTED = 3  # Two sensors passed the tip before the encoder had counted that far.
-    # Two sensors passed the tip after the encoder had counted farther, or were not met on the way
-    # back: it shows too much, or the tip was held back and the tail is slack.
+    # Two sensors passed the tip after the encoder had counted farther: it shows too much, or the
+    # tip was held back and the tail is slack.
     LATE = 4
     # The encoder shows a higher speed than the motor has at this duty, even if the body pulls as
     # hard as it can.

@@ -2,7 +2,7 @@
 //
 // Two claims are kept apart. The number of contacts counts those that move the readings by enough
 // (`felt`), over all hypotheses. Each contact that is listed has the set of places where, in every
-// hypothesis and whatever its number, the contact nearest to its best point lies. A contact is
+// hypothesis and whatever its number, the contact nearest to its median lies. A contact is
 // localized if that set is no wider than the limit, and the contact is there with the level's
 // probability.
 #pragma once
@@ -151,17 +151,6 @@ class Mixture {
     return pieces;
   }
 
-  // The middle of the densest cell.
-  double likeliest() const {
-    std::size_t best = 0;
-    double most = 0.0;
-    for (std::size_t c = 0; c < mass.size(); ++c) {
-      const double density = mass[c] / (edges[c + 1] - edges[c]);
-      if (density > most) most = density, best = c;
-    }
-    return 0.5 * (edges[best] + edges[best + 1]);
-  }
-
   // Root mean square of what parts the force from `value`, wherever in these pieces it acts.
   double departure(double value, const std::vector<std::pair<double, double>>& pieces) const {
     double total = 0.0, square = 0.0;
@@ -205,16 +194,14 @@ class Posterior {
   // Probability of so many contacts that are felt; and of so many to be listed, one at least.
   std::array<double, 4> felt{}, listed{};
 
-  // Where the contacts lie that `choose` picks: of a set it returns one's index, or -1. By all
-  // hypotheses, or by only one.
+  // Where the contacts lie that `choose` picks: of a set it returns one's index, or -1.
   template <class Choose>
-  Mixture mixture(Window within, const Choose& choose, int only = -1) const {
+  Mixture mixture(Window within, const Choose& choose) const {
     constexpr double kNegligible = 1e-3;  // share of a hypothesis that changes no interval
     std::vector<Mixture::Part> parts;
     for (std::size_t k = 0; k < hypotheses_.size(); ++k) {
       const Hypothesis& h = hypotheses_[k];
       if (!counts(h) || probability_[k] <= kNegligible * most_) continue;
-      if (only >= 0 && static_cast<int>(k) != only) continue;
       const auto& [contacts, sets] = h.shares;
       std::array<std::size_t, kMostContacts> part;  // of each contact
       for (std::size_t j = 0; j < contacts.size(); ++j) {
@@ -368,26 +355,20 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
   const bool sure = out.touched > 1.0 - priors.excluded && open <= priors.excluded * all &&
                     (asked || out.number[count] >= options.number_level);
   const Window within = count == 1 ? options.within : Window{0.0, 1.0};
-  // The best point of each contact. Where the likeliest hypothesis knows the place, it is the
-  // likeliest there, which errs as little as least squares; else the median over all hypotheses,
-  // since the likeliest place of a wide posterior often lies on the end of its range.
-  Row places(count);
+  Row medians(count);
   for (std::size_t j = 0; j < count; ++j) {
     const auto ordinal = [&](const FeltSet& set) {
       return set.count == static_cast<int>(count) ? static_cast<int>(j) : -1;
     };
-    const Mixture leading = posterior.mixture(within, ordinal, out.best);
-    const auto pieces = leading.densest(priors.level);
-    const bool known = pieces.back().second - pieces.front().first <= priors.known_place;
-    places[j] = known ? leading.likeliest() : posterior.mixture(within, ordinal).quantile(0.5);
+    medians[j] = posterior.mixture(within, ordinal).quantile(0.5);
   }
-  const Row present = count > 0 ? posterior.present(places) : Row{};
+  const Row present = count > 0 ? posterior.present(medians) : Row{};
   for (std::size_t j = 0; j < count; ++j) {
     Mixture mixture = posterior.mixture(within, [&](const FeltSet& set) {
-      return Posterior::nearest(set.arc.data(), set.count, places[j]);
+      return Posterior::nearest(set.arc.data(), set.count, medians[j]);
     });
     FeltContact felt;
-    felt.arc = places[j];
+    felt.arc = medians[j];
     felt.probability = present[j];
     felt.pieces = mixture.densest(priors.level);
     felt.low = felt.pieces.front().first;

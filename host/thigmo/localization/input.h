@@ -14,8 +14,7 @@ namespace thigmo {
   X(base_fold) X(bad_deviation) X(angle) X(near_fold) X(straight) X(end_turn) X(shape_rests) \
   X(level) X(excluded) X(held_excluded) X(five_sigma) X(hopeless) X(slight_map_odds) X(slight_offset_odds) X(slight_map) \
   X(slight_offset) X(turned_odds) X(far_odds) X(not_given_odds) X(small_fold_odds) X(small_fold) \
-  X(correlated_odds) X(dense) X(untouched) X(dropped_row) X(trust) X(end_cell) X(misfit_deviate) X(noise_deviate) X(contact_unsure) X(felt) X(swept) \
-  X(known_place)
+  X(correlated_odds) X(dense) X(untouched) X(dropped_row) X(trust) X(end_cell) X(misfit_deviate) X(noise_deviate) X(contact_unsure) X(felt) X(swept)
 // clang-format on
 struct Priors {
   Row moments, noise_levels, noise_factors, noise_odds, correlations;

@@ -73,7 +73,7 @@ class Localizer:
         >>> errors = thigmo.Errors(noise=6e-4, map_error=0.03, offset_error=2e-4)
         >>> localizer = thigmo.Localizer(body, sensors, errors)
         >>> round(localizer.localize([0.0059, 0.0042, 0.0021, 0.0006, 0.0]).contacts[0].arc, 1)
-        38.4
+        38.3
         >>> localizer.localize_batch([[0.0059, 0.0042, 0.0021, 0.0006, 0.0], [0.0] * 5])
         BatchResult(2 rows: 1 no contact, 1 ambiguous)
 
@@ -356,7 +356,7 @@ def localize(
         >>> position = [5, 15, 25, 35, 45]
         >>> reading = [0.0059, 0.0042, 0.0021, 0.0006, 0.0]
         >>> thigmo.localize(reading, position, length=53, span=5.5, noise=6e-4)
-        LocalizeResult(ambiguous, one contact: arc 38.43, 29.15 to 48.58; body of 53)
+        LocalizeResult(ambiguous, one contact: arc 38.35, 29.15 to 48.58; body of 53)
         >>> thigmo.localize(reading, position, length=53, span=5.5, noise=1e-4).contacts[0].status
         'localized'
     """

@@ -79,9 +79,6 @@ FELT = 3.0
 HELD_EXCLUDED = 0.005
 # A contact is localized if its interval is no wider than this share of the length: 10 cm of 53.
 WIDTH_SHARE = 10.0 / 53.0
-# Share of the length below which the likeliest explanation's interval is narrow enough for its
-# likeliest place to be the best point: its standard deviation is then about a tenth of the length.
-KNOWN_PLACE = 2.0 * WIDTH_SHARE
 # Misfit of a free body less that of a contact, from which the contact is listed whatever its
 # probability: five standard errors.
 FIVE_SIGMA = 25.0

@@ -36,9 +36,7 @@ class Contact:
     """One contact. The arc is in the caller's unit, the force over EI in that unit to the power -2.
 
     Attributes:
-        arc: best point of the place along the body: the likeliest place by the likeliest
-            explanation, if its 95 % interval is no wider than twice the usual `width_limit`; else
-            the median of the posterior.
+        arc: place along the body, the median of the posterior.
         force: normal force over EI if the contact is at `arc`, positive towards positive curvature.
         interval: hull of `intervals`; the whole body if the status is `point estimate`.
         status: `localized` (the interval is no wider than the limit, and the probability that there

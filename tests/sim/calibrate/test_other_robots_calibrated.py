@@ -47,7 +47,7 @@ def _calibrated(thigmo: Thigmo, tmp_path: Path, steps: Sequence[str]) -> RobotCo
         ran = thigmo(
             "calibrate", step, "--robot", f"emulator://{tmp_path / 'bare.toml'}", "--config",
             tmp_path / "begun.toml", "--folder", folder, "--trials", 1, "--step-psi", 4.5,
-            "--places", 4, "--zone", len(truth.body.zones) - 1,
+            "--places", 6, "--zone", len(truth.body.zones) - 1,
         )  # fmt: skip
         assert ran.code == 0, ran.out + ran.err
     found = RobotConfig.load(folder / "robot.toml")

@@ -196,17 +196,19 @@ void sensing() {
   moving[0].start(0);
   moving[1].start(4);
   moving[2].start(8);
+  FlexReadings flex;
+  flex.set_oversampling(4);
   DriftWatch drift;
   SensorZeros zeros;
   zeros.begin(0x3FF);
   for (uint32_t tick = 0; tick < 4100; ++tick) {
     const uint16_t count = static_cast<uint16_t>(dice.in(600, 700));
     for (MovingSum& m : moving) m.add(count);
-    if (tick % 8 == 0) {
-      const uint8_t sensor = static_cast<uint8_t>(tick / 8 % kSensors);
-      drift.add(sensor, static_cast<uint16_t>(count * 16u));
-      zeros.add(sensor, static_cast<uint16_t>(count * 16u));
-    }
+    uint16_t counts[kSensors];
+    for (uint16_t& converted : counts) converted = static_cast<uint16_t>(dice.in(600, 700));
+    const uint16_t done = flex.add_tick(tick % 2 != 0, counts);
+    drift.add(done, flex);
+    zeros.add(done, flex);
     drift.set_quiet(true, tick);
     drift.update(tick, 4, derived.flex_gain_q16);
     if (tick % 64 == 0) {

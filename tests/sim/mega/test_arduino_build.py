@@ -107,6 +107,8 @@ def test_a_cut_upload_of_the_sketch_starts_nothing_once_page_1_is_written(
     program = {number: page for number, page in new.items() if number != entry}
     board = Board()
     for written, state, flash in mixtures(old, new, cuts=some(len(new))):
+        if written == 1 and state != "whole":
+            continue  # page 1 while it is written: old pages run, which README says is not covered
         outcome = board.outcome_of(flash)
         if written < 2:
             assert outcome != "energises", (written, state)
