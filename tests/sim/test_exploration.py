@@ -26,7 +26,7 @@ from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles
 from thigmo_bench.studies.rooms import explored
 
 FOUND = ("localized", "ambiguous")
-EVERY_PITCH = Effort("every pitch", 6, 1)
+EVERY_PITCH = Effort("every pitch", measurements=1)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from fits import a_fit
 
 from thigmo.config import RobotConfig
 from thigmo.errors import CommandRefusedError, DataError, RobotFaultError
-from thigmo.exploration.effort import Effort
+from thigmo.exploration.effort import THESIS, Effort, Planner
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.exploration.states import State
 from thigmo.field import FieldContact, Readings
@@ -22,7 +22,7 @@ from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
 from thigmo.robot.strains import Strains
 from thigmo.stream import Hub
 
-EVERY_PITCH = Effort("every pitch", 6, 1)
+EVERY_PITCH = Effort("every pitch", measurements=1)
 
 
 @dataclass
@@ -190,8 +190,8 @@ def _explore(
         log,
         document,
         progress,
+        Planner(RobotConfig(), THESIS if protocol == "thesis" else effort),
         protocol,
-        effort,
     )
     with log:
         run.run()

@@ -15,7 +15,7 @@ from types import FrameType
 
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
-from thigmo.exploration.effort import EFFORTS, chosen_effort, within
+from thigmo.exploration.effort import EFFORTS, Planner, chosen_effort, within
 from thigmo.exploration.methods import FIELD, check_exploration_method
 from thigmo.exploration.prior import read_prior, within_reach
 from thigmo.exploration.result import ExplorationResult
@@ -158,10 +158,11 @@ def explore(
             )
         if time_s is not None:
             chosen = within(time_s, used)
+        planner = Planner(used, chosen)
         document = replace(
             document,
             effort=chosen.name,
-            skips=chosen.skips(used),
+            skips=planner.skips(),
             muscles=NamedMuscle.all_of(used),
         )
         folder = RunFolder.create(out, label, started.astimezone())
@@ -208,7 +209,7 @@ def explore(
             robot.record_fibre(log.fibre)
             robot.while_waiting(log.check)
             run = Exploration(
-                robot, used, folder, log, document, tell, protocol, chosen, given, control,
+                robot, used, folder, log, document, tell, planner, protocol, given, control,
                 past.knows if past else None,
             )  # fmt: skip
             _walk(run)

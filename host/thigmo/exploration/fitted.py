@@ -128,9 +128,7 @@ class SideFits:
             return _Group(sweeps, [], 0.0)
         found = self._fitted(*prepared, side, len(sweeps))
         evidence = (
-            sum(fitted.log_evidence for fitted in found)
-            if found
-            else untouched_evidence(*prepared)
+            sum(fitted.log_evidence for fitted in found) if found else untouched_evidence(*prepared)
         )
         return _Group(sweeps, found, evidence)
 

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
-from thigmo.exploration.effort import EFFORTS, THESIS, Effort
+from thigmo.exploration.effort import Plan, Planner
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import (
     held_now,
@@ -68,8 +68,8 @@ class Exploration:
     # what is known at the start; kept up to date, and written after each stage
     document: RunDocument
     progress: Progress  # called at each state and while waiting
+    planner: Planner  # where it sweeps
     protocol: Protocol = "measure"  # how a contact is measured
-    effort: Effort = EFFORTS["default"]  # of the protocol "measure"
     prior: Sequence[Obstacle] = ()  # obstacles of a map of the room
     control: RunControl = field(default_factory=RunControl)  # whether viewers want it to wait
     knows: Reducer | None = None  # of the run that this one resumes
@@ -85,6 +85,7 @@ class Exploration:
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
     _measurements: int = 0  # sweeps that have measured the stage's contacts
+    _plan_ahead: Plan = field(default_factory=lambda: Plan((), 0))  # from the stage on
     _ends_s: float = 0.0  # robot time at which the run is expected to end; 0 before a plan
     _done: float = 0.0  # share of the run
 
@@ -94,8 +95,6 @@ class Exploration:
         self._found = self._knows.found
         self._wiring = Wiring.of(self.config)
         self._table = SensorTable.of(self._wiring)
-        if self.protocol == "thesis":
-            self.effort = THESIS
         self._base = sum(1 << number for number in self._wiring.base_inputs)
 
     def run(self) -> None:
@@ -167,21 +166,19 @@ class Exploration:
     # Each stage.
 
     def _plan(self) -> str:
-        swept, spent_s = self._knows.swept(self.length_cm), self.robot.elapsed_s
+        spent_s = self.robot.elapsed_s
         settles_s = self.robot.settles_s(self._base)
-        stops = self.effort.stops_after(
-            self.config, self.length_cm, spent_s, swept=swept, settles_s=settles_s
-        )
-        behind = [stage.everted_length_cm for stage in self._knows.stages]
-        pace = spent_s / self.effort.expected_s(self.config, behind) if behind else 1.0
-        self._ends_s = spent_s + pace * self.effort.expected_s(
-            self.config, stops, self.length_cm, settles_s
-        )
-        if not stops:
+        behind = tuple(stage.everted_length_cm for stage in self._knows.stages)
+        plan = self.planner.plan(self.length_cm, spent_s, behind, settles_s)
+        expected_s = self.planner.expected_s(Plan(behind, plan.measurements))
+        pace = spent_s / expected_s if behind else 1.0
+        self._ends_s = spent_s + pace * self.planner.expected_s(plan, self.length_cm, settles_s)
+        self._plan_ahead = plan
+        if not plan.stops:
             full = self.length_cm > self.config.body.length_cm - SAME_LENGTH_CM
             self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
             return "fully deployed" if full else "time is up"
-        stage = stops[0]
+        stage = plan.stops[0]
         grows = stage > self.length_cm + 0.1
         if grows and peg_ahead(self.document.contacts, self.length_cm, self.config.body.radius_cm):
             self._note(outcome="peg ahead")
@@ -342,7 +339,7 @@ class Exploration:
             return "no contact"
         if thesis:
             return "contact, thesis protocol"
-        measures = self.effort.measures(self.config, self._stage_cm, self.robot.elapsed_s)
+        measures = self.planner.measures(self._plan_ahead, self._stage_cm, self.robot.elapsed_s)
         self._unplaced = fired - self._found.placed_sides(self._knows.looked)
         return "contact" if self._unplaced and measures else "contact, and its place"
 
@@ -372,7 +369,7 @@ class Exploration:
             return "every sensor known"
         self.robot.vent()
         noise, young = self._table.noise, in_mask(aside)
-        enough = self.effort.rest_noise * noise[young]
+        enough = self.planner.effort.rest_noise * noise[young]
         if (self.robot.young_noise()[young] <= enough).all():
             return "every sensor known"
         if aside & ~self.robot.status().settled:
@@ -388,7 +385,7 @@ class Exploration:
         """Raise the body pressure if contacts can be pressed harder with it."""
         self._measured_zone = self._zone
         zone = pressing_zone(self._knows.looked.frames, self._unplaced, self.config, self._zone)
-        if zone == self._zone or not self.effort.raises(self.config, self._stage_cm):
+        if zone == self._zone or not self.planner.raises(self._stage_cm):
             return "pressure as it is"
         self.robot.vent()
         try:
@@ -416,7 +413,7 @@ class Exploration:
         )
         self._measurements += 1
         self._knows.has_measured(measured, zone)
-        again = self._measurements < self.effort.measurements
+        again = self._measurements < self._plan_ahead.measurements
         return "once more" if again else "measured"
 
     def _localize(self) -> str:

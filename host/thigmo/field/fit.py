@@ -161,6 +161,11 @@ class FieldFit:
         self._zero = self._against + 1
         self._modelled = self._zero + self.on_zero.shape[2]
         self.count = self._modelled + (m if self.model else 0)
+        # Errors that each sweep has by itself: of the bend, and beyond a sensor's constant zero.
+        self.of_sweeps = np.zeros(self.count, dtype=bool)
+        first = 1 + 2 * zones.shape[1]
+        self.of_sweeps[first : first + 2 * sweeps.shape[1]] = True
+        self.of_sweeps[self._zero + m : self._modelled] = True
         self._unit = np.eye(self.count)
 
     def free(self) -> Floats:
