@@ -5,7 +5,7 @@ One peg for all sweeps, or several that shared the stages among them (`thigmo.fi
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,16 +15,7 @@ from scipy.special import ndtr
 from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
 from thigmo.contact_status import SURE
 from thigmo.exploration.prior import boost, match
-from thigmo.field import (
-    Atlas,
-    Errors,
-    FieldContact,
-    Readings,
-    Swept,
-    contacts,
-    read,
-    untouched_evidence,
-)
+from thigmo.field import Atlas, FieldContact, Swept, contacts, read, untouched_evidence
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle
 from thigmo.robot import SweepResult
@@ -69,6 +60,8 @@ class SideFits:
         self._config, self._prior = config, prior
         self._sweeps: dict[Side, list[Swept]] = {side: [] for side in config.sides}
         self._known: dict[Side, tuple[int, list[FittedContact]]] = {}
+        # By side and numbers of sweeps: a stage's own fit lasts while later stages come.
+        self._groups: dict[tuple[Side, tuple[int, ...]], _Group] = {}
         bend = max(
             zone.inflate.curvature(muscle.max_pressure_psi)
             for muscle in config.muscles
@@ -93,7 +86,7 @@ class SideFits:
 
     def _fit(self, side: Side) -> list[FittedContact]:
         """One peg for all sweeps of a side, or several for its stages if that is likelier."""
-        whole = self._group(self._sweeps[side], side)
+        whole = self._group(side, range(len(self._sweeps[side])))
         if all(fitted.misfit <= _DOUBTED for fitted in whole.found):
             return whole.found
         groups = self._stages_apart(side)
@@ -104,16 +97,16 @@ class SideFits:
 
     def _stages_apart(self, side: Side) -> list[_Group]:
         """The stages by themselves, those together for which one obstacle is likelier than two."""
-        stages: dict[int, list[Swept]] = {}
-        for swept in self._sweeps[side]:
+        stages: dict[int, list[int]] = {}
+        for number, swept in enumerate(self._sweeps[side]):
             length = round(swept.sweep.peaks[0].length_cm / SAME_LENGTH_CM)
-            stages.setdefault(length, []).append(swept)
+            stages.setdefault(length, []).append(number)
         groups: list[_Group] = []
-        for _, sweeps in sorted(stages.items()):
-            stage = self._group(sweeps, side)
+        for _, numbers in sorted(stages.items()):
+            stage = self._group(side, numbers)
             for n, other in enumerate(groups):
                 if _may_be_one(stage, other):
-                    joint = self._group([*other.sweeps, *stage.sweeps], side)
+                    joint = self._group(side, [*other.sweeps, *stage.sweeps])
                     if joint.log_evidence > stage.log_evidence + other.log_evidence:
                         groups[n] = joint
                         break
@@ -121,23 +114,17 @@ class SideFits:
                 groups.append(stage)
         return groups
 
-    def _group(self, sweeps: Sequence[Swept], side: Side) -> _Group:
-        """What explains some of a side's sweeps, with errors of their own."""
-        prepared = read(sweeps, side, self._config)
+    def _group(self, side: Side, numbers: Iterable[int]) -> _Group:
+        """What explains some of a side's sweeps, by their numbers, with errors of their own."""
+        sweeps = tuple(sorted(numbers))
+        if (side, sweeps) not in self._groups:
+            self._groups[side, sweeps] = self._fitted(side, sweeps)
+        return self._groups[side, sweeps]
+
+    def _fitted(self, side: Side, sweeps: tuple[int, ...]) -> _Group:
+        prepared = read([self._sweeps[side][n] for n in sweeps], side, self._config)
         if prepared is None:
             return _Group(sweeps, [], 0.0)
-        found = self._fitted(*prepared, side, len(sweeps))
-        evidence = (
-            sum(fitted.log_evidence for fitted in found)
-            if found
-            else untouched_evidence(*prepared)
-        )
-        return _Group(sweeps, found, evidence)
-
-    def _fitted(
-        self, readings: Readings, errors: Errors, side: Side, sweeps: int
-    ) -> list[FittedContact]:
-        """What explains the readings of so many sweeps."""
         expected = None
         if self._prior:
 
@@ -145,17 +132,21 @@ class SideFits:
                 mirrored = points * [1.0, SIGN[side]]
                 return boost(self._prior, mirrored, self._config.body.length_cm)
 
-        sensors = readings.centers.size
-        return [
+        sensors = prepared[0].centers.size
+        found = [
             FittedContact(
-                self._mapped(contact, side, sweeps, sensors),
+                self._mapped(contact, side, len(sweeps), sensors),
                 contact.arcs,
                 contact.weights,
                 contact.misfit,
                 contact.log_evidence,
             )
-            for contact in contacts(readings, errors, self._atlas, expected=expected)
+            for contact in contacts(*prepared, self._atlas, expected=expected)
         ]
+        evidence = (
+            sum(fitted.log_evidence for fitted in found) if found else untouched_evidence(*prepared)
+        )
+        return _Group(sweeps, found, evidence)
 
     def _mapped(self, contact: FieldContact, side: Side, sweeps: int, sensors: int) -> MapContact:
         """The contact by so many sweeps and sensors, in the workspace."""
@@ -212,7 +203,7 @@ class SideFits:
 class _Group(NamedTuple):
     """Sweeps that felt one obstacle or nothing, and the fit to them."""
 
-    sweeps: Sequence[Swept]
+    sweeps: tuple[int, ...]  # their numbers
     found: list[FittedContact]
     log_evidence: float
 
