@@ -198,9 +198,10 @@ def test_a_peg_that_leaves_a_misfit_is_compared_with_one_for_each_stage(
     }
     first, second, third = _of_stages(monkeypatch, answers)
     # One peg for two stages where that is likelier than two, and never where it is not.
-    assert (first.arc_cm, first.merged, first.status) == (23.7, [30.0], "localized")
+    assert (first.arc_cm, first.merged) == (23.7, [30.0])
     assert [second.everted_length_cm, third.everted_length_cm] == [50.0, 53.0]
-    assert third.status == "ambiguous"  # its misfit: something else bore on that body as well
+    # Stages that share obstacles do not check each other.
+    assert all(contact.status == "ambiguous" for contact in (first, second, third))
     assert all("one of several" in contact.model for contact in (first, second, third))
 
 

@@ -209,11 +209,14 @@ class _Group(NamedTuple):
 
 
 def _of_several(fitted: FittedContact) -> FittedContact:
-    """One of several obstacles; where it leaves a misfit, others have borne on the body as well."""
-    contact = fitted.contact
-    status = contact.status if fitted.misfit <= _DOUBTED else "ambiguous"
-    model = f"{contact.model}; one of several, nearest here"
-    return replace(fitted, contact=replace(contact, status=status, model=model))
+    """One of several obstacles, which are never localized.
+
+    Stages that share obstacles do not check each other, and a peg at a wrong place explains a
+    single stage as well as the right one.
+    """
+    model = f"{fitted.contact.model}; one of several, nearest here"
+    contact = replace(fitted.contact, status="ambiguous", model=model)
+    return replace(fitted, contact=contact)
 
 
 def _may_be_one(one: _Group, other: _Group) -> bool:
