@@ -31,7 +31,7 @@ class Fit:
 
     width_cm: float = 6.0
 
-    def __call__(self, readings: Readings, *_: Any, expected: Any = None) -> list[FieldContact]:
+    def __call__(self, readings: Readings, *_: Any, **__: Any) -> list[FieldContact]:
         length_cm = max(stage.length for stage in readings.stages)
         return [a_fit(length_cm - 2.0, length_cm, width_cm=self.width_cm)]
 

@@ -26,7 +26,7 @@ class Fits:
     answers: list[FieldContact] = field(default_factory=list)
     asked: int = 0
 
-    def __call__(self, *_: Any, expected: Any = None) -> list[FieldContact]:
+    def __call__(self, *_: Any, **__: Any) -> list[FieldContact]:
         self.asked += 1
         return self.answers
 
@@ -164,7 +164,7 @@ class ByLengths:
 
     answers: dict[tuple[float, ...], FieldContact]
 
-    def __call__(self, readings: Readings, *_: Any, expected: Any = None) -> list[FieldContact]:
+    def __call__(self, readings: Readings, *_: Any, **__: Any) -> list[FieldContact]:
         lengths = tuple(sorted({stage.length for stage in readings.stages}))
         return [self.answers[lengths]] if lengths in self.answers else []
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,15 @@ from scipy.special import ndtr
 from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
 from thigmo.contact_status import SURE
 from thigmo.exploration.prior import boost, match
-from thigmo.field import Atlas, FieldContact, Swept, contacts, read, untouched_evidence
+from thigmo.field import (
+    ENOUGH,
+    Atlas,
+    FieldContact,
+    Swept,
+    contacts,
+    read,
+    untouched_evidence,
+)
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle
 from thigmo.robot import SweepResult
@@ -27,7 +36,14 @@ _SMOOTH_CM = 0.25  # one sigma by which a sample of the arc is spread over the c
 # Sum of squares over the number of independent readings beyond which one peg for all sweeps is
 # compared with one for each stage, which takes time. A peg that explains its sweeps leaves about 1.
 _DOUBTED = 1.15
+_ROUGHLY = 15.0  # effective samples of a stage by itself: its evidence to a quarter of a nat
 _SAME_SIGMA = 3.0  # within which two stages' places may be one
+
+
+@lru_cache(maxsize=4)
+def _atlas(length_cm: float, most_bend: float) -> Atlas:
+    """An atlas that all runs of a robot and their replays share: making it takes two seconds."""
+    return Atlas(length_cm, most_bend)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +83,7 @@ class SideFits:
             for muscle in config.muscles
             for zone in muscle.maps
         )
-        self._atlas = Atlas(config.body.length_cm, _MAP_ERRS * bend)
+        self._atlas = _atlas(config.body.length_cm, _MAP_ERRS * bend)
 
     def add(self, sweep: SweepResult, zone: int, sides: Collection[Side]) -> None:
         """Take what a sweep, in a zone of body pressure, read on its way to these sides."""
@@ -86,7 +102,7 @@ class SideFits:
 
     def _fit(self, side: Side) -> list[FittedContact]:
         """One peg for all sweeps of a side, or several for its stages if that is likelier."""
-        whole = self._group(side, range(len(self._sweeps[side])))
+        whole = self._group(side, range(len(self._sweeps[side])), ENOUGH)
         if all(fitted.misfit <= _DOUBTED for fitted in whole.found):
             return whole.found
         groups = self._stages_apart(side)
@@ -103,10 +119,10 @@ class SideFits:
             stages.setdefault(length, []).append(number)
         groups: list[_Group] = []
         for _, numbers in sorted(stages.items()):
-            stage = self._group(side, numbers)
+            stage = self._group(side, numbers, _ROUGHLY)
             for n, other in enumerate(groups):
                 if _may_be_one(stage, other):
-                    joint = self._group(side, [*other.sweeps, *stage.sweeps])
+                    joint = self._group(side, [*other.sweeps, *stage.sweeps], _ROUGHLY)
                     if joint.log_evidence > stage.log_evidence + other.log_evidence:
                         groups[n] = joint
                         break
@@ -114,14 +130,17 @@ class SideFits:
                 groups.append(stage)
         return groups
 
-    def _group(self, side: Side, numbers: Iterable[int]) -> _Group:
-        """What explains some of a side's sweeps, by their numbers, with errors of their own."""
+    def _group(self, side: Side, numbers: Iterable[int], enough: float) -> _Group:
+        """What explains some of a side's sweeps, by their numbers, with errors of their own.
+
+        `enough`: effective samples of a new fit.
+        """
         sweeps = tuple(sorted(numbers))
         if (side, sweeps) not in self._groups:
-            self._groups[side, sweeps] = self._fitted(side, sweeps)
+            self._groups[side, sweeps] = self._fitted(side, sweeps, enough)
         return self._groups[side, sweeps]
 
-    def _fitted(self, side: Side, sweeps: tuple[int, ...]) -> _Group:
+    def _fitted(self, side: Side, sweeps: tuple[int, ...], enough: float) -> _Group:
         prepared = read([self._sweeps[side][n] for n in sweeps], side, self._config)
         if prepared is None:
             return _Group(sweeps, [], 0.0)
@@ -141,7 +160,7 @@ class SideFits:
                 contact.misfit,
                 contact.log_evidence,
             )
-            for contact in contacts(*prepared, self._atlas, expected=expected)
+            for contact in contacts(*prepared, self._atlas, expected=expected, enough=enough)
         ]
         evidence = (
             sum(fitted.log_evidence for fitted in found) if found else untouched_evidence(*prepared)

@@ -8,10 +8,12 @@ Called by the exploration for its map; docs/methods.md has the model.
 
 from thigmo.field.answer import FieldContact, contacts, untouched_evidence
 from thigmo.field.atlas import Atlas
+from thigmo.field.posterior import ENOUGH
 from thigmo.field.readings import Errors, Readings, Stage
 from thigmo.field.sweeps import Swept, fold_moment, read, stated
 
 __all__ = [
+    "ENOUGH",
     "Atlas",
     "Errors",
     "FieldContact",

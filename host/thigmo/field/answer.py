@@ -11,8 +11,8 @@ from threadpoolctl import ThreadpoolController
 
 from thigmo.field.atlas import Atlas
 from thigmo.field.fit import ALIKE, FieldFit
-from thigmo.field.hypotheses import FRICTION, RADIUS
-from thigmo.field.posterior import ENOUGH, PegSearch, Samples
+from thigmo.field.hypotheses import BEND, FRICTION, RADIUS
+from thigmo.field.posterior import ENOUGH, ROUNDS, PegSearch, Samples
 from thigmo.field.readings import Errors, Floats, Readings
 
 # Log likelihood that a place must gain for a fit: with less, the prior odds of a place refuse it.
@@ -23,9 +23,14 @@ UNEXPLAINED = 2.0
 # Everted length by the spool's encoder, and the side against the corner of the end, cm.
 _LENGTH_CM = 0.1
 _TRACK = 25  # points
+# Probability of a touch before the first bin, where no reading shows when it came, beyond which a
+# contact is not placed.
+_EARLY = 0.5
+_FEW_ROUNDS = 3  # of samples that need not place a contact
 _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
 
 UNEXPLAINED_WORDS = "the model does not explain these sweeps"
+EARLY_WORDS = "it may have been touched before the first readings that count"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +71,17 @@ def contacts(
     atlas: Atlas,
     *,
     expected: Callable[[Floats], Floats] | None = None,
+    enough: float = ENOUGH,
 ) -> list[FieldContact]:
     """What one side's sweeps touched; empty if the readings need no obstacle.
 
     `expected`: density of a given map at points (n, 2) of the skin, over that of a new obstacle.
+    `enough`: effective samples at which the answer is good enough, sooner if fewer; an answer of
+    fewer than 50 does not place the contact.
     """
     # Between threads, products of this size take up to 200 times as long on a busy computer.
     with _blas().limit(limits=1, user_api="blas"):
-        return _contacts(readings, errors, atlas, expected)
+        return _contacts(readings, errors, atlas, expected, enough)
 
 
 @cache
@@ -86,6 +94,7 @@ def _contacts(
     errors: Errors,
     atlas: Atlas,
     expected: Callable[[Floats], Floats] | None,
+    enough: float,
 ) -> list[FieldContact]:
     search = PegSearch(readings, errors, atlas)
     if not search.places or search.places[0].gain < LEAST_GAIN:
@@ -93,13 +102,16 @@ def _contacts(
     chains = search.ridges()
     if not chains:
         return []
-    samples = search.sample(chains, expected=expected)
+    # Samples are hard to get where no peg explains the readings, and do not place it.
+    explains = search.misfit(chains) * ALIKE <= UNEXPLAINED
+    rounds = ROUNDS if explains and enough == ENOUGH else _FEW_ROUNDS
+    samples = search.sample(chains, expected=expected, enough=enough, rounds=rounds)
     if samples is None:
         return []
     log_odds = samples.log_evidence + 0.5 * search.nothing.cost
     if log_odds < np.log(_REFUSED):
         return []
-    contact = _placed(readings, samples, log_odds)
+    contact = _placed(readings, samples, log_odds, enough)
     return [] if contact is None else [contact]
 
 
@@ -108,7 +120,9 @@ def untouched_evidence(readings: Readings, errors: Errors) -> float:
     return -0.5 * FieldFit(readings, errors).nothing().cost
 
 
-def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldContact | None:
+def _placed(
+    readings: Readings, samples: Samples, log_odds: float, enough: float
+) -> FieldContact | None:
     touches = np.isfinite(samples.touch[:, :, 0])  # (n, stages)
     shares = samples.weight @ touches
     reached = np.flatnonzero(shares > 0.5)
@@ -116,7 +130,7 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         return None
     last_sweep = [readings.sweep[readings.stage == s].max() for s in range(len(readings.stages))]
     stage = int(max(reached, key=lambda s: last_sweep[s]))
-    weight = _widened(np.where(touches[:, stage], samples.weight, 0.0))
+    weight = _widened(np.where(touches[:, stage], samples.weight, 0.0), enough)
     on = weight > 0.0
     weight = weight[on] / weight[on].sum()
     arc, x, y, normal, force = samples.touch[on, stage].T
@@ -133,8 +147,9 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
     covariance = (weight[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
-    unexplained = leaves > UNEXPLAINED or samples.effective < ENOUGH
-    doubt = UNEXPLAINED_WORDS if unexplained else ""
+    unexplained = leaves > UNEXPLAINED or samples.effective < enough
+    early = samples.q[on, BEND] < readings.bend[np.isin(readings.stage, reached)].min()
+    doubt = UNEXPLAINED_WORDS if unexplained else EARLY_WORDS if weight @ early > _EARLY else ""
     felt = sorted({round(readings.stages[s].length, 2) for s in reached})
     q = samples.q[on]
     return FieldContact(
@@ -151,7 +166,7 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         weights=weight,
         track=mean[1:] + along * covariance[0, 1:] / covariance[0, 0],
         probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
-        places=not doubt,
+        places=not doubt and samples.effective >= ENOUGH,
         doubt=doubt,
         felt_at_cm=tuple(felt),
         log_odds=log_odds,
@@ -164,11 +179,11 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
     )
 
 
-def _widened(weight: Floats) -> Floats:
+def _widened(weight: Floats, enough: float) -> Floats:
     """Weights tempered until enough samples count."""
     exponent = 1.0
     tempered: Floats = weight / weight.sum()
-    while exponent > 0.05 and ENOUGH * np.sum(tempered**2) > 1:
+    while exponent > 0.05 and enough * np.sum(tempered**2) > 1:
         exponent *= 0.85
         tempered = np.where(weight > 0.0, (weight / weight.max()) ** exponent, 0.0)
         tempered = tempered / tempered.sum()

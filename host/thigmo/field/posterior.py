@@ -148,12 +148,15 @@ class PegSearch:
         *,
         seed: int = 0,
         expected: Callable[[Floats], Floats] | None = None,
+        enough: float = ENOUGH,
+        rounds: int = ROUNDS,
     ) -> Samples | None:
         """Importance samples, in rounds until enough of them count; None if no place is possible.
 
         The first round is drawn around the ridges, later ones mostly as the samples so far are
         spread; all are weighed by the mixture of all rounds. `expected`: density of a given map at
-        points (n, 2) of the touched skin, over that of a new obstacle.
+        points (n, 2) of the touched skin, over that of a new obstacle. `enough`: effective samples;
+        `rounds`: at most so many.
         """
         rng, fit = np.random.default_rng(seed), self.fit
         ridges, modes, chain_of = _ridges(chains)
@@ -163,7 +166,7 @@ class PegSearch:
         counts = np.zeros(ROUNDS * len(chains) + 1)
         drawn: list[_Draw] = []
         weight, round_shares = np.zeros(0), [1.0]
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             for n in rng.choice(len(round_shares), ROUND, p=round_shares):
                 at = len(proposals) - len(round_shares) + n if n else 0
                 counts[at] += 1
@@ -186,7 +189,7 @@ class PegSearch:
             weight = np.exp(logs - logs.max())
             total = float(logs.max() + np.log(weight.sum() / counts.sum()))
             weight /= weight.sum()
-            if ENOUGH * np.sum(weight**2) < 1:
+            if enough * np.sum(weight**2) < 1:
                 break
             shares = weight @ np.array([d.levels for d in drawn])
             levels = [n for n in levels if shares[n] > _NEGLIGIBLE]
@@ -202,6 +205,16 @@ class PegSearch:
             np.abs(q[:, YIELD]) * fit.body.yield_unit,
             best.misfit / float(np.sum(~fit.missing)), total,
         )  # fmt: skip
+
+    def misfit(self, chains: Sequence[Sequence[Mode]]) -> float:
+        """Sum of squares that the likeliest mode leaves, over the number of readings."""
+        mode = min((mode for chain in chains for mode in chain), key=lambda mode: mode.cost)
+        least = np.inf
+        for level in self._levels:
+            xi = level.free()
+            xi[: mode.xi.size] = mode.xi
+            least = min(least, level.evidence(mode.tables, xi)[2])
+        return least / float(np.sum(~self.fit.missing))
 
     def _likely_levels(self, mode: Mode) -> list[int]:
         """Levels of the mechanics' error that a mode leaves likely."""
