@@ -24,13 +24,13 @@ UNEXPLAINED = 2.0
 _LENGTH_CM = 0.1
 _TRACK = 25  # points
 # Probability of a touch before the first bin, where no reading shows when it came, beyond which a
-# contact is not placed.
+# contact that one length alone has felt is not placed.
 _EARLY = 0.5
 _FEW_ROUNDS = 3  # of samples that need not place a contact
 _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
 
 UNEXPLAINED_WORDS = "the model does not explain these sweeps"
-EARLY_WORDS = "it may have been touched before the first readings that count"
+EARLY_WORDS = "one length alone touched it, before the first readings that count"
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,9 +148,10 @@ def _placed(
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
     unexplained = leaves > UNEXPLAINED or samples.effective < enough
-    early = samples.q[on, BEND] < readings.bend[np.isin(readings.stage, reached)].min()
-    doubt = UNEXPLAINED_WORDS if unexplained else EARLY_WORDS if weight @ early > _EARLY else ""
     felt = sorted({round(readings.stages[s].length, 2) for s in reached})
+    before = samples.q[on, BEND] < readings.bend[np.isin(readings.stage, reached)].min()
+    early = len(felt) == 1 and weight @ before > _EARLY
+    doubt = UNEXPLAINED_WORDS if unexplained else EARLY_WORDS if early else ""
     q = samples.q[on]
     return FieldContact(
         length_cm=length,
