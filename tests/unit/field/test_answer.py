@@ -8,7 +8,7 @@ import pytest
 from thigmo.field import Readings, Stage
 from thigmo.field.answer import EARLY_WORDS, _placed
 from thigmo.field.hypotheses import PEG
-from thigmo.field.posterior import ENOUGH, Samples
+from thigmo.field.posterior import Samples
 
 STAGES = Stage(50.0, 2), Stage(53.0, 2)
 
@@ -30,10 +30,10 @@ def _samples(touch_bend: float, felt: tuple[bool, bool]) -> Samples:
     rng = np.random.default_rng(1)
     arcs = 45.0 + 0.5 * rng.standard_normal(200)
     q = np.array([PEG.columns((a, touch_bend, -0.8), 0.0, 0.1, 0.1, 0.0) for a in arcs])
-    one = np.column_stack([arcs, 0.8 * arcs, 0.2 * arcs, 1.2 + 0 * arcs, 2e-4 + 0 * arcs])
-    touch = np.stack([one if on else np.full_like(one, np.nan) for on in felt], axis=1)
+    place = np.column_stack([arcs, 0.8 * arcs, 0.2 * arcs, 1.2 + 0 * arcs, 2e-4 + 0 * arcs])
+    touch = np.stack([place if on else np.full_like(place, np.nan) for on in felt], axis=1)
     even = np.full(200, 1 / 200)
-    return Samples(q, np.ones((200, 1)), touch, even, 0.0 * arcs, 0.5, -10.0)
+    return Samples(PEG, q, np.ones((200, 1)), touch[:, :, None], even, 0.0 * arcs, 0.5, -10.0)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def _samples(touch_bend: float, felt: tuple[bool, bool]) -> Samples:
 def test_a_touch_that_no_reading_shows_is_placed_by_two_lengths_and_not_by_one(
     touch_bend: float, felt: tuple[bool, bool], places: bool
 ) -> None:
-    contact = _placed(_readings(), _samples(touch_bend, felt), 9.0, ENOUGH)
+    contact = _placed(_readings(), _samples(touch_bend, felt), 0, 9.0, "")
     assert contact is not None
     assert contact.places == places
     assert (contact.doubt == EARLY_WORDS) == (not places)
