@@ -99,7 +99,7 @@ def test_a_pressure_sensor_within_its_error_band_is_zeroed_and_passes(psi: float
     found = BringUp(robot, robot.operator).run()  # type: ignore[arg-type]
     assert [f for f in found if not f.good] == []
     (left,) = [f for f in found if f.subject == "pressure left"]
-    assert "stored as its zero" in left.what
+    assert "stored as its zero" in left.observation
     assert robot.read(0.3).pressure_psi[0] == pytest.approx(0.0, abs=0.1)
     assert robot.status().config_generation == 3  # after the defaults; then the direction
 

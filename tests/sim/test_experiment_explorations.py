@@ -76,14 +76,14 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
     assert [row["protocol"] for row in kept(folder.path)] == ["measure", "thesis"]
     results = evaluate(Folder(folder.path))
     assert len(results.claims) == 3
-    ours, theirs = results.tables["each"]
+    ours, theirs = results.tables["trials"]
     assert float(ours["error_x_cm"]) < 5.0  # two sensors feel it
     assert float(ours["robot_time_s"]) < float(theirs["robot_time_s"])
     # A lab does not know the point of contact, only where it measured the dowel.
     document = folder.path / kept(folder.path)[0]["run"] / "contacts.json"
     known = json.loads(document.read_text())
     document.write_text(json.dumps(known | {"truth": None, "error_x_cm": None, "error_cm": None}))
-    blind, _ = evaluate(folder).tables["each"]
+    blind, _ = evaluate(folder).tables["trials"]
     assert float(blind["error_x_cm"]) == pytest.approx(float(ours["error_x_cm"]), abs=0.5)
     other = scene.robot.model_copy(deep=True)
     other.body.critical_curvature = 0.02
@@ -120,7 +120,7 @@ def test_an_operator_explores_through_a_port_stops_and_evaluates(
     again = Terminal("experiment", "exploration", "--recorded", str(tmp_path / "exploration"))
     again.wait_for("trial 1, our protocol: |x error|")
     assert again.end() == 0
-    with (tmp_path / "exploration" / "exploration-each.csv").open(newline="") as file:
-        (each,) = csv.DictReader(file)
+    with (tmp_path / "exploration" / "exploration-trials.csv").open(newline="") as file:
+        (trial,) = csv.DictReader(file)
     # Only two sensors feel it, in real time: the answer is the middle of a wide interval.
-    assert float(each["error_x_cm"]) < 8.0
+    assert float(trial["error_x_cm"]) < 8.0

@@ -202,7 +202,7 @@ def test_a_served_robot_serves_its_fibre_on_a_socket() -> None:
     try:
         with Interrogator(TcpSource(scene.robot.interrogator), 20, time.monotonic) as heard:
             assert comes(lambda: heard.heard)
-            strains = np.array([strain for _, strain in heard.since(-np.inf)])
+            strains = np.array([strain for _, strain in heard.lines_since(-np.inf)])
             assert np.nanstd(strains, axis=0) == pytest.approx(0.8, abs=0.5)
     finally:
         served.close()

@@ -233,7 +233,7 @@ def test_either_base_sensor_of_two_kinds_is_enough_for_a_sweep() -> None:
     assert len(Wiring.of(robot).trigger_sensors(robot.muscle("right"))) == 2
     robot.column("left")[0].healthy = False
     assert Wiring.of(robot).unguarded_muscles == ()
-    swept = [each for each in judge(robot) if each.what == "sweep of right"]
+    swept = [finding for finding in judge(robot) if finding.part == "sweep of right"]
     assert [each.mark for each in swept] == ["ok", "ok"]
 
 

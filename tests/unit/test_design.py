@@ -20,7 +20,7 @@ from thigmo.wiring import Wiring
 
 
 def _bad(found: list[Finding]) -> list[str]:
-    return [f"{one.what}: {one.text}" for one in found if one.mark == "bad"]
+    return [f"{one.part}: {one.text}" for one in found if one.mark == "bad"]
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_a_map_of_another_body_pressure_is_named() -> None:
 def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
     config = draft(53, 5, 2)
     config.sensors = list(config.column("left"))
-    found = {one.what: one for one in judge(config)}
+    found = {one.part: one for one in judge(config)}
     # As explore does: it sweeps the muscle that it can, and finds what lies there.
     assert Wiring.of(config).unexplorable is None
     assert _bad(judge(config)) == []
@@ -84,7 +84,7 @@ def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
 
 def _localizes(config: RobotConfig, side: str) -> Finding:
     return next(
-        one for one in judge(config) if one.what == f"sweep of {side}" and "localized" in one.text
+        one for one in judge(config) if one.part == f"sweep of {side}" and "localized" in one.text
     )
 
 
@@ -117,7 +117,7 @@ def test_where_no_sensor_cures_it_the_noise_that_would_is_named() -> None:
 def test_what_explore_refuses_is_said_first() -> None:
     for muscles in (3, 4):
         first = judge(draft(53, None, muscles))[0]
-        assert (first.what, first.mark) == ("explore", "warning")
+        assert (first.part, first.mark) == ("explore", "warning")
 
 
 def test_where_a_sweep_feels_is_where_the_mechanics_hold_the_base_back() -> None:
@@ -162,7 +162,7 @@ def test_what_the_board_cannot_hold_is_refused_with_its_number() -> None:
 def test_the_check_names_the_smallest_board_that_holds_the_robot(
     length: float, sensors: int, muscles: int, board: str
 ) -> None:
-    said = next(one for one in judge(draft(length, sensors, muscles)) if one.what == "board")
+    said = next(one for one in judge(draft(length, sensors, muscles)) if one.part == "board")
     assert (said.mark, said.text.startswith(board)) == ("ok", True)
 
 
@@ -202,7 +202,7 @@ def test_a_divider_or_a_resistance_that_reads_no_bend_is_named() -> None:
 
 def test_scales_of_the_wrong_sign_are_warned_of() -> None:
     def warned(config: RobotConfig) -> list[str]:
-        return [f"{one.what}: {one.text}" for one in judge(config) if one.mark == "warning"]
+        return [f"{one.part}: {one.text}" for one in judge(config) if one.mark == "warning"]
 
     config = draft(53, 5, 2)
     assert warned(config) == []
@@ -284,7 +284,7 @@ def test_the_commands_write_and_check(tmp_path: Path, thigmo: Thigmo) -> None:
     empty = json.loads(thigmo("scene", "check", folder / "empty.toml", "--json").out)
     assert (empty["robot"], empty["pegs"]) == (scene["robot"], [])
     found = json.loads(thigmo("robot", "check", folder / "robot.toml", "--json").out)
-    assert {one["mark"] for one in found["findings"] if one["what"] in ("board", "rates")} == {"ok"}
+    assert {one["mark"] for one in found["findings"] if one["part"] in ("board", "rates")} == {"ok"}
     shown = thigmo("robot", "check", folder / "robot.toml").out.splitlines()
     assert max(map(len, shown)) <= 80
     assert {line[:8].strip() for line in shown} <= {"ok", "warning", "bad", ""}
@@ -303,9 +303,9 @@ def test_a_robot_of_more_than_two_muscles_has_a_column_opposite_each(
     assert [muscle.name for muscle in Wiring.of(config).unguarded_muscles] == unguarded
     said = judge(config)
     assert _bad(said) == []
-    warned = [one.what for one in said if "no base sensor on the board" in one.text]
+    warned = [one.part for one in said if "no base sensor on the board" in one.text]
     assert warned == [f"muscle {name}" for name in unguarded]
-    halved = [one.what for one in said if "reads 50 % of them" in one.text]
+    halved = [one.part for one in said if "reads 50 % of them" in one.text]
     assert halved == ([] if unguarded else ["muscle 210deg", "muscle 330deg"])
 
 

@@ -31,7 +31,7 @@ class Fit:
 
     width_cm: float = 6.0
 
-    def __call__(self, readings: Readings, *_: Any, expected: Any = None) -> list[FieldContact]:
+    def __call__(self, readings: Readings, *_: Any, **__: Any) -> list[FieldContact]:
         length_cm = max(stage.length for stage in readings.stages)
         return [a_fit(length_cm - 2.0, length_cm, width_cm=self.width_cm)]
 
@@ -95,6 +95,14 @@ class Script:
 
     def confirm_length(self, length_cm: float) -> None:
         self._call(f"confirm {length_cm:g}")
+
+    def measure_length(self) -> float:
+        self.confirm_length(self.length)
+        return self.length
+
+    def pressurize(self, zone: int) -> None:
+        self.set_body_pressure(RobotConfig().body.zones[zone].pressure_psi)
+        self.select_zone(zone)
 
     def arm(self) -> None:
         self._call("arm")

@@ -44,7 +44,7 @@ def test_a_fibre_takes_no_input_of_the_board_and_alone_is_not_explored(tmp_path:
     alone = CONFIG.model_copy(update={"interrogator": "127.0.0.1:7400"})
     assert "no healthy sensor at the base" in (Wiring.of(alone).unexplorable or ("",))[0]
     assert "its trigger sees no fibre" in (Wiring.of(alone).unexplorable or ("", ""))[1]
-    said = {(one.what, one.mark) for one in judge(CONFIG)}
+    said = {(one.part, one.mark) for one in judge(CONFIG)}
     assert {("explore", "warning"), ("fibre", "ok"), ("sweep of left", "warning")} <= said
     both = RobotConfig()
     both.sensors = [*both.sensors, *IN_PLANE]
@@ -53,7 +53,7 @@ def test_a_fibre_takes_no_input_of_the_board_and_alone_is_not_explored(tmp_path:
     assert Wiring.of(both).unexplorable is None
     # The flex sensors keep their inputs, and the trigger works on them.
     assert Wiring.of(both).sensors == Wiring.of(RobotConfig()).sensors
-    assert ("sweep of left", "warning") not in {(one.what, one.mark) for one in judge(both)}
+    assert ("sweep of left", "warning") not in {(one.part, one.mark) for one in judge(both)}
 
 
 def _bends(seed: int = 1) -> tuple[Floats, Floats, Floats, Floats]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,8 @@ from fits import a_fit
 from thigmo.config import RobotConfig, Side
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.stage import Interpreter
-from thigmo.field import FieldContact, Readings
-from thigmo.record import MapContact
+from thigmo.field import FieldContact
+from thigmo.field.answer import UNEXPLAINED_WORDS
 from thigmo.robot import Peak, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
@@ -26,7 +27,7 @@ class Fits:
     answers: list[FieldContact] = field(default_factory=list)
     asked: int = 0
 
-    def __call__(self, *_: Any, expected: Any = None) -> list[FieldContact]:
+    def __call__(self, *_: Any, **__: Any) -> list[FieldContact]:
         self.asked += 1
         return self.answers
 
@@ -85,7 +86,7 @@ def test_a_contact_of_the_right_side_lies_on_the_right(fits: Fits) -> None:
         (a_fit(45.0), "localized"),
         (a_fit(45.0, width_cm=11.0), "ambiguous"),
         (a_fit(45.0, probability=0.9), "ambiguous"),
-        (a_fit(45.0, places=False), "ambiguous"),
+        (a_fit(45.0, doubt=UNEXPLAINED_WORDS), "ambiguous"),
     ],
 )
 def test_only_a_sure_and_narrow_place_that_the_model_explains_is_localized(
@@ -93,7 +94,7 @@ def test_only_a_sure_and_narrow_place_that_the_model_explains_is_localized(
 ) -> None:
     (contact,) = _mapped(fits, fit).contacts
     assert contact.status == status
-    assert ("the model does not explain these sweeps" in contact.model) == (not fit.places)
+    assert contact.model == "peg, by 1 sweep" + (f"; {fit.doubt}" if fit.doubt else "")
 
 
 def test_what_is_likely_nothing_is_on_no_map(fits: Fits) -> None:
@@ -158,77 +159,14 @@ def test_a_stage_says_what_it_felt_and_how_well(fits: Fits) -> None:
     assert entry.shapes[-1].side == "left"
 
 
-@dataclass
-class ByLengths:
-    """Answers of the fit by the lengths of the sweeps that it is given."""
-
-    answers: dict[tuple[float, ...], FieldContact]
-
-    def __call__(self, readings: Readings, *_: Any, expected: Any = None) -> list[FieldContact]:
-        lengths = tuple(sorted({stage.length for stage in readings.stages}))
-        return [self.answers[lengths]] if lengths in self.answers else []
+def test_two_pegs_of_a_side_are_one_of_two_each(fits: Fits) -> None:
+    near, far = _mapped(fits, a_fit(24.0, 40.0, x_cm=22.0, y_cm=6.0), a_fit(46.0)).contacts
+    assert [near.status, far.status] == ["localized", "localized"]
+    assert near.model == "peg, by 1 sweep; one of 2 on this side"
+    assert [near.everted_length_cm, far.everted_length_cm] == [40.0, 53.0]
 
 
-def _of_stages(
-    monkeypatch: pytest.MonkeyPatch,
-    answers: dict[tuple[float, ...], FieldContact],
-    *untouched_cm: float,
-) -> list[MapContact]:
-    monkeypatch.setattr("thigmo.exploration.fitted.contacts", ByLengths(answers))
-    room = ContactMap(CONFIG)
-    touched = {length for lengths in answers for length in lengths}
-    for length_cm in sorted({*touched, *untouched_cm}):
-        room.add_sweep(_sweep(length_cm=length_cm), 2, ["left"])
-    return room.contacts
-
-
-def test_a_peg_that_leaves_a_misfit_is_compared_with_one_for_each_stage(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Two pegs: shorter bodies touch one of them, longer ones the other."""
-    near, far = {"x_cm": 22.0, "y_cm": 6.0}, {"x_cm": 43.0, "y_cm": 12.0}
-    answers = {
-        (30.0, 40.0, 50.0, 53.0): a_fit(44.0, misfit=1.8, log_evidence=-190.0, x_cm=41.0),
-        (30.0,): a_fit(24.0, 30.0, log_evidence=-20.0, **near),
-        (40.0,): a_fit(23.8, 40.0, log_evidence=-30.0, **near),
-        (30.0, 40.0): a_fit(23.7, 40.0, log_evidence=-40.0, felt_at_cm=(30.0, 40.0), **near),
-        (50.0,): a_fit(46.0, 50.0, log_evidence=-60.0, **far),
-        (53.0,): a_fit(45.8, 53.0, misfit=1.4, log_evidence=-50.0, **far),
-        (50.0, 53.0): a_fit(45.9, 53.0, log_evidence=-120.0, felt_at_cm=(50.0, 53.0), **far),
-    }
-    first, second, third = _of_stages(monkeypatch, answers)
-    # One peg for two stages where that is likelier than two, and never where it is not.
-    assert (first.arc_cm, first.merged, first.status) == (23.7, [30.0], "localized")
-    assert [second.everted_length_cm, third.everted_length_cm] == [50.0, 53.0]
-    assert third.status == "ambiguous"  # its misfit: something else bore on that body as well
-    assert all("one of several" in contact.model for contact in (first, second, third))
-
-
-@pytest.mark.parametrize(("misfit", "log_evidence"), [(1.8, -90.0), (1.0, -300.0)])
-def test_one_peg_stays_one_if_it_explains_its_sweeps_or_is_likelier(
-    monkeypatch: pytest.MonkeyPatch, misfit: float, log_evidence: float
-) -> None:
-    answers = {
-        (50.0, 53.0): a_fit(44.0, misfit=misfit, log_evidence=log_evidence),
-        (50.0,): a_fit(30.0, 50.0, log_evidence=-60.0, x_cm=28.0, y_cm=9.0),
-        (53.0,): a_fit(45.8, 53.0, log_evidence=-50.0),
-    }
-    (contact,) = _of_stages(monkeypatch, answers)
-    assert contact.arc_cm == 44.0
-    assert "several" not in contact.model
-
-
-def test_stages_that_felt_nothing_count_against_several(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Their readings are part of what one peg for all has explained."""
-    answers = {
-        (40.0, 50.0, 53.0): a_fit(44.0, misfit=1.8, log_evidence=-120.0),
-        (50.0,): a_fit(30.0, 50.0, log_evidence=-60.0, x_cm=28.0, y_cm=9.0),
-        (53.0,): a_fit(45.8, 53.0, log_evidence=-50.0),
-    }
-    counts = []
-    for evidence in (-5.0, -15.0):
-        monkeypatch.setattr(
-            "thigmo.exploration.fitted.untouched_evidence", lambda *_, e=evidence: e
-        )
-        counts.append(len(_of_stages(monkeypatch, answers, 40.0)))
-    assert counts == [2, 1]
+def test_a_wall_has_no_radius(fits: Fits) -> None:
+    (contact,) = _mapped(fits, a_fit(53.0, kind="wall", peg_radius_cm=nan)).contacts
+    assert contact.fit_radius_cm is None
+    assert contact.model.startswith("wall")

@@ -71,7 +71,7 @@ def test_a_file_without_kinds_has_flex_sensors_and_an_unknown_kind_is_named(
 
 
 def test_the_check_says_what_bus_and_trigger_can() -> None:
-    said = {one.what: one for one in judge(CONFIG)}
+    said = {one.part: one for one in judge(CONFIG)}
     assert said["board"].text.startswith("large")
     assert said["bus"].text.startswith("12 IMUs behind a multiplexer, 0.60 ms each at 400 kHz")
     assert said["trigger"].mark == "ok"
@@ -79,7 +79,7 @@ def test_the_check_says_what_bus_and_trigger_can() -> None:
     for sensor in drifting.sensors:
         assert isinstance(sensor, HeadingSensor)
         sensor.heading_se_rad = 0.02
-    assert {one.what: one.mark for one in judge(drifting)}["trigger"] == "bad"
+    assert {one.part: one.mark for one in judge(drifting)}["trigger"] == "bad"
 
 
 def test_a_lab_believes_each_imu_in_one_place() -> None:

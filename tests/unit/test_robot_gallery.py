@@ -17,9 +17,9 @@ FILES = sorted((Path(__file__).resolve().parents[2] / "docs" / "robots").glob("*
 def test_a_robot_of_the_gallery_is_good_and_nothing_is_asked(file: Path) -> None:
     robot = RobotConfig.load(file)
     found = judge(robot)
-    assert [one for one in found if one.mark == "bad" or one.what == "units"] == []
+    assert [one for one in found if one.mark == "bad" or one.part == "units"] == []
     refused = Wiring.of(robot).unexplorable is not None
-    assert (found[0].what == "explore") is refused
+    assert (found[0].part == "explore") is refused
     assert refused is (file.stem == "three-muscles")
 
 

@@ -105,7 +105,7 @@ def _complaints(file: Table) -> set[str]:
         robot = RobotConfig.model_validate(file)
     except ValidationError as error:
         return {str(error)}
-    return {f"{one.what}: {one.text}" for one in judge(robot) if one.mark != "ok"}
+    return {f"{one.part}: {one.text}" for one in judge(robot) if one.mark != "ok"}
 
 
 @pytest.mark.parametrize("unit", WRONG)
@@ -123,16 +123,16 @@ def test_a_wrong_unit_is_noticed(unit: str) -> None:
 @pytest.mark.parametrize("length", [30.0, 53.0, 120.0, 200.0])
 def test_nothing_is_asked_of_a_draft(length: float, kind: Any, muscles: int) -> None:
     robot = draft(length, None, muscles, kind=kind)
-    assert [one.text for one in judge(robot) if one.what == "units"] == []
+    assert [one.text for one in judge(robot) if one.part == "units"] == []
 
 
 @pytest.mark.parametrize("diameter", [2.0, 7.0, 10.0])
 def test_nothing_is_asked_of_a_thin_or_thick_body(diameter: float) -> None:
     robot = draft(53.0, 5, 2, diameter_cm=diameter)
-    assert [one.text for one in judge(robot) if one.what == "units"] == []
+    assert [one.text for one in judge(robot) if one.part == "units"] == []
 
 
 @pytest.mark.parametrize("scene", ["default", "noisy", "wall"])
 def test_nothing_is_asked_of_a_scenes_robot(scene: str) -> None:
     found = judge(Scene.load(scene).believed(1))
-    assert [one.text for one in found if one.what == "units"] == []
+    assert [one.text for one in found if one.part == "units"] == []

@@ -5,7 +5,7 @@ thing, measures, and names what is wrong with the terminal to look at. `jog` and
 output as it is; the board ends each push by itself within half a second.
 """
 
-from thigmo.bringup.checks import STAGES, Attendant, BringUp, Finding, Turned
+from thigmo.bringup.checks import STAGES, Attendant, BringUp, Finding, SpoolTurn
 from thigmo.bringup.push import jog, press
 
 __all__ = [
@@ -13,7 +13,7 @@ __all__ = [
     "Attendant",
     "BringUp",
     "Finding",
-    "Turned",
+    "SpoolTurn",
     "jog",
     "press",
 ]

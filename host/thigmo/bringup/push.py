@@ -33,9 +33,9 @@ def push(robot: Robot, output: Output, level: int, seconds: float, muscle: int =
     """Drive one output, a muscle's or the motor, for a while; refused unless armed, and for the
     motor vented."""
     end = robot.now() + seconds
-    while (rest := end - robot.now()) > 1e-9:
-        robot.test_output(output, level, min(_PUSH_S, rest + 1e-3), muscle)
-        robot.wait(min(_REPEAT_S, rest))
+    while (remaining_s := end - robot.now()) > 1e-9:
+        robot.test_output(output, level, min(_PUSH_S, remaining_s + 1e-3), muscle)
+        robot.wait(min(_REPEAT_S, remaining_s))
 
 
 def jog(robot: Robot, cm: float) -> float:
@@ -50,13 +50,13 @@ def jog(robot: Robot, cm: float) -> float:
     """
     if not 0 < abs(cm) <= JOG_CM:
         raise ConfigError(f"cannot jog by {cm:g} cm", f"give more than 0 and at most {JOG_CM:g} cm")
-    way = 1 if cm > 0 else -1
+    sign = 1 if cm > 0 else -1
     start = robot.read(0.05).length_cm
     moved, best, best_s = 0.0, 0.0, robot.now()
     try:
         while moved < abs(cm):
-            push(robot, Output.MOTOR, way * _JOG_DUTY, _REPEAT_S)
-            moved = way * (robot.read(0.02).length_cm - start)
+            push(robot, Output.MOTOR, sign * _JOG_DUTY, _REPEAT_S)
+            moved = sign * (robot.read(0.02).length_cm - start)
             if moved < -_WRONG_CM:
                 raise RobotFaultError(
                     "the encoder goes the other way than the motor is driven",
@@ -71,7 +71,7 @@ def jog(robot: Robot, cm: float) -> float:
                 )
     finally:
         robot.vent()  # ends the push
-    return way * moved
+    return sign * moved
 
 
 def press(

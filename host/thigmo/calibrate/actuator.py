@@ -88,7 +88,7 @@ class BendReadings:
         sign = np.array([SIGN[muscle.side] if muscle.side else 1.0 for muscle in muscles])
         p, k = table.numbers("pressure_psi"), sign * table.numbers("curvature")
         _check_units(table.name, p, k, max(m.max_pressure_psi for m in muscles), config)
-        e, trial = table.numbers("curvature_se", _PICTURE_SE), table.whole("trial", 0)
+        e, trial = table.numbers("curvature_se", _PICTURE_SE), table.integers("trial", 0)
         return [
             cls(
                 name,
@@ -180,22 +180,22 @@ class ActuatorResult(StepResult):
 class ActuatorResults(StepResult):
     """Results of all muscles at all body pressures that were measured."""
 
-    each: tuple[ActuatorResult, ...]
+    maps: tuple[ActuatorResult, ...]
     verdict: Verdict
     not_calibrated: tuple[str, ...] = ()  # muscles that nothing measures; their maps are kept
-    EVIDENCE: ClassVar = ("each",)
+    EVIDENCE: ClassVar = ("maps",)
 
     def as_data(self) -> dict[str, Any]:
         """Plain data."""
-        return {"each": [result.as_data() for result in self.each], **super().as_data()}
+        return {"maps": [result.as_data() for result in self.maps], **super().as_data()}
 
     def write(self, config: RobotConfig) -> None:
         """Put in all maps, and the largest offset error of each muscle."""
-        for result in sorted(self.each, key=lambda fit: fit.offset_se):
+        for result in sorted(self.maps, key=lambda fit: fit.offset_se):
             result.write(config)
 
 
-def together(fits: Sequence[ActuatorResult], unseen: Sequence[Muscle] = ()) -> ActuatorResults:
+def together(fits: Sequence[ActuatorResult], unmeasured: Sequence[Muscle] = ()) -> ActuatorResults:
     """Combine maps under one verdict, which names the muscles that nothing measures."""
     bad: list[str] = []
     notes: list[str] = []
@@ -208,14 +208,14 @@ def together(fits: Sequence[ActuatorResult], unseen: Sequence[Muscle] = ()) -> A
         for r in fits
     )
     good = f"{len(fits)} maps, g to {100 * worst:.2f} % or better"
-    names = tuple(muscle.name for muscle in unseen)
+    names = tuple(muscle.name for muscle in unmeasured)
     if names:
         good += f"; not calibrated: {' and '.join(names)}"
-        notes += [_unseen(muscle) for muscle in unseen]
+        notes += [_unmeasured_text(muscle) for muscle in unmeasured]
     return ActuatorResults(tuple(fits), Verdict(not bad, [*bad, good][0], tuple(notes)), names)
 
 
-def _unseen(muscle: Muscle) -> str:
+def _unmeasured_text(muscle: Muscle) -> str:
     return (
         f"muscle {muscle.name} is not calibrated: no healthy sensor reads a bend towards "
         f"{muscle.direction_deg:g} degrees, and the camera sees the plane only; put a sensor at "
@@ -231,10 +231,10 @@ def guided(bench: Bench) -> ActuatorResults:
     """Measure and fit maps and lags of all measurable muscles at the planned body pressures."""
     config = bench.config
     zones = bench.plan.zones or tuple(range(len(config.body.zones)))
-    unseen = [m for m in config.muscles if not m.side and not _sound(config, m)]
-    measured = [m for m in config.muscles if m not in unseen]
+    unmeasured = [m for m in config.muscles if not m.side and not _healthy_sensors(config, m)]
+    measured = [m for m in config.muscles if m not in unmeasured]
     if not measured:
-        raise DataError(*_unseen(unseen[0]).split("; "))
+        raise DataError(*_unmeasured_text(unmeasured[0]).split("; "))
     rows = bend_rows(bench, zones)
     for muscle in measured:
         if muscle.side is None:
@@ -242,22 +242,22 @@ def guided(bench: Bench) -> ActuatorResults:
     ramps = {muscle.name: ramp(bench, muscle, zones[-1]) for muscle in measured}
     fits: list[ActuatorResult] = []
     for zone, muscle in product(zones, measured):
-        mine = [
+        muscle_rows = [
             r for r in rows
             if r["zone"] == zone
             and (r.get("side") == muscle.side if muscle.side else r.get("muscle") == muscle.name)
         ]  # fmt: skip
-        result = fit_actuator(readings_of(mine, config, muscle, zone))
+        result = fit_actuator(readings_of(muscle_rows, config, muscle, zone))
         record = ramps[muscle.name]
         if result.verdict.good and zone == zones[-1] and record is not None:
             lag = fit_lag(*record, result.zone, muscle.reversal_psi)
             if lag.inflate_se_s < _LAG_SE_S:
                 result = replace(result, lag=lag)
         fits.append(result)
-    return together(fits, unseen)
+    return together(fits, unmeasured)
 
 
-def _sound(config: RobotConfig, muscle: Muscle) -> list[WiredSensor]:
+def _healthy_sensors(config: RobotConfig, muscle: Muscle) -> list[WiredSensor]:
     return [wired for wired in Wiring.of(config).sensors_reading(muscle) if wired.sound]
 
 
@@ -270,7 +270,7 @@ def readings_of(
         error = np.nan_to_num(column(rows, "k_se"), nan=_PICTURE_SE)
         scale_se, sensors = CAMERA_SCALE_SE, 0
     else:
-        sound = _sound(config, muscle)
+        sound = _healthy_sensors(config, muscle)
         k, error, scale_se = curvature_by_sensors(column(rows, "ohm"), sound)
         sensors = len(sound)
     branch, trial = tuple(r["branch"] for r in rows), np.array([r["trial"] for r in rows], np.int64)
@@ -287,11 +287,11 @@ def curvature_by_sensors(ohm: Array, sensors: Sequence[WiredSensor]) -> tuple[Ar
     """
     share = np.array([wired.share for wired in sensors])
     scale = [wired.sensor.scale_per_ohm for wired in sensors]
-    read = ohm[:, [wired.number for wired in sensors]] * scale
-    weight = np.isfinite(read) / np.array([wired.sensor.reading_se for wired in sensors]) ** 2
+    readings = ohm[:, [wired.number for wired in sensors]] * scale
+    weight = np.isfinite(readings) / np.array([wired.sensor.reading_se for wired in sensors]) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
         power = weight @ share**2
-        k = (weight * np.nan_to_num(read)) @ share / power
+        k = (weight * np.nan_to_num(readings)) @ share / power
         gain = weight * share**2 / power[:, None] * [w.sensor.gain_error for w in sensors]
     scale_se = float(np.nanmax(np.hypot.reduce(gain, axis=1), initial=0.0))
     return k, np.where(power > 0, power, np.inf) ** -0.5, scale_se
@@ -303,13 +303,13 @@ def of_csv(table: Table, config: RobotConfig) -> ActuatorResults:
     if not results:
         raise DataError(f"{table.name} holds no bends", "give one line for each bend")
     return together([
-        replace(result, verdict=_with_end_of_map(result.verdict, result.highest_psi))
+        replace(result, verdict=_note_end_of_map(result.verdict, result.highest_psi))
         if result.ends_early(config) else result
         for result in results
     ])  # fmt: skip
 
 
-def _with_end_of_map(verdict: Verdict, highest_psi: float) -> Verdict:
+def _note_end_of_map(verdict: Verdict, highest_psi: float) -> Verdict:
     note = (
         f"no bend was measured above {highest_psi:.2f} psi: max_pressure_psi is lowered to it, so "
         "that no sweep goes beyond; measure further, and raise it, for larger sweeps"
@@ -329,15 +329,15 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         )
     notes: list[str] = []
     if not finite.all():
-        lost = listed(readings.names(), np.flatnonzero(~finite).tolist())
-        why = "the camera lost the body; clear the view"
+        missed = listed(readings.names(), np.flatnonzero(~finite).tolist())
+        cause = "the camera lost the body; clear the view"
         if readings.sensors:
-            why = "no sensor was read; check their wires"
-        notes.append(f"omitted {lost}: {why} to take it again")
+            cause = "no sensor was read; check their wires"
+        notes.append(f"omitted {missed}: {cause} to take it again")
     highest = float(p[finite].max())
     bend = float(np.median(k[finite & (p > 0.5 * highest)]))
     if bend < _LEAST_BEND:
-        verdict = Verdict(False, _not_towards(readings, bend), tuple(notes))
+        verdict = Verdict(False, _wrong_bend_reason(readings, bend), tuple(notes))
         zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi)
         return ActuatorResult(readings, zone, np.inf, highest, 0.0, np.inf, finite, verdict)
     branches = [b for b in BRANCHES if b in np.array(readings.branch)[finite]]
@@ -353,10 +353,10 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         return _map_values(p, *x[:maps].reshape(-1, 3)[branch].T)
 
     def residuals(x: Array, rows: Mask, spread: float, loose: float) -> Array:
-        rest = (k - curve(x) - x[maps:][slot]) / np.hypot(spread, error)
+        scaled = (k - curve(x) - x[maps:][slot]) / np.hypot(spread, error)
         # Weak priors bound a saturation that the data do not reach.
         priors = [(x[2:maps:3] - 4.0) / 8.0, (x[1:maps:3] - np.log(10.0)) / 1.5]
-        return np.concatenate([rest[rows], x[maps:] / loose, *priors])
+        return np.concatenate([scaled[rows], x[maps:] / loose, *priors])
 
     def unknowns(parts: list[float], offset: float) -> Array:
         return np.append(np.tile(parts, len(branches)), np.full(len(trials), offset))
@@ -373,47 +373,53 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
             loss="cauchy" if attempt < 2 else "linear", f_scale=2.0, x_scale="jac",
         )  # fmt: skip
         best, offsets = fit.x, fit.x[maps:]
-        rest = k - curve(best) - offsets[slot]
+        residual = k - curve(best) - offsets[slot]
         freedom = max(1, int(used.sum()) - maps - len(trials))
-        robust = float(np.median(np.abs(rest[finite])) / norm.ppf(0.75))
-        scatter = robust if attempt < 3 else float(np.sqrt(np.sum(rest[used] ** 2) / freedom))
+        robust = float(np.median(np.abs(residual[finite])) / norm.ppf(0.75))
+        scatter = robust if attempt < 3 else float(np.sqrt(np.sum(residual[used] ** 2) / freedom))
         sigma = float(np.sqrt(max(scatter**2 - camera_se**2, (0.2 * camera_se) ** 2, 1e-12)))
         if len(trials) > 1:
             offset_sigma = float(max(2e-4, np.sqrt(np.mean(offsets**2))))
-        kept = finite & (np.abs(rest) < _REJECT * np.hypot(sigma, error))
-        if attempt > 3 and (kept == used).all():
+        inliers = finite & (np.abs(residual) < _REJECT * np.hypot(sigma, error))
+        if attempt > 3 and (inliers == used).all():
             break
-        if kept.sum() >= maps + len(trials) + 3:
-            used = kept
+        if inliers.sum() >= maps + len(trials) + 3:
+            used = inliers
     jacobian = np.asarray(fit.jac, float)
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
-    built, (fit_se, top_se, shape_se) = _maps(best[:maps], covariance, branches, highest)
+    fitted_maps, (fit_se, top_se, shape_se) = _maps(best[:maps], covariance, branches, highest)
     g_se = float(np.hypot(fit_se, camera_se))
-    trial_se = _trial_gain(rest, curve(best), slot, used, len(trials))
+    trial_se = _trial_gain(residual, curve(best), slot, used, len(trials))
     scale_se = float(np.sqrt(
         top_se**2 + trial_se**2 * (1 + 1 / len(trials)) + readings.scale_se**2
     ))  # fmt: skip
     if len(branches) == 1:
         notes.append(f"only the {branches[0]} branch was measured; used for both")
-    inflate, deflate = built[branches[0]], built[branches[-1]]
-    out = np.flatnonzero(finite & ~used).tolist()
-    if out:
-        names = listed(readings.names(), out)
-        notes.append(f"omitted {len(out)} of {total} bends as outliers ({names})")
+    inflate, deflate = fitted_maps[branches[0]], fitted_maps[branches[-1]]
+    outliers = np.flatnonzero(finite & ~used).tolist()
+    if outliers:
+        names = listed(readings.names(), outliers)
+        notes.append(f"omitted {len(outliers)} of {total} bends as outliers ({names})")
     spread = float(np.std(offsets, ddof=1)) if len(trials) > 1 else offset_sigma
-    moved = trials[np.abs(offsets - np.median(offsets)) > 3e-3]
-    full = float(inflate.curvature(highest))
-    if len(moved):
-        names = ", ".join(map(str, moved.tolist()))
+    shifted_trials = trials[np.abs(offsets - np.median(offsets)) > 3e-3]
+    full_scale = float(inflate.curvature(highest))
+    if len(shifted_trials):
+        names = ", ".join(map(str, shifted_trials.tolist()))
         notes.append(f"trial {names} is bent by a constant against the others")
-    good, reason = _judged(readings, len(moved) > 0, len(out) / total, g_se / max(full, 1e-9), full)
+    good, reason = _judge(
+        readings,
+        len(shifted_trials) > 0,
+        len(outliers) / total,
+        g_se / max(full_scale, 1e-9),
+        full_scale,
+    )
     zone = ZoneMap(
         body_pressure_psi=readings.body_pressure_psi, scale_se=scale_se, inflate=inflate,
         deflate=deflate,
     )  # fmt: skip
     offset_se = float(np.hypot(max(spread, _DAYS_SE), np.hypot(shape_se, camera_se)))
     verdict = Verdict(good, reason, tuple(notes))
-    return ActuatorResult(readings, zone, g_se, highest, full, offset_se, used, verdict)
+    return ActuatorResult(readings, zone, g_se, highest, full_scale, offset_se, used, verdict)
 
 
 def _maps(
@@ -440,7 +446,7 @@ def _maps(
     return built, errors
 
 
-def _not_towards(readings: BendReadings, bend: float) -> str:
+def _wrong_bend_reason(readings: BendReadings, bend: float) -> str:
     """The likely reason why a muscle does not bend the body towards itself."""
     name = readings.muscle
     if bend > -_LEAST_BEND:
@@ -457,16 +463,16 @@ def _not_towards(readings: BendReadings, bend: float) -> str:
     )
 
 
-def _judged(
-    readings: BendReadings, moved: bool, left_out: float, share: float, full: float
+def _judge(
+    readings: BendReadings, shifted: bool, left_out: float, share: float, full: float
 ) -> tuple[bool, str]:
     """Whether the maps may be used, and why.
 
     `left_out` is the share of bends omitted, `share` the error of g over full scale.
     """
-    if moved and readings.sensors:
+    if shifted and readings.sensors:
         return False, "the sensors' zeros moved between trials; let them settle, then repeat those"
-    if moved:
+    if shifted:
         return False, (
             "the camera or the base moved between trials; fix it, run `thigmo camera locate` "
             "and repeat those trials"
@@ -476,16 +482,18 @@ def _judged(
     # More trials do not help beyond the error of the sensors' scales.
     if share > max(_MOST_SE, readings.scale_se):
         return False, f"g is known to {100 * share:.1f} % of full scale only; add trials"
-    known = f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
+    reason = f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
     if readings.sensors:
-        known += (
+        reason += (
             f" as {readings.sensors} sensor{'s'[: readings.sensors > 1]} read it, with scales "
             f"known to {100 * readings.scale_se:.0f} %"
         )
-    return True, known
+    return True, reason
 
 
-def _trial_gain(rest: Array, bend: Array, slot: NDArray[np.intp], used: Mask, trials: int) -> float:
+def _trial_gain(
+    residual: Array, bend: Array, slot: NDArray[np.intp], used: Mask, trials: int
+) -> float:
     """Relative standard deviation of the gain by which a trial's bends exceed the map.
 
     Arrays are (n,): `rest` is the residual after map and offset, `bend` the map's curvature, and
@@ -498,10 +506,10 @@ def _trial_gain(rest: Array, bend: Array, slot: NDArray[np.intp], used: Mask, tr
         power = float(lever @ lever)
         if pick.sum() < 4 or power < 1e-12:
             continue
-        gain = float(lever @ rest[pick]) / power
-        over = rest[pick] - rest[pick].mean() - gain * lever
+        gain = float(lever @ residual[pick]) / power
+        unexplained = residual[pick] - residual[pick].mean() - gain * lever
         squares += gain**2
-        noise_squares += float(over @ over) / (pick.sum() - 2) / power
-    between = max(squares - noise_squares * (trials - 1) / trials, 0.0)
-    counted = trials - 1 + _TRIAL_GAIN_COUNT
-    return float(np.sqrt((between + _TRIAL_GAIN_COUNT * _TRIAL_GAIN**2) / counted))
+        noise_squares += float(unexplained @ unexplained) / (pick.sum() - 2) / power
+    gain_squares = max(squares - noise_squares * (trials - 1) / trials, 0.0)
+    count = trials - 1 + _TRIAL_GAIN_COUNT
+    return float(np.sqrt((gain_squares + _TRIAL_GAIN_COUNT * _TRIAL_GAIN**2) / count))

@@ -35,14 +35,14 @@ T = TypeVar("T")
 STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing and margin
 READ_S = 1.0
 _TRIES = 3
-_SAID_EVERY = 10  # of the rows of a procedure, so that the messages between them are seen
+_REPORT_EVERY = 10  # of the rows of a procedure, so that the messages between them are seen
 _QUIET_S = 5.0  # after venting, before zeros are taken
 _UNSEEN: Row = {"unseen": True}
 _PUSHES = 3  # attempts at one place if the tip goes to the other side
 _ASIDE_CM = 1.0  # a tip nearer to the straight robot is on neither side
 # Slow, because an overshoot would switch the muscle to its other branch.
 _RAMP_PSI_S = 1.0
-_JUDGED = "speed_margin_duty"  # at its highest value the board does not check the encoder
+_ENCODER_MARGIN = "speed_margin_duty"  # at its highest value the board does not check the encoder
 
 
 @dataclass
@@ -62,12 +62,6 @@ class Plan:
     zones: tuple[int, ...] | None = None  # body pressures whose maps are measured; None = all
 
 
-def set_zone(robot: Robot, config: RobotConfig, zone: int) -> None:
-    """Set the body pressure of a zone, and say so to the board."""
-    robot.operator.set_body_pressure(config.body.zones[zone].pressure_psi)
-    robot.select_zone(zone)
-
-
 def grow_to(
     robot: Robot,
     config: RobotConfig,
@@ -82,22 +76,22 @@ def grow_to(
     `at_stop` is called with the length at each multiple of the spacing (None: the pitch) and at the
     end. Raises DataError if the robot is longer already: this never retracts.
     """
-    now, body = robot.known_length_cm(), config.body
-    if now > length_cm + SAME_LENGTH_CM:
+    grown_cm, body = robot.known_length_cm(), config.body
+    if grown_cm > length_cm + SAME_LENGTH_CM:
         raise DataError(
-            f"the robot is {now:.1f} cm long, {length_cm:.1f} cm are needed",
+            f"the robot is {grown_cm:.1f} cm long, {length_cm:.1f} cm are needed",
             "retract it with `thigmo retract`, then run this again",
         )
     stops = _stops_cm(spacing_cm or body.pitch_cm, length_cm)
     boundaries = {z.until_cm for z in body.zones if z.until_cm < length_cm}
     robot.vent()
     for stop in sorted(stops | boundaries):
-        if stop <= now + SAME_LENGTH_CM:
+        if stop <= grown_cm + SAME_LENGTH_CM:
             continue
-        set_zone(robot, config, body.zone_at(min(now + SAME_LENGTH_CM, stop)))
+        robot.pressurize(body.zone_at(min(grown_cm + SAME_LENGTH_CM, stop)))
         say(f"growing to {stop:.1f} cm")
         robot.grow_to(stop)
-        now = stop
+        grown_cm = stop
         if at_stop is not None and stop in stops:
             at_stop(stop)
 
@@ -137,7 +131,7 @@ class Bench:
     say: Callable[[str], None] = lambda text: None  # called with progress messages
     # latest resistances of the straight robot; an eversion shifts them, so each row stores those of
     # its own session
-    rest: list[float] = field(default_factory=list)
+    rest_ohm: list[float] = field(default_factory=list)
     _configured: bool = False
 
     @property
@@ -185,7 +179,7 @@ class Bench:
 
     def set_zone(self, zone: int) -> None:
         """Set the body pressure of a zone, and say so to the board."""
-        set_zone(self.robot, self.config, zone)
+        self.robot.pressurize(zone)
 
     def bring_to(
         self,
@@ -208,7 +202,7 @@ class Bench:
         self.say("waiting for the sensors to settle")
         self.robot.wait_settled()
         zero(self.robot, self.say)
-        self.rest = self.ohm(self.robot.read(2.0)).tolist()
+        self.rest_ohm = self.ohm(self.robot.read(2.0)).tolist()
         if zone is not None:
             self.set_zone(zone)
 
@@ -224,15 +218,15 @@ class Bench:
         `take` makes a row from its key and its plan; `prepare` (`ready_to_bend` if None) is called
         before the first. Returns all planned rows, in the order in which they were taken.
         """
-        held = self.session.rows(procedure)
-        missing = [key for key in planned if held.get(key, _UNSEEN).get("unseen")]
-        done = len(planned) - len(missing)
-        if done and missing:
-            self.say(f"{procedure}: going on after {done} rows")
+        stored = self.session.rows(procedure)
+        missing = [key for key in planned if stored.get(key, _UNSEEN).get("unseen")]
+        count = len(planned) - len(missing)
+        if count and missing:
+            self.say(f"{procedure}: going on after {count} rows")
         if missing:
             (prepare or self.ready_to_bend)()
-        for number, key in enumerate(missing, start=done + 1):
-            if number in (done + 1, len(planned)) or number % _SAID_EVERY == 0:
+        for number, key in enumerate(missing, start=count + 1):
+            if number in (count + 1, len(planned)) or number % _REPORT_EVERY == 0:
                 self.say(f"{procedure} {number} of {len(planned)}: {key}")
             row = {"key": key, **take(key, planned[key])}
             self.session.add(procedure, row)
@@ -241,7 +235,7 @@ class Bench:
                          "and only what it missed is taken")  # fmt: skip
         return [row for key, row in self.session.rows(procedure).items() if key in planned]
 
-    def seen(self, shot: Callable[[], Row], blank: Row) -> Row:
+    def camera_reading(self, shot: Callable[[], Row], blank: Row) -> Row:
         """A camera reading, tried three times; `blank`, marked as unseen, if all fail.
 
         Raises CameraMovedError if the camera has moved, because later pictures would be wrong.
@@ -259,10 +253,10 @@ class Bench:
 
     def finish(self, step: str, result: StepResult) -> None:
         """Store a result, report its verdict, and send good constants to the board."""
-        before = self.config
+        previous = self.config
         for line in self.session.keep(step, result):
             self.say(line)
-        if self.config != before:
+        if self.config != previous:
             self.robot.vent()
             self.robot.configure(self.config)
 
@@ -273,10 +267,10 @@ def growth_rows(bench: Bench) -> list[Row]:
     Stops are a pitch apart. Where these did not give a good encoder, lengths halfway between those
     that the folder holds are taken too. Raises DataError if the robot is too long for that.
     """
-    spool, held = bench.config.spool, bench.session.rows("growth")
+    spool, stored = bench.config.spool, bench.session.rows("growth")
     spacing_cm = bench.config.body.pitch_cm
     planned = _stops_cm(spacing_cm, bench.config.body.length_cm)
-    while bench.session.failed("encoder") and all(_stop_key(cm) in held for cm in planned):
+    while bench.session.failed("encoder") and all(_stop_key(cm) in stored for cm in planned):
         spacing_cm /= 2
         planned = _stops_cm(spacing_cm, bench.config.body.length_cm)
 
@@ -284,29 +278,29 @@ def growth_rows(bench: Bench) -> list[Row]:
         for row in drive.rows():
             bench.session.add("drive", {"key": f"stop {length:g} zone {row['zone']}", **row})
         key = _stop_key(length)
-        if key in held:
+        if key in stored:
             return
         began = bench.robot.read(0.05).t_s
         records = [bench.robot.record(0.25) for _ in range(round(bench.plan.creep_s / 0.25))]
         reading = bench.robot.read(0.5)
-        seen = bench.seen(
+        picture = bench.camera_reading(
             lambda: {"seen_cm": bench.camera.axis(free_bend=True).length_cm}, {"seen_cm": None}
         )
         bench.session.add("growth", {
             "key": key, "counts": reading.length_cm * spool.counts_per_cm * spool.payout_ratio,
             "encoder_cm": reading.length_cm, "speed_cm_s": spool.max_speed_cm_s,
             "t_s": [float(r.t_s.mean()) - began for r in records],
-            "ohm": [bench.mean_ohm(r) for r in records], **seen,
+            "ohm": [bench.mean_ohm(r) for r in records], **picture,
         })  # fmt: skip
 
     # The board cannot judge an encoder whose counts per cm are not known yet.
-    margin = bench.robot.parameter(_JUDGED)
-    bench.robot.set_parameter(_JUDGED, [wire.PARAMETERS[_JUDGED].high])
+    margin = bench.robot.parameter(_ENCODER_MARGIN)
+    bench.robot.set_parameter(_ENCODER_MARGIN, [wire.PARAMETERS[_ENCODER_MARGIN].high])
     try:
         with Drive(bench.robot, bench.config) as drive:
             bench.bring_to(bench.config.body.length_cm, stop, spacing_cm=spacing_cm)
     finally:
-        bench.robot.set_parameter(_JUDGED, list(margin))
+        bench.robot.set_parameter(_ENCODER_MARGIN, list(margin))
     rows = bench.session.rows("growth")
     missing = sorted(cm for cm in planned if _stop_key(cm) not in rows)
     if missing and spacing_cm < bench.config.body.pitch_cm:
@@ -336,12 +330,12 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
         axis = bench.camera.axis(free_bend=True, length_cm=length)
         return {"k": axis.coefficients[2], "k_se": float(axis.covariance[2, 2] ** 0.5)}
 
-    def take(key: str, asked: Row) -> Row:
-        reading, psi = _bent(bench, config.muscle(asked["side"]), asked["psi"])
-        seen = bench.seen(shot, {"k": None, "k_se": None})
+    def take(key: str, set_point: Row) -> Row:
+        reading, psi = _read_bend(bench, config.muscle(set_point["side"]), set_point["psi"])
+        picture = bench.camera_reading(shot, {"k": None, "k_se": None})
         return {
-            **asked, "psi": psi, "ohm": bench.ohm(reading),
-            "rest": bench.rest, "t_s": reading.t_s, **_strain(bench), **seen,
+            **set_point, "psi": psi, "ohm": bench.ohm(reading),
+            "rest": bench.rest_ohm, "t_s": reading.t_s, **_strain(bench), **picture,
         }  # fmt: skip
 
     rows: list[Row] = []
@@ -371,7 +365,7 @@ def last_bends(bench: Bench) -> list[Row]:
     return bends
 
 
-def _bent(bench: Bench, muscle: Muscle, psi: float) -> tuple[Reading, float]:
+def _read_bend(bench: Bench, muscle: Muscle, psi: float) -> tuple[Reading, float]:
     """Readings with a muscle held at a set point, and its measured pressure."""
     if psi == 0.0:
         bench.robot.vent()
@@ -396,13 +390,18 @@ def unseen_bend_rows(bench: Bench, zones: Iterable[int], muscle: Muscle) -> list
     """
     straight: list[Array] = []
 
-    def ready(zone: int) -> None:
+    def prepare(zone: int) -> None:
         bench.ready_to_bend(zone)
         straight[:] = [bench.robot.read(2.0).resistance]
 
-    def take(key: str, asked: Row) -> Row:
-        reading, psi = _bent(bench, muscle, asked["psi"])
-        return {**asked, "psi": psi, "ohm": reading.resistance - straight[0], "t_s": reading.t_s}
+    def take(key: str, set_point: Row) -> Row:
+        reading, psi = _read_bend(bench, muscle, set_point["psi"])
+        return {
+            **set_point,
+            "psi": psi,
+            "ohm": reading.resistance - straight[0],
+            "t_s": reading.t_s,
+        }
 
     rows: list[Row] = []
     for zone in zones:
@@ -413,7 +412,7 @@ def unseen_bend_rows(bench: Bench, zones: Iterable[int], muscle: Muscle) -> list
             for trial in range(bench.plan.trials)
             for branch, psi in bend_set_points(bench, muscle)
         }  # fmt: skip
-        rows.extend(bench.rows("unseen_bends", planned, take, partial(ready, zone)))
+        rows.extend(bench.rows("unseen_bends", planned, take, partial(prepare, zone)))
         bench.robot.vent()
     return rows
 
@@ -422,28 +421,30 @@ def tip_rows(bench: Bench) -> list[Row]:
     """Rows of the straight robot, and of the tip held at places on both sides."""
     plan, reach = bench.plan, _tip_reach_cm(bench)
     half = plan.places // 2
-    far = [reach * (n + 1) / half for n in range(half)]
+    distances_cm = [reach * (n + 1) / half for n in range(half)]
     # Out and back, with alternating sides, so that a loop or a shift does not look like a side.
-    asked = [sign * y for y in (*far[::2], *reversed(far[1::2])) for sign in (1, -1)]
+    offsets_cm = [
+        sign * y for y in (*distances_cm[::2], *reversed(distances_cm[1::2])) for sign in (1, -1)
+    ]
     planned: dict[str, float | None] = {f"straight {n}": None for n in range(plan.straight)}
-    planned |= {f"tip {n}": y for n, y in enumerate(asked)}
+    planned |= {f"tip {n}": y for n, y in enumerate(offsets_cm)}
 
-    def take(key: str, wanted: float | None) -> Row:
+    def take(key: str, intended_y: float | None) -> Row:
         for _ in range(_PUSHES):
-            bench.hand.push_tip(wanted)
+            bench.hand.push_tip(intended_y)
             bench.robot.wait(STEADY_S)
             reading = bench.robot.read(2 * READ_S)
-            seen = _tip_seen(bench)
-            y = seen["tip"][1]
-            if wanted is None or y is None or y * wanted > 0 or abs(y) < _ASIDE_CM:
+            picture = _tip_picture(bench)
+            y = picture["tip"][1]
+            if intended_y is None or y is None or y * intended_y > 0 or abs(y) < _ASIDE_CM:
                 break
-            stood, side = SIDES if y > 0 else SIDES[::-1]
-            bench.say(f"{key}: the tip stands {abs(y):.1f} cm to the {stood}: push it to the "
+            actual, side = SIDES if y > 0 else SIDES[::-1]
+            bench.say(f"{key}: the tip stands {abs(y):.1f} cm to the {actual}: push it to the "
                       f"{side} (if it is there, the camera's +y is not the robot's left: correct "
                       "the cards' places in the sheet file)")  # fmt: skip
         return {
-            "kind": key.split()[0], "asked": wanted, "ohm": bench.ohm(reading),
-            "rest": bench.rest, "t_s": reading.t_s, **seen,
+            "kind": key.split()[0], "asked": intended_y, "ohm": bench.ohm(reading),
+            "rest": bench.rest_ohm, "t_s": reading.t_s, **picture,
         }  # fmt: skip
 
     rows = bench.rows("tips", planned, take)
@@ -454,14 +455,14 @@ def tip_rows(bench: Bench) -> list[Row]:
 def bow_rows(bench: Bench) -> list[Row]:
     """Pictures of the body with its tip far aside, on alternating sides."""
     reach, half = _tip_reach_cm(bench), bench.plan.pictures // 2
-    asked = [sign * y for y in np.linspace(0.6 * reach, reach, half) for sign in (1, -1)]
+    offsets_cm = [sign * y for y in np.linspace(0.6 * reach, reach, half) for sign in (1, -1)]
 
     def take(key: str, y_cm: float) -> Row:
         bench.hand.push_tip(y_cm)
         bench.robot.wait(STEADY_S)
-        return _tip_seen(bench)
+        return _tip_picture(bench)
 
-    rows = bench.rows("bows", {f"bow {n}": y for n, y in enumerate(asked)}, take)
+    rows = bench.rows("bows", {f"bow {n}": y for n, y in enumerate(offsets_cm)}, take)
     bench.hand.push_tip(None)
     return rows
 
@@ -471,11 +472,11 @@ def _tip_reach_cm(bench: Bench) -> float:
     return push_tip(0.85 * body.critical_curvature, body.length_cm).tip[1]
 
 
-def _tip_seen(bench: Bench) -> Row:
+def _tip_picture(bench: Bench) -> Row:
     """Tip and axis by camera; None if it does not see the robot."""
 
     def shot() -> Row:
         axis = bench.camera.axis(free_bend=False, length_cm=bench.config.body.length_cm)
         return {"tip": list(axis.tip_cm), "points": axis.points_cm}
 
-    return bench.seen(shot, {"tip": [None, None], "points": None})
+    return bench.camera_reading(shot, {"tip": [None, None], "points": None})

@@ -34,7 +34,7 @@ class BendingResult(StepResult):
 
     stiffness_n_cm2: float
     stiffness_se_n_cm2: float
-    each: Array  # (t,) EI by each pull alone, N cm^2; nan if too few sensors read it
+    pull_stiffness: Array  # (t,) EI by each pull alone, N cm^2; nan if too few sensors read it
     verdict: Verdict
 
     def write(self, config: RobotConfig) -> None:
@@ -74,44 +74,48 @@ def fit_bending(
     if not ((arc_cm > 0) & (arc_cm <= config.body.length_cm)).all():
         raise DataError("a force_arc_cm is off the body", "give where it acts, from the base")
     names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction", "healthy")
-    center, span, noise, gain, way, healthy = constants_of(config, *names)
+    center, span, noise, gain, valid_sign, healthy = constants_of(config, *names)
     # If the base folds, the first sensors do not show its turn.
     far = (healthy > 0) & (center - span / 2 >= config.body.diameter_cm)
-    each, own_error = np.full((2, len(force_n)), np.nan)
+    stiffness, stiffness_se = np.full((2, len(force_n)), np.nan)
     for trial, (force, arc, row) in enumerate(zip(force_n, arc_cm, curvature, strict=True)):
         pick = far & np.isfinite(row) & (center + span / 2 <= arc)
         if pick.any():
-            pick &= (way == 0) | (way == np.sign(np.median(row[pick])))
+            pick &= (valid_sign == 0) | (valid_sign == np.sign(np.median(row[pick])))
         if pick.sum() < 2:
             continue
         sign = float(np.sign(np.median(row[pick]))) or 1.0
-        over, error = _over_stiffness(sign * row[pick], center[pick], span[pick], noise[pick], arc)
-        each[trial] = abs(force) / over
-        own_error[trial] = each[trial] * error / over
-    kept = np.isfinite(each)
-    n = int(kept.sum())
+        force_over_ei, error = _over_stiffness(
+            sign * row[pick], center[pick], span[pick], noise[pick], arc
+        )
+        stiffness[trial] = abs(force) / force_over_ei
+        stiffness_se[trial] = stiffness[trial] * error / force_over_ei
+    usable = np.isfinite(stiffness)
+    n = int(usable.sum())
     if n == 0:
         raise DataError(
             "no pull is read by two healthy sensors before it", "pull at the tip, and harder"
         )
-    notes = [] if kept.all() else [f"{int((~kept).sum())} pull(s) omitted: too few readings"]
+    notes = [] if usable.all() else [f"{int((~usable).sum())} pull(s) omitted: too few readings"]
     if n >= 4:
-        odd = np.zeros(len(each), bool)
-        odd[kept] = outlying(each[kept], 4.5, float(np.median(own_error[kept])))
-        if odd.any():
-            notes.append(f"{int(odd.sum())} pull(s) omitted as outliers")
-        kept &= ~odd
-        n = int(kept.sum())
-    mean = float(each[kept].mean())
-    scatter = float(each[kept].std(ddof=1)) if n > 1 else 0.0
-    within = max(scatter, float(np.sqrt(np.mean(own_error[kept] ** 2)))) / np.sqrt(n)
+        outliers = np.zeros(len(stiffness), bool)
+        outliers[usable] = outlying(stiffness[usable], 4.5, float(np.median(stiffness_se[usable])))
+        if outliers.any():
+            notes.append(f"{int(outliers.sum())} pull(s) omitted as outliers")
+        usable &= ~outliers
+        n = int(usable.sum())
+    mean = float(stiffness[usable].mean())
+    scatter = float(stiffness[usable].std(ddof=1)) if n > 1 else 0.0
+    random_se = max(scatter, float(np.sqrt(np.mean(stiffness_se[usable] ** 2)))) / np.sqrt(n)
     # Errors of the gains and of the balance are the same in every pull.
-    common = np.hypot(np.sqrt(np.sum(gain[far] ** 2)) / far.sum(), force_se[kept].mean())
-    error = float(np.hypot(within / mean, common))
+    common_se = np.hypot(np.sqrt(np.sum(gain[far] ** 2)) / far.sum(), force_se[usable].mean())
+    error = float(np.hypot(random_se / mean, common_se))
     reason = f"EI {mean:.0f} N cm2 +- {100 * error:.0f} % from {n} pull(s)"
     if error > _GOOD:
         reason += "; pull harder, more often, or calibrate the flex sensors first"
-    return BendingResult(mean, mean * error, each, Verdict(error <= _GOOD, reason, tuple(notes)))
+    return BendingResult(
+        mean, mean * error, stiffness, Verdict(error <= _GOOD, reason, tuple(notes))
+    )
 
 
 def from_fold(config: RobotConfig) -> BendingResult:

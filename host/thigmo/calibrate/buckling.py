@@ -38,7 +38,7 @@ class BucklingResult(StepResult):
 
     critical_curvature: float  # mean over the trials, 1/cm
     critical_se: float  # its standard error, gains included
-    each: Array  # (t,) per trial, 1/cm; nan = did not fold or could not be read
+    trial_curvature: Array  # (t,) per trial, 1/cm; nan = did not fold or could not be read
     excess: Array  # (t,) curvature of the base sensors above the beam model, 1/cm
     body_pressure_psi: float  # body pressure at which it was measured
     verdict: Verdict  # in words
@@ -66,16 +66,18 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
     folds_at = critical_moment(
         body.critical_curvature, body.critical_pressure_psi, body.zones[-1].pressure_psi
     )
-    most = min(_HARD * folds_at, _BENT / body.length_cm)
-    depths = [most] if _in_fold(bench.config).any() else [most / _DEEPER, most]
+    deepest = min(_HARD * folds_at, _BENT / body.length_cm)
+    depths = [deepest] if _in_fold(bench.config).any() else [deepest / _DEEPER, deepest]
     if depths[0] < folds_at:
         reason = (
             f"pushes at the tip bend this base to {depths[0]:.4f} 1/cm only, and it folds at about "
             f"{folds_at:.4f}; keep what robot.toml says"
         )
-        none = np.empty(0)
+        no_trials = np.empty(0)
         verdict = Verdict(False, reason)
-        return BucklingResult(np.nan, np.inf, none, none, body.zones[-1].pressure_psi, verdict)
+        return BucklingResult(
+            np.nan, np.inf, no_trials, no_trials, body.zones[-1].pressure_psi, verdict
+        )
 
     def take(key: str, moment: float) -> Row:
         y_cm = float(np.sign(moment)) * push_tip(abs(moment), body.length_cm).tip[1]
@@ -94,19 +96,23 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
     }
     rows = bench.rows("pushes", planned, take)
     (scale,) = constants_of(bench.config, "scale_per_ohm")
-    gone, rest = column(rows, "ohm") * scale, column(rows, "rest") * scale
-    flex = bench.session.done("flex")
+    pushed_k, straight_k = column(rows, "ohm") * scale, column(rows, "rest") * scale
+    flex = bench.session.good_result("flex")
     if flex is not None:
         # Each push ends on the opposite branch of the hysteresis loops from the rest before it.
-        walk = np.stack([np.zeros_like(gone), gone - rest], axis=1).reshape(-1, gone.shape[1])
+        walk = np.stack([np.zeros_like(pushed_k), pushed_k - straight_k], axis=1).reshape(
+            -1, pushed_k.shape[1]
+        )
         block = np.zeros(len(walk), np.int64)
         turn = loop_turns(np.nan_to_num(walk), block, float(flex["loop_width"]))
         loop = np.nan_to_num(column(flex["sensors"], "hysteresis"))
-        rest -= loop * turn[0::2]
-        gone -= loop * turn[1::2]
+        straight_k -= loop * turn[0::2]
+        pushed_k -= loop * turn[1::2]
     fitted = fit or fit_buckling
-    result = fitted(gone - rest, body.zones[-1].pressure_psi, body.length_cm, bench.config)
-    return _shown(result, np.abs(column(rows, "moment")), bench.config)
+    result = fitted(
+        pushed_k - straight_k, body.zones[-1].pressure_psi, body.length_cm, bench.config
+    )
+    return _require_fold(result, np.abs(column(rows, "moment")), bench.config)
 
 
 def _in_fold(config: RobotConfig) -> Mask:
@@ -116,7 +122,7 @@ def _in_fold(config: RobotConfig) -> Mask:
     return np.asarray((healthy > 0) & reached)
 
 
-def _shown(result: BucklingResult, pushed: Array, config: RobotConfig) -> BucklingResult:
+def _require_fold(result: BucklingResult, pushed: Array, config: RobotConfig) -> BucklingResult:
     """The result; not good if nothing shows that the base folded.
 
     `pushed` (t,) are the moments to which the pushes would bend a base that does not fold, 1/cm;
@@ -124,8 +130,8 @@ def _shown(result: BucklingResult, pushed: Array, config: RobotConfig) -> Buckli
     """
     if _in_fold(config).any() or not result.verdict.good:
         return result
-    known = np.isfinite(result.each) & np.isfinite(pushed)
-    x, y = np.log(pushed[known]), np.log(result.each[known])
+    valid = np.isfinite(result.trial_curvature) & np.isfinite(pushed)
+    x, y = np.log(pushed[valid]), np.log(result.trial_curvature[valid])
     if len(x) < 2 or np.ptp(x) < 0.5 * np.log(_DEEPER):
         reason = (
             "no sensor reads the fold, and without pushes of two depths nothing shows that the "
@@ -146,7 +152,7 @@ def of_csv(table: Table, config: RobotConfig, fit: Fit | None = None) -> Bucklin
         raise DataError(f"{table.name}: body pressure or length varies", "one file for each")
     curvature = of_sensors(table, "curvature", config)
     result = (fit or fit_buckling)(curvature, float(body[0]), float(length[0]), config)
-    return _shown(result, np.full(len(curvature), np.nan), config)
+    return _require_fold(result, np.full(len(curvature), np.nan), config)
 
 
 def fit_buckling(
@@ -164,60 +170,64 @@ def fit_buckling(
         DataError: the columns are not this robot's, or too few sensors can read either side.
     """
     names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction")
-    center, span, noise, gain, way = constants_of(config, *names)
+    center, span, noise, gain, valid_sign = constants_of(config, *names)
     if curvature.shape[1] != len(center):
         shapes = f"{curvature.shape[1]} columns for {len(center)} sensors"
         raise DataError(shapes, "use this robot's file")
     in_fold = _in_fold(config)
-    beyond = _beyond_fold(config, length_cm)
+    beyond_fold = _beyond_fold(config, length_cm)
     _readable_signs(config, length_cm)  # refuses a robot with too few of them
-    each, excess, own = np.full((3, len(curvature)), np.nan)
+    trial_curvature, excess, trial_se = np.full((3, len(curvature)), np.nan)
     shallow, unread = [], []
     for trial, row in enumerate(curvature):
-        pick = beyond & np.isfinite(row)
+        pick = beyond_fold & np.isfinite(row)
         if pick.sum() >= 2:
-            pick &= (way == 0) | (way == np.sign(np.median(row[pick])))
+            pick &= (valid_sign == 0) | (valid_sign == np.sign(np.median(row[pick])))
         if pick.sum() < 2:
             unread.append(trial)
             continue
         sign = float(np.sign(np.median(row[pick]))) or 1.0
         moment, error = _moment(sign * row[pick], center[pick], span[pick], noise[pick], length_cm)
-        base = in_fold & np.isfinite(row) & ((way == 0) | (way == sign))
-        least = 0.0
+        base = in_fold & np.isfinite(row) & ((valid_sign == 0) | (valid_sign == sign))
+        threshold = 0.0
         if base.any():
             # Share of the moment that base sensors would show on a beam without a fold.
             lever = _levers(moment, center[base], span[base], length_cm)
             excess[trial] = np.mean(sign * row[base] - moment * lever)
-            least = 3 * float(np.hypot(noise[base].max() / np.sqrt(base.sum()), error))
-        if excess[trial] < least:
+            threshold = 3 * float(np.hypot(noise[base].max() / np.sqrt(base.sum()), error))
+        if excess[trial] < threshold:
             shallow.append(trial)
         else:
-            each[trial], own[trial] = moment, error
-    kept = np.isfinite(each)
-    odd = []
-    if kept.sum() >= 4:
-        least = max(float(np.nanmedian(own)), 0.01 * float(np.median(each[kept])))
-        odd = np.flatnonzero(kept)[outlying(each[kept], 4.5, least)].tolist()
-        each[odd] = np.nan
+            trial_curvature[trial], trial_se[trial] = moment, error
+    usable = np.isfinite(trial_curvature)
+    outliers = []
+    if usable.sum() >= 4:
+        threshold = max(
+            float(np.nanmedian(trial_se)), 0.01 * float(np.median(trial_curvature[usable]))
+        )
+        outliers = np.flatnonzero(usable)[
+            outlying(trial_curvature[usable], 4.5, threshold)
+        ].tolist()
+        trial_curvature[outliers] = np.nan
     left_out = ((shallow, ", the base did not fold: push harder"),
-                (unread, ", too few readings"), (odd, " as outlier"))  # fmt: skip
+                (unread, ", too few readings"), (outliers, " as outlier"))  # fmt: skip
     notes = tuple(
         f"trial {', '.join(str(r + 1) for r in rows)} omitted{shapes}"
         for rows, shapes in left_out
         if rows
     )
-    kept = np.isfinite(each)
-    n = int(kept.sum())
+    usable = np.isfinite(trial_curvature)
+    n = int(usable.sum())
     if n == 0:
         verdict = Verdict(False, "no trial shows a fold; push the tip harder", notes)
-        return BucklingResult(np.nan, np.inf, each, excess, body_pressure_psi, verdict)
-    mean = float(each[kept].mean())
+        return BucklingResult(np.nan, np.inf, trial_curvature, excess, body_pressure_psi, verdict)
+    mean = float(trial_curvature[usable].mean())
     # Few trials estimate their scatter poorly, so it is at least the error of the readings.
-    scatter = float(each[kept].std(ddof=1)) if n > 1 else 0.0
-    within = max(scatter, float(np.sqrt(np.mean(own[kept] ** 2)))) / float(np.sqrt(n))
+    scatter = float(trial_curvature[usable].std(ddof=1)) if n > 1 else 0.0
+    random_se = max(scatter, float(np.sqrt(np.mean(trial_se[usable] ** 2)))) / float(np.sqrt(n))
     # Gain errors are the same in every trial: they do not average out over trials.
-    common = mean * float(np.sqrt(np.sum(gain[beyond] ** 2)) / beyond.sum())
-    se = float(np.hypot(within, common))
+    common_se = mean * float(np.sqrt(np.sum(gain[beyond_fold] ** 2)) / beyond_fold.sum())
+    se = float(np.hypot(random_se, common_se))
     percent = 100 * se / mean
     good = n >= 3 and percent <= 5
     reason = f"{mean:.5f} 1/cm +- {percent:.1f} % from {n} trials at {body_pressure_psi:g} psi"
@@ -226,7 +236,7 @@ def fit_buckling(
     elif not good:
         reason += "; take more trials or calibrate the flex sensors better"
     verdict = Verdict(good, reason, notes)
-    return BucklingResult(mean, se, each, excess, body_pressure_psi, verdict)
+    return BucklingResult(mean, se, trial_curvature, excess, body_pressure_psi, verdict)
 
 
 def _beyond_fold(config: RobotConfig, length_cm: float) -> Mask:
@@ -241,9 +251,13 @@ def _readable_signs(config: RobotConfig, length_cm: float) -> list[int]:
 
     Raises DataError if there are none.
     """
-    (way,) = constants_of(config, "valid_direction")
-    beyond = _beyond_fold(config, length_cm)
-    signs = [sign for sign in (1, -1) if (beyond & ((way == 0) | (way == sign))).sum() >= 2]
+    (valid_sign,) = constants_of(config, "valid_direction")
+    beyond_fold = _beyond_fold(config, length_cm)
+    signs = [
+        sign
+        for sign in (1, -1)
+        if (beyond_fold & ((valid_sign == 0) | (valid_sign == sign))).sum() >= 2
+    ]
     if not signs:
         raise DataError(
             "fewer than two healthy sensors beyond the fold answer to a push to the same side",

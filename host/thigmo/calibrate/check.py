@@ -22,7 +22,7 @@ Mark = Literal["ok", "warning", "bad"]
 class Finding:
     """The result of checking one part."""
 
-    what: str
+    part: str
     mark: Mark
     text: str
 
@@ -34,13 +34,13 @@ class CheckReadings:
     rest_ohm: Array  # (n, m) resistances of the straight, vented robot
     bend_ohm: dict[Side, Array]  # resistances (m,) with the muscle of a side at `bend_psi`
     bend_psi: float  # muscle pressure of those readings
-    bend_seen: dict[Side, float]  # curvature by camera, 1/cm, by side; empty without a camera
+    camera_bend: dict[Side, float]  # curvature by camera, 1/cm, by side; empty without a camera
     # (t, 2) time (s) and pressure (psi) while the muscle of a side is held, to find leaks
-    held_psi: dict[Side, Array]
+    hold_psi: dict[Side, Array]
     zone: int = 0  # pressure zone in use
     # by name of a muscle out of the plane: bend by the sensors, 1/cm (nan if none reads it), and
     # (t, 2) time and pressure while it is held
-    unseen: dict[str, tuple[float, Array]] = field(default_factory=dict)
+    out_of_plane: dict[str, tuple[float, Array]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -56,25 +56,25 @@ def guided(bench: Bench) -> CheckResult:
     bench.ready_to_bend()
     robot, config = bench.robot, bench.config
     reads = [robot.read(0.25) for _ in range(8)]
-    rest, straight = np.array([bench.ohm(reading) for reading in reads]), reads[-1].resistance
+    rest_ohm, straight = np.array([bench.ohm(reading) for reading in reads]), reads[-1].resistance
     top = 0.7 * min(muscle.max_pressure_psi for muscle in config.muscles)
-    readings = CheckReadings(rest, {}, top, {}, {}, zone=len(config.body.zones) - 1)
+    readings = CheckReadings(rest_ohm, {}, top, {}, {}, zone=len(config.body.zones) - 1)
     for number, muscle in enumerate(config.muscles):
         bench.press(muscle.name, top)
         robot.wait(STEADY_S)
         record = robot.record(4.0)
-        held = np.column_stack([record.t_s - record.t_s[0], record.pressure_psi[:, number]])
+        hold = np.column_stack([record.t_s - record.t_s[0], record.pressure_psi[:, number]])
         if muscle.side is None:
-            gone = robot.read(1.0).resistance - straight
+            change_ohm = robot.read(1.0).resistance - straight
             sensors = [w for w in bench.wiring.sensors_reading(muscle) if w.sound]
-            bend = curvature_by_sensors(gone[None], sensors)[0][0]
-            readings.unseen[muscle.name] = float(bend), held
+            bend = curvature_by_sensors(change_ohm[None], sensors)[0][0]
+            readings.out_of_plane[muscle.name] = float(bend), hold
         else:
-            readings.held_psi[muscle.side] = held
+            readings.hold_psi[muscle.side] = hold
             readings.bend_ohm[muscle.side] = bench.mean_ohm(record)
-            shot = bench.seen(lambda: {"k": _bend(bench)}, {"k": None})
-            if shot["k"] is not None:
-                readings.bend_seen[muscle.side] = shot["k"]
+            picture = bench.camera_reading(lambda: {"k": _bend(bench)}, {"k": None})
+            if picture["k"] is not None:
+                readings.camera_bend[muscle.side] = picture["k"]
         robot.vent()
         robot.wait(1.0)
     return run_check(readings, config)
@@ -96,13 +96,13 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     scatter = np.ma.masked_invalid(readings.rest_ohm).std(axis=0).filled(np.nan)
     findings = []
     for number, (name, sensor) in enumerate(sensors.items()):
-        mark, text = _at_rest(sensor, zero[number], scatter[number])
+        mark, text = _judge_rest(sensor, zero[number], scatter[number])
         findings.append(Finding(f"sensor {name}", mark, text))
     for side in config.sides:
-        findings += [Finding(*finding) for finding in _bent(side, readings, zero, config)]
+        findings += [Finding(*finding) for finding in _judge_bend(side, readings, zero, config)]
         tight = f"{config.muscle(side).name} muscle's tightness"
-        findings.append(Finding(tight, *_leak(readings.held_psi[side])))
-    for name, (bend, held) in readings.unseen.items():
+        findings.append(Finding(tight, *_judge_hold(readings.hold_psi[side])))
+    for name, (bend, hold) in readings.out_of_plane.items():
         zone = config.muscles[config.muscle_number(name)].maps[readings.zone]
         expected = zone.inflate.curvature(readings.bend_psi)
         if not np.isfinite(bend):
@@ -112,16 +112,16 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
             text = f"is not calibrated; it bends by {bend:+.4f} 1/cm"
             findings.append(Finding(f"{name} muscle", "warning", text))
         else:
-            findings.append(Finding(f"{name} muscle", *_as_mapped(bend, expected)))
-        findings.append(Finding(f"{name} muscle's tightness", *_leak(held)))
+            findings.append(Finding(f"{name} muscle", *_compare_with_map(bend, expected)))
+        findings.append(Finding(f"{name} muscle's tightness", *_judge_hold(hold)))
     bad, warned = (
-        [f"{f.what}: {f.text}" for f in findings if f.mark == mark] for mark in ("bad", "warning")
+        [f"{f.part}: {f.text}" for f in findings if f.mark == mark] for mark in ("bad", "warning")
     )
     first, *notes = [*(bad or ["the robot is as robot.toml says"]), *warned]
     return CheckResult(tuple(findings), Verdict(not bad, first, tuple(notes)))
 
 
-def _at_rest(sensor: BoardSensor, zero: float, scatter: float) -> tuple[Mark, str]:
+def _judge_rest(sensor: BoardSensor, zero: float, scatter: float) -> tuple[Mark, str]:
     if not sensor.healthy:
         return "ok", "marked unhealthy, not used"
     if not np.isfinite(zero) or zero > 300_000:
@@ -137,7 +137,7 @@ def _at_rest(sensor: BoardSensor, zero: float, scatter: float) -> tuple[Mark, st
     return "ok", f"zero within {abs(drift):.4f} 1/cm"
 
 
-def _bent(
+def _judge_bend(
     side: Side, readings: CheckReadings, zero: Array, config: RobotConfig
 ) -> Iterator[tuple[str, Mark, str]]:
     """Findings of one inflated muscle: camera and sensors of both sides against the map."""
@@ -145,15 +145,15 @@ def _bent(
     muscle = config.muscle(side)
     mapped = muscle.maps[readings.zone].inflate
     expected = sign * mapped.curvature(readings.bend_psi)
-    target = seen = readings.bend_seen.get(side)
+    target = measured = readings.camera_bend.get(side)
     subject = f"{muscle.name} muscle"
-    if seen is None:
+    if measured is None:
         target = expected
     else:
-        yield subject, *_as_mapped(seen, expected)
+        yield subject, *_compare_with_map(measured, expected)
     shares: dict[Side, list[float]] = {side: [] for side in SIDES}
-    gone = readings.bend_ohm[side] - zero
-    for (name, sensor), ohm in zip(sensors_of(config).items(), gone.tolist(), strict=True):
+    change = readings.bend_ohm[side] - zero
+    for (name, sensor), ohm in zip(sensors_of(config).items(), change.tolist(), strict=True):
         if not sensor.side or not sensor.healthy or not np.isfinite(ohm):
             continue
         share = ohm * sensor.scale_per_ohm / target
@@ -164,43 +164,43 @@ def _bent(
     far: Side = opposite(side)
     if min(map(len, shares.values())) < 2:
         return
-    off, near = (float(np.median(np.abs(np.array(shares[s]) - 1))) for s in (far, side))
-    if off > 0.3 and near < min(0.5 * off, 0.3):
+    far_error, near_error = (float(np.median(np.abs(np.array(shares[s]) - 1))) for s in (far, side))
+    if far_error > 0.3 and near_error < min(0.5 * far_error, 0.3):
         yield ("sensor columns", "bad", f"with the {muscle.name} muscle the sensors on its side "
                "fit and the others do not: the columns are swapped")  # fmt: skip
     elif float(np.median(shares[far])) < -0.3:
         yield ("sensor columns", "bad", "read bends with the wrong sign: swapped sides, or an old "
                "robot.toml")  # fmt: skip
-    elif off > 0.15:
+    elif far_error > 0.15:
         column = config.column_name(DEGREES[far])
-        off_text = f"read {100 * off:.0f} % off the bend: recalibrate flex"
-        yield f"{column} sensors", "warning", off_text
+        error_text = f"read {100 * far_error:.0f} % off the bend: recalibrate flex"
+        yield f"{column} sensors", "warning", error_text
 
 
-def _as_mapped(seen: float, expected: float) -> tuple[Mark, str]:
+def _compare_with_map(measured: float, expected: float) -> tuple[Mark, str]:
     """Whether a muscle bends the body as its map says; both curvatures are signed, 1/cm."""
-    if seen * np.sign(expected) < -0.002:
+    if measured * np.sign(expected) < -0.002:
         return "bad", (
             "bends the robot to the other side: the muscles' tubes are swapped, or the camera is "
             "mirrored"
         )
-    if abs(seen) < 0.3 * abs(expected):
+    if abs(measured) < 0.3 * abs(expected):
         return "bad", (
-            f"bends by {seen:+.4f} 1/cm, {expected:+.4f} were expected: no air, a leak, or a "
+            f"bends by {measured:+.4f} 1/cm, {expected:+.4f} were expected: no air, a leak, or a "
             "wrong map"
         )
-    if abs(seen - expected) > 0.15 * abs(expected):
+    if abs(measured - expected) > 0.15 * abs(expected):
         return "warning", (
-            f"bends by {seen:+.4f} 1/cm, the map says {expected:+.4f}: recalibrate the actuator"
+            f"bends by {measured:+.4f} 1/cm, the map says {expected:+.4f}: recalibrate the actuator"
         )
-    return "ok", f"bends by {seen:+.4f} 1/cm as mapped"
+    return "ok", f"bends by {measured:+.4f} 1/cm as mapped"
 
 
-def _leak(held: Array) -> tuple[Mark, str]:
+def _judge_hold(hold: Array) -> tuple[Mark, str]:
     """Whether the pressure (n, 2: time, psi) sags while it is held."""
-    if len(held) < 10:
+    if len(hold) < 10:
         return "warning", "too short a hold to judge"
-    t, psi = held.T
+    t, psi = hold.T
     sag = -float(np.polyfit(t, psi, 1)[0]) * float(np.ptp(t))
     if sag > 0.5:
         return "bad", f"pressure falls by {sag:.1f} psi during the hold: a leak"

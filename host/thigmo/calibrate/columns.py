@@ -45,8 +45,8 @@ def constants_of(config: RobotConfig, *names: str) -> Array:
 
 def medians(rows: Array) -> Array:
     """(m,) medians of columns (n, m) without nan; nan for a column of nan only."""
-    known = (values[np.isfinite(values)] for values in rows.T)
-    return np.array([np.median(values) if len(values) else np.nan for values in known])
+    finite = (values[np.isfinite(values)] for values in rows.T)
+    return np.array([np.median(values) if len(values) else np.nan for values in finite])
 
 
 def of_sensors(table: Table, quantity: str, config: RobotConfig) -> Array:
@@ -65,16 +65,16 @@ def sides_of(table: Table) -> list[Side]:
 
 def muscle_sides(table: Table, config: RobotConfig) -> list[str]:
     """(n,) side of the muscle in the column `active` of a CSV, which has names or sides; or ""."""
-    known: dict[str, str] = {"": "", **dict(zip(SIDES, SIDES, strict=True))}
-    known |= {muscle.name.lower(): muscle.side for muscle in config.muscles if muscle.side}
+    side_by_word: dict[str, str] = {"": "", **dict(zip(SIDES, SIDES, strict=True))}
+    side_by_word |= {muscle.name.lower(): muscle.side for muscle in config.muscles if muscle.side}
     words = table.words("active", "")
     for row, word in enumerate(words):
-        if word.lower() not in known:
+        if word.lower() not in side_by_word:
             raise DataError(
                 f"{table.name}, line {table.lines[row]}: no muscle of the plane is called {word}",
                 f"use {' or '.join(m.name for m in config.muscles if m.side)}",
             )
-    return [known[word.lower()] for word in words]
+    return [side_by_word[word.lower()] for word in words]
 
 
 def grouped(keys: Iterable[Key]) -> list[tuple[Key, list[int]]]:

@@ -30,7 +30,7 @@ class Drive(AbstractContextManager["Drive"]):
     def __init__(self, robot: Robot, config: RobotConfig) -> None:
         self._robot, self._config = robot, config
         self._dead_zone = robot.parameter("spool_dead_zone")[0]
-        self._seen: list[tuple[float, float, float]] = []
+        self._samples: list[tuple[float, float, float]] = []
         self._end = robot.on_telemetry(self._take)
 
     def __exit__(self, *_: object) -> None:
@@ -38,16 +38,16 @@ class Drive(AbstractContextManager["Drive"]):
 
     def _take(self, frame: Telemetry) -> None:
         if frame.activity == wire.Activity.GROWING.key:
-            self._seen.append((frame.device_s, frame.length_cm, _FULL * frame.motor))
+            self._samples.append((frame.device_s, frame.length_cm, _FULL * frame.motor))
 
     def rows(self) -> list[Row]:
         """Duty and encoder counts a second at each body pressure used since the last call."""
-        seen, self._seen = np.array(self._seen).reshape(-1, 3), []
+        samples, self._samples = np.array(self._samples).reshape(-1, 3), []
         body, spool = self._config.body, self._config.spool
-        zones = np.array([body.zone_at(length) for length in seen[:, 1]])
+        zones = np.array([body.zone_at(length) for length in samples[:, 1]])
         duties = []
         for zone in range(len(body.zones)):
-            in_zone = seen[zones == zone]
+            in_zone = samples[zones == zone]
             # The end of a growth may lie beyond a boundary, and the next one begins later.
             pauses = np.flatnonzero(np.diff(in_zone[:, 0]) > _PAUSE_S) + 1
             t, length, duty = max(np.split(in_zone, pauses), key=len).T

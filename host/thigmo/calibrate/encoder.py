@@ -94,14 +94,14 @@ def fit_encoder(
             "`thigmo calibrate encoder --again`"
         )
     else:
-        out = np.flatnonzero(~fit.used & ~missing).tolist()
-        if out:
-            notes.append(f"omitted {listed(names, out)} as outliers")
+        outliers = np.flatnonzero(~fit.used & ~missing).tolist()
+        if outliers:
+            notes.append(f"omitted {listed(names, outliers)} as outliers")
         if fit.used.sum() >= 6:
             unit = counts / max(np.nanmax(np.abs(counts)), 1)
-            kept = np.where(fit.used, length_cm, np.nan)
+            inlier_cm = np.where(fit.used, length_cm, np.nan)
             design = np.column_stack([ones, unit, unit**2])
-            curved = fit_linear(design, kept, tip_se, reject=False)
+            curved = fit_linear(design, inlier_cm, tip_se, reject=False)
             bow = abs(float(curved.coefficients[2]))
             if bow > max(4 * curved.se(2), 1.2):
                 notes.append(f"the wound radius changes: lengths are off by up to {bow / 4:.1f} cm")
@@ -124,8 +124,8 @@ def _slip(counts: Array, length: Array, tip_se: float) -> tuple[int, float] | No
     """Row and size (cm) of a lasting offset in length at equal slope; None if there is none."""
     good = np.flatnonzero(np.isfinite(counts) & np.isfinite(length))
     splits: list[tuple[float, int, float]] = []
-    for at in range(2, len(good) - 1):
-        step = np.arange(len(good)) >= at
+    for first in range(2, len(good) - 1):
+        step = np.arange(len(good)) >= first
         design = np.column_stack([np.ones(len(good)), counts[good], step])
         try:
             fit = fit_linear(design, length[good], tip_se, reject=False)
@@ -133,5 +133,5 @@ def _slip(counts: Array, length: Array, tip_se: float) -> tuple[int, float] | No
             continue
         size = -float(fit.coefficients[2])
         if size > max(0.5, 5 * fit.se(2)):
-            splits.append((fit.sigma, int(good[at]), size))
+            splits.append((fit.sigma, int(good[first]), size))
     return min(splits, key=lambda split: split[0])[1:] if splits else None

@@ -103,13 +103,14 @@ def fit_fibre(t_s: Array, curvature: Array, strain: Array, config: RobotConfig) 
     Raises:
         DataError: there are too few bends, or they differ too little.
     """
-    seen = np.isfinite(t_s) & np.isfinite(curvature)
-    if seen.sum() < _FEWEST or np.ptp(curvature[seen]) < _LEAST_BEND:
+    measured = np.isfinite(t_s) & np.isfinite(curvature)
+    if measured.sum() < _FEWEST or np.ptp(curvature[measured]) < _LEAST_BEND:
         raise DataError(
-            f"{int(seen.sum())} free bends that the camera saw", f"take {_FEWEST} and more, apart"
+            f"{int(measured.sum())} free bends that the camera saw",
+            f"take {_FEWEST} and more, apart",
         )
     gratings = config.gratings
-    lines = [_line(t_s, curvature, strain[:, n], seen) for n in range(len(gratings))]
+    lines = [_line(t_s, curvature, strain[:, n], measured) for n in range(len(gratings))]
     fits = [_fit(n, gratings, lines) for n, sensor in enumerate(gratings) if sensor.side]
     good = [fit for fit in fits if fit.healthy]
     notes = tuple(f"strain_{fit.index} {fit.reason}" for fit in fits if not fit.healthy)
@@ -119,27 +120,27 @@ def fit_fibre(t_s: Array, curvature: Array, strain: Array, config: RobotConfig) 
         )
     drift = np.median([fit.drift_ue_s * fit.scale_per_ue for fit in good])
     temperature = float(abs(drift) * FibreSensor.warm_s)
-    turned = np.array([fit.twist_rad for fit in good])
-    turned = turned[np.isfinite(turned)]
-    twist = float(np.sqrt(np.mean(turned**2))) if turned.size else np.nan
+    twists = np.array([fit.twist_rad for fit in good])
+    twists = twists[np.isfinite(twists)]
+    twist = float(np.sqrt(np.mean(twists**2))) if twists.size else np.nan
     worst = max(fit.scale_se for fit in good)
     reason = (
         f"{len(good)} of {len(fits)} gratings; scales known to {100 * worst:.1f} % at worst; "
         f"temperature shifts all by {60 * abs(drift):.1e} 1/cm a minute"
     )
-    if turned.size:
+    if twists.size:
         reason += f"; twisted by {np.degrees(twist):.1f} degrees"
     return FibreResult(tuple(fits), temperature, twist, Verdict(True, reason, notes))
 
 
-def _line(t_s: Array, curvature: Array, strain: Array, seen: Mask) -> LinearFit | None:
+def _line(t_s: Array, curvature: Array, strain: Array, measured: Mask) -> LinearFit | None:
     """Zero, drift and slope (microstrain per 1/cm) of a reading; None if too few bends have it."""
-    usable = seen & np.isfinite(strain)
+    usable = measured & np.isfinite(strain)
     if usable.sum() < _FEWEST or np.ptp(curvature[usable]) < _LEAST_BEND:
         return None
-    since = t_s[usable] - t_s[usable].mean()
+    elapsed_s = t_s[usable] - t_s[usable].mean()
     return fit_linear(
-        np.column_stack([np.ones_like(since), since, curvature[usable]]), strain[usable]
+        np.column_stack([np.ones_like(elapsed_s), elapsed_s, curvature[usable]]), strain[usable]
     )
 
 
@@ -152,14 +153,14 @@ def _fit(index: int, gratings: list[FibreSensor], lines: list[LinearFit | None])
     se = float(np.hypot(line.se(2) / max(abs(slope), 1e-9), CAMERA_SCALE_SE))
     if se > _MOST_SE:
         return FibreFit(index, False, "does not follow the bends; check which grating it is")
-    across = [
+    cross_lines = [
         lines[n]
-        for n, other in enumerate(gratings)
-        if other.side is None and abs(other.center_cm - gratings[index].center_cm) < _GRATING_CM
+        for n, grating in enumerate(gratings)
+        if grating.side is None and abs(grating.center_cm - gratings[index].center_cm) < _GRATING_CM
     ]
     twist = np.nan
-    if across and (beside := across[0]) is not None:
-        twist = float(np.arctan2(abs(beside.coefficients[2]), abs(slope)))
+    if cross_lines and (cross_line := cross_lines[0]) is not None:
+        twist = float(np.arctan2(abs(cross_line.coefficients[2]), abs(slope)))
     return FibreFit(
         index, True, f"scale known to {100 * se:.1f} %", 1.0 / slope, se, zero, drift, line.sigma,
         twist,

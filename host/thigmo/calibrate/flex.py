@@ -28,8 +28,8 @@ from thigmo.calibrate.flex_lines import (
     OrderedFit,
     directions_of,
     dropouts,
-    honest_lines,
     nonlinearities,
+    reml_lines,
     working,
 )
 from thigmo.calibrate.flex_rows import Rows, columns_swapped, judge_rows, mirrored, model_rows
@@ -157,21 +157,21 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
             "repeat the step; " + rows.notes[0] if rows.notes else "take at least ten places",
         )
     for number, (column, name) in enumerate(zip(rows.columns(), sensors, strict=True)):
-        lost, values = dropouts(column.ohm, column.model)
+        dropped, values = dropouts(column.ohm, column.model)
         if values:
-            rows.ohm[lost, number] = np.nan
-            at = " and ".join(f"{value / 1000:.4g}" for value in values)
-            share = lost.sum() / max(1, rows.asked(number))
+            rows.ohm[dropped, number] = np.nan
+            constants = " and ".join(f"{value / 1000:.4g}" for value in values)
+            share = dropped.sum() / max(1, rows.expected_readings(number))
             rows.notes.append(
-                f"{name} stands at {at} kOhm in {share:.0%} of its rows, however it is bent: "
-                "those rows are omitted; look for a loose wire"
+                f"{name} stands at {constants} kOhm in {share:.0%} of its rows, however it is "
+                "bent: those rows are omitted; look for a loose wire"
             )
     directions = directions_of(rows.columns(), rows.sides)
     rows.usable &= (directions == 0) | (directions * rows.model >= -1e-12)
     rows.find_loop_width()
     judge_rows(rows)
     columns = rows.columns()
-    lines = honest_lines(columns)
+    lines = reml_lines(columns)
     curves = nonlinearities([
         column if line is None else column._replace(ohm=np.where(line.used, column.ohm, np.nan))
         for column, line in zip(columns, lines, strict=True)
@@ -182,23 +182,27 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
         nominal = 1 / abs(sensors[name].scale_per_ohm)
         reason, used = "not everted at this length", 0
         if rows.on_body[number]:
-            reason, used = _fault(column, line, rows.asked(number), nominal)
+            reason, used = _fault(column, line, rows.expected_readings(number), nominal)
         if reason or line is None:
             fits.append(FlexFit(name, False, reason, used))
         else:
             direction = cast(Direction, int(directions[number]))
             fits.append(_sensor(name, column, line, curves[number], direction))
-    verdict = _verdict([fit for fit, on in zip(fits, rows.on_body, strict=True) if on], rows)
+    verdict = _verdict(
+        [fit for fit, everted in zip(fits, rows.on_body, strict=True) if everted], rows
+    )
     return FlexResult(tuple(fits), verdict, rows, rows.loop_width)
 
 
-def _fault(column: Column, line: OrderedFit | None, asked: int, nominal: float) -> tuple[str, int]:
+def _fault(
+    column: Column, line: OrderedFit | None, expected: int, nominal: float
+) -> tuple[str, int]:
     """Why a sensor cannot be used ("" if it can), and how many rows show it."""
-    seen = int(column.seen.sum())
-    if seen < 0.5 * asked:
+    count = int(column.finite.sum())
+    if count < 0.5 * expected:
         return "is open or shorted (most readings are out of range): check its wire", 0
     if line is None:
-        return "has too few readings, or none that vary", seen
+        return "has too few readings, or none that vary", count
     if working(line):
         return "", 0
     if line.se(1) > 0.1 * nominal:
@@ -218,8 +222,8 @@ def _sensor(
     scale = 1.0 / float(line.coefficients[1])
     one_way = _one_way(column, line)
     se = float(np.hypot(np.hypot(line.se(1) * abs(scale), CAMERA_SCALE_SE), one_way))
-    rest = line.residuals[line.used]
-    spread = float(np.sqrt(rest @ rest / max(1, used - 3)))
+    residuals = line.residuals[line.used]
+    spread = float(np.sqrt(residuals @ residuals / max(1, used - 3)))
     bend, bend_se, misfit = curve
     curves = abs(bend) > 0.05 and abs(bend) > 4 * bend_se
     reason = f"scale known to {100 * se:.1f} %"
@@ -229,7 +233,7 @@ def _sensor(
     elif curves:
         reason += f", but its answer curves by {100 * bend:.0f} % at full bend"
     return FlexFit(
-        name, se <= 0.1, reason, used, int((column.seen & ~line.used).sum()),
+        name, se <= 0.1, reason, used, int((column.finite & ~line.used).sum()),
         scale_per_ohm=scale, scale_se=se, sweep_se=line.sweep_gain,
         zero_ohm=float(line.coefficients[0]), zero_se_ohm=line.se(0), valid_direction=direction,
         noise=max(spread * abs(scale), _LEAST_NOISE), lasting=line.lasting,
@@ -245,7 +249,7 @@ def _one_way(column: Column, line: OrderedFit) -> float:
     If bends only grow, the loop soon stays at one end. Only the first few thousandths of curvature
     then separate slope and loop, so what the fit assigns to the loop may belong to the slope.
     """
-    rows = np.flatnonzero(column.seen)
+    rows = np.flatnonzero(column.finite)
     k, block = column.model[rows], column.block[rows]
     top = float(np.abs(k).max(initial=0.0))
     falls = np.abs(k[:-1]) - np.abs(k[1:]) > _FALL * top

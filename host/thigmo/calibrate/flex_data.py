@@ -94,7 +94,7 @@ class FlexReadings:
         its own session.
         """
         block = np.cumsum([n > 0 and r["rest"] != rows[n - 1]["rest"] for n, r in enumerate(rows)])
-        rest = column(rows, "rest")
+        rest_ohm = column(rows, "rest")
         return cls(
             tuple(r.get("kind", "bend") for r in rows),
             column(rows, "tip", (None, None)),
@@ -102,7 +102,7 @@ class FlexReadings:
             np.nan_to_num(column(rows, "k_se")),
             # A vented muscle wrinkles no sensor, so both sides read such a row well.
             tuple(r["side"] if "side" in r and float(r["psi"]) > VENTED_PSI else "" for r in rows),
-            column(rows, "ohm") - rest + medians(rest),  # a dead sensor has no rest
+            column(rows, "ohm") - rest_ohm + medians(rest_ohm),  # a dead sensor has no rest
             length_cm,
             column(rows, "asked"),
             block.astype(np.int64),

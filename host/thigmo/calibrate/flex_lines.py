@@ -5,7 +5,7 @@ are fitted together with zero and scale; otherwise the scale would be off by one
 
 A sensor also creeps, so residuals of neighbouring rows are correlated, and its scale differs a
 little from sweep to sweep. Least squares with independent rows then states errors 5 to 10 times too
-small. In `honest_lines` the covariance of the rows is white noise, plus a part that decays over
+small. In `reml_lines` the covariance of the rows is white noise, plus a part that decays over
 some rows, plus one gain for each sweep. The amounts are integrated out on a grid by the restricted
 likelihood (REML), with the common variance by Student's t. The sensors of a robot are much alike,
 so together they determine which points of the grid are likely (expectation maximisation of the
@@ -33,7 +33,7 @@ LOOP_WIDTHS = (2e-3, 5e-3, 1e-2)  # 1/cm
 # as many.
 _ALIKE, _MANY = 2e-3, 0.03
 
-_MOST_ROWS = 60  # rows in an honest line; more are averaged in order
+_MOST_ROWS = 60  # rows in a REML fit; more are averaged in order
 # (share of the variance that lasts, rows over which it decays by e), and their prior.
 _LASTING = [(0.0, 1.0), *((share, rows) for share in (0.4, 0.7, 0.95) for rows in (2.0, 6.0, 20.0))]
 _LASTING_PRIOR = [0.7] + [0.3 / 9] * 9
@@ -55,14 +55,14 @@ def loop_turns(model: Array, block: NDArray[np.int64], width: float = LOOP_WIDTH
         width: curvature over which the loop turns, 1/cm.
     """
     turn = np.zeros(model.shape)
-    state = before = np.zeros(model.shape[1])
+    state = previous = np.zeros(model.shape[1])
     for row, k in enumerate(model):
         if row and block[row] != block[row - 1]:
-            state = before = np.zeros(model.shape[1])
+            state = previous = np.zeros(model.shape[1])
         if np.isfinite(k).all():
-            way = np.sign(k - before)
-            turned = way + (state - way) * np.exp(-abs(k - before) / width)
-            state, before = np.where(way == 0, state, turned), k
+            sign = np.sign(k - previous)
+            next_state = sign + (state - sign) * np.exp(-abs(k - previous) / width)
+            state, previous = np.where(sign == 0, state, next_state), k
         turn[row] = state
     return turn
 
@@ -79,7 +79,7 @@ class Column(NamedTuple):
     bends: Array  # (n, q) what its answer is made of: `model`, or its parts
 
     @property
-    def seen(self) -> Mask:
+    def finite(self) -> Mask:
         """(n,) whether there is a reading."""
         return np.isfinite(self.ohm)
 
@@ -104,7 +104,7 @@ def fit_line(column: Column) -> LinearFit | None:
     for each. It matters if a sensor was only read while bending grew. Returns None if there are too
     few readings, or none that vary.
     """
-    if column.seen.sum() < 6:
+    if column.finite.sum() < 6:
         return None
     design, n = column.design(), len(column.ohm)
     loose = 1 + column.bends.shape[1]
@@ -124,21 +124,21 @@ def fit_line(column: Column) -> LinearFit | None:
     return replace(fit, used=fit.used[:n], residuals=fit.residuals[:n])
 
 
-def honest_lines(columns: Sequence[Column]) -> list[OrderedFit | None]:
+def reml_lines(columns: Sequence[Column]) -> list[OrderedFit | None]:
     """As `fit_line` for each sensor, with errors mixed over the grid by the evidence of all."""
     fits = [fit_line(column) for column in columns]
     pairs = zip(columns, fits, strict=True)
-    known = [_over_grid(column, fit) for column, fit in pairs if fit is not None]
-    if not known:
+    grid_fits = [_grid_fit(column, fit) for column, fit in pairs if fit is not None]
+    if not grid_fits:
         return [None] * len(fits)
     prior = share = np.outer(_LASTING_PRIOR, _SWEEP_PRIOR).ravel()
-    evidence = np.exp([log_evidence - log_evidence.max() for _, log_evidence, _ in known])
+    evidence = np.exp([log_evidence - log_evidence.max() for _, log_evidence, _ in grid_fits])
     for _ in range(50):
         weights = evidence * share
         weights /= weights.sum(axis=1, keepdims=True)
         # A single sensor cannot change the shares: that takes several.
-        shown = weights.sum(axis=0) - weights.mean(axis=0)
-        share = (_PRIOR_COUNT * prior + shown) / (_PRIOR_COUNT + len(known) - 1)
+        effective_counts = weights.sum(axis=0) - weights.mean(axis=0)
+        share = (_PRIOR_COUNT * prior + effective_counts) / (_PRIOR_COUNT + len(grid_fits) - 1)
     lasting = np.repeat([share for share, _ in _LASTING], len(_SWEEP_GAINS))
     gains = np.tile(np.square(_SWEEP_GAINS), len(_LASTING))
     mixed = (
@@ -146,12 +146,12 @@ def honest_lines(columns: Sequence[Column]) -> list[OrderedFit | None]:
             **{**vars(line), "covariance": np.einsum("g,gpq->pq", weight, covariances)},
             lasting=float(weight @ lasting), sweep_gain=float(np.sqrt(weight @ gains)),
         )
-        for (line, _, covariances), weight in zip(known, weights, strict=True)
+        for (line, _, covariances), weight in zip(grid_fits, weights, strict=True)
     )  # fmt: skip
     return [None if fit is None else next(mixed) for fit in fits]
 
 
-def _over_grid(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]:
+def _grid_fit(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]:
     """The line through the rows that a robust fit kept, and its errors at g points of the grid.
 
     Of each point, the restricted log evidence (g,) without the prior, and the covariance (g, p, p).
@@ -172,22 +172,22 @@ def _over_grid(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]
                      column.sweep, column.block)
     )  # fmt: skip
     n, p = x.shape
-    least = 1e-9 * float(np.abs(column.ohm[used]).max())
-    unit = max(fit.sigma, 0.3 * float(np.median(error)), least)
-    apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    floor = 1e-9 * float(np.abs(column.ohm[used]).max())
+    unit = max(fit.sigma, 0.3 * float(np.median(error)), floor)
+    distance = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     lasting = np.array([
-        (1 - share) * np.eye(n) + share * np.exp(-apart / rows) * np.equal.outer(block, block)
+        (1 - share) * np.eye(n) + share * np.exp(-distance / rows) * np.equal.outer(block, block)
         for share, rows in _LASTING
     ])  # fmt: skip
-    swept = np.outer(size, size) / unit**2 * np.equal.outer(sweep, sweep)
-    gains = np.square(_SWEEP_GAINS)[:, None, None] * swept
+    sweep_covariance = np.outer(size, size) / unit**2 * np.equal.outer(sweep, sweep)
+    gains = np.square(_SWEEP_GAINS)[:, None, None] * sweep_covariance
     covariance = (lasting[:, None] + gains + np.diag((error / unit) ** 2)).reshape(-1, n, n)
     root = np.linalg.cholesky(covariance)
     white = np.linalg.solve(root, np.column_stack([x, values]))
     # The prior of loop and sessions' zeros.
     small = np.arange(p) > column.bends.shape[1]
-    firm = np.diag(np.where(small, unit / (slope * _LOOP), 0.0))
-    a = np.concatenate([white[..., :p], np.broadcast_to(firm, (len(white), p, p))], axis=1)
+    prior_root = np.diag(np.where(small, unit / (slope * _LOOP), 0.0))
+    a = np.concatenate([white[..., :p], np.broadcast_to(prior_root, (len(white), p, p))], axis=1)
     b = np.concatenate([white[..., p], np.zeros((len(white), p))], axis=1)
     normal = np.einsum("gnp,gnq->gpq", a, a)
     inverse = np.linalg.pinv(normal, hermitian=True)
@@ -202,7 +202,7 @@ def _over_grid(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]
     # The estimate itself is that of independent rows. If loop or curve differ from their models,
     # generalised least squares would follow the difference instead of the slope.
     weight = 1 / (1 + (error / unit) ** 2)
-    prior = firm @ firm
+    prior = prior_root @ prior_root
     solved = np.linalg.pinv(x.T @ (weight[:, None] * x) + prior, hermitian=True)
     gain = solved @ (x.T * weight)
     # Student's t has a variance of nu / (nu - 2) times its scale squared.
@@ -236,26 +236,30 @@ def dropouts(ohm: Array, model: Array) -> tuple[Mask, list[float]]:
     separates a third of the rows from the others. A sound sensor never gives one value for many
     bends.
     """
-    lost = np.zeros(len(ohm), bool)
+    dropped = np.zeros(len(ohm), bool)
     values: list[float] = []
     while True:
-        rows = np.flatnonzero(np.isfinite(ohm) & np.isfinite(model) & ~lost)
+        rows = np.flatnonzero(np.isfinite(ohm) & np.isfinite(model) & ~dropped)
         if len(rows) < 8:
-            return lost, values
+            return dropped, values
         rows = rows[np.argsort(ohm[rows])]
         sorted_ohm, reach = ohm[rows], float(np.ptp(model[rows]))
         spread = float(np.ptp(np.quantile(sorted_ohm, [0.05, 0.95])))
-        until = np.searchsorted(sorted_ohm, sorted_ohm + _ALIKE * spread, side="right")
-        first = int(np.argmax(until - np.arange(len(rows))))
-        same = rows[first : until[first]]
-        low, high = np.quantile(model[same], [0.1, 0.9])
-        between = rows[(model[rows] >= low) & (model[rows] <= high) & ~np.isin(rows, same)]
-        if len(same) < max(4, _MANY * len(rows)) or high - low < 0.25 * reach or not len(between):
-            return lost, values
-        if np.median(np.abs(ohm[between] - np.median(ohm[same]))) < 0.05 * spread:
-            return lost, values
-        lost[same] = True
-        values.append(float(np.median(ohm[same])))
+        ends = np.searchsorted(sorted_ohm, sorted_ohm + _ALIKE * spread, side="right")
+        first = int(np.argmax(ends - np.arange(len(rows))))
+        repeats = rows[first : ends[first]]
+        low, high = np.quantile(model[repeats], [0.1, 0.9])
+        neighbours = rows[(model[rows] >= low) & (model[rows] <= high) & ~np.isin(rows, repeats)]
+        if (
+            len(repeats) < max(4, _MANY * len(rows))
+            or high - low < 0.25 * reach
+            or not len(neighbours)
+        ):
+            return dropped, values
+        if np.median(np.abs(ohm[neighbours] - np.median(ohm[repeats]))) < 0.05 * spread:
+            return dropped, values
+        dropped[repeats] = True
+        values.append(float(np.median(ohm[repeats])))
 
 
 def working(fit: LinearFit) -> bool:
@@ -272,16 +276,16 @@ def directions_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[n
     significantly from its column is judged by itself.
     """
     ratio, spread = np.full(len(columns), np.nan), np.full(len(columns), np.inf)
-    asked, halves = [], []
+    judged, halves = [], []
     for number, column in enumerate(columns):
-        k = column.model[column.seen]
+        k = column.model[column.finite]
         # A side that was hardly bent is not judged.
-        bent = 0.1 * float(np.abs(k).max(initial=1e-3))
-        if min((k > bent).sum(), (-k > bent).sum()) >= 3:
-            asked.append(number)
+        threshold = 0.1 * float(np.abs(k).max(initial=1e-3))
+        if min((k > threshold).sum(), (-k > threshold).sum()) >= 3:
+            judged.append(number)
             sides_apart = [np.clip(column.model, 0, None), np.clip(column.model, None, 0)]
             halves.append(column._replace(bends=np.column_stack(sides_apart)))
-    for number, split in zip(asked, honest_lines(halves), strict=True):
+    for number, split in zip(judged, reml_lines(halves), strict=True):
         if split is None:
             continue
         slopes = split.coefficients[1:3]
@@ -292,19 +296,21 @@ def directions_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[n
     signs = np.zeros(len(columns), np.int64)
     limit = -np.log(_ONE_WAY)
     for side in SIDES:
-        alike = np.array([s == side for s in sides])
-        known = alike & np.isfinite(ratio)
-        if not known.any():
+        in_column = np.array([s == side for s in sides])
+        has_ratio = in_column & np.isfinite(ratio)
+        if not has_ratio.any():
             continue
-        weights = 1 / np.maximum(spread[known], 0.02) ** 2
-        pooled = float((weights * ratio[known]).sum() / weights.sum())
-        scatter = float((weights * (ratio[known] - pooled) ** 2).sum()) / max(1, known.sum() - 1)
+        weights = 1 / np.maximum(spread[has_ratio], 0.02) ** 2
+        pooled = float((weights * ratio[has_ratio]).sum() / weights.sum())
+        scatter = float((weights * (ratio[has_ratio] - pooled) ** 2).sum()) / max(
+            1, has_ratio.sum() - 1
+        )
         column_se = float(np.sqrt(max(1.0, scatter) / weights.sum()))
         if abs(pooled) - 4 * column_se > limit:
-            apart = (np.abs(ratio - pooled) > 5 * spread) & (np.abs(ratio) + 2 * spread < limit)
-            signs[alike & ~apart] = 1 if pooled > 0 else -1
-        alone = alike & (np.abs(ratio) - 4 * spread > limit)
-        signs[alone] = np.sign(ratio[alone]).astype(np.int64)
+            deviating = (np.abs(ratio - pooled) > 5 * spread) & (np.abs(ratio) + 2 * spread < limit)
+            signs[in_column & ~deviating] = 1 if pooled > 0 else -1
+        one_sided = in_column & (np.abs(ratio) - 4 * spread > limit)
+        signs[one_sided] = np.sign(ratio[one_sided]).astype(np.int64)
     return signs
 
 
@@ -317,14 +323,14 @@ def nonlinearities(columns: Sequence[Column]) -> list[tuple[float, float, float]
     curved = []
     for column in columns:
         k = column.model
-        largest = max(float(np.abs(k[column.seen]).max(initial=0.0)), 1e-9)
+        largest = max(float(np.abs(k[column.finite]).max(initial=0.0)), 1e-9)
         curved.append(column._replace(bends=np.column_stack([k, np.abs(k) * k / largest])))
     picks = []
-    for column, fit in zip(curved, honest_lines(curved), strict=True):
+    for column, fit in zip(curved, reml_lines(curved), strict=True):
         if fit is None:
             picks.append((0.0, 0.0, 0.0))
             continue
-        k, answer = column.model[column.seen], column.bends[column.seen] @ fit.coefficients[1:3]
+        k, answer = column.model[column.finite], column.bends[column.finite] @ fit.coefficients[1:3]
         line = np.polynomial.Polynomial.fit(k, answer, 1)
         departure = float(np.std(answer - line(k))) / max(float(np.std(answer)), 1e-300)
         total = float(fit.coefficients[1:3].sum())

@@ -64,7 +64,7 @@ class Rows:
         fits = [(column, fit_line(column)) for column in self.columns()]
         return [(column, fit) for column, fit in fits if fit is not None and working(fit)]
 
-    def asked(self, number: int) -> int:
+    def expected_readings(self, number: int) -> int:
         """Number of trusted rows that a sensor should have read."""
         return int((self.usable[:, number] & self.good).sum())
 
@@ -112,11 +112,11 @@ def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
     n, length, kinds = len(readings.kind), readings.length_cm, np.array(readings.kind)
     centers, spans = constants_of(config, "center_cm", "span_cm")
     model, error = np.full((n, len(spans)), np.nan), np.zeros((n, len(spans)))
-    lost, wrong, folded = [], [], []
+    unseen, wrong_side, folded = [], [], []
     # The straight robot, as the camera sees it, defines y = 0.
-    aside = readings.tip_cm[kinds == "straight", 1]
-    aside = aside[np.isfinite(aside)]
-    ahead = float(np.median(aside)) if len(aside) else 0.0
+    straight_y = readings.tip_cm[kinds == "straight", 1]
+    straight_y = straight_y[np.isfinite(straight_y)]
+    center_y = float(np.median(straight_y)) if len(straight_y) else 0.0
     reach = push_tip(config.body.critical_curvature, length).tip[1]
     tip_se = TIP_SE * length
     per_cm = phi(length, centers, spans) * 3 / length**3
@@ -124,18 +124,22 @@ def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
     model[kinds == "bend"] = readings.curvature[kinds == "bend", None]
     error[kinds == "bend"] = readings.curvature_se[kinds == "bend", None]
     for row in np.flatnonzero(kinds == "tip").tolist():
-        x, y = readings.tip_cm[row] - np.array([0.0, ahead])
-        asked = readings.intended_y_cm[row]
+        x, y = readings.tip_cm[row] - np.array([0.0, center_y])
+        intended_y = readings.intended_y_cm[row]
         if not (np.isfinite(y) and np.isfinite(x)):
-            lost.append(row)
-        elif np.isfinite(asked) and asked * y < 0 and min(abs(asked), abs(y)) > 3 * tip_se:
-            wrong.append(row)
+            unseen.append(row)
+        elif (
+            np.isfinite(intended_y)
+            and intended_y * y < 0
+            and min(abs(intended_y), abs(y)) > 3 * tip_se
+        ):
+            wrong_side.append(row)
         elif abs(y) > 1.02 * reach:
             folded.append(row)
         else:
             model[row] = tip_curvature(y, length, centers, spans)
             error[row] = per_cm * tip_se
-    lost += np.flatnonzero((kinds == "bend") & ~np.isfinite(readings.curvature)).tolist()
+    unseen += np.flatnonzero((kinds == "bend") & ~np.isfinite(readings.curvature)).tolist()
     in_range = (readings.ohm > _OHM_RANGE[0]) & (readings.ohm < _OHM_RANGE[1])
     sides = [side for side, _ in places_of(config)]
     rows = Rows(
@@ -151,13 +155,13 @@ def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
         sweeps_of(readings.block, readings.kind, readings.active, model),
         [],
     )
-    if abs(ahead) > 2.0:
+    if abs(center_y) > 2.0:
         rows.notes.append(
-            f"the straight robot's tip stands {ahead:+.1f} cm aside: lay the robot straight, or "
+            f"the straight robot's tip stands {center_y:+.1f} cm aside: lay the robot straight, or "
             "measure the cards' places again"
         )
-    rows.note(sorted(lost), "the camera lost the marker or the body", "clear the view")
-    rows.note(wrong, "the tip stood on the other side than asked for",
+    rows.note(sorted(unseen), "the camera lost the marker or the body", "clear the view")
+    rows.note(wrong_side, "the tip stood on the other side than asked for",
               "push it to the side asked for")  # fmt: skip
     rows.note(folded, "the tip was pushed so far that the base folds", "push it less")
     return rows
@@ -173,29 +177,29 @@ def judge_rows(rows: Rows) -> None:
     live = rows.lines()
     share, scatter = np.full((2, len(rows.good)), np.nan)
     lines = np.array([fit.coefficients[:2] for _, fit in live]).reshape(-1, 2, 1)
-    should = np.array([column.model for column, _ in live])
-    seen = (np.array([column.ohm for column, _ in live]) - lines[:, 0]) / lines[:, 1]
+    expected = np.array([column.model for column, _ in live])
+    measured = (np.array([column.ohm for column, _ in live]) - lines[:, 0]) / lines[:, 1]
     noise = np.array([max(fit.sigma / abs(fit.coefficients[1]), 1e-6) for _, fit in live])
-    for row in np.flatnonzero(np.isfinite(seen).sum(axis=0) >= 3):
-        known = np.isfinite(seen[:, row])
-        bend, spread = should[known, row], noise[known]
+    for row in np.flatnonzero(np.isfinite(measured).sum(axis=0) >= 3):
+        finite = np.isfinite(measured[:, row])
+        bend, spread = expected[finite, row], noise[finite]
         # What lies within the camera's error is bent to no side.
         if np.abs(bend).max() > 3 * max(float(np.median(spread)), float(rows.error[row].max())):
             weights = np.abs(bend) / spread
-            share[row] = _weighted_median(seen[known, row] / bend, weights)
+            share[row] = _weighted_median(measured[finite, row] / bend, weights)
             scatter[row] = 1.25 / np.sqrt(weights @ weights)
     wrong_side = np.flatnonzero((share < _WRONG_SIDE) & (share + 3 * scatter < 0)).tolist()
     rows.note(wrong_side,
               "the sensors say that the robot was bent to the other side than the camera saw",
               "check which side is +y")  # fmt: skip
     rows.good[wrong_side] = False
-    moved = _moved(rows, live)
-    if moved is not None:
-        since, shift = moved
-        rows.good[since:] &= ~rows.tips[since:]
+    split = _find_shift(rows, live)
+    if split is not None:
+        first_shifted, shift = split
+        rows.good[first_shifted:] &= ~rows.tips[first_shifted:]
         rows.notes.append(
-            f"omitted {rows.readings.name[since]} and all later tip places: the camera or the "
-            f"base moved by about {abs(shift):.1f} cm before it; fix it, run `thigmo camera "
+            f"omitted {rows.readings.name[first_shifted]} and all later tip places: the camera or "
+            f"the base moved by about {abs(shift):.1f} cm before it; fix it, run `thigmo camera "
             "locate` and take them again"
         )
     places = np.flatnonzero(rows.good & np.isfinite(share) & rows.tips)
@@ -205,11 +209,11 @@ def judge_rows(rows: Rows) -> None:
             (share[places] - 1) * y,
             np.hypot(scatter[places] * y, TIP_SE * rows.readings.length_cm),
         )
-        off = np.abs(miss_cm - np.median(miss_cm)) > np.maximum(4.5 * miss_se, 0.5)
-        odd = places[off].tolist()
-        if len(odd) <= 0.35 * len(places):
-            rows.note(odd, "the sensors agree that the tip stood elsewhere", "hold it still")
-            rows.good[odd] = False
+        misplaced = np.abs(miss_cm - np.median(miss_cm)) > np.maximum(4.5 * miss_se, 0.5)
+        outliers = places[misplaced].tolist()
+        if len(outliers) <= 0.35 * len(places):
+            rows.note(outliers, "the sensors agree that the tip stood elsewhere", "hold it still")
+            rows.good[outliers] = False
 
 
 def _weighted_median(values: Array, weights: Array) -> float:
@@ -218,7 +222,7 @@ def _weighted_median(values: Array, weights: Array) -> float:
     return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
-def _moved(rows: Rows, live: Sequence[tuple[Column, LinearFit]]) -> tuple[int, float] | None:
+def _find_shift(rows: Rows, live: Sequence[tuple[Column, LinearFit]]) -> tuple[int, float] | None:
     """Row from which all tip places are shifted sideways, and by how much (cm); None if none is.
 
     For each possible row, each sensor's line gets a step in the pattern that a shift causes; the
@@ -226,10 +230,10 @@ def _moved(rows: Rows, live: Sequence[tuple[Column, LinearFit]]) -> tuple[int, f
     """
     readings = []
     for column, fit in live:
-        size = np.where(column.seen, np.abs(fit.residuals), np.nan)
-        kept = size < 12 * np.nanmedian(size)
-        if kept.sum() >= 8:
-            readings.append(column._replace(ohm=np.where(kept, column.ohm, np.nan)))
+        size = np.where(column.finite, np.abs(fit.residuals), np.nan)
+        inliers = size < 12 * np.nanmedian(size)
+        if inliers.sum() >= 8:
+            readings.append(column._replace(ohm=np.where(inliers, column.ohm, np.nan)))
     tips, aside = rows.tips & rows.good, np.abs(rows.readings.tip_cm[:, 1])
     splits: list[tuple[float, int, float]] = []
     for first in np.flatnonzero(tips)[3:-2].tolist():

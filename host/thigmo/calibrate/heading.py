@@ -84,15 +84,16 @@ def of_csv(table: Table, config: RobotConfig) -> HeadingResult:
 
 def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -> HeadingResult:
     """Fit all spans of IMUs to free bends: times (n,), curvatures (n,), 1/cm, readings (n, m)."""
-    seen = np.isfinite(t_s) & np.isfinite(curvature)
-    if seen.sum() < _FEWEST or np.ptp(curvature[seen]) < 1e-3:
+    measured = np.isfinite(t_s) & np.isfinite(curvature)
+    if measured.sum() < _FEWEST or np.ptp(curvature[measured]) < 1e-3:
         raise DataError(
-            f"{int(seen.sum())} free bends that the camera saw", f"take {_FEWEST} and more, apart"
+            f"{int(measured.sum())} free bends that the camera saw",
+            f"take {_FEWEST} and more, apart",
         )
     fits = []
     for number, (name, sensor) in enumerate(sensors_of(config).items()):
         if isinstance(sensor, HeadingSensor):
-            usable = seen & np.isfinite(ohm[:, number])
+            usable = measured & np.isfinite(ohm[:, number])
             turn = (ohm[usable, number] - HeadingSensor.straight_ohm) * RAD_PER_OHM
             fits.append(_fit(name, t_s[usable], curvature[usable] * sensor.span_cm, turn))
     good = [fit for fit in fits if fit.healthy]
@@ -104,29 +105,32 @@ def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -
     # Drift and scatter of a span are those of two IMUs.
     drift = np.sqrt(np.mean([fit.drift_rad_s**2 for fit in good]) / 2)
     scatter = np.sqrt(np.median([fit.noise_rad**2 for fit in good]) / 2)
-    off = max(float(np.hypot(drift * _FROM_ZERO_S, scatter)), _LEAST_RAD)
+    heading_se = max(float(np.hypot(drift * _FROM_ZERO_S, scatter)), _LEAST_RAD)
     worst = max(good, key=lambda fit: fit.scale_se)
     reason = (
         f"{len(good)} of {len(fits)} spans; scales known to {100 * worst.scale_se:.1f} % at worst; "
         f"IMUs drift by {np.degrees(drift) * 60:.2f} degrees a minute"
     )
-    return HeadingResult(tuple(fits), off, Verdict(True, reason, tuple(notes)))
+    return HeadingResult(tuple(fits), heading_se, Verdict(True, reason, tuple(notes)))
 
 
-def _fit(name: str, t_s: Array, bent: Array, turn: Array) -> HeadingFit:
+def _fit(name: str, t_s: Array, true_turn: Array, turn: Array) -> HeadingFit:
     """The fit of one span: `turn` (n,) is the turn by the IMUs, `bent` (n,) the true one, rad."""
     if len(turn) < _FEWEST:
         return HeadingFit(name, False, "is not read: an IMU of it does not answer")
-    since = t_s - t_s.mean()
-    line = fit_linear(np.column_stack([np.ones_like(bent), since, bent]), turn)
+    elapsed_s = t_s - t_s.mean()
+    line = fit_linear(np.column_stack([np.ones_like(true_turn), elapsed_s, true_turn]), turn)
     zero, drift, slope = line.coefficients.tolist()
     if slope < 0.5:
-        said = "turns the other way: turn it round" if slope < -0.5 else "does not turn with bends"
-        return HeadingFit(name, False, f"{said}; check how its IMUs lie")
+        problem = (
+            "turns the other way: turn it round" if slope < -0.5 else "does not turn with bends"
+        )
+        return HeadingFit(name, False, f"{problem}; check how its IMUs lie")
     se = float(np.hypot(line.se(2) / slope, CAMERA_SCALE_SE))
     if se > 0.1:
         return HeadingFit(name, False, f"has a scale known to {100 * se:.0f} % only")
     return HeadingFit(
         name, True, f"scale known to {100 * se:.1f} %",
-        1.0 / slope, se, zero, drift, line.sigma, np.array([bent, turn - zero - drift * since]),
+        1.0 / slope, se, zero, drift, line.sigma,
+        np.array([true_turn, turn - zero - drift * elapsed_s]),
     )  # fmt: skip

@@ -73,25 +73,25 @@ def guided(bench: Bench) -> HysteresisResult:
     """Fit creep to the growth rows. Run it after flex, which gives the scales."""
     config = bench.config
     records: list[CreepRecord] = []
-    before = 0.0
+    previous_cm = 0.0
     for row in growth_rows(bench):
         length = float(row["encoder_cm"])
         ohm, t = np.array(row["ohm"], float), np.array(row["t_s"], float)
         for (name, sensor), ohm_of_sensor in zip(sensors_of(config).items(), ohm.T, strict=True):
             end = sensor.center_cm + sensor.span_cm / 2
-            if before + SAME_LENGTH_CM < end <= length and sensor.healthy:
+            if previous_cm + SAME_LENGTH_CM < end <= length and sensor.healthy:
                 # The sensor everted when the tip passed its end, a little before growth stopped.
-                since = t + (length - end) / float(row["speed_cm_s"])
-                rest = float(np.nanmedian(ohm_of_sensor[-max(3, len(ohm_of_sensor) // 10) :]))
-                k = (ohm_of_sensor - rest) * sensor.scale_per_ohm
-                records.append(CreepRecord(name, since, k))
-        before = length
+                elapsed_s = t + (length - end) / float(row["speed_cm_s"])
+                rest_ohm = float(np.nanmedian(ohm_of_sensor[-max(3, len(ohm_of_sensor) // 10) :]))
+                k = (ohm_of_sensor - rest_ohm) * sensor.scale_per_ohm
+                records.append(CreepRecord(name, elapsed_s, k))
+        previous_cm = length
     return fit_hysteresis(records, config)
 
 
 def of_csv(table: Table, config: RobotConfig) -> HysteresisResult:
     """Fit records of one or more eversions from a CSV."""
-    keys = _names(table, config), table.whole("eversion", 0).tolist()
+    keys = _names(table, config), table.integers("eversion", 0).tolist()
     t, k = table.numbers("t_s"), table.numbers("curvature")
     records = [
         CreepRecord(name, t[rows], k[rows]) for (name, _), rows in grouped(zip(*keys, strict=True))
@@ -101,13 +101,13 @@ def of_csv(table: Table, config: RobotConfig) -> HysteresisResult:
 
 def _names(table: Table, config: RobotConfig) -> list[str]:
     """(n,) names of the sensors, from the column `sensor`."""
-    known = {table_key(name): name for name in sensors_of(config)}
-    given = table.words("sensor")
-    for name in given:
-        if name not in known:
-            cure = f"use {', '.join(known)}"
+    names = {table_key(name): name for name in sensors_of(config)}
+    words = table.words("sensor")
+    for name in words:
+        if name not in names:
+            cure = f"use {', '.join(names)}"
             raise DataError(f"{table.name}: no sensor {name} in robot.toml", cure)
-    return [known[name] for name in given]
+    return [names[name] for name in words]
 
 
 def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
@@ -127,11 +127,11 @@ def fit_decay(t_s: Array, curvature: Array) -> tuple[Array, Array]:
     rest = float(np.median(y[t > t.min() + 0.7 * np.ptp(t)]))
     early = float(np.median(y[t < t.min() + 0.1 * np.ptp(t)]))
     starts = [[np.log(tau), (early - rest) * np.exp(t.min() / tau), rest] for tau in (3, 8, 15)]
-    tried = [
+    fits = [
         least_squares(residuals, start, loss="cauchy", f_scale=2.5 * spread, x_scale="jac")
         for start in starts
     ]
-    best = min(tried, key=lambda fit: float(fit.cost)).x
+    best = min(fits, key=lambda fit: float(fit.cost)).x
     keep = np.abs(residuals(best)) < 4 * spread
     if keep.sum() < 10:
         keep[:] = True
@@ -150,25 +150,25 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
         raise DataError("no eversions were recorded", "grow past a sensor and wait 30 s")
     fits, notes = [], []
     sensors = sensors_of(config)
-    taken = dict(grouped(record.name for record in records))
-    for name in taken.keys() - sensors.keys():
+    rows_by_sensor = dict(grouped(record.name for record in records))
+    for name in rows_by_sensor.keys() - sensors.keys():
         raise DataError(f"no sensor {name} in robot.toml", "use this robot's file")
     for name, sensor in sensors.items():
-        if name not in taken:
+        if name not in rows_by_sensor:
             continue
         decays = []
-        for record in (records[row] for row in taken[name]):
+        for record in (records[row] for row in rows_by_sensor[name]):
             try:
                 decays.append(fit_decay(record.t_s, record.curvature))
             except DataError as error:
                 notes.append(f"{name}: {error.what}")
         fits.append(_law(name, decays, sensor.noise))
     notes.extend(f"{fit.name}: {fit.reason}" for fit in fits if not fit.good)
-    ready = [fit.usable_s for fit in fits if fit.good]
+    usable_s = [fit.usable_s for fit in fits if fit.good]
     reason = "no sensor shows a decay that can be fitted"
-    if ready:
-        reason = f"compensated readings count from {max(ready):.0f} s after eversion"
-    verdict = Verdict(bool(ready), reason, tuple(notes))
+    if usable_s:
+        reason = f"compensated readings count from {max(usable_s):.0f} s after eversion"
+    verdict = Verdict(bool(usable_s), reason, tuple(notes))
     return HysteresisResult(tuple(fits), verdict, tuple(records))
 
 

@@ -19,7 +19,7 @@ from scipy.signal import bilinear, lfilter, lfilter_zi
 from thigmo.calibrate.bench import Bench, Row
 from thigmo.calibrate.columns import Array
 from thigmo.calibrate.flex_lines import loop_turns
-from thigmo.calibrate.regression import lasting
+from thigmo.calibrate.regression import correlation_factor
 from thigmo.config import Muscle, TanhMap, ZoneMap
 from thigmo.errors import DataError
 
@@ -77,8 +77,8 @@ def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] 
         step = max(1, round(_RAMP_FRAME_S / float(np.median(np.diff(t)))))
         return {"t_s": t[::step], "psi": psi[::step], "ohm": ohm[::step]}
 
-    ready = partial(bench.ready_to_bend, zone)
-    (row,) = bench.rows("lag", {f"ramp {muscle.name} zone {zone}": None}, take, ready)
+    prepare = partial(bench.ready_to_bend, zone)
+    (row,) = bench.rows("lag", {f"ramp {muscle.name} zone {zone}": None}, take, prepare)
     t, psi, ohm = (np.array(row[name], float) for name in ("t_s", "psi", "ohm"))
     later = _LATER_SCAN_S * (1 << robot.parameter("oversample_log2")[0])
     bends = [
@@ -91,32 +91,32 @@ def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] 
     return t, psi, np.mean(bends, axis=0)
 
 
-def _muscle(psi: Array, rising_s: float, falling_s: float) -> Array:
+def _muscle_pressure(psi: Array, rising_s: float, falling_s: float) -> Array:
     """(n,) pressure that bends the body, every `_STEP_S`; the time constant is by direction."""
     rising, falling = (1 - np.exp(-_STEP_S / lag) for lag in (rising_s, falling_s))
-    made = np.array(psi, float)
-    now = float(made[0])
-    for i, value in enumerate(((made[1:] + made[:-1]) / 2).tolist(), start=1):
-        now += (rising if value > now else falling) * (value - now)
-        made[i] = now
-    return made
+    lagged = np.array(psi, float)
+    state = float(lagged[0])
+    for i, value in enumerate(((lagged[1:] + lagged[:-1]) / 2).tolist(), start=1):
+        state += (rising if value > state else falling) * (value - state)
+        lagged[i] = state
+    return lagged
 
 
-def _swung(g: Array, late_s: float, inertia_s: float) -> Array:
+def _body_response(g: Array, late_s: float, inertia_s: float) -> Array:
     """(n,) curvature, every `_STEP_S`, of a second-order body that follows g."""
     b, a = bilinear([1.0], [inertia_s**2, late_s, 1.0], 1 / _STEP_S)
     return np.asarray(lfilter(b, a, g, zi=g[0] * lfilter_zi(b, a))[0])
 
 
-def _deflating(psi: Array, reversal_psi: float) -> Array:
+def _deflating_share(psi: Array, reversal_psi: float) -> Array:
     """(n,) share of the deflating branch, 0..1, by a play operator as on the board."""
-    made = np.empty(len(psi))
+    share = np.empty(len(psi))
     floor = float(psi[0])
     for i, value in enumerate(psi.tolist()):
         floor = min(max(floor, value - reversal_psi), value)
-        made[i] = 1 - (value - floor) / reversal_psi
-    made[: int(np.argmax(psi > psi[0] + reversal_psi))] = 0.0  # it was vented before
-    return made
+        share[i] = 1 - (value - floor) / reversal_psi
+    share[: int(np.argmax(psi > psi[0] + reversal_psi))] = 0.0  # it was vented before
+    return share
 
 
 def tanh_curve(psi: Array, amplitude: Array, scale_psi: Array, offset_psi: Array) -> Array:
@@ -125,8 +125,8 @@ def tanh_curve(psi: Array, amplitude: Array, scale_psi: Array, offset_psi: Array
     return np.asarray(amplitude * (rise - np.tanh(-offset_psi / scale_psi)))
 
 
-def _curve(made: TanhMap, psi: Array) -> Array:
-    return tanh_curve(psi, *np.array([made.amplitude, made.scale_psi, made.offset_psi]))
+def _curve(tanh_map: TanhMap, psi: Array) -> Array:
+    return tanh_curve(psi, *np.array([tanh_map.amplitude, tanh_map.scale_psi, tanh_map.offset_psi]))
 
 
 def fit_lag(
@@ -154,15 +154,15 @@ def fit_lag(
             "the ramp shows no bend to time", "ramp to 16 psi within 3 s, hold, and back"
         )
     fine = np.arange(t[0], t[-1] + _STEP_S, _STEP_S)
-    pressed = np.interp(fine, t, p)
+    fine_psi = np.interp(fine, t, p)
 
     def residuals(x: Array) -> Array:
-        felt = _muscle(np.interp(fine - x[4], fine, pressed), x[0], x[1])
-        down = _deflating(felt, reversal_psi)
-        up, back = _curve(zone.inflate, felt), _curve(zone.deflate, felt)
-        g = np.interp(t, fine, _swung(down * back + (1 - down) * up, x[2], x[3]))
+        acting_psi = _muscle_pressure(np.interp(fine - x[4], fine, fine_psi), x[0], x[1])
+        down = _deflating_share(acting_psi, reversal_psi)
+        up, back = _curve(zone.inflate, acting_psi), _curve(zone.deflate, acting_psi)
+        g = np.interp(t, fine, _body_response(down * back + (1 - down) * up, x[2], x[3]))
         loop = loop_turns(g[:, None], np.zeros(len(g), np.int64))[:, 0]
-        slope = np.interp(t, fine, _curve(zone.inflate, felt + 0.1) - up)
+        slope = np.interp(t, fine, _curve(zone.inflate, acting_psi + 0.1) - up)
         design = np.column_stack([g, np.ones(len(g)), loop, slope])
         return np.asarray(k - design @ np.linalg.lstsq(design, k, rcond=None)[0])
 
@@ -170,9 +170,9 @@ def fit_lag(
         residuals, [0.2, 0.2, 0.1, 0.1, 0.03], bounds=(_LEAST_S, _LONGEST_S),
         diff_step=[1e-2] * 5, x_scale=0.1,
     )  # fmt: skip
-    rest, slopes = fit.fun, np.asarray(fit.jac, float)
-    variance = float(rest @ rest) / max(1, len(t) - 9) * lasting(rest, 0.98)
+    misfit, slopes = fit.fun, np.asarray(fit.jac, float)
+    variance = float(misfit @ misfit) / max(1, len(t) - 9) * correlation_factor(misfit, 0.98)
     covariance = np.linalg.pinv(slopes.T @ slopes) * variance
-    ways = np.array([[1.0, 0.0, 1.0, 0.0, 1.0], [0.0, 1.0, 1.0, 0.0, 1.0]])
-    (inflate, deflate), errors = ways @ fit.x, np.sqrt(np.diag(ways @ covariance @ ways.T))
+    sums = np.array([[1.0, 0.0, 1.0, 0.0, 1.0], [0.0, 1.0, 1.0, 0.0, 1.0]])
+    (inflate, deflate), errors = sums @ fit.x, np.sqrt(np.diag(sums @ covariance @ sums.T))
     return Lag(float(inflate), float(errors[0]), float(deflate), float(errors[1]))

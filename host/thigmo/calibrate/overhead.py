@@ -8,9 +8,9 @@ from thigmo.camera import (
     AxisDoubtfulError,
     CameraModel,
     Detection,
+    DetectionRequest,
     PictureSource,
     Sheet,
-    Wanted,
     detect,
 )
 from thigmo.camera.centerline import Centerline
@@ -30,26 +30,26 @@ class OverheadCamera:
     dowel_radius_cm: float | None = None  # radius of the obstacles; detection errs less with it
 
     @property
-    def _wanted(self) -> Wanted:
-        return Wanted(self.body.diameter_cm, full_cm=self.body.length_cm)
+    def _request(self) -> DetectionRequest:
+        return DetectionRequest(self.body.diameter_cm, full_cm=self.body.length_cm)
 
     def axis(self, *, free_bend: bool, length_cm: float | None = None) -> Centerline:
         """The body's axis. A pushed tip needs its marker, a free bend does not.
 
         Raises CameraError if the axis is in doubt.
         """
-        wanted = replace(
-            self._wanted, constant=free_bend, obstacles=False, length_cm=length_cm,
+        request = replace(
+            self._request, constant=free_bend, obstacles=False, length_cm=length_cm,
         )  # fmt: skip
-        detection = detect(self.source.read(), self.model, self.sheet, wanted)
+        detection = detect(self.source.read(), self.model, self.sheet, request)
         doubtful = any(isinstance(problem, AxisDoubtfulError) for problem in detection.problems)
         if doubtful or detection.axis is None or (detection.tip is None and not free_bend):
             raise detection.problems[-1]
         return detection.axis
 
-    def everything(self) -> Detection:
+    def detection(self) -> Detection:
         """Detect tip, axis and obstacles. Raises CameraError if the robot is not found."""
-        wanted = self._wanted
+        request = self._request
         if (radius := self.dowel_radius_cm) is not None:
-            wanted = replace(wanted, obstacle_radius_cm=(0.8 * radius, 1.2 * radius))
-        return detect(self.source.read(), self.model, self.sheet, wanted)
+            request = replace(request, obstacle_radius_cm=(0.8 * radius, 1.2 * radius))
+        return detect(self.source.read(), self.model, self.sheet, request)

@@ -66,8 +66,8 @@ def guided(bench: Bench) -> PressureResult:
     counts = used + record.pressure_psi * span[: len(names)] / full
     result = fit_pressure_zero(counts, names, float(span.mean()), full)
     if result.verdict.good:
-        kept = (spare * 64).round().astype(int).tolist()  # of outputs without a muscle
-        robot.set_parameter("pressure_zero", [*result.board_values(), *kept])
+        spare_counts = (spare * 64).round().astype(int).tolist()  # of outputs without a muscle
+        robot.set_parameter("pressure_zero", [*result.board_values(), *spare_counts])
         robot.save()
     return result
 
@@ -87,23 +87,26 @@ def fit_pressure_zero(
     if len(counts) < 10:
         raise DataError("ten or more readings of each pressure sensor are needed", "read longer")
     zeros = []
-    for muscle, own_counts in zip(names, counts.T, strict=True):
-        values, zero, se, fall_psi = own_counts[np.isfinite(own_counts)], np.nan, np.inf, 0.0
+    for muscle, muscle_counts in zip(names, counts.T, strict=True):
+        values, zero, se, fall_psi = muscle_counts[np.isfinite(muscle_counts)], np.nan, np.inf, 0.0
         if len(values) > 1:
             calm = values[~outlying(values, 5, 0.5)]
             half = len(calm) // 2
             zero, se = float(calm.mean()), float(calm.std(ddof=1) / np.sqrt(len(calm)))
             fall_psi = abs(float(calm[:half].mean() - calm[half:].mean())) * full_psi / span
-        off = (zero - NOMINAL_COUNT) * full_psi / span
+        offset_psi = (zero - NOMINAL_COUNT) * full_psi / span
         good = False
         if not zero >= _LEAST_COUNT:
             reason = "reads below 5 % of its supply: broken wire"
-        elif abs(off) > 3.0:
-            reason = f"is {off:+.1f} psi from its data sheet: not vented, or wrong type"
+        elif abs(offset_psi) > 3.0:
+            reason = f"is {offset_psi:+.1f} psi from its data sheet: not vented, or wrong type"
         elif fall_psi > 0.15:
             reason = f"still moves by {fall_psi:.2f} psi: wait until vented"
         else:
-            good, reason = True, f"zero at {zero:.2f} counts ({off:+.2f} psi of the data sheet)"
+            good, reason = (
+                True,
+                f"zero at {zero:.2f} counts ({offset_psi:+.2f} psi of the data sheet)",
+            )
         zeros.append(PressureZero(muscle, zero, se, good, reason))
     notes = tuple(f"the pressure sensor of {z.muscle} {z.reason}" for z in zeros if not z.good)
     reason = "vent, shut the air, check the wires, and repeat" if notes else "zeros taken"

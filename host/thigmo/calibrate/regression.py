@@ -51,24 +51,24 @@ def fit_linear(
         reject: omit outliers, not only rows that are not finite.
         firm: number of rows at the end that are priors and never outliers.
     """
-    known = np.broadcast_to(np.asarray(known_se, float), y.shape)
-    rows = np.flatnonzero(np.isfinite(np.column_stack([design, y, known])).all(axis=1))
+    row_se = np.broadcast_to(np.asarray(known_se, float), y.shape)
+    rows = np.flatnonzero(np.isfinite(np.column_stack([design, y, row_se])).all(axis=1))
     p = design.shape[1]
     if len(rows) < p + 2:
         raise DataError(f"{len(rows)} usable readings for {p} numbers", "take more readings")
-    a, b, e = design[rows], y[rows], known[rows]
+    a, b, e = design[rows], y[rows], row_se[rows]
     if np.linalg.matrix_rank(a / np.maximum(np.abs(a).max(axis=0), 1e-300)) < p:
         raise DataError("the readings do not vary enough to fit a line", "use more places")
-    kept = np.arange(len(rows)) >= (len(rows) - firm if reject else 0)
+    firm_rows = np.arange(len(rows)) >= (len(rows) - firm if reject else 0)
     # Two starts, because each fails where the other works: least trimmed squares if there are
     # outliers, all rows if a few distant ones determine the slope. More rows explained wins.
     starts = [np.ones(len(rows), bool)]
     if reject and len(rows) >= p + 4:
         line, spread = _trimmed_fit(a, b)
-        near = (np.abs(b - a @ line) <= 3.0 * np.sqrt(spread**2 + e**2) + 1e-300) | kept
+        near = (np.abs(b - a @ line) <= 3.0 * np.sqrt(spread**2 + e**2) + 1e-300) | firm_rows
         if near.sum() >= p + 2:
             starts.append(near)
-    fits = [_rejecting(a, b, e, start, kept) for start in starts]
+    fits = [_rejecting(a, b, e, start, firm_rows) for start in starts]
     inside, coefficients, covariance, sigma = max(
         fits, key=lambda f: (int(f[0].sum()) if f[3] < 3 * fits[-1][3] else 0, -f[3])
     )
@@ -107,15 +107,15 @@ def _trimmed_fit(a: Array, b: Array) -> tuple[Array, float]:
     best = _least_squares(a, b)
     lines = np.vstack([starts, best])
     costs = np.sort((b - lines @ a.T) ** 2, axis=1)[:, :keep].sum(axis=1)
-    least = np.inf
+    lowest_cost = np.inf
     # Concentration steps from the most promising starts.
     for line in lines[np.argsort(costs)[:_STARTS]]:
         for _ in range(_STEPS):
             near = np.argsort(np.abs(b - a @ line))[:keep]
             line = _least_squares(a[near], b[near])
         cost = float(np.sort((b - a @ line) ** 2)[:keep].sum())
-        if cost < least:
-            best, least = line, cost
+        if cost < lowest_cost:
+            best, lowest_cost = line, cost
     quantile = np.sort(np.abs(b - a @ best))[keep - 1]
     spread = float(quantile / norm.ppf((1 + keep / n) / 2)) * (1 + 2 / max(1, n - p))
     return best, max(spread, 1e-300)
@@ -129,35 +129,35 @@ def _weighted(a: Array, b: Array, e: Array) -> tuple[Array, Array, float]:
     """Least squares with known errors `e` and an unknown common scatter, found by iteration."""
     freedom = max(1, len(b) - a.shape[1])
     coefficients = _least_squares(a, b)
-    rest = b - a @ coefficients
-    sigma2 = float(rest @ rest) / freedom
+    residuals = b - a @ coefficients
+    sigma2 = float(residuals @ residuals) / freedom
     tiny = 1e-12 * max(sigma2, float(np.max(e**2)))
     for _ in range(40 if e.any() else 0):
         weights = 1.0 / (max(sigma2, tiny) + e**2)
         root = np.sqrt(weights)
         coefficients = _least_squares(a * root[:, None], b * root)
-        rest = b - a @ coefficients
+        residuals = b - a @ coefficients
         # Moment estimate: the weighted squares add up to n - p when sigma2 is correct.
-        excess = float(weights @ (rest**2 * len(b) / freedom - e**2))
-        before, sigma2 = sigma2, max(0.0, excess / float(weights.sum()))
-        if abs(sigma2 - before) <= 1e-6 * max(sigma2, tiny):
+        excess = float(weights @ (residuals**2 * len(b) / freedom - e**2))
+        previous, sigma2 = sigma2, max(0.0, excess / float(weights.sum()))
+        if abs(sigma2 - previous) <= 1e-6 * max(sigma2, tiny):
             break
     variance = np.maximum(sigma2 + e**2, 1e-300)
     normal = (a / variance[:, None]).T @ a
     return coefficients, np.asarray(np.linalg.pinv(normal), float), float(np.sqrt(sigma2))
 
 
-def outlying(values: Array, limit: float, least: Array | float) -> Mask:
+def outlying(values: Array, limit: float, floor: Array | float) -> Mask:
     """(n,) whether a value is more than `limit` standard deviations from the median.
 
     The robust standard deviation counts as at least `least`.
     """
-    sigma = np.maximum(median_abs_deviation(values, scale="normal"), least)
+    sigma = np.maximum(median_abs_deviation(values, scale="normal"), floor)
     return np.asarray(np.abs(values - np.median(values)) > limit * sigma)
 
 
-def lasting(residuals: Array, most: float) -> float:
+def correlation_factor(residuals: Array, ceiling: float) -> float:
     """Factor, at most `most`, on the variance of residuals (n,) for correlated neighbours."""
-    along = float(np.corrcoef(residuals[1:], residuals[:-1])[0, 1])
-    along = min(most, max(0.0, along)) if np.isfinite(along) else 0.0
-    return (1 + along) / (1 - along)
+    correlation = float(np.corrcoef(residuals[1:], residuals[:-1])[0, 1])
+    correlation = min(ceiling, max(0.0, correlation)) if np.isfinite(correlation) else 0.0
+    return (1 + correlation) / (1 - correlation)

@@ -82,7 +82,7 @@ class Session:
         if path.exists():
             path.replace(path.with_suffix(".jsonl.old"))
 
-    def done(self, step: str) -> dict[str, Any] | None:
+    def good_result(self, step: str) -> dict[str, Any] | None:
         """The stored result of a step, if it was good."""
         data = self._result(step)
         return data if data is not None and data["verdict"]["good"] else None
@@ -115,30 +115,35 @@ class Session:
         with DataError.from_os(f"cannot write {file}", _FULL):
             write_whole(file, json.dumps(result.as_data(), indent=1))
         good, reason, notes = result.verdict.good, result.verdict.reason, result.verdict.notes
-        said = [f"{step}: {'good' if good else 'BAD'}: {reason}", *(f"  {note}" for note in notes)]
-        made = result.apply(self.config) if good else self.config
-        if made != self.config:
-            self.config = made
-            if (backup := made.save(self.robot_file)) is not None:
-                said.append(f"  {self.robot_file} updated; the one before is {backup.name}")
-        return said
+        messages = [
+            f"{step}: {'good' if good else 'BAD'}: {reason}",
+            *(f"  {note}" for note in notes),
+        ]
+        config = result.apply(self.config) if good else self.config
+        if config != self.config:
+            self.config = config
+            if (backup := config.save(self.robot_file)) is not None:
+                messages.append(f"  {self.robot_file} updated; the one before is {backup.name}")
+        return messages
 
 
 def blank(config: RobotConfig) -> RobotConfig:
     """An uncalibrated robot of this geometry: where calibration begins."""
-    made, fresh = config.model_copy(deep=True), RobotConfig()
-    made.sensors = [_blank_sensor(sensor) for sensor in config.sensors]
-    for muscle in made.muscles:
-        muscle.lag_s = fresh.muscles[0].lag_s
-        muscle.offset_se = fresh.muscles[0].offset_se
-        muscle.maps = [ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in made.body.zones]
-    made.body.critical_curvature = fresh.body.critical_curvature
-    made.body.critical_curvature_se = fresh.body.critical_curvature_se
-    made.body.stiffness_n_cm2 = None
-    made.spool.counts_per_cm = fresh.spool.counts_per_cm
-    for zone in made.body.zones:
+    blank_config, defaults = config.model_copy(deep=True), RobotConfig()
+    blank_config.sensors = [_blank_sensor(sensor) for sensor in config.sensors]
+    for muscle in blank_config.muscles:
+        muscle.lag_s = defaults.muscles[0].lag_s
+        muscle.offset_se = defaults.muscles[0].offset_se
+        muscle.maps = [
+            ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in blank_config.body.zones
+        ]
+    blank_config.body.critical_curvature = defaults.body.critical_curvature
+    blank_config.body.critical_curvature_se = defaults.body.critical_curvature_se
+    blank_config.body.stiffness_n_cm2 = None
+    blank_config.spool.counts_per_cm = defaults.spool.counts_per_cm
+    for zone in blank_config.body.zones:
         zone.pull_duty = 0.0
-    return made
+    return blank_config
 
 
 def _blank_sensor(sensor: Sensor) -> Sensor:

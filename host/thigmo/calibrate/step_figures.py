@@ -49,8 +49,8 @@ def _panel(
     yield axes
     axes.set_xlabel(x)
     axes.set_ylabel(y)
-    many = len(axes.get_legend_handles_labels()[0]) > 6
-    axes.legend(fontsize=7 if many else None, ncols=2 if many else 1)
+    crowded = len(axes.get_legend_handles_labels()[0]) > 6
+    axes.legend(fontsize=7 if crowded else None, ncols=2 if crowded else 1)
     _finish(figure, path, verdict)
 
 
@@ -90,11 +90,11 @@ def _flex(result: FlexResult, path: Path) -> None:
             if fit.valid_direction:
                 line[int(fit.valid_direction < 0)] = 0.0
             axes.plot(line, (fit.zero_ohm + line / fit.scale_per_ohm) / 1000, "k-", lw=1)
-        seen = ohm[np.isfinite(ohm) & good]
-        if len(seen):
-            low, high = (float(v) for v in np.quantile(seen, [0.02, 0.98]))
-            room = max(0.4 * (high - low), 0.2)
-            axes.set_ylim(low - room, high + room)
+        values = ohm[np.isfinite(ohm) & good]
+        if len(values):
+            low, high = (float(v) for v in np.quantile(values, [0.02, 0.98]))
+            margin = max(0.4 * (high - low), 0.2)
+            axes.set_ylim(low - margin, high + margin)
         axes.set_title(f"{fit.name}: {fit.reason}", fontsize=7, wrap=True)
         axes.set_xlabel("curvature (1/cm)", fontsize=7)
         axes.tick_params(labelsize=6)
@@ -123,7 +123,7 @@ def _actuator(result: ActuatorResult, path: Path) -> None:
 
 @draw.register
 def _actuators(results: ActuatorResults, path: Path) -> None:
-    for result in results.each:
+    for result in results.maps:
         r = result.readings
         muscle = "".join(letter if letter.isalnum() else "_" for letter in r.muscle)
         name = f"{path.stem}-{muscle}-{r.body_pressure_psi:g}psi.png"
@@ -133,7 +133,7 @@ def _actuators(results: ActuatorResults, path: Path) -> None:
 @draw.register
 def _buckling(result: BucklingResult, path: Path) -> None:
     with _panel(path, result.verdict, "trial", "critical curvature (1/cm)") as axes:
-        _estimates(axes, result.each, result.critical_curvature, result.critical_se)
+        _estimates(axes, result.trial_curvature, result.critical_curvature, result.critical_se)
         axes.axhline(0.01108, color=RED, ls=":", label="thesis")
 
 
@@ -164,30 +164,32 @@ def _hysteresis(result: HysteresisResult, path: Path) -> None:
 @draw.register
 def _stiffness(result: StiffnessResult, path: Path) -> None:
     with _panel(path, result.verdict, "picture", "stiffness under sensors / in gaps") as axes:
-        _estimates(axes, result.each, result.ratio, result.ratio_se)
+        _estimates(axes, result.picture_ratio, result.ratio, result.ratio_se)
         axes.axhline(1.0, color="0.5", ls=":")
 
 
 @draw.register
 def _bending(result: BendingResult, path: Path) -> None:
-    if result.each.size:
+    if result.pull_stiffness.size:
         with _panel(path, result.verdict, "pull", "bending stiffness EI (N cm²)") as axes:
-            _estimates(axes, result.each, result.stiffness_n_cm2, result.stiffness_se_n_cm2)
+            _estimates(
+                axes, result.pull_stiffness, result.stiffness_n_cm2, result.stiffness_se_n_cm2
+            )
 
 
 @draw.register
 def _noise(result: NoiseResult, path: Path) -> None:
     with _panel(path, result.verdict, "", "one sigma (1/cm)", size=(8, 4)) as axes:
-        at, sensors = np.arange(len(result.sensors)), result.sensors
-        axes.bar(at - 0.2, [s.white for s in sensors], 0.4, label="white")
+        x, sensors = np.arange(len(result.sensors)), result.sensors
+        axes.bar(x - 0.2, [s.white for s in sensors], 0.4, label="white")
         swept = np.nan_to_num([s.hysteresis for s in sensors])
-        axes.bar(at + 0.2, swept, 0.4, label="within a sweep")
-        axes.set_xticks(at, [s.name for s in sensors], rotation=45, fontsize=7)
+        axes.bar(x + 0.2, swept, 0.4, label="within a sweep")
+        axes.set_xticks(x, [s.name for s in sensors], rotation=45, fontsize=7)
 
 
 @draw.register
 def _encoder(result: EncoderResult, path: Path) -> None:
     with _panel(path, result.verdict, "length by camera (cm)", "encoder counts") as axes:
-        for pick, look, label in ((result.used, "o", "used"), (~result.used, "x", "omitted")):
-            color = BLUE if look == "o" else RED
-            axes.plot(result.length_cm[pick], result.counts[pick], look, color=color, label=label)
+        for pick, marker, label in ((result.used, "o", "used"), (~result.used, "x", "omitted")):
+            color = BLUE if marker == "o" else RED
+            axes.plot(result.length_cm[pick], result.counts[pick], marker, color=color, label=label)

@@ -109,8 +109,10 @@ def steps_of(config: RobotConfig) -> list[str]:
 
 def _require(step: str, config: RobotConfig) -> None:
     """Raise DataError for a step of a kind of sensors that the robot does not have."""
-    if step not in (there := steps_of(config)):
-        raise DataError(f"the robot has no {STEPS[step].kind} sensors", f"use {', '.join(there)}")
+    if step not in (available := steps_of(config)):
+        raise DataError(
+            f"the robot has no {STEPS[step].kind} sensors", f"use {', '.join(available)}"
+        )
 
 
 def run(bench: Bench, step: str, *, again: bool = False, method: str | None = None) -> StepResult:
@@ -144,15 +146,15 @@ def fit_csv(
     The method "thesis" fits flex and buckling as the thesis did; None is the step's own method.
     Raises DataError for an unknown step, a step without CSV, or unusable readings.
     """
-    made = {
+    fits = {
         name: (fitted.of_csv, fitted.columns) for name, fitted in STEPS.items() if fitted.of_csv
     }
-    if step not in made:
+    if step not in fits:
         raise DataError(
-            f"there is no fit '{step}' for a CSV", f"use one of {', '.join(sorted(made))}"
+            f"there is no fit '{step}' for a CSV", f"use one of {', '.join(sorted(fits))}"
         )
     _require(step, config)
-    fit, columns = made[step]
+    fit, columns = fits[step]
     try:
         table = Table.read(path)
         result = fit(table, config, *STEPS[step].other_fit(method))

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from thigmo.calibrate import bending
 from thigmo.calibrate.bench import Bench, bow_rows, tip_rows
 from thigmo.calibrate.columns import Array, constants_of, grouped
-from thigmo.calibrate.regression import lasting, outlying
+from thigmo.calibrate.regression import correlation_factor, outlying
 from thigmo.calibrate.verdict import StepResult, Verdict
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
@@ -43,31 +43,31 @@ class StiffnessResult(StepResult):
 
     ratio: float  # EI_sensor / EI_gap
     ratio_se: float  # its standard error
-    each: Array  # (p,) ratio of every picture alone
+    picture_ratio: Array  # (p,) ratio of every picture alone
     verdict: Verdict  # in words
 
 
 def guided(bench: Bench) -> StiffnessResult:
     """Fit pictures of the flex step's tip places, and further ones."""
     rows = [*(row for row in tip_rows(bench) if row["kind"] == "tip"), *bow_rows(bench)]
-    seen = [np.array(r["points"], float) for r in rows if r.get("points") is not None]
+    axes = [np.array(r["points"], float) for r in rows if r.get("points") is not None]
     length = bench.config.body.length_cm
-    return fit_stiffness([AxisPoints(points, length) for points in seen], bench.config)
+    return fit_stiffness([AxisPoints(points, length) for points in axes], bench.config)
 
 
 def of_csv(table: Table, config: RobotConfig) -> StepResult:
     """Fit a CSV of pulls with known forces (`bending`), or of points along the axis by picture."""
     if "force_n" in table:
         return bending.of_csv(table, config)
-    picture = table.whole("picture")
+    picture = table.integers("picture")
     rows = np.column_stack([table.numbers(name) for name in ("x_cm", "y_cm", "force_arc_cm")])
-    seen = np.isfinite(rows).all(axis=1)
-    picture, rows = picture[seen], rows[seen]
-    each = [
+    finite = np.isfinite(rows).all(axis=1)
+    picture, rows = picture[finite], rows[finite]
+    pictures = [
         AxisPoints(rows[members, :2], rows[members[0], 2])
         for _, members in grouped(picture.tolist())
     ]
-    return fit_stiffness(each, config)
+    return fit_stiffness(pictures, config)
 
 
 def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> StiffnessResult:
@@ -83,7 +83,7 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
         if len(picture.points_cm) < 20 or bend < _LEAST_BEND * config.body.length_cm:
             notes.append(f"picture {number} omitted: bent by {bend:.1f} cm only, or too few points")
         else:
-            ratios.append((*_one(picture, fine, gap), bend))
+            ratios.append((*_picture_ratio(picture, fine, gap), bend))
     if len(ratios) < 3:
         raise DataError(
             f"{len(ratios)} usable pictures",
@@ -91,17 +91,17 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
                 *(share * config.body.length_cm for share in _ASIDE)
             ),
         )
-    each, errors, bends = np.array(ratios).T
+    estimates, errors, bends = np.array(ratios).T
     # The error of a picture grows with its estimate, which would favour low estimates. So it is
     # computed at the common estimate, from how far the body was bent.
-    middle = float(np.median(each))
-    se = middle * float(np.median(errors / each * bends)) / bends
-    odd = outlying(each, 4.5, se)
-    if odd.any():
-        notes.append(f"{int(odd.sum())} picture(s) omitted as outliers")
-    kept, weights = each[~odd], 1 / se[~odd] ** 2
-    ratio = float((weights * kept).sum() / weights.sum())
-    scatter = float(np.sqrt((weights * (kept - ratio) ** 2).sum() / max(1, len(kept) - 1)))
+    middle = float(np.median(estimates))
+    se = middle * float(np.median(errors / estimates * bends)) / bends
+    outliers = outlying(estimates, 4.5, se)
+    if outliers.any():
+        notes.append(f"{int(outliers.sum())} picture(s) omitted as outliers")
+    inliers, weights = estimates[~outliers], 1 / se[~outliers] ** 2
+    ratio = float((weights * inliers).sum() / weights.sum())
+    scatter = float(np.sqrt((weights * (inliers - ratio) ** 2).sum() / max(1, len(inliers) - 1)))
     error = float(weights.sum() ** -0.5) * max(1.0, scatter)
     if error > 0.15:
         reason = (
@@ -113,14 +113,14 @@ def fit_stiffness(pictures: Sequence[AxisPoints], config: RobotConfig) -> Stiffn
         if abs(ratio - 1) < 3 * error:
             words = "as stiff under sensors as between"
         reason = f"the body is {words}: ratio {ratio:.3f} +- {error:.3f}"
-    return StiffnessResult(ratio, error, each, Verdict(error <= 0.15, reason, tuple(notes)))
+    return StiffnessResult(ratio, error, estimates, Verdict(error <= 0.15, reason, tuple(notes)))
 
 
-def _one(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
+def _picture_ratio(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
     """Ratio and its standard error from one picture."""
     points, arc, step = picture.points_cm, picture.force_arc_cm, fine[1] - fine[0]
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    at = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
+    arc_cm = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
 
     def residuals(x: Array) -> Array:
         # The lever follows the bend: the force stays normal to the body where it acts.
@@ -132,8 +132,8 @@ def _one(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
             k = x[2] * lever * (1 + x[3] * gap)
             heading = x[1] + heading_along(k, step)
         along, across = traced(heading, step)
-        ahead, aside = np.interp(at, fine, along), np.interp(at, fine, x[0] + across)
-        turn = np.interp(at, fine, heading)
+        ahead, aside = np.interp(arc_cm, fine, along), np.interp(arc_cm, fine, x[0] + across)
+        turn = np.interp(arc_cm, fine, heading)
         return np.asarray(
             np.cos(turn) * (points[:, 1] - aside) - np.sin(turn) * (points[:, 0] - ahead)
         )
@@ -142,7 +142,7 @@ def _one(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float, float]:
     fit = least_squares(
         residuals, start, loss="soft_l1", f_scale=0.05, x_scale=[0.1, 0.01, 1e-5, 0.1]
     )
-    rest, slopes = residuals(fit.x), np.asarray(fit.jac, float)
-    variance = float(rest @ rest) / max(1, len(rest) - 4) * lasting(rest, 0.9)
+    misfit, slopes = residuals(fit.x), np.asarray(fit.jac, float)
+    variance = float(misfit @ misfit) / max(1, len(misfit) - 4) * correlation_factor(misfit, 0.9)
     covariance = np.linalg.pinv(slopes.T @ slopes) * variance
     return 1 + float(fit.x[3]), float(np.sqrt(covariance[3, 3]))

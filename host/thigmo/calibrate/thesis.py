@@ -82,7 +82,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
             fits.append(FlexFit(name, False, reason, int(used.sum())))
             continue
         scale = float(change[used] @ model[used, number]) / power
-        rest = model[used, number] - scale * change[used]
+        residuals = model[used, number] - scale * change[used]
         fits.append(
             FlexFit(
                 name,
@@ -91,10 +91,10 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
                 int(used.sum()),
                 scale_per_ohm=scale,
                 zero_ohm=float(np.nanmean(at_rest)),
-                noise=float(np.sqrt(np.mean(rest**2))),
+                noise=float(np.sqrt(np.mean(residuals**2))),
             )
         )
-    everted = [fit for fit, on in zip(fits, rows.on_body, strict=True) if on]
+    everted = [fit for fit, is_everted in zip(fits, rows.on_body, strict=True) if is_everted]
     healthy = sum(fit.healthy for fit in everted)
     verdict = Verdict(
         2 * healthy >= len(everted) > 0,
@@ -115,28 +115,31 @@ def fit_buckling(
         shapes = f"{curvature.shape[1]} columns for {len(center)} sensors"
         raise DataError(shapes, "use this robot's file")
     near = center - span / 2 < config.body.diameter_cm
-    beyond = (healthy > 0) & ~near & (center + span / 2 <= length_cm)
-    each, excess = np.full((2, len(curvature)), np.nan)
+    beyond_fold = (healthy > 0) & ~near & (center + span / 2 <= length_cm)
+    trial_curvature, excess = np.full((2, len(curvature)), np.nan)
     for trial, row in enumerate(curvature):
-        pick = beyond & np.isfinite(row)
+        pick = beyond_fold & np.isfinite(row)
         if len(np.unique(center[pick])) < 2:
             continue
         line = np.polynomial.Polynomial.fit(center[pick], row[pick], 1)
-        each[trial] = abs(line(0.0))
+        trial_curvature[trial] = abs(line(0.0))
         base = (healthy > 0) & near & np.isfinite(row)
         if base.any():
             beam = np.sign(line(0.0)) * line(center[base])
             excess[trial] = float(np.mean(np.sign(line(0.0)) * row[base] - beam))
-    kept = each[np.isfinite(each)]
-    if not kept.size:
+    usable = trial_curvature[np.isfinite(trial_curvature)]
+    if not usable.size:
         raise DataError("no trial has two sensors beyond the fold", "calibrate the flex sensors")
-    mean = float(kept.mean())
-    scatter = float(kept.std(ddof=1) / np.sqrt(kept.size)) if kept.size > 1 else 0.0
-    lost = tuple(
-        f"trial {n + 1} omitted, too few readings" for n in np.flatnonzero(~np.isfinite(each))
+    mean = float(usable.mean())
+    scatter = float(usable.std(ddof=1) / np.sqrt(usable.size)) if usable.size > 1 else 0.0
+    omitted = tuple(
+        f"trial {n + 1} omitted, too few readings"
+        for n in np.flatnonzero(~np.isfinite(trial_curvature))
     )
-    reason = f"{mean:.5f} 1/cm, by a line through the sensors beyond the fold, {kept.size} trials"
-    return BucklingResult(
-        mean, max(scatter, _FOLD_SE * mean), each, excess, body_pressure_psi,
-        Verdict(kept.size >= 3, reason + ("" if kept.size >= 3 else "; take three or more"), lost),
-    )  # fmt: skip
+    reason = f"{mean:.5f} 1/cm, by a line through the sensors beyond the fold, {usable.size} trials"
+    enough = usable.size >= 3
+    if not enough:
+        reason += "; take three or more"
+    verdict = Verdict(enough, reason, omitted)
+    critical_se = max(scatter, _FOLD_SE * mean)
+    return BucklingResult(mean, critical_se, trial_curvature, excess, body_pressure_psi, verdict)

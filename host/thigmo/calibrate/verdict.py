@@ -28,14 +28,14 @@ class StepResult:
 
     def as_data(self) -> dict[str, Any]:
         """Plain data for the calibration folder: every field but the evidence."""
-        kept = [f.name for f in fields(cast(Any, self)) if f.name not in self.EVIDENCE]
-        return cast("dict[str, Any]", plain({name: getattr(self, name) for name in kept}))
+        names = [f.name for f in fields(cast(Any, self)) if f.name not in self.EVIDENCE]
+        return cast("dict[str, Any]", plain({name: getattr(self, name) for name in names}))
 
     def apply(self, config: RobotConfig) -> RobotConfig:
         """A copy of the configuration with this step's results in it."""
-        made = config.model_copy(deep=True)
-        self.write(made)
-        return made
+        updated = config.model_copy(deep=True)
+        self.write(updated)
+        return updated
 
     def write(self, config: RobotConfig) -> None:
         """Put this step's results into a configuration; by default, nothing."""
@@ -48,5 +48,5 @@ def plain(value: Any) -> Any:
 
 def listed(names: Sequence[str], rows: Sequence[int]) -> str:
     """Names of rows as text, at most eight."""
-    more = f" and {len(rows) - 8} more" if len(rows) > 8 else ""
-    return ", ".join(names[row] for row in rows[:8]) + more
+    suffix = f" and {len(rows) - 8} more" if len(rows) > 8 else ""
+    return ", ".join(names[row] for row in rows[:8]) + suffix

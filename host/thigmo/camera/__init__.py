@@ -5,7 +5,7 @@ heavy.
 """
 
 from thigmo.camera.centerline import fit_centerline
-from thigmo.camera.detection import Detection, Wanted, detect, draw
+from thigmo.camera.detection import Detection, DetectionRequest, detect, draw
 from thigmo.camera.exceptions import (
     AxisDoubtfulError,
     BodyNotSeenError,
@@ -30,6 +30,7 @@ __all__ = [
     "CameraModel",
     "CameraMovedError",
     "Detection",
+    "DetectionRequest",
     "Lens",
     "MarkerAstrayError",
     "MarkerMissingError",
@@ -39,7 +40,6 @@ __all__ = [
     "Sheet",
     "SheetHiddenError",
     "TooCoarseError",
-    "Wanted",
     "calibrate_lens",
     "detect",
     "draw",

@@ -41,8 +41,8 @@ class Flat:
 
     def pixels(self, points_cm: Array) -> NDArray[np.float32]:
         """Workspace x, y (..., 2) to column, row (..., 2)."""
-        at = (points_cm - self.corner_cm) * [self.px_per_cm, -self.px_per_cm] - 0.5
-        return np.asarray(at, np.float32)
+        pixels = (points_cm - self.corner_cm) * [self.px_per_cm, -self.px_per_cm] - 0.5
+        return np.asarray(pixels, np.float32)
 
     def places(self, pixels: Array) -> Array:
         """Column, row (..., 2) to workspace x, y (..., 2)."""
@@ -81,7 +81,7 @@ def flatten(
 def bodyness(
     flat: Flat, radius_cm: float, cover: Array | None, background: Flat | None
 ) -> NDArray[np.float32]:
-    """How much each pixel resembles the body, (h, w), about 0 (table) to 1 (body).
+    """(h, w) score of each pixel, from about 0 (table) to about 1 (body).
 
     The body's colour is sampled where the robot leaves its base, the table's everywhere; a linear
     discriminant in log-chromaticity (which shadows do not change) and, weakly, brightness separates
@@ -142,7 +142,7 @@ class Track:
     middle: Array  # (n, 2) cm, mid-points of the flanks, base to tip, about 0.5 cm apart
     good: NDArray[np.bool_]  # (n,) whether both flanks were seen there
     tip: Array  # (2,) cm, where the body ends
-    lost: bool  # whether the flanks were lost before the body ended
+    flanks_lost: bool  # whether the flanks were lost before the body ended
 
 
 def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
@@ -153,39 +153,40 @@ def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
     """
     point, heading = np.array([0.6, 0.0]), 0.0
     steps: list[tuple[Array, float, float, bool]] = []  # middle, heading, width, both flanks seen
-    lost = 0
+    missed_steps = 0
     while len(steps) * _STEP_CM < _LONGEST_CM:
         normal = np.array([-np.sin(heading), np.cos(heading)])
         port, starboard, filling = _flanks(flat, score, point, normal, radius_cm)
         if filling < 0.5:
             break
-        whole = bool(abs((port - starboard) / (2 * radius_cm) - 1) < 0.22)
+        both_flanks = bool(abs((port - starboard) / (2 * radius_cm) - 1) < 0.22)
         shift = 0.0
-        if whole:
+        if both_flanks:
             shift = (port + starboard) / 2
         elif np.isfinite(port) != np.isfinite(starboard):
             shift = port - radius_cm if np.isfinite(port) else starboard + radius_cm
-        lost = 0 if whole else lost + 1
-        if lost * _STEP_CM > 4 * radius_cm:
+        missed_steps = 0 if both_flanks else missed_steps + 1
+        if missed_steps * _STEP_CM > 4 * radius_cm:
             break
         point = point + float(np.clip(shift, -0.35 * radius_cm, 0.35 * radius_cm)) * normal
-        steps.append((point, heading, port - starboard, whole))
+        steps.append((point, heading, port - starboard, both_flanks))
         recent = np.array([middle for middle, *_ in steps[-12:]])
         if len(recent) >= 4:
             # A parabola through the last 6 cm predicts where the tube continues.
-            along = np.arange(len(recent)) * _STEP_CM
+            arc_cm = np.arange(len(recent)) * _STEP_CM
             degree = 2 if len(recent) >= 9 else 1
-            end = along[-1] + _STEP_CM / 2
-            lines = np.polyfit(along, recent, degree).T
+            end = arc_cm[-1] + _STEP_CM / 2
+            lines = np.polyfit(arc_cm, recent, degree).T
             x, y = (np.polyval(np.polyder(line), end) for line in lines)
             heading = float(np.arctan2(y, x))
         point = point + _STEP_CM * np.array([np.cos(heading), np.sin(heading)])
-    if len(steps) * _STEP_CM < 3 * radius_cm or np.mean([whole for *_, whole in steps]) < 0.5:
+    share_seen = np.mean([both_flanks for *_, both_flanks in steps]) if steps else 0.0
+    if len(steps) * _STEP_CM < 3 * radius_cm or share_seen < 0.5:
         raise BodyNotSeenError(
             "no tube of the configured diameter starts at the base",
             "check body.diameter_cm and the cards' places, and clear the view of the body",
         )
-    middle, way, width, sound = (np.array(column) for column in zip(*steps, strict=True))
+    middle, headings, width, sound = (np.array(column) for column in zip(*steps, strict=True))
     # Objects of the body's colour beside it make it look wider: the middle is not used where the
     # width differs from the usual one.
     usual = float(np.median(width[sound]))
@@ -196,19 +197,19 @@ def follow(flat: Flat, score: NDArray[np.float32], radius_cm: float) -> Track:
     ahead_cm = np.arange(-2.5, 2.5, 0.05)
     lanes = np.linspace(-0.6, 0.6, 13) * radius_cm
     base = middle[-1]
-    across = np.array([-forward[1], forward[0]])
-    grid = base + ahead_cm[:, None, None] * forward + lanes[None, :, None] * across
+    normal_end = np.array([-forward[1], forward[0]])
+    grid = base + ahead_cm[:, None, None] * forward + lanes[None, :, None] * normal_end
     fade = gaussian_filter1d(np.median(_sample(flat, score, grid), axis=1).astype(float), 2)
     falls = np.nonzero((fade[:-1] >= 0.5) & (fade[1:] < 0.5))[0]
     overshoot = float(ahead_cm[falls[-1]] + 0.025) if len(falls) else 0.0
-    refined = _between_edges(flat, middle, way, np.where(sound, width, 2 * radius_cm))
+    refined = _between_edges(flat, middle, headings, np.where(sound, width, 2 * radius_cm))
     middle = np.where((sound & np.isfinite(refined[:, 0]))[:, None], refined, middle)
-    return Track(middle, sound, base + overshoot * forward, lost * _STEP_CM > 4 * radius_cm)
+    return Track(middle, sound, base + overshoot * forward, missed_steps * _STEP_CM > 4 * radius_cm)
 
 
 def _sample(flat: Flat, score: NDArray[np.float32], points: Array) -> NDArray[np.float32]:
-    at = flat.pixels(points)
-    scores = cv2.remap(score, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0)
+    pixels = flat.pixels(points)
+    scores = cv2.remap(score, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR, borderValue=0)
     return np.asarray(scores, np.float32)
 
 
@@ -225,9 +226,10 @@ def _flanks(
         place = offsets[drop] + (values[drop] - _CLASH) / (values[drop] - values[drop + 1]) * (
             offsets[drop + 1] - offsets[drop]
         )
-        near = np.abs(place - side * radius_cm)
-        at = int(np.argmin(near)) if len(near) else -1
-        edge[side] = float(place[at]) if at >= 0 and near[at] < 0.6 * radius_cm else np.nan
+        gap_cm = np.abs(place - side * radius_cm)
+        edge[side] = np.nan
+        if len(gap_cm) and gap_cm.min() < 0.6 * radius_cm:
+            edge[side] = float(place[np.argmin(gap_cm)])
     inner = np.abs(reach) < 0.8 * radius_cm
     return edge[1.0], edge[-1.0], float(profile[inner].mean())
 
@@ -243,8 +245,10 @@ def _between_edges(flat: Flat, middle: Array, heading: Array, width: Array) -> A
     axes = []
     for side in (1.0, -1.0):
         out = side * (width / 2)[:, None] + side * away
-        at = flat.pixels(middle[:, None, :] + out[..., None] * normal[:, None, :])
-        light = cv2.remap(flat.image, at[..., 0], at[..., 1], cv2.INTER_LINEAR).astype(float)
+        pixels = flat.pixels(middle[:, None, :] + out[..., None] * normal[:, None, :])
+        light = cv2.remap(flat.image, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR).astype(
+            float
+        )
         inside = light[:, away < -0.4 * _EDGE_CM].mean(axis=1)
         outside = light[:, away > 0.4 * _EDGE_CM].mean(axis=1)
         step = inside - outside

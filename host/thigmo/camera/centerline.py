@@ -96,32 +96,32 @@ def fit_centerline(
     # Arcs of the points start as lengths along the chain (the body leaves the base along +x, so the
     # first arc is its x), which noise lengthens. Then they are projected onto the fitted curve.
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    at = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
+    arcs = points[0, 0] + np.concatenate([[0.0], np.cumsum(steps)])
     last = points[-1] - points[-2]
-    total = at[-1] + float((end - points[-1]) @ last) / max(float(np.linalg.norm(last)), 1e-9)
+    total = arcs[-1] + float((end - points[-1]) @ last) / max(float(np.linalg.norm(last)), 1e-9)
     fit = partial(_fit, points, weights, constant)
-    fitted = fit(at, total)
+    fitted = fit(arcs, total)
     for _ in range(2):
-        at = _project(points, at, fitted)
+        arcs = _project(points, arcs, fitted)
         total = float(_project(end[None], np.array([total]), fitted)[0])
-        fitted = fit(at, total)
+        fitted = fit(arcs, total)
     return fitted
 
 
-def _project(points: Array, at: Array, line: Centerline) -> Array:
+def _project(points: Array, arcs: Array, line: Centerline) -> Array:
     """Arcs of points, moved along the curve's tangent to the foot of each point."""
-    inside = np.clip(at, 0.0, line.arc_cm[-1])
+    inside = np.clip(arcs, 0.0, line.arc_cm[-1])
     turn = np.interp(inside, line.arc_cm, line.heading)
     x, y = (np.interp(inside, line.arc_cm, c) for c in (line.x_cm, line.y_cm))
-    ahead = np.cos(turn) * (points[:, 0] - x) + np.sin(turn) * (points[:, 1] - y)
-    return np.asarray(inside + ahead)
+    tangential = np.cos(turn) * (points[:, 0] - x) + np.sin(turn) * (points[:, 1] - y)
+    return np.asarray(inside + tangential)
 
 
 def _fit(
     points: Array,
     weights: Array,
     constant: bool,
-    at: Array,
+    arcs: Array,
     total: float,
 ) -> Centerline:
     """One fit with fixed arcs of the points."""
@@ -146,9 +146,9 @@ def _fit(
 
     def residuals(p: Array) -> Array:
         x, y, heading = curve(p)
-        away = points - np.column_stack([np.interp(at, fine, x), np.interp(at, fine, y)])
-        turn = np.interp(at, fine, heading)
-        normal = -np.sin(turn) * away[:, 0] + np.cos(turn) * away[:, 1]
+        offset = points - np.column_stack([np.interp(arcs, fine, x), np.interp(arcs, fine, y)])
+        turn = np.interp(arcs, fine, heading)
+        normal = -np.sin(turn) * offset[:, 0] + np.cos(turn) * offset[:, 1]
         return np.concatenate([weights * normal / _POINT_SE_CM, roughness @ p[2:]])
 
     chord = float(np.arctan2(points[-1, 1] - points[0, 1], points[-1, 0] - points[0, 0]))

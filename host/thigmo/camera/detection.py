@@ -64,8 +64,8 @@ class Detection:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What to look for in a picture, with its sizes."""
+class DetectionRequest:
+    """What to detect in a picture, and the sizes to expect."""
 
     diameter_cm: float = 3.5  # diameter of the tube
     obstacle_height_cm: float = 6.0  # height of the dowels' tops above the table
@@ -94,7 +94,7 @@ def detect(
     picture: Picture,
     camera: CameraModel,
     sheet: Sheet,
-    wanted: Wanted | None = None,
+    request: DetectionRequest | None = None,
     *,
     background: Picture | None = None,
 ) -> Detection:
@@ -110,18 +110,18 @@ def detect(
     """
     camera.lens.require(picture)
     markers = detect_markers(picture, sheet.dictionary)
-    detector = _Detector(picture, camera, sheet, wanted or Wanted(), markers)
+    detector = _Detector(picture, camera, sheet, request or DetectionRequest(), markers)
     detector.require_fine()
     hidden = judge_still(markers, camera, sheet)
     problems: list[CameraError] = []
     tip: TipDetection | None = None
-    if detector.wanted.tip:
+    if detector.request.tip:
         try:
             tip = detector.tip()
         except MarkerMissingError as error:
             problems.append(error)
     axis: Centerline | None = None
-    if detector.wanted.body:
+    if detector.request.body:
         try:
             axis, doubts = detector.axis(tip, background)
             problems += [AxisDoubtfulError(doubt, _CURE) for doubt in doubts]
@@ -130,7 +130,7 @@ def detect(
             tip = None if isinstance(error, MarkerAstrayError) else tip
         except DataError as error:
             problems.append(BodyNotSeenError(error.what, error.next_step))
-    obstacles = detector.obstacles() if detector.wanted.obstacles else []
+    obstacles = detector.obstacles() if detector.request.obstacles else []
     return Detection(tip, axis, obstacles, hidden, tuple(problems), markers)
 
 
@@ -141,19 +141,19 @@ class _Detector:
     picture: Picture
     camera: CameraModel
     sheet: Sheet
-    wanted: Wanted
+    request: DetectionRequest
     markers: dict[int, Array]  # corners px by id
 
     def require_fine(self) -> None:
         """Raise TooCoarseError if markers and flanks have too few pixels."""
         px_per_cm = 1 / self.camera.cm_per_px
-        wanted, marker_cm = self.wanted, self.sheet.tip_marker_cm
+        request, marker_cm = self.request, self.sheet.tip_marker_cm
         needs = []
-        if wanted.tip:
+        if request.tip:
             cell_cm = marker_cm * self.sheet.print_scale / self.sheet.modules
             needs.append((_CELL_PX / cell_cm, f"a tip marker of {marker_cm:g} cm"))
-        if wanted.body:
-            needs.append((_TUBE_PX / wanted.diameter_cm, f"a tube of {wanted.diameter_cm:g} cm"))
+        if request.body:
+            needs.append((_TUBE_PX / request.diameter_cm, f"a tube of {request.diameter_cm:g} cm"))
         needed, reason = max(needs, default=(0.0, ""))
         if px_per_cm < needed:
             raise TooCoarseError(
@@ -163,18 +163,18 @@ class _Detector:
 
     @property
     def _full_cm(self) -> float:
-        return self.wanted.full_cm or self.sheet.length_cm
+        return self.request.full_cm or self.sheet.length_cm
 
     def tip(self) -> TipDetection:
         """The tip, by its marker."""
-        diameter, marker = self.wanted.diameter_cm, self.sheet.tip_marker_id
+        diameter, marker = self.request.diameter_cm, self.sheet.tip_marker_id
         if marker not in self.markers:
             raise MarkerMissingError(
                 f"the tip marker (id {marker}) is not seen", "turn it face up and clear the view"
             )
         flat = self.camera.to_plane(self.markers[marker], diameter)
-        ahead = (flat[1] + flat[2] - flat[0] - flat[3]) / 2
-        heading = float(np.arctan2(ahead[1], ahead[0]))
+        forward = (flat[1] + flat[2] - flat[0] - flat[3]) / 2
+        heading = float(np.arctan2(forward[1], forward[0]))
         center = flat.mean(axis=0)
         tip = center + self.sheet.tip_offset_cm * np.array([np.cos(heading), np.sin(heading)])
         return TipDetection(float(tip[0]), float(tip[1]), heading, center)
@@ -183,35 +183,35 @@ class _Detector:
         self, tip: TipDetection | None, background: Picture | None
     ) -> tuple[Centerline, list[str]]:
         """The axis, and reasons to doubt it."""
-        camera, wanted = self.camera, self.wanted
-        radius = wanted.diameter_cm / 2
+        camera, request = self.camera, self.request
+        radius = request.diameter_cm / 2
         end = None if tip is None else np.array([tip.x_cm, tip.y_cm])
         flat = flatten(self.picture, camera, radius, self._full_cm)
         empty = None if background is None else flatten(background, camera, radius, self._full_cm)
         cover = None
-        if (four := self.markers.get(self.sheet.tip_marker_id)) is not None:
+        if (corners := self.markers.get(self.sheet.tip_marker_id)) is not None:
             # The white margin belongs to the marker: one more cell on each side.
-            center = four.mean(axis=0)
+            center = corners.mean(axis=0)
             # It may be wider than the tube.
             wider = 1.02 * (1 + 2 / self.sheet.modules)
             side_cm = wider * self.sheet.tip_marker_cm * self.sheet.print_scale
-            across = (four[0] + four[1] - four[2] - four[3]) / 4
-            too_wide = max(0.0, wider * (1 - wanted.diameter_cm / side_cm)) * across
-            out = wider * (four - center) - np.outer([1, 1, -1, -1], too_wide)
-            cover = camera.to_plane(center + out, radius)
+            height_px = (corners[0] + corners[1] - corners[2] - corners[3]) / 4
+            too_wide = max(0.0, wider * (1 - request.diameter_cm / side_cm)) * height_px
+            margin = wider * (corners - center) - np.outer([1, 1, -1, -1], too_wide)
+            cover = camera.to_plane(center + margin, radius)
         track = follow(flat, bodyness(flat, radius, cover, empty), radius)
         middle, good = track.middle, track.good
         # Perspective shifts the end's upper or lower edge by its height, by half if it is rounded.
         forward = middle[-1] - middle[-min(4, len(middle))]
         forward /= max(float(np.linalg.norm(forward)), 1e-9)
-        out = float(abs((track.tip - camera.eye_cm[:2]) @ forward))
-        seen_end = track.tip - 0.5 * radius * out / float(camera.eye_cm[2]) * forward
+        distance = float(abs((track.tip - camera.eye_cm[:2]) @ forward))
+        seen_end = track.tip - 0.5 * radius * distance / float(camera.eye_cm[2]) * forward
         if cover is not None and tip is not None:
-            away = float(np.hypot(*(seen_end - end)))
-            if away > radius:
+            gap_cm = float(np.hypot(*(seen_end - end)))
+            if gap_cm > radius:
                 raise MarkerAstrayError(
-                    f"the tip marker (id {self.sheet.tip_marker_id}) lies {away:.1f} cm from where "
-                    "the body ends",
+                    f"the tip marker (id {self.sheet.tip_marker_id}) lies {gap_cm:.1f} cm from "
+                    "where the body ends",
                     "stick it back on the tip, and clear the view of the body",
                 )
             # It hides the flanks under it; its own centre, at its own height, is on the axis.
@@ -222,18 +222,18 @@ class _Detector:
             middle = np.vstack([middle[:last], tip.center_cm])
             good = np.append(good[:last], True)
         line = fit_centerline(
-            middle, seen_end if end is None else end, constant=wanted.constant, good=good
+            middle, seen_end if end is None else end, constant=request.constant, good=good
         )
         # A marker that is not seen hides the end of the body.
-        within = wanted.diameter_cm + (self.sheet.tip_hides_cm if tip is None else 0.0)
-        return line, _doubts(track, middle, good, line, wanted, within)
+        tolerance_cm = request.diameter_cm + (self.sheet.tip_hides_cm if tip is None else 0.0)
+        return line, _doubts(track, middle, good, line, request, tolerance_cm)
 
     def obstacles(self) -> list[Obstacle]:
         """The dowels that are seen."""
-        camera, height = self.camera, self.wanted.obstacle_height_cm
+        camera, height = self.camera, self.request.obstacle_height_cm
         flat = flatten(self.picture, camera, height, self._full_cm, OBSTACLE_PX_CM)
-        ignore = [camera.to_plane(four, height) for four in self.markers.values()]
-        return find_obstacles(flat, self.wanted.obstacle_radius_cm, ignore)
+        ignore = [camera.to_plane(corners, height) for corners in self.markers.values()]
+        return find_obstacles(flat, self.request.obstacle_radius_cm, ignore)
 
 
 def _doubts(
@@ -241,72 +241,78 @@ def _doubts(
     middle: Array,
     good: NDArray[np.bool_],
     line: Centerline,
-    wanted: Wanted,
-    within_cm: float,
+    request: DetectionRequest,
+    tolerance_cm: float,
 ) -> list[str]:
     """Reasons why an axis may not be the body's, or not all of it."""
     doubts = []
-    if track.lost:
+    if track.flanks_lost:
         doubts.append(f"the body was lost sight of {line.length_cm:.0f} cm from its base")
     if np.mean(good) < _GOOD_SHARE:
         doubts.append(f"both flanks were seen at only {np.mean(good):.0%} of the axis")
     axis = np.column_stack([line.x_cm, line.y_cm])
-    away = float(np.linalg.norm(middle[:, None] - axis, axis=2).min(axis=1)[good].max(initial=0.0))
-    if away > wanted.diameter_cm / 2:
+    gap_cm = float(
+        np.linalg.norm(middle[:, None] - axis, axis=2).min(axis=1)[good].max(initial=0.0)
+    )
+    if gap_cm > request.diameter_cm / 2:
         doubts.append(
-            f"the axis passes the body's own middle by {away:.1f} cm: the body is kinked, or "
+            f"the axis passes the body's own middle by {gap_cm:.1f} cm: the body is kinked, or "
             "something beside it was taken for it"
         )
-    if wanted.length_cm is not None and abs(line.length_cm - wanted.length_cm) > within_cm:
+    if request.length_cm is not None and abs(line.length_cm - request.length_cm) > tolerance_cm:
         doubts.append(
             f"the axis that was seen is {line.length_cm:.1f} cm long, and the body is "
-            f"{wanted.length_cm:.1f} cm"
+            f"{request.length_cm:.1f} cm"
         )
     return doubts
 
 
 def draw(
-    picture: Picture, camera: CameraModel, sheet: Sheet, detection: Detection, wanted: Wanted
+    picture: Picture,
+    camera: CameraModel,
+    sheet: Sheet,
+    detection: Detection,
+    request: DetectionRequest,
 ) -> Picture:
     """The picture with the detections drawn over it."""
     canvas = picture.copy()
     card_of = sheet.marker_ids()
-    for marker, four in detection.markers.items():
-        known = marker in card_of or marker == sheet.tip_marker_id
-        color = (0, 200, 0) if known else (0, 0, 255)
-        _lines(canvas, four, color, closed=True)
-    full_cm = wanted.full_cm or sheet.length_cm
-    aside, ahead = np.arange(0.0, 0.8 * full_cm, 10.0), np.arange(0.0, full_cm, 10.0)
-    aside = np.append(-aside[:0:-1], aside)
-    across, along = (np.linspace(at[0], at[-1], 60) for at in (aside, ahead))
-    for x, y in [*((x, across) for x in ahead), *((along, y) for y in aside)]:
+    for marker, corners in detection.markers.items():
+        expected = marker in card_of or marker == sheet.tip_marker_id
+        color = (0, 200, 0) if expected else (0, 0, 255)
+        _lines(canvas, corners, color, closed=True)
+    full_cm = request.full_cm or sheet.length_cm
+    y_ticks, x_ticks = np.arange(0.0, 0.8 * full_cm, 10.0), np.arange(0.0, full_cm, 10.0)
+    y_ticks = np.append(-y_ticks[:0:-1], y_ticks)
+    y_line, x_line = (np.linspace(ticks[0], ticks[-1], 60) for ticks in (y_ticks, x_ticks))
+    for x, y in [*((x, y_line) for x in x_ticks), *((x_line, y) for y in y_ticks)]:
         _lines(canvas, camera.project(_raised(x, y, 0.0)), (200, 160, 60))
     origin, *ends = camera.project(np.array([[0.0, 0, 0], [5, 0, 0], [0, 5, 0]]))
     for end, name in zip(ends, "xy", strict=True):
-        cv2.arrowedLine(canvas, _at(origin), _at(end), (255, 0, 0), 3)
+        cv2.arrowedLine(canvas, _pixel(origin), _pixel(end), (255, 0, 0), 3)
         _text(canvas, name, end, (255, 0, 0))
     if detection.axis is not None:
         axis = detection.axis
-        radius = wanted.diameter_cm / 2
+        radius = request.diameter_cm / 2
         for out, color in ((0.0, (255, 255, 0)), (radius, _FLANK), (-radius, _FLANK)):
             x = axis.x_cm - out * np.sin(axis.heading)
             y = axis.y_cm + out * np.cos(axis.heading)
             _lines(canvas, camera.project(_raised(x, y, radius)), color)
         middle = len(axis.arc_cm) // 2
-        (at,) = camera.project(_raised(axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius))
+        (point,) = camera.project(_raised(axis.x_cm[middle], axis.y_cm[middle] - 5.0, radius))
         caption = f"length {axis.length_cm:.1f} cm, mean curvature {axis.curvature:+.4f} /cm"
-        _text(canvas, caption, at)
+        _text(canvas, caption, point)
     if detection.tip is not None:
         tip = detection.tip
-        (at,) = camera.project(_raised(tip.x_cm, tip.y_cm, wanted.diameter_cm / 2))
-        cv2.drawMarker(canvas, _at(at), (0, 0, 255), cv2.MARKER_CROSS, 24, 2)
-        _text(canvas, f"tip {tip.x_cm:.2f}, {tip.y_cm:.2f} cm", at + np.array([14, -14]))
+        (point,) = camera.project(_raised(tip.x_cm, tip.y_cm, request.diameter_cm / 2))
+        cv2.drawMarker(canvas, _pixel(point), (0, 0, 255), cv2.MARKER_CROSS, 24, 2)
+        _text(canvas, f"tip {tip.x_cm:.2f}, {tip.y_cm:.2f} cm", point + np.array([14, -14]))
     around = np.linspace(0, 2 * np.pi, 60)
     for o in detection.obstacles:
         x, y = o.x_cm + o.radius_cm * np.cos(around), o.y_cm + o.radius_cm * np.sin(around)
-        seen = camera.project(_raised(x, y, wanted.obstacle_height_cm))
-        _lines(canvas, seen, (255, 0, 255), closed=True)
-        _text(canvas, f"({o.x_cm:.1f}, {o.y_cm:.1f}) r {o.radius_cm:.2f}", seen[0], (255, 0, 255))
+        rim = camera.project(_raised(x, y, request.obstacle_height_cm))
+        _lines(canvas, rim, (255, 0, 255), closed=True)
+        _text(canvas, f"({o.x_cm:.1f}, {o.y_cm:.1f}) r {o.radius_cm:.2f}", rim[0], (255, 0, 255))
     texts = [f"hidden cards: {', '.join(detection.hidden)}"] if detection.hidden else []
     for n, text in enumerate([*texts, *map(str, detection.problems)]):
         _text(canvas, text, np.array([20, 40 + 34 * n]), (0, 0, 255))
@@ -328,7 +334,7 @@ def write_picture(path: str | Path, picture: Picture) -> None:
         write_whole(path, data.tobytes())
 
 
-def _at(point: Array) -> tuple[int, int]:
+def _pixel(point: Array) -> tuple[int, int]:
     return round(float(point[0])), round(float(point[1]))
 
 
@@ -339,6 +345,8 @@ def _lines(
     cv2.polylines(canvas, [vertices], closed, color, 2, cv2.LINE_AA, 4)
 
 
-def _text(canvas: Picture, text: str, at: Array, color: tuple[int, int, int] = (0, 0, 0)) -> None:
+def _text(
+    canvas: Picture, text: str, point: Array, color: tuple[int, int, int] = (0, 0, 0)
+) -> None:
     for shade, width in (((255, 255, 255), 5), (color, 2)):
-        cv2.putText(canvas, text, _at(at), cv2.FONT_HERSHEY_SIMPLEX, 0.65, shade, width)
+        cv2.putText(canvas, text, _pixel(point), cv2.FONT_HERSHEY_SIMPLEX, 0.65, shade, width)

@@ -18,13 +18,15 @@ class PictureError(CameraError):
 class SheetHiddenError(CameraError):
     """Too few of the workspace cards can be seen."""
 
-    def __init__(self, hidden: tuple[str, ...], seen: int, other: str = "") -> None:
+    def __init__(self, hidden: tuple[str, ...], count: int, dictionary_in_view: str = "") -> None:
+        cure = "uncover the cards, avoid glare on them, and check that the picture holds all"
+        if family := dictionary_in_view:
+            cure = (
+                f'the picture shows markers of {family}: write dictionary = "{family}" into the '
+                "sheet file, and the cards' first_id"
+            )
         super().__init__(
-            f"only {seen} workspace card(s) are seen; hidden: {', '.join(hidden)}",
-            f'the picture shows markers of {other}: write dictionary = "{other}" into the sheet '
-            "file, and the cards' first_id"
-            if other
-            else "uncover the cards, avoid glare on them, and check that the picture holds all",
+            f"only {count} workspace card(s) are seen; hidden: {', '.join(hidden)}", cure
         )
 
 

@@ -40,10 +40,10 @@ _LARGEST = (
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-9)
 
 
-class Kept:
+class JsonFile:
     """A dataclass with a JSON file; a camera's file also has the entries of its lens."""
 
-    what: ClassVar[str]  # the file is
+    content: ClassVar[str]  # what the file holds, for messages
     cure: ClassVar[str]  # how to make one
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -61,19 +61,19 @@ class Kept:
             data = json.loads(text)
             return TypeAdapter(cls).validate_python({"lens": data, **data})
         except ValidationError as error:
-            entry = invalid_entry(cls.what, error)
+            entry = invalid_entry(cls.content, error)
             raise CameraError(f"{path} is not a {entry}", f"{cls.cure} again") from error
         except (ValueError, TypeError, RecursionError) as error:
             raise CameraError(
-                f"{path} is not a {cls.what}: {why_unreadable(error)}", f"{cls.cure} again"
+                f"{path} is not a {cls.content}: {why_unreadable(error)}", f"{cls.cure} again"
             ) from error
 
 
 @dataclass(frozen=True)
-class Lens(Kept):
+class Lens(JsonFile):
     """Pinhole and distortion (OpenCV's five-parameter model), px."""
 
-    what = "lens calibration"
+    content = "lens calibration"
     cure = "run `thigmo camera lens`"
     matrix: Points  # (3, 3) camera matrix
     distortion: Points  # (5,) k1, k2, p1, p2, k3
@@ -93,10 +93,10 @@ class Lens(Kept):
 
 
 @dataclass(frozen=True)
-class CameraModel(Kept):
+class CameraModel(JsonFile):
     """A lens in its place above the workspace."""
 
-    what = "camera calibration"
+    content = "camera calibration"
     cure = "run `thigmo camera locate`"
     lens: Lens  # pinhole and distortion
     rotation: Points  # (3,) Rodrigues vector, workspace to camera
@@ -109,11 +109,11 @@ class CameraModel(Kept):
 
     def project(self, points_cm: NDArray[np.float64]) -> Points:
         """Workspace points (n, 3) in cm to pixels (n, 2)."""
-        seen, _ = cv2.projectPoints(
+        pixels, _ = cv2.projectPoints(
             np.asarray(points_cm, float), self.rotation, self.translation, self.lens.matrix,
             self.lens.distortion,
         )  # fmt: skip
-        return np.asarray(seen, float).reshape(-1, 2)
+        return np.asarray(pixels, float).reshape(-1, 2)
 
     def to_plane(self, pixels: NDArray[np.float64], height_cm: float = 0.0) -> Points:
         """Pixels (n, 2) to workspace x, y (n, 2) in cm at a height above the table."""
@@ -182,20 +182,20 @@ def detect_markers(picture: Picture, name: str) -> dict[int, Points]:
     }
 
 
-def other_dictionary(picture: Picture, name: str) -> str:
+def dictionary_in_view(picture: Picture, name: str) -> str:
     """The other dictionary with the most markers in view, if at least four; else "".
 
     The dictionaries in `_LARGEST` contain the smaller ones of their marker size.
     """
     marker_size = dictionary(name).markerSize
-    tried = [
+    families = [
         e
         for e in _LARGEST
         if e != name and (dictionary(e).markerSize != marker_size or "X" not in e)
     ]
-    seen = {family: len(detect_markers(picture, family)) for family in tried}
-    most = max(seen, key=lambda family: seen[family])
-    return most if seen[most] >= 4 else ""
+    counts = {family: len(detect_markers(picture, family)) for family in families}
+    best = max(counts, key=lambda family: counts[family])
+    return best if counts[best] >= 4 else ""
 
 
 def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
@@ -214,9 +214,9 @@ def calibrate_lens(pictures: Sequence[Picture], sheet: Sheet) -> Lens:
         corners, ids, _, _ = finder.detectBoard(picture)
         if ids is None or len(ids) < 12:
             continue
-        shape, seen = charuco.matchImagePoints(corners, ids)
+        shape, pixels = charuco.matchImagePoints(corners, ids)
         objects.append(shape)
-        images.append(seen)
+        images.append(pixels)
     if len(objects) < 4:
         raise CameraError(
             f"the lens board is seen in {len(objects)} of {len(pictures)} pictures, 4 are needed",
@@ -238,12 +238,12 @@ def judge_still(markers: dict[int, Points], model: CameraModel, sheet: Sheet) ->
     Raises SheetHiddenError if no card is seen, CameraMovedError if they are not where the camera
     was located.
     """
-    both = [m for m in model.corners if m in markers]
+    shared = [m for m in model.corners if m in markers]
     card_of = sheet.marker_ids()
     hidden = tuple(c.name for c in sheet.cards if not any(card_of.get(m) is c for m in markers))
-    if not both:
+    if not shared:
         raise SheetHiddenError(hidden, 0)
-    shifts = np.concatenate([markers[m] - model.corners[m] for m in both])
+    shifts = np.concatenate([markers[m] - model.corners[m] for m in shared])
     moved = float(np.median(np.linalg.norm(shifts, axis=1)))
     if moved > _MOVED_PX:
         raise CameraMovedError(

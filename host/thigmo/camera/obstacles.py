@@ -33,9 +33,9 @@ class Obstacle:
     radius_cm: float  # radius of its top face
     rim: float  # share of its rim that was seen, 0..1
 
-    def apart_cm(self, other: Obstacle) -> float:
+    def distance_cm(self, obstacle: Obstacle) -> float:
         """Distance of the centres."""
-        return float(np.hypot(self.x_cm - other.x_cm, self.y_cm - other.y_cm))
+        return float(np.hypot(self.x_cm - obstacle.x_cm, self.y_cm - obstacle.y_cm))
 
 
 def find_obstacles(
@@ -67,9 +67,9 @@ def find_obstacles(
         if obstacle is None or not radius_cm[0] <= obstacle.radius_cm <= radius_cm[1]:
             continue
         reach = 0.9 * obstacle.radius_cm
-        twins = [o for o in obstacles if o.apart_cm(obstacle) < reach + 0.9 * o.radius_cm]
+        twins = [o for o in obstacles if o.distance_cm(obstacle) < reach + 0.9 * o.radius_cm]
         if all(twin.rim < obstacle.rim for twin in twins):
-            obstacles = [other for other in obstacles if other not in twins] + [obstacle]
+            obstacles = [previous for previous in obstacles if previous not in twins] + [obstacle]
     return sorted(obstacles, key=lambda o: -o.rim)
 
 
@@ -89,10 +89,10 @@ def _refine(
     toward = np.column_stack([np.cos(angles), np.sin(angles)])
     best: Obstacle | None = None
     for channel in channels:
-        at, size = center.copy(), float(radius)
+        middle, size = center.copy(), float(radius)
         for width in (0.45, 0.2):
             reach = np.arange((1 - width) * size, (1 + width) * size, 0.25)
-            points = (at + reach[:, None, None] * toward).astype(np.float32)
+            points = (middle + reach[:, None, None] * toward).astype(np.float32)
             light = channel.astype(np.float32)
             profile = cv2.remap(light, points[..., 0], points[..., 1], cv2.INTER_LINEAR)
             slope = np.gradient(cv2.GaussianBlur(profile, (1, 9), 0), axis=0)
@@ -106,18 +106,18 @@ def _refine(
                 peak = np.argmax(noted & crest, axis=0)
                 steep = strength[peak, np.arange(_RAYS)]
                 good = steep > max(1.0, 0.4 * float(np.median(steep)))
-                rim_points = at + reach[peak][:, None] * toward
+                rim_points = middle + reach[peak][:, None] * toward
                 if good.sum() < _LEAST_RIM * _RAYS:
                     continue
-                circle = _circle(rim_points[good], at, size)
-                off = np.hypot(*(rim_points - circle[:2]).T) - circle[2]
-                near = good & (np.abs(off) < max(1.0, 0.07 * circle[2]))
+                circle = _circle(rim_points[good], middle, size)
+                distance = np.hypot(*(rim_points - circle[:2]).T) - circle[2]
+                near = good & (np.abs(distance) < max(1.0, 0.07 * circle[2]))
                 rim = float(near.mean())
                 if rim < _LEAST_RIM or (best is not None and rim <= best.rim and width > 0.3):
                     continue
                 if (best is None or rim >= best.rim) and _solid(channels, circle):
                     x, y = flat.places(circle[:2]).tolist()
-                    at, size = circle[:2].copy(), float(circle[2])
+                    middle, size = circle[:2].copy(), float(circle[2])
                     best = Obstacle(x, y, size / flat.px_per_cm, rim)
     return best
 
@@ -130,9 +130,10 @@ def _solid(channels: Sequence[NDArray[np.uint8]], circle: Array) -> bool:
     shares = np.array([0.3, 0.6, 1.3, 1.6, 1.9])[:, None, None]
     rings = (circle[:2] + radius * shares * toward).astype(np.float32)
     for channel in channels:
-        seen = cv2.remap(channel, rings[..., 0], rings[..., 1], cv2.INTER_LINEAR).astype(float)
-        core = seen[:2]
-        gap = np.abs(np.median(core) - np.median(seen[2:], axis=1)).min()
+        sampled = cv2.remap(channel, rings[..., 0], rings[..., 1], cv2.INTER_LINEAR)
+        brightness = sampled.astype(float)
+        core = brightness[:2]
+        gap = np.abs(np.median(core) - np.median(brightness[2:], axis=1)).min()
         if gap > 8.0 + 2.0 * float(core.std()):
             return True
     return False

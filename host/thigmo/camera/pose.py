@@ -18,7 +18,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from thigmo.camera.exceptions import PlaneFitError, SheetHiddenError
-from thigmo.camera.model import CameraModel, Lens, Picture, Points, detect_markers, other_dictionary
+from thigmo.camera.model import (
+    CameraModel,
+    Lens,
+    Picture,
+    Points,
+    detect_markers,
+    dictionary_in_view,
+)
 from thigmo.camera.sheet import Sheet
 
 GOOD_CM = 0.15  # sufficient standard error of a place at the robot's height: 0.3 cm at 95 %
@@ -46,14 +53,14 @@ def locate(picture: Picture, sheet: Sheet, lens: Lens | None = None) -> CameraMo
     if lens is not None:
         lens.require(picture)
     markers = detect_markers(picture, sheet.dictionary)
-    known = {k: v for k, v in markers.items() if k in sheet.marker_ids()}
-    seen_cards = [c for c in sheet.cards if any(c.first_id + k in known for k in range(4))]
+    card_markers = {k: v for k, v in markers.items() if k in sheet.marker_ids()}
+    seen_cards = [c for c in sheet.cards if any(c.first_id + k in card_markers for k in range(4))]
     hidden = tuple(c.name for c in sheet.cards if c not in seen_cards)
     if len(seen_cards) < 3:
-        other = "" if seen_cards else other_dictionary(picture, sheet.dictionary)
-        raise SheetHiddenError(hidden, len(seen_cards), other)
+        in_view = "" if seen_cards else dictionary_in_view(picture, sheet.dictionary)
+        raise SheetHiddenError(hidden, len(seen_cards), in_view)
     size = (picture.shape[1], picture.shape[0])
-    return fit_pose(known, sheet, size, lens, hidden)
+    return fit_pose(card_markers, sheet, size, lens, hidden)
 
 
 def fit_pose(
@@ -163,9 +170,9 @@ class PoseFit:
         """Corners (n, 3) in the workspace."""
         turn = (self.laid[:, 3] + slips[:, 2])[self.owner]
         u, v = self.local.T
-        at = (self.laid[:, :2] + slips[:, :2])[self.owner]
-        x = at[:, 0] + np.cos(turn) * u - np.sin(turn) * v
-        y = at[:, 1] + np.sin(turn) * u + np.cos(turn) * v
+        place = (self.laid[:, :2] + slips[:, :2])[self.owner]
+        x = place[:, 0] + np.cos(turn) * u - np.sin(turn) * v
+        y = place[:, 1] + np.sin(turn) * u + np.cos(turn) * v
         return np.column_stack([x, y, self.laid[self.owner, 2]])
 
     def residuals(self, x: Points) -> Points:
@@ -187,11 +194,11 @@ class PoseFit:
             self._solid(slips), camera.rotation, camera.translation, lens.matrix, lens.distortion
         )[1], float)  # fmt: skip
         rotation, by_turn = cv2.Rodrigues(camera.rotation)
-        made = np.zeros((2 * n + len(self.spread), len(x)))
+        jacobian = np.zeros((2 * n + len(self.spread), len(x)))
         if self.lens is None:
-            made[: 2 * n, 0] = (slopes[:, 6] + slopes[:, 7]) * lens.matrix[0, 0]
-            made[: 2 * n, 1:5] = slopes[:, 8:12]
-        made[: 2 * n, head : head + 6] = slopes[:, :6]
+            jacobian[: 2 * n, 0] = (slopes[:, 6] + slopes[:, 7]) * lens.matrix[0, 0]
+            jacobian[: 2 * n, 1:5] = slopes[:, 8:12]
+        jacobian[: 2 * n, head : head + 6] = slopes[:, :6]
         # A corner that moves in the workspace moves as the rotation carries it.
         by_place = (slopes[:, 3:6] @ rotation).reshape(n, 2, 3)[:, :, :2]
         angle = (self.laid[:, 3] + slips[:, 2])[self.owner]
@@ -202,18 +209,18 @@ class PoseFit:
         for card in range(len(self.cards)):
             of_card = self.owner == card
             rows, column = np.nonzero(np.repeat(of_card, 2))[0], head + 6 + 3 * card
-            made[rows, column : column + 2] = by_place[of_card].reshape(-1, 2)
-            made[rows, column + 2] = by_swing[of_card].ravel()
-        made[: 2 * n] /= _CORNER_PX
+            jacobian[rows, column : column + 2] = by_place[of_card].reshape(-1, 2)
+            jacobian[rows, column + 2] = by_swing[of_card].ravel()
+        jacobian[: 2 * n] /= _CORNER_PX
         columns = np.r_[np.arange(head), np.arange(head + 6, len(x))]
-        made[2 * n + np.arange(len(columns)), columns] = 1 / self.spread
+        jacobian[2 * n + np.arange(len(columns)), columns] = 1 / self.spread
         if self.sheet.camera_height_cm is None:
-            return made
+            return jacobian
         # height = -(R^T t)_z; by_turn holds dR / d turn, R row by row.
         row = np.zeros((1, len(x)))
         row[0, head : head + 3] = -(by_turn.reshape(3, 3, 3)[:, :, 2] @ camera.translation)
         row[0, head + 3 : head + 6] = -rotation[:, 2]
-        return np.vstack([made, row / self.sheet.camera_height_se_cm])
+        return np.vstack([jacobian, row / self.sheet.camera_height_se_cm])
 
 
 def _log_focal(width: int, view_deg: float) -> float:
@@ -225,8 +232,8 @@ def _accuracy(problem: PoseFit, best: Points, jacobian: Points) -> float:
     """Worst standard error (cm) of a place at the robot's height, from the fit's covariance."""
     covariance = np.linalg.pinv(jacobian.T @ jacobian)
     low, high = problem.laid[:, :2].min(axis=0), problem.laid[:, :2].max(axis=0)
-    across = np.meshgrid(np.linspace(low[0], high[0], 4), np.linspace(low[1], high[1], 4))
-    grid = np.column_stack([across[0].ravel(), across[1].ravel(), np.full(16, 1.75)])
+    x, y = np.meshgrid(np.linspace(low[0], high[0], 4), np.linspace(low[1], high[1], 4))
+    grid = np.column_stack([x.ravel(), y.ravel(), np.full(16, 1.75)])
     pixels = problem.split(best)[0].project(grid)
 
     def places(x: Points) -> Points:

@@ -194,9 +194,11 @@ class Decal:
 
 def _marker_image(sheet: Sheet, marker: int, size: int) -> Gray:
     """A marker's picture (size, size) with black border, without the white margin."""
-    whole = sheet.modules * 8  # that its cells are alike before it is stretched
-    made = cv2.aruco.generateImageMarker(dictionary(sheet.dictionary), marker, whole)
-    return np.asarray(cv2.resize(made, (size, size), interpolation=cv2.INTER_NEAREST), np.uint8)
+    size_px = sheet.modules * 8  # whole pixels a cell, so that all cells are of one size
+    marker_picture = cv2.aruco.generateImageMarker(dictionary(sheet.dictionary), marker, size_px)
+    return np.asarray(
+        cv2.resize(marker_picture, (size, size), interpolation=cv2.INTER_NEAREST), np.uint8
+    )
 
 
 def card_image(sheet: Sheet, card: Card) -> Gray:
@@ -208,8 +210,8 @@ def card_image(sheet: Sheet, card: Card) -> Gray:
     for k in range(4):
         left, top = sheet.local_corners(k)[0] / sheet.print_scale
         column, row = round((left + side_cm / 2) * PX_CM), round((side_cm / 2 - top) * PX_CM)
-        made = _marker_image(sheet, card.first_id + k, size)
-        picture[row : row + size, column : column + size] = made
+        marker = _marker_image(sheet, card.first_id + k, size)
+        picture[row : row + size, column : column + size] = marker
     middle, arm = n // 2, round(0.7 * PX_CM)
     line = PX_CM // 20
     cv2.line(picture, (middle - arm, middle), (middle + arm, middle), 0, line)
@@ -241,11 +243,11 @@ def tip_decal(sheet: Sheet, x_cm: Points, y_cm: Points, height_cm: float) -> Dec
     side = sheet.tip_marker_cm * (1 + 2 / sheet.modules) * sheet.print_scale
     axis = np.column_stack([x_cm, y_cm])
     arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1)))
-    at = arc[-1] - sheet.tip_offset_cm
-    piece = min(max(int(np.searchsorted(arc, at)), 1), len(axis) - 1)
+    marker_arc = arc[-1] - sheet.tip_offset_cm
+    piece = min(max(int(np.searchsorted(arc, marker_arc)), 1), len(axis) - 1)
     ahead = axis[piece] - axis[piece - 1]
     ahead /= np.linalg.norm(ahead)
-    center = axis[piece] - (arc[piece] - at) * ahead
+    center = axis[piece] - (arc[piece] - marker_arc) * ahead
     return _decal(tip_image(sheet), _turned(_square(side), ahead[0], ahead[1]) + center, height_cm)
 
 
@@ -256,7 +258,7 @@ def _text(onto: Gray, text: str, column: int, row: int, size: float) -> None:
 def pages(sheet: Sheet) -> list[Gray]:
     """A4 pages as pictures: two cards a page, tip markers, the lens board."""
     width, height = (round(side * PX_CM) for side in A4_CM)
-    made: list[Gray] = []
+    pages: list[Gray] = []
 
     def page(title: str) -> Gray:
         picture = np.full((height, width), 255, np.uint8)
@@ -268,7 +270,7 @@ def pages(sheet: Sheet) -> list[Gray]:
             cv2.line(picture, (column, row - 12), (column, row + 12), 0)
         note = "10.0 cm: measure this bar; print at 100 %, not 'fit to page'"
         _text(picture, note, left - PX_CM, row + PX_CM * 3 // 4, 0.8 * PX_CM / 55)
-        made.append(picture)
+        pages.append(picture)
         return picture
 
     def paste(onto: Gray, picture: Gray, column: int, row: int, frame: bool = True) -> None:
@@ -281,13 +283,13 @@ def pages(sheet: Sheet) -> list[Gray]:
         two = sheet.cards[start : start + 2]
         onto = page("thigmo workspace cards: " + ", ".join(card.name for card in two))
         for slot, card in enumerate(two):
-            what = card_image(sheet, card)
+            card_picture = card_image(sheet, card)
             row = round((2.2 + slot * (sheet.card_cm + 0.8)) * PX_CM)
-            if row + what.shape[0] > height - 2 * PX_CM:
+            if row + card_picture.shape[0] > height - 2 * PX_CM:
                 raise CameraError(
                     "two cards do not fit a page", "choose a smaller marker_cm in the sheet file"
                 )
-            paste(onto, what, (width - what.shape[1]) // 2, row)
+            paste(onto, card_picture, (width - card_picture.shape[1]) // 2, row)
             where = f"{card.name}: cross at x {card.x_cm:g}, y {card.y_cm:g} cm"
             _text(onto, where, PX_CM, row - PX_CM // 5, PX_CM / 70)
     onto = page("thigmo tip markers: glue one on the tip, arrow side ahead (spares)")
@@ -302,7 +304,7 @@ def pages(sheet: Sheet) -> list[Gray]:
     if size[0] > width or size[1] > height - 4 * PX_CM:
         raise CameraError("the lens board does not fit a page", "choose a smaller board_square_cm")
     paste(onto, drawn, (width - size[0]) // 2, 2 * PX_CM, frame=False)
-    return made
+    return pages
 
 
 def print_sheet(sheet: Sheet, path: str | os.PathLike[str]) -> list[Path]:

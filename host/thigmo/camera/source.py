@@ -32,10 +32,10 @@ class PictureSource:
 
 def _stills(paths: Sequence[Path]) -> PictureSource:
     """Picture files, in that order."""
-    others = iter(paths)
+    remaining = iter(paths)
 
     def read() -> Picture:
-        path = next(others, None)
+        path = next(remaining, None)
         if path is None:
             used_up = f"all {len(paths)} stills have been used"
             raise PictureError(used_up, "add the missing pictures")

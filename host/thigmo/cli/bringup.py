@@ -16,7 +16,7 @@ from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, filled,
 from thigmo.errors import ConfigError
 
 if TYPE_CHECKING:
-    from thigmo.bringup import Finding, Turned
+    from thigmo.bringup import Finding, SpoolTurn
     from thigmo.robot import Robot
 
 
@@ -48,13 +48,13 @@ class _TerminalAttendant:
             answer = self._console.ask(f"{question}? (y/n)").strip().lower()[:1]
         return answer == "y"
 
-    def spool_turned(self) -> Turned:
+    def spool_turned(self) -> SpoolTurn:
         """Ask how the spool turned; before it has been driven, only for attention."""
         if not self._asked:
             self._asked = True
             self.ready("Watch the spool: it is to pay out a little line")
             return "not"
-        answers: dict[str, Turned] = {"o": "out", "i": "in", "n": "not"}
+        answers: dict[str, SpoolTurn] = {"o": "out", "i": "in", "n": "not"}
         answer = ""
         while answer not in answers:
             answer = self._console.ask("Did it pay line (o)ut, wind it (i)n, or (n)ot turn?")
@@ -99,7 +99,7 @@ def bringup(
         if not as_json:
             same = finding.subject.startswith(finding.stage)
             subject = finding.subject if same else f"{finding.stage}: {finding.subject}"
-            typer.echo(filled(f"{mark} {subject}: {finding.what}{cure}", indent=6))
+            typer.echo(filled(f"{mark} {subject}: {finding.observation}{cure}", indent=6))
 
     with console.interruptible(robot), connect(robot, seed=seed, operator=console) as machine:
         if config is not None:

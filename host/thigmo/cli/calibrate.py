@@ -165,7 +165,7 @@ def calibrate(
         bench = Bench(machine, overhead, session, plan, say)
         results: dict[str, StepResult] = {}
         for name in steps:
-            if step == "all" and not again and session.done(name):
+            if step == "all" and not again and session.good_result(name):
                 say(f"{name}: done before; `thigmo calibrate {name} --again` repeats it")
                 continue
             results[name] = run(bench, name, again=again, method=method)
@@ -196,7 +196,7 @@ def _summary(session: Session, results: Mapping[str, StepResult]) -> None:
 
     table = Table("step", "", "what was learnt", box=None)
     for name in steps_of(session.config):
-        stored = session.done(name)
+        stored = session.good_result(name)
         if name in results:
             good, reason = results[name].verdict.good, results[name].verdict.reason
             table.add_row(name, "good" if good else "BAD", Text(visible(reason)))
@@ -213,7 +213,7 @@ def _status(session: Session, as_json: bool) -> None:
     facts, lines = {}, []
     for name in steps_of(session.config):
         rows = sum(len(session.rows(procedure)) for procedure in STEPS[name].rows)
-        done = session.done(name)
+        done = session.good_result(name)
         reason = done["verdict"]["reason"] if done else ""
         facts[name] = {"done": done is not None, "readings": rows, "reason": reason}
         lines.append(f"{name:12s} {'done' if done else f'{rows} readings':14s} {reason}".rstrip())

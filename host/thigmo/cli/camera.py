@@ -194,7 +194,7 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Show what the camera sees, drawn over the picture."""
-    from thigmo.camera import CameraModel, Wanted, detect, draw
+    from thigmo.camera import CameraModel, DetectionRequest, detect, draw
     from thigmo.camera import locate as find
     from thigmo.camera.detection import write_picture
 
@@ -206,7 +206,7 @@ def check(
         model = find(picture, used)
         if not as_json:
             typer.echo(f"no {camera_file}: the camera is located from this very picture")
-    wanted = Wanted(diameter, length_cm=length)
+    wanted = DetectionRequest(diameter, length_cm=length)
     empty = None if background is None else _one_picture(background)
     seen = detect(picture, model, used, wanted, background=empty)
     write_picture(out, draw(picture, model, used, seen, wanted))

@@ -91,7 +91,7 @@ def check(file: _FileArgument, as_json: JsonOption = False) -> None:
 
     findings = judge(RobotConfig.load(file))
     lines = [
-        filled(f"{finding.mark:8}{finding.what}: {finding.text}", indent=8) for finding in findings
+        filled(f"{finding.mark:8}{finding.part}: {finding.text}", indent=8) for finding in findings
     ]
     show(as_json, {"findings": [asdict(finding) for finding in findings]}, *lines)
     if any(finding.mark == "bad" for finding in findings):

@@ -75,17 +75,17 @@ def arc_bounds(
     """
     x = vector(position, "position")
     width, sigma = (np.broadcast_to(vector(v, "span", x.size), x.shape) for v in (span, noise))
-    at, force = np.atleast_1d(arcs)[:, None], np.atleast_1d(forces)[:, None]
+    place, force = np.atleast_1d(arcs)[:, None], np.atleast_1d(forces)[:, None]
     step = _STEP * length
-    slope = (phi(at + step, x, width) - phi(at - step, x, width)) / (2.0 * step)
-    rows = np.concatenate([phi(at, x, width), force * slope]) / sigma
+    slope = (phi(place + step, x, width) - phi(place - step, x, width)) / (2.0 * step)
+    rows = np.concatenate([phi(place, x, width), force * slope]) / sigma
     information = rows @ rows.T
     if offset_error > 0.0:
-        common = offset_error / sigma
-        taken = rows @ common
-        information -= np.outer(taken, taken) / (1.0 + common @ common)
+        shared = offset_error / sigma
+        projection = rows @ shared
+        information -= np.outer(projection, projection) / (1.0 + shared @ shared)
     scale = np.sqrt(np.diag(information))
-    count = len(at)
+    count = len(place)
     if not (scale > 1e-150).all():
         return np.full(count, np.inf)
     try:
@@ -138,7 +138,7 @@ def identifiability(
     moment = np.geomspace(0.1, 1.2, 6) / total
     places = np.linspace(0.0, total, 107)
     lever, near = np.maximum(places, 1e-9 * total), np.maximum(total - gaps, 1e-9 * total)
-    felt = np.sqrt(((phi(places[:, None], x, width) / sigma) ** 2).sum(axis=1)) / lever
+    signal_per_moment = np.sqrt(((phi(places[:, None], x, width) / sigma) ** 2).sum(axis=1)) / lever
 
     layout = x, width, sigma, total, shared
     bounds = [
@@ -149,7 +149,7 @@ def identifiability(
         arc=places,
         moment=moment,
         bound=np.array(bounds) / moment[:, None],
-        signal=moment[:, None] * felt,
+        signal=moment[:, None] * signal_per_moment,
         separation=gaps,
         pair_bound=np.array(two) / moment[:, None, None],
         length=total,

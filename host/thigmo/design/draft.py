@@ -100,17 +100,19 @@ def draft(
         raise ConfigError(
             f"a diameter of {diameter_cm:g} cm", f"give 0.5 to {length_cm / 4:g}, a slender body"
         )
-    most = int((length_cm - _END_CM) / layout.least_pitch_cm)
-    if not 1 <= sensors <= most:
-        raise ConfigError(f"{sensors} sensors in a column", f"give 1 to {most} at this length")
+    most_sensors = int((length_cm - _END_CM) / layout.least_pitch_cm)
+    if not 1 <= sensors <= most_sensors:
+        raise ConfigError(
+            f"{sensors} sensors in a column", f"give 1 to {most_sensors} at this length"
+        )
     pitch = np.floor(2 * (length_cm - _END_CM) / sensors) / 2
     pouch_cm = _POUCH_CM if layout.flex_bases else float(pitch)
     body = _body(length_cm, diameter_cm, pouch_cm)
     bends = _MUSCLES_DEG[muscles]
-    far = [(towards + 180.0) % 360.0 for towards in bends]
-    columns = far[:1] if layout.one_column else sorted(far)
+    opposite = [(towards + 180.0) % 360.0 for towards in bends]
+    columns = opposite[:1] if layout.one_column else sorted(opposite)
     # Base sensors alone, for the board's trigger.
-    bases = sorted(far) if layout.flex_bases else [90.0] if muscles == 3 else []
+    bases = sorted(opposite) if layout.flex_bases else [90.0] if muscles == 3 else []
     return RobotConfig(
         name=name or f"vine-{length_cm:g}",
         interrogator=layout.interrogator,
@@ -167,8 +169,13 @@ def _grating(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
     # The outside of a bend is stretched.
     scale = _outside(lies_deg) * FibreSensor(kind="fibre", center_cm=1.0).scale_per_ue
     return [
-        FibreSensor(kind="fibre", center_cm=center_cm, direction_deg=lies, scale_per_ue=each)
-        for lies, each in ((lies_deg, scale), (0.0, abs(scale)))
+        FibreSensor(
+            kind="fibre",
+            center_cm=center_cm,
+            direction_deg=direction_deg,
+            scale_per_ue=reading_scale,
+        )
+        for direction_deg, reading_scale in ((lies_deg, scale), (0.0, abs(scale)))
     ]
 
 

@@ -29,10 +29,13 @@ def draw_design(layout: Identifiability, position: npt.ArrayLike, span: npt.Arra
     # Moments are ordered: so are their shades, in colour and in grey.
     colors = [colormaps["cividis"](share) for share in np.linspace(0.9, 0.0, len(layout.moment))]
     centers = np.atleast_1d(np.asarray(position, dtype=np.float64))
-    for m, (moment, felt, bound) in enumerate(
+    for m, (moment, detected, bound) in enumerate(
         zip(layout.moment, layout.detected, layout.bound, strict=True)
     ):
-        felt_bound, weak_bound = np.where(felt, bound, np.nan), np.where(felt, np.nan, bound)
+        felt_bound, weak_bound = (
+            np.where(detected, bound, np.nan),
+            np.where(detected, np.nan, bound),
+        )
         first.plot(layout.arc, felt_bound, color=colors[m], label=f"{moment:.4f} 1/cm")
         first.plot(layout.arc, weak_bound, ":", color=colors[m])
         two.plot(layout.separation, layout.pair_bound[m, :, 0], "--", color=colors[m])

@@ -10,6 +10,6 @@ from typing import Literal
 class Finding:
     """One prediction."""
 
-    what: str
+    part: str  # of the robot: "board", "muscle left", "units"
     mark: Literal["ok", "warning", "bad"]
-    text: str
+    text: str  # the prediction with its number, and the cure

@@ -12,7 +12,7 @@ base folds.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import degrees, hypot, pi
+from math import degrees, hypot, isinf, pi
 
 import numpy as np
 import numpy.typing as npt
@@ -69,26 +69,27 @@ def judge(config: RobotConfig) -> list[Finding]:
     limitations = beyond_board(config)
     wiring = None if limitations else Wiring.of(config)  # findings of the inputs need one
     findings = []
-    if wiring and (refused := wiring.unexplorable):
-        text = f"{refused.problem}: `thigmo explore` refuses; {refused.cure}"
+    if wiring and (limitation := wiring.unexplorable):
+        text = f"{limitation.problem}: `thigmo explore` refuses; {limitation.cure}"
         findings.append(Finding("explore", "warning", text))
     if wiring:
         findings += [
             Finding("board", "bad", f"{problem}: correct what it comes from in robot.toml")
-            for problem in _not_held(wiring)
+            for problem in _values_out_of_range(wiring)
         ] or [Finding("board", "ok", _board(wiring))]
     else:
-        findings += [Finding("board", "bad", f"{what}; {cure}") for what, cure in limitations]
+        findings += [Finding("board", "bad", f"{problem}; {cure}") for problem, cure in limitations]
     try:
         stages = stage_lengths(config)
         lengths = ", ".join(f"{length:g}" for length in stages)
         findings.append(Finding("stages", "ok", f"{lengths} cm"))
     except ConfigError as error:
         findings.append(Finding("stages", "bad", str(error)))
-    findings += [*_growth(config), *_bends(config, wiring)]
+    growth = _growth(config) if config.body.grows else ()
+    findings += [*growth, *_bends(config, wiring), *_folds(config)]
     if wiring:
         for side in config.sides:
-            findings += _feels(wiring, side)
+            findings += _contacts(wiring, side)
         findings += _inputs(wiring)
     findings += [*_resolution(config), *_signs(config), *unit_questions(config)]
     if wiring:
@@ -96,7 +97,7 @@ def judge(config: RobotConfig) -> list[Finding]:
     return [*findings, *_imus(config), *_fibre(config)]
 
 
-def _not_held(wiring: Wiring) -> list[str]:
+def _values_out_of_range(wiring: Wiring) -> list[str]:
     """Values beyond the range of the board's parameters."""
     rows = parameters(**wiring.size.capacity)
     settings = parameter_settings(wiring).items()
@@ -123,34 +124,34 @@ def _inputs(wiring: Wiring) -> Iterator[Finding]:
 def _growth(config: RobotConfig) -> Iterator[Finding]:
     body, spool = config.body, config.spool
     for zone in body.zones:
-        what = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
+        part = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
         end = min(zone.until_cm, body.length_cm)
         needed = body.growth_psi + body.growth_psi_per_cm * end
         if zone.pressure_psi > needed:
-            yield Finding(what, "ok", f"grows: {needed:.2f} psi are needed at its end")
+            yield Finding(part, "ok", f"grows: {needed:.2f} psi are needed at its end")
         else:
             yield Finding(
-                what,
+                part,
                 "bad",
                 f"does not grow to its end, which needs {needed:.2f} psi: raise this pressure",
             )
         pull = body.pull_n(zone.pressure_psi)
-        pulls = f"the body pulls {pull:.1f} N at the spool at rest"
+        pull_text = f"the body pulls {pull:.1f} N at the spool at rest"
         if spool.brake:
-            yield _braked(what, pulls, spool, pull)
+            yield _braked(part, pull_text, spool, pull)
         elif pull <= spool.holding_n:
-            yield Finding(what, "ok", f"{pulls}, and friction holds {spool.holding_n:g} N")
+            yield Finding(part, "ok", f"{pull_text}, and friction holds {spool.holding_n:g} N")
         else:
             holds = zone.pressure_psi * spool.holding_n / pull
             yield Finding(
-                what,
+                part,
                 "bad",
-                f"{pulls}, and friction holds {spool.holding_n:g} N: it slips (spool_slip). Fit a "
-                f"brake, or stay below {holds:.2f} psi",
+                f"{pull_text}, and friction holds {spool.holding_n:g} N: it slips (spool_slip). "
+                f"Fit a brake, or stay below {holds:.2f} psi",
             )
 
 
-def _braked(what: str, pulls: str, spool: Spool, pull_n: float) -> Finding:
+def _braked(part: str, pull_text: str, spool: Spool, pull_n: float) -> Finding:
     """Whether the brake holds before a stopped spool has turned too far.
 
     Until it has closed, the shorted windings alone slow what friction does not hold.
@@ -161,13 +162,13 @@ def _braked(what: str, pulls: str, spool: Spool, pull_n: float) -> Finding:
     run_out_mm = 10 * line_cm_s * closed_s / spool.payout_ratio
     allowed_mm = PARAMETERS["slip_um"].defaults[0] / 1e3
     text = (
-        f"{pulls}. At a stop the tip runs on by {run_out_mm:.1f} mm until its brake holds, "
+        f"{pull_text}. At a stop the tip runs on by {run_out_mm:.1f} mm until its brake holds, "
         f"{closed_s * 1e3:.0f} ms later; {allowed_mm:g} mm are allowed (slip_um)"
     )
     if run_out_mm <= allowed_mm:
-        return Finding(what, "ok", text)
+        return Finding(part, "ok", text)
     return Finding(
-        what, "bad", f"{text}: it slips (spool_slip). Fit a faster brake, or lower this pressure"
+        part, "bad", f"{text}: it slips (spool_slip). Fit a faster brake, or lower this pressure"
     )
 
 
@@ -177,27 +178,34 @@ def _bends(config: RobotConfig, wiring: Wiring | None) -> Iterator[Finding]:
         top = max(m.inflate.curvature(muscle.max_pressure_psi) for m in muscle.maps)
         angle = top * body.length_cm
         text = f"bends the whole body by {degrees(angle):.0f} degrees at {top:.4f} 1/cm"
-        if not all(each.calibrated for each in muscle.maps):
+        if not all(muscle_map.calibrated for muscle_map in muscle.maps):
             text += " (not calibrated)"
         if angle < _CLOSED_RAD:
             yield Finding(f"muscle {muscle.name}", "ok", text)
         else:
-            most = _CLOSED_RAD / body.length_cm
+            curvature_limit = _CLOSED_RAD / body.length_cm
             yield Finding(
                 f"muscle {muscle.name}",
                 "bad",
-                f"{text}: it runs into itself; lower max_pressure_psi until g is {most:.4f}",
+                f"{text}: it runs into itself; lower max_pressure_psi until g is "
+                f"{curvature_limit:.4f}",
             )
         yield from _maps(config, muscle)
         if muscle.side is None and wiring:
             yield from _out_of_plane(wiring, muscle)
-    for zone, moment in zip(body.zones, _fold_moments(config), strict=True):
-        what = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
+
+
+def _folds(config: RobotConfig) -> Iterator[Finding]:
+    """Whether the base folds before a contact is felt."""
+    if isinf(config.body.critical_curvature):
+        return
+    for zone, moment in zip(config.body.zones, _fold_moments(config), strict=True):
+        part = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
         if moment > TRIGGER_PER_CM:
-            yield Finding(what, "ok", f"the base folds at a contact moment of {moment:.4f} 1/cm")
+            yield Finding(part, "ok", f"the base folds at a contact moment of {moment:.4f} 1/cm")
         else:
             yield Finding(
-                what,
+                part,
                 "bad",
                 f"the base folds at {moment:.4f} 1/cm, before the trigger's {TRIGGER_PER_CM:g}: "
                 "raise this pressure",
@@ -206,19 +214,19 @@ def _bends(config: RobotConfig, wiring: Wiring | None) -> Iterator[Finding]:
 
 def _out_of_plane(wiring: Wiring, muscle: Muscle) -> Iterator[Finding]:
     """What measures and what guards the bends of a muscle that the camera does not see."""
-    what = f"muscle {muscle.name}"
+    part = f"muscle {muscle.name}"
     if not any(wired.sound for wired in wiring.sensors_reading(muscle)):
         text = (
             "cannot be calibrated: no healthy sensor reads a bend towards "
             f"{muscle.direction_deg:g} degrees, and the camera sees the plane only"
         )
-        yield Finding(what, "warning", text)
+        yield Finding(part, "warning", text)
     if not (bases := wiring.trigger_sensors(muscle)):
         text = (
             "no base sensor on the board's trigger reads its bends: the board refuses a sweep "
             "towards it, and `Robot.press` bends the body without feeling a contact"
         )
-        yield Finding(what, "warning", text)
+        yield Finding(part, "warning", text)
         return
     share = abs(bases[0].share)
     names = " and ".join(f"{base.sensor.direction_deg:g} degrees" for base in bases)
@@ -226,16 +234,17 @@ def _out_of_plane(wiring: Wiring, muscle: Muscle) -> Iterator[Finding]:
         f"the base sensor at {names} guards its bends and reads {100 * share:.0f} % of them, so "
         f"a contact is felt from {TRIGGER_PER_CM / share:.4f} 1/cm on"
     )
-    yield Finding(what, "ok", text)
+    yield Finding(part, "ok", text)
 
 
 def _maps(config: RobotConfig, muscle: Muscle) -> Iterator[Finding]:
     """Maps of a muscle that were measured at another body pressure than they are used at."""
-    for zone, known in zip(config.body.zones, muscle.maps, strict=True):
-        if abs(known.body_pressure_psi / zone.pressure_psi - 1) > SAME_PRESSURE:
+    for zone, muscle_map in zip(config.body.zones, muscle.maps, strict=True):
+        apart_psi = abs(muscle_map.body_pressure_psi - zone.pressure_psi)
+        if apart_psi > SAME_PRESSURE * zone.pressure_psi:
             text = (
-                f"its map for {zone.pressure_psi:g} psi is of {known.body_pressure_psi:g} psi: "
-                "correct body_pressure_psi, or measure it (`thigmo calibrate actuator`)"
+                f"its map for {zone.pressure_psi:g} psi is of {muscle_map.body_pressure_psi:g} "
+                "psi: correct body_pressure_psi, or measure it (`thigmo calibrate actuator`)"
             )
             yield Finding(f"muscle {muscle.name}", "bad", text)
 
@@ -248,7 +257,7 @@ def _fold_moments(config: RobotConfig) -> list[float]:
     ]
 
 
-def _feels(wiring: Wiring, side: Side) -> Iterator[Finding]:
+def _contacts(wiring: Wiring, side: Side) -> Iterator[Finding]:
     """Where a sweep towards a side detects and localizes a contact, at the full length."""
     config = wiring.config
     muscle, body = config.muscle(side), config.body
@@ -319,7 +328,7 @@ def _cure(
         place: share([*column, column[0].model_copy(update={"center_cm": place})]) for place in free
     }
     if added:
-        place = max(added, key=lambda at: added[at])
+        place = max(added, key=lambda arc: added[arc])
         if added[place] >= _LOCALIZED_LEAST:
             return f"one more sensor at {place:.0f} cm would make it {added[place]:.0f} %"
     for factor in (2, 3, 5, 10, 20):
@@ -328,10 +337,10 @@ def _cure(
             for sensor in column
         ]
         if share(quieter) >= _LOCALIZED_LEAST:
-            most = max(sensor.reading_se for sensor in quieter)
+            worst_se = max(sensor.reading_se for sensor in quieter)
             return (
-                f"no one more sensor is enough; readings known to {most:.1e} 1/cm (noise and zero "
-                f"a {_ORDINALS[factor]} of what they are) would make it {share(quieter):.0f} %"
+                f"no one more sensor is enough; readings known to {worst_se:.1e} 1/cm (noise and "
+                f"zero a {_ORDINALS[factor]} of what they are) would make it {share(quieter):.0f} %"
             )
     return "neither one more sensor nor less noise is enough; the base folds, or bends too little"
 
@@ -372,14 +381,14 @@ def _resolution(config: RobotConfig) -> Iterator[Finding]:
         if per_count > TRIGGER_PER_CM:
             coarse[name] = per_count, sensor.zero_ohm
     if coarse:
-        name, (per_count, zero_ohm) = max(coarse.items(), key=lambda one: one[1])
-        more = f" and {len(coarse) - 1} more" if len(coarse) > 1 else ""
+        name, (per_count, zero_ohm) = max(coarse.items(), key=lambda item: item[1])
+        suffix = f" and {len(coarse) - 1} more" if len(coarse) > 1 else ""
         text = (
             f"a count of the converter is {per_count:.2g} 1/cm, more than the trigger's "
             f"{TRIGGER_PER_CM:g}, at zero_ohm = {zero_ohm:g} and divider_ohm = "
             f"{board.divider_ohm:g}: correct the one that is wrong; they are usually alike"
         )
-        yield Finding(f"sensor {name}{more}", "bad", text)
+        yield Finding(f"sensor {name}{suffix}", "bad", text)
 
 
 def _signs(config: RobotConfig) -> Iterator[Finding]:
@@ -393,44 +402,44 @@ def _signs(config: RobotConfig) -> Iterator[Finding]:
             )
             yield Finding(f"sensor {name}", "warning", text)
     scales: dict[tuple[str, float], list[float]] = {}
-    for either in config.sensors:
-        if not either.valid_direction:
-            key = either.kind, either.direction_deg
-            scales.setdefault(key, []).append(either.raw_scale)
-    for (kind, lies), column in scales.items():
-        few, sign = min((sum(s > 0 for s in column), 1), (sum(s < 0 for s in column), -1))
-        if few:
+    for sensor_of_column in config.sensors:
+        if not sensor_of_column.valid_direction:
+            key = sensor_of_column.kind, sensor_of_column.direction_deg
+            scales.setdefault(key, []).append(sensor_of_column.raw_scale)
+    for (kind, direction_deg), column in scales.items():
+        minority, sign = min((sum(s > 0 for s in column), 1), (sum(s < 0 for s in column), -1))
+        if minority:
             places = ", ".join(str(k) for k, s in enumerate(column) if s * sign > 0)
             text = (
                 f"scales of both signs: those of {kind} {places} (0 = at the base) differ from the "
                 "others'; correct them, unless these sensors lie the other way up"
             )
-            yield Finding(f"column {config.column_name(lies)}", "warning", text)
+            yield Finding(f"column {config.column_name(direction_deg)}", "warning", text)
 
 
 def _flex_sensors(config: RobotConfig) -> list[tuple[str, FlexSensor]]:
     """The healthy flex sensors, by name."""
-    placed: dict[float, int] = {}
-    found = []
+    count_by_direction: dict[float, int] = {}
+    flex = []
     for sensor in config.board_sensors:
-        lies = sensor.direction_deg
-        k = placed[lies] = placed.get(lies, -1) + 1
+        direction_deg = sensor.direction_deg
+        k = count_by_direction[direction_deg] = count_by_direction.get(direction_deg, -1) + 1
         if isinstance(sensor, FlexSensor) and sensor.healthy:
-            found.append((f"{config.column_name(lies)} {k}", sensor))
-    return found
+            flex.append((f"{config.column_name(direction_deg)} {k}", sensor))
+    return flex
 
 
 def _rates(wiring: Wiring) -> Iterator[Finding]:
     """The rate of each kind of channel, by the schedule of firmware/core/board.h."""
     conversions = 2 ** PARAMETERS["oversample_log2"].defaults[0]
-    bases, others = _TICKS_HZ / conversions, _TICKS_HZ / 2 / conversions
+    base_hz, other_hz = _TICKS_HZ / conversions, _TICKS_HZ / 2 / conversions
     wired = len(wiring.config.board_sensors)
     if not wired:
         return
-    read = len(wiring.base_inputs)
-    text = f"base sensors ({read}) {bases:.1f} Hz, "
-    if rest := wired - read:
-        text += f"the others ({rest}) {others:.1f} Hz, "
+    base_count = len(wiring.base_inputs)
+    text = f"base sensors ({base_count}) {base_hz:.1f} Hz, "
+    if other_count := wired - base_count:
+        text += f"the others ({other_count}) {other_hz:.1f} Hz, "
     yield Finding("rates", "ok", f"{text}pressures {_TICKS_HZ} Hz")
 
 
@@ -439,23 +448,24 @@ def _imus(config: RobotConfig) -> Iterator[Finding]:
     imus = [sensor for sensor in config.sensors if isinstance(sensor, HeadingSensor)]
     if not imus:
         return
-    each_ms = 1e3 * IMU_BITS / _BUS_HZ
-    busy = len(imus) * each_ms * _REPORTS_HZ / 1e3
+    imu_ms = 1e3 * IMU_BITS / _BUS_HZ
+    busy = len(imus) * imu_ms * _REPORTS_HZ / 1e3
     text = (
-        f"{len(imus)} IMUs behind a multiplexer, {each_ms:.2f} ms each at {_BUS_HZ // 1000} kHz: "
-        f"all in {len(imus) * each_ms:.1f} ms, so {_REPORTS_HZ} reports a second of each keep the "
+        f"{len(imus)} IMUs behind a multiplexer, {imu_ms:.2f} ms each at {_BUS_HZ // 1000} kHz: "
+        f"all in {len(imus) * imu_ms:.1f} ms, so {_REPORTS_HZ} reports a second of each keep the "
         f"bus busy for {100 * busy:.0f} % of the time"
     )
     yield Finding("bus", "ok" if busy < 1.0 else "bad", text)
     base = min(imus, key=lambda sensor: sensor.center_cm)
     if any(config.sensors_for(side)[:1] == [base] for side in config.sides):
-        held, known = TRIGGER_PER_CM * base.span_cm, base.reading_se * base.span_cm
-        sure = held / known >= _TRIGGER_SIGMAS
+        contact_rad, error_rad = TRIGGER_PER_CM * base.span_cm, base.reading_se * base.span_cm
+        clear = contact_rad / error_rad >= _TRIGGER_SIGMAS
         text = (
             f"works on the turn of the first {base.span_cm:g} cm: a contact takes "
-            f"{degrees(held):.1f} degrees of it, and its IMU is known to {degrees(known):.2f}"
+            f"{degrees(contact_rad):.1f} degrees of it, and its IMU is known to "
+            f"{degrees(error_rad):.2f}"
         )
-        yield Finding("trigger", "ok" if sure else "bad", text)
+        yield Finding("trigger", "ok" if clear else "bad", text)
 
 
 def _fibre(config: RobotConfig) -> Iterator[Finding]:

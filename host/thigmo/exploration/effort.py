@@ -158,6 +158,10 @@ class Planner:
             length_cm = stop
         return spent
 
+    def whole_run_s(self) -> float:
+        """Robot time (s) that a run takes from its beginning."""
+        return _BEGINS_S + self.expected_s(self.plan())
+
     def raises(self, length_cm: float) -> bool:
         """Whether a measurement at a length may raise the body pressure."""
         return self.effort.raises_often or self._full(length_cm)

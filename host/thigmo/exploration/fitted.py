@@ -1,13 +1,10 @@
-"""The contacts of each side, for the map: fits of pegs to all frames of its sweeps.
-
-One peg for all sweeps, or several that shared the stages among them (`thigmo.field` fits each).
-"""
+"""The contacts of each side, for the map: one fit to all frames of its sweeps (`thigmo.field`)."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtr
@@ -15,16 +12,7 @@ from scipy.special import ndtr
 from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
 from thigmo.contact_status import SURE
 from thigmo.exploration.prior import boost, match
-from thigmo.field import (
-    Atlas,
-    Errors,
-    FieldContact,
-    Readings,
-    Swept,
-    contacts,
-    read,
-    untouched_evidence,
-)
+from thigmo.field import Atlas, FieldContact, Swept, contacts, read
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle
 from thigmo.robot import SweepResult
@@ -33,10 +21,12 @@ from thigmo.robot.curvature import Floats
 _MAP_ERRS = 1.3  # bends of the atlas over the map's highest
 _CELL_CM = 0.5  # of the posterior along the body
 _SMOOTH_CM = 0.25  # one sigma by which a sample of the arc is spread over the cells
-# Sum of squares over the number of independent readings beyond which one peg for all sweeps is
-# compared with one for each stage, which takes time. A peg that explains its sweeps leaves about 1.
-_DOUBTED = 1.15
-_SAME_SIGMA = 3.0  # within which two stages' places may be one
+
+
+@lru_cache(maxsize=4)
+def _atlas(length_cm: float, most_bend: float) -> Atlas:
+    """An atlas that all runs of a robot and their replays share: making it takes two seconds."""
+    return Atlas(length_cm, most_bend)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +36,6 @@ class FittedContact:
     contact: MapContact
     arcs: Floats  # (n,) cm
     weights: Floats  # (n,) of sum one
-    misfit: float  # 1 if the peg explains its sweeps
-    log_evidence: float  # of these sweeps
 
     def felt_at(self, length_cm: float) -> bool:
         """Whether a sweep at an everted length touched it."""
@@ -74,7 +62,7 @@ class SideFits:
             for muscle in config.muscles
             for zone in muscle.maps
         )
-        self._atlas = Atlas(config.body.length_cm, _MAP_ERRS * bend)
+        self._atlas = _atlas(config.body.length_cm, _MAP_ERRS * bend)
 
     def add(self, sweep: SweepResult, zone: int, sides: Collection[Side]) -> None:
         """Take what a sweep, in a zone of body pressure, read on its way to these sides."""
@@ -92,50 +80,10 @@ class SideFits:
         return known
 
     def _fit(self, side: Side) -> list[FittedContact]:
-        """One peg for all sweeps of a side, or several for its stages if that is likelier."""
-        whole = self._group(self._sweeps[side], side)
-        if all(fitted.misfit <= _DOUBTED for fitted in whole.found):
-            return whole.found
-        groups = self._stages_apart(side)
-        apart = [group for group in groups if group.found]
-        if len(apart) < 2 or sum(g.log_evidence for g in groups) <= whole.log_evidence:
-            return whole.found
-        return [_of_several(fitted) for group in apart for fitted in group.found]
-
-    def _stages_apart(self, side: Side) -> list[_Group]:
-        """The stages by themselves, those together for which one obstacle is likelier than two."""
-        stages: dict[int, list[Swept]] = {}
-        for swept in self._sweeps[side]:
-            length = round(swept.sweep.peaks[0].length_cm / SAME_LENGTH_CM)
-            stages.setdefault(length, []).append(swept)
-        groups: list[_Group] = []
-        for _, sweeps in sorted(stages.items()):
-            stage = self._group(sweeps, side)
-            for n, other in enumerate(groups):
-                if _may_be_one(stage, other):
-                    joint = self._group([*other.sweeps, *stage.sweeps], side)
-                    if joint.log_evidence > stage.log_evidence + other.log_evidence:
-                        groups[n] = joint
-                        break
-            else:
-                groups.append(stage)
-        return groups
-
-    def _group(self, sweeps: Sequence[Swept], side: Side) -> _Group:
-        """What explains some of a side's sweeps, with errors of their own."""
+        sweeps = self._sweeps[side]
         prepared = read(sweeps, side, self._config)
         if prepared is None:
-            return _Group(sweeps, [], 0.0)
-        found = self._fitted(*prepared, side, len(sweeps))
-        evidence = (
-            sum(fitted.log_evidence for fitted in found) if found else untouched_evidence(*prepared)
-        )
-        return _Group(sweeps, found, evidence)
-
-    def _fitted(
-        self, readings: Readings, errors: Errors, side: Side, sweeps: int
-    ) -> list[FittedContact]:
-        """What explains the readings of so many sweeps."""
+            return []
         expected = None
         if self._prior:
 
@@ -143,20 +91,19 @@ class SideFits:
                 mirrored = points * [1.0, SIGN[side]]
                 return boost(self._prior, mirrored, self._config.body.length_cm)
 
-        sensors = readings.centers.size
+        found = contacts(*prepared, self._atlas, expected=expected)
+        model = f"by {len(sweeps)} sweep{'s' if len(sweeps) > 1 else ''}"
+        model += f"; one of {len(found)} on this side" if len(found) > 1 else ""
+        sensors = prepared[0].centers.size
         return [
             FittedContact(
-                self._mapped(contact, side, sweeps, sensors),
-                contact.arcs,
-                contact.weights,
-                contact.misfit,
-                contact.log_evidence,
+                self._mapped(contact, side, model, sensors), contact.arcs, contact.weights
             )
-            for contact in contacts(readings, errors, self._atlas, expected=expected)
+            for contact in found
         ]
 
-    def _mapped(self, contact: FieldContact, side: Side, sweeps: int, sensors: int) -> MapContact:
-        """The contact by so many sweeps and sensors, in the workspace."""
+    def _mapped(self, contact: FieldContact, side: Side, model: str, sensors: int) -> MapContact:
+        """The contact by so many sensors, in the workspace; `model` says by what sweeps."""
         sign = SIGN[side]
         mirror = np.diag([1.0, sign])
         (xx, xy), (yx, yy) = (mirror @ contact.covariance_cm2 @ mirror).tolist()
@@ -175,8 +122,7 @@ class SideFits:
             normal_rad=sign * contact.normal_rad,
             covariance_cm2=((xx, xy), (yx, yy)),
             track=[(round(x, 4), round(sign * y, 4)) for x, y in contact.track.tolist()],
-            model=f"peg, by {sweeps} sweep{'s' if sweeps > 1 else ''}"
-            + (f"; {contact.doubt}" if contact.doubt else ""),
+            model=f"{contact.kind}, {model}" + (f"; {contact.doubt}" if contact.doubt else ""),
             readings=sensors,
             merged=[length for length in contact.felt_at_cm if length < contact.length_cm - 0.1],
             probability=round(contact.probability, 4),
@@ -184,7 +130,7 @@ class SideFits:
             fit_log_odds=round(contact.log_odds, 2),
             fit_misfit=round(contact.misfit, 3),
             fit_samples=round(contact.effective, 1),
-            fit_radius_cm=round(contact.peg_radius_cm, 2),
+            fit_radius_cm=round(contact.peg_radius_cm, 2) if contact.kind == "peg" else None,
             fit_friction=round(contact.friction, 3),
             fit_yield_cm=round(contact.yield_cm, 3),
         )
@@ -205,29 +151,3 @@ class SideFits:
         value = force * stiffness
         outwards = float(np.sign(force))
         return value, sorted([value - outwards * below, value + outwards * above])
-
-
-class _Group(NamedTuple):
-    """Sweeps that felt one obstacle or nothing, and the fit to them."""
-
-    sweeps: Sequence[Swept]
-    found: list[FittedContact]
-    log_evidence: float
-
-
-def _of_several(fitted: FittedContact) -> FittedContact:
-    """One of several obstacles; where it leaves a misfit, others have borne on the body as well."""
-    contact = fitted.contact
-    status = contact.status if fitted.misfit <= _DOUBTED else "ambiguous"
-    model = f"{contact.model}; one of several, nearest here"
-    return replace(fitted, contact=replace(contact, status=status, model=model))
-
-
-def _may_be_one(one: _Group, other: _Group) -> bool:
-    """Whether two groups' obstacles lie within each other's errors."""
-    if not (one.found and other.found):
-        return False
-    a, b = one.found[0].contact, other.found[0].contact
-    covariance = np.asarray(a.covariance_cm2) + np.asarray(b.covariance_cm2)
-    apart = np.array([a.x_cm - b.x_cm, a.y_cm - b.y_cm])
-    return float(apart @ np.linalg.solve(covariance, apart)) < _SAME_SIGMA**2

@@ -160,7 +160,7 @@ def _one_place(a: MapContact, b: MapContact, reach_cm2: float) -> bool:
     """Whether one place explains two obstacles better than two do.
 
     They are of the two muscles' sweeps, on the same skin of the body, or growth met one of them.
-    The room has already separated those of one muscle's sweeps.
+    The fit has already separated those of one muscle's sweeps.
     """
     by_growth = "" in (a.side, b.side)
     if a.side == b.side or not (by_growth or a.force_per_cm2 * b.force_per_cm2 > 0):

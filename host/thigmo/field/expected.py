@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
-from thigmo.field.fit import FieldFit
+from thigmo.field.fit import FieldFit, whitened
 from thigmo.field.hypotheses import ARC, BEND, PEG, RADIUS_MEAN
 from thigmo.field.readings import Errors, Floats, Readings, Stage
 from thigmo.field.sweeps import fold_moment, stated
@@ -140,8 +140,11 @@ def _information(fit: FieldFit, q: Floats, without: Floats) -> Floats:
 
     `without`: departures from the readings beside nothing.
     """
-    departures = fit.departures(fit.tables(PEG, q), fit.free())
-    columns = [departures.by_q, departures.effect[:, ~fit.of_sweeps]]
+    tables = fit.tables(PEG, q)
+    departures = fit.departures(tables, fit.free())
+    by_q = fit.by_q(tables, departures.prediction)
+    by_q = whitened(by_q, departures.weight, departures.along)
+    columns = [by_q, departures.effect[:, ~fit.of_sweeps]]
     shared = np.column_stack([*columns, departures.z - without])
     sweeps = departures.effect[:, fit.of_sweeps]
     stage = np.repeat(fit.readings.stage, fit.readings.centers.size)

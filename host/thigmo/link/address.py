@@ -110,8 +110,8 @@ class AddressLock(Closing):
         self._files.append(file)
         if not _locked(file):
             holder = os.pread(file, 20, 0).decode("ascii", "replace").strip()
-            who = words(int(holder)) if holder.isdigit() else ""
-            raise PortError(f"{url} is in use{who}", "close the program that drives it")
+            holder_text = words(int(holder)) if holder.isdigit() else ""
+            raise PortError(f"{url} is in use{holder_text}", "close the program that drives it")
         os.ftruncate(file, 0)
         os.pwrite(file, str(program).encode(), 0)
 

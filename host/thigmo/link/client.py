@@ -317,14 +317,14 @@ class Client(Inbox, Closing):
         self.transport.start_heartbeat(reply.session, self._heartbeat_s)
 
     def _resume(self, command: wire.Message, limit_s: float, until_s: float) -> None:
-        """A new session after a spoilt one, within a command's deadline; what moves moves on."""
-        before = self.hello
-        hello = wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, before.host_nonce)
+        """Open a new session after a lost one, by a command's deadline. Motion is not stopped."""
+        previous = self.hello
+        hello = wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, previous.host_nonce)
         outstanding = self._begin(hello, until_s, resumes=True)
         reply = self._settle(outstanding, until_s)
         if isinstance(reply, wire.HelloReply):
             self._open(reply, new_boot=False)
-        elif outstanding.boot == before.boot_nonce:
+        elif outstanding.boot == previous.boot_nonce:
             raise failures.taken_over()
         elif outstanding.refused_by == wire.SCHEMA_HASH:
             raise failures.restarted(wire.ResetCause(outstanding.cause))
@@ -336,13 +336,13 @@ class Client(Inbox, Closing):
     # Receiving.
 
     def _listen(self, limit_s: float) -> None:
-        """Say nothing until an announce or for so long."""
+        """Send nothing until the board announces itself, or `limit_s` have passed."""
         until_s = self.now() + limit_s
         while self._announce is None and self.now() < until_s:
             self._pump(until_s)
 
     def _pump(self, until_s: float) -> None:
-        """Read once, until `until_s` at most, handle it, and do what is due."""
+        """Read once, waiting until `until_s` at most; handle the bytes, and send what is due."""
         if self._outstanding is None and self._ack_due is not None and self._talking:
             number, self._ack_due = self._ack_due, None
             self._begin(wire.AckEvent(number), self.now() + wire.AckEvent.DEADLINE_S)
@@ -472,18 +472,18 @@ class Client(Inbox, Closing):
         outstanding = self._outstanding
         if outstanding is None:
             return
-        asked = outstanding.message
-        if isinstance(asked, wire.Hello):
+        request = outstanding.message
+        if isinstance(request, wire.Hello):
             # Its header may be another schema's business; the nonce is what makes it ours.
             # That of a hello which resumes is as old as the conversation: its session must be new.
             ours = (
                 isinstance(message, wire.HelloReply)
-                and message.host_nonce == asked.host_nonce
+                and message.host_nonce == request.host_nonce
                 and message.session != outstanding.session
             )
         else:
             ours = frame.seq == outstanding.seq and frame.session == outstanding.session
-            ours = ours and isinstance(message, (asked.REPLY, wire.Ack))
+            ours = ours and isinstance(message, (request.REPLY, wire.Ack))
         if not ours:
             return
         if outstanding.attempts == 1:  # Karn: a repeat's answer may be the first one's

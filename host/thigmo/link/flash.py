@@ -108,16 +108,16 @@ def flash(
 def in_safe_order(
     blocks: list[tuple[int, bytes]],
 ) -> tuple[list[tuple[int, bytes]], list[tuple[int, bytes]]]:
-    """What to write first and last, for no program to start before all of it is there.
+    """Blocks of the two runs of avrdude that keep an incomplete program from starting.
 
-    First a page 0 that holds, and all other pages behind it; last the true page 0. Two runs of
-    avrdude, because the boot loader erases one page after the other from page 0 on, whatever the
-    address that it writes next.
+    The first run writes a page 0 that only waits, and all other pages; the second run writes the
+    real page 0. One run would not do: the boot loader erases page after page from 0, whatever
+    address is written.
     """
-    (start, program), *rest = sorted(blocks)
+    (start, program), *later_blocks = sorted(blocks)
     if start:
         raise ConfigError(f"the image begins at {start:#x}, not at 0", "build the image again")
-    return [(0, HOLD + program[PAGE:]), *rest], [(0, program[:PAGE])]
+    return [(0, HOLD + program[PAGE:]), *later_blocks], [(0, program[:PAGE])]
 
 
 def _run(program: str, port: str, image: Path) -> None:
@@ -143,7 +143,7 @@ def _run(program: str, port: str, image: Path) -> None:
 
 
 def explain(output: str, port: str) -> LinkError:
-    """The error for what a failed avrdude printed."""
+    """Return the error that matches the output of a failed avrdude."""
     lowered = output.lower()
     match = re.search(r"device signature = 0x([0-9a-f]{6})", lowered)
     for pattern, error in _FAILURES.items():
@@ -159,7 +159,7 @@ def explain(output: str, port: str) -> LinkError:
 
 
 def _meet(port: str) -> tuple[wire.HelloReply, StoredConfiguration]:
-    """The firmware that runs now, and what it kept of the stored configuration."""
+    """Connect to the new firmware; return its hello, and its use of the stored configuration."""
     try:
         client = Client(open_transport(port))
     except NotARobotError as error:

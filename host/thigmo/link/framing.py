@@ -73,29 +73,29 @@ class Decoder:
     frames: int = 0  # good ones so far
     bad: int = 0  # pieces between zero bytes that were no good frame
     bad_bytes: int = 0  # bytes in those pieces
-    _rest: bytes = b""
+    _incomplete: bytes = b""
     _overlong: bool = False
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes as they come; return the frames that they complete, in order."""
-        *pieces, rest = data.split(b"\0")
+        *pieces, incomplete = data.split(b"\0")
         frames: list[Frame] = []
         for piece in pieces:
-            whole = self._rest + piece
+            encoded = self._incomplete + piece
             if self._overlong:
                 self.bad += 1
-                self.bad_bytes += len(whole)
-            elif whole:  # two zeros in a row are no loss
+                self.bad_bytes += len(encoded)
+            elif encoded:  # two zeros in a row are no loss
                 try:
-                    frames.append(decode(whole))
+                    frames.append(decode(encoded))
                 except FrameError:
                     self.bad += 1
-                    self.bad_bytes += len(whole)
-            self._rest, self._overlong = b"", False
-        self._rest += rest
-        if len(self._rest) >= MAX_WIRE:  # no frame is so long: drop up to the next zero
-            self.bad_bytes += len(self._rest)
-            self._rest = b""
+                    self.bad_bytes += len(encoded)
+            self._incomplete, self._overlong = b"", False
+        self._incomplete += incomplete
+        if len(self._incomplete) >= MAX_WIRE:  # no frame is so long: drop up to the next zero
+            self.bad_bytes += len(self._incomplete)
+            self._incomplete = b""
             self._overlong = True
         self.frames += len(frames)
         return frames
@@ -103,4 +103,4 @@ class Decoder:
     @property
     def garbage(self) -> int:
         """Bytes that belonged to no good frame, those still waiting for a zero included."""
-        return self.bad_bytes + len(self._rest)
+        return self.bad_bytes + len(self._incomplete)

@@ -95,13 +95,13 @@ def write_hex(path: Path, blocks: list[tuple[int, bytes]]) -> Path:
 
     lines = []
     for start, data in blocks:
-        at, end = start, start + len(data)
-        while at < end:
-            to = min(end, (at // 16 + 1) * 16)
-            if at == start or at % 0x10000 == 0:
-                lines.append(record(4, 0, (at >> 16).to_bytes(2, "big")))
-            lines.append(record(0, at, data[at - start : to - start]))
-            at = to
+        row_address, end = start, start + len(data)
+        while row_address < end:
+            row_end = min(end, (row_address // 16 + 1) * 16)
+            if row_address == start or row_address % 0x10000 == 0:
+                lines.append(record(4, 0, (row_address >> 16).to_bytes(2, "big")))
+            lines.append(record(0, row_address, data[row_address - start : row_end - start]))
+            row_address = row_end
     path.write_text("\n".join([*lines, record(1, 0, b""), ""]), encoding="ascii")
     return path
 
@@ -123,9 +123,9 @@ def seal(blocks: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
     """
     parts = dict(blocks)
     if sorted(parts) != [0, WATCHDOG_ENTRY]:
+        starts = ", ".join(f"{start:#x}" for start in sorted(parts))
         raise ConfigError(
-            f"the program lies at {', '.join(f'{at:#x}' for at in sorted(parts))}, not at 0 and"
-            f" {WATCHDOG_ENTRY:#x}",
+            f"the program lies at {starts}, not at 0 and {WATCHDOG_ENTRY:#x}",
             "link it as firmware/mega/Makefile does",
         )
     crc = crc32(parts[WATCHDOG_ENTRY] + parts[0], 0xAF)
@@ -178,8 +178,8 @@ def make(folder: Path, target: Path, *settings: str) -> Path:
             stdin=subprocess.DEVNULL,
         )  # fmt: skip
     if result.returncode or not target.exists():
-        said = [line for line in (result.stderr + result.stdout).splitlines() if line.strip()]
-        problem = next((line for line in said if "rror" in line), "no message")
+        messages = [line for line in (result.stderr + result.stdout).splitlines() if line.strip()]
+        problem = next((line for line in messages if "rror" in line), "no message")
         raise PortError(
             f"building {target.name} failed: {problem.strip()}",
             f"run `make -C {folder.relative_to(ROOT)}` and correct what it names",

@@ -81,15 +81,15 @@ class EventLedger:
             self._base = 0
         if self._base is not None and not 0 < (number - self._base) & 0xFFFF < 0x8000:
             return False
-        seen = self._ahead.get(number, 0)
-        self._ahead[number] = seen + 1
+        count = self._ahead.get(number, 0)
+        self._ahead[number] = count + 1
         below = number - 0x4000 if self._base is None else self._base
         oldest = min(self._ahead, key=lambda event: (event - below) & 0xFFFF)
         if self._ahead[oldest] >= _REPEATS:
             self._base = (oldest - 1) & 0xFFFF
         while self._base is not None and self._ahead.pop((self._base + 1) & 0xFFFF, 0):
             self._base = (self._base + 1) & 0xFFFF
-        return seen == 0
+        return count == 0
 
     @property
     def acknowledge(self) -> int | None:

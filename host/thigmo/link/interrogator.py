@@ -97,7 +97,7 @@ class Interrogator(Closing):
         self._source, self._count, self._now = source, count, now
         self.on_line: list[Callable[[float, Floats], None]] = []  # host time and strains of each
         self._lines: deque[Line] = deque()  # of the last ten seconds
-        self._rest = b""
+        self._incomplete = b""
         self._offset_s = np.inf  # from the interrogator's clock to ours
         self._arrived_s = now()
         self._seen_s = np.full(count, -np.inf)  # stamp of each reading's newest strain
@@ -112,25 +112,25 @@ class Interrogator(Closing):
         lines = self._lines
         return bool(lines) and lines[-1].stamp_s - lines[0].stamp_s >= _HEARD_S
 
-    def since(self, t_s: float) -> list[tuple[float, Floats]]:
+    def lines_since(self, t_s: float) -> list[tuple[float, Floats]]:
         """Host time and strains (readings,), nan where lost, of lines from a host time on."""
         self.take()
-        at = ((line.stamp_s + self._offset_s, line.strain_ue) for line in self._lines)
-        return [row for row in at if row[0] >= t_s]
+        rows = ((line.stamp_s + self._offset_s, line.strain_ue) for line in self._lines)
+        return [row for row in rows if row[0] >= t_s]
 
     def take(self) -> None:
         """Read the lines that have come."""
         if self._ended:
             return
         try:
-            *whole, self._rest = (self._rest + self._source.read()).split(b"\n")
+            *lines, self._incomplete = (self._incomplete + self._source.read()).split(b"\n")
         except (OSError, EOFError) as error:
             self._ended = str(error) or "it closed the connection"
             return
-        if len(self._rest) > _LONGEST:
-            self._unread, self._rest = "it sends no end of a line", b""
+        if len(self._incomplete) > _LONGEST:
+            self._unread, self._incomplete = "it sends no end of a line", b""
         now = self._now()
-        for text in whole:
+        for text in lines:
             self._parse(text.strip(), now)
         while len(self._lines) > 1 and self._lines[0].stamp_s + self._offset_s < now - _KEPT_S:
             self._lines.popleft()
@@ -138,18 +138,18 @@ class Interrogator(Closing):
     def _parse(self, text: bytes, now: float) -> None:
         if not text or text.startswith(b"#"):
             return
-        shown = repr(text[:_SHOWN].decode("ascii", "replace"))
+        excerpt = repr(text[:_SHOWN].decode("ascii", "replace"))
         try:
             stamp_s, *strain = (float(part) for part in text.replace(b",", b" ").split())
         except ValueError:
-            self._unread = f"{shown} is no line of numbers"
+            self._unread = f"{excerpt} is no line of numbers"
             return
         if len(strain) != self._count:
-            self._unread = f"{shown} has {len(strain)} strains, and robot.toml {self._count}"
+            self._unread = f"{excerpt} has {len(strain)} strains, and robot.toml {self._count}"
             return
         last = self._lines[-1] if self._lines else None
         if not (last.stamp_s if last else -np.inf) < stamp_s < np.inf:
-            self._unread = f"the time in {shown} does not rise"
+            self._unread = f"the time in {excerpt} does not rise"
             return
         self._unread = ""
         self._offset_s = min(self._offset_s + _CLOCKS * (now - self._arrived_s), now - stamp_s)
@@ -169,24 +169,24 @@ class Interrogator(Closing):
         name = f"the interrogator at {self._source.name}"
         if self._ended:
             raise InterrogatorError(f"{name} is lost: {self._ended}", _CURE)
-        why = f" ({self._unread})" if self._unread else ""
+        cause = f" ({self._unread})" if self._unread else ""
         if not self._lines:
-            raise InterrogatorError(f"{name} sends no lines of strains{why}", _CURE)
+            raise InterrogatorError(f"{name} sends no lines of strains{cause}", _CURE)
         now = self._now() - self._offset_s
         age_s = now - self._lines[-1].stamp_s
         if age_s > MAX_AGE_S:
             raise InterrogatorError(
-                f"{name}: its newest line is {age_s:.2f} s old (limit {MAX_AGE_S:g}){why}",
+                f"{name}: its newest line is {age_s:.2f} s old (limit {MAX_AGE_S:g}){cause}",
                 _CURE,
             )
         if now - self._changed_s > _STUCK_S:
             raise InterrogatorError(
                 f"{name} repeats the same strains for {now - self._changed_s:.1f} s", _CURE
             )
-        lost = np.flatnonzero(needed & (now - self._seen_s > MAX_AGE_S))
-        if lost.size:
+        lost_readings = np.flatnonzero(needed & (now - self._seen_s > MAX_AGE_S))
+        if lost_readings.size:
             raise InterrogatorError(
-                f"{name} has lost strain_{', strain_'.join(map(str, lost))}",
+                f"{name} has lost strain_{', strain_'.join(map(str, lost_readings))}",
                 "look at the fibre and its connector; a dead grating is `healthy = false` in "
                 "robot.toml",
             )

@@ -110,7 +110,7 @@ class Message:
         # An enumeration is a byte.
         cls.CODES = {name: getattr(hint, "__metadata__", ("B",))[0] for name, hint in types.items()}
         cls._ENUMS = [
-            (at, hint) for at, hint in enumerate(types.values()) if isinstance(hint, type)
+            (index, hint) for index, hint in enumerate(types.values()) if isinstance(hint, type)
         ]
         cls._COUNTED = tuple(
             dict.fromkeys(code.partition("?")[0] for code in cls.CODES.values() if "?" in code)
@@ -128,11 +128,11 @@ class Message:
     def _layout(cls, counts: tuple[int, ...]) -> _Layout:
         """The layout for given counts of the message's arrays."""
         number = dict(zip(cls._COUNTED, counts, strict=True))
-        code, place, places, at = "<", 0, [], {}
+        code, place, places, count_at = "<", 0, [], {}
         for field in cls.CODES.values():
             counted, _, element = field.rpartition("?")
-            if counted and counted not in at:
-                at[counted] = calcsize(code)
+            if counted and counted not in count_at:
+                count_at[counted] = calcsize(code)
                 code += "B"
                 place += 1
             count = number[counted] if counted else int(element[:-1] or 1)
@@ -140,7 +140,7 @@ class Message:
             array = bool(counted) or count > 1
             places.append(slice(place, place + count) if array else place)
             place += count
-        return _Layout(Struct(code), tuple(places), tuple(at.values()))
+        return _Layout(Struct(code), tuple(places), tuple(count_at.values()))
 
     @classmethod
     def counts(cls, payload: bytes) -> tuple[int, ...]:
@@ -149,9 +149,9 @@ class Message:
         for number in range(len(cls._COUNTED)):
             # Where the next count stands, only those before it decide.
             layout = cls._layout((*counts, *[0] * (len(cls._COUNTED) - number)))
-            if (at := layout.count_at[number]) >= len(payload):
+            if (place := layout.count_at[number]) >= len(payload):
                 break
-            counts += (payload[at],)
+            counts += (payload[place],)
         if len(counts) == len(cls._COUNTED):
             size = cls._layout(counts).struct.size
             if size == len(payload):
@@ -239,10 +239,13 @@ def parameters(**capacity: int) -> dict[str, Parameter]:
         count = capacity[row["of"]] if row["of"] else 1
         if count == 0:
             continue  # its firmware leaves that parameter out
-        given = row["defaults"]
-        defaults = given * count if len(given) == 1 else [*given, *[0] * count][:count]
-        stated = {key: row[key] for key in ("name", "id", "unit", "low", "high", "doc")}
-        parameters[row["name"]] = Parameter(index=index, count=count, defaults=defaults, **stated)
+        stated_defaults = row["defaults"]
+        if len(stated_defaults) == 1:
+            defaults = stated_defaults * count
+        else:
+            defaults = [*stated_defaults, *[0] * count][:count]
+        texts = {key: row[key] for key in ("name", "id", "unit", "low", "high", "doc")}
+        parameters[row["name"]] = Parameter(index=index, count=count, defaults=defaults, **texts)
         index += count
     return parameters
 

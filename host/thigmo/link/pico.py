@@ -38,7 +38,9 @@ def boot_check(program: bytes) -> int:
 
 def write_uf2(path: Path, program: bytes) -> Path:
     """Write a program as a UF2 file, its first page last; returns the path."""
-    pages = [program[at : at + PAGE].ljust(PAGE, b"\xff") for at in range(0, len(program), PAGE)]
+    pages = [
+        program[start : start + PAGE].ljust(PAGE, b"\xff") for start in range(0, len(program), PAGE)
+    ]
     order = [*range(1, len(pages)), 0]
     blocks = [
         _BLOCK.pack(
@@ -195,16 +197,16 @@ def flash_pico(robot: str, image: Path | None) -> Image:
 def _copy(content: bytes, drive: Path) -> None:
     """Copy to the drive; the board starts, and its drive goes, when the last byte has come."""
     again = "plug the Pico in with BOOTSEL pressed and flash again: nothing starts by itself"
-    whole = False
+    complete = False
     try:
         with (drive / "thigmo.uf2").open("wb", buffering=0) as file:
-            rest = memoryview(content)
-            while rest:
-                rest = rest[file.write(rest) :]
-            whole = True
+            remaining = memoryview(content)
+            while remaining:
+                remaining = remaining[file.write(remaining) :]
+            complete = True
             os.fsync(file.fileno())
     except OSError as error:
         # The board that has everything takes its drive away before it is closed.
-        if whole and not _is_drive(drive):
+        if complete and not _is_drive(drive):
             return
         raise LinkError(f"the image is not on {drive}: {error.strerror}", again) from error

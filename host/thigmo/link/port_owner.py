@@ -25,7 +25,7 @@ def processes(port: str) -> Iterator[Path]:
 def owner(port: str) -> str:
     """ " by process 4242 (socat ...)", or several; empty where that cannot be known."""
     owners = [words(int(process.name)) for process in processes(port)]
-    if not any(owners) and PROCESSES.is_dir() and _others():
+    if not any(owners) and PROCESSES.is_dir() and _hides_processes():
         return " by another user's program"
     return " and".join(filter(None, owners))
 
@@ -33,14 +33,14 @@ def owner(port: str) -> str:
 def words(pid: int) -> str:
     """ " by process 4242 (socat ...)"; empty where it has ended."""
     with suppress(OSError):
-        said = (PROCESSES / str(pid) / "cmdline").read_bytes().decode(errors="replace")
-        line = " ".join(said.split("\0")).strip()
-        shown = line if len(line) <= _MOST_LETTERS else f"{line[: _MOST_LETTERS - 3]}..."
-        return f" by process {pid} ({shown})"
+        arguments = (PROCESSES / str(pid) / "cmdline").read_bytes().decode(errors="replace")
+        line = " ".join(arguments.split("\0")).strip()
+        label = line if len(line) <= _MOST_LETTERS else f"{line[: _MOST_LETTERS - 3]}..."
+        return f" by process {pid} ({label})"
     return ""
 
 
-def _others() -> bool:
+def _hides_processes() -> bool:
     """Whether processes are hidden from this one."""
     return hasattr(os, "getuid") and os.getuid() != 0
 

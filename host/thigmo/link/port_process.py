@@ -182,11 +182,11 @@ class PortProcess:
         self.stopper.end()
         if not self._end.is_set():
             number, text = _cause(error)
-            lost = LinkError(
+            failure = LinkError(
                 f"{self._url} was lost: {os.strerror(number) if number else text}",
                 "check the cable and the board's power, and connect again",
             )
-            self._outbox.put(Packet(Kind.FAILED, lost))
+            self._outbox.put(Packet(Kind.FAILED, failure))
         self._end.set()
 
     def _send(self, data: bytes) -> None:
@@ -203,8 +203,8 @@ class PortProcess:
             try:
                 data = self._port.read(1)
                 # socket:// only says whether there are bytes, not how many: hence the loop.
-                while data and len(data) < _READ_BYTES and (more := self._port.in_waiting):
-                    data += self._port.read(min(more, _READ_BYTES))
+                while data and len(data) < _READ_BYTES and (waiting := self._port.in_waiting):
+                    data += self._port.read(min(waiting, _READ_BYTES))
             except OSError as error:
                 self._fail(error)
                 return

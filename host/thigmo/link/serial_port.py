@@ -119,9 +119,9 @@ class SerialTransport:
 
     def beats(self) -> list[Beat]:
         """Heartbeats sent since the last call."""
-        sent = list(self._beats)
+        beats = list(self._beats)
         self._beats.clear()
-        return sent
+        return beats
 
     def close(self) -> None:
         """Close the port and end its process."""

@@ -96,7 +96,7 @@ class StopListener(Closing):
         with PortError.from_os(f"cannot listen for `thigmo stop` at {where}", "remove it"):
             _remove_dead(where, url)
             self._listener = _listening(where)
-            self._made = _identity(where)
+            self._socket_identity = _identity(where)
         self._callers: list[threading.Thread] = []
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
@@ -115,7 +115,7 @@ class StopListener(Closing):
             caller.join(_PATIENCE_S)
         self._listener.close()
         # Where somebody cleared the folder away, another program may listen by now.
-        if self._made is not None and _identity(self._where) == self._made:
+        if self._socket_identity is not None and _identity(self._where) == self._socket_identity:
             Path(self._where).unlink(missing_ok=True)
 
     def _listen(self) -> None:
@@ -135,14 +135,14 @@ class StopListener(Closing):
             self._callers[-1].start()
 
     def _answer(self, caller: Connection) -> bytes:
-        """Answer a caller; what it said."""
-        said = b""
+        """Answer a caller; return its request."""
+        request = b""
         with suppress(OSError, EOFError), caller:
             if caller.poll(_CALLER_S):
-                said = caller.recv_bytes(_MOST_BYTES)
-            if said == _CALL:
+                request = caller.recv_bytes(_MOST_BYTES)
+            if request == _CALL:
                 caller.send_bytes(b"%b %b" % (self._outcome(), self._about))
-        return said
+        return request
 
     def _outcome(self) -> bytes:
         if self._closed and self._emulated:
@@ -210,15 +210,17 @@ def running() -> list[str]:
 
 
 def owners(url: str, program: int | None = None) -> list[str]:
-    """Those of them that own a robot: one of a port at most, but any number that are emulated, of
-    which a `program` may be meant.
+    """Paths of the stop sockets of a robot's owners.
+
+    A port has one owner at most. An emulated robot may have several, one in each program;
+    `program` selects that of one process.
     """
-    wanted = set(names(url))
+    url_names = set(names(url))
     owned = []
     for where in running():
-        known, _, emulates = Path(where).name.partition(".")
+        socket_names, _, emulates = Path(where).name.partition(".")
         of_program = program is None or emulates.startswith(f"{program}-")
-        if wanted & set(known.split("-")) and (of_program or not emulates):
+        if url_names & set(socket_names.split("-")) and (of_program or not emulates):
             owned.append(where)
     return owned
 
@@ -275,12 +277,12 @@ def call(where: str) -> Answer | None:
             owner.send_bytes(_CALL)
             if not owner.poll(_PATIENCE_S):
                 raise silent
-            said = owner.recv_bytes(_MOST_BYTES).decode()
+            reply = owner.recv_bytes(_MOST_BYTES).decode()
     except BlockingIOError:  # many have called it before
         raise silent from None
     except (FileNotFoundError, ConnectionError, EOFError):  # EOFError: it ended meanwhile
         return None
-    outcome, program, url = said.split(" ", 2)
+    outcome, program, url = reply.split(" ", 2)
     if outcome not in ("stopped", "ended"):
         raise LinkError(f"the board on {url} did not confirm the stop", UNCONFIRMED_CURE)
     return Answer("stopped" if outcome == "stopped" else "ended", int(program), url)

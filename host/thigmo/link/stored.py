@@ -16,7 +16,7 @@ _BY_ID = {**wire.PARAMETER_NAMES, wire.MAP_ID: "maps"}
 
 @dataclass(frozen=True, slots=True)
 class StoredConfiguration:
-    """What the running firmware made of the stored configuration."""
+    """How much of the stored configuration the running firmware uses."""
 
     generation: int  # of the stored configuration; 0 = none
     kept: int  # number of stored parameters in use, the maps as one
@@ -44,10 +44,11 @@ class StoredConfiguration:
         """A sentence for the operator, if stored and running configuration differ; else empty."""
         parts = []
         if self.new_count:
-            more = ", ..." if self.new_count > len(self.new) else ""
-            parts.append(f"new in this firmware and at its default: {', '.join(self.new)}{more}")
+            ellipsis = ", ..." if self.new_count > len(self.new) else ""
+            names = ", ".join(self.new)
+            parts.append(f"new in this firmware and at its default: {names}{ellipsis}")
         if self.unknown_count:
             ids = ", ".join(map(str, self.unknown))
-            more = ", ..." if self.unknown_count > len(self.unknown) else ""
-            parts.append(f"stored, but unknown to this firmware and left out: id {ids}{more}")
+            ellipsis = ", ..." if self.unknown_count > len(self.unknown) else ""
+            parts.append(f"stored, but unknown to this firmware and left out: id {ids}{ellipsis}")
         return "; ".join(parts)

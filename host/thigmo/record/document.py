@@ -258,9 +258,9 @@ class Stall:
             ),
             reverse=True,
         )
-        said = ", ".join(f"{cause} ({100 * share:.0f} %)" for share, cause in shares)
-        tried = "" if self.moved_on is None else ", after a trial at a higher body pressure"
-        return f"growth stalled at {self.length_cm:.1f} cm: {said}{tried}"
+        causes = ", ".join(f"{cause} ({100 * share:.0f} %)" for share, cause in shares)
+        trial = "" if self.moved_on is None else ", after a trial at a higher body pressure"
+        return f"growth stalled at {self.length_cm:.1f} cm: {causes}{trial}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,10 +53,10 @@ class RunFolder:
             try:
                 path.mkdir(parents=True, exist_ok=False)
             except OSError as error:
-                there = isinstance(error, FileExistsError)
-                if there and Path(parent).is_dir():
+                exists = isinstance(error, FileExistsError)
+                if exists and Path(parent).is_dir():
                     continue
-                reason = "it is not a folder" if there else error.strerror
+                reason = "it is not a folder" if exists else error.strerror
                 raise RunFolderError(
                     f"cannot make a run folder in {parent}: {reason}", "choose another with --out"
                 ) from error
@@ -101,9 +101,9 @@ class RunFolder:
             missing="give a run folder",
             invalid="run `thigmo replay` on the folder",
         )
-        return (
-            self._killed(document) if document.outcome == RUNNING and not self._held else document
-        )
+        if document.outcome == RUNNING and not self._is_locked:
+            return self._killed(document)
+        return document
 
     def _killed(self, document: RunDocument) -> RunDocument:
         """The document with the length and the times that the record ends with."""
@@ -134,7 +134,7 @@ class RunFolder:
             os.close(folder)
 
     @property
-    def _held(self) -> bool:
+    def _is_locked(self) -> bool:
         """Whether a process holds it; on Windows that is not known, and taken for granted."""
         if fcntl is None:
             return True

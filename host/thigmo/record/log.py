@@ -245,12 +245,12 @@ class _Pieces:
         """Write the piece. Raises OSError if the disk does not take it: the file is as it was."""
         if not self._piece:
             return
-        rest = bytes(self._piece)
+        remaining = bytes(self._piece)
         self._piece.clear()
-        size = self._size + len(rest)
+        size = self._size + len(remaining)
         try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
+            while remaining:
+                remaining = remaining[self._file.write(remaining) :]
         except OSError:
             self._file.truncate(self._size)
             raise
@@ -300,6 +300,6 @@ def _note(t_s: float, data: bytes) -> Note:
 
 def _fibre_line(data: bytes) -> FibreLine:
     """A line of a fibre; raises as `_note`, and KeyError."""
-    kept = json.loads(data)
-    strains = tuple(nan if strain is None else float(strain) for strain in kept["strain_ue"])
-    return FibreLine(float(kept["t_s"]), strains, bool(kept["zero"]))
+    entry = json.loads(data)
+    strains = tuple(nan if strain is None else float(strain) for strain in entry["strain_ue"])
+    return FibreLine(float(entry["t_s"]), strains, bool(entry["zero"]))

@@ -50,7 +50,7 @@ class McapContents:
     truncated: bool  # the end is missing: the writer was killed
 
 
-def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
+def read_mcap(path: Path, topics: Container[str]) -> McapContents:
     """Read a file's messages on the topics that are wanted.
 
     Raises RunFolderError if there is no such file, or it is no MCAP file.
@@ -66,7 +66,7 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
         if place is None and not MAGIC.startswith(data[: len(MAGIC)]):
             raise RunFolderError(f"{path} is not an MCAP file", "give a run folder")
     gaps = int(broken and place is not None)
-    left = _MOST_RATIO * len(data) + _MOST_MORE  # bytes to which its chunks may unpack
+    budget = _MOST_RATIO * len(data) + _MOST_MORE  # bytes to which its chunks may unpack
     while place is not None and place + _HEADER.size <= len(data):
         opcode, length = _HEADER.unpack_from(data, place)
         start, end = place + _HEADER.size, place + _HEADER.size + length
@@ -76,7 +76,7 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
         try:
             if opcode not in _OPCODES or end > len(data):
                 raise ValueError("no record begins here")
-            if opcode == Opcode.CHUNK and (left := left - _unpacked_bytes(data[start:end])) < 0:
+            if opcode == Opcode.CHUNK and (budget := budget - _unpacked_bytes(data[start:end])) < 0:
                 raise RunFolderError(
                     f"{path} would unpack to more than {_MOST_RATIO} times its size",
                     "it is damaged or no record: give another run folder",
@@ -96,7 +96,7 @@ def read_mcap(path: Path, wanted: Container[str]) -> McapContents:
     messages = [
         (channels[record.channel_id], record.log_time, record.data)
         for record in contents
-        if isinstance(record, Message) and channels.get(record.channel_id) in wanted
+        if isinstance(record, Message) and channels.get(record.channel_id) in topics
     ]
     facts = {name: value for record in metadata for name, value in record.items()}
     return McapContents(frozenset(channels.values()), facts, messages, gaps, truncated)
@@ -136,12 +136,12 @@ def _unpacked_bytes(content: bytes) -> int:
 
 def _next_chunk(data: bytes, place: int) -> int | None:
     """Where the next chunk's record seems to begin; None if there is none."""
-    before = _HEADER.size + _CHUNK_BYTES
-    at = data.find(_COMPRESSION, place + before)
-    while at >= 0:
-        start = at - before
+    offset = _HEADER.size + _CHUNK_BYTES
+    found_at = data.find(_COMPRESSION, place + offset)
+    while found_at >= 0:
+        start = found_at - offset
         opcode, length = _HEADER.unpack_from(data, start)
         if opcode == Opcode.CHUNK and start + _HEADER.size + length <= len(data):
             return start
-        at = data.find(_COMPRESSION, at + 1)
+        found_at = data.find(_COMPRESSION, found_at + 1)
     return None

@@ -128,9 +128,9 @@ class ObstacleMap:
 _MAP = TypeAdapter(ObstacleMap)
 
 
-def write_obstacles(known: ObstacleMap, path: Path) -> None:
+def write_obstacles(obstacle_map: ObstacleMap, path: Path) -> None:
     """Write obstacles.json whole or not at all. Raises RunFolderError if it cannot be written."""
-    write_whole(path, _MAP.dump_json(known, indent=1) + b"\n")
+    write_whole(path, _MAP.dump_json(obstacle_map, indent=1) + b"\n")
 
 
 def read_obstacles(path: str | os.PathLike[str]) -> ObstacleMap:

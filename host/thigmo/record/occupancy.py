@@ -58,16 +58,17 @@ class OccupancyGrid:
 
     def _repr_html_(self) -> str:
         x, y, yaw = self.origin
-        said = f"{self._size()}; its lower left corner at x {x:.4g}, y {y:.4g} cm"
+        summary = f"{self._size()}; its lower left corner at x {x:.4g}, y {y:.4g} cm"
         if yaw:
-            said += f", turned by {np.degrees(yaw):.4g}°"
+            summary += f", turned by {np.degrees(yaw):.4g}°"
         total = max(self.cells.size, 1)
         rows = [
             (name, number, f"{number * (self.resolution_cm / _CM_PER_M) ** 2:.3g} m²",
              f"{100 * number / total:.3g} %")
             for name, number in self._count().items()
         ]  # fmt: skip
-        return html_card("Occupancy grid", said, html_table(("", "cells", "area", "share"), rows))
+        table = html_table(("", "cells", "area", "share"), rows)
+        return html_card("Occupancy grid", summary, table)
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the cells in the robot's frame; without axes on a new figure of pyplot."""
@@ -88,10 +89,10 @@ class OccupancyGrid:
     def centers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """x and y of every cell's centre, cm, each of the cells' shape."""
         rows, columns = self.cells.shape
-        along, up = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+        column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
         x0, y0, yaw = self.origin
         cos, sin, size = np.cos(yaw), np.sin(yaw), self.resolution_cm
-        return x0 + size * (along * cos - up * sin), y0 + size * (along * sin + up * cos)
+        return x0 + size * (column * cos - row * sin), y0 + size * (column * sin + row * cos)
 
 
 class _Description(BaseModel):
@@ -138,8 +139,8 @@ def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
     OpenCV if the picture is not a PGM as map_saver writes it.
     """
     try:
-        described = _Description.model_validate(_yaml(path))
-        data = read_file(Path(path).parent / described.image, DATA_BYTES)
+        description = _Description.model_validate(_yaml(path))
+        data = read_file(Path(path).parent / description.image, DATA_BYTES)
     except OSError as error:
         raise RunFolderError(
             f"cannot read {error.filename or path}: {error.strerror}", "check the map's paths"
@@ -157,21 +158,21 @@ def read_ros_map(path: str | os.PathLike[str]) -> OccupancyGrid:
     picture = _picture(data)
     if picture is None:
         raise RunFolderError(
-            f"{described.image}, named by {path}, is not a picture", "give the map's own picture"
+            f"{description.image}, named by {path}, is not a picture", "give the map's own picture"
         )
     brightness = picture.brightness[::-1]
-    if described.mode == "raw":
+    if description.mode == "raw":
         occupancy = np.rint(255 * brightness) / 100.0
-        known = occupancy <= 1.0
+        has_value = occupancy <= 1.0
     else:
-        occupancy = brightness if described.negate else 1.0 - brightness
-        known = picture.opaque[::-1] | (described.mode == "trinary")
+        occupancy = brightness if description.negate else 1.0 - brightness
+        has_value = picture.opaque[::-1] | (description.mode == "trinary")
     cells = np.full(occupancy.shape, UNKNOWN, dtype=np.int8)
-    cells[known & (occupancy < described.free_thresh)] = FREE
-    cells[known & (occupancy > described.occupied_thresh)] = OCCUPIED
-    x, y, yaw = described.origin
+    cells[has_value & (occupancy < description.free_thresh)] = FREE
+    cells[has_value & (occupancy > description.occupied_thresh)] = OCCUPIED
+    x, y, yaw = description.origin
     return OccupancyGrid(
-        cells, described.resolution * _CM_PER_M, (x * _CM_PER_M, y * _CM_PER_M, yaw)
+        cells, description.resolution * _CM_PER_M, (x * _CM_PER_M, y * _CM_PER_M, yaw)
     )
 
 

@@ -24,18 +24,18 @@ def outline(poses: ArrayLike, radius_cm: float) -> Floats:
     """The tube's (..., 2n, 2) corners around centrelines (..., n, 3): out and back."""
     line = np.asarray(poses, dtype=np.float64)
     heading = line[..., 2:]
-    across = radius_cm * np.concatenate((-np.sin(heading), np.cos(heading)), axis=-1)
-    out, back = line[..., :2] + across, line[..., :2] - across
-    around: Floats = np.concatenate((out, back[..., ::-1, :]), axis=-2)
-    return around
+    offset = radius_cm * np.concatenate((-np.sin(heading), np.cos(heading)), axis=-1)
+    left, right = line[..., :2] + offset, line[..., :2] - offset
+    corners: Floats = np.concatenate((left, right[..., ::-1, :]), axis=-2)
+    return corners
 
 
-def passed(shapes: Iterable[Shape], drawn_in: float = 0.0) -> Floats:
+def passed(shapes: Iterable[Shape], shrink_sigmas: float = 0.0) -> Floats:
     """Centrelines (k, n, 3) of a half sweep's recorded shapes and those passed on the way between.
 
     The shapes are of one stage and side. Its sweep starts with the straight robot and goes up in
-    pressure. `drawn_in` is in standard errors of the curvature: by so many the sweep starts later
-    and ends earlier than it seems; then each shape has its error.
+    pressure. `shrink_sigmas` shortens the sweep at both ends by that many standard errors of the
+    curvature, which each shape must then state.
     """
     ordered = sorted(shapes, key=lambda shape: shape.pressure_psi)
     if not ordered:
@@ -44,19 +44,21 @@ def passed(shapes: Iterable[Shape], drawn_in: float = 0.0) -> Floats:
     steps = np.hypot(*np.moveaxis(np.diff(bent[..., :2], axis=1), -1, 0))
     straight = np.zeros_like(bent[0])
     straight[1:, 0] = np.cumsum(steps[0])
-    if drawn_in:
-        way = -1.0 if ordered[0].side == SIDES[1] else 1.0
-        less = way * drawn_in * np.array([shape.curvature_se or 0.0 for shape in ordered])
-        straight = _turned(straight[None], steps[:1], less[:1])[0]
-        bent = _turned(bent, steps, -less)
+    if shrink_sigmas:
+        sign = -1.0 if ordered[0].side == SIDES[1] else 1.0
+        correction = (
+            sign * shrink_sigmas * np.array([shape.curvature_se or 0.0 for shape in ordered])
+        )
+        straight = _turned(straight[None], steps[:1], correction[:1])[0]
+        bent = _turned(bent, steps, -correction)
         # What bends no further than the late start, by its error, was perhaps never passed.
-        bent = bent[way * (bent[:, -1, 2] - straight[-1, 2]) > 0]
+        bent = bent[sign * (bent[:, -1, 2] - straight[-1, 2]) > 0]
     start = np.concatenate((straight[None], bent[:-1]))
     moved = float(np.hypot(*(bent - start)[:, -1, :2].T).max(initial=0.0))
     count = max(_BETWEEN, ceil(moved / _APART_CM) + 1)
     share = np.linspace(0, 1, count)[None, :, None, None]
-    between: Floats = start[:, None] + (bent - start)[:, None] * share
-    return between.reshape(-1, *straight.shape)
+    centrelines: Floats = start[:, None] + (bent - start)[:, None] * share
+    return centrelines.reshape(-1, *straight.shape)
 
 
 def _turned(poses: Floats, steps: Floats, curvature: Floats) -> Floats:

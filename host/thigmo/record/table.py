@@ -103,7 +103,7 @@ class Table:
                 raise DataError(f"{where} is {cell}, not a finite number", cure)
         return values
 
-    def whole(self, column: str, default: int | None = None) -> NDArray[np.int64]:
+    def integers(self, column: str, default: int | None = None) -> NDArray[np.int64]:
         """A column of whole numbers (n,), none of them empty.
 
         Raises as `numbers` does, and DataError for an empty cell or a number that is not whole.
@@ -311,24 +311,24 @@ def _parsed(name: str, file: IO[str], columns: Sequence[str], most_rows: int) ->
 
 def _header_line(lines: Sequence[str], columns: Sequence[str]) -> tuple[int, str]:
     """The index of the header in a file's first lines, and what separates its columns."""
-    wanted = {column.lower() for column in columns}
-    written = [number for number, line in enumerate(lines) if not _is_comment(line)]
-    if not written:
+    required = {column.lower() for column in columns}
+    content_lines = [number for number, line in enumerate(lines) if not _is_comment(line)]
+    if not content_lines:
         return 0, ","
-    for number in written if wanted else ():
+    for number in content_lines if required else ():
         for separator in _SEPARATORS:
-            if wanted <= {cell.lower() for cell in _cells(lines[number], separator)}:
+            if required <= {cell.lower() for cell in _cells(lines[number], separator)}:
                 return number, separator
-    for place, number in enumerate(written):
+    for place, number in enumerate(content_lines):
         separator = max(_SEPARATORS, key=lines[number].count)
         cells = _cells(lines[number], separator)
         if _has_number(cells, separator):
             break  # rows begin, and nothing above them could be their header
-        below = written[place + 1 : place + 2 + _MOST_UNIT_ROWS]
+        below = content_lines[place + 1 : place + 2 + _MOST_UNIT_ROWS]
         for row in (_cells(lines[line], separator) for line in below):
             if len(row) == len(cells) and _has_number(row, separator):
                 return number, separator
-    return written[0], max(_SEPARATORS, key=lines[written[0]].count)
+    return content_lines[0], max(_SEPARATORS, key=lines[content_lines[0]].count)
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -356,8 +356,8 @@ def _lines(numbers: Sequence[int]) -> str:
         return f"line {numbers[0]} was"
     if list(numbers) == list(range(numbers[0], numbers[-1] + 1)):
         return f"lines {numbers[0]} to {numbers[-1]} were"
-    shown = ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
-    return f"lines {shown} were"
+    listed = ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
+    return f"lines {listed} were"
 
 
 def _short(cell: str) -> str:

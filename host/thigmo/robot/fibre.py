@@ -106,7 +106,7 @@ class Fibre:
         self._tell_zeros()
 
     def _lines(self, since_s: float) -> Floats:
-        lines = [strain for _, strain in self.interrogator.since(since_s)]
+        lines = [strain for _, strain in self.interrogator.lines_since(since_s)]
         if len(lines) < 2 * _FEWEST:
             raise InterrogatorError(
                 f"only {len(lines)} lines of strains came during the zeroing",
@@ -118,7 +118,7 @@ class Fibre:
         """Average the lines from a host time on, each with the telemetry nearest to it."""
         came = np.array([frame.t_s for frame in frames])
         pairs = []
-        for t_s, strain in self.interrogator.since(since_s):
+        for t_s, strain in self.interrogator.lines_since(since_s):
             nearest = int(np.argmin(abs(came - t_s))) if len(came) else -1
             if nearest >= 0 and abs(came[nearest] - t_s) <= MAX_AGE_S:
                 pairs.append((t_s, strain, frames[nearest].message))

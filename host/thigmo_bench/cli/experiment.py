@@ -136,7 +136,7 @@ def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float],
     def look(diameter_cm: float) -> list[Place]:
         found = (
             OverheadCamera(*located, Body(diameter_cm=diameter_cm), thesis.DOWEL_CM)
-            .everything()
+            .detection()
             .obstacles
         )
         return sorted((float(o.x_cm), float(o.y_cm)) for o in found)

@@ -29,15 +29,17 @@ Experiment = Callable[[int, int, Context], Outcome]
 
 def _of_robot(item: tuple[str, int, int, int]) -> list[Trial]:
     name, trials, seed, robot = item
-    taken = Specimen(frozen(), np.random.default_rng([seed, robot])).trials(name, trials)
-    return [replace(trial, robot=robot) for trial in taken]
+    drawn_trials = Specimen(frozen(), np.random.default_rng([seed, robot])).trials(name, trials)
+    return [replace(trial, robot=robot) for trial in drawn_trials]
 
 
 def _static(name: str, robots: int, trials: int, context: Context) -> Outcome:
     """Sections 3.2 to 3.4: trials over freshly drawn robots."""
     items = [(name, trials, context.seed, robot) for robot in range(robots)]
-    found = [trial for some in context.map(_of_robot, items, "robots") for trial in some]
-    return evaluate(name, found, context)
+    all_trials = [
+        trial for of_robot in context.map(_of_robot, items, "robots") for trial in of_robot
+    ]
+    return evaluate(name, all_trials, context)
 
 
 EXPERIMENTS: dict[str, Experiment] = {

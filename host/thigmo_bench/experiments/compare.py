@@ -126,6 +126,6 @@ def workspace_errors(trial: Trial, answer: Answer) -> Floats:
     )
     point_known = bool(np.isfinite(trial.contact_x_cm).all())
     radius = trial.radius_cm + (0.0 if point_known else thesis.DOWEL_CM)
-    found = [skin_point(curve, arc, f, radius, answer.end_offset_cm)[0] for arc, f in contacts]
+    estimate = [skin_point(curve, arc, f, radius, answer.end_offset_cm)[0] for arc, f in contacts]
     truth = trial.contact_x_cm if point_known else trial.obstacle_x_cm
-    return np.abs(np.subtract(found, truth))
+    return np.abs(np.subtract(estimate, truth))

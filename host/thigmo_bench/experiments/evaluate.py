@@ -27,16 +27,17 @@ Row = dict[str, Any]
 
     here_*, ours_*: errors (`errors`) of the thesis's method here, and of ours.
     ours_se: standard error over the robots of our error of x in the workspace.
-    less_mean, less_se: by how much its error of x in the workspace exceeds ours, and the standard
-        error of that over robots (NaN for one robot); the trials of a robot share its errors.
-    by_place: both errors of x in the workspace, its and ours, at each place.
-    perfect_arc_mean: the thesis's measure of a perfect arc: the foreshortening that it contains.
+    less_mean, less_se: the baseline's error of x in the workspace less ours, and its standard
+        error over robots (NaN for one robot), because the trials of a robot share its errors.
+    by_place: mean error of x in the workspace at each place, the baseline's and ours.
+    perfect_arc_mean: the thesis's measure for the true arc, that is, its foreshortening alone.
     bound_mean: mean absolute error of the arc at the Cramer-Rao bound, where that is finite.
     bound_measured_mean: the same estimator's error in the thesis's measure.
     unbounded: number of contacts without a finite bound: nothing fixes their place.
     ambiguous: number of our answers that say so.
-    allowed_mean, allowed: what ours may be in the thesis's measure and in the workspace: the larger
-        of half the thesis's method's error and 1.2 bounds; mean_beaten, beaten: whether it is.
+    allowed_mean, allowed: limits of our error in the thesis's measure and in the workspace: half of
+        the baseline's error or 1.2 bounds, whichever is larger.
+    mean_beaten, beaten: whether our errors keep these limits.
 """
 
 
@@ -51,7 +52,7 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
     if not trials:
         raise DataError("there are no trials to evaluate", "take some, or give another folder")
     rows: list[Row] = []
-    every: list[Solved] = []
+    all_solved: list[Solved] = []
     for condition in dict.fromkeys(trial.condition for trial in trials):
         high = name == "single-contact" and condition == thesis.LEVELS[0]
         remedies = _REMEDIES if high else {}
@@ -60,10 +61,10 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
         solved = (context or Context()).map(compare.solve, items, condition)
         rows.append(_row(name, condition, solved, THEIRS))
         rows += [_row(name, f"{condition}, {n}", solved, m) for n, m in remedies.items()]
-        every += solved
+        all_solved += solved
     return Outcome(
-        {"answers": _answers(every), "rows": rows},
-        plots.FIGURES[name](every),
+        {"answers": _answers(all_solved), "rows": rows},
+        plots.FIGURES[name](all_solved),
         [
             Claim(
                 f"{name}, {r['condition']}: {measure}",
@@ -79,7 +80,7 @@ def evaluate(name: str, trials: Sequence[Trial], context: Context | None = None)
             )
         ],
         [f"{name}, {r['condition']}{note}" for r in rows for note in _remarks(r)],
-        [_shown(each) for each in rows],
+        [_printed_row(row) for row in rows],
     )
 
 
@@ -94,9 +95,11 @@ def errors(solved: Sequence[Solved], method: str) -> dict[str, float]:
     names = "mean", "std", "nearest_mean", "other_mean", "workspace_mean"
     if not pairs:
         return dict.fromkeys(names, nan)
-    camera, assigned, room = (np.array([measure(*pair) for pair in pairs]) for measure in measures)
-    nearest, other = assigned[:, 0].mean(), assigned[:, -1].mean()
-    values = camera.mean(), camera.std(), nearest, other, room.mean()
+    camera, assigned, workspace = (
+        np.array([measure(*pair) for pair in pairs]) for measure in measures
+    )
+    nearest, second = assigned[:, 0].mean(), assigned[:, -1].mean()
+    values = camera.mean(), camera.std(), nearest, second, workspace.mean()
     return dict(zip(names, map(float, values), strict=True))
 
 
@@ -109,24 +112,26 @@ def folded(offset: Floats, spread: Floats) -> Floats:
     return np.asarray(spread * np.exp(-0.5 * share**2) + offset * special.erf(share / np.sqrt(2.0)))
 
 
-def _row(experiment: str, condition: str, solved: Sequence[Solved], here: str) -> Row:
+def _row(experiment: str, condition: str, solved: Sequence[Solved], baseline: str) -> Row:
     """The row of one condition: errors of the baseline `here` and of our method over its trials."""
     thesis_mean, thesis_std = thesis.RESULTS[experiment, condition]
     bounds = np.concatenate([trial.bound_cm for trial, _ in solved])
     finite = np.isfinite(bounds)
-    ahead = np.concatenate([np.abs(np.subtract(t.arcs_cm, t.obstacle_x_cm)) for t, _ in solved])
-    bound, measured = (
+    foreshortening = np.concatenate(
+        [np.abs(np.subtract(t.arcs_cm, t.obstacle_x_cm)) for t, _ in solved]
+    )
+    bound, bound_measured = (
         float(values[finite].mean()) if finite.any() else float("inf")
-        for values in (bounds, folded(ahead, bounds))
+        for values in (bounds, folded(foreshortening, bounds))
     )
     every = {
-        f"{who}_{what}": value
-        for who, method in (("here", here), ("ours", OURS))
-        for what, value in errors(solved, method).items()
+        f"{prefix}_{measure}": value
+        for prefix, method in (("here", baseline), ("ours", OURS))
+        for measure, value in errors(solved, method).items()
     }
     allowed_mean, allowed = (
-        max(0.5 * every[f"here_{what}"], 1.2 * (least if np.isfinite(least) else 0.0))
-        for what, least in (("mean", measured), ("workspace_mean", bound))
+        max(0.5 * every[f"here_{measure}"], 1.2 * (bound_cm if np.isfinite(bound_cm) else 0.0))
+        for measure, bound_cm in (("mean", bound_measured), ("workspace_mean", bound))
     )
     return {
         "experiment": experiment,
@@ -135,10 +140,10 @@ def _row(experiment: str, condition: str, solved: Sequence[Solved], here: str) -
         "thesis_mean": thesis_mean,
         "thesis_std": thesis_std,
         **every,
-        **_compared(solved, here),
-        "perfect_arc_mean": float(ahead.mean()),
+        **_paired_comparison(solved, baseline),
+        "perfect_arc_mean": float(foreshortening.mean()),
         "bound_mean": bound,
-        "bound_measured_mean": measured,
+        "bound_measured_mean": bound_measured,
         "unbounded": int(bounds.size - finite.sum()),
         "ambiguous": sum(answers[OURS].status == "ambiguous" for _, answers in solved),
         "allowed_mean": allowed_mean,
@@ -148,29 +153,29 @@ def _row(experiment: str, condition: str, solved: Sequence[Solved], here: str) -
     }
 
 
-def _compared(solved: Sequence[Solved], here: str) -> Row:
+def _paired_comparison(solved: Sequence[Solved], baseline: str) -> Row:
     """Our method compared with a baseline, robot by robot and place by place."""
 
     def error(trial: Trial, answer: compare.Answer) -> float:
         return float(compare.workspace_errors(trial, answer).mean())
 
-    both = [
-        (trial, error(trial, answers[here]), error(trial, answers[OURS]))
+    pairs = [
+        (trial, error(trial, answers[baseline]), error(trial, answers[OURS]))
         for trial, answers in solved
-        if all(len(answers[m].arcs_cm) == len(trial.arcs_cm) for m in (here, OURS))
+        if all(len(answers[m].arcs_cm) == len(trial.arcs_cm) for m in (baseline, OURS))
     ]
-    robots = {trial.robot for trial, _, _ in both}
+    robots = {trial.robot for trial, _, _ in pairs}
     per_robot = np.array([
-        np.mean([(its, ours) for t, its, ours in both if t.robot == n], axis=0) for n in robots
+        np.mean([(its, ours) for t, its, ours in pairs if t.robot == n], axis=0) for n in robots
     ]).reshape(-1, 2)  # fmt: skip
-    less, ours = per_robot[:, 0] - per_robot[:, 1], per_robot[:, 1]
-    places = dict.fromkeys(trial.place for trial, _, _ in both)
+    excess, ours = per_robot[:, 0] - per_robot[:, 1], per_robot[:, 1]
+    places = dict.fromkeys(trial.place for trial, _, _ in pairs)
     return {
         "ours_se": _standard_error(ours),
-        "less_mean": float(less.mean()) if less.size else nan,
-        "less_se": _standard_error(less),
+        "less_mean": float(excess.mean()) if excess.size else nan,
+        "less_se": _standard_error(excess),
         "by_place": {
-            place: np.mean([(a, b) for t, a, b in both if t.place == place], axis=0).tolist()
+            place: np.mean([(a, b) for t, a, b in pairs if t.place == place], axis=0).tolist()
             for place in places
         },
     }
@@ -182,7 +187,7 @@ def _standard_error(of_robots: Floats) -> float:
     return float(of_robots.std(ddof=1) / np.sqrt(n)) if n > 1 else nan
 
 
-def _shown(r: Row) -> Row:
+def _printed_row(r: Row) -> Row:
     """Columns of the printed table: means in the thesis's measure, then errors of x in the room."""
     return {
         "mean error, cm": r["condition"],
@@ -227,8 +232,8 @@ def _answers(solved: Sequence[Solved]) -> list[dict[str, str]]:
     return [
         {"condition": trial.condition, "place": trial.place, "method": method}
         | {
-            what: ";".join(f"{value:.6g}" for value in values)
-            for what, values in (
+            column: ";".join(f"{value:.6g}" for value in values)
+            for column, values in (
                 ("obstacle_x_cm", trial.obstacle_x_cm),
                 ("arcs_cm", answer.arcs_cm),
                 ("forces_per_cm2", answer.forces),

@@ -29,8 +29,7 @@ from thigmo.errors import DataError
 from thigmo.exploration import explore
 from thigmo.exploration.map import best_contact
 from thigmo.exploration.recorded import recorded_sweeps
-from thigmo.exploration.run import Progress
-from thigmo.exploration.run import Protocol as Way
+from thigmo.exploration.run import Progress, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import Operator, SensorTable, connect
 from thigmo.wiring import Wiring
@@ -43,37 +42,40 @@ from thigmo_bench.studies.rooms import explored
 
 _URL = "emulator://default"
 _BASE_CM = 0.2
-_WAYS: dict[Way, str] = {"measure": "our protocol", "thesis": "the thesis's protocol"}
+_PROTOCOLS: dict[Protocol, str] = {"measure": "our protocol", "thesis": "the thesis's protocol"}
 
-Made = dict[str, float]
+_QUANTITIES = "x_cm", "cm", "s"
+ProtocolResult = dict[str, float]
 """An exploration's |x error| "x_cm", error in the plane "cm" and robot time "s"; "solver_cm" of the
 thesis's solver where its protocol was followed. Errors are infinite where no contact was mapped."""
 
-Trials = Mapping[int, Mapping[Way, Made]]
+Trials = Mapping[int, Mapping[Protocol, ProtocolResult]]
 """By seed of the room, or number of the trial."""
 
 
 def run(robots: int, context: Context) -> Outcome:
     """Explore the emulator's default room once by each protocol for each seed."""
     seeds = [context.seed + robot for robot in range(robots)]
-    trials = dict(zip(seeds, context.map(_both, seeds, "explorations"), strict=True))
-    return _compared(trials)
+    trials = dict(zip(seeds, context.map(_explore_by_both, seeds, "explorations"), strict=True))
+    return _promises(trials)
 
 
-def _both(seed: int) -> dict[Way, Made]:
+def _explore_by_both(seed: int) -> dict[Protocol, ProtocolResult]:
     """Explore the default room by both protocols."""
     with tempfile.TemporaryDirectory() as folder:
-        theirs = explored(_URL, folder, seed, protocol="thesis", frames=True)
-        assert theirs.document.truth is not None  # the emulator's room knows itself
-        (peg,) = theirs.document.truth.pegs
+        thesis_run = explored(_URL, folder, seed, protocol="thesis", frames=True)
+        assert thesis_run.document.truth is not None  # the emulator's room knows itself
+        (peg,) = thesis_run.document.truth.pegs
         dowel = peg.x_cm, peg.y_cm
         return {
-            "thesis": _made(theirs.document, dowel, RunFolder(theirs.folder)),
-            "measure": _made(explored(_URL, folder, seed).document, dowel),
+            "thesis": _result(thesis_run.document, dowel, RunFolder(thesis_run.folder)),
+            "measure": _result(explored(_URL, folder, seed).document, dowel),
         }
 
 
-def _made(document: RunDocument, dowel: Place, thesis_run: RunFolder | None = None) -> Made:
+def _result(
+    document: RunDocument, dowel: Place, thesis_run: RunFolder | None = None
+) -> ProtocolResult:
     """The result of an exploration; its folder is needed if it followed the thesis's protocol.
 
     On a real robot the point of contact is unknown. The dowel that would touch the body at the
@@ -85,15 +87,15 @@ def _made(document: RunDocument, dowel: Place, thesis_run: RunFolder | None = No
         x, plane = document.error_x_cm, document.error_cm
     elif document.truth is None and best is not None:
         # Centre of a dowel that touches the skin there.
-        off_x = best.x_cm + thesis.DOWEL_CM * float(np.cos(best.normal_rad)) - dowel[0]
-        off_y = best.y_cm + thesis.DOWEL_CM * float(np.sin(best.normal_rad)) - dowel[1]
-        x, plane = abs(off_x), float(np.hypot(off_x, off_y))
-    found = {"x_cm": x, "cm": plane, "s": document.robot_time_s}
-    return found | ({"solver_cm": _thesis_solver(thesis_run, dowel[0])} if thesis_run else {})
+        error_x = best.x_cm + thesis.DOWEL_CM * float(np.cos(best.normal_rad)) - dowel[0]
+        error_y = best.y_cm + thesis.DOWEL_CM * float(np.sin(best.normal_rad)) - dowel[1]
+        x, plane = abs(error_x), float(np.hypot(error_x, error_y))
+    result = {"x_cm": x, "cm": plane, "s": document.robot_time_s}
+    return result | ({"solver_cm": _thesis_solver(thesis_run, dowel[0])} if thesis_run else {})
 
 
-def _in_words(made: Made) -> str:
-    return f"|x error| {made['x_cm']:.2f} cm, in the plane {made['cm']:.2f} cm"
+def _errors_text(result: ProtocolResult) -> str:
+    return f"|x error| {result['x_cm']:.2f} cm, in the plane {result['cm']:.2f} cm"
 
 
 def _thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
@@ -103,34 +105,39 @@ def _thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
     """
     table = SensorTable.of(Wiring.of(run.read_config()))
     for sweep in recorded_sweeps(run.path):
-        touched = {trigger.side for trigger in sweep.triggers}
-        for peak in (peak for peak in sweep.peaks if peak.side in touched):
-            use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
-            if use.sum() >= thesis.LEAST_READINGS:
-                read = peak.curvature[use] - peak.free_curvature
-                problem = Problem(read, table.center_cm[use], table.span_cm[use], peak.length_cm)
+        triggered = {trigger.side for trigger in sweep.triggers}
+        for peak in (peak for peak in sweep.peaks if peak.side in triggered):
+            usable = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
+            if usable.sum() >= thesis.LEAST_READINGS:
+                contact_curvature = peak.curvature[usable] - peak.free_curvature
+                problem = Problem(
+                    contact_curvature,
+                    table.center_cm[usable],
+                    table.span_cm[usable],
+                    peak.length_cm,
+                )
                 arcs, _ = BASELINES["alternating"](problem)
                 return abs(float(arcs[0]) - obstacle_x_cm)
     return float("inf")
 
 
-def _compared(trials: Trials) -> Outcome:
+def _promises(trials: Trials) -> Outcome:
     """Promises over all rooms that were explored by both protocols."""
     runs: list[Record] = [
         {
             "seed": number,
-            "thesis_solver_cm": ways["thesis"]["solver_cm"],
-            **{f"thesis_protocol_{what}": ways["thesis"][what] for what in ("x_cm", "cm", "s")},
-            **{f"ours_{what}": value for what, value in ways["measure"].items()},
+            "thesis_solver_cm": by_protocol["thesis"]["solver_cm"],
+            **{f"thesis_protocol_{name}": by_protocol["thesis"][name] for name in _QUANTITIES},
+            **{f"ours_{quantity}": value for quantity, value in by_protocol["measure"].items()},
         }
-        for number, ways in trials.items()
-        if len(ways) == len(_WAYS)
+        for number, by_protocol in trials.items()
+        if len(by_protocol) == len(_PROTOCOLS)
     ]
     if not runs:
         return Outcome()
     ours, times, theirs = (
-        np.array([run[what] for run in runs], dtype=np.float64)
-        for what in ("ours_x_cm", "ours_s", "thesis_protocol_s")
+        np.array([run[quantity] for run in runs], dtype=np.float64)
+        for quantity in ("ours_x_cm", "ours_s", "thesis_protocol_s")
     )
     return Outcome(
         {"runs": runs},
@@ -169,8 +176,8 @@ def _figure(runs: list[Record]) -> Figure:
     return figure
 
 
-class _Remembers:
-    """An operator who need not measure a length that the robot was just brought to.
+class _LengthRemembered:
+    """An operator who is not asked again for a length that the robot has just reached.
 
     Opening the port restarts the board, which then asks for the length again.
     """
@@ -205,38 +212,39 @@ def run_explorations(
     The emulator's seed differs from trial to trial. Returns whether all are done; False if the
     attendant stopped.
     """
-    person = _Remembers(operator) if operator else None
+    person = _LengthRemembered(operator) if operator else None
 
-    def one(planned: Row) -> tuple[Row, str]:
+    def take_exploration(planned: Row) -> tuple[Row, str]:
         protocol, number = planned["protocol"], planned["number"]
         _wind_in(url, folder.config, person, say)
-        attendant.set_dowel(f"{_WAYS[protocol]} | {number}")
-        found = explore(
+        attendant.set_dowel(f"{_PROTOCOLS[protocol]} | {number}")
+        run = explore(
             url, config=folder.config, seed=seed + number, out=folder.path,
             name=f"{protocol}-{number}", protocol=protocol, operator=person, progress=progress,
         )  # fmt: skip
         if person:
             # The encoder may show a hair more than the whole body, which the board refuses.
-            person.length_cm = min(found.length_cm, folder.config.body.length_cm)
-        document = found.document
+            person.length_cm = min(run.length_cm, folder.config.body.length_cm)
+        document = run.document
         pegs = document.truth.pegs if document.truth else ()
         (dowel,) = attendant.dowels(1, [(peg.x_cm, peg.y_cm) for peg in pegs])
-        errors = _in_words(_made(document, dowel)) if document.contacts else "no contact"
+        errors = _errors_text(_result(document, dowel)) if document.contacts else "no contact"
         summary = (
             f"{document.outcome}; {errors}. "
             "Take the dowel away if the robot leans on it: it is wound in next"
         )
-        return {"run": found.folder.name, "dowel_cm": dowel}, summary
+        return {"run": run.folder.name, "dowel_cm": dowel}, summary
 
     planned: dict[str, Row] = {
-        f"{words} | {number}": {"protocol": way, "number": number}
+        f"{words} | {number}": {"protocol": protocol, "number": number}
         for number in range(1, trials + 1)
-        for way, words in _WAYS.items()
+        for protocol, words in _PROTOCOLS.items()
     }
-    return folder.take(folder.missing(planned, say, "exploration"), one, attendant.verdict, say)
+    todo = folder.missing(planned, say, "exploration")
+    return folder.take(todo, take_exploration, attendant.verdict, say)
 
 
-def _wind_in(url: str, config: RobotConfig, person: _Remembers | None, say: Say) -> None:
+def _wind_in(url: str, config: RobotConfig, person: _LengthRemembered | None, say: Say) -> None:
     """Wind in a robot that is still everted; an emulated robot starts at its base."""
     with connect(url, operator=person) as robot:
         if robot.scenery() is not None:
@@ -256,20 +264,30 @@ def evaluate(folder: Folder) -> Outcome:
     Raises:
         DataError: no exploration was kept.
     """
-    trials: dict[int, dict[Way, Made]] = defaultdict(dict)
-    for line in sorted(folder.kept(), key=lambda line: int(line["number"])):
-        run, way = RunFolder(folder.path / line["run"]), line["protocol"]
-        thesis_run = run if way == "thesis" else None
-        trials[line["number"]][way] = _made(run.read_document(), line["dowel_cm"], thesis_run)
+    trials: dict[int, dict[Protocol, ProtocolResult]] = defaultdict(dict)
+    for line in sorted(folder.kept_rows(), key=lambda line: int(line["number"])):
+        run, protocol = RunFolder(folder.path / line["run"]), line["protocol"]
+        thesis_run = run if protocol == "thesis" else None
+        trials[line["number"]][protocol] = _result(
+            run.read_document(), line["dowel_cm"], thesis_run
+        )
     if not trials:
         raise DataError("there are no explorations to evaluate", "make some first")
-    outcome = _compared(trials)
-    each = [(n, way, ways[way]) for n, ways in trials.items() for way in _WAYS if way in ways]
-    columns = "number", "protocol", "error_x_cm", "error_cm", "robot_time_s"
-    lines = [(number, way, made["x_cm"], made["cm"], made["s"]) for number, way, made in each]
-    outcome.tables["each"] = [dict(zip(columns, line, strict=True)) for line in lines]
-    outcome.notes += [
-        f"trial {number}, {_WAYS[way]}: {_in_words(made)}, {made['s']:.0f} s"
-        for number, way, made in each
-    ]
+    outcome = _promises(trials)
+    rows: list[Record] = []
+    for number, by_protocol in trials.items():
+        for protocol, label in _PROTOCOLS.items():
+            if protocol not in by_protocol:
+                continue
+            result = by_protocol[protocol]
+            rows.append({
+                "number": number,
+                "protocol": protocol,
+                "error_x_cm": result["x_cm"],
+                "error_cm": result["cm"],
+                "robot_time_s": result["s"],
+            })  # fmt: skip
+            text = f"trial {number}, {label}: {_errors_text(result)}, {result['s']:.0f} s"
+            outcome.notes.append(text)
+    outcome.tables["trials"] = rows
     return outcome

@@ -56,22 +56,24 @@ Cell = dict[str, Any]
 
 def table(constants: Constants, robots: int, seed: int = 0) -> dict[str, tuple[float, float]]:
     """Mean error of each row and its spread over the trials, averaged over robots (cm)."""
-    found: dict[str, list[tuple[float, float]]] = {row: [] for row in ROWS}
+    errors_by_row: dict[str, list[tuple[float, float]]] = {row: [] for row in ROWS}
     for robot in range(robots):
         specimen = Specimen(constants, np.random.default_rng([seed, robot]))
         trials = specimen.trials("single-contact", thesis.TRIALS)
         for row, (condition, method) in ROWS.items():
-            mine = [trial for trial in trials if trial.condition == condition]
-            errors = [camera_errors(t, thesis_method(t, method))[0] for t in mine]
-            found[row].append((float(np.mean(errors)), float(np.std(errors))))
-    return {row: tuple(np.mean(each, axis=0).tolist()) for row, each in found.items()}
+            row_trials = [trial for trial in trials if trial.condition == condition]
+            errors = [camera_errors(t, thesis_method(t, method))[0] for t in row_trials]
+            errors_by_row[row].append((float(np.mean(errors)), float(np.std(errors))))
+    return {
+        row: tuple(np.mean(per_robot, axis=0).tolist()) for row, per_robot in errors_by_row.items()
+    }
 
 
-def misfit(found: dict[str, tuple[float, float]]) -> float:
+def misfit(fitted: dict[str, tuple[float, float]]) -> float:
     """Sum of squared deviations from the thesis's results, in units of their uncertainty."""
     total = 0.0
     readings = thesis.TRIALS * len(thesis.SINGLE_ARCS_CM)
-    for row, (mean, spread) in found.items():
+    for row, (mean, spread) in fitted.items():
         thesis_mean, thesis_spread = thesis.RESULTS["single-contact", row]
         total += ((mean - thesis_mean) / (thesis_spread / np.sqrt(readings))) ** 2
         # A standard deviation of n readings is known to 1 / sqrt(2 n - 2) of itself.
@@ -86,26 +88,26 @@ def fit(seed: int, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
     takes the rest. All evaluations use the same noise.
     """
     rng = np.random.default_rng(seed)
-    best, least, done = np.array(astuple(_START)), np.inf, 0
+    best, lowest, count = np.array(astuple(_START)), np.inf, 0
 
-    def better(trial: Floats) -> bool:
-        nonlocal best, least, done
+    def improves(trial: Floats) -> bool:
+        nonlocal best, lowest, count
         value = misfit(table(Constants(*trial), _ROBOTS, seed))
-        done += 1
-        progress("constants tried", min(done, _EVALUATIONS), _EVALUATIONS)
-        if value >= least:
+        count += 1
+        progress("constants tried", min(count, _EVALUATIONS), _EVALUATIONS)
+        if value >= lowest:
             return False
-        best, least = trial, value
+        best, lowest = trial, value
         return True
 
-    better(best)
-    while done < 2 * _EVALUATIONS // 3:
+    improves(best)
+    while count < 2 * _EVALUATIONS // 3:
         # Squared, so that small constants, the likelier ones, are tried more often.
-        better(_LOW + (_HIGH - _LOW) * rng.random(4) ** 2)
+        improves(_LOW + (_HIGH - _LOW) * rng.random(4) ** 2)
     step = 0.15 * (_HIGH - _LOW)
-    while done < _EVALUATIONS:
+    while count < _EVALUATIONS:
         moves = [sign * step * (np.arange(4) == axis) for axis in range(4) for sign in (-1, 1)]
-        if not any([better(np.clip(best + move, _LOW, _HIGH)) for move in moves]):  # noqa: C419
+        if not any([improves(np.clip(best + move, _LOW, _HIGH)) for move in moves]):  # noqa: C419
             step *= 0.5
     constants = Constants(*(float(f"{value:.3g}") for value in best))
     # Fresh robots, so that the reported agreement is not the search's own luck.
@@ -121,8 +123,12 @@ def fit(seed: int, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
 def predictions(robots: int, trials: int, context: Context) -> Outcome:
     """Results of every setting, over robots that are drawn from the same seed."""
     items = [(setting, robots, trials, context.seed) for setting in _settings()]
-    found = [cell for some in context.map(_cells, items, "changed constants") for cell in some]
-    return Outcome({"cells": found}, notes=remarks(found))
+    cells = [
+        cell
+        for of_setting in context.map(_cells, items, "changed constants")
+        for cell in of_setting
+    ]
+    return Outcome({"cells": cells}, notes=remarks(cells))
 
 
 def _settings() -> Iterator[Setting]:
@@ -150,8 +156,8 @@ def _cells(item: tuple[Setting, int, int, int]) -> list[Cell]:
             for trial in specimen.trials(name, trials):
                 trials_of[name, trial.condition].append(trial)
     cells = []
-    for (experiment, condition), mine in trials_of.items():
-        pairs = [(trial, thesis_method(trial)) for trial in mine]
+    for (experiment, condition), row_trials in trials_of.items():
+        pairs = [(trial, thesis_method(trial)) for trial in row_trials]
         cells.append({
             "changed": changed,
             "experiment": experiment,
@@ -163,18 +169,18 @@ def _cells(item: tuple[Setting, int, int, int]) -> list[Cell]:
     return cells
 
 
-def remarks(found: Sequence[Cell]) -> list[str]:
+def remarks(cells: Sequence[Cell]) -> list[str]:
     """A sentence for each row: fitted or predicted, how close, and which constant moves it most."""
     lines = []
-    for cell in [c for c in found if c["changed"] == _FROZEN]:
+    for cell in [c for c in cells if c["changed"] == _FROZEN]:
         row, camera = (cell["experiment"], cell["condition"]), cell["camera_cm"]
-        same = [c for c in found if (c["experiment"], c["condition"]) == row and c is not cell]
-        most = max(same, key=lambda c: abs(c["camera_cm"] - camera))
+        changed = [c for c in cells if (c["experiment"], c["condition"]) == row and c is not cell]
+        most_sensitive = max(changed, key=lambda c: abs(c["camera_cm"] - camera))
         holds = 1 / _WITHIN <= camera / cell["thesis_cm"] <= _WITHIN
         verdict = "fitted" if row[0] == "single-contact" else "holds" if holds else "FAILS"
         lines.append(
             f"{row[0]}, {row[1]}: thesis {cell['thesis_cm']:.2f} cm, its method here "
             f"{camera:.2f} ({verdict}; in the workspace {cell['workspace_cm']:.2f}); "
-            f"moved most by {most['changed']}: {most['camera_cm']:.2f}"
+            f"moved most by {most_sensitive['changed']}: {most_sensitive['camera_cm']:.2f}"
         )
     return lines

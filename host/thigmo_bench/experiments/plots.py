@@ -21,35 +21,37 @@ Group = tuple[str, list[Solved]]
 _METHODS = ((THEIRS, ORANGE, "thesis's method, here"), (OURS, BLUE, "ours"))
 
 
-def _groups(solved: Sequence[Solved], what: str) -> list[Group]:
+def _groups(solved: Sequence[Solved], attribute: str) -> list[Group]:
     """Trials grouped by `condition` or by `place`, in their order."""
-    names = dict.fromkeys(getattr(one.trial, what) for one in solved)
-    return [(n, [one for one in solved if getattr(one.trial, what) == n]) for n in names]
+    groups: dict[str, list[Solved]] = {}
+    for solution in solved:
+        groups.setdefault(getattr(solution.trial, attribute), []).append(solution)
+    return list(groups.items())
 
 
 def _compare(axis: Axes, groups: Sequence[Group], contact: int) -> None:
     """Draw boxes of both methods' errors in the workspace, and the bound, for each group."""
-    for at, (_, solved) in enumerate(groups):
+    for position, (_, solved) in enumerate(groups):
         for shift, (method, color, label) in zip((-0.2, 0.2), _METHODS, strict=True):
-            found = [workspace_errors(*pair)[contact] for pair in answered(solved, method)]
-            if found:
-                drawn = axis.boxplot(
-                    [found], positions=[at + shift], widths=0.32, patch_artist=True,
+            errors = [workspace_errors(*pair)[contact] for pair in answered(solved, method)]
+            if errors:
+                boxes = axis.boxplot(
+                    [errors], positions=[position + shift], widths=0.32, patch_artist=True,
                     showfliers=False, medianprops={"color": "black"},
                 )  # fmt: skip
-                drawn["boxes"][0].set(facecolor=color, alpha=0.6)
-                axis.plot(at + shift, np.mean(found), "D", color="black", markersize=4)
-            if at == 0:
+                boxes["boxes"][0].set(facecolor=color, alpha=0.6)
+                axis.plot(position + shift, np.mean(errors), "D", color="black", markersize=4)
+            if position == 0:
                 axis.plot([], [], "s", color=color, alpha=0.6, label=label)
         bound = np.array([trial.bound_cm[contact] for trial, _ in solved])
         if np.isfinite(bound).any():
-            axis.plot(
-                [at - 0.4, at + 0.4], [bound[np.isfinite(bound)].mean()] * 2, color=GREEN,
-                linewidth=2, label="Cramer-Rao bound (mean absolute error)" if at == 0 else None,
-            )  # fmt: skip
+            mean = bound[np.isfinite(bound)].mean()
+            legend = "Cramer-Rao bound (mean absolute error)" if position == 0 else None
+            span = position - 0.4, position + 0.4
+            axis.plot(span, [mean, mean], color=GREEN, linewidth=2, label=legend)
     axis.set_xticks(range(len(groups)), [name for name, _ in groups])
     # Of all panels that share the axis: the one drawn last has the tallest box of all.
-    top = max(one.dataLim.y1 for one in axis.get_shared_y_axes().get_siblings(axis))
+    top = max(panel.dataLim.y1 for panel in axis.get_shared_y_axes().get_siblings(axis))
     axis.set(ylabel="|x error| in the workspace (cm)", ylim=(0, 1.05 * top))
 
 
@@ -57,8 +59,8 @@ def _levels(solved: Sequence[Solved], experiment: str, title: str) -> Figure:
     """Draw a panel for each condition of one contact: errors by place, and the thesis's mean."""
     conditions = _groups(solved, "condition")
     figure, axes = charts.panels(1, len(conditions), size=(5.2, 4.2), title=title)
-    for axis, (condition, mine) in zip(axes, conditions, strict=True):
-        _compare(axis, _groups(mine, "place"), 0)
+    for axis, (condition, condition_trials) in zip(axes, conditions, strict=True):
+        _compare(axis, _groups(condition_trials, "place"), 0)
         mean, std = thesis.RESULTS[experiment, condition]
         axis.axhline(mean, color="gray", linestyle="--", label="thesis, mean over places")
         axis.set_title(f"{condition} (thesis {mean} +- {std} cm)")
@@ -67,13 +69,13 @@ def _levels(solved: Sequence[Solved], experiment: str, title: str) -> Figure:
     return figure
 
 
-def _readings(axis: Axes, one: Solved, title: str) -> None:
+def _readings(axis: Axes, solved: Solved, title: str) -> None:
     """Draw one trial: readings, and both methods' curvature along the body (thesis, figure 3.3)."""
-    trial = one.trial
+    trial = solved.trial
     s = np.linspace(0.0, trial.length_cm, 400)
     axis.plot(trial.position, trial.curvature, "ko", markersize=5, label="readings")
     for method, color, label in _METHODS:
-        answer = one.answers[method]
+        answer = solved.answers[method]
         ramps = sum(
             (f * phi(a, s, 0.0) for a, f in zip(answer.arcs_cm, answer.forces, strict=True)),
             np.full(s.size, trial.free),
@@ -83,7 +85,7 @@ def _readings(axis: Axes, one: Solved, title: str) -> None:
             axis.axvline(arc, color=color, linestyle=":", linewidth=1)
     for index, arc in enumerate(trial.arcs_cm):
         axis.axvline(arc, color="k", linewidth=1, label="true contact" if index == 0 else None)
-    for low, high in one.answers[OURS].intervals_cm:
+    for low, high in solved.answers[OURS].intervals_cm:
         axis.axvspan(low, high, color=BLUE, alpha=0.08)
     axis.set(
         xlabel="arc length (cm)", ylabel="curvature (1/cm)", xlim=(0, trial.length_cm + 1),
@@ -99,8 +101,8 @@ def single_contact(solved: Sequence[Solved]) -> dict[str, Figure]:
         1, len(levels), size=(5.2, 4.0),
         title="Readings and fits (thesis, figure 3.3; shaded: our 95 % interval)",
     )  # fmt: skip
-    for axis, (level, mine) in zip(axes, levels, strict=True):
-        nearest = min(mine, key=lambda one: one.trial.arcs_cm[0])
+    for axis, (level, level_trials) in zip(axes, levels, strict=True):
+        nearest = min(level_trials, key=lambda candidate: candidate.trial.arcs_cm[0])
         _readings(axis, nearest, f"{level} at {nearest.trial.place}")
     title = "Single contact, unactuated (thesis, figure 3.2c)"
     return {
@@ -111,8 +113,8 @@ def single_contact(solved: Sequence[Solved]) -> dict[str, Figure]:
 
 def two_contacts(solved: Sequence[Solved]) -> dict[str, Figure]:
     """Errors of both contacts by separation (3.5c), and one fit at 18.5 cm (3.6)."""
-    groups = [(n.removesuffix(" cm apart"), some) for n, some in _groups(solved, "place")]
-    conditions = [some[0].trial.condition for _, some in groups]
+    groups = [(n.removesuffix(" cm apart"), group) for n, group in _groups(solved, "place")]
+    conditions = [group[0].trial.condition for _, group in groups]
     errors, axes = charts.panels(
         1, 2, size=(5.5, 4.4), share=True,
         title="Two opposed contacts, ordered along the arc (thesis, figure 3.5c)",
@@ -120,15 +122,17 @@ def two_contacts(solved: Sequence[Solved]) -> dict[str, Figure]:
     for contact, (axis, name) in enumerate(zip(axes, ("proximal", "distal"), strict=True)):
         _compare(axis, groups, contact)
         for condition in dict.fromkeys(conditions):
-            at = [n for n, other in enumerate(conditions) if other == condition]
+            columns = [
+                n for n, name_of_column in enumerate(conditions) if name_of_column == condition
+            ]
             mean, _ = thesis.RESULTS["two-contacts", condition]
-            axis.plot((min(at) - 0.45, max(at) + 0.45), [mean] * 2, "--", color="gray")
+            axis.plot((min(columns) - 0.45, max(columns) + 0.45), [mean] * 2, "--", color="gray")
         axis.plot([], [], "--", color="gray", label="thesis, mean over both contacts")
         axis.set(title=f"{name} contact", xlabel="separation (cm)")
     charts.legend_below(errors)
     fit, (axis,) = charts.panels(size=(7, 4.2))
-    name, some = min(groups, key=lambda group: abs(float(group[0]) - 18.5))
-    _readings(axis, some[0], f"Two contacts {name} cm apart (thesis, figure 3.6)")
+    name, group = min(groups, key=lambda group: abs(float(group[0]) - 18.5))
+    _readings(axis, group[0], f"Two contacts {name} cm apart (thesis, figure 3.6)")
     return {
         "errors": errors,
         "fit": fit,

@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from thigmo.calibrate.bench import READ_S, STEADY_S, grow_to, set_zone, zero
+from thigmo.calibrate.bench import READ_S, STEADY_S, grow_to, zero
 from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.record import LogWriter
@@ -46,7 +46,7 @@ def run_trials(
     """
     config, body = folder.config, folder.config.body
     planned = plan(experiment, count, body.length_cm, body.critical_curvature)
-    todo = folder.missing({one.key: one for one in planned}, say, experiment)
+    todo = folder.missing({trial.key: trial for trial in planned}, say, experiment)
     if not todo:
         return True
     session = 1 + len(list(folder.path.glob("run-*.mcap")))
@@ -54,7 +54,7 @@ def run_trials(
     with LogWriter(folder.path / f"run-{session}.mcap", facts) as log:
         robot.record_frames(log.frame)
 
-        def one(trial: Planned) -> tuple[Row, str]:
+        def take_trial(trial: Planned) -> tuple[Row, str]:
             log.note("trial", robot.now(), key=trial.key)
             row = _take(robot, config, attendant, trial)
             read = row["curvature"]
@@ -62,10 +62,10 @@ def run_trials(
             return row, f"base sensors read {left:+.4f} (left) and {right:+.4f} 1/cm (right)"
 
         _prepare(robot, config, say)
-        done = folder.take(todo, one, attendant.verdict, say)
-        if done:
+        complete = folder.take(todo, take_trial, attendant.verdict, say)
+        if complete:
             attendant.clear()
-    return done
+    return complete
 
 
 def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
@@ -75,7 +75,7 @@ def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
     if robot.status().state == "safe":
         robot.arm()
     grow_to(robot, config, config.body.length_cm, say)
-    set_zone(robot, config, len(config.body.zones) - 1)
+    robot.pressurize(len(config.body.zones) - 1)
     say("waiting for the sensors to settle")
     robot.wait_settled()
 
@@ -85,13 +85,13 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
     attendant.clear()
     robot.vent()
     zero(robot, lambda text: None)
-    passed: list[Reading] = []
+    untouched: list[Reading] = []
     if trial.pressure_psi > 0:
-        for since, psi in pairwise((0.0, thesis.TOUCH_PSI, trial.pressure_psi)):
-            if since > 0.0:
-                passed.append(robot.read(READ_S))
+        for previous_psi, psi in pairwise((0.0, thesis.TOUCH_PSI, trial.pressure_psi)):
+            if previous_psi > 0.0:
+                untouched.append(robot.read(READ_S))
             robot.press(DEGREES[trial.side], psi, ramp_psi_s=_RAMP_PSI_S)
-            robot.wait((psi - since) / _RAMP_PSI_S + STEADY_S)
+            robot.wait((psi - previous_psi) / _RAMP_PSI_S + STEADY_S)
             if psi == thesis.TOUCH_PSI:
                 attendant.touch(trial)
     else:
@@ -116,8 +116,10 @@ def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planne
         "dowel_x_cm": [x for x, _ in dowels],
         "dowel_y_cm": [y for _, y in dowels],
         **truth,
-        "passed_psi": [r.pressure_psi[config.muscle_number(DEGREES[trial.side])] for r in passed],
-        "passed_curvature": [r.curvature.tolist() for r in passed],
+        "passed_psi": [
+            r.pressure_psi[config.muscle_number(DEGREES[trial.side])] for r in untouched
+        ],
+        "passed_curvature": [r.curvature.tolist() for r in untouched],
     }
 
 
@@ -127,9 +129,9 @@ def trials(folder: Folder) -> list[Trial]:
     Raises:
         DataError: a line is damaged.
     """
-    kept = folder.kept()
+    rows = folder.kept_rows()
     try:
-        return [_trial(row, folder.config, kept) for row in kept]
+        return [_trial(row, folder.config, rows) for row in rows]
     except (LookupError, TypeError, ValueError) as error:
         raise DataError(
             f"the table in {folder.path} is damaged: {error!r}", "correct or delete that line"
@@ -142,43 +144,47 @@ def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
     side: Side = row["side"]
     muscle, sign = config.muscle(side), SIGN[side]
     zone = muscle.maps[-1]
-    read = np.array(row["curvature"])
-    gain: Floats = np.ones(read.size)
-    free, bends = 0.0, bool(row["passed_psi"])
-    if bends:
+    readings = np.array(row["curvature"])
+    gain: Floats = np.ones(readings.size)
+    free, is_actuated = 0.0, bool(row["passed_psi"])
+    if is_actuated:
         free = sign * zone.inflate.curvature(row[f"{side}_psi"])
-        gain = _shown_gains(rows, config, side)
-        use = table.usable(side, row["zeroed"]) & np.isfinite(read)
-        # The zero, and what scale and map may be off by.
-        more = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free) ** 2
+        gain = _gains_at_touch(rows, config, side)
+        usable = table.usable(side, row["zeroed"]) & np.isfinite(readings)
+        # The zero's noise, and the errors of scale and map at this free curvature.
+        extra_variance = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free) ** 2
     else:
-        use, more = table.healthy & (table.direction * read >= 0), np.zeros(read.size)
-    sigma = np.sqrt(table.noise**2 + (scale_se * (read - free)) ** 2 + more)[use]
-    position, span = table.center_cm[use], table.span_cm[use]
+        usable, extra_variance = (
+            table.healthy & (table.direction * readings >= 0),
+            np.zeros(readings.size),
+        )
+    sigma = np.sqrt(table.noise**2 + (scale_se * (readings - free)) ** 2 + extra_variance)[usable]
+    position, span = table.center_cm[usable], table.span_cm[usable]
     arcs, forces = tuple(row["true_arcs_cm"] or row["arcs_cm"]), tuple(row["true_forces"])
     unknown = (float("nan"),) * len(arcs)
     length = row["length_cm"]
     bound = arc_bound_cm(arcs, forces, position, span, sigma, length) if forces else unknown
     return Trial(
-        row["condition"], row["place"], position, span, read[use], free, gain[use], sigma, arcs,
-        forces or unknown, tuple(row["dowel_x_cm"]), tuple(row["true_contact_x_cm"]) or unknown,
-        unknown if bends else bound, muscle.offset_se, length, config.body.critical_curvature,
+        row["condition"], row["place"], position, span, readings[usable], free, gain[usable],
+        sigma, arcs, forces or unknown, tuple(row["dowel_x_cm"]),
+        tuple(row["true_contact_x_cm"]) or unknown,
+        unknown if is_actuated else bound, muscle.offset_se, length, config.body.critical_curvature,
         config.body.radius_cm,
     )  # fmt: skip
 
 
-def _shown_gains(rows: Sequence[Row], config: RobotConfig, side: Side) -> Floats:
-    """Gains of the sensors as the untouched robot showed them at 6 psi, (N,).
+def _gains_at_touch(rows: Sequence[Row], config: RobotConfig, side: Side) -> Floats:
+    """(N,) gains of the sensors, from the untouched robot's readings at 6 psi.
 
     As `Specimen.learn_gains`. On a real robot, however, the errors of a reading (zero, hysteresis)
     are much the same in all trials, so that many trials say no more than one.
     """
     table, muscle = SensorTable.of(Wiring.of(config)), config.muscle(side)
-    mine = [row for row in rows if row["side"] == side and row["passed_psi"]]
+    bent_rows = [row for row in rows if row["side"] == side and row["passed_psi"]]
     zone, sign = muscle.maps[-1], SIGN[side]
     spread = np.maximum(np.hypot(_scale_errors(config), zone.scale_se), _LEAST_GAIN_SE)
-    believed = np.mean([sign * zone.inflate.curvature(row["passed_psi"][0]) for row in mine])
-    departure = np.mean([row["passed_curvature"][0] for row in mine], axis=0) - believed
+    believed = np.mean([sign * zone.inflate.curvature(row["passed_psi"][0]) for row in bent_rows])
+    departure = np.mean([row["passed_curvature"][0] for row in bent_rows], axis=0) - believed
     variance = table.noise**2 + muscle.offset_se**2
     precision = 1 / spread**2 + believed**2 / variance
     return np.asarray(1 + np.nan_to_num(believed * departure / variance / precision))

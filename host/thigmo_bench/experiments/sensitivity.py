@@ -57,7 +57,7 @@ def run(trials: int, context: Context) -> Outcome:
         name: np.array([[mean_and_failures(cell)[0] for cell in row] for row in errors[..., m]])
         for m, name in enumerate(METHODS.values())
     }
-    shown = (("exact 1-norm", 2), ("exact 1-norm", 3), ("exact 2-norm", 2), (_OURS, 2))
+    promised = (("exact 1-norm", 2), ("exact 1-norm", 3), ("exact 2-norm", 2), (_OURS, 2))
     return Outcome(
         {STUDY.name: tabulate(STUDY, errors)},
         {"sensitivity": _figure(means)},
@@ -67,7 +67,7 @@ def run(trials: int, context: Context) -> Outcome:
                 f"{'default method' if name == _OURS else name}, mean error",
                 float(means[name][0, STUDY.columns.index(sensors)]), 1.0, unit="cm",
             )
-            for name, sensors in shown
+            for name, sensors in promised
         ],
         [_remark(name, mean[0]) for name, mean in means.items()],
     )  # fmt: skip
@@ -75,8 +75,8 @@ def run(trials: int, context: Context) -> Outcome:
 
 def _remark(name: str, quiet: Floats) -> str:
     """How many sensors a method needs without noise, and its errors."""
-    bad = [n for n, mean in zip(STUDY.columns, quiet, strict=True) if not mean <= _WORKS_CM]
-    works = [n for n in STUDY.columns if n > max(bad, default=0)]
+    failing = [n for n, mean in zip(STUDY.columns, quiet, strict=True) if not mean <= _WORKS_CM]
+    works = [n for n in STUDY.columns if n > max(failing, default=0)]
     start = f"from {works[0]:g} sensors on" if works else "with no number of them"
     errors = ", ".join(f"{m:.2g} ({n:g})" for n, m in zip(STUDY.columns, quiet, strict=True))
     return (

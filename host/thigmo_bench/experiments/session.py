@@ -61,7 +61,7 @@ class Attendant:
 
     def clear(self) -> None:
         """Take all dowels away, and return when the robot lies free."""
-        self._request("Take all dowels away and lay the robot straight, then press Enter.")
+        self._request("Take all dowels away and lay the robot straight.")
         if self._hands:
             self._hands.push_aside([], 0.0)
             self._hands.place_pegs([])
@@ -85,19 +85,19 @@ class Attendant:
 
     def touch(self, trial: Planned) -> None:
         """Set a dowel that just touches the bent robot as planned."""
-        (at,) = trial.arcs_cm
+        (contact_arc,) = trial.arcs_cm
         self._request(
             f"{trial.label}: the robot is bent to the {trial.side}. Set a dowel firmly so that "
-            f"it just touches the robot's {trial.side} side {at:.1f} cm along it from its base. "
-            "Then press Enter; the robot will bend on, against the dowel."
+            f"it just touches the robot's {trial.side} side {contact_arc:.1f} cm along it from its "
+            "base. Then press Enter; the robot will bend on, against the dowel."
         )
         if self.robot:
             arc, *line = self.robot.scenery().centreline.T
-            heading, _, x, y = (float(np.interp(at, arc, values)) for values in line)
+            heading, _, x, y = (float(np.interp(contact_arc, arc, values)) for values in line)
             radius = self.robot.config.body.radius_cm + thesis.DOWEL_CM + _CLEARANCE_CM
             normal = heading - trial.sign * np.pi / 2
-            away = float(radius * np.cos(normal)), float(radius * np.sin(normal))
-            self._hands.place_pegs([Peg(x + away[0], y + away[1], thesis.DOWEL_CM)])
+            offset = float(radius * np.cos(normal)), float(radius * np.sin(normal))
+            self._hands.place_pegs([Peg(x + offset[0], y + offset[1], thesis.DOWEL_CM)])
 
     def set_dowel(self, key: str) -> None:
         """Set the dowel for an exploration, at the same place for both protocols of a trial."""
@@ -107,31 +107,33 @@ class Attendant:
             "Enter; the robot grows and sweeps."
         )
 
-    def dowels(self, count: int, known: Sequence[Place] = ()) -> list[Place]:
+    def dowels(self, count: int, emulated: Sequence[Place] = ()) -> list[Place]:
         """Centres of this many dowels, cm, base to tip.
 
-        `known` is what an emulated room says, if another robot than ours is in it.
+        `emulated` are the pegs of an emulated room, if another robot than ours is in it.
 
         Raises:
             DataError: nobody is there to measure, and the room is empty.
         """
         if self.robot:
-            known = [(float(peg.x), float(peg.y)) for peg in self.robot.scenery().pegs]
-        seen = self.camera() if self.camera else known
+            emulated = [(float(peg.x), float(peg.y)) for peg in self.robot.scenery().pegs]
+        centers = self.camera() if self.camera else emulated
         if self.ask:
-            offered = (*seen, *[None] * count)
+            offered = (*centers, *[None] * count)
             return [self._place(number, offered[number], count) for number in range(count)]
-        if len(seen) < count:
+        if len(centers) < count:
             raise DataError("the emulated room has no dowel", "name a scene with a peg")
-        return list(seen[:count])
+        return list(centers[:count])
 
     def _place(self, number: int, offered: Place | None, count: int) -> Place:
         assert self.ask
-        which = "the dowel's" if count == 1 else ("the first dowel's", "the second dowel's")[number]
+        subject = (
+            "the dowel's" if count == 1 else ("the first dowel's", "the second dowel's")[number]
+        )
         offer = "" if offered is None else f" (Enter: {offered[0]:.1f} {offered[1]:.1f})"
         again = ""
         while True:
-            answer = self.ask(f"{again}x and y of {which} centre by the camera, cm, base first"
+            answer = self.ask(f"{again}x and y of {subject} centre by the camera, cm, base first"
                                f"{offer}:").replace(",", " ").split()  # fmt: skip
             if not answer and offered is not None:
                 return offered
@@ -183,7 +185,7 @@ class Folder:
                 )
             self.config.save(file)
 
-    def kept(self) -> list[Row]:
+    def kept_rows(self) -> list[Row]:
         """Lines of trials that were kept, not skipped."""
         return [row for row in self._rows().values() if row["state"] == "kept"]
 
@@ -191,18 +193,18 @@ class Folder:
         return self._session.rows("trials")
 
     def missing(
-        self, planned: Mapping[str, Plan], say: Say, what: str
+        self, planned: Mapping[str, Plan], say: Say, label: str
     ) -> list[tuple[str, str, Plan]]:
         """Planned trials that the folder lacks, each with its place among all and its key."""
-        held, total = self._rows(), len(planned)
-        found = [
-            (f"{what} {number} of {total}: {key}", key, one)
-            for number, (key, one) in enumerate(planned.items(), start=1)
-            if key not in held
+        stored, total = self._rows(), len(planned)
+        missing = [
+            (f"{label} {number} of {total}: {key}", key, plan)
+            for number, (key, plan) in enumerate(planned.items(), start=1)
+            if key not in stored
         ]
-        if len(found) < total:
-            say(f"{what}: {total - len(found)} of {total} {self._things} are there")
-        return found
+        if len(missing) < total:
+            say(f"{label}: {total - len(missing)} of {total} {self._things} are there")
+        return missing
 
     def take(
         self,
@@ -224,10 +226,10 @@ class Folder:
                     row, summary = take(planned)
                 if verdict == "quit":
                     return False
-                taken = {"state": "kept", **row} if verdict == "keep" else {"state": "skipped"}
-                self._session.add("trials", {"key": key, **plain(planned), **taken})
+                outcome = {"state": "kept", **row} if verdict == "keep" else {"state": "skipped"}
+                self._session.add("trials", {"key": key, **plain(planned), **outcome})
         except (KeyboardInterrupt, SystemExit) as stopped:
-            held = f"{len(self._rows())} {self._things} are in {self.path}"
-            stopped.add_note(f"{held}, the same command resumes")
+            progress = f"{len(self._rows())} {self._things} are in {self.path}"
+            stopped.add_note(f"{progress}, the same command resumes")
             raise
         return True

@@ -102,7 +102,7 @@ class Specimen:
         true = self._believed + constants.position_cm * rng.standard_normal(count)
         self._true = np.clip(true, min(half, self._believed.min()), thesis.LENGTH_CM - half)
         self._gain = 1.0 + constants.gain_spread * rng.standard_normal(count)
-        self._shown = np.ones(count)
+        self._learnt_gain = np.ones(count)
         self._rng = rng
 
     def trials(self, experiment: str, count: int) -> list[Trial]:
@@ -148,7 +148,7 @@ class Specimen:
         # The calibrated gain, 1 to within its spread, and these readings (Bayesian regression).
         precision = 1 / spread**2 + len(readings) * (believed / noise) ** 2
         departure = believed / noise**2 * (readings - believed).sum(axis=0)
-        self._shown[: readings.shape[1]] = 1 + departure / precision
+        self._learnt_gain[: readings.shape[1]] = 1 + departure / precision
         self.gain_error = float(precision**-0.5)
 
     def read(self, body: Solution, one_side: bool = False) -> Floats:
@@ -170,7 +170,7 @@ class Specimen:
     ) -> Trial:
         """A trial from readings (N,) of a body; the bound is that of its forces unless given."""
         contacts = sorted(body.contacts, key=lambda contact: contact.arc)
-        arcs, forces = (tuple(getattr(c, what) for c in contacts) for what in ("arc", "normal"))
+        arcs, forces = (tuple(getattr(c, field) for c in contacts) for field in ("arc", "normal"))
         count = readings.size
         believed, true = self._believed[:count], self._true[:count]
         span = np.full(count, thesis.SPAN_CM)
@@ -183,7 +183,7 @@ class Specimen:
         sigma = self._deviation(readings, _slope(believed, readings))
         return Trial(
             planned.condition, planned.place, believed, span, readings, free,
-            self._shown[:count], sigma, arcs, forces,
+            self._learnt_gain[:count], sigma, arcs, forces,
             tuple(peg_for(contact, thesis.DOWEL_CM).x for contact in contacts),
             tuple(contact.x for contact in contacts), bound_cm,
         )  # fmt: skip
@@ -212,21 +212,23 @@ def obstacle_bound(peg: Peg, free: float, constants: Constants, gain_error: floa
     error (cm) of a Gaussian estimator; infinite if the information is singular.
     """
     tube = Tube(thesis.DIAMETER_CM, thesis.CRITICAL)
-    at, step = np.array(thesis.CENTERS_CM), _BOUND_STEP_CM
+    centers, step = np.array(thesis.CENTERS_CM), _BOUND_STEP_CM
 
-    def seen(dx: float, dy: float, ahead: float = 0.0) -> tuple[Floats, float]:
+    def readings_with(dx: float, dy: float, ahead: float = 0.0) -> tuple[Floats, float]:
         """Readings without noise with the dowel moved, and x of the contact."""
-        moved = Peg(peg.x + dx, peg.y + dy, peg.radius)
-        body = solve(free, thesis.LENGTH_CM, tube=tube, pegs=[moved])
+        moved_peg = Peg(peg.x + dx, peg.y + dy, peg.radius)
+        body = solve(free, thesis.LENGTH_CM, tube=tube, pegs=[moved_peg])
         x = body.contacts[-1].x if body.contacts else float("nan")
-        return body.averages(at + ahead, thesis.SPAN_CM), x
+        return body.averages(centers + ahead, thesis.SPAN_CM), x
 
-    here = seen(0.0, 0.0)[0]
-    slope = (seen(0.0, 0.0, step)[0] - here) / step
-    pairs = [(seen(dx, dy), seen(-dx, -dy)) for dx, dy in ((step, 0.0), (0.0, step))]
+    readings = readings_with(0.0, 0.0)[0]
+    slope = (readings_with(0.0, 0.0, step)[0] - readings) / step
+    pairs = [
+        (readings_with(dx, dy), readings_with(-dx, -dy)) for dx, dy in ((step, 0.0), (0.0, step))
+    ]
     jacobian = np.array([(far - near) / (2 * step) for (far, _), (near, _) in pairs])
     gradient = np.array([(far_x - near_x) / (2 * step) for (_, far_x), (_, near_x) in pairs])
-    errors = (gain_error * here) ** 2 + (constants.position_cm * slope) ** 2
+    errors = (gain_error * readings) ** 2 + (constants.position_cm * slope) ** 2
     variance = max(constants.noise, 1e-9) ** 2 + errors
     information = jacobian / variance @ jacobian.T
     if np.linalg.cond(information) > 1e12:

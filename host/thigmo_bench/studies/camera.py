@@ -15,7 +15,7 @@ from math import nan
 import cv2
 import numpy as np
 
-from thigmo.camera import CameraModel, Lens, Sheet, Wanted, calibrate_lens, detect, locate
+from thigmo.camera import CameraModel, DetectionRequest, Lens, Sheet, calibrate_lens, detect, locate
 from thigmo.camera.model import Picture
 from thigmo.camera.sheet import Decal, board, card_decals, tip_decal
 from thigmo.emulator.render import BodyShape, PegShape, View, overhead_camera, random_look, render
@@ -81,7 +81,7 @@ def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:
     patches = [*card_decals(laid), tip_decal(sheet, x, y, 3.5)]
     picture = render(camera, View(BodyShape(x, y), pegs, patches), random_look(rng), rng)
     model = locate(picture, sheet, lens)
-    wanted = Wanted(constant=free, obstacles=way in _DOWELS, length_cm=float(s[-1]))
+    wanted = DetectionRequest(constant=free, obstacles=way in _DOWELS, length_cm=float(s[-1]))
     seen = detect(picture, model, sheet, wanted)
     grid = np.array([[gx, gy, RADIUS] for gx in (0, 14, 27, 40, 54) for gy in range(-40, 41, 20)])
     off = model.to_plane(camera.project(grid), RADIUS) - grid[:, :2]

@@ -547,6 +547,17 @@ def _error(found: list[Explored]) -> float:
     return sum(one.near * one.error_cm for one in found if one.near) / near if near else nan
 
 
+def _mean(numbers: Sequence[float]) -> float:
+    """Mean of what is known; NaN if nothing is."""
+    return float(np.nanmean(numbers)) if np.isfinite(numbers).any() else nan
+
+
+def _standard_error(numbers: Sequence[float]) -> float:
+    """Standard error of that mean; NaN of fewer than two numbers."""
+    known = np.array(numbers)[np.isfinite(numbers)]
+    return float(known.std(ddof=1)) / sqrt(known.size) if known.size > 1 else nan
+
+
 def _by_kind(found: list[Explored]) -> list[Record]:
     """A row for each kind and setting."""
     groups = [
@@ -567,6 +578,8 @@ def _by_kind(found: list[Explored]) -> list[Record]:
                              "contacts_wrong", "ellipses", "ellipses_missed")
             },
             "error_cm": _error(mine),
+            "best_cm": _mean([one.best_cm for one in mine]),
+            "best_se_cm": _standard_error([one.best_cm for one in mine]),
             "samples": _median([one.samples for one in mine]),
             "processor_s": float(np.mean([one.processor_s for one in mine])),
         }

@@ -87,7 +87,7 @@ def test_sensors_opposite_map_a_muscle_and_time_its_lag(thigmo: Thigmo, tmp_path
     ran = calibrate(thigmo, tmp_path, robot, "check")
     assert ran.code == 0, ran.out
     looked = json.loads((tmp_path / "made" / "check.json").read_text())["findings"]
-    (lower_bend,) = (one for one in looked if one["what"] == "lower muscle")
+    (lower_bend,) = (one for one in looked if one["part"] == "lower muscle")
     assert lower_bend["mark"] == "ok"
     assert "as mapped" in lower_bend["text"]
 

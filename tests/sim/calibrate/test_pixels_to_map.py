@@ -97,7 +97,7 @@ def test_from_pixels_to_the_map(tmp_path):
     with thigmo.connect(room, seed=4) as robot:
         source, _ = robot.overhead_pictures(sheet, seed=8)
         # The operator has measured the dowels' thickness, not their places.
-        seen = OverheadCamera(source, camera, sheet, dowel_radius_cm=0.6).everything().obstacles
+        seen = OverheadCamera(source, camera, sheet, dowel_radius_cm=0.6).detection().obstacles
     where = seen[0]
     assert (where.x_cm, where.y_cm) == pytest.approx((peg.x, peg.y), abs=0.3)
 

@@ -14,12 +14,12 @@ from thigmo.camera import (
     BodyNotSeenError,
     CameraError,
     CameraMovedError,
+    DetectionRequest,
     MarkerAstrayError,
     MarkerMissingError,
     Sheet,
     SheetHiddenError,
     TooCoarseError,
-    Wanted,
     detect,
     draw,
     locate,
@@ -110,7 +110,7 @@ def test_marker_that_fell_off_the_tip_is_not_taken_for_it(room, model):
         fallen = tip_decal(SHEET, room.x + dx, room.y + dy, 3.5)
         view = View(BodyShape(room.x, room.y), room.pegs, [*card_decals(SHEET), fallen])
         picture = render(room.camera, view, Look(), np.random.default_rng(5))
-        seen = detect(picture, model, SHEET, Wanted(constant=True))
+        seen = detect(picture, model, SHEET, DetectionRequest(constant=True))
         assert seen.tip is None
         assert seen.axis is None
         (problem,) = seen.problems
@@ -121,7 +121,7 @@ def test_marker_that_fell_off_the_tip_is_not_taken_for_it(room, model):
 
 
 def test_tip_axis_and_dowels_of_one_room(room, picture, model):
-    seen = detect(picture, model, SHEET, Wanted(constant=True))
+    seen = detect(picture, model, SHEET, DetectionRequest(constant=True))
     assert seen.problems == ()
     assert (seen.tip.x_cm, seen.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.1)
     assert seen.axis.coefficients[2] == pytest.approx(0.02, abs=1e-4)
@@ -132,7 +132,7 @@ def test_tip_axis_and_dowels_of_one_room(room, picture, model):
 
 
 def test_what_is_seen_is_drawn(picture, model):
-    wanted = Wanted()
+    wanted = DetectionRequest()
     seen = detect(picture, model, SHEET, wanted)
     drawn = draw(picture, model, SHEET, seen, wanted)
     changed = (np.abs(drawn.astype(int) - picture).max(axis=2) > 40).mean()
@@ -166,9 +166,9 @@ def test_body_of_the_tables_colour_needs_a_background_picture(room, model):
     def shot(body):
         return render(room.camera, View(body, (), patches), dull, np.random.default_rng(6))
 
-    dark = detect(shot(shape), model, SHEET, Wanted(constant=True, tip=False))
+    dark = detect(shot(shape), model, SHEET, DetectionRequest(constant=True, tip=False))
     helped = detect(
-        shot(shape), model, SHEET, Wanted(constant=True, tip=False), background=shot(None)
+        shot(shape), model, SHEET, DetectionRequest(constant=True, tip=False), background=shot(None)
     )
     assert helped.axis is not None
     assert helped.axis.coefficients[2] == pytest.approx(0.02, abs=5e-4)
@@ -200,7 +200,7 @@ def test_a_picture_of_too_few_pixels_is_refused_with_the_number_needed(picture):
         small = cv2.resize(picture, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
         model = locate(small, SHEET)
         if fine:
-            seen = detect(small, model, SHEET, Wanted(constant=True, obstacles=False))
+            seen = detect(small, model, SHEET, DetectionRequest(constant=True, obstacles=False))
             assert seen.problems == ()
             continue
         with pytest.raises(TooCoarseError, match=r"4\.6 px per cm, and a tip .* needs 5\.0; "):
@@ -212,7 +212,7 @@ def test_a_body_of_which_a_part_is_not_seen_is_doubted(room, model):
     part = BodyShape(room.x[:230], room.y[:230])
     view = View(part, (), card_decals(SHEET))
     picture = render(room.camera, view, Look(), np.random.default_rng(5))
-    wanted = Wanted(constant=True, tip=False, obstacles=False, length_cm=53.0)
+    wanted = DetectionRequest(constant=True, tip=False, obstacles=False, length_cm=53.0)
     (problem,) = detect(picture, model, SHEET, wanted).problems
     assert isinstance(problem, AxisDoubtfulError)
     assert re.search(r"is 30\.\d cm long, and the body is 53\.0 cm", str(problem))
@@ -230,7 +230,9 @@ def test_a_kinked_body_is_doubted(room, model, turn):
     picture = render(
         room.camera, View(kinked, (), card_decals(SHEET)), Look(), np.random.default_rng(5)
     )
-    seen = detect(picture, model, SHEET, Wanted(constant=True, tip=False, obstacles=False))
+    seen = detect(
+        picture, model, SHEET, DetectionRequest(constant=True, tip=False, obstacles=False)
+    )
     assert any(isinstance(problem, AxisDoubtfulError) for problem in seen.problems)
 
 
@@ -242,7 +244,9 @@ def test_an_axis_whose_flanks_are_hidden_is_doubted(room, model):
     picture = render(
         room.camera, View(straight, heap, card_decals(SHEET)), Look(), np.random.default_rng(5)
     )
-    seen = detect(picture, model, SHEET, Wanted(constant=True, tip=False, obstacles=False))
+    seen = detect(
+        picture, model, SHEET, DetectionRequest(constant=True, tip=False, obstacles=False)
+    )
     assert seen.axis is None or any(isinstance(p, AxisDoubtfulError) for p in seen.problems)
 
 
@@ -252,7 +256,7 @@ def test_markers_may_be_of_any_dictionary(room, name):
     patches = [*card_decals(other), tip_decal(other, room.x, room.y, 3.5)]
     view = View(BodyShape(room.x, room.y), (), patches)
     picture = render(room.camera, view, Look(), np.random.default_rng(5))
-    seen = detect(picture, locate(picture, other), other, Wanted(constant=True))
+    seen = detect(picture, locate(picture, other), other, DetectionRequest(constant=True))
     assert (seen.tip.x_cm, seen.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.1)
     said = "DICT_6X6_1000" if "6X6" in name else name
     with pytest.raises(SheetHiddenError, match=f'write dictionary = "{said}"'):

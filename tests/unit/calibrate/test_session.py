@@ -63,14 +63,14 @@ def test_good_results_reach_robot_toml_with_a_backup_and_bad_ones_do_not(tmp_pat
     assert last.endswith("robot.toml updated; the one before is robot.toml.1.bak")
     assert (tmp_path / "robot.toml.1.bak").read_text() == before
     assert RobotConfig.load(session.robot_file).muscle("left").maps[2] == result.zone
-    assert session.done("actuator")["verdict"]["good"]
+    assert session.good_result("actuator")["verdict"]["good"]
     after = session.robot_file.read_text()
     wrong = bends(1)
     swapped = fit_actuator(type(wrong)(**{**wrong.__dict__, "curvature": -wrong.curvature}))
     (said,) = session.keep("actuator", swapped)
     assert said.startswith("actuator: BAD: ")
     assert session.robot_file.read_text() == after
-    assert session.done("actuator") is None
+    assert session.good_result("actuator") is None
 
 
 def test_an_unwritable_folder_is_said(tmp_path):
@@ -136,7 +136,7 @@ def test_infinite_and_fractional_cells_name_the_line(tmp_path):
     for text in ("a\n1\n2.5\n", "a,b\n1,1\n,1\n"):
         path.write_text(text)
         with pytest.raises(DataError, match="line 3: column 'a' needs a whole number"):
-            Table.read(path).whole("a")
+            Table.read(path).integers("a")
 
 
 @pytest.mark.parametrize("step", [step for step in steps_of(RobotConfig()) if step in FITS])

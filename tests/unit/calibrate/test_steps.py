@@ -85,7 +85,7 @@ def test_push_without_a_fold_is_left_out_and_an_outlier_trial_named():
     rows[1, [0, 5]] = rows[1, 1] * 48 / 38
     rows[4] *= 2.0
     result = fit_buckling(rows, 0.49, LENGTH, RobotConfig())
-    assert np.isnan(result.each[[1, 4]]).all()
+    assert np.isnan(result.trial_curvature[[1, 4]]).all()
     assert any("did not fold" in note for note in result.verdict.notes)
     assert any("outlier" in note for note in result.verdict.notes)
     assert result.critical_curvature == pytest.approx(CRITICAL, rel=0.03)
@@ -102,7 +102,7 @@ def test_base_sensors_at_the_end_of_the_fold_do_not_hide_it():
     rows[:, [0, 5]] -= np.sign(rows[:, [1]]) * 0.15 / 5.5 * 0.23  # without the fold
     result = fit_buckling(rows, 0.49, LENGTH, config)
     assert result.verdict.good, result.verdict
-    assert np.isfinite(result.each).all()
+    assert np.isfinite(result.trial_curvature).all()
 
 
 def decay(rng: np.random.Generator, tau: float, amplitude: float) -> tuple[np.ndarray, np.ndarray]:
@@ -329,22 +329,22 @@ def test_check_names_each_fault():
         side: ohm + np.where(np.arange(10) == 6, 1000, 0) for side, ohm in sound.bend_ohm.items()
     }
     off = run_check(replace(sound, rest_ohm=rest, bend_ohm=bent), config)
-    found = {f.what: f for f in off.findings}
-    assert found["sensor left 3"].mark == "bad"
-    assert "open circuit" in found["sensor left 3"].text
-    assert "drifted" in found["sensor right 1"].text
+    by_part = {f.part: f for f in off.findings}
+    assert by_part["sensor left 3"].mark == "bad"
+    assert "open circuit" in by_part["sensor left 3"].text
+    assert "drifted" in by_part["sensor right 1"].text
 
     swapped = {side: np.r_[ohm[5:], ohm[:5]] for side, ohm in sound.bend_ohm.items()}
     columns = run_check(replace(sound, bend_ohm=swapped), config)
     assert any("columns are swapped" in f.text for f in columns.findings)
 
-    crossed = {"left": sound.bend_seen["right"], "right": sound.bend_seen["left"]}
-    tubes = run_check(replace(sound, bend_seen=crossed), config)
+    crossed = {"left": sound.camera_bend["right"], "right": sound.camera_bend["left"]}
+    tubes = run_check(replace(sound, camera_bend=crossed), config)
     assert "tubes are swapped" in tubes.verdict.reason
 
     t = np.arange(0, 4, 0.1)
-    leaking = {**sound.held_psi, "left": np.column_stack([t, 12 - 0.4 * t])}
-    leak = run_check(replace(sound, held_psi=leaking), config)
+    leaking = {**sound.hold_psi, "left": np.column_stack([t, 12 - 0.4 * t])}
+    leak = run_check(replace(sound, hold_psi=leaking), config)
     assert "a leak" in leak.verdict.reason
 
 
@@ -401,8 +401,8 @@ def test_results_call_sensors_and_muscles_as_robot_toml_does(tmp_path: Path) -> 
     two = whole(RobotConfig())
     one = {"left": two.bend_ohm["left"]}
     checked = run_check(replace(two, bend_ohm=one), config)
-    what = [found.what for found in checked.findings]
-    assert what == [
+    parts = [finding.part for finding in checked.findings]
+    assert parts == [
         *(f"sensor {name}" for name in SENSORS), "Port muscle", "Port muscle's tightness",
     ]  # fmt: skip
 

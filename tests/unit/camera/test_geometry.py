@@ -10,12 +10,12 @@ import pytest
 from thigmo.camera import (
     CameraModel,
     CameraMovedError,
+    DetectionRequest,
     Lens,
     PictureError,
     PlaneFitError,
     Sheet,
     SheetHiddenError,
-    Wanted,
     fit_centerline,
     open_source,
 )
@@ -154,9 +154,9 @@ def test_axis_fit_survives_a_hidden_stretch_and_wild_points():
 
 def test_sizes_that_cannot_be_are_refused(tmp_path):
     with pytest.raises(DataError, match="tube of 0 cm"):
-        Wanted(diameter_cm=0.0)
+        DetectionRequest(diameter_cm=0.0)
     with pytest.raises(DataError, match="radius above 0"):
-        Wanted(obstacle_radius_cm=(-1.0, -2.0))
+        DetectionRequest(obstacle_radius_cm=(-1.0, -2.0))
     with pytest.raises(CameraError, match="cannot write"):
         overhead_camera().save(tmp_path / "none" / "camera.json")
 

@@ -60,7 +60,7 @@ def test_garbage_is_counted_and_never_kept(chunks: list[bytes]) -> None:
     decoder = Decoder()
     for chunk in chunks:
         decoder.feed(chunk)
-        assert len(decoder._rest) < wire.MAX_WIRE
+        assert len(decoder._incomplete) < wire.MAX_WIRE
     good = encode(wire.Heartbeat(1), 0, 1)
     assert [f.wire + b"\0" for f in decoder.feed(b"\0" + good)][-1] == good
 
@@ -88,7 +88,7 @@ def test_endless_bytes_without_a_zero_are_one_bad_frame() -> None:
     decoder = Decoder()
     for _ in range(1000):
         assert decoder.feed(b"\x55" * 1000) == []
-        assert len(decoder._rest) < wire.MAX_WIRE
+        assert len(decoder._incomplete) < wire.MAX_WIRE
     assert decoder.feed(b"\0" + FRAMES[0])[0].wire + b"\0" == FRAMES[0]
     assert decoder.bad == 1
     assert decoder.bad_bytes >= 999_000

@@ -61,12 +61,12 @@ def test_lines_have_the_host_time_at_which_they_were_measured() -> None:
     assert not lab.heard.heard
     lab.t_s += 0.5
     lab.bytes = b"2e1,7,8,9\n"  # the other half of a line: 1.02e1
-    (first, strain), (second, _) = lab.heard.since(0.0)
+    (first, strain), (second, _) = lab.heard.lines_since(0.0)
     assert first == pytest.approx(100.0 + 0.5 - 9.2, abs=0.01)  # the least delay is the last one's
     assert second - first == pytest.approx(9.2)
     assert strain == pytest.approx([10.5, -2.0, np.nan], nan_ok=True)
     assert lab.heard.heard
-    assert len(lab.heard.since(99.0)) == 1
+    assert len(lab.heard.lines_since(99.0)) == 1
 
 
 @pytest.mark.parametrize(
@@ -83,10 +83,10 @@ def test_lines_have_the_host_time_at_which_they_were_measured() -> None:
 def test_garbage_is_no_reading_and_good_lines_beside_it_are(
     lab: _Lab, garbage: bytes, why: str
 ) -> None:
-    before = len(lab.heard.since(0.0))
+    before = len(lab.heard.lines_since(0.0))
     lab.bytes = garbage
     lab.heard.require(ALL)  # one bad line, while the last good one is young
-    assert len(lab.heard.since(0.0)) == before
+    assert len(lab.heard.lines_since(0.0)) == before
     lab.t_s += MAX_AGE_S + 0.02
     with pytest.raises(InterrogatorError, match=rf"newest line is 0.2\d s old.*{why}"):
         lab.heard.require(ALL)
@@ -101,7 +101,7 @@ def test_lines_that_waited_are_as_old_as_they_are(lab: _Lab) -> None:
     lab.t_s += 1.5
     with pytest.raises(InterrogatorError, match=r"newest line is 0.5\d s old"):
         lab.heard.require(ALL)
-    assert not lab.heard.since(lab.t_s - 0.5)
+    assert not lab.heard.lines_since(lab.t_s - 0.5)
     lab.run(0.02)
     lab.heard.require(ALL)
 
