@@ -122,7 +122,7 @@ def walls(rng: np.random.Generator, count: int) -> contact_scenes.Scenes:
         rng,
         count,
         length=LENGTH,
-        most=contact_scenes.MOST_FREE,
+        largest_free=contact_scenes.MOST_FREE,
         radius=(100.0, 200.0),
         moment=(0.2, 1.0),
     )
