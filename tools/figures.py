@@ -41,7 +41,7 @@ class Source:
     pictures: dict[str, str]
 
     @property
-    def shown(self) -> str:
+    def command_line(self) -> str:
         """The command as a reader types it."""
         return " ".join(self.command)
 
@@ -49,22 +49,22 @@ class Source:
 EXPLORED = "default exploration: \\|x error\\| (thesis: 6.82 cm)"
 
 
-def _explore(found: dict[str, Any]) -> list[Row]:
+def _explore(result: dict[str, Any]) -> list[Row]:
     return [
         (
             EXPLORED,
-            f"{found['error_x_cm']:.2f} cm",
+            f"{result['error_x_cm']:.2f} cm",
             "one run; many seeds in the rows below",
         ),
         (
             "default exploration: robot time over wall time",
-            f"{found['robot_per_wall_time']:.0f}",
-            f"{found['robot_time_s']:.0f} s of robot time in {found['wall_time_s']:.1f} s",
+            f"{result['robot_per_wall_time']:.0f}",
+            f"{result['robot_time_s']:.0f} s of robot time in {result['wall_time_s']:.1f} s",
         ),
     ]
 
 
-def _experiments(found: list[dict[str, Any]]) -> list[Row]:
+def _experiments(results: list[dict[str, Any]]) -> list[Row]:
     return [
         (
             f"{row['experiment']}, {row['condition']}: x error in the room",
@@ -75,26 +75,26 @@ def _experiments(found: list[dict[str, Any]]) -> list[Row]:
             f"bound {_number(row['bound_mean'])}, "
             f"in that measure {_number(row['bound_measured_mean'])}",
         )
-        for experiment in found
+        for experiment in results
         for row in experiment["rows"]
     ]
 
 
-def _predictions(found: list[dict[str, Any]]) -> list[Row]:
+def _predictions(results: list[dict[str, Any]]) -> list[Row]:
     """What the fitted constants predict, with the tool's own verdict."""
     rows = []
-    for study in found:
+    for study in results:
         for note in study["notes"] if study["study"] == "predictions" else []:
-            name, said = note.split(": ", 1)
-            verdict = said.split("(")[1].split(";")[0]
-            rows.append((f"prediction: {name}", verdict, said.replace(f"{verdict}; ", "")))
+            name, outcome = note.split(": ", 1)
+            verdict = outcome.split("(")[1].split(";")[0]
+            rows.append((f"prediction: {name}", verdict, outcome.replace(f"{verdict}; ", "")))
     return rows
 
 
-def _many_robots(found: list[dict[str, Any]]) -> list[Row]:
+def _many_robots(results: list[dict[str, Any]]) -> list[Row]:
     """Ours less its method, with the standard error over the robots."""
     rows = []
-    for row in (row for experiment in found for row in experiment["rows"]):
+    for row in (row for experiment in results for row in experiment["rows"]):
         tie = abs(row["less_mean"]) < 2 * row["less_se"]
         verdict = "a tie" if tie else "ours" if row["less_mean"] > 0 else "its method"
         places = ", ".join(
@@ -114,14 +114,14 @@ def _above(beaten: bool) -> str:
     return "" if beaten else " (**above what is allowed**)"
 
 
-def _experiments_and_claims(found: list[dict[str, Any]]) -> list[Row]:
-    claims = _claims([e for e in found if not e["rows"]])
-    return _experiments(found) + claims + _predictions(found)
+def _experiments_and_claims(results: list[dict[str, Any]]) -> list[Row]:
+    claims = _claims([e for e in results if not e["rows"]])
+    return _experiments(results) + claims + _predictions(results)
 
 
-def _claims(found: list[dict[str, Any]]) -> list[Row]:
+def _claims(results: list[dict[str, Any]]) -> list[Row]:
     rows = []
-    for study in found:
+    for study in results:
         for claim in study["claims"]:
             sign = "<=" if claim["at_most"] else ">="
             verdict = "" if claim["holds"] else "; **missed**"
@@ -137,12 +137,14 @@ def _claims(found: list[dict[str, Any]]) -> list[Row]:
 
 def _value(claim: dict[str, Any]) -> str:
     """A claim's value, with one more digit where a miss would look like a hit."""
-    shown = _number(claim["value"])
-    return shown if claim["holds"] or shown != _number(claim["limit"]) else f"{claim['value']:.4g}"
+    rounded = _number(claim["value"])
+    return (
+        rounded if claim["holds"] or rounded != _number(claim["limit"]) else f"{claim['value']:.4g}"
+    )
 
 
-def _explorations(found: list[dict[str, Any]]) -> list[Row]:
-    (study,) = found
+def _explorations(results: list[dict[str, Any]]) -> list[Row]:
+    (study,) = results
     kinds = [
         (
             row["kind"],
@@ -159,12 +161,12 @@ def _explorations(found: list[dict[str, Any]]) -> list[Row]:
         )
         for row in study["rows"]
     ]
-    return kinds + _claims(found) + _notes(study)
+    return kinds + _claims(results) + _notes(study)
 
 
-def _robots(found: list[dict[str, Any]]) -> list[Row]:
+def _robots(results: list[dict[str, Any]]) -> list[Row]:
     """A row a robot."""
-    (study,) = found
+    (study,) = results
     kinds = [
         (
             row["robot"],
@@ -177,37 +179,37 @@ def _robots(found: list[dict[str, Any]]) -> list[Row]:
         )
         for row in study["rows"]
     ]
-    return kinds + _claims(found)
+    return kinds + _claims(results)
 
 
 def _notes(study: dict[str, Any]) -> list[Row]:
     return [(*note.rsplit(": ", 1), "") for note in study["notes"]]
 
 
-def _accuracy(found: list[dict[str, Any]]) -> list[Row]:
+def _accuracy(results: list[dict[str, Any]]) -> list[Row]:
     """A row an error: the worst of its groups of bodies that are touched."""
-    (study,) = found
-    rows = _claims(found)
+    (study,) = results
+    rows = _claims(results)
     for error in dict.fromkeys(row["error"] for row in study["rows"]):
         for stated in (False, True):
-            some = [
+            cases = [
                 row
                 for row in study["rows"]
                 if (row["error"], row["stated"]) == (error, stated) and "free" not in row["group"]
             ]
-            if not some:
+            if not cases:
                 continue
             can_be = any(row["error"] == error and row["stated"] for row in study["rows"])
             how = ", stated" if stated else ", not stated" if can_be else ""
-            cover = [row["covered"] for row in some]
-            wrong = max(some, key=lambda row: row["wrong"])
+            cover = [row["covered"] for row in cases]
+            wrong = max(cases, key=lambda row: row["wrong"])
             rows.append(
                 (
                     f"{error}{how}: coverage",
                     f"{min(cover):.3f} to {max(cover):.3f}",
                     f"localized and wrong at most {100 * wrong['wrong']:.2g} % "
-                    f"({wrong['group']}), contacts found {min(r['found'] for r in some):.2f} to "
-                    f"{max(r['found'] for r in some):.2f}; {some[0]['count']} frames a group",
+                    f"({wrong['group']}), contacts found {min(r['found'] for r in cases):.2f} to "
+                    f"{max(r['found'] for r in cases):.2f}; {cases[0]['count']} frames a group",
                 )
             )
     return rows
@@ -224,9 +226,9 @@ def _wrong(row: dict[str, Any]) -> str:
     return f"wrong {100 * row['wrong']:.1f} % ({100 * of_localized:.1f} % of localized)"
 
 
-def _mistakes(found: list[dict[str, Any]]) -> list[Row]:
+def _mistakes(results: list[dict[str, Any]]) -> list[Row]:
     """A row a group: wrong answers with nothing stated, and beside them with the error stated."""
-    (study,) = found
+    (study,) = results
     rows = []
     stated = {(row["kind"], row["body"]): row for row in study["rows"] if row["stated"]}
     for row in study["rows"]:
@@ -241,12 +243,12 @@ def _mistakes(found: list[dict[str, Any]]) -> list[Row]:
                 f"error stated {_wrong(right)}, localized {100 * right['localized']:.0f} %",
             )
         )
-    return rows + _claims(found)
+    return rows + _claims(results)
 
 
-def _loads(found: list[dict[str, Any]]) -> list[Row]:
-    (study,) = found
-    return _claims(found) + [
+def _loads(results: list[dict[str, Any]]) -> list[Row]:
+    (study,) = results
+    return _claims(results) + [
         (
             row["group"],
             " / ".join(f"{100 * row[count]:.1f}" for count in ("none", "one", "two")) + " %",
@@ -257,9 +259,9 @@ def _loads(found: list[dict[str, Any]]) -> list[Row]:
     ]
 
 
-def _in_space(found: list[dict[str, Any]]) -> list[Row]:
+def _in_space(results: list[dict[str, Any]]) -> list[Row]:
     """The claims, and each group's places."""
-    return _claims(found) + [
+    return _claims(results) + [
         (
             f"{row['group']}: mean place error",
             f"{100 * row['place_off']:.2f} %",
@@ -267,41 +269,41 @@ def _in_space(found: list[dict[str, Any]]) -> list[Row]:
             f"localized {100 * row['localized']:.1f} %, {_wrong(row)}, "
             f"force in its interval {100 * row['newtons_covered']:.1f} % of {row['count']} rods",
         )
-        for study in found
+        for study in results
         for row in study["rows"]
     ]
 
 
-def _number_claims(found: list[dict[str, Any]]) -> list[Row]:
+def _number_claims(results: list[dict[str, Any]]) -> list[Row]:
     """The claims, and how many frames leave the number in doubt."""
-    notes = [note.split(": ", 1) for study in found for note in study["notes"]]
-    return _claims(found) + [(what, "", said) for what, said in notes]
+    notes = [note.split(": ", 1) for study in results for note in study["notes"]]
+    return _claims(results) + [(name, "", outcome) for name, outcome in notes]
 
 
-def _stability(found: list[dict[str, Any]]) -> list[Row]:
+def _stability(results: list[dict[str, Any]]) -> list[Row]:
     """A row a map: the default's mean error and failures, then those of the other methods."""
-    (study,) = found
-    rows = _claims(found)
+    (study,) = results
+    rows = _claims(results)
     for stress in dict.fromkeys(row["stress"] for row in study["rows"]):
-        mine, *others = (row for row in study["rows"] if row["stress"] == stress)
-        rest = ", ".join(
+        default, *rivals = (row for row in study["rows"] if row["stress"] == stress)
+        rival_text = ", ".join(
             f"{row['method']} "
             + ("" if row["mean_cm"] is None else f"{_number(row['mean_cm'])} ")
             + f"({100 * row['failures']:.0f} %)"
-            for row in others
+            for row in rivals
         )
         rows.append(
             (
-                f"{stress}, {mine['cases']} cases: mean error (failures)",
-                f"{_number(mine['mean_cm'])} cm ({100 * mine['failures']:.0f} %)",
-                rest,
+                f"{stress}, {default['cases']} cases: mean error (failures)",
+                f"{_number(default['mean_cm'])} cm ({100 * default['failures']:.0f} %)",
+                rival_text,
             )
         )
     return rows
 
 
-def _stopping(found: list[dict[str, Any]]) -> list[Row]:
-    (study,) = found
+def _stopping(results: list[dict[str, Any]]) -> list[Row]:
+    (study,) = results
     return [
         (
             f"{row['who']}: {row['how']}",
@@ -309,10 +311,10 @@ def _stopping(found: list[dict[str, Any]]) -> list[Row]:
             f"worst {row['worst_ms']:.0f} ms of {row['n']}",
         )
         for row in study["rows"]
-    ] + _claims(found)
+    ] + _claims(results)
 
 
-def _budgets(found: dict[str, Any]) -> list[Row]:
+def _budgets(figures: dict[str, Any]) -> list[Row]:
     return [
         (
             name,
@@ -322,35 +324,35 @@ def _budgets(found: dict[str, Any]) -> list[Row]:
             else f"{'at least' if figure['least'] else 'at most'} {_number(figure['limit'])}"
             f"{'' if figure['kept'] else '; **exceeded**'}",
         )
-        for name, figure in found.items()
+        for name, figure in figures.items()
     ]
 
 
-def _boards(found: dict[str, Any]) -> list[Row]:
+def _boards(boards: dict[str, Any]) -> list[Row]:
     return [
         (f"{board}: {column}", value, "")
-        for board, row in found.items()
+        for board, row in boards.items()
         for column, value in row.items()
     ]
 
 
-def _benchmark(found: list[dict[str, Any]]) -> list[Row]:
+def _benchmark(rows_of_methods: list[dict[str, Any]]) -> list[Row]:
     rows = []
-    for method in dict.fromkeys(row["method"] for row in found):
-        mine = [row for row in found if row["method"] == method]
-        answered = sum(row["answered"] for row in mine)
-        failed = sum(row["answered"] * (row["failures"] or 0.0) for row in mine)
+    for method in dict.fromkeys(row["method"] for row in rows_of_methods):
+        method_rows = [row for row in rows_of_methods if row["method"] == method]
+        answered = sum(row["answered"] for row in method_rows)
+        failed = sum(row["answered"] * (row["failures"] or 0.0) for row in method_rows)
         groups = ", ".join(
-            f"{row['group']} {_number(row['error_cm'])}" for row in mine if row["answered"]
+            f"{row['group']} {_number(row['error_cm'])}" for row in method_rows if row["answered"]
         )
         note = f"mean error, cm: {groups}"
-        sure = [row for row in mine if row["claimed"]]
-        if sure:
+        claiming = [row for row in method_rows if row["claimed"]]
+        if claiming:
             note += "; localized, of these overclaimed: " + ", ".join(
-                f"{row['group']} {row['claimed']:.2f}, {row['overclaimed']:.2f}" for row in sure
+                f"{row['group']} {row['claimed']:.2f}, {row['overclaimed']:.2f}" for row in claiming
             )
             note += "; coverage: " + ", ".join(
-                f"{row['group']} {row['coverage']:.2f}" for row in mine if row["coverage"]
+                f"{row['group']} {row['coverage']:.2f}" for row in method_rows if row["coverage"]
             )
         rows.append((method, f"{100 * failed / max(answered, 1):.0f} % of {answered} failed", note))
     return rows
@@ -456,22 +458,22 @@ def run(name: str) -> None:
         command = list(source.command)
         if command[0] == THIGMO:
             command += ["--out", folder]
-        print(f"{name}: {source.shown}", flush=True)
+        print(f"{name}: {source.command_line}", flush=True)
         # Its progress goes to the terminal.
-        done = subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.PIPE, text=True)
+        process = subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.PIPE, text=True)
         try:
-            found = json.loads(done.stdout)
-            source.rows(found)  # of a command that ends with 1 for a broken promise, too
+            result = json.loads(process.stdout)
+            source.rows(result)  # of a command that ends with 1 for a broken promise, too
         except (ValueError, KeyError, TypeError, AttributeError):
-            sys.exit(f"{name}: exit {done.returncode}; see above")
+            sys.exit(f"{name}: exit {process.returncode}; see above")
         RESULTS.mkdir(parents=True, exist_ok=True)
         # Where this machine put the files is nobody's business.
-        for part in found if isinstance(found, list) else [found]:
+        for part in result if isinstance(result, list) else [result]:
             part.pop("run", None)
             part.pop("files", None)
-        (RESULTS / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n")
-        for made, kept in source.pictures.items():
-            shutil.copy(next(Path(folder).rglob(made)), ROOT / "docs" / kept)
+        (RESULTS / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
+        for made_name, kept_name in source.pictures.items():
+            shutil.copy(next(Path(folder).rglob(made_name)), ROOT / "docs" / kept_name)
 
 
 def draw_dial() -> None:
@@ -517,16 +519,16 @@ def _rows(name: str) -> list[Row]:
 def table(name: str) -> str:
     """The table of one source, with the command that makes it."""
     rows = _rows(name)
-    lines = [f"`{SOURCES[name].shown}`", ""]
+    lines = [f"`{SOURCES[name].command_line}`", ""]
     if not rows:
         return "\n".join([*lines, "Not run yet.", "", ""])
-    found = json.loads((RESULTS / f"{name}.json").read_text())
-    studies = found if isinstance(found, list) else []
+    result = json.loads((RESULTS / f"{name}.json").read_text())
+    studies = result if isinstance(result, list) else []
     for study in studies:
         if samples := study.get("samples"):
-            of = f" of {study['study']}" if len(studies) > 1 else ""
+            study_name = f" of {study['study']}" if len(studies) > 1 else ""
             cases = "; ".join(f"{part}: {count}" for part, count in samples.items())
-            lines += [f"Cases{of}: {cases}.", ""]
+            lines += [f"Cases{study_name}: {cases}.", ""]
     lines += ["| what | value | |", "| --- | --- | --- |"]
     return "\n".join([*lines, *(f"| {a} | {b} | {c} |" for a, b, c in rows), "", ""])
 
@@ -534,14 +536,14 @@ def table(name: str) -> str:
 def headlines() -> str:
     """README's table: one row of each of five sources, with its command."""
     lines = ["| what | value | command |", "| --- | --- | --- |"]
-    for name, wanted, words in HEADLINES:
+    for name, row_name, words in HEADLINES:
         if not _rows(name):
             continue  # never run
-        values = {what: value for what, value, _ in _rows(name)}
-        if wanted not in values:
-            sys.exit(f"docs/results/{name}.json has no row {wanted!r}; correct HEADLINES")
-        command = SOURCES[name].shown.replace(".venv/bin/", "").replace(" --json", "")
-        lines.append(f"| {words} | {values[wanted]} | `{command}` |")
+        values = {row: value for row, value, _ in _rows(name)}
+        if row_name not in values:
+            sys.exit(f"docs/results/{name}.json has no row {row_name!r}; correct HEADLINES")
+        command = SOURCES[name].command_line.replace(".venv/bin/", "").replace(" --json", "")
+        lines.append(f"| {words} | {values[row_name]} | `{command}` |")
     return "\n".join([*lines, "", ""])
 
 
@@ -556,9 +558,9 @@ def summary() -> str:
         promised = [row for row in _rows(name) if _is_promise(row)]
         late = [row for row in promised if any(mark in row[2] for mark in MISSED)]
         if promised:
-            command = source.shown.replace(".venv/bin/", "").replace(" --json", "")
+            command = source.command_line.replace(".venv/bin/", "").replace(" --json", "")
             counts.append(f"| `{command}` | {len(promised)} | {len(promised) - len(late)} |")
-        missed += [f"| {what} | {value} | {note} |" for what, value, note in late]
+        missed += [f"| {row} | {value} | {note} |" for row, value, note in late]
     return "\n".join([*counts, "", *missed, "", ""])
 
 
@@ -598,14 +600,14 @@ def main() -> None:
             if name == "bench-exploration":
                 draw_dial()
     for page in PAGES:
-        made = rendered(page)
-        if options.check and made != page.read_text():
+        text = rendered(page)
+        if options.check and text != page.read_text():
             sys.exit(
                 f"{page.name}'s figures are not what docs/results say; run "
                 "tools/figures.py --render"
             )
         if not options.check:
-            page.write_text(made)
+            page.write_text(text)
 
 
 if __name__ == "__main__":

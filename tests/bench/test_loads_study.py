@@ -14,8 +14,8 @@ from thigmo_bench.studies.loads import FEW, GROUPS, SEEN_KINK, STANDS_OUT, Frame
 from thigmo_bench.studies.scenes import BOTH, SIGMA
 
 PLAIN = FrameResult(
-    listed=1, likely=1, localized=True, ambiguous=False, p_no_contact=0.0, covered=1, wrong=False, off_cm=0.5,
-    hinge=False, more_possible=True, stands_out=0.0, fits=True, turn=1.0,
+    listed=1, likely=1, localized=True, ambiguous=False, p_no_contact=0.0, covered=1, wrong=False,
+    off_cm=0.5, hinge=False, more_possible=True, stands_out=0.0, fits=True, turn=1.0,
 )  # fmt: skip
 
 

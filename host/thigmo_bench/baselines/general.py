@@ -226,7 +226,7 @@ def _example(layout: Problem, rng: np.random.Generator) -> tuple[Problem, Array]
 
 
 def _features(problem: Problem, mechanics: bool) -> Array:
-    """The readings; with mechanics also the fit of `grid`, and what that leaves over."""
+    """The readings; with mechanics also the fit of `grid` and its residuals."""
     plain = problem.curvature * problem.length
     if not mechanics:
         return plain

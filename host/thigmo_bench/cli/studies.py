@@ -52,7 +52,7 @@ def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: 
 def report(
     name: str, outcome: Outcome, out: Path, as_json: bool, scale: Scale = "full"
 ) -> dict[str, Any]:
-    """Write what a study found, print it for people, and return it for programs."""
+    """Write a study's results, print them for people, and return them for programs."""
     from thigmo_bench.studies.engine import write
 
     paths = write(outcome, name, out)

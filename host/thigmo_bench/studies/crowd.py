@@ -1,9 +1,9 @@
 """How soon a stop on the page is confirmed in a crowd of connections that would keep it out.
 
 Nobody in the crowd has the page's token. Some begin a stop and then send a byte a second, others
-leave a request for the page half open; whoever is turned out comes again at once. The robot is
-emulated and served on a pseudo-terminal in real time. Times are this computer's, from the press to
-the end of the answer that names who has confirmed; it should have nothing else to do.
+leave a request for the page half open. A connection that is closed comes again at once. The robot
+is emulated and served on a pseudo-terminal in real time. Times are this computer's, from the press
+to the end of the answer that names who has confirmed; it should have nothing else to do.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _page(start: Start, folder: str) -> Iterator[tuple[str, int]]:
 
 @contextmanager
 def _crowd(place: tuple[str, int], dripping: int, half_open: int) -> Iterator[None]:
-    """Connections that never finish what they say, in a thread."""
+    """Connections that never finish their requests, in a thread."""
     unfinished = [b"POST /stop HTTP/1.1\r\nX: "] * dripping + [b"GET / HTTP/1.1\r\n"] * half_open
     connected, finished = threading.Event(), threading.Event()
 
@@ -115,7 +115,7 @@ def _crowd(place: tuple[str, int], dripping: int, half_open: int) -> Iterator[No
 def _next_bytes(
     place: tuple[str, int], guest: socket.socket | None, words: bytes
 ) -> socket.socket | None:
-    """A connection that has said one byte more, or its first words where it was turned out."""
+    """The connection after one more byte, or a new one if it had been closed."""
     with suppress(OSError):
         if guest is not None and words.startswith(b"POST"):
             guest.sendall(b"x")

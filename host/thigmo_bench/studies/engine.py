@@ -112,7 +112,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Explorations:
-    """What the study of explorations runs, and what it is compared with."""
+    """Options of the study of explorations, and the earlier runs to compare it with."""
 
     kinds: tuple[str, ...] = ()  # of rooms; all if empty
     settings: tuple[str, ...] = ()  # efforts and budgets; those of the published study if empty

@@ -32,7 +32,7 @@ STEADY_S = 2.0  # end of the failure over which steady values are taken
 _LIVE_ZERO = 320  # of 1599: 4 mA
 EMPTIED_CM = 12.0  # travel of the spool in a second at full speed, while the body empties
 FILL_S = 15.0  # for the body, through its throttle
-QUIET_S = 0.5  # outputs that have been off for so long stay off
+QUIET_S = 0.5  # outputs that have been off for this time stay off
 RECOVERY_S = 4.0
 _SEED = 5
 
@@ -172,7 +172,7 @@ class Visit:
     peak_psi: float
     steady_psi: float
     moved_cm: float  # largest growth of the tip after the failure began
-    # beyond_cm: farthest that the true length was beyond both that and what the encoder shows
+    # largest excess of the true length over both the length at the failure and the encoder's
     beyond_cm: float
     pull_n: float  # largest pull on the line
     recovers: bool  # whether faults clear and the robot arms after the failure, without a reset
@@ -348,8 +348,8 @@ def _recovers(transport: EmulatorTransport) -> bool:
 
 
 def run(context: Context) -> Outcome:
-    """The campaign: every failure in every state, bare, with valves, with valves and brake; and
-    what a start must notice.
+    """The campaign: every failure in every state (bare, with valves, with valves and brake), and
+    the damage that a start must notice.
 
     Quick: in three of the states, and in growth with valves and brake.
     """

@@ -48,7 +48,7 @@ ROBOTS: dict[str, _Draft | None] = {
     "100 cm, string of 12 IMUs": _Draft(100.0, 12, 2, "heading"),
     "53 cm, fibre of 20 gratings": _Draft(53.0, 20, 2, "fibre"),
 }
-# Robots of which only sound runs are promised, and not yet what they localize.
+# Robots whose runs must end soundly; their localization is measured, and nothing is promised.
 THICK_7, THICK_10 = "120 cm, 7 cm thick", "120 cm, 10 cm thick"
 MIXED = "100 cm, flex at both bases, 10 IMUs"
 UNPROMISED: dict[str, _Draft] = {

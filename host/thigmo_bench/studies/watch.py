@@ -85,7 +85,7 @@ print((spent_s - before_s) / run.document.robot_time_s)
 
 
 Start = Callable[..., "subprocess.Popen[str]"]
-"""Starts a command where no other run of this user is watched; what it says is piped."""
+"""Starts a command where no other run of this user is watched; its output is piped."""
 
 
 def run(context: Context) -> Outcome:
