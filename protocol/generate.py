@@ -209,7 +209,6 @@ class Schema:
     deadline_ms: int
     map_id: int
     map_points: int
-    map_step_cpsi: int
     hash: int
     enums: dict[str, tuple[str, tuple[Value, ...]]]
     open_enums: frozenset[str]  # whose values may be others than those listed
@@ -404,7 +403,6 @@ def load(path: Path) -> Schema:
         tree["deadline_ms"],
         tree["map"]["id"],
         tree["map"]["points"],
-        tree["map"]["step_cpsi"],
         schema_hash(tree),
         enums,
         frozenset(open_enums),
@@ -522,7 +520,6 @@ def cpp(schema: Schema) -> str:
         f"constexpr uint8_t kCrcSize = {CRC_BYTES};",
         f"constexpr uint8_t kMapId = {schema.map_id};  // under which the store keeps the maps",
         f"constexpr uint8_t kMapPoints = {schema.map_points};",
-        f"constexpr int16_t kMapStepCpsi = {schema.map_step_cpsi};",
         *(
             f'static_assert({CAPACITY[name]} > 0 && {CAPACITY[name]} <= {of.most}, "{name}");'
             if of.usual
@@ -714,7 +711,6 @@ def python(schema: Schema) -> str:
         f'CRC = "{schema.crc}"',
         f"MAP_ID = {schema.map_id}",
         f"MAP_POINTS = {schema.map_points}",
-        f"MAP_STEP_CPSI = {schema.map_step_cpsi}",
         *(f"MOST_{name.upper()} = {of.most}" for name, of in schema.capacity.items()),
         "",
         "",

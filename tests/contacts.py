@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from thigmo.record import MapContact
+from dataclasses import replace
+from pathlib import Path
+
+from thigmo.record import MapContact, RunDocument, RunFolder
 from thigmo.stream import Telemetry
 
 CONTACT = MapContact(
@@ -20,6 +23,17 @@ CONTACT = MapContact(
     model="side",
     readings=7,
 )
+
+
+def run_folder(
+    parent: Path, folder: str, started: str = "2026-11-01T10:00:00", **changes: object
+) -> Path:
+    """A folder with the contacts.json of a run, and no record."""
+    path = parent / folder
+    path.mkdir()
+    document = RunDocument("0", folder, "emulator://empty", started, outcome="full length")
+    RunFolder(path).write_document(replace(document, **changes))  # type: ignore[arg-type]
+    return path
 
 
 def a_telemetry(t_s: float = 1.0, supply_v: float = 5.0) -> Telemetry:

@@ -20,7 +20,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,15 +33,24 @@ Row = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
+class Grid:
+    """A table of numbers, one in each column."""
+
+    head: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+
+
+@dataclass(frozen=True)
 class Source:
     """A command, the pictures of it that are kept, and the rows made of its JSON."""
 
     command: tuple[str, ...]
     rows: Callable[[Any], list[Row]]
     pictures: dict[str, str]
+    grids: Callable[[Any], list[Grid]] = lambda _: []
 
     @property
-    def command_line(self) -> str:
+    def shown(self) -> str:
         """The command as a reader types it."""
         return " ".join(self.command)
 
@@ -49,22 +58,22 @@ class Source:
 EXPLORED = "default exploration: \\|x error\\| (thesis: 6.82 cm)"
 
 
-def _explore(result: dict[str, Any]) -> list[Row]:
+def _explore(found: dict[str, Any]) -> list[Row]:
     return [
         (
             EXPLORED,
-            f"{result['error_x_cm']:.2f} cm",
+            f"{found['error_x_cm']:.2f} cm",
             "one run; many seeds in the rows below",
         ),
         (
             "default exploration: robot time over wall time",
-            f"{result['robot_per_wall_time']:.0f}",
-            f"{result['robot_time_s']:.0f} s of robot time in {result['wall_time_s']:.1f} s",
+            f"{found['robot_per_wall_time']:.0f}",
+            f"{found['robot_time_s']:.0f} s of robot time in {found['wall_time_s']:.1f} s",
         ),
     ]
 
 
-def _experiments(results: list[dict[str, Any]]) -> list[Row]:
+def _experiments(found: list[dict[str, Any]]) -> list[Row]:
     return [
         (
             f"{row['experiment']}, {row['condition']}: x error in the room",
@@ -75,26 +84,26 @@ def _experiments(results: list[dict[str, Any]]) -> list[Row]:
             f"bound {_number(row['bound_mean'])}, "
             f"in that measure {_number(row['bound_measured_mean'])}",
         )
-        for experiment in results
+        for experiment in found
         for row in experiment["rows"]
     ]
 
 
-def _predictions(results: list[dict[str, Any]]) -> list[Row]:
+def _predictions(found: list[dict[str, Any]]) -> list[Row]:
     """What the fitted constants predict, with the tool's own verdict."""
     rows = []
-    for study in results:
+    for study in found:
         for note in study["notes"] if study["study"] == "predictions" else []:
-            name, outcome = note.split(": ", 1)
-            verdict = outcome.split("(")[1].split(";")[0]
-            rows.append((f"prediction: {name}", verdict, outcome.replace(f"{verdict}; ", "")))
+            name, said = note.split(": ", 1)
+            verdict = said.split("(")[1].split(";")[0]
+            rows.append((f"prediction: {name}", verdict, said.replace(f"{verdict}; ", "")))
     return rows
 
 
-def _many_robots(results: list[dict[str, Any]]) -> list[Row]:
+def _many_robots(found: list[dict[str, Any]]) -> list[Row]:
     """Ours less its method, with the standard error over the robots."""
     rows = []
-    for row in (row for experiment in results for row in experiment["rows"]):
+    for row in (row for experiment in found for row in experiment["rows"]):
         tie = abs(row["less_mean"]) < 2 * row["less_se"]
         verdict = "a tie" if tie else "ours" if row["less_mean"] > 0 else "its method"
         places = ", ".join(
@@ -114,14 +123,14 @@ def _above(beaten: bool) -> str:
     return "" if beaten else " (**above what is allowed**)"
 
 
-def _experiments_and_claims(results: list[dict[str, Any]]) -> list[Row]:
-    claims = _claims([e for e in results if not e["rows"]])
-    return _experiments(results) + claims + _predictions(results)
+def _experiments_and_claims(found: list[dict[str, Any]]) -> list[Row]:
+    claims = _claims([e for e in found if not e["rows"]])
+    return _experiments(found) + claims + _predictions(found)
 
 
-def _claims(results: list[dict[str, Any]]) -> list[Row]:
+def _claims(found: list[dict[str, Any]]) -> list[Row]:
     rows = []
-    for study in results:
+    for study in found:
         for claim in study["claims"]:
             sign = "<=" if claim["at_most"] else ">="
             verdict = "" if claim["holds"] else "; **missed**"
@@ -137,173 +146,174 @@ def _claims(results: list[dict[str, Any]]) -> list[Row]:
 
 def _value(claim: dict[str, Any]) -> str:
     """A claim's value, with one more digit where a miss would look like a hit."""
-    rounded = _number(claim["value"])
-    return (
-        rounded if claim["holds"] or rounded != _number(claim["limit"]) else f"{claim['value']:.4g}"
-    )
+    shown = _number(claim["value"])
+    return shown if claim["holds"] or shown != _number(claim["limit"]) else f"{claim['value']:.4g}"
 
 
-def _explorations(results: list[dict[str, Any]]) -> list[Row]:
-    (study,) = results
-    kinds = [
-        (
-            row["kind"],
-            f"{row['touched_missed']} of {row['touched']} missed, "
-            f"{row['with_false_contacts']} with false contacts, "
-            f"{row['contacts_wrong']} of {row['contacts_localized']} localized wrong",
-            f"{row['rooms']} rooms"
-            + (f", {row['aborted']} aborted" if row["aborted"] else "")
-            + (
-                ""
-                if row["median_error_x_cm"] is None
-                else f"; median \\|x error\\| {row['median_error_x_cm']:.2f} cm"
-            ),
-        )
+def _explorations(found: list[dict[str, Any]]) -> list[Row]:
+    return _claims(found) + _notes(found[0])
+
+
+def _explored_rooms(found: list[dict[str, Any]]) -> list[Grid]:
+    """A row a kind of room."""
+    (study,) = found
+    head = (
+        "rooms of the kind", "rooms", "runs aborted", "contacts", "missed", "rooms with false ones",
+        "localized", "localized wrong", "median x error, cm",
+    )  # fmt: skip
+    counts = (
+        "rooms", "aborted", "touched", "touched_missed", "with_false_contacts",
+        "contacts_localized", "contacts_wrong",
+    )  # fmt: skip
+    rows = [
+        (row["kind"], *(str(row[count]) for count in counts), _decimals(row["median_error_x_cm"]))
         for row in study["rows"]
     ]
-    return kinds + _claims(results) + _notes(study)
+    return [Grid(head, rows)]
 
 
-def _robots(results: list[dict[str, Any]]) -> list[Row]:
+def _decimals(value: float | None, digits: int = 2) -> str:
+    """A number to its digits; empty where there is none."""
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def _robots(found: list[dict[str, Any]]) -> list[Grid]:
     """A row a robot."""
-    (study,) = results
-    kinds = [
+    (study,) = found
+    head = (
+        "robot", "rooms", "missed, %", "localized wrong, %", "localized",
+        "median error, % of length", "largest error, %", "outside of their ellipses, %",
+        "empty rooms", "localized in these",
+    )  # fmt: skip
+    rows = [
         (
-            row["robot"],
-            f"{row['missed_percent']:.3g} % missed, {row['wrong_percent']:.3g} % wrong, "
-            f"{row['localized']} localized of {row['rooms']}",
-            f"in the plane {row['error_percent']:.2g} % of the length off in the median and "
-            f"{row['worst_percent']:.2g} % at most, {row['outside_percent']:.2g} % outside of "
-            f"their ellipses; {row['empty_localized']} localized in {row['empty_rooms']} empty "
-            "rooms",
+            row["robot"], str(row["rooms"]), f"{row['missed_percent']:.3g}",
+            f"{row['wrong_percent']:.3g}", str(row["localized"]), f"{row['error_percent']:.2g}",
+            f"{row['worst_percent']:.2g}", f"{row['outside_percent']:.2g}",
+            str(row["empty_rooms"]), str(row["empty_localized"]),
         )
         for row in study["rows"]
-    ]
-    return kinds + _claims(results)
+    ]  # fmt: skip
+    return [Grid(head, rows)]
 
 
 def _notes(study: dict[str, Any]) -> list[Row]:
     return [(*note.rsplit(": ", 1), "") for note in study["notes"]]
 
 
-def _accuracy(results: list[dict[str, Any]]) -> list[Row]:
-    """A row an error: the worst of its groups of bodies that are touched."""
-    (study,) = results
-    rows = _claims(results)
+def _accuracy(found: list[dict[str, Any]]) -> list[Grid]:
+    """A row an error, stated or not: the worst of its groups of bodies that are touched."""
+    (study,) = found
+    head = (
+        "error", "stated", "coverage from", "to", "localized and wrong at most, %", "in group",
+        "contacts found from", "to", "frames a group",
+    )  # fmt: skip
+    rows = []
     for error in dict.fromkeys(row["error"] for row in study["rows"]):
+        can_be = any(row["error"] == error and row["stated"] for row in study["rows"])
         for stated in (False, True):
-            cases = [
+            some = [
                 row
                 for row in study["rows"]
                 if (row["error"], row["stated"]) == (error, stated) and "free" not in row["group"]
             ]
-            if not cases:
+            if not some:
                 continue
-            can_be = any(row["error"] == error and row["stated"] for row in study["rows"])
-            how = ", stated" if stated else ", not stated" if can_be else ""
-            cover = [row["covered"] for row in cases]
-            wrong = max(cases, key=lambda row: row["wrong"])
-            rows.append(
-                (
-                    f"{error}{how}: coverage",
-                    f"{min(cover):.3f} to {max(cover):.3f}",
-                    f"localized and wrong at most {100 * wrong['wrong']:.2g} % "
-                    f"({wrong['group']}), contacts found {min(r['found'] for r in cases):.2f} to "
-                    f"{max(r['found'] for r in cases):.2f}; {cases[0]['count']} frames a group",
-                )
-            )
-    return rows
+            wrong = max(some, key=lambda row: row["wrong"])
+            covered, contacts = [r["covered"] for r in some], [r["found"] for r in some]
+            rows.append((
+                error, ("yes" if stated else "no") if can_be else "", f"{min(covered):.3f}",
+                f"{max(covered):.3f}", f"{100 * wrong['wrong']:.2g}", wrong["group"],
+                f"{min(contacts):.2f}", f"{max(contacts):.2f}", str(some[0]["count"]),
+            ))  # fmt: skip
+    return [Grid(head, rows)]
 
 
-def _wrong(row: dict[str, Any]) -> str:
-    """Frames with a localized contact where nothing is: of all, and of those with a localized one.
-
-    The latter is not there if none is localized.
-    """
-    if not row["localized"]:
-        return "wrong 0.0 %"
-    of_localized = row["wrong"] / row["localized"]
-    return f"wrong {100 * row['wrong']:.1f} % ({100 * of_localized:.1f} % of localized)"
+def _of_localized(row: dict[str, Any]) -> str:
+    """Share of the localized frames that are wrong, in %; empty if none is localized."""
+    return f"{100 * row['wrong'] / row['localized']:.1f}" if row["localized"] else ""
 
 
-def _mistakes(results: list[dict[str, Any]]) -> list[Row]:
+def _shares(row: dict[str, Any]) -> tuple[str, str, str]:
+    """Of a group's frames, in %: localized, localized and wrong, and the latter of the former."""
+    return f"{100 * row['localized']:.0f}", f"{100 * row['wrong']:.1f}", _of_localized(row)
+
+
+def _mistakes(found: list[dict[str, Any]]) -> list[Grid]:
     """A row a group: wrong answers with nothing stated, and beside them with the error stated."""
-    (study,) = results
-    rows = []
+    (study,) = found
+    head = (
+        "mistake", "body", "frames", "localized, %", "wrong, %", "wrong of these, %",
+        "stated: localized, %", "wrong, %", "wrong of these, %",
+    )  # fmt: skip
     stated = {(row["kind"], row["body"]): row for row in study["rows"] if row["stated"]}
-    for row in study["rows"]:
-        if row["stated"] or row["kind"].startswith("empty"):
-            continue  # empty bodies stand among the claims
-        right = stated[row["kind"], row["body"]]
-        rows.append(
-            (
-                f"{row['kind']}: {row['body']}",
-                _wrong(row),
-                f"of {row['count']} frames, localized {100 * row['localized']:.0f} %; with the "
-                f"error stated {_wrong(right)}, localized {100 * right['localized']:.0f} %",
-            )
-        )
-    return rows + _claims(results)
-
-
-def _loads(results: list[dict[str, Any]]) -> list[Row]:
-    (study,) = results
-    return _claims(results) + [
-        (
-            row["group"],
-            " / ".join(f"{100 * row[count]:.1f}" for count in ("none", "one", "two")) + " %",
-            f"of {row['count']} frames answered with no, one, two contacts; "
-            f"localized {100 * row['localized']:.1f} %, {_wrong(row)}",
-        )
+    rows = [
+        (row["kind"], row["body"], str(row["count"]), *_shares(row),
+         *_shares(stated[row["kind"], row["body"]]))
         for row in study["rows"]
-    ]
+        if not row["stated"] and not row["kind"].startswith("empty")  # these are among the claims
+    ]  # fmt: skip
+    return [Grid(head, rows)]
 
 
-def _in_space(results: list[dict[str, Any]]) -> list[Row]:
-    """The claims, and each group's places."""
-    return _claims(results) + [
-        (
-            f"{row['group']}: mean place error",
-            f"{100 * row['place_off']:.2f} %",
-            f"coverage {row['coverage']:.3f}, number right {100 * row['found']:.1f} %, "
-            f"localized {100 * row['localized']:.1f} %, {_wrong(row)}, "
-            f"force in its interval {100 * row['newtons_covered']:.1f} % of {row['count']} rods",
-        )
-        for study in results
+def _loads(found: list[dict[str, Any]]) -> list[Grid]:
+    (study,) = found
+    head = (
+        "group", "frames", "no contact, %", "one, %", "two, %", "localized, %", "wrong, %",
+        "wrong of these, %",
+    )  # fmt: skip
+    rows = [
+        (row["group"], str(row["count"]),
+         *(f"{100 * row[count]:.1f}" for count in ("none", "one", "two")), *_shares(row))
         for row in study["rows"]
-    ]
+    ]  # fmt: skip
+    return [Grid(head, rows)]
 
 
-def _number_claims(results: list[dict[str, Any]]) -> list[Row]:
+def _in_space(found: list[dict[str, Any]]) -> list[Grid]:
+    """Each group's places."""
+    head = (
+        "group", "rods", "mean place error, % of length", "coverage", "number right, %",
+        "localized, %", "wrong, %", "wrong of these, %", "force in its interval, %",
+    )  # fmt: skip
+    rows = [
+        (row["group"], str(row["count"]), f"{100 * row['place_off']:.2f}",
+         f"{row['coverage']:.3f}", f"{100 * row['found']:.1f}", *_shares(row),
+         f"{100 * row['newtons_covered']:.1f}")
+        for study in found
+        for row in study["rows"]
+    ]  # fmt: skip
+    return [Grid(head, rows)]
+
+
+def _number_claims(found: list[dict[str, Any]]) -> list[Row]:
     """The claims, and how many frames leave the number in doubt."""
-    notes = [note.split(": ", 1) for study in results for note in study["notes"]]
-    return _claims(results) + [(name, "", outcome) for name, outcome in notes]
+    notes = [note.split(": ", 1) for study in found for note in study["notes"]]
+    return _claims(found) + [(what, "", said) for what, said in notes]
 
 
-def _stability(results: list[dict[str, Any]]) -> list[Row]:
-    """A row a map: the default's mean error and failures, then those of the other methods."""
-    (study,) = results
-    rows = _claims(results)
+def _stability(found: list[dict[str, Any]]) -> list[Grid]:
+    """A row a map: each method's mean error, and its failures."""
+    (study,) = found
+    methods = list(dict.fromkeys(row["method"] for row in study["rows"]))
+    columns = [column for method in methods for column in (f"{method}, cm", "failed, %")]
+    rows = []
     for stress in dict.fromkeys(row["stress"] for row in study["rows"]):
-        default, *rivals = (row for row in study["rows"] if row["stress"] == stress)
-        rival_text = ", ".join(
-            f"{row['method']} "
-            + ("" if row["mean_cm"] is None else f"{_number(row['mean_cm'])} ")
-            + f"({100 * row['failures']:.0f} %)"
-            for row in rivals
-        )
-        rows.append(
-            (
-                f"{stress}, {default['cases']} cases: mean error (failures)",
-                f"{_number(default['mean_cm'])} cm ({100 * default['failures']:.0f} %)",
-                rival_text,
-            )
-        )
-    return rows
+        mine = {row["method"]: row for row in study["rows"] if row["stress"] == stress}
+        cells = []
+        for method in methods:
+            row = mine.get(method)
+            mean = None if row is None else row["mean_cm"]
+            cells += [
+                "" if mean is None else _number(mean),
+                "" if row is None else f"{100 * row['failures']:.0f}",
+            ]
+        rows.append((stress, str(next(iter(mine.values()))["cases"]), *cells))
+    return [Grid(("stress", "cases", *columns), rows)]
 
 
-def _stopping(results: list[dict[str, Any]]) -> list[Row]:
-    (study,) = results
+def _stopping(found: list[dict[str, Any]]) -> list[Row]:
+    (study,) = found
     return [
         (
             f"{row['who']}: {row['how']}",
@@ -311,10 +321,10 @@ def _stopping(results: list[dict[str, Any]]) -> list[Row]:
             f"worst {row['worst_ms']:.0f} ms of {row['n']}",
         )
         for row in study["rows"]
-    ] + _claims(results)
+    ] + _claims(found)
 
 
-def _budgets(figures: dict[str, Any]) -> list[Row]:
+def _budgets(found: dict[str, Any]) -> list[Row]:
     return [
         (
             name,
@@ -324,38 +334,47 @@ def _budgets(figures: dict[str, Any]) -> list[Row]:
             else f"{'at least' if figure['least'] else 'at most'} {_number(figure['limit'])}"
             f"{'' if figure['kept'] else '; **exceeded**'}",
         )
-        for name, figure in figures.items()
+        for name, figure in found.items()
     ]
 
 
-def _boards(boards: dict[str, Any]) -> list[Row]:
+def _boards(found: dict[str, Any]) -> list[Row]:
     return [
         (f"{board}: {column}", value, "")
-        for board, row in boards.items()
+        for board, row in found.items()
         for column, value in row.items()
     ]
 
 
-def _benchmark(rows_of_methods: list[dict[str, Any]]) -> list[Row]:
+def _benchmark(found: list[dict[str, Any]]) -> list[Row]:
     rows = []
-    for method in dict.fromkeys(row["method"] for row in rows_of_methods):
-        method_rows = [row for row in rows_of_methods if row["method"] == method]
-        answered = sum(row["answered"] for row in method_rows)
-        failed = sum(row["answered"] * (row["failures"] or 0.0) for row in method_rows)
-        groups = ", ".join(
-            f"{row['group']} {_number(row['error_cm'])}" for row in method_rows if row["answered"]
-        )
-        note = f"mean error, cm: {groups}"
-        claiming = [row for row in method_rows if row["claimed"]]
-        if claiming:
-            note += "; localized, of these overclaimed: " + ", ".join(
-                f"{row['group']} {row['claimed']:.2f}, {row['overclaimed']:.2f}" for row in claiming
-            )
-            note += "; coverage: " + ", ".join(
-                f"{row['group']} {row['coverage']:.2f}" for row in method_rows if row["coverage"]
-            )
-        rows.append((method, f"{100 * failed / max(answered, 1):.0f} % of {answered} failed", note))
+    for method in dict.fromkeys(row["method"] for row in found):
+        mine = [row for row in found if row["method"] == method]
+        answered = sum(row["answered"] for row in mine)
+        failed = sum(row["answered"] * (row["failures"] or 0.0) for row in mine)
+        rows.append((method, f"{100 * failed / max(answered, 1):.0f} %", f"of {answered} failed"))
     return rows
+
+
+def _benchmark_groups(found: list[dict[str, Any]]) -> list[Grid]:
+    """Mean errors of all methods by group; then what methods with intervals claim."""
+    groups = list(dict.fromkeys(row["group"] for row in found))
+    methods = list(dict.fromkeys(row["method"] for row in found))
+    errors = {(row["method"], row["group"]): row["error_cm"] for row in found if row["answered"]}
+    table = [
+        (method, *(_decimals(errors.get((method, group))) for group in groups))
+        for method in methods
+    ]
+    claims = [
+        (row["method"], row["group"], f"{row['claimed']:.2f}", f"{row['overclaimed']:.2f}",
+         _decimals(row["coverage"]))
+        for row in found
+        if row["claimed"]
+    ]  # fmt: skip
+    return [
+        Grid(("mean error, cm", *groups), table),
+        Grid(("method", "group", "localized", "over-claimed of these", "coverage"), claims),
+    ]
 
 
 def _number(value: float | str | None) -> str:
@@ -380,15 +399,18 @@ LONG = (
 SEEDS = {"exploration": ("--seed", "31")}
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,
+    "number": _number_claims,
+    "stopping": _stopping,
+    "crowd": _stopping,
+}
+GRIDS: dict[str, Callable[[Any], list[Grid]]] = {
+    "exploration": _explored_rooms,
     "robots": _robots,
     "accuracy": _accuracy,
     "mistakes": _mistakes,
     "loads": _loads,
-    "number": _number_claims,
     "space": _in_space,
     "stability": _stability,
-    "stopping": _stopping,
-    "crowd": _stopping,
 }
 SOURCES: dict[str, Source] = {
     "explore": Source(
@@ -417,6 +439,7 @@ SOURCES: dict[str, Source] = {
             ),
             OWN_ROWS.get(study, _claims),
             pictures,
+            GRIDS.get(study, lambda _: []),
         )
         for study, pictures in {
             "speed-accuracy": {"speed-accuracy-chart.png": "speed-accuracy.png"},
@@ -445,7 +468,10 @@ SOURCES: dict[str, Source] = {
     "budgets": Source((".venv/bin/python", "tools/budgets.py", "--json"), _budgets, {}),
     "soak": Source((".venv/bin/python", "tools/soak.py", "--json"), _budgets, {}),
     "benchmark": Source(
-        (".venv/bin/python", "tools/benchmark.py", "table", "--jobs", "2"), _benchmark, {}
+        (".venv/bin/python", "tools/benchmark.py", "table", "--jobs", "2"),
+        _benchmark,
+        {},
+        _benchmark_groups,
     ),
     "boards": Source((".venv/bin/python", "tools/boards.py", "--json"), _boards, {}),
 }
@@ -458,22 +484,22 @@ def run(name: str) -> None:
         command = list(source.command)
         if command[0] == THIGMO:
             command += ["--out", folder]
-        print(f"{name}: {source.command_line}", flush=True)
+        print(f"{name}: {source.shown}", flush=True)
         # Its progress goes to the terminal.
-        process = subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.PIPE, text=True)
+        done = subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.PIPE, text=True)
         try:
-            result = json.loads(process.stdout)
-            source.rows(result)  # of a command that ends with 1 for a broken promise, too
+            found = json.loads(done.stdout)
+            source.rows(found)  # of a command that ends with 1 for a broken promise, too
         except (ValueError, KeyError, TypeError, AttributeError):
-            sys.exit(f"{name}: exit {process.returncode}; see above")
+            sys.exit(f"{name}: exit {done.returncode}; see above")
         RESULTS.mkdir(parents=True, exist_ok=True)
         # Where this machine put the files is nobody's business.
-        for part in result if isinstance(result, list) else [result]:
+        for part in found if isinstance(found, list) else [found]:
             part.pop("run", None)
             part.pop("files", None)
-        (RESULTS / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
-        for made_name, kept_name in source.pictures.items():
-            shutil.copy(next(Path(folder).rglob(made_name)), ROOT / "docs" / kept_name)
+        (RESULTS / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n")
+        for made, kept in source.pictures.items():
+            shutil.copy(next(Path(folder).rglob(made)), ROOT / "docs" / kept)
 
 
 def draw_dial() -> None:
@@ -482,6 +508,19 @@ def draw_dial() -> None:
 
     (study,) = json.loads((RESULTS / "bench-exploration.json").read_text())
     dial_figure(study["dial"]).savefig(ROOT / "docs" / "dial.png", dpi=200)
+
+
+DIAL = ROOT / "host" / "thigmo" / "exploration" / "dial.json"
+_DIAL_COLUMNS = ("kind", "setting", "rooms", "time_s", "error_cm", "missed")
+
+
+def dial_rows() -> str:
+    """dial.json: what the page tells of efforts and budgets before a run."""
+    (study,) = json.loads((RESULTS / "bench-exploration.json").read_text())
+    rows = [{name: row[name] for name in _DIAL_COLUMNS} for row in study["dial"]]
+    for row in rows:
+        row.update({name: round(row[name], 3) for name in ("time_s", "error_cm", "missed")})
+    return json.dumps(rows, indent=1) + "\n"
 
 
 # The five rows of README, by source and name, with the words that README has for them.
@@ -519,31 +558,38 @@ def _rows(name: str) -> list[Row]:
 def table(name: str) -> str:
     """The table of one source, with the command that makes it."""
     rows = _rows(name)
-    lines = [f"`{SOURCES[name].command_line}`", ""]
+    lines = [f"`{SOURCES[name].shown}`", ""]
     if not rows:
         return "\n".join([*lines, "Not run yet.", "", ""])
-    result = json.loads((RESULTS / f"{name}.json").read_text())
-    studies = result if isinstance(result, list) else []
+    found = json.loads((RESULTS / f"{name}.json").read_text())
+    studies = found if isinstance(found, list) else []
     for study in studies:
         if samples := study.get("samples"):
-            study_name = f" of {study['study']}" if len(studies) > 1 else ""
+            of = f" of {study['study']}" if len(studies) > 1 else ""
             cases = "; ".join(f"{part}: {count}" for part, count in samples.items())
-            lines += [f"Cases{study_name}: {cases}.", ""]
-    lines += ["| what | value | |", "| --- | --- | --- |"]
-    return "\n".join([*lines, *(f"| {a} | {b} | {c} |" for a, b, c in rows), "", ""])
+            lines += [f"Cases{of}: {cases}.", ""]
+    tables = [Grid(("what", "value", ""), list(rows)), *SOURCES[name].grids(found)]
+    for grid in tables:
+        if grid.rows:
+            lines += [_line(grid.head), _line(["---"] * len(grid.head)), *map(_line, grid.rows), ""]
+    return "\n".join([*lines, ""])
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 def headlines() -> str:
     """README's table: one row of each of five sources, with its command."""
     lines = ["| what | value | command |", "| --- | --- | --- |"]
-    for name, row_name, words in HEADLINES:
+    for name, wanted, words in HEADLINES:
         if not _rows(name):
             continue  # never run
-        values = {row: value for row, value, _ in _rows(name)}
-        if row_name not in values:
-            sys.exit(f"docs/results/{name}.json has no row {row_name!r}; correct HEADLINES")
-        command = SOURCES[name].command_line.replace(".venv/bin/", "").replace(" --json", "")
-        lines.append(f"| {words} | {values[row_name]} | `{command}` |")
+        values = {what: value for what, value, _ in _rows(name)}
+        if wanted not in values:
+            sys.exit(f"docs/results/{name}.json has no row {wanted!r}; correct HEADLINES")
+        command = SOURCES[name].shown.replace(".venv/bin/", "").replace(" --json", "")
+        lines.append(f"| {words} | {values[wanted]} | `{command}` |")
     return "\n".join([*lines, "", ""])
 
 
@@ -558,9 +604,9 @@ def summary() -> str:
         promised = [row for row in _rows(name) if _is_promise(row)]
         late = [row for row in promised if any(mark in row[2] for mark in MISSED)]
         if promised:
-            command = source.command_line.replace(".venv/bin/", "").replace(" --json", "")
+            command = source.shown.replace(".venv/bin/", "").replace(" --json", "")
             counts.append(f"| `{command}` | {len(promised)} | {len(promised) - len(late)} |")
-        missed += [f"| {row} | {value} | {note} |" for row, value, note in late]
+        missed += [f"| {what} | {value} | {note} |" for what, value, note in late]
     return "\n".join([*counts, "", *missed, "", ""])
 
 
@@ -599,15 +645,15 @@ def main() -> None:
             run(name)
             if name == "bench-exploration":
                 draw_dial()
-    for page in PAGES:
-        text = rendered(page)
-        if options.check and text != page.read_text():
+    made_of = {page: rendered(page) for page in PAGES} | {DIAL: dial_rows()}
+    for page, made in made_of.items():
+        if options.check and (not page.is_file() or made != page.read_text()):
             sys.exit(
                 f"{page.name}'s figures are not what docs/results say; run "
                 "tools/figures.py --render"
             )
         if not options.check:
-            page.write_text(text)
+            page.write_text(made)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Draws the robot's circuit, plumbing, nozzle and spool: docs/hardware/*.svg.
+"""Draws the robot's circuit, plumbing, body, nozzle and spool: docs/hardware/*.svg.
 
     python tools/schematics.py           draw
     python tools/schematics.py --check   fail if a drawing is not what this file says
@@ -621,6 +621,50 @@ def nozzle_and_spool() -> schemdraw.Drawing:
     return d
 
 
+CM = 0.36  # units for a centimetre of cloth
+CENTERS_CM = (5, 15, 25, 35, 45)  # of the sensors, from the clamp
+
+
+def body_layout() -> schemdraw.Drawing:
+    """The tube's cloth, laid flat with its outside up: pouches, sensors and muscles."""
+    d = _sheet("BODY, the cloth laid flat, outside up, cm. Of the thesis: 53, the pouches, 5.5")
+    x0, y0 = 1.0, -7.2  # of the clamp's line, at the lower edge
+
+    def box(x: float, y: float, length: float, width: float, fill: str | None = None) -> None:
+        """A rectangle by the middle of its left end, cm from the clamp and from the lower edge."""
+        corner = (x0 + CM * x, y0 + CM * (y - width / 2))
+        part = elm.Rect(corner1=(0, 0), corner2=(CM * length, CM * width)).theta(0).at(corner)
+        d.add(part.fill(fill) if fill else part)
+
+    box(-8, 6, 65, 12)
+    _wire(d, (x0 - CM * 8, y0 + CM), (x0 + CM * 57, y0 + CM))
+    for x in (0, 53):
+        _wire(d, (x0 + CM * x, y0 - 0.5), (x0 + CM * x, y0 + CM * 12 + 0.5))
+    for y, name in ((3.25, "right"), (8.75, "left")):
+        box(0, y, 53, 2.5)
+        for n, center in enumerate(CENTERS_CM):
+            box(center - 5, y, 10, 0.75)
+            box(center - 2.75, y, 5.5, 0.45, "lightgray")
+            at = (x0 + CM * center, y0 + CM * y + 0.62)
+            d.add(elm.Label().theta(0).at(at).label(f"{name} {n}", loc="center", fontsize=8))
+    low = y0 - 0.9
+    _dimension(d, (x0 - CM * 8, low), (x0, low), "8, clamp")
+    _dimension(d, (x0, low), (x0 + CM * 53, low), "53 evert")
+    _dimension(d, (x0 + CM * 53, low), (x0 + CM * 57, low), "4, tip")
+    top = y0 + CM * 12 + 0.6
+    _dimension(d, (x0, top), (x0 + CM * 5, top), "5")
+    for first, second in pairwise(CENTERS_CM):
+        _dimension(d, (x0 + CM * first, top), (x0 + CM * second, top), "10")
+    side = x0 + CM * 58.5
+    for start, end, said in ((0, 3.25, "3.25"), (3.25, 8.75, "5.5"), (8.75, 12, "3.25")):
+        _dimension(d, (side, y0 + CM * start), (side, y0 + CM * end), said)
+    lap = "Lap: the lowest 1 cm lies over the uppermost, along the back. Pouches 10 x 0.75,"
+    _text(d, (x0, low - 1.3), f"{lap} sensors 5.5 active (grey),", size=9)
+    names = "B1 to B5 are left 0 to 4, B6 to B10 right 0 to 4."
+    _text(d, (x0, low - 1.9), f"muscles 2.5 wide when flat, over the pouches. {names}", size=9)
+    return d
+
+
 DRAWINGS: dict[str, Callable[[], schemdraw.Drawing]] = {
     "power": power,
     "current-stage": current_stage,
@@ -630,6 +674,7 @@ DRAWINGS: dict[str, Callable[[], schemdraw.Drawing]] = {
     "air": air,
     "pico": pico,
     "nozzle-and-spool": nozzle_and_spool,
+    "body-layout": body_layout,
 }
 
 

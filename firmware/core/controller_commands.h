@@ -409,6 +409,7 @@ inline void Controller::take_parameter(uint16_t index) {
   derived_.update(config_, index);
   take_over(before);
   if (index == static_cast<uint16_t>(Param::kReferenceMv)) scale_supply();
+  if (index == static_cast<uint16_t>(Param::kGrows)) length_known_ = false;
 }
 
 // After a change of the scaled constants: what it voids.

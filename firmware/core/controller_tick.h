@@ -28,8 +28,10 @@ inline void Controller::begin(LoadResult loaded, protocol::ResetCause cause, con
 inline void Controller::sense(const Inputs& in) {
   elapsed_ = in.frame->tick - tick_;
   tick_ = in.frame->tick;
-  encoder_ = in.encoder;
-  encoder_errors_ = in.encoder_errors;
+  if (grows()) {  // inputs without an encoder float
+    encoder_ = in.encoder;
+    encoder_errors_ = in.encoder_errors;
+  }
   if (in.supply_mv != supply_raw_mv_) {
     supply_raw_mv_ = in.supply_mv;
     scale_supply();
@@ -383,7 +385,9 @@ inline void Controller::free_step() {
   }
   // The muscles that are not driven hold (almost) no pressure and add (almost) nothing.
   int32_t sum = 0;
-  for (uint8_t i = 0; i < kMuscles; ++i) sum += muscle_[i].free_e5(config_.map[zone_][i]);
+  for (uint8_t i = 0; i < kMuscles; ++i) {
+    sum += muscle_[i].free_e5(config_.map[zone_][i], derived_.supports_per_cpsi_q22);
+  }
   free_e5_ = saturated16(sum);
 }
 
@@ -553,6 +557,7 @@ inline void Controller::assemble_conditions() {
     if (eversion_.half_mask() != 0) c |= mask(Condition::kHalfEverted);
     if ((usable_mask() & derived_.bases_mask) != 0) c |= mask(Condition::kBaseUsable);
   }
+  if (grows()) c |= mask(Condition::kSpoolFitted);
   if (zone_ < kBodyPressures) c |= mask(Condition::kZoneKnown);
   if (vented_steps_ >= kVentedSteps) c |= mask(Condition::kVented);
   if (beaten_ && tick_ - beat_tick_ <= patience) c |= mask(Condition::kHostAlive);

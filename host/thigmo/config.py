@@ -21,11 +21,17 @@ from __future__ import annotations
 
 import os
 import shutil
-from math import pi, tanh
+from math import inf, pi, tanh
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from thigmo.errors import ConfigError
 from thigmo.sensors import (
@@ -88,19 +94,38 @@ class BodyPressure(Model):
     """Body pressure set by hand for a range of everted length (thesis, section 3.5)."""
 
     until_cm: Positive  # everted length up to which it holds
-    pressure_psi: Positive  # of the regulator
+    pressure_psi: NonNegative  # of the regulator; 0: a body of fixed length without air
     pull_duty: Finite = 0.0  # of 800, that the motor needs less in growth than its data say
 
 
-class Body(Model):
-    """The tube."""
+# Entries of a growing body, which a body of fixed length does not have.
+_OF_GROWTH = ("pitch_cm", "growth_psi", "growth_psi_per_cm")
 
+
+def _default_fold(body: dict[str, Any]) -> float:
+    return 0.01108 if body.get("grows", True) else inf
+
+
+def _default_zones(body: dict[str, Any]) -> list[BodyPressure]:
+    if not body.get("grows", True):
+        return [BodyPressure(until_cm=body.get("length_cm", 53.0), pressure_psi=0.0)]
+    return [
+        BodyPressure(until_cm=26.5, pressure_psi=1.47),
+        BodyPressure(until_cm=35.3, pressure_psi=1.01),
+        BodyPressure(until_cm=53.0, pressure_psi=0.49),
+    ]
+
+
+class Body(Model):
+    """The tube, or another slender body."""
+
+    grows: bool = True  # false: a fixed length, without spool, pouches and eversion
     length_cm: Positive = 53.0  # fully everted
     diameter_cm: Positive = 3.5  # of the inflated tube
     pitch_cm: Positive = 10.0  # pouch length: growth stops only at whole multiples of it
     # Contact moment over EI at which the base folds, measured at `critical_pressure_psi`;
-    # it scales with body pressure.
-    critical_curvature: Positive = 0.01108
+    # it scales with body pressure. inf: it does not fold, as a body that does not grow by default.
+    critical_curvature: Annotated[float, Field(gt=0)] = Field(default_factory=_default_fold)
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49  # body pressure at which it was measured
     # Angle (rad) by which the base turns for each 1/cm of contact moment over EI there, so cm.
@@ -114,11 +139,7 @@ class Body(Model):
     growth_psi_per_cm: NonNegative = 0.003  # what the tail's friction adds for each cm everted
     # Body pressures, set by hand, by everted length.
     zones: list[BodyPressure] = Field(
-        default_factory=lambda: [
-            BodyPressure(until_cm=26.5, pressure_psi=1.47),
-            BodyPressure(until_cm=35.3, pressure_psi=1.01),
-            BodyPressure(until_cm=53.0, pressure_psi=0.49),
-        ],
+        default_factory=_default_zones,
         min_length=1,
         validation_alias="pressure",
         serialization_alias="pressure",
@@ -131,7 +152,23 @@ class Body(Model):
             raise ValueError("body.pressure: until_cm must ascend")
         if ends[-1] < self.length_cm:
             raise ValueError("body.pressure: the last until_cm must reach body.length_cm")
+        if self.grows and not all(zone.pressure_psi for zone in self.zones):
+            raise ValueError(
+                "body.pressure: no body grows at 0 psi: give its pressure, or `grows = false`"
+            )
+        if not self.grows and (stated := sorted(self.model_fields_set.intersection(_OF_GROWTH))):
+            raise ValueError(
+                f"body.{stated[0]} is of a body that grows: leave it out, or `grows = false`"
+            )
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_growth(self, dumped: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        entries: dict[str, Any] = dumped(self)
+        if not self.grows:
+            for name in _OF_GROWTH:
+                entries.pop(name, None)
+        return entries
 
     @property
     def radius_cm(self) -> float:
@@ -179,7 +216,7 @@ class TanhMap(Model):
 class ZoneMap(Model):
     """Free curvature of one muscle at one body pressure, inflating and deflating apart."""
 
-    body_pressure_psi: Positive  # at which it was measured
+    body_pressure_psi: NonNegative = 0.0  # at which it was measured
     scale_se: NonNegative = 0.1  # of all of g from one sweep to the next, relative
     inflate: TanhMap = Field(default_factory=TanhMap)  # while the pressure rises
     deflate: TanhMap = Field(default_factory=TanhMap)  # while it falls
@@ -223,8 +260,19 @@ class Muscle(Placed):
     )
 
 
-def _default_muscles() -> list[Muscle]:
-    return [Muscle(name=side, direction_deg=DEGREES[side]) for side in SIDES]
+def _default_muscles(robot: dict[str, Any]) -> list[Muscle]:
+    zones = robot["body"].zones if "body" in robot else _default_zones({})
+    return [
+        Muscle(
+            name=side,
+            direction_deg=DEGREES[side],
+            maps=[ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in zones],
+        )
+        for side in SIDES
+    ]
+
+
+_OVER_PRESSURE_PSI = 3.0  # above the range: regulation overshoots by 1, and FR1 gives 5
 
 
 class BoardSettings(Model):
@@ -232,6 +280,26 @@ class BoardSettings(Model):
 
     divider_ohm: Positive = 22_000.0  # fixed resistor of the flex sensors' dividers
     settle_s: NonNegative = 30.0  # thesis: no reading within 30 s of eversion
+    # Highest pressure that the muscles' supply, valves and relief valve are built for: maps reach
+    # to it, and a pressure 3 psi above it is a fault (docs/hardware/air.md).
+    pressure_range_psi: Annotated[float, Field(ge=20, le=60)] = 20.0
+    pressure_sensor_psi: Positive = 60.0  # full scale of the muscles' pressure sensors
+    transducer_psi: Positive = 60.0  # what the transducers put out at 20 mA
+
+    @property
+    def over_pressure_psi(self) -> float:
+        """Muscle pressure above which the board vents and stops (fault over_pressure)."""
+        return self.pressure_range_psi + _OVER_PRESSURE_PSI
+
+    @model_validator(mode="after")
+    def _pressures_fit(self) -> Self:
+        if self.pressure_sensor_psi < self.over_pressure_psi:
+            raise ValueError(
+                f"board.pressure_sensor_psi = {self.pressure_sensor_psi:g} shows no "
+                f"{self.over_pressure_psi:g} psi, where over_pressure vents the muscles: fit a "
+                "sensor of a wider range, or lower board.pressure_range_psi"
+            )
+        return self
 
 
 class Spool(Model):
@@ -262,10 +330,9 @@ class RobotConfig(Model):
     # Where lines of a fibre's strains come from (`thigmo.link.interrogator`): host:port.
     interrogator: Annotated[str, AfterValidator(_host_and_port)] | None = None
     body: Body = Field(default_factory=Body)  # the tube, and its pressures
-    # Muscles, in the order of the board's outputs.
+    # Muscles, in the order of the board's outputs. `muscle = []`: none, so nothing sweeps.
     muscles: list[Muscle] = Field(
         default_factory=_default_muscles,
-        min_length=1,
         validation_alias="muscle",
         serialization_alias="muscle",
     )
@@ -279,8 +346,17 @@ class RobotConfig(Model):
     spool: Spool = Field(default_factory=Spool)  # motor, line and brake
     board: BoardSettings = Field(default_factory=BoardSettings)  # the controller
 
+    @model_serializer(mode="wrap")
+    def _without_spool(self, dumped: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        entries: dict[str, Any] = dumped(self)
+        if not self.body.grows:
+            entries.pop("spool", None)
+        return entries
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        if not self.body.grows and "spool" in self.model_fields_set:
+            raise ValueError("spool: a body with `grows = false` has none: leave [spool] out")
         first: dict[tuple[bool, float], float] = {}  # of each column: the board's base sensor
         for number, sensor in enumerate(self.sensors):
             if sensor.center_cm + sensor.span_cm / 2 > self.body.length_cm + 1e-6:
@@ -305,6 +381,13 @@ class RobotConfig(Model):
                 )
             if len(muscle.maps) != len(self.body.zones):
                 raise ValueError(f"muscle[{number}].map: one for each of body.pressure is needed")
+            if muscle.max_pressure_psi > self.board.pressure_range_psi:
+                raise ValueError(
+                    f"muscle[{number}].max_pressure_psi = {muscle.max_pressure_psi:g} is above "
+                    f"board.pressure_range_psi = {self.board.pressure_range_psi:g}: lower it, or "
+                    "state the range that supply, valves and relief valve are built for (at most "
+                    "60 psi; docs/hardware/air.md)"
+                )
         return self
 
     @property

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -93,7 +94,12 @@ def errors_of(
     body = config.body
     if not 0 <= zone < len(body.zones):
         raise DataError(f"robot.toml has no pressure zone {zone}", "count body.pressure from 0")
-    ratio = body.zones[zone].pressure_psi / body.critical_pressure_psi
+    critical, critical_error = inf, 0.0
+    if body.critical_curvature < inf:
+        ratio = body.zones[zone].pressure_psi / body.critical_pressure_psi
+        critical = body.critical_curvature * ratio
+        measured_error = body.critical_curvature_se / body.critical_curvature
+        critical_error = float(np.hypot(measured_error, _FOLD_LAW_SE * np.log(ratio)))
     muscle = None if side is None else config.muscle(side)
     shared = shared_errors(sensors)
     return ReadingErrors(
@@ -102,13 +108,8 @@ def errors_of(
         gain_error=np.array([sensor.gain_error for sensor in sensors]),
         offset_error=0.0 if muscle is None else muscle.offset_se,
         map_error=0.0 if muscle is None else muscle.maps[zone].scale_se,
-        critical_curvature=body.critical_curvature * ratio,
-        critical_curvature_error=float(
-            np.hypot(
-                body.critical_curvature_se / body.critical_curvature,
-                _FOLD_LAW_SE * np.log(ratio),
-            )
-        ),
+        critical_curvature=critical,
+        critical_curvature_error=critical_error,
         tube_radius=body.radius_cm,
         stiffness=body.stiffness,
         shared_errors=shared if shared.size else None,

@@ -35,7 +35,12 @@ class Model(BaseModel):
 
     # Names of union members, which pydantic puts between the keys of an invalid entry.
     union_tags: ClassVar[frozenset[str]] = frozenset()
-    model_config = ConfigDict(extra="forbid", validate_assignment=True, populate_by_name=True)
+    model_config = ConfigDict(
+        extra="forbid",
+        validate_assignment=True,
+        populate_by_name=True,
+        ser_json_inf_nan="constants",  # TOML has inf
+    )
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the record as TOML, with every entry that has a value; ConfigError if it cannot."""

@@ -246,6 +246,11 @@ class Wiring:
                 "press its muscles by name (`Robot.press`), and localize its readings with a "
                 "column `direction` (`thigmo localize`)",
             )
+        if not config.muscles:
+            return Limitation(
+                "the robot has no muscles, so it cannot sweep",
+                "feel what bends it while it grows or rests: `thigmo feel`",
+            )
         if len(self.unguarded_muscles) == len(config.muscles):
             return Limitation(
                 "no healthy sensor at the base answers to the muscles, so no sweep feels a contact",

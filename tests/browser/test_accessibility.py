@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from browsing import Looking, Served
-from contacts import CONTACT
+from contacts import CONTACT, run_folder
 from playwright.sync_api import Page, expect
 from scripted import ScriptedRun
 
-from thigmo.cli.watch import parameters
+from thigmo.cli.watch import expected_efforts, parameters
 from thigmo.stream import Contacts
 
 ServePage = Callable[..., Served]
@@ -42,10 +42,16 @@ def _findings(page: Page) -> list[str]:
 
 @pytest.mark.parametrize("screen", SCREENS, ids=["light", "dark", "phone", "dark phone"])
 def test_axe_finds_nothing_before_a_run_in_it_and_after_it(
-    looking: Looking, serve_page: ServePage, screen: dict[str, object]
+    looking: Looking, serve_page: ServePage, tmp_path: Path, screen: dict[str, object]
 ) -> None:
     port = "/dev/ttyNONE"
-    page = looking.open(serve_page(url=port, parameters=parameters()).address, **screen)
+    run_folder(tmp_path, "earlier")
+    served = serve_page(url=port, parameters=parameters(), runs=tmp_path, expect=expected_efforts)
+    page = looking.open(served.address, **screen)
+    expect(page.locator("#run-rows tr")).to_have_count(1)
+    expect(page.locator("#effort-choices tr")).to_have_count(4)
+    page.locator("#keys-button").click()
+    expect(page.locator("#keys")).to_be_visible()
     page.locator("#parameters summary").click()
     page.locator("#retract").click()
     expect(page.locator("#length-now")).to_be_visible()
@@ -78,7 +84,7 @@ def test_a_wall_is_drawn_as_a_line_and_named_with_its_probabilities(
     assert [lines.nth(n).get_attribute("stroke-dasharray") for n in range(2)] == [None, "7 5"]
 
 
-def test_an_ambiguous_sweep_beside_a_localized_contact_says_why(
+def test_a_sweep_that_leaves_a_localized_contacts_place_open_says_why(
     page: Page, run: ScriptedRun
 ) -> None:
     run.feel()
@@ -86,7 +92,8 @@ def test_an_ambiguous_sweep_beside_a_localized_contact_says_why(
     assert page.locator("#contacts-why").inner_text() == ""
     run.believe(sweeping=False, status="ambiguous", message="two places fit alike")
     expect(page.locator("#contacts-why")).to_have_text(
-        "The last sweep by itself is ambiguous: two places fit alike. The map weighs every stage."
+        "The last sweep alone leaves the place open: two places fit alike. "
+        "The map weighs every stage."
     )
 
 

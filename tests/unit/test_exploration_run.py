@@ -77,6 +77,14 @@ class Script:
     def confirm_length(self, length_cm: float) -> None:
         self._call(f"confirm {length_cm:g}")
 
+    def measure_length(self) -> float:
+        self.confirm_length(self.length)
+        return self.length
+
+    def pressurize(self, zone: int) -> None:
+        self.set_body_pressure(RobotConfig().body.zones[zone].pressure_psi)
+        self.select_zone(zone)
+
     def arm(self) -> None:
         self._call("arm")
 

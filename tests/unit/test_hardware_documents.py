@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 import runpy
+import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -150,3 +153,20 @@ def test_a_motor_that_no_fuse_protects_is_refused(
     with pytest.raises(SystemExit):
         runpy.run_path(str(ROOT / "tools/supplies.py"))["main"](wrong)
     assert said in capsys.readouterr().err
+
+
+def test_printed_pieces_have_the_sizes_that_are_stated() -> None:
+    folder = HARDWARE / "printed"
+    sizes = json.loads((folder / "sizes.json").read_text())
+    page = (HARDWARE / "parts.csv").read_text()
+    for name, stated in sizes.items():
+        # Binary STL: 80 bytes, a count, and for each triangle a normal, three corners, two bytes.
+        data = (folder / f"{name}.stl").read_bytes()
+        (count,) = struct.unpack_from("<I", data, 80)
+        kind = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+        corners = np.frombuffer(data, kind, count, offset=84)["corners"].reshape(-1, 3)
+        assert corners.max(axis=0) - corners.min(axis=0) == pytest.approx(
+            stated["size_mm"], abs=0.15
+        )
+        assert f"printed/{name}.stl" in page
+        assert (folder / f"{name}.step").read_text().startswith("ISO-10303-21")

@@ -358,7 +358,7 @@ def test_the_boards_maps_are_what_the_base_sensors_that_guard_a_muscle_read() ->
         muscles=[Muscle(name=f"{lies:g}deg", direction_deg=lies) for lies in (90.0, 210.0, 0.0)],
         sensors=[FlexSensor(direction_deg=lies, center_cm=5.0) for lies in (270.0, 30.0)],
     )
-    top_psi = (wire.MAP_POINTS - 1) * wire.MAP_STEP_CPSI / 100
+    top_psi = config.board.pressure_range_psi
     full = round(config.muscles[0].maps[0].inflate.curvature(top_psi) * 1e5)
 
     def sent() -> list[int]:

@@ -7,28 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from contacts import CONTACT
+from contacts import CONTACT, run_folder
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
 from thigmo.errors import DataError
-from thigmo.record import RunDocument, RunFolder
 from thigmo.record.listing import compare_contacts, list_runs
-
-
-def _run(parent: Path, folder: str, started: str, **changes: object) -> Path:
-    path = parent / folder
-    path.mkdir()
-    document = RunDocument("0", folder, "emulator://empty", started, outcome="full length")
-    RunFolder(path).write_document(replace(document, **changes))
-    return path
 
 
 @pytest.fixture
 def runs(tmp_path: Path) -> Path:
-    _run(tmp_path, "b", "2026-11-01T10:00:00", contacts=[CONTACT], effort="quick")
+    run_folder(tmp_path, "b", "2026-11-01T10:00:00", contacts=[CONTACT], effort="quick")
     moved = replace(CONTACT, x_cm=CONTACT.x_cm + 3.0, y_cm=CONTACT.y_cm + 4.0)
-    _run(tmp_path, "a", "2026-11-02T10:00:00", contacts=[moved], outcome="peg ahead")
+    run_folder(tmp_path, "a", "2026-11-02T10:00:00", contacts=[moved], outcome="peg ahead")
     (tmp_path / "notes").mkdir()
     (tmp_path / "torn").mkdir()
     (tmp_path / "torn" / "contacts.json").write_text('{"thigmo"')

@@ -119,6 +119,10 @@ struct Configuration {
     if (of(Param::kOverPressureCpsi) <= of(Param::kMaxPressureCpsi)) {
       return static_cast<int16_t>(Param::kOverPressureCpsi);
     }
+    // A sensor shows nothing beyond its range.
+    if (of(Param::kOverPressureCpsi) > of(Param::kPressureFullCpsi)) {
+      return static_cast<int16_t>(Param::kPressureFullCpsi);
+    }
     const int32_t fastest = top_speed_um_s(of(Param::kHeartbeatMs));
     if (of(Param::kSpoolSpeedUmS) > fastest) return static_cast<int16_t>(Param::kSpoolSpeedUmS);
     if (of(Param::kHomeSpeedUmS) > fastest) return static_cast<int16_t>(Param::kHomeSpeedUmS);

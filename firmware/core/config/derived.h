@@ -67,6 +67,7 @@ struct Derived {
   Gain16 pressure_gain[kMuscles];           // 0.01 psi per 1/64 count of a sum of five
   uint32_t reversal_inverse_q24[kMuscles];  // rounded up, so that the whole width gives 256 / 256
   uint16_t lag_alpha_q16[kMuscles];         // share of the way to the input in one control step
+  uint16_t supports_per_cpsi_q22;           // of a free-curvature map
   int16_t drive_ceiling_cpsi;               // highest transducer output that a loop may ask for
   uint16_t drive_slope_q16;                 // duty per 0.01 psi
   uint32_t um_per_count_q16;                // tip movement per encoder count
@@ -116,6 +117,7 @@ struct Derived {
     update_bases(c);
     waiting = kEveryPart;
     while (waits()) step(c);
+    update_supports(c);
     update_drive(c);
     update_top_speed(c);
     update_slew(c);
@@ -165,6 +167,8 @@ struct Derived {
       update_bases(c);
     } else if (within(Param::kDrive4maCpsi, 1) || within(Param::kDrive20maCpsi, 1)) {
       update_drive(c);
+    } else if (within(Param::kMapTopCpsi, 1)) {
+      update_supports(c);
     } else if (within(Param::kHeartbeatMs, 1)) {
       update_top_speed(c);
     } else if (within(Param::kPressureSlewCpsiS, 1)) {
@@ -339,6 +343,12 @@ struct Derived {
     const int32_t most = line_um_s / c.get(Param::kPayoutQ8) * 256;
     winding_speed_um_s = most;
     home_speed_um_s = lesser(c.get(Param::kHomeSpeedUmS), most / 2);
+  }
+
+  void update_supports(const Configuration& c) {
+    constexpr uint32_t kLastQ22 = uint32_t{protocol::kMapPoints - 1} << 22;
+    const uint32_t top = static_cast<uint32_t>(c.get(Param::kMapTopCpsi));
+    supports_per_cpsi_q22 = static_cast<uint16_t>((kLastQ22 + top / 2) / top);
   }
 
   void update_drive(const Configuration& c) {

@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x8233D675u;
+constexpr uint32_t kSchemaHash = 0x58FAA22Cu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -26,7 +26,6 @@ constexpr uint8_t kHeaderSize = 5;  // id u8, seq u16, session u16
 constexpr uint8_t kCrcSize = 2;
 constexpr uint8_t kMapId = 255;  // under which the store keeps the maps
 constexpr uint8_t kMapPoints = 11;
-constexpr int16_t kMapStepCpsi = 200;
 static_assert(kMuscles > 0 && kMuscles <= 4, "muscles");
 static_assert(kSensors > 0 && kSensors <= 16, "sensors");
 static_assert(kBodyPressures > 0 && kBodyPressures <= 8, "body_pressures");
@@ -139,11 +138,13 @@ enum class Reason : uint8_t {
            // one is everted, then check that it works, is enabled and is zeroed.
   kHostSilent = 21,    // No heartbeat has arrived lately; keep the host's program running and
                        // connected, then arm again.
+  kDoesNotGrow = 26,   // The robot has no spool, so it neither grows nor retracts (grows = false in
+                       // robot.toml).
   kOtherHost = 25,     // Another program has taken over the robot; close one of the two.
   kStoppedAgain = 24,  // The robot was stopped again after the stop that this command names; look
                        // at the robot, then clear the newer stop.
 };
-constexpr uint8_t kReasonCount = 25;
+constexpr uint8_t kReasonCount = 26;
 
 // Latched faults, by bit number. Each sets the transducers to 0 mA and brakes the motor, and stays
 // latched through every reset except a loss of power. bad_config alone is judged again at each
@@ -247,10 +248,11 @@ enum class Condition : uint8_t {
   kBaseUsable = 13,  // A base sensor that the trigger uses while a muscle is driven is everted,
                      // enabled and zeroed.
   kTelemetryDropped =
-      12,         // Telemetry was dropped since the last report, because there was no room for it.
+      12,  // Telemetry was dropped since the last report, because there was no room for it.
+  kSpoolFitted = 15,  // The body grows and retracts by a spool (parameter grows).
   kBodyAir = 14,  // The body's enable is on: `body_air` was commanded since the robot was armed.
 };
-constexpr uint8_t kConditionCount = 15;
+constexpr uint8_t kConditionCount = 16;
 
 // What happened. Events stay latched at the board until acknowledged.
 enum class EventCode : uint8_t {
@@ -640,7 +642,8 @@ struct SetParameter {
   }
 };
 
-// Set one free-curvature map, at 0, 2, .. 20 psi (linear in between). Refused while energised.
+// Set one free-curvature map, at eleven pressures from 0 to map_top_cpsi (linear in between).
+// Refused while energised.
 struct SetMap {
   static constexpr uint8_t kId = kSetMap;
   static constexpr uint8_t kSize = 25;
@@ -1044,7 +1047,7 @@ struct MapValues {
   uint8_t zone;              // Body pressure, from 0.
   uint8_t muscle;            // Number of the muscle, from 0.
   Branch branch;             // Inflating or deflating.
-  int16_t curvature_e5[11];  // At 0, 2, .. 20 psi. (1e-5/cm)
+  int16_t curvature_e5[11];  // At eleven pressures, 0 to map_top_cpsi. (1e-5/cm)
   void encode(uint8_t* out) const {
     detail::put8(out + 0, static_cast<uint8_t>(status));
     detail::put8(out + 1, static_cast<uint8_t>(zone));
@@ -1550,9 +1553,10 @@ enum class Param : uint16_t {
   kPressureFullCpsi = kPressureSpan + kMuscles,  // Full scale of the pressure sensors. (0.01 psi)
   kMaxPressureCpsi = kPressureFullCpsi +
       1,  // Highest set point that is accepted (thesis: the muscle reliably holds at most 18 psi).
-          // A limit of 20 psi is compiled in. (0.01 psi)
+          // A limit of 60 psi is compiled in. (0.01 psi)
   kOverPressureCpsi = kMaxPressureCpsi +
-      1,  // A pressure above this is the fault over_pressure. (0.01 psi)
+      1,  // A pressure above this is the fault over_pressure. It lies within the range of the
+          // pressure sensors. (0.01 psi)
   kVentCpsi = kOverPressureCpsi + 1,  // A muscle below this is vented. (0.01 psi)
   kLiveZeroCpsi = kVentCpsi +
       1,  // Set points below this cannot be reached, and give 0 mA. (0.01 psi)
@@ -1648,11 +1652,17 @@ enum class Param : uint16_t {
   kMuscleFitted = kTelemetryMs +
       1,  // 1: this muscle exists, with its transducer and pressure sensor. 0: its output is not
           // driven, and its sensor not read. [kMuscles]
-  kTriggerWhen = kMuscleFitted +
-      kMuscles,  // When the contact trigger uses this base sensor, as bits: 0 to 6 while the muscle
-                 // of that number bends the body, 7 while none does. A muscle disturbs the sensor
-                 // only if it lies over it. Base sensors are the first input and the first of the
-                 // upper half; they are converted every ms. [kSensors]
+  kMapTopCpsi = kMuscleFitted +
+      kMuscles,  // Pressure of the last of a free-curvature map's eleven points; the first is at 0,
+                 // and the others lie evenly between. (0.01 psi)
+  kGrows = kMapTopCpsi + 1,  // 1: the body grows by its spool. 0: it has neither spool nor encoder.
+                             // Motions of the spool are then refused (does_not_grow), the encoder's
+                             // inputs are ignored, and no sensor lies in a tip's fold.
+  kTriggerWhen = kGrows +
+      1,  // When the contact trigger uses this base sensor, as bits: 0 to 6 while the muscle of
+          // that number bends the body, 7 while none does. A muscle disturbs the sensor only if it
+          // lies over it. Base sensors are the first input and the first of the upper half; they
+          // are converted every ms. [kSensors]
   kFlexCenterSeUm = kTriggerWhen +
       kSensors,  // One sigma of flex_center_um; by it a sensor may pass the tip early or late.
                  // Default: a ruler along the tube, read to a millimetre. (um) [kSensors]
@@ -1737,6 +1747,8 @@ constexpr ParamKey kParamKeyTable[] THIGMO_PROGMEM = {
     {50, 1},               // reference_mv
     {48, 1},               // telemetry_ms
     {59, kMuscles},        // muscle_fitted
+    {66, 1},               // map_top_cpsi
+    {67, 1},               // grows
     {60, kSensors},        // trigger_when
     {63, kSensors},        // flex_center_se_um
     {64, 1},               // body_pull_n
@@ -1783,8 +1795,8 @@ constexpr ParamRows param_rows() {
   rows.add(kMuscles, 0, 20000, 6554);            // pressure_zero
   rows.add(kMuscles, 5000, 65000, 52429);        // pressure_span
   rows.add(1, 100, 20000, 6000);                 // pressure_full_cpsi
-  rows.add(1, 100, 2000, 1850);                  // max_pressure_cpsi
-  rows.add(1, 100, 2500, 2300);                  // over_pressure_cpsi
+  rows.add(1, 100, 6000, 1850);                  // max_pressure_cpsi
+  rows.add(1, 100, 6500, 2300);                  // over_pressure_cpsi
   rows.add(1, 5, 100, 50);                       // vent_cpsi
   rows.add(1, 0, 1000, 220);                     // live_zero_cpsi
   rows.add(1, 0, 2000, 200);                     // drive_4ma_cpsi
@@ -1830,6 +1842,8 @@ constexpr ParamRows param_rows() {
   rows.add(1, 0, 10000, 5);                      // telemetry_ms
   const int32_t muscle_fitted[] = {1, 1};
   rows.add(kMuscles, 0, 1, muscle_fitted);
+  rows.add(1, 2000, 6000, 2000);  // map_top_cpsi
+  rows.add(1, 0, 1, 1);           // grows
   const int32_t trigger_when[] = {130, 0, 0, 0, 0, 129};
   rows.add(kSensors, 0, 255, trigger_when);
   rows.add(kSensors, 0, 32000, 1000);  // flex_center_se_um

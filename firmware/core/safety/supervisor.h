@@ -128,8 +128,11 @@ constexpr uint16_t kWholeBody =
 constexpr uint8_t kArmed = static_cast<uint8_t>(bit(State::kReady) | bit(State::kMoving));
 constexpr uint8_t kNotBooting = kAnyState & static_cast<uint8_t>(~bit(State::kBoot));
 constexpr uint16_t kBent = static_cast<uint16_t>(kWholeBody | mask(Condition::kHalfEverted));
-constexpr uint16_t kWinding =
+constexpr uint16_t kStill =
     static_cast<uint16_t>(mask(Condition::kLengthKnown) | mask(Condition::kVented));
+constexpr uint16_t kTurning =
+    static_cast<uint16_t>(mask(Condition::kSpoolFitted) | mask(Condition::kVented));
+constexpr uint16_t kWinding = static_cast<uint16_t>(kStill | kTurning);
 
 // A row a permit, in their order. What arming needs has faults of its own.
 constexpr Interlock kInterlocks[] THIGMO_PROGMEM = {
@@ -143,19 +146,17 @@ constexpr Interlock kInterlocks[] THIGMO_PROGMEM = {
      kWholeBody, mask(Condition::kHalfEverted), kBent},
     {Permit::kGrow, kArmed, bit(Activity::kIdle), kWinding, 0, kWinding},
     {Permit::kRetract, kArmed, bit(Activity::kIdle), kWinding, 0, kWinding},
-    {Permit::kHome, kArmed, bit(Activity::kIdle), mask(Condition::kVented), 0,
-     mask(Condition::kVented)},
+    {Permit::kHome, kArmed, bit(Activity::kIdle), kTurning, 0, kTurning},
     {Permit::kConfirm, kNotBooting, bit(Activity::kIdle), mask(Condition::kVented), 0, 0},
     {Permit::kZone, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised), 0},
-    {Permit::kZero, kArmed, bit(Activity::kIdle), kWinding, 0, kWinding},
+    {Permit::kZero, kArmed, bit(Activity::kIdle), kStill, 0, kStill},
     {Permit::kConfigure, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised), 0},
     {Permit::kSave, kNotBooting, bit(Activity::kIdle), 0, mask(Condition::kEnergised), 0},
     {Permit::kAir, kArmed, 0xFFFF, 0, 0, 0},
     {Permit::kTestValve, kArmed,
      static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)), 0, 0, 0},
     {Permit::kTestMotor, kArmed,
-     static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)),
-     mask(Condition::kVented), 0, mask(Condition::kVented)},
+     static_cast<uint16_t>(bit(Activity::kIdle) | bit(Activity::kTesting)), kTurning, 0, kTurning},
 };
 constexpr uint8_t kPermits = sizeof(kInterlocks) / sizeof(kInterlocks[0]);
 constexpr uint8_t in_order() {
@@ -177,6 +178,7 @@ constexpr Complaint kComplaints[] THIGMO_PROGMEM = {
     {mask(Condition::kConfigValid), Reason::kBadConfig},
     {mask(Condition::kSupplyGood), Reason::kWrongState},
     {mask(Condition::kHostAlive), Reason::kHostSilent},
+    {mask(Condition::kSpoolFitted), Reason::kDoesNotGrow},
     {mask(Condition::kLengthKnown), Reason::kLengthUnknown},
     {mask(Condition::kHalfEverted), Reason::kHalfEverted},
     {mask(Condition::kZoneKnown), Reason::kZoneUnknown},

@@ -69,11 +69,12 @@ class Eversion {
     uint16_t fresh = 0;
     half_mask_ = 0;
     const int32_t margin = c.get(Param::kFoldMarginUm);
+    const bool grows = c.get(Param::kGrows) != 0;
     uint16_t bit = 1;
     for (uint8_t i = 0; i < kSensors; ++i, bit = static_cast<uint16_t>(bit << 1)) {
       const int32_t center = c.get(Param::kFlexCenterUm, i);
       const int32_t reach = (c.get(Param::kFlexSpanUm, i) >> 1) + margin;
-      if (length_um_ >= center + reach) {
+      if (!grows || length_um_ >= center + reach) {
         if ((everted_mask_ & bit) == 0) {
           fresh = static_cast<uint16_t>(fresh | bit);
           everted_tick_[i] = tick;

@@ -15,26 +15,22 @@
 
 namespace thigmo {
 
-// Where a pressure lies between a map's supports. Divisions by the supports' distance are
-// multiplications by its inverse, exact for the pressures that a map spans.
+// Where a pressure lies between a map's supports. `supports_per_cpsi_q22` is Derived's: a support's
+// place is met to 1/1000 of the way to the next.
 struct MapPlace {
   uint8_t index;
   uint16_t share_q14;  // of the way to the next support
 
-  explicit MapPlace(int16_t cpsi) : index(0), share_q14(0) {
-    static_assert(protocol::kMapStepCpsi == 200 && protocol::kMapPoints <= 16, "adapt the inverse");
+  MapPlace(int16_t cpsi, uint16_t supports_per_cpsi_q22) : index(0), share_q14(0) {
     if (cpsi <= 0) return;
-    constexpr int16_t kTop = protocol::kMapStepCpsi * (protocol::kMapPoints - 1);
-    if (cpsi >= kTop) {
+    const uint32_t place_q14 =
+        static_cast<uint32_t>(static_cast<uint16_t>(cpsi)) * supports_per_cpsi_q22 >> 8;
+    index = static_cast<uint8_t>(place_q14 << 2 >> 16);
+    if (index >= protocol::kMapPoints - 1) {
       index = protocol::kMapPoints - 1;
       return;
     }
-    const uint16_t p = static_cast<uint16_t>(cpsi);
-    const uint16_t sixteenths = static_cast<uint16_t>((static_cast<uint32_t>(p) * 5243u) >> 16);
-    index = static_cast<uint8_t>(sixteenths >> 4);
-    const uint16_t above = static_cast<uint16_t>(p - index * 200u);
-    const uint32_t share_q23 = static_cast<uint32_t>(above) * 41943u + 256u;
-    share_q14 = static_cast<uint16_t>(static_cast<uint16_t>(share_q23 >> 8) >> 1);
+    share_q14 = static_cast<uint16_t>(place_q14) & 0x3FFF;
   }
 };
 
@@ -78,8 +74,9 @@ class MuscleState {
   }
 
   // Free curvature by a muscle's two maps.
-  int16_t free_e5(const int16_t maps[kBranches][protocol::kMapPoints]) const {
-    const MapPlace place(lagged_cpsi());
+  int16_t free_e5(const int16_t maps[kBranches][protocol::kMapPoints],
+                  uint16_t supports_per_cpsi_q22) const {
+    const MapPlace place(lagged_cpsi(), supports_per_cpsi_q22);
     const int32_t up = map_at(maps[0], place);
     const int32_t down = map_at(maps[1], place);
     return static_cast<int16_t>(down + ((up - down) * inflating_q8_ >> 8));

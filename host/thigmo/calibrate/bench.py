@@ -62,12 +62,6 @@ class Plan:
     zones: tuple[int, ...] | None = None  # body pressures whose maps are measured; None = all
 
 
-def set_zone(robot: Robot, config: RobotConfig, zone: int) -> None:
-    """Set the body pressure of a zone, and say so to the board."""
-    robot.operator.set_body_pressure(config.body.zones[zone].pressure_psi)
-    robot.select_zone(zone)
-
-
 def grow_to(
     robot: Robot,
     config: RobotConfig,
@@ -94,7 +88,7 @@ def grow_to(
     for stop in sorted(stops | boundaries):
         if stop <= grown_cm + SAME_LENGTH_CM:
             continue
-        set_zone(robot, config, body.zone_at(min(grown_cm + SAME_LENGTH_CM, stop)))
+        robot.pressurize(body.zone_at(min(grown_cm + SAME_LENGTH_CM, stop)))
         say(f"growing to {stop:.1f} cm")
         robot.grow_to(stop)
         grown_cm = stop
@@ -185,7 +179,7 @@ class Bench:
 
     def set_zone(self, zone: int) -> None:
         """Set the body pressure of a zone, and say so to the board."""
-        set_zone(self.robot, self.config, zone)
+        self.robot.pressurize(zone)
 
     def bring_to(
         self,

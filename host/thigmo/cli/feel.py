@@ -96,8 +96,7 @@ def _ready(machine: Robot, config: RobotConfig) -> None:
     """Arm the robot, with the body pressure of its length, and zero it at rest."""
     length_cm = machine.known_length_cm()
     zone = config.body.zone_at(length_cm)
-    machine.operator.set_body_pressure(config.body.zones[zone].pressure_psi)
-    machine.select_zone(zone)
+    machine.pressurize(zone)
     machine.arm()
     machine.vent()
     machine.wait_settled()

@@ -6,8 +6,9 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,12 +16,13 @@ from thigmo.cli import signals
 from thigmo.cli.output import named
 
 if TYPE_CHECKING:
+    from thigmo.config import RobotConfig
     from thigmo.live.starting import Parameter
 
 # On the page, and in `thigmo explore`.
 _PARAMETERS = {
-    "name": "name", "protocol": "protocol", "method": "method", "map of the room": "prior",
-    "resume": "resume", "seed": "seed",
+    "effort": "effort", "time": "time_s", "name": "name", "protocol": "protocol",
+    "method": "method", "map of the room": "prior", "resume": "resume", "seed": "seed",
 }  # fmt: skip
 
 
@@ -77,7 +79,9 @@ def watch(
         )
     url = None if past else target
     exploring = explore_options(out, config)
-    options = WatchOptions(past, url, config, exploring, parameters(), host, port, leave)
+    options = WatchOptions(
+        past, url, config, out, expected_efforts, exploring, parameters(), host, port, leave
+    )
 
     def announce(address: str) -> None:
         typer.echo(f"The page is at {address} (Ctrl-C ends the page).", err=True)
@@ -102,6 +106,13 @@ def watch(
             asyncio.run(until_interrupted())
         except KeyboardInterrupt:
             raise typer.Exit from None
+
+
+def expected_efforts(config: RobotConfig, time_s: float | None) -> list[dict[str, Any]]:
+    """What each effort, or a budget of robot time (s), is expected to take and to give."""
+    from thigmo.exploration import expectations
+
+    return [asdict(expected) for expected in expectations(config, time_s)]
 
 
 def parameters() -> tuple[Parameter, ...]:

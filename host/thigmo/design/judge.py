@@ -12,7 +12,7 @@ base folds.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import degrees, hypot, pi
+from math import degrees, hypot, isinf, pi
 
 import numpy as np
 import numpy.typing as npt
@@ -85,7 +85,8 @@ def judge(config: RobotConfig) -> list[Finding]:
         findings.append(Finding("stages", "ok", f"{lengths} cm"))
     except ConfigError as error:
         findings.append(Finding("stages", "bad", str(error)))
-    findings += [*_growth(config), *_bends(config, wiring)]
+    growth = _growth(config) if config.body.grows else ()
+    findings += [*growth, *_bends(config, wiring), *_folds(config)]
     if wiring:
         for side in config.sides:
             findings += _contacts(wiring, side)
@@ -192,7 +193,13 @@ def _bends(config: RobotConfig, wiring: Wiring | None) -> Iterator[Finding]:
         yield from _maps(config, muscle)
         if muscle.side is None and wiring:
             yield from _out_of_plane(wiring, muscle)
-    for zone, moment in zip(body.zones, _fold_moments(config), strict=True):
+
+
+def _folds(config: RobotConfig) -> Iterator[Finding]:
+    """Whether the base folds before a contact is felt."""
+    if isinf(config.body.critical_curvature):
+        return
+    for zone, moment in zip(config.body.zones, _fold_moments(config), strict=True):
         part = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
         if moment > TRIGGER_PER_CM:
             yield Finding(part, "ok", f"the base folds at a contact moment of {moment:.4f} 1/cm")
@@ -233,7 +240,8 @@ def _out_of_plane(wiring: Wiring, muscle: Muscle) -> Iterator[Finding]:
 def _maps(config: RobotConfig, muscle: Muscle) -> Iterator[Finding]:
     """Maps of a muscle that were measured at another body pressure than they are used at."""
     for zone, muscle_map in zip(config.body.zones, muscle.maps, strict=True):
-        if abs(muscle_map.body_pressure_psi / zone.pressure_psi - 1) > SAME_PRESSURE:
+        apart_psi = abs(muscle_map.body_pressure_psi - zone.pressure_psi)
+        if apart_psi > SAME_PRESSURE * zone.pressure_psi:
             text = (
                 f"its map for {zone.pressure_psi:g} psi is of {muscle_map.body_pressure_psi:g} "
                 "psi: correct body_pressure_psi, or measure it (`thigmo calibrate actuator`)"

@@ -10,7 +10,7 @@ lies beyond is asked about; the bands are wide enough for every robot that was d
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import pi
+from math import isinf, pi
 
 from thigmo.config import RobotConfig
 from thigmo.design.finding import Finding
@@ -40,7 +40,8 @@ def unit_questions(config: RobotConfig) -> Iterator[Finding]:
     yield from _body(config)
     yield from _muscles(config)
     yield from _sensors(config)
-    yield from _spool(config)
+    if config.body.grows:
+        yield from _spool(config)
 
 
 def _question(entry: str, value: float, says: str, unit: str) -> Finding:
@@ -49,6 +50,15 @@ def _question(entry: str, value: float, says: str, unit: str) -> Finding:
 
 
 def _body(config: RobotConfig) -> Iterator[Finding]:
+    if not isinf(config.body.critical_curvature):
+        yield from _fold(config)
+    body = config.body
+    if body.grows and not body.radius_cm <= body.pitch_cm <= body.length_cm:
+        says = f"a pouch is longer than the tube's radius and shorter than {body.length_cm:g} cm"
+        yield _question("body.pitch_cm", body.pitch_cm, says, "cm")
+
+
+def _fold(config: RobotConfig) -> Iterator[Finding]:
     body = config.body
     strain = body.critical_curvature * body.radius_cm
     if not _FOLD_STRAIN[0] <= strain <= _FOLD_STRAIN[1]:
@@ -74,9 +84,6 @@ def _body(config: RobotConfig) -> Iterator[Finding]:
     if not min(set_psi) / _PRESSURES <= body.critical_pressure_psi <= max(set_psi) * _PRESSURES:
         says = f"the body is set to {min(set_psi):g} to {max(set_psi):g} psi"
         yield _question("body.critical_pressure_psi", body.critical_pressure_psi, says, "psi")
-    if not body.radius_cm <= body.pitch_cm <= body.length_cm:
-        says = f"a pouch is longer than the tube's radius and shorter than {body.length_cm:g} cm"
-        yield _question("body.pitch_cm", body.pitch_cm, says, "cm")
 
 
 def _muscles(config: RobotConfig) -> Iterator[Finding]:
@@ -150,7 +157,7 @@ def _places(config: RobotConfig, flex: list[FlexSensor]) -> Iterator[Finding]:
         return first < 0 or int(first // pitch) != int(last // pitch)
 
     fitting = [sensor for sensor in flex if sensor.span_cm < pitch]
-    if len(fitting) < 2:
+    if len(fitting) < 2 or not config.body.grows:
         return
     if all(crosses(s.center_cm - s.span_cm / 2, s.span_cm) for s in fitting) and not any(
         crosses(s.center_cm, s.span_cm) for s in fitting

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import ceil, cos, exp, hypot, inf, isnan, nan, pi, radians, sin
+from math import ceil, cos, exp, hypot, inf, isinf, isnan, nan, pi, radians, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -104,7 +104,9 @@ class Plant:
         self._gives_way = [table.gives_way or inf for table in (*scene.pegs, *scene.walls)]
         self._standing = list(range(len(self._obstacles)))
         self.steps = 0
-        self.body_psi = robot.body.zones[robot.body.zone_at(scene.start_length_cm)].pressure_psi
+        # A body of fixed length is there from the start.
+        start_cm = scene.start_length_cm if robot.body.grows else robot.body.length_cm
+        self.body_psi = robot.body.zones[robot.body.zone_at(start_cm)].pressure_psi
         self._regulator_psi = self.body_psi
         self._body_air = 0.0 if scene.enables.fitted else 1.0  # share of it that the body holds
 
@@ -163,20 +165,21 @@ class Plant:
             damping=(s.stall_n - sliding) / s.line_cm_s, lag_s=s.lag_s, stall_n=s.stall_n,
             sliding_n=sliding, holding_n=max(robot.spool.holding_n, sliding),
             touch_n_s_cm=s.touch_n_s_m / 100,
-            line_cm=robot.spool.payout_ratio * scene.start_length_cm,
+            line_cm=robot.spool.payout_ratio * start_cm,
         )  # fmt: skip
         b = scene.brake
         self._contacts = _Switch(b.contact_s, b.contact_s)
         self._brake = _Switch(b.opens_s, b.closes_s)
-        self.length_cm = scene.start_length_cm
+        self.length_cm = start_cm
         wired = wiring.sensors
         turns = {n: s for n, s in enumerate(wired) if isinstance(s, config.HeadingSensor)}
         self._turning = np.array([*turns], dtype=np.intp)  # the inputs that IMUs are read into
         self.imus = ImuString(
             scene.imu, [*turns.values()], robot.board.divider_ohm, STEP_S, rng.spawn(1)[0]
         )
-        # A thicker tube folds more gently.
-        self._fold_bend = scene.flex.fold_bend * config.Body().radius_cm / robot.body.radius_cm
+        # A thicker tube folds more gently at its tip; what does not grow has no fold there.
+        gentler = config.Body().radius_cm / robot.body.radius_cm
+        self._fold_bend = scene.flex.fold_bend * gentler if robot.body.grows else 0.0
         self.fibre = EmulatedFibre(
             scene.fibre, robot.gratings, STEP_S, rng.spawn(1)[0], self._fold_bend
         )
@@ -243,7 +246,7 @@ class Plant:
 
     def _critical(self) -> float | None:
         body = self._robot.body
-        if not self.scene.body.fold:
+        if not self.scene.body.fold or isinf(body.critical_curvature):
             return None
         return critical_moment(body.critical_curvature, body.critical_pressure_psi, self.body_psi)
 
@@ -466,6 +469,8 @@ class Plant:
         """
         if self.slip_cm_s != 0.0:
             return self._spool.sliding_n + self._spool.damping * self.slip_cm_s
+        if not self._robot.body.grows:
+            return 0.0
         slack = self._spool.line_cm / self._robot.spool.payout_ratio - self.length_cm
         if slack > _TAUT_CM:
             return 0.0

@@ -36,6 +36,8 @@ class Felt:
 def stages(robot: RobotConfig) -> list[float]:
     """Everted lengths at which a robot that grows by whole pitches sweeps, the last one full."""
     full, pitch = robot.body.length_cm, robot.body.pitch_cm
+    if not robot.body.grows:
+        return [full]
     pitches = [pitch * n for n in range(1, int(full / pitch) + 1) if pitch * n < full - 1e-6]
     return [*pitches, full]
 
@@ -127,8 +129,10 @@ def room_for(robot: RobotConfig, seed: int, *, peg: bool = True) -> Scene:
     usual = scene.robot.body.radius_cm
     scene.name, scene.extends, scene.robot = robot.name, None, robot
     scene.body.growth_force *= usual / robot.body.radius_cm
+    scene.transducer.at_20ma_psi = robot.board.transducer_psi
+    scene.transducer.sensor_full_psi = robot.board.pressure_sensor_psi
     if peg:
         scene.about = "A room with one peg that the robot feels."
-        random, _ = random_peg(robot, np.random.default_rng([seed, 0x9E6]))
-        scene.pegs = [PegTable(x=random.x, y=random.y, radius=random.radius)]
+        touched, _ = random_peg(robot, np.random.default_rng([seed, 0x9E6]))
+        scene.pegs = [PegTable(x=touched.x, y=touched.y, radius=touched.radius)]
     return scene

@@ -111,6 +111,11 @@ class Effort:
             length_cm = stop
         return spent
 
+    def whole_run_s(self, config: RobotConfig) -> float:
+        """Robot time (s) that a run takes from its beginning."""
+        stops = self.stops_after(config, 0.0, _BEGINS_S, swept=False)
+        return _BEGINS_S + self.expected_s(config, stops)
+
     def raises(self, config: RobotConfig, length_cm: float) -> bool:
         """Whether a measurement at a length may raise the body pressure."""
         return self.raises_often or length_cm > config.body.length_cm - SAME_LENGTH_CM

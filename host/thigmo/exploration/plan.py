@@ -12,6 +12,8 @@ FOLD_MARGIN_CM = 0.5  # keep-out around a sensor's ends for the tip's fold; the 
 
 def half_everted(config: RobotConfig, length_cm: float) -> str:
     """Name of a sensor that lies in the tip's fold at a length, or an empty string."""
+    if not config.body.grows:
+        return ""
     for side in SIDES:
         for index, sensor in enumerate(config.column(side)):
             center_cm, span_cm, _ = sensor.passes_at
@@ -24,6 +26,8 @@ def half_everted(config: RobotConfig, length_cm: float) -> str:
 def stage_lengths(config: RobotConfig) -> list[float]:
     """Everted lengths (cm) at which to sweep: whole pitches, the last step shorter.
 
+    A body that does not grow has one.
+
     Pitches at which a sensor would lie in the fold are omitted: a bend there would crease it.
     Raises ConfigError if one does at the full length.
     """
@@ -33,6 +37,8 @@ def stage_lengths(config: RobotConfig) -> list[float]:
             f"sensor {sensor} lies in the tip's fold at the full length",
             "mark it unhealthy, or correct its centre and span in robot.toml",
         )
+    if not config.body.grows:
+        return [full]
     pitches = (number * config.body.pitch_cm for number in count(1))
     whole = takewhile(lambda length: length <= full - SAME_LENGTH_CM, pitches)
     return [*(length for length in whole if not half_everted(config, length)), full]

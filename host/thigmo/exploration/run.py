@@ -152,9 +152,9 @@ class Exploration:
         return "verified"
 
     def _confirm(self) -> str:
-        self.live.tell(Log, "info", "the operator measures the everted length")
-        self.length_cm = self.robot.operator.everted_length_cm()
-        self.robot.confirm_length(self.length_cm)
+        if self.config.body.grows:
+            self.live.tell(Log, "info", "the operator measures the everted length")
+        self.length_cm = self.robot.measure_length()
         return "length known"
 
     def _arm(self) -> str:
@@ -216,10 +216,10 @@ class Exploration:
         Raises DataError if nobody is there to set it.
         """
         pressure = self.config.body.zones[zone].pressure_psi
-        self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
-        self.robot.operator.set_body_pressure(pressure)
+        if pressure:
+            self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
+        self.robot.pressurize(zone)
         self._body_psi = pressure
-        self.robot.select_zone(zone)
 
     def _grow(self) -> str:
         target = growth_target(self.config, self.length_cm, self._stage_cm)

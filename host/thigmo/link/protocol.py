@@ -13,14 +13,13 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x8233D675
+SCHEMA_HASH = 0x58FAA22C
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
 CRC = "crc-ccitt-false"
 MAP_ID = 255
 MAP_POINTS = 11
-MAP_STEP_CPSI = 200
 MOST_MUSCLES = 4
 MOST_SENSORS = 16
 MOST_BODY_PRESSURES = 8
@@ -107,6 +106,8 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     CONTRADICTION = 23  # Parameters contradict each other, so none of the new values is in use
     NO_BASE_SENSOR = 22  # No base sensor can feel a contact while a muscle is driven (trigger_when)
     HOST_SILENT = 21  # No heartbeat has arrived lately
+    # The robot has no spool, so it neither grows nor retracts (grows = false in robot.toml).
+    DOES_NOT_GROW = 26
     OTHER_HOST = 25  # Another program has taken over the robot; close one of the two.
     STOPPED_AGAIN = 24  # The robot was stopped again after the stop that this command names
 
@@ -193,6 +194,7 @@ class Condition(Documented):
     BASE_USABLE = 13
     # Telemetry was dropped since the last report, because there was no room for it.
     TELEMETRY_DROPPED = 12
+    SPOOL_FITTED = 15  # The body grows and retracts by a spool (parameter grows).
     BODY_AIR = 14  # The body's enable is on: `body_air` was commanded since the robot was armed.
 
 
@@ -276,7 +278,8 @@ class MapValues(Reply, number=0x85):  # One free-curvature map as the board hold
     zone: U8  # Body pressure, from 0.
     muscle: U8  # Number of the muscle, from 0.
     branch: Branch  # Inflating or deflating.
-    curvature_e5: Annotated[tuple[int, ...], "11h"]  # At 0, 2, .. 20 psi. [1e-5/cm]
+    # At eleven pressures, 0 to map_top_cpsi. [1e-5/cm]
+    curvature_e5: Annotated[tuple[int, ...], "11h"]
 
 
 class Snapshot(Reply, number=0x86):  # A captured reading, raw and as the trigger saw it.
@@ -464,7 +467,7 @@ class SetParameter(Command[ParameterValue], number=0x11):
     value: I32  # New value, in the parameter's wire unit.
 
 
-# Set one free-curvature map, at 0, 2, .. 20 psi (linear in between).
+# Set one free-curvature map, at eleven pressures from 0 to map_top_cpsi (linear in between).
 class SetMap(Command[Ack], number=0x12):
     zone: U8  # Body pressure, from 0.
     muscle: U8  # Number of the muscle, from 0.

@@ -134,10 +134,19 @@ class PastRun:
 
     def page(self) -> dict[str, Any]:
         """What the page gets of it."""
+        document = self._document
         return {
             "run": {
-                "id": self._folder, "name": self._document.name, "url": self._document.url,
+                "id": self._folder, "name": document.name, "url": document.url,
                 "folder": self._folder, "t_s": self._origin_s, "virtual": False,
+            },
+            "result": {
+                "outcome": document.outcome, "effort": document.effort, "skips": document.skips,
+                "robot_time_s": document.robot_time_s, "length_cm": document.length_cm,
+                "contacts": len(document.contacts), "error_cm": document.error_cm,
+                "missed": None if document.missed is None else len(document.missed),
+                "false": None if document.false is None else len(document.false),
+                "map": RunFolder(self._folder).map_path.is_file(),
             },
             "body": body(wiring_in(self._folder)),
             "truth": pegs(self._folder),

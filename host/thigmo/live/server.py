@@ -31,6 +31,7 @@ from thigmo.live import page_data
 from thigmo.live.guard import add_headers, guard
 from thigmo.live.page_data import PastRun, board, body, pegs, row_text, thinned
 from thigmo.live.page_request import PageRequest, parse
+from thigmo.live.past_runs import PastRuns
 from thigmo.live.relay import Target, Watched
 from thigmo.live.starting import Parameter, Started, exploration
 from thigmo.live.stop_http import Stop, StopHttp
@@ -63,6 +64,9 @@ class WatchOptions:
     # of a robot, if its runs only are to be watched; Start runs an exploration there
     url: str | None = None
     config: Path | None = None  # robot.toml of that robot
+    runs: Path = Path("runs")  # folder of the runs that the page lists
+    # what a robot's efforts, or a budget of robot time in s, are expected to take and to give
+    expect: Callable[[RobotConfig, float | None], list[dict[str, Any]]] | None = None
     explore: tuple[str, ...] = ()  # further arguments of the exploration that Start runs
     parameters: tuple[Parameter, ...] = ()  # further ones that the operator may give on the page
     host: str = "127.0.0.1"  # address to listen at
@@ -79,7 +83,6 @@ class _Run:
         self.motion: Hello | None = None  # that the page started after it, on the same robot
         self.over = asyncio.Event()
         self.pausing = False
-        self.failure = ""
         self.body = body(wiring_in(folder))
         self.length_cm: float | None = None  # everted before the run, where it is known
         self.pegs: list[dict[str, float]] = []
@@ -90,7 +93,6 @@ class _Run:
         self.history_s = float("-inf")
         self.board = ""
         self.read_s = float("-inf")  # when the last reading came
-        self.past: PastRun | None = None  # once somebody looks back at it
 
     @property
     def moving(self) -> Hello | None:
@@ -134,7 +136,12 @@ class PageServer:
         self._viewers: set[Viewer] = set()
         self._operator: Viewer | None = None
         self._run = _Run(None)
-        self._run.past = PastRun(options.past) if options.past else None
+        past = options.past
+        self._past = PastRun(past) if past else None
+        self._past_runs = PastRuns(past.resolve().parent if past else options.runs)
+        if past:
+            self._past_runs.include(past.resolve())
+        self._config = RobotConfig()
         self._started: Started | None = None  # the last command
         self._way: tuple[WayTo, str] = ("none", "")
         self._last_stop: dict[str, Any] | None = None  # it stays shown, whatever runs next
@@ -151,8 +158,8 @@ class PageServer:
         app.router.add_get("/", self._index)
         app.router.add_get("/stream", self._stream)
         app.router.add_get("/parameters.json", self._parameters)
-        app.router.add_get("/record.json", self._record)
-        app.router.add_get("/record.f32", self._readings)
+        app.router.add_get("/efforts.json", self._efforts)
+        app.router.add_routes(self._past_runs.routes())
         app.router.add_static("/", PAGE)
         app.cleanup_ctx.append(self._work)
         return app
@@ -162,6 +169,19 @@ class PageServer:
 
     async def _parameters(self, request: web.Request) -> web.Response:
         return web.json_response([asdict(parameter) for parameter in self.options.parameters])
+
+    async def _efforts(self, request: web.Request) -> web.Response:
+        """What each effort, or a budget of robot time, is expected to take and to give."""
+        if self.options.expect is None:
+            return web.json_response([])
+        try:
+            time_s = float(request.query["time"]) if request.query.get("time") else None
+        except ValueError:
+            return web.json_response({"problem": "A budget is a number of seconds."})
+        try:
+            return web.json_response(self.options.expect(self._config, time_s))
+        except ThigmoError as error:
+            return web.json_response({"problem": str(error)})
 
     async def _work(self, app: web.Application) -> AsyncIterator[None]:
         await asyncio.to_thread(self._look_ahead)
@@ -183,7 +203,8 @@ class PageServer:
         """What is known of the robot, and of an emulated one's room, before the first run."""
         url, config, run = self.options.url, self.options.config, self._run
         if config is not None:
-            run.body = body(Wiring.of(RobotConfig.load(config)))
+            self._config = RobotConfig.load(config)
+            run.body = body(Wiring.of(self._config))
         if url is None or url.partition("://")[0] != "emulator":
             return
         with contextlib.suppress(ThigmoError):  # Start tells what is wrong with the scene
@@ -192,6 +213,7 @@ class PageServer:
                 if isinstance(room, Simulated):
                     known = room.truth()
                     if config is None:
+                        self._config = room.config
                         run.body = body(Wiring.of(room.config))
                     run.length_cm = float(known.length_cm)
                     run.pegs = [
@@ -228,6 +250,8 @@ class PageServer:
             self._tell()
             return
         self._run = _Run(run)
+        if run.folder:
+            self._past_runs.include(Path(run.folder))
         if run.virtual:
             self._latch = _Latch()  # it was another board's
         if self._started is not None and not self._started.runs:
@@ -311,9 +335,8 @@ class PageServer:
             viewer.add("page", json.dumps(self._page(viewer)))
 
     def _page(self, viewer: Viewer) -> dict[str, Any]:
-        if self.options.past is not None:
-            assert self._run.past is not None
-            return {"channel": "page", "mode": "record", "stop": "none", **self._run.past.page()}
+        if self._past is not None:
+            return {"channel": "page", "mode": "record", "stop": "none", **self._past.page()}
         run, url = self._run, self.options.url
         heard_s = self._watched.heard_s if self._watched else 0.0
         return {
@@ -328,7 +351,6 @@ class PageServer:
             "starting": self._starting,
             "busy": self._busy,
             "started": self._started_facts(),
-            "failure": run.failure,
             "robot": self._port,
             "jog_cm": JOG_CM,
             "latched": self._latch.since_s is not None,
@@ -493,26 +515,6 @@ class PageServer:
         if robots:
             self._last_stop = {**outcome, "by": _named(peer)}
         return outcome
-
-    async def _looked_back(self) -> PastRun:
-        """The record of the run that is to be looked at, or has just ended."""
-        run = self._run
-        if run.past is None and run.over.is_set() and run.hello is not None and run.hello.folder:
-            try:
-                run.past = await asyncio.to_thread(PastRun, Path(run.hello.folder))
-            except ThigmoError as error:
-                run.failure = str(error)
-        if run.past is None:
-            raise web.HTTPNotFound(text="No run has ended yet, or its record cannot be read.")
-        return run.past
-
-    async def _record(self, request: web.Request) -> web.Response:
-        facts = await asyncio.to_thread((await self._looked_back()).facts)
-        return web.Response(body=facts, content_type="application/json")
-
-    async def _readings(self, request: web.Request) -> web.Response:
-        readings = await asyncio.to_thread((await self._looked_back()).readings)
-        return web.Response(body=readings, content_type="application/octet-stream")
 
     def deserted(self) -> bool:
         """Whether nothing runs and nobody has looked for a while."""

@@ -19,6 +19,8 @@ def critical_moment(critical_curvature: float, measured_psi: float, pressure_psi
 
     `critical_curvature` (1/cm) is the moment over EI measured at `measured_psi`.
     """
+    if np.isinf(critical_curvature):
+        return critical_curvature
     return critical_curvature * pressure_psi / measured_psi
 
 

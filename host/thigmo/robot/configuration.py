@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from thigmo.link.client import Client
 
 _BOARD_DIVIDER_OHM = 22_000.0  # the divider that the firmware's arithmetic assumes
-_MAP_PSI = [point * wire.MAP_STEP_CPSI / 100 for point in range(wire.MAP_POINTS)]
 _AT_REST = 1 << 7  # of trigger_when: while no muscle bends the body
 _PRESSURE_MARGIN_PSI = 0.5  # regulation overshoots; the set point itself never exceeds the muscle's
 
@@ -32,6 +31,8 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
     config, flex = wiring.config, wiring.sensors
     board, spool, body = config.board, config.spool, config.body
     pulls = [round(zone.pull_duty) for zone in body.zones]
+    highest_psi = max((muscle.max_pressure_psi for muscle in config.muscles), default=0.0)
+    limit_psi = min(highest_psi + _PRESSURE_MARGIN_PSI, board.pressure_range_psi)
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
     ratio = board.divider_ohm / _BOARD_DIVIDER_OHM
     muscles = config.muscles
@@ -47,8 +48,13 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
         "flex_scale": [round(s.raw_scale * ratio * 1e9) if s else 0 for s in flex],
         "settle_ms": [round(board.settle_s * 1e3)],
         "max_pressure_cpsi": [
-            round((max(m.max_pressure_psi for m in muscles) + _PRESSURE_MARGIN_PSI) * 100)
+            max(round(limit_psi * 100), wire.PARAMETERS["max_pressure_cpsi"].low)
         ],
+        "over_pressure_cpsi": [round(board.over_pressure_psi * 100)],
+        "pressure_full_cpsi": [round(board.pressure_sensor_psi * 100)],
+        "drive_20ma_cpsi": [round(board.transducer_psi * 100)],
+        "map_top_cpsi": [round(board.pressure_range_psi * 100)],
+        "grows": [int(body.grows)],
         "lag_ms": [round(m.lag_s * 1e3) for m in muscles],
         "reversal_cpsi": [round(m.reversal_psi * 100) for m in muscles],
         "full_length_um": [round(body.length_cm * 1e4)],
@@ -61,7 +67,7 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
         "body_pull_n": [ceil(max(body.pull_n(zone.pressure_psi) for zone in body.zones))],
         "motor_stall_n": [round(spool.stall_n)],
         "line_rating_n": [round(spool.line_rating_n)],
-        "brake_fitted": [int(spool.brake)],
+        "brake_fitted": [int(body.grows and spool.brake)],
         "brake_closes_ms": [round(spool.brake_closes_s * 1e3)],
         "muscle_fitted": [1] * len(muscles),
         "trigger_when": [
@@ -92,6 +98,9 @@ def map_settings(wiring: Wiring) -> list[wire.SetMap]:
     The board compares a bend with the base sensors that guard it, so its maps are the share that
     these read; of a muscle that none guards, the share in the plane.
     """
+    points = range(wire.MAP_POINTS)
+    top_psi = wiring.config.board.pressure_range_psi
+    pressures_psi = [top_psi * point / points[-1] for point in points]
     settings = []
     for zone in range(len(wiring.config.body.zones)):
         for number, muscle in enumerate(wiring.config.muscles):
@@ -99,7 +108,7 @@ def map_settings(wiring: Wiring) -> list[wire.SetMap]:
             share = shares[0] if shares else sin(radians(muscle.direction_deg))
             for branch in wire.Branch:
                 curve = getattr(muscle.maps[zone], branch.key)
-                wired = tuple(round(share * curve.curvature(p) * 1e5) for p in _MAP_PSI)
+                wired = tuple(round(share * curve.curvature(p) * 1e5) for p in pressures_psi)
                 settings.append(wire.SetMap(zone, number, branch, wired))
     return settings
 

@@ -54,8 +54,7 @@ def _described(event: wire.Event, wiring: Wiring) -> tuple[str, Severity, str, s
         return code.key, "warning", f"{wire.Activity(arg).key} ended early: {problem}", cure
     text = {
         wire.EventCode.CONTACT: lambda: (
-            f"contact felt at the base while the {wiring.muscle_name(arg)} muscle "
-            f"bends the body ({value / 1e5:+.4f} 1/cm off its free bend)"
+            f"contact felt at the base while the {wiring.muscle_name(arg)} muscle bends the body"
         ),
         wire.EventCode.PEAK: lambda: (
             f"the {wiring.muscle_name(arg)} muscle was at its peak: {value} readings"

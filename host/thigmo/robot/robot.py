@@ -338,7 +338,7 @@ class Robot(Closing):
         is warned if the robot has no brake.
         """
         self.raise_faults()
-        if body_air and not self.virtual and not self._briefed:
+        if body_air and self.config.body.grows and not self.virtual and not self._briefed:
             self._brief()
         try:
             self.supervisor.request(wire.Arm())
@@ -443,12 +443,26 @@ class Robot(Closing):
         self.supervisor.request(wire.ConfirmLength(round(length_cm * 1e4), int(settled)))
 
     def known_length_cm(self) -> float:
-        """Everted length, cm; if the board does not know it, the operator must measure it."""
+        """Everted length, cm; if the board does not know it, it is measured."""
         length_cm = self.status().length_cm
-        if length_cm is None:
-            length_cm = self.operator.everted_length_cm()
-            self.confirm_length(length_cm)
+        return self.measure_length() if length_cm is None else length_cm
+
+    def measure_length(self) -> float:
+        """Have the operator measure the everted length, cm, and confirm it to the board.
+
+        A body that does not grow has its full one.
+        """
+        body = self.config.body
+        length_cm = self.operator.everted_length_cm() if body.grows else body.length_cm
+        self.confirm_length(length_cm, settled=not body.grows)
         return length_cm
+
+    def pressurize(self, zone: int) -> None:
+        """Have the operator set the body pressure of a zone, if it has air, and tell the board."""
+        pressure_psi = self.config.body.zones[zone].pressure_psi
+        if pressure_psi:
+            self.operator.set_body_pressure(pressure_psi)
+        self.select_zone(zone)
 
     def select_zone(self, zone: int) -> None:
         """Tell the board which body pressure is set, by its index in robot.toml, from 0."""
@@ -475,7 +489,7 @@ class Robot(Closing):
         """
         self.vent()
         status = self.status()
-        psi = max(status.pressure_psi)
+        psi = max(status.pressure_psi, default=0.0)
         if psi >= VENTED_PSI:
             raise CommandRefusedError(
                 f"a muscle holds {psi:.2f} psi",

@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from thigmo.calibrate.bench import READ_S, STEADY_S, grow_to, set_zone, zero
+from thigmo.calibrate.bench import READ_S, STEADY_S, grow_to, zero
 from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.exploration.reference import scale_errors
@@ -76,7 +76,7 @@ def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
     if robot.status().state == "safe":
         robot.arm()
     grow_to(robot, config, config.body.length_cm, say)
-    set_zone(robot, config, len(config.body.zones) - 1)
+    robot.pressurize(len(config.body.zones) - 1)
     say("waiting for the sensors to settle")
     robot.wait_settled()
 

@@ -61,7 +61,7 @@ class Attendant:
 
     def clear(self) -> None:
         """Take all dowels away, and return when the robot lies free."""
-        self._request("Take all dowels away and lay the robot straight, then press Enter.")
+        self._request("Take all dowels away and lay the robot straight.")
         if self._hands:
             self._hands.push_aside([], 0.0)
             self._hands.place_pegs([])

@@ -170,7 +170,7 @@ void pressure() {
       sum.add(loop.set_cpsi());
       sum.add(loop.stuck(derived));
       sum.add(muscle.lagged_cpsi());
-      sum.add(muscle.free_e5(config.map[0][0]));
+      sum.add(muscle.free_e5(config.map[0][0], derived.supports_per_cpsi_q22));
     }
   });
 }

@@ -99,6 +99,9 @@ TEST(every_refusal_has_its_reason) {
             want = Reason::kWrongState;
           } else if (arm && !has(c, Condition::kHostAlive)) {
             want = Reason::kHostSilent;
+          } else if ((wind || permit == Permit::kHome || permit == Permit::kTestMotor) &&
+                     !has(c, Condition::kSpoolFitted)) {
+            want = Reason::kDoesNotGrow;
           } else if ((bend || wind || permit == Permit::kZero) &&
                      !has(c, Condition::kLengthKnown)) {
             want = Reason::kLengthUnknown;
@@ -135,10 +138,14 @@ TEST(what_was_permitted_ends_with_the_conditions_that_must_last) {
     const bool bend = permit == Permit::kBend || permit == Permit::kPress;
     const bool wind =
         permit == Permit::kGrow || permit == Permit::kRetract || permit == Permit::kZero;
-    const bool empty = wind || permit == Permit::kHome || permit == Permit::kTestMotor;
+    const bool turn = permit == Permit::kGrow || permit == Permit::kRetract ||
+                      permit == Permit::kHome || permit == Permit::kTestMotor;
+    const bool empty = wind || turn;
     for (int c = 0; c < kConditions; ++c) {
       Reason want = Reason::kNone;
-      if ((bend || wind) && !has(c, Condition::kLengthKnown)) {
+      if (turn && !has(c, Condition::kSpoolFitted)) {
+        want = Reason::kDoesNotGrow;
+      } else if ((bend || wind) && !has(c, Condition::kLengthKnown)) {
         want = Reason::kLengthUnknown;
       } else if (bend && has(c, Condition::kHalfEverted)) {
         want = Reason::kHalfEverted;

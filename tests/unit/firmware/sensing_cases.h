@@ -3,6 +3,7 @@
 #define THIGMO_TESTS_FIRMWARE_SENSING_CASES_H_
 
 #include <cmath>
+#include <cstdlib>
 
 #include "check.h"
 #include "sensing/eversion.h"
@@ -243,16 +244,26 @@ TEST(a_reading_with_a_broken_wires_conversions_is_doubtful) {
 TEST(a_map_is_linear_between_its_supports) {
   const int16_t map[protocol::kMapPoints] = {0,    790,  1520, 2148, 2656, 3046,
                                              3335, 3541, 3687, 3787, -3856};
-  CHECK_EQUAL(map_at(map, MapPlace(-500)), 0);
-  CHECK_EQUAL(map_at(map, MapPlace(32000)), -3856);
-  for (int cpsi = 0; cpsi <= 2000; ++cpsi) {
-    const int index = cpsi < 2000 ? cpsi / 200 : 9;
-    const double share = (cpsi - 200 * index) / 200.0;
-    CHECK_NEAR(map_at(map, MapPlace(static_cast<int16_t>(cpsi))),
-               map[index] + share * (map[index + 1] - map[index]), 1.0);
+  Configuration c;
+  c.load_defaults();
+  Derived d;
+  for (const int top : {2000, 3500, 6000}) {
+    CHECK(c.set(static_cast<uint16_t>(Param::kMapTopCpsi), top));
+    d.update(c, static_cast<uint16_t>(Param::kMapTopCpsi));
+    const uint16_t scale = d.supports_per_cpsi_q22;
+    CHECK_EQUAL(map_at(map, MapPlace(-500, scale)), 0);
+    CHECK_EQUAL(map_at(map, MapPlace(32000, scale)), -3856);
+    for (int cpsi = 0; cpsi <= top; ++cpsi) {
+      const int index = cpsi < top ? cpsi * 10 / top : 9;
+      const double share = cpsi * 10.0 / top - index;
+      const int rise = map[index + 1] - map[index];
+      CHECK_NEAR(map_at(map, MapPlace(static_cast<int16_t>(cpsi), scale)),
+                 map[index] + share * rise, 1.0 + std::abs(rise) * 1e-3);
+    }
   }
 }
 
+constexpr uint16_t kScale = (10u << 22) / 2000;      // of maps to 20 psi
 constexpr uint32_t kInverse = 0x1000000u / 100 + 1;  // of a reversal width of 1 psi
 
 TEST(measured_pressure_is_filtered_by_the_calibrated_lag) {
@@ -280,24 +291,24 @@ TEST(the_branch_turns_over_the_reversal_width) {
   const int16_t maps[kBranches][protocol::kMapPoints] = {
       {1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000, 1000}, {}};
   muscle.update(0, all, 100, kInverse);
-  CHECK_EQUAL(muscle.free_e5(maps), 0);
+  CHECK_EQUAL(muscle.free_e5(maps, kScale), 0);
   for (int16_t p = 0; p <= 500; p = static_cast<int16_t>(p + 10)) {
     muscle.update(p, all, 100, kInverse);
-    CHECK_NEAR(muscle.free_e5(maps), 1000.0 * std::fmin(1.0, p / 100.0), 5);
+    CHECK_NEAR(muscle.free_e5(maps, kScale), 1000.0 * std::fmin(1.0, p / 100.0), 5);
   }
   CHECK(muscle.branch() == protocol::Branch::kInflate);
   for (int16_t p = 500; p >= 0; p = static_cast<int16_t>(p - 10)) {
     muscle.update(p, all, 100, kInverse);
-    CHECK_NEAR(muscle.free_e5(maps), 1000.0 * std::fmax(0.0, 1 - (500 - p) / 100.0), 5);
+    CHECK_NEAR(muscle.free_e5(maps, kScale), 1000.0 * std::fmax(0.0, 1 - (500 - p) / 100.0), 5);
   }
   CHECK(muscle.branch() == protocol::Branch::kDeflate);
   // A reversal of less than the width goes part of the way, and back.
   for (int16_t p = 0; p <= 300; p = static_cast<int16_t>(p + 10))
     muscle.update(p, all, 100, kInverse);
   muscle.update(250, all, 100, kInverse);
-  CHECK_NEAR(muscle.free_e5(maps), 500, 5);
+  CHECK_NEAR(muscle.free_e5(maps, kScale), 500, 5);
   muscle.update(300, all, 100, kInverse);
-  CHECK_EQUAL(muscle.free_e5(maps), 1000);
+  CHECK_EQUAL(muscle.free_e5(maps, kScale), 1000);
 }
 
 TEST(the_moving_sum_equals_the_sum_of_the_last_samples) {

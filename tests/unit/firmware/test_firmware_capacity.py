@@ -223,6 +223,20 @@ def test_an_input_without_a_muscle_is_no_fault(lab: Lab) -> None:
         assert lab.status().faults & F.PRESSURE_WIRE.mask
 
 
+def test_a_board_without_muscles_grows_and_refuses_to_bend() -> None:
+    lab = Lab(USUAL, 0)
+    lab.fit()
+    lab.ready()
+    lab.do(wire.GrowTo(200_000, 0))
+    lab.until(lambda: lab.ended(wire.Activity.GROWING))
+    assert lab.status().faults == 0
+    assert lab.status().length_um == pytest.approx(200_000, abs=500)
+    lab.do(wire.ZeroSensors(lab.status().everted_mask))
+    lab.until(lambda: lab.status().activity is wire.Activity.IDLE)
+    assert lab.refused(wire.SetPressure((500, 0), 0)) == R.NO_BASE_SENSOR
+    assert lab.refused(wire.Sweep((500, 0), 4000, 1, 0)) == R.NO_BASE_SENSOR
+
+
 def test_a_large_configuration_survives_a_restart() -> None:
     lab = Lab(LARGE, 4)
     curve = tuple(range(0, 1100, 100))

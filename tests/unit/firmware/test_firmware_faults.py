@@ -771,24 +771,59 @@ def test_configuration_is_closed_while_something_runs() -> None:
         assert bench.refused(command) == R.BUSY, command
 
 
-def test_no_set_of_parameters_presses_beyond_the_compiled_limits() -> None:
-    """The thesis presses its muscles to 18 psi."""
-    bench = Bench().prepare()
-    assert wire.PARAMETERS["max_pressure_cpsi"].high == 2000
+@pytest.mark.parametrize("limit_cpsi", [2000, 6000])
+def test_no_sensor_makes_a_board_press_beyond_its_limit(limit_cpsi: int) -> None:
+    """The thesis presses its muscles to 18 psi; 60 psi are compiled in."""
+    bench = Bench().prepare(
+        pressure_full_cpsi=10_000, over_pressure_cpsi=6500, max_pressure_cpsi=limit_cpsi
+    )
+    assert wire.PARAMETERS["max_pressure_cpsi"].high == 6000
     for name in ("max_pressure_cpsi", "over_pressure_cpsi"):
         entry = wire.PARAMETERS[name]
         assert bench.refused(wire.SetParameter(entry.index, entry.high + 1)) == R.BAD_VALUE
-        bench.stage(name, entry.high)
-    bench.do(wire.ApplyParameters())
     bench.do(wire.ConfirmLength(100_000, 1))
     bench.do(wire.SelectZone(0))
     bench.do(wire.ZeroSensors(0b00001_00001))
     bench.until(lambda: bool(bench.event(wire.EventCode.ZEROED)))
-    assert bench.refused(wire.SetPressure((2001, 0), 0)) == R.OVER_LIMIT
+    assert bench.refused(wire.SetPressure((limit_cpsi + 1, 0), 0)) == R.OVER_LIMIT
     bench.sensor = lambda true: 0.0  # whatever the sensor says
-    bench.do(wire.SetPressure((2000, 0), 0))
-    assert bench.highest_psi(3000) < 21.1
+    bench.do(wire.SetPressure((limit_cpsi, 0), 0))
+    assert bench.highest_psi(6000) < limit_cpsi / 100 + 1.1
     assert bench.safe()
+
+
+def test_a_pressure_that_the_sensors_cannot_show_is_no_limit() -> None:
+    """A muscle of 30 psi with a sensor of 30 psi would burst unseen."""
+    bench = Bench().prepare()
+    bench.stage("pressure_full_cpsi", 3000)
+    bench.stage("over_pressure_cpsi", 3300)
+    reply = bench.ask(wire.ApplyParameters())
+    assert isinstance(reply, wire.Ack)
+    named = wire.PARAMETERS["pressure_full_cpsi"].index
+    assert (reply.reason, reply.detail) == (R.CONTRADICTION, named)
+
+
+def test_a_body_that_does_not_grow_has_no_spool() -> None:
+    """Its encoder's inputs float, and its last sensor ends at the tip."""
+    bench = Bench().prepare(grows=0, flex_center_um=97_250, full_length_um=100_000)
+    bench.spool.pull = 2000.0
+    bench.do(wire.ConfirmLength(100_000, 1))
+    bench.do(wire.SelectZone(0))
+    bench.step(2000)
+    for command in (
+        wire.GrowTo(100_000, 0),
+        wire.RetractTo(50_000, 0),
+        wire.Home(),
+        wire.TestOutput(wire.Output.MOTOR, 0, 100, 100),
+    ):
+        assert bench.refused(command) == R.DOES_NOT_GROW, command
+    status = bench.status()
+    assert (status.length_um, status.faults) == (100_000, 0)
+    assert status.everted_mask & 1
+    assert bench.board.motor == 0
+    bench.do(wire.ZeroSensors(status.everted_mask))
+    bench.until(lambda: bool(bench.event(wire.EventCode.ZEROED)))
+    bench.bend()
 
 
 def test_contradictions_are_refused_and_the_running_parameters_stay() -> None:

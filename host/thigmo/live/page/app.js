@@ -3,17 +3,21 @@
 
 import { drawBodyChart, forget as forgetBody } from "./body.js";
 import { drawCharts, redrawCharts } from "./charts.js";
+import { connectAttention, drawAttention } from "./attention.js";
 import { connectControl, drawControl } from "./control.js";
-import { listen } from "./feed.js";
+import { listen, read } from "./feed.js";
+import { connectKeys } from "./keys.js";
 import { connectPlayer, loadRecord } from "./player.js";
+import { drawResult, runAt, runName } from "./result.js";
 import { drawRoom, forget as forgetRoom } from "./room.js";
+import { connectRuns, drawRuns } from "./runs.js";
 import { stopReaches } from "./stop.js";
 import { $, add, addRows, reset, store } from "./store.js";
 import { drawWords, forget as forgetWords } from "./words.js";
 
 const AGES_MS = 1000; // a reading grows old also while nothing comes
 let lost = false, asked = false, spent = 0;
-let back = null; // the finished run that is looked back at
+let opened = null; // what the server says of the finished run that this page has opened
 let again = false; // the server is about to tell all of it once more
 // For tests, pictures and the benchmark: what the page knows; how old the newest reading was each
 // time that one was drawn, if they are to be kept; and whether the page is to stand still.
@@ -26,6 +30,9 @@ function draw() {
   const shownEpoch = store.epoch;
   drawWords(lost);
   drawControl(lost);
+  drawAttention();
+  drawResult();
+  drawRuns();
   drawCharts();
   drawRoom();
   drawBodyChart();
@@ -47,18 +54,19 @@ function ask() {
 
 function forget() { forgetBody(); forgetRoom(); forgetWords(); }
 
-async function lookBack() {
-  const { id } = store.page.run;
-  if (!(await fetch("record.json", { method: "HEAD" })).ok) return; // the server tells why
-  back = id;
+async function openRun(name) {
+  const page = await read(`${runAt(name)}/page.json`);
+  if (!page || page.problem) return; // its card tells why
+  opened = page;
   takePage({ ...store.page });
   ask();
 }
 
 function takePage(message) {
   store.readAt = message.age_s === null || message.age_s === undefined ? null : performance.now() - 1000 * message.age_s;
-  // A viewer of a robot that moves must be able to stop it: another run is live.
-  if (message.mode === "live" && message.ended && message.run.id === back) message.mode = "record";
+  // A viewer of a robot that moves must be able to stop it: a run that begins is shown.
+  if (message.mode === "live" && !message.ended) opened = null;
+  if (opened) message = { ...message, ...opened, mode: "record" };
   const before = store.page, same = before?.run?.id === message.run?.id;
   store.page = message;
   document.body.dataset.mode = message.mode;
@@ -95,12 +103,15 @@ function batch(messages) {
 }
 
 const { send } = listen({
-  opened: () => { again = true; back = null; },
+  opened: () => { again = true; },
   batch,
   lost: () => { lost = true; if (store.page?.mode !== "record") stopReaches("offline"); ask(); },
 });
 setInterval(ask, AGES_MS);
-connectControl(send, lookBack);
+connectControl(send, () => openRun(runName(store.page.run.folder)));
+connectRuns(openRun, ask);
+connectAttention();
+connectKeys();
 connectPlayer(ask);
 redrawCharts();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { forgetRoom(); redrawCharts(); ask(); });

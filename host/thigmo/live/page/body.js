@@ -3,7 +3,6 @@
 
 import { $, COLUMN, SENSORS, columns, density, element, index, muscles, pointEstimate, posterior as shown, store } from "./store.js";
 import { line, make, rounded, sized, text, ticks } from "./svg.js";
-import { percent } from "./words.js";
 
 const svg = $("body");
 const layer = make("g", {}, svg);
@@ -57,10 +56,9 @@ function drawDensity({ y0, y1 }, X) {
     for (const value of ticks(0, most, 3).slice(1)) {
       text(layer, PAD.left - 8, Y(value) + 4, +value.toPrecision(3), { "text-anchor": "end", fill: "var(--faint)" });
     }
-    const certain = posterior.contact_probability === null ? "" : `, ${percent(posterior.contact_probability)}`;
     const what = svg.clientWidth < NARROW ? "contact" : "probability density of a contact";
     const muscle = muscles().find((each) => each.side === side)?.name ?? side;
-    words = `${what}${posterior.sweeping ? " so far" : ""}, ${muscle} muscle: ${posterior.status}${certain}`;
+    words = `${what}, by ${posterior.sweeping ? "this sweep so far" : "the last sweep alone"}, ${muscle} muscle`;
   } else if (posterior) {
     words = `${posterior.sweeping ? "this sweep so far" : "the last sweep"}: ${posterior.status}`;
   }

@@ -1,7 +1,7 @@
 // Strip charts of the telemetry, drawn by uPlot from the store's columns. A dashed line is what was
 // asked for, or what the free body would read; the solid one is what was measured.
 
-import { $, COLUMN, columns, css, element, index, muscles, shade, store } from "./store.js";
+import { $, COLUMN, columns, css, element, index, muscles, shade, store, until } from "./store.js";
 import { minus, rounded } from "./svg.js";
 
 const DASH = [5, 4];
@@ -38,24 +38,89 @@ const charts = () => [
 ];
 const sync = uPlot.sync("time");
 const plots = [];
-let shown = 30, drawn = "", built = null;
+let shown = 30, drawn = "", built = null, builtOver = null;
+let view = null; // the time that is looked at, { min, max }; null follows the run
+const LEAST_S = .05;
 
-// Range of y: the least one, and whatever is shown, with a little air.
-function range([low, high]) {
-  return (plot, from, to) => {
-    if (from === null || to === null || !Number.isFinite(from) || !Number.isFinite(to)) return [low, high];
+// Which muscles and sensors a robot has; where they lie is calibrated.
+const build = (body) => JSON.stringify([body?.muscles, body?.columns.map(({ name, inputs }) => [name, inputs])]);
+
+// What is laid over a chart's lines: those of another run, if its robot has the same muscles and sensors.
+function overlaid(chart) {
+  const { overlay, page } = store;
+  if (!overlay || build(overlay.body) !== build(page?.body)) return [];
+  return chart.series.filter((line) => !line.soft).map((line) => ({ line, values: overlay.columns[line.column] }));
+}
+
+// Rows of another run from a time to another, one more at either end.
+function rowsWithin(times, from, to) {
+  const at = (t) => t;
+  return [Math.max(until(times, from, at) - 1, 0), Math.min(until(times, to, at) + 1, times.length)];
+}
+
+function drawOverlay(chart) {
+  return (plot) => {
+    const lines = overlaid(chart);
+    if (!lines.length) return;
+    const { ctx, bbox } = plot, times = store.overlay.columns[0];
+    const [first, end] = rowsWithin(times, plot.scales.x.min, plot.scales.x.max);
+    const step = Math.max(1, Math.floor((end - first) / bbox.width));
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
+    ctx.lineWidth = 1.6 * devicePixelRatio;
+    for (const { line, values } of lines) {
+      ctx.strokeStyle = chart.many ? css(line.colour) : css("--overlay");
+      ctx.beginPath();
+      let draws = false;
+      for (let row = first; row < end; row += step) {
+        if (Number.isNaN(values[row])) { draws = false; continue; }
+        const x = plot.valToPos(times[row], "x", true), y = plot.valToPos(values[row], "y", true);
+        if (draws) ctx.lineTo(x, y); else ctx.moveTo(x, y);
+        draws = true;
+      }
+      ctx.stroke();
+    }
+    ctx.restore();
+  };
+}
+
+// Least and greatest value of another run's lines in the time shown.
+function overlayExtent(chart, plot) {
+  let low = Infinity, high = -Infinity;
+  for (const { values } of overlaid(chart)) {
+    const [first, end] = rowsWithin(store.overlay.columns[0], plot.scales.x.min, plot.scales.x.max);
+    for (let row = first; row < end; row++) {
+      if (values[row] < low) low = values[row];
+      if (values[row] > high) high = values[row];
+    }
+  }
+  return [low, high];
+}
+
+// Range of y: as it was zoomed to; else the least one, and whatever is shown, with a little air.
+function range(chart) {
+  const [low, high] = chart.least;
+  return (plot, lowest, highest) => {
+    if (chart.zoomed) return chart.zoomed;
+    const [under, over] = overlayExtent(chart, plot);
+    const from = Math.min(lowest ?? Infinity, under), to = Math.max(highest ?? -Infinity, over);
+    if (!Number.isFinite(from) || !Number.isFinite(to)) return [low, high];
     const bottom = Math.min(low, from), top = Math.max(high, to), air = .06 * (top - bottom);
     return [bottom < low ? bottom - air : bottom, top > high ? top + air : top];
   };
 }
 
-function build() {
+function makeCharts() {
   for (const { plot } of plots) plot.destroy();
   plots.length = 0;
   $("charts").replaceChildren();
   const grid = { stroke: css("--grid"), width: 1 }, faint = css("--faint"), soft = css("--soft");
   const font = '11px Inter, "Inter Variable", system-ui, sans-serif';
   built = store.page?.body;
+  builtOver = store.overlay;
   for (const chart of charts()) {
     const legend = element("span", { class: "legend" });
     const values = [];
@@ -67,14 +132,20 @@ function build() {
       values.push({ line, value });
     }
     if (chart.dashed) legend.append(element("span", {}, element("i", { class: "dash" }), chart.dashed));
+    if (overlaid(chart).length) {
+      const key = element("i", { class: "dotted" });
+      if (!chart.many) key.style.borderColor = "var(--overlay)";
+      legend.append(element("span", {}, key, store.overlay.run));
+    }
     if (chart.note) legend.append(element("span", {}, chart.note));
     const head = element("h3", {}, element("span", {}, `${chart.title}, `, element("span", { class: "unit" }, chart.unit)), legend);
-    const place = element("div", { class: "chart" }, head);
+    const place = element("div", { class: "chart", role: "group", "aria-label": chart.title }, head);
     $("charts").append(place);
     const plot = new uPlot({
       width: place.clientWidth, height: chart.height, legend: { show: false }, pxAlign: 0,
       cursor: { sync: { key: sync.key }, drag: { x: false, y: false }, points: { show: false }, y: false },
-      scales: { x: { time: false, auto: false }, y: { range: range(chart.least) } },
+      scales: { x: { time: false, auto: false }, y: { range: range(chart) } },
+      hooks: { draw: [drawOverlay(chart)] },
       axes: [
         {
           stroke: chart.last ? soft : faint, grid, ticks: { show: false }, font, size: chart.last ? 20 : 8, gap: 3,
@@ -92,23 +163,94 @@ function build() {
       }))],
     }, [[], ...chart.series.map(() => [])], place);
     plots.push({ chart, plot, place, values });
+    listenTo(chart, plot);
   }
   drawn = "";
 }
 
+// The time that a chart shows.
+function span() {
+  if (view) return view;
+  const { columns, now, page } = store, first = columns[0][0] ?? 0;
+  if (shown === Infinity) return { min: first, max: Math.max(columns[0].at(-1) ?? 0, first + 1) };
+  const right = page?.mode === "record" ? Math.max(now, shown) : Math.max(now, first + shown || shown);
+  return { min: right - shown, max: right };
+}
+
+// Show a span of time, within what there is.
+function look(min, max) {
+  const { columns, overlay } = store;
+  const first = columns[0][0] ?? 0, last = Math.max(columns[0].at(-1) ?? 1, overlay?.columns[0].at(-1) ?? 0, first + 1);
+  const width = Math.min(Math.max(max - min, LEAST_S), last - first);
+  const from = Math.min(Math.max(min, first), last - width);
+  view = { min: from, max: from + width };
+  drawWindow();
+  drawCharts();
+}
+
+// Zoom all charts in time, about a moment: the one that is shown stays where it is.
+export function zoom(factor, about = null) {
+  const { min, max } = span(), centre = about ?? (min + max) / 2;
+  look(centre - factor * (centre - min), centre + factor * (max - centre));
+}
+
+// The time that each chart shows.
+export const spans = () => plots.map(({ plot }) => [plot.scales.x.min, plot.scales.x.max]);
+
+// Follow the run again, and its values.
+export function unzoom() {
+  view = null;
+  for (const { chart } of plots) chart.zoomed = null;
+  drawWindow();
+  drawn = "";
+  drawCharts();
+}
+
+const factorOf = (event) => Math.exp(Math.max(-.5, Math.min(.5, (event.deltaY || event.deltaX) / 240)));
+
+function listenTo(chart, plot) {
+  const { over } = plot;
+  over.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    const box = over.getBoundingClientRect();
+    if (!event.shiftKey) return zoom(factorOf(event), plot.posToVal(event.clientX - box.left, "x"));
+    const { min, max } = plot.scales.y, about = plot.posToVal(event.clientY - box.top, "y"), factor = factorOf(event);
+    chart.zoomed = [about - factor * (about - min), about + factor * (max - about)];
+    drawn = "";
+    drawCharts();
+  }, { passive: false });
+  over.addEventListener("dblclick", unzoom);
+  over.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0) return;
+    over.setPointerCapture(event.pointerId);
+    const { min, max } = span(), height = chart.zoomed, from = [event.clientX, event.clientY];
+    const box = over.getBoundingClientRect();
+    over.onpointermove = (moved) => {
+      const aside = (moved.clientX - from[0]) / box.width * (max - min);
+      if (height) {
+        const up = (moved.clientY - from[1]) / box.height * (height[1] - height[0]);
+        chart.zoomed = height.map((value) => value + up);
+        drawn = "";
+      }
+      if (aside || view) look(min - aside, max - aside);
+    };
+    over.onpointerup = over.onpointercancel = () => { over.onpointermove = null; };
+  });
+}
+
 export function drawCharts() {
-  const { columns, now, page } = store;
-  if (JSON.stringify(page?.body) !== JSON.stringify(built)) build();
-  const key = `${columns[0].length} ${now} ${shown} ${columns[0][0]}`;
+  const { columns, now, page, overlay } = store;
+  if (JSON.stringify(page?.body) !== JSON.stringify(built) || overlay !== builtOver) makeCharts();
+  const { min, max } = span();
+  const key = `${columns[0].length} ${now} ${min} ${max} ${columns[0][0]} ${overlay?.run}`;
   if (key === drawn) return;
   drawn = key;
-  const right = page?.mode === "record" ? Math.max(now, shown) : Math.max(now, columns[0][0] + shown || shown);
   const hovered = plots[0]?.plot.cursor.idx;
   const row = hovered ?? index();
   for (const { chart, plot, values } of plots) {
     plot.batch(() => {
       plot.setData([columns[0], ...chart.series.map((line) => columns[line.column])], false);
-      plot.setScale("x", { min: right - shown, max: right });
+      plot.setScale("x", { min, max });
     });
     for (const { line, value } of values) {
       const read = columns[line.column][row];
@@ -117,17 +259,22 @@ export function drawCharts() {
   }
 }
 
-export function redrawCharts() { build(); drawCharts(); }
+export function redrawCharts() { makeCharts(); drawCharts(); }
 
 new ResizeObserver(() => {
   for (const { chart, plot, place } of plots) plot.setSize({ width: place.clientWidth, height: chart.height });
 }).observe($("charts"));
 
+const seconds = (button) => button.dataset.s === "all" ? Infinity : Number(button.dataset.s);
+function drawWindow() {
+  for (const button of $("window").children) {
+    button.setAttribute("aria-pressed", String(!view && seconds(button) === shown));
+  }
+}
+
 for (const button of $("window").children) {
   button.addEventListener("click", () => {
-    shown = Number(button.dataset.s);
-    for (const each of $("window").children) each.setAttribute("aria-pressed", String(each === button));
-    drawn = "";
-    drawCharts();
+    shown = seconds(button);
+    unzoom();
   });
 }

@@ -1,6 +1,17 @@
 // The stream from the server: batches of messages over one WebSocket. Each batch is acknowledged, so
 // that the server knows how far behind this page is and drops readings instead of queueing them.
 
+// What the server has at an address: data from JSON, { problem } where it refuses, null where it has
+// gone, which the stream notices.
+export async function read(address) {
+  try {
+    const answer = await fetch(address);
+    return answer.ok ? await answer.json() : { problem: await answer.text() };
+  } catch {
+    return null;
+  }
+}
+
 const RETRY_MS = 700;
 const SILENT_MS = 1500; // the server speaks four times a second
 

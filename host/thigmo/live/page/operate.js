@@ -2,6 +2,8 @@
 // the next exploration. A motion goes on only while somebody can see this page: signs of life go to
 // the server, which hands them on to the command that moves the robot.
 
+import { connectEfforts, effort } from "./efforts.js";
+import { read } from "./feed.js";
 import { $, COLUMN, element, latest, store } from "./store.js";
 
 const SIGN_MS = 250;
@@ -27,7 +29,8 @@ export function connectOperate(send) {
     const { page } = store;
     if (page?.started?.held && page.started.runs && page.operator && !document.hidden) send({ command: "hold" });
   }, SIGN_MS);
-  fetch("parameters.json").then((answer) => answer.json()).then(drawParameters);
+  read("parameters.json").then((parameters) => parameters && drawParameters(parameters));
+  connectEfforts();
 }
 
 function ask(what) {
@@ -42,8 +45,11 @@ function ask(what) {
   (retracts ? $("length-now") : $("sure-yes")).focus();
 }
 
+const EFFORT = ["--effort", "--time"]; // chosen above the other parameters, with what to expect
+
 function drawParameters(parameters) {
-  $("parameter-fields").replaceChildren(...parameters.map(({ flag, label, help, choices, number }) => {
+  const fields = parameters.filter(({ flag }) => !EFFORT.includes(flag));
+  $("parameter-fields").replaceChildren(...fields.map(({ flag, label, help, choices, number }) => {
     const field = choices.length
       ? element("select", {}, element("option", { value: "" }, "as usual"), ...choices.map((each) => element("option", {}, each)))
       : element("input", number ? { type: "number", min: 0 } : { autocomplete: "off" });
@@ -54,9 +60,9 @@ function drawParameters(parameters) {
 }
 
 // What the operator has given, by the command line's flags.
-export const parameters = () => Object.fromEntries(
+export const parameters = () => ({ ...effort(), ...Object.fromEntries(
   [...$("parameter-fields").querySelectorAll("[data-flag]")].map((field) => [field.dataset.flag, field.value]).filter(([, value]) => value),
-);
+) });
 
 export function drawOperate(rests, operates) {
   const { page } = store;
@@ -64,6 +70,7 @@ export function drawOperate(rests, operates) {
   const finishes = rests && !!page?.robot;
   $("operate").hidden = !parametrized && !finishes;
   $("parameters").hidden = !parametrized;
+  $("efforts").hidden = !parametrized || !$("effort-choices").children.length;
   $("finish").hidden = !finishes;
   if (!finishes || !operates) { if (sure) ask(null); }
   $("finish-robot").textContent = page?.robot ?? "";

@@ -1,8 +1,10 @@
 // A finished run: all of it is loaded, and the player moves the moment that is shown. The space bar
 // stays the stop's, also here; P plays, the arrow keys go a second back and forth.
 
+import { runAt, runName } from "./result.js";
 import { $, BOARD, COLUMN, COLUMNS, SENSORS, add, hold, reset, store, time, until } from "./store.js";
 import { make, rounded } from "./svg.js";
+import { technical } from "./words.js";
 
 const ONCE = ["event", "log"]; // listed; what else is recorded holds until the next of its kind
 let messages = [], boards = [], end = 0, playing = null, loads = 0;
@@ -12,27 +14,37 @@ export const shown = () => document.body.dataset.mode === "record";
 export async function loadRecord() {
   const mine = ++loads;
   end = 0;
-  const answers = await Promise.all([fetch("record.json"), fetch("record.f32")]);
-  if (!answers.every((answer) => answer.ok)) return; // another run has begun, and the server tells so
-  const facts = await answers[0].json(), rows = await answers[1].arrayBuffer();
+  const record = await readRecord(runName(store.page.run.folder));
+  if (!record) return; // its folder has gone, or the server
+  const { facts, columns } = record;
   if (mine !== loads || !shown()) return;
   reset();
   store.origin = facts.origin_s;
-  const values = new Float32Array(rows), count = values.length / COLUMNS;
-  for (let n = 0; n < COLUMNS; n++) {
-    store.columns[n] = Array.from(values.subarray(n * count, (n + 1) * count), (value) => Number.isNaN(value) ? null : value);
-  }
-  for (let n = 0; n < SENSORS; n++) {
-    const expected = store.columns[COLUMN.expected + n];
-    store.columns[COLUMN.telling + n] = store.columns[COLUMN.curvature + n].map((value, row) => expected[row] === null ? null : value);
-  }
+  store.columns.forEach((_, n) => {
+    store.columns[n] = Array.from(columns[n], (value) => Number.isNaN(value) ? null : value);
+  });
   boards = facts.boards;
   messages = facts.messages.filter((each) => !ONCE.includes(each.channel));
   for (const message of facts.messages) if (ONCE.includes(message.channel)) add(message);
   end = Math.max(store.columns[0].at(-1) ?? 0, ...facts.messages.map((each) => time(each.t_s)));
   $("scrub").max = end;
-  drawMarks();
   seek(end);
+  drawMarks();
+}
+
+// A finished run's messages, and its readings as the store's columns with NaN for what is not known;
+// nothing where it cannot be read.
+export async function readRecord(name) {
+  const answers = await Promise.all(["record.json", "record.f32"].map((part) => fetch(`${runAt(name)}/${part}`))).catch(() => []);
+  if (!answers.length || !answers.every((answer) => answer.ok)) return null;
+  const facts = await answers[0].json(), values = new Float32Array(await answers[1].arrayBuffer());
+  const count = values.length / COLUMNS;
+  const columns = Array.from({ length: COLUMNS }, (_, n) => values.subarray(n * count, (n + 1) * count));
+  for (let n = 0; n < SENSORS; n++) {
+    const expected = columns[COLUMN.expected + n];
+    columns[COLUMN.telling + n] = columns[COLUMN.curvature + n].map((value, row) => Number.isNaN(expected[row]) ? NaN : value);
+  }
+  return { facts, columns };
 }
 
 export const loaded = () => end > 0;
@@ -66,7 +78,7 @@ function drawMarks() {
   }
   const tick = end / 500;
   for (const event of store.events) {
-    if (event.severity === "info") continue;
+    if (event.severity === "info" || technical(event)) continue;
     make("rect", { x: time(event.t_s) - tick / 2, y: 8, width: tick, height: 20, fill: `var(--${event.severity === "fault" ? "fault" : "warn"})` }, svg);
   }
   let known = 0;

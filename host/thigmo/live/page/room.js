@@ -12,9 +12,12 @@ const PAD = { left: 40, right: 10, top: 8, bottom: 34 };
 const NONE = { contacts: [], words: [] };
 const svg = $("room");
 const layers = {};
-for (const name of ["grid", "map", "reach", "swept", "truth", "body", "posterior", "contacts", "labels"]) {
-  layers[name] = make("g", { "data-layer": name }, svg);
+const clip = make("rect", {}, make("clipPath", { id: "room-clip" }, svg));
+for (const name of ["grid", "map", "reach", "swept", "truth", "body", "posterior", "overlay", "contacts", "labels"]) {
+  layers[name] = make("g", { "data-layer": name, ...name !== "grid" && { "clip-path": "url(#room-clip)" } }, svg);
 }
+let view = null; // what was zoomed to: the middle in cm, and how much larger; null shows the whole room
+const LARGEST = 40;
 const bounds = { x0: -8, x1: 60, y0: -28, y1: 28 };
 let frame = "", scale = 1, left = 0, top = 0, drawn = {};
 let labels = []; // of the contacts: each with its place beside the contact, once it has one
@@ -25,7 +28,13 @@ const Y = (y) => top + (bounds.y1 - y) * scale;
 export function forget() {
   drawn = {};
   labels = [];
+  look(null);
   Object.assign(bounds, { x0: -8, x1: 60, y0: -28, y1: 28 });
+}
+
+function look(next) {
+  view = next;
+  $("room-whole").hidden = !view;
 }
 
 function include(x, y, margin = 3) {
@@ -41,10 +50,16 @@ function fit() {
   scale = Math.min(room.w / (bounds.x1 - bounds.x0), room.h / (bounds.y1 - bounds.y0));
   left = PAD.left + (room.w - scale * (bounds.x1 - bounds.x0)) / 2;
   top = PAD.top + (room.h - scale * (bounds.y1 - bounds.y0)) / 2;
-  const key = [width, height, ...Object.values(bounds)].join();
+  if (view) {
+    scale *= view.larger;
+    left = PAD.left + room.w / 2 - (view.x - bounds.x0) * scale;
+    top = PAD.top + room.h / 2 - (bounds.y1 - view.y) * scale;
+  }
+  const key = [width, height, ...Object.values(bounds), ...Object.values(view ?? {})].join();
   if (key === frame) return;
   frame = key;
   drawn = {};
+  for (const [name, value] of Object.entries({ x: PAD.left, y: PAD.top, width: Math.max(room.w, 0), height: Math.max(room.h, 0) })) clip.setAttribute(name, value);
   // The grid fills the card; its numbers stand at the edges.
   const layer = layers.grid;
   layer.replaceChildren();
@@ -77,8 +92,12 @@ export function drawRoom() {
     include(x, y, 0);
     include(x + width * size, y + height * size, 0);
   }
+  for (const contact of store.overlay?.contacts ?? []) include(contact.x_cm, contact.y_cm, 6);
+  $("overlay-legend").hidden = !store.overlay;
+  $("overlay-name").textContent = store.overlay?.run ?? "";
   fit();
   changed("map", last.grid, drawMap);
+  changed("overlay", store.overlay, drawOverlay);
   const moved = [changed("truth", page?.truth, drawTruth), changed("contacts", last.contacts ?? NONE, drawContacts)];
   const length = latest(COLUMN.length) ?? page?.length_cm ?? 0;
   changed("reach", page?.mode === "idle" && page.body, drawReach);
@@ -135,6 +154,18 @@ function drawMap(grid) {
 }
 
 const rgb = (name, alpha) => [...css(name).match(/\d+/g).map(Number), alpha];
+
+// Contacts of another run: squares, with their intervals.
+function drawOverlay({ run, contacts }) {
+  for (const contact of contacts) {
+    const x = X(contact.x_cm), y = Y(contact.y_cm), layer = layers.overlay;
+    if (!pointEstimate(contact) && contact.track.length > 1) {
+      make("path", { d: line(contact.track.map(([u, v]) => [X(u), Y(v)])), fill: "none", stroke: "var(--overlay)", "stroke-width": 4, "stroke-opacity": .4, "stroke-linecap": "round" }, layer);
+    }
+    const mark = make("rect", { x: x - 5, y: y - 5, width: 10, height: 10, fill: contact.status === "localized" ? "var(--overlay)" : "var(--card)", stroke: "var(--overlay)", "stroke-width": 2 }, layer);
+    make("title", {}, mark).textContent = `${run}: x ${minus(contact.x_cm.toFixed(1))}, y ${minus(contact.y_cm.toFixed(1))} cm, ${contact.status}`;
+  }
+}
 
 function drawTruth(pegs) {
   for (const peg of pegs) {
@@ -300,6 +331,40 @@ $("room-legend").innerHTML = `
   <span><i class="dot" style="background:var(--contact)"></i>contact</span>
   <span><i style="border-top-width:3px;color:var(--ink)"></i>wall, dashed: likely</span>
   <span style="color:var(--contact)"><i class="ring"></i><span class="muted">95 % in the plane</span></span>
+  <span id="overlay-legend" style="color:var(--overlay)" hidden><i class="area" style="width:10px;background:currentColor"></i><span class="muted" id="overlay-name"></span></span>
   <span id="truth-legend" style="color:var(--truth)" hidden><i class="ring" style="border-style:solid"></i><span class="muted">peg (the emulator’s truth)</span></span>`;
+
+// A point of the room under the pointer, cm.
+function under(event) {
+  const box = svg.getBoundingClientRect();
+  return [bounds.x0 + (event.clientX - box.left - left) / scale, bounds.y1 - (event.clientY - box.top - top) / scale];
+}
+
+const middle = () => {
+  const w = svg.clientWidth - PAD.left - PAD.right, h = svg.clientHeight - PAD.top - PAD.bottom;
+  return view ?? { x: bounds.x0 + (PAD.left + w / 2 - left) / scale, y: bounds.y1 - (PAD.top + h / 2 - top) / scale, larger: 1 };
+};
+
+svg.addEventListener("wheel", (event) => {
+  event.preventDefault();
+  const before = middle(), [x, y] = under(event);
+  const larger = Math.min(before.larger * Math.exp(-Math.max(-.5, Math.min(.5, event.deltaY / 240))), LARGEST);
+  const kept = before.larger / larger; // what is under the pointer stays there
+  look(larger <= 1 ? null : { x: x + kept * (before.x - x), y: y + kept * (before.y - y), larger });
+  drawRoom();
+}, { passive: false });
+svg.addEventListener("pointerdown", (event) => {
+  if (event.button !== 0 || !view) return;
+  svg.setPointerCapture(event.pointerId);
+  const { x, y, larger } = view, from = [event.clientX, event.clientY];
+  svg.onpointermove = (moved) => {
+    look({ x: x - (moved.clientX - from[0]) / scale, y: y + (moved.clientY - from[1]) / scale, larger });
+    drawRoom();
+  };
+  svg.onpointerup = svg.onpointercancel = () => { svg.onpointermove = null; };
+});
+const whole = () => { look(null); drawRoom(); };
+svg.addEventListener("dblclick", whole);
+$("room-whole").addEventListener("click", whole);
 
 sized(svg, () => { frame = ""; drawRoom(); });

@@ -16,7 +16,7 @@ let last_s = 0, tried = null; // when a stop was last answered, and of which run
 
 // What one types into, and where a space is therefore no stop.
 const TYPED = "textarea, [contenteditable], input:not([type=range], [type=checkbox], [type=radio], [type=button])";
-const typed = (target) => target instanceof Element && target.matches(TYPED);
+export const typed = (target) => target instanceof Element && target.matches(TYPED);
 // Whether what was stopped was emulated, and its program has ended.
 const hasEnded = () => stopped().length > 0 && stopped().every((each) => each.confirmed_by.startsWith("the end"));
 // What the last stop on a page came to, if it is the one that lasts: a robot may be stopped elsewhere.

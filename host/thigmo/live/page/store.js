@@ -34,12 +34,14 @@ const nothing = () => ({
   origin: null, // robot time at the start of the run
   now: 0,
   dropped: 0,
+  result: null, // of a run that has ended
 });
 export const store = {
   readAt: null, // when the last reading came, by performance.now()
   page: null, // what the server says of itself and of the run
   columns: Array.from({ length: COLUMNS + SENSORS }, () => []),
   drawnEpoch: 0,
+  overlay: null, // a finished run that lies over what is shown
   ...nothing(),
 };
 

@@ -21,7 +21,7 @@ const SHOWN = 300;
 let listed;
 
 // `null` is nothing that comes: what was listed before goes also where no message follows.
-export function forget() { listed = { events: null, count: 0, contacts: null, banners: null }; }
+export function forget() { listed = { events: null, count: 0, contacts: null, banners: null, technical: listed?.technical ?? false }; }
 forget();
 
 // As a sentence: events come as clauses.
@@ -38,7 +38,6 @@ export function drawWords(lost) {
   $("run-name").textContent = title;
   $("run-url").textContent = run?.url ?? page?.start?.url ?? "";
   $("run-url").title = [run?.url, run?.folder].filter(Boolean).join("\n");
-  document.title = run ? `${title} · thigmo` : "thigmo";
   $("doing").textContent = doing(lost);
   const done = rounded(100 * (state?.done ?? 0), 0);
   $("done").style.width = `${done}%`;
@@ -137,15 +136,13 @@ function drawContactRows() {
   drawWhy();
 }
 
-// Why the last sweep alone is not sure, beside contacts that the map is sure of.
+// Why the last sweep alone does not fix a place, beside contacts that the map is sure of.
 function drawWhy() {
   const { contacts, posterior } = store.last;
   const sure = contacts?.contacts.some((each) => each.status === "localized");
   const doubts = sure && posterior?.status === "ambiguous" && !posterior.sweeping;
-  $("contacts-why").textContent = doubts ? `The last sweep by itself is ambiguous: ${posterior.message}. The map weighs every stage.` : "";
+  $("contacts-why").textContent = doubts ? `The last sweep alone leaves the place open: ${posterior.message}. The map weighs every stage.` : "";
 }
-
-export const percent = (share) => share > .999 ? "> 99.9 %" : `${rounded(100 * share, 1)} %`;
 
 function drawEvents() {
   const { events, page } = store;
@@ -159,19 +156,31 @@ function drawEvents() {
     list.prepend(entry(events[listed.count]));
     if (list.children.length > SHOWN) list.lastElementChild.remove();
   }
-  $("events-empty").hidden = events.length > 0;
-  $("events-count").textContent = events.length || "";
+  const operators = events.filter((event) => !technical(event)).length;
+  $("events-empty").hidden = (listed.technical ? events.length : operators) > 0;
+  $("events-count").textContent = listed.technical ? events.length || "" : operators || "";
   if (page?.mode === "record") {
     for (const item of list.children) item.classList.toggle("ahead", Number(item.dataset.t) > store.now);
   }
 }
+
+// What the board notes of a step that went as it should; and that it had no configuration before the
+// run has sent it.
+export const technical = ({ severity, name }) => severity === "info" && name !== "log" || name === "bad_config" && !store.board.faults.includes(name);
+
+$("events-technical").addEventListener("click", () => {
+  const shows = $("events").classList.toggle("technical");
+  $("events-technical").setAttribute("aria-pressed", String(shows));
+  listed.technical = shows;
+  drawEvents();
+});
 
 function entry(event) {
   const what = element("div");
   // A hyphen before a number is its minus sign.
   what.append(element("span", { class: "what" }, sentence(event.message.replaceAll(/(?<=\s)-(?=\d)/g, "−"))));
   if (event.next) what.append(element("div", { class: "next" }, sentence(event.next)));
-  const item = element("li", { class: event.severity, title: event.name });
+  const item = element("li", { class: `${event.severity}${technical(event) ? " detail" : ""}`, title: event.name });
   item.dataset.t = time(event.t_s);
   item.innerHTML = `<time>${fixed(time(event.t_s), 1)} s</time>${ICONS[event.severity] ?? ICONS.info}`;
   item.append(what);
@@ -200,7 +209,6 @@ function drawBanners(lost) {
     const event = events.findLast((each) => each.severity === "fault" && each.name === fault);
     banners.push(["fault", event?.message ?? `Fault: ${fault}.`, event?.next ?? ""]);
   }
-  if (page?.failure) banners.push(["fault", "The record cannot be read.", page.failure]);
   const { name, said, failure } = page?.started ?? {};
   if (failure && !latched) banners.push(["fault", `${MOTIONS[name]?.[2] ?? "The run"} did not start, or ended early.`, failure]);
   else if (said && name !== "explore") banners.push(["note", said, ""]);
