@@ -13,11 +13,12 @@ def a_fit(
     *,
     x_cm: float = 40.0,
     y_cm: float = 20.0,
-    misfit: float = 1.0,
-    log_evidence: float = 0.0,
     felt_at_cm: tuple[float, ...] = (),
+    kind: str = "peg",
+    peg_radius_cm: float = 1.0,
+    doubt: str = "",
 ) -> FieldContact:
-    """A sure contact at an arc and a place in the side's plane."""
+    """A sure contact, if it has no doubt, at an arc and a place in the side's plane."""
     return FieldContact(
         length_cm=length_cm,
         arc_cm=arc_cm,
@@ -30,14 +31,15 @@ def a_fit(
         force_interval_per_cm2=(1.5e-4, 2.5e-4),
         track=np.array([[x_cm - 1.0, y_cm - 0.5], [x_cm, y_cm], [x_cm + 1.0, y_cm + 0.5]]),
         probability=1.0,
-        places=True,
-        doubt="",
+        places=not doubt,
+        doubt=doubt,
         felt_at_cm=felt_at_cm or (length_cm,),
         log_odds=9.0,
-        log_evidence=log_evidence,
-        misfit=misfit,
+        log_evidence=0.0,
+        misfit=1.0,
         effective=80.0,
-        peg_radius_cm=1.0,
+        kind=kind,
+        peg_radius_cm=peg_radius_cm,
         friction=0.1,
         yield_cm=0.0,
     )

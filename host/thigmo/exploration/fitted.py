@@ -7,15 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
-from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
+from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.exploration.prior import boost, match
 from thigmo.exploration.sighting import LEVEL
-from thigmo.field import Atlas, FieldContact, Swept, contacts, read, untouched_evidence
+from thigmo.field import Atlas, FieldContact, Swept, contacts, read
 from thigmo.localization import METHODS, check_method
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle
@@ -25,10 +24,6 @@ from thigmo.wiring import Wiring
 
 FIELD = "field"  # the method; its single frames are localized as by "posterior"
 _MAP_ERRS = 1.3  # bends of the atlas over the map's highest
-# Sum of squares over the number of independent readings beyond which one peg for all sweeps is
-# compared with one for each stage, which takes time. A peg that explains its sweeps leaves about 1.
-_DOUBTED = 1.15
-_SAME_SIGMA = 3.0  # within which two stages' places may be one
 
 
 def check_exploration_method(method: str) -> None:
@@ -77,44 +72,9 @@ class FittedMap:
         return known
 
     def _fit(self, side: Side) -> list[MapContact]:
-        """One peg for all sweeps of a side, or several for its stages if that is likelier."""
-        whole = self._group(self._sweeps[side], side)
-        if all(contact.misfit <= _DOUBTED for contact in whole.found):
-            return [self._mapped(contact, side, len(whole.sweeps)) for contact in whole.found]
-        groups = self._stages_apart(side)
-        apart = [group for group in groups if group.found]
-        if len(apart) < 2 or sum(g.log_evidence for g in groups) <= whole.log_evidence:
-            return [self._mapped(contact, side, len(whole.sweeps)) for contact in whole.found]
-        return [
-            _of_several(self._mapped(contact, side, len(group.sweeps)))
-            for group in apart
-            for contact in group.found
-        ]
-
-    def _stages_apart(self, side: Side) -> list[_Group]:
-        """The stages by themselves, those together for which one obstacle is likelier than two."""
-        stages: dict[int, list[Swept]] = {}
-        for swept in self._sweeps[side]:
-            length = round(swept.sweep.peaks[0].length_cm / SAME_LENGTH_CM)
-            stages.setdefault(length, []).append(swept)
-        groups: list[_Group] = []
-        for _, sweeps in sorted(stages.items()):
-            stage = self._group(sweeps, side)
-            for n, other in enumerate(groups):
-                if _may_be_one(stage, other):
-                    joint = self._group([*other.sweeps, *stage.sweeps], side)
-                    if joint.log_evidence > stage.log_evidence + other.log_evidence:
-                        groups[n] = joint
-                        break
-            else:
-                groups.append(stage)
-        return groups
-
-    def _group(self, sweeps: Sequence[Swept], side: Side) -> _Group:
-        """What explains some of a side's sweeps, with errors of their own."""
-        prepared = read(sweeps, side, self._config)
+        prepared = read(self._sweeps[side], side, self._config)
         if prepared is None:
-            return _Group(sweeps, [], 0.0)
+            return []
         expected = None
         if self._prior:
 
@@ -123,15 +83,10 @@ class FittedMap:
                 return boost(self._prior, mirrored, self._config.body.length_cm)
 
         found = contacts(*prepared, self._atlas, expected=expected)
-        evidence = (
-            sum(contact.log_evidence for contact in found)
-            if found
-            else untouched_evidence(*prepared)
-        )
-        return _Group(sweeps, found, evidence)
+        return [self._mapped(contact, side, len(found)) for contact in found]
 
     def _mapped(self, contact: FieldContact, side: Side, count: int) -> MapContact:
-        """A contact by so many sweeps, in the workspace."""
+        """One of so many contacts of a side, in the workspace."""
         sign = SIGN[side]
         mirror = np.diag([1.0, sign])
         (xx, xy), (yx, yy) = (mirror @ contact.covariance_cm2 @ mirror).tolist()
@@ -139,6 +94,9 @@ class FittedMap:
         localized = contact.places and sure and contact.probability >= LEVEL
         sweeps = self._sweeps[side]
         force = -sign * contact.force_per_cm2
+        model = f"{contact.kind}, by {len(sweeps)} sweeps"
+        model += f"; one of {count} on this side" if count > 1 else ""
+        model += f"; {contact.doubt}" if contact.doubt else ""
         mapped = MapContact(
             arc_cm=contact.arc_cm,
             x_cm=contact.x_cm,
@@ -151,7 +109,7 @@ class FittedMap:
             normal_rad=sign * contact.normal_rad,
             covariance_cm2=((xx, xy), (yx, yy)),
             track=[(round(x, 4), round(sign * y, 4)) for x, y in contact.track.tolist()],
-            model=f"peg, by {count} sweeps" + (f"; {contact.doubt}" if contact.doubt else ""),
+            model=model,
             readings=int(
                 SensorTable.of(Wiring.of(self._config)).usable(side, sweeps[-1].sweep.sensors).sum()
             ),
@@ -161,7 +119,7 @@ class FittedMap:
             fit_log_odds=round(contact.log_odds, 2),
             fit_misfit=round(contact.misfit, 3),
             fit_samples=round(contact.effective, 1),
-            fit_radius_cm=round(contact.peg_radius_cm, 2),
+            fit_radius_cm=round(contact.peg_radius_cm, 2) if contact.kind == "peg" else None,
             fit_friction=round(contact.friction, 3),
             fit_yield_cm=round(contact.yield_cm, 3),
         )
@@ -182,31 +140,3 @@ class FittedMap:
         value = force * stiffness
         outwards = float(np.sign(force))
         return value, sorted([value - outwards * below, value + outwards * above])
-
-
-class _Group(NamedTuple):
-    """Sweeps that felt one obstacle or nothing, and the fit to them."""
-
-    sweeps: Sequence[Swept]
-    found: list[FieldContact]
-    log_evidence: float
-
-
-def _may_be_one(one: _Group, other: _Group) -> bool:
-    """Whether two groups' obstacles lie within each other's errors."""
-    if not (one.found and other.found):
-        return False
-    a, b = one.found[0], other.found[0]
-    apart = np.array([a.x_cm - b.x_cm, a.y_cm - b.y_cm])
-    squared = apart @ np.linalg.solve(a.covariance_cm2 + b.covariance_cm2, apart)
-    return float(squared) < _SAME_SIGMA**2
-
-
-def _of_several(contact: MapContact) -> MapContact:
-    """One of several obstacles; where it leaves a misfit, others have borne on the body as well."""
-    doubted = contact.fit_misfit is None or contact.fit_misfit > _DOUBTED
-    return replace(
-        contact,
-        status="ambiguous" if doubted else contact.status,
-        model=f"{contact.model}; one of several, nearest here",
-    )
