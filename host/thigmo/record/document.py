@@ -46,7 +46,7 @@ class Trigger:
     side: str  # active muscle
     t_s: float  # device time
     excess_per_cm: float  # base curvature minus free curvature when it fired
-    status: str  # what the localizer made of the peak's readings
+    status: str  # of the localizer's result for the peak's readings
     message: str = ""  # the localizer's reason
 
 
@@ -173,8 +173,8 @@ class Stage:
     t_s: float
     shapes: list[Shape] = field(default_factory=list)
     triggers: list[Trigger] = field(default_factory=list)
-    # by how much the base was held back at most, of each side swept: what the trigger compares with
-    # its threshold
+    # by side swept: largest curvature by which the base fell short of the free curvature, 1/cm;
+    # the trigger compares it with its threshold
     held_back_per_cm: dict[str, float] = field(default_factory=dict)
 
 
@@ -306,7 +306,7 @@ class RunDocument:
     method: str = "field"  #: by which contacts were localized, as for `thigmo.explore`
     #: "quick", "default", "careful", "thesis", or a budget such as "120 s"
     effort: str = ""
-    skips: str = ""  #: what that effort omitted, and what it costs; empty if it was nothing
+    skips: str = ""  #: parts of a full run that this effort omitted, and their cost; or empty
     resumes: str = ""  #: folder of the run that was cut short, from which this one goes on
     muscles: list[NamedMuscle] = field(default_factory=list)
     version: Literal[2] = 2

@@ -81,7 +81,7 @@ def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
 
 
 def _take(robot: Robot, config: RobotConfig, attendant: Attendant, trial: Planned) -> Row:
-    """Take one trial, vent the robot, and return what is kept in addition to the plan."""
+    """Take one trial, vent the robot, and return the values to store beside the plan."""
     attendant.clear()
     robot.vent()
     zero(robot, lambda text: None)

@@ -451,7 +451,7 @@ def judged(every: list[Run], choice: Explorations | None = None) -> Outcome:
     summary = rows
     if choice.against and (paired := pairs(choice.against, tables["runs"])):
         tables["pairs"] = summary = paired
-    return Outcome(tables, figures, claims, notes, summary, kept=("rows", "dial", "pairs"))
+    return Outcome(tables, figures, claims, notes, summary, published=("rows", "dial", "pairs"))
 
 
 def _map_claims(maps: dict[str, list[Mapped]]) -> tuple[list[Claim], list[str]]:
