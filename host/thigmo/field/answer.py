@@ -12,9 +12,9 @@ from scipy.special import chdtri
 from threadpoolctl import ThreadpoolController
 
 from thigmo.field.atlas import Atlas
-from thigmo.field.fit import ALIKE
+from thigmo.field.fit import ALIKE, Mode
 from thigmo.field.hypotheses import BEND, FRICTION, OBSTACLE_UNKNOWNS, RADIUS, WALL_BEND
-from thigmo.field.posterior import ENOUGH, Samples, Search
+from thigmo.field.posterior import ENOUGH, ROUNDS, Samples, Search
 from thigmo.field.readings import Errors, Floats, Readings
 
 # Log likelihood that a place must gain for a fit: with less, the prior odds of a place refuse it.
@@ -27,6 +27,7 @@ _SURELY, _NEAR = 3.0, 5.0
 # Everted length by the spool's encoder, and the side against the corner of the end, cm.
 _LENGTH_CM = 0.1
 _TRACK = 25  # points
+_FEW_ROUNDS = 3
 _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
 
 # Probability of a touch before the first bin, where no reading shows when it came, beyond which a
@@ -107,7 +108,7 @@ def _contacts(
     for sought in (search.pairs, search.walls):
         modes = sought()
         if modes and max(map(search.laplace, modes)) > best.log_evidence - _NEAR:
-            samples = search.sample([modes], expected=expected)
+            samples = _sampled(search, [modes], expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
         best, *others = explanations
@@ -122,10 +123,22 @@ def _one_peg(search: Search, expected: Callable[[Floats], Floats] | None) -> Sam
     if not search.places or search.places[0].gain < LEAST_GAIN:
         return None
     chains = search.ridges()
-    samples = search.sample(chains, expected=expected) if chains else None
+    samples = _sampled(search, chains, expected) if chains else None
     if samples is None or _log_odds(search, samples) < np.log(_REFUSED):
         return None
     return samples
+
+
+def _sampled(
+    search: Search, chains: list[list[Mode]], expected: Callable[[Floats], Floats] | None
+) -> Samples | None:
+    """Samples around modes; few, for their evidence alone, if the likeliest leaves too much.
+
+    Where nothing explains the readings, samples that agree are hard to get, and place nothing.
+    """
+    left = search.misfit([mode for chain in chains for mode in chain]) * ALIKE
+    explains = left <= _most_misfit(search.readings)
+    return search.sample(chains, expected=expected, rounds=ROUNDS if explains else _FEW_ROUNDS)
 
 
 def _log_odds(search: Search, samples: Samples) -> float:
