@@ -23,7 +23,8 @@ from thigmo.exploration.measuring import (
     pressing_zone,
 )
 from thigmo.exploration.obstacles import export_obstacles
-from thigmo.exploration.plan import growth_target, growth_zone, stage_lengths, trial_zone
+from thigmo.exploration.plan import growth_target, growth_zone, short_of, stage_lengths, trial_zone
+from thigmo.exploration.prior import obstacle_ahead
 from thigmo.exploration.reducer import Reducer
 from thigmo.exploration.run_control import Live, RunControl
 from thigmo.exploration.scoring import true_obstruction
@@ -96,6 +97,7 @@ class Exploration:
         self._wiring = Wiring.of(self.config)
         self._table = SensorTable.of(self._wiring)
         self._base = sum(1 << number for number in self._wiring.base_inputs)
+        self.planner = Planner(self._short_of_the_map(), self.planner.effort)
 
     def run(self) -> None:
         """Walk the table to its end; each state has the method of its name.
@@ -145,6 +147,19 @@ class Exploration:
 
     # Before the first stage.
 
+    def _short_of_the_map(self) -> RobotConfig:
+        """The robot as it is planned for: it ends short of an obstacle that the map has ahead."""
+        ahead = obstacle_ahead(self.prior, self.config.body.radius_cm)
+        if ahead is None or not self.config.body.grows or ahead[1] >= self.config.body.length_cm:
+            return self.config
+        planned = short_of(self.config, ahead[1])
+        said = (
+            f"it ends at {planned.body.length_cm:.1f} cm, short of what the map has in its path at "
+            f"x {ahead[0]:.1f} cm, so obstacles farther out are not felt"
+        )
+        self._note(skips="; ".join(filter(None, [self.document.skips, said])))
+        return planned
+
     def _configure(self) -> str:
         if self.document.skips:
             self.live.tell(Log, "info", f"effort {self.document.effort}: {self.document.skips}")
@@ -175,7 +190,11 @@ class Exploration:
         self._ends_s = spent_s + pace * self.planner.expected_s(plan, self.length_cm, settles_s)
         self._plan_ahead = plan
         if not plan.stops:
-            full = self.length_cm > self.config.body.length_cm - SAME_LENGTH_CM
+            longest_cm = self.planner.config.body.length_cm
+            full = self.length_cm > longest_cm - SAME_LENGTH_CM
+            if full and longest_cm < self.config.body.length_cm:
+                self._note(outcome="peg ahead")
+                return "peg ahead"
             self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
             return "fully deployed" if full else "time is up"
         stage = plan.stops[0]

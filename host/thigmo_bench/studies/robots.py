@@ -175,23 +175,23 @@ def push(load: tuple[str, int]) -> Pushed:
     # A force at an arc turns what lies beyond by half of moment times arc.
     transport.lockstep.plant.hold([(arc_cm, 2 / 3 * turn * arc_cm)], 0.5)
     driven.wait(3.0)
-    found = Pushed(name, seed, arc_cm)
+    pushed = Pushed(name, seed, arc_cm)
     try:
         result = feel(driven).result
     except ThigmoError as error:
-        found.status = f"aborted: {error.what}"
-        return found
+        pushed.status = f"aborted: {error.what}"
+        return pushed
     finally:
         driven.close()
-    found.status = result.status
+    pushed.status = result.status
     if result.contacts:
         best = min(result.contacts, key=lambda contact: abs(contact.arc - arc_cm))
         low, high = best.interval
-        found.felt, found.error_cm = True, abs(best.arc - arc_cm)
-        found.wrong = result.status == "localized" and not (
+        pushed.felt, pushed.error_cm = True, abs(best.arc - arc_cm)
+        pushed.wrong = result.status == "localized" and not (
             low - LENGTH_CM <= arc_cm <= high + LENGTH_CM
         )
-    return found
+    return pushed
 
 
 def run(context: Context) -> Outcome:
