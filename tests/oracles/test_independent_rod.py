@@ -22,7 +22,7 @@ MOST = 0.04
 def inflations() -> list[Rooms]:
     return [
         rooms(
-            np.random.default_rng([2026, int(length)]), ROOMS, length=length, most=MOST,
+            np.random.default_rng([2026, int(length)]), ROOMS, length=length, largest_free=MOST,
             frames=FRAMES, moment=(0.4, 1.0), radius=(0.25, 1.5),
         )
         for length in LENGTHS

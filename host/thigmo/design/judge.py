@@ -52,7 +52,7 @@ _TICKS_HZ = 1000  # rate of the board's control loop
 # are read (kTurnBits of firmware/core/sensing/imu_string.h).
 _BUS_HZ, IMU_BITS = 400_000, 9 * (2 + 2 + 1 + 21) + 3 * 2
 _REPORTS_HZ = 50  # reports of each IMU
-_TRIGGER_SIGMAS = 5.0  # a trigger below so many standard deviations fires by noise
+_TRIGGER_SIGMAS = 5.0  # a trigger threshold below this many standard deviations fires by noise
 _STEPS = 200
 _PUSHED_RAD = 0.5  # turn of the tip, under a push that `feel` is asked about
 # Of the body, in percent: below this the answer "somewhere" is the rule. The thesis's robot has 34.
@@ -368,7 +368,7 @@ def _cure(
 
 
 def _zero(sensor: Sensor, factor: float) -> dict[str, float]:
-    """A flex sensor's error of its zero so many times smaller; others state none."""
+    """A flex sensor's zero error divided by a factor; empty for kinds that state none."""
     return {"zero_se": sensor.zero_se / factor} if isinstance(sensor, FlexSensor) else {}
 
 

@@ -56,7 +56,7 @@ ROBOTS: dict[str, _Draft | None] = {
     "100 cm, string of 12 IMUs": _Draft(100.0, 12, 2, "heading"),
     "53 cm, fibre of 20 gratings": _Draft(53.0, 20, 2, "fibre"),
 }
-# Robots of which only sound runs are promised, and not yet what they localize.
+# Robots whose runs must end soundly; their localization is measured, and nothing is promised.
 THICK_7, THICK_10 = "120 cm, 7 cm thick", "120 cm, 10 cm thick"
 MIXED = "100 cm, flex at both bases, 10 IMUs"
 CATHETER = "catheter"
@@ -77,14 +77,14 @@ def robot_named(name: str) -> RobotConfig:
     """A robot of the study."""
     if name == CATHETER:
         return RobotConfig.load(GALLERY / f"{name}.toml")
-    made = (ROBOTS | UNPROMISED)[name]
-    if made is None:
+    description = (ROBOTS | UNPROMISED)[name]
+    if description is None:
         return Scene.load("default").robot
-    config = draft(**asdict(made))
+    config = draft(**asdict(description))
     # Such bodies pull harder than friction holds.
     config.spool.brake = name in (THICK_7, THICK_10)
     if name == MIXED:
-        flex = draft(made.length_cm, made.sensors, made.muscles)
+        flex = draft(description.length_cm, description.sensors, description.muscles)
         bases = [flex.column(side)[0] for side in SIDES]
         for base in bases:
             base.center_cm = _BASE_CM
@@ -110,15 +110,17 @@ class Visited(Explored):
         best, truth = best_contact(document.contacts), document.truth or Truth()
         if best is None:
             return
-        here = [
+        stage_contacts = [
             true for true in truth.contacts if of_stage(true, best.everted_length_cm, best.side)
         ]
         low, high = best.interval_cm
-        held = any(low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM for true in here)
+        covered = any(low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM for true in stage_contacts)
         self.missed = len(document.contacts) == len(document.false or [])
-        self.wrong = best.status == "localized" and not held
-        apart = [np.array([true.x_cm - best.x_cm, true.y_cm - best.y_cm]) for true in here]
-        if nearest := sorted(apart, key=np.linalg.norm)[:1]:
+        self.wrong = best.status == "localized" and not covered
+        offsets = [
+            np.array([true.x_cm - best.x_cm, true.y_cm - best.y_cm]) for true in stage_contacts
+        ]
+        if nearest := sorted(offsets, key=np.linalg.norm)[:1]:
             self.plane_cm = float(np.linalg.norm(nearest[0]))
             squared = nearest[0] @ np.linalg.solve(np.asarray(best.covariance_cm2), nearest[0])
             self.outside = bool(squared > _ELLIPSE)
@@ -128,15 +130,15 @@ def visit(room: tuple[str, int, bool]) -> Visited:
     """Explore a room with or without a peg."""
     name, seed, peg = room
     scene = room_for(robot_named(name), seed, peg=peg)
-    found = Visited(name, seed, peg=peg, length_cm=scene.robot.body.length_cm)
+    visited = Visited(name, seed, peg=peg, length_cm=scene.robot.body.length_cm)
     try:
         document = explored_scene(scene, seed)
     except ThigmoError as error:
-        found.status = f"aborted: {error.what}"
-        return found
-    found.judge(document)
-    found.judge_place(document)
-    return found
+        visited.status = f"aborted: {error.what}"
+        return visited
+    visited.judge(document)
+    visited.judge_place(document)
+    return visited
 
 
 @dataclass
@@ -173,30 +175,30 @@ def push(load: tuple[str, int]) -> Pushed:
     # A force at an arc turns what lies beyond by half of moment times arc.
     transport.lockstep.plant.hold([(arc_cm, 2 / 3 * turn * arc_cm)], 0.5)
     driven.wait(3.0)
-    found = Pushed(name, seed, arc_cm)
+    pushed = Pushed(name, seed, arc_cm)
     try:
         result = feel(driven).result
     except ThigmoError as error:
-        found.status = f"aborted: {error.what}"
-        return found
+        pushed.status = f"aborted: {error.what}"
+        return pushed
     finally:
         driven.close()
-    found.status = result.status
+    pushed.status = result.status
     if result.contacts:
         best = min(result.contacts, key=lambda contact: abs(contact.arc - arc_cm))
         low, high = best.interval
-        found.felt, found.error_cm = True, abs(best.arc - arc_cm)
-        found.wrong = result.status == "localized" and not (
+        pushed.felt, pushed.error_cm = True, abs(best.arc - arc_cm)
+        pushed.wrong = result.status == "localized" and not (
             low - LENGTH_CM <= arc_cm <= high + LENGTH_CM
         )
-    return found
+    return pushed
 
 
 def run(context: Context) -> Outcome:
     """Explore rooms with every robot, and check the promises."""
     pegs, empty = context.count(2, 20), context.count(1, 10)
     seeds = context.rng(0x26).integers(0, 2**31, pegs + empty).tolist()
-    found: list[Visited] = []
+    visits: list[Visited] = []
     outcome = Outcome()
     sound = context.rng(0x45).integers(0, 2**31, context.count(2, 40)).tolist()
     for name in UNPROMISED | ROBOTS:
@@ -204,20 +206,20 @@ def run(context: Context) -> Outcome:
             rooms = [(name, seed, number < pegs) for number, seed in enumerate(seeds)]
         else:  # every fourth is empty
             rooms = [(name, seed, number % 4 != 3) for number, seed in enumerate(sound)]
-        found += context.map(visit, rooms, name)
-        outcome = _outcome(found, [])
+        visits += context.map(visit, rooms, name)
+        outcome = _outcome(visits, [])
         context.save(outcome)
     loads = context.rng(0x51).integers(0, 2**31, context.count(2, 20)).tolist()
     pushed = context.map(push, [(name, load) for name in FELT for load in loads], "pushes")
-    return _outcome(found, pushed)
+    return _outcome(visits, pushed)
 
 
-def _outcome(found: list[Visited], pushed: list[Pushed]) -> Outcome:
-    names = dict.fromkeys(one.kind for one in found)
-    rows = [_row(name, [one for one in found if one.kind == name]) for name in names]
-    whole = _row("all robots", [one for one in found if one.kind in ROBOTS])
+def _outcome(visits: list[Visited], pushed: list[Pushed]) -> Outcome:
+    names = dict.fromkeys(visited.kind for visited in visits)
+    rows = [_row(name, [visited for visited in visits if visited.kind == name]) for name in names]
+    all_robots = _row("all robots", [visited for visited in visits if visited.kind in ROBOTS])
     claims = [
-        Claim(f"{text}, all robots", float(whole[column]), limit, unit=unit)
+        Claim(f"{text}, all robots", float(all_robots[column]), limit, unit=unit)
         for text, column, limit, unit in (
             ("pegs missed", "missed_percent", 10.0, "%"),
             ("localized, and wrong", "wrong_percent", 5.0, "%"),
@@ -226,9 +228,9 @@ def _outcome(found: list[Visited], pushed: list[Pushed]) -> Outcome:
             ("true points outside of the 95 % ellipse", "outside_percent", 10.0, "%"),
         )
     ]
-    aborted = sum(one.status.startswith("aborted") for one in found)
+    aborted = sum(visited.status.startswith("aborted") for visited in visits)
     claims.append(Claim("runs aborted, of all robots", float(aborted), 0.0, unit="runs"))
-    rows.append(whole)
+    rows.append(all_robots)
     if pushed:
         rows += [_felt_row(name, [load for load in pushed if load.robot == name]) for name in FELT]
         wrong = 100 * share([load.wrong for load in pushed])
@@ -238,30 +240,32 @@ def _outcome(found: list[Visited], pushed: list[Pushed]) -> Outcome:
             Claim("pushes aborted", float(failed), 0.0, unit="pushes"),
         ]
     data: dict[str, Sequence[Record]] = {
-        "runs": [vars(visited) for visited in found],
+        "runs": [vars(visited) for visited in visits],
         "pushes": [vars(load) for load in pushed],
         "rows": rows,
     }
     return Outcome(data, {}, claims, [], rows)
 
 
-def _row(name: str, found: list[Visited]) -> Record:
-    there, empty = ([one for one in found if one.peg is peg] for peg in (True, False))
-    localized = [one for one in there if one.status == "localized"]
-    placed = [one for one in there if np.isfinite(one.plane_cm)]
-    errors = [one.plane_cm / one.length_cm for one in placed]
+def _row(name: str, visits: list[Visited]) -> Record:
+    with_peg, empty = (
+        [visited for visited in visits if visited.peg is peg] for peg in (True, False)
+    )
+    localized = [visited for visited in with_peg if visited.status == "localized"]
+    placed = [visited for visited in with_peg if np.isfinite(visited.plane_cm)]
+    errors = [visited.plane_cm / visited.length_cm for visited in placed]
     return {
         "robot": name,
-        "rooms": len(there),
-        "missed_percent": 100 * share([one.missed for one in there]),
+        "rooms": len(with_peg),
+        "missed_percent": 100 * share([visited.missed for visited in with_peg]),
         "localized": len(localized),
-        "wrong_percent": 100 * share([one.wrong for one in there]),
+        "wrong_percent": 100 * share([visited.wrong for visited in with_peg]),
         "error_percent": 100 * float(np.median(errors)) if errors else nan,
         "worst_percent": 100 * max(errors, default=nan),
-        "outside_percent": 100 * share([one.outside for one in placed]),
+        "outside_percent": 100 * share([visited.outside for visited in placed]),
         "empty_rooms": len(empty),
-        "empty_localized": sum(one.status == "localized" for one in empty),
-        "aborted": sum(one.status.startswith("aborted") for one in found),
+        "empty_localized": sum(visited.status == "localized" for visited in empty),
+        "aborted": sum(visited.status.startswith("aborted") for visited in visits),
     }
 
 
