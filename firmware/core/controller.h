@@ -225,8 +225,8 @@ class Controller {
   void watch_motion(int16_t duty);
   void watch_fold();
   void watch_power();
-  bool grows() const { return config_.get(Param::kGrows) != 0; }
-  bool brake_fitted() const { return grows() && config_.get(Param::kBrakeFitted) != 0; }
+  bool grows() const { return derived_.grows; }
+  bool brake_fitted() const { return derived_.brake_steps != 0; }
   bool power_wanted() const;
   void prove_brake();
   void stall(protocol::StallCause cause);
