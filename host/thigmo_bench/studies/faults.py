@@ -135,7 +135,7 @@ STATES: dict[str, tuple[tuple[wire.Command[Any], ...], float]] = {
     "safe": ((wire.Disarm(),), 0.5),
     "ready": ((), 0.5),
     "growing": ((wire.GrowTo(530_000, 0),), 2.0),
-    "retracting": ((wire.RetractTo(0, 0),), 4.0),
+    "retracting": ((wire.RetractTo(0, 0),), 2.0),
     "homing": ((wire.Home(),), 2.0),
     "sweeping": ((wire.Sweep((1800, 1800), 30_000, 1, 0),), 5.0),
     "pressing": ((wire.SetPressure((1800, 0), 0),), 6.0),
