@@ -183,14 +183,14 @@ def _robots(found: list[dict[str, Any]]) -> list[Grid]:
     head = (
         "robot", "rooms", "missed, %", "localized wrong, %", "localized",
         "median error, % of length", "largest error, %", "outside of their ellipses, %",
-        "empty rooms", "localized in these",
+        "empty rooms", "localized in these", "runs aborted",
     )  # fmt: skip
     rows = [
         (
             row["robot"], str(row["rooms"]), f"{row['missed_percent']:.3g}",
             f"{row['wrong_percent']:.3g}", str(row["localized"]), f"{row['error_percent']:.2g}",
             f"{row['worst_percent']:.2g}", f"{row['outside_percent']:.2g}",
-            str(row["empty_rooms"]), str(row["empty_localized"]),
+            str(row["empty_rooms"]), str(row["empty_localized"]), str(row["aborted"]),
         )
         for row in study["rows"]
     ]  # fmt: skip

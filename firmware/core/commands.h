@@ -132,6 +132,9 @@ class Commands {
         return stats(answer);
       case protocol::kGetConfigReport:
         return config_report(answer);
+      case protocol::kGetTip:
+        return answer.send(protocol::TipReport{protocol::Status::kOk, controller_.seen_sensor(),
+                                               controller_.seen_um()});
       case protocol::kGetCapacity:
         return answer.send(protocol::Capacity{protocol::Status::kOk, kMuscles, kSensors,
                                               kBodyPressures, kImus, kAdcBits, kDriveFull,

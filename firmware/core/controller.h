@@ -127,6 +127,9 @@ class Controller {
   uint16_t conditions() const { return conditions_; }
   uint16_t faults() const { return faults_.latched(); }
   int32_t length_um() const { return length_um_; }
+  // Where the tip was last known apart from the encoder (sensing/fold_watch.h).
+  uint8_t seen_sensor() const { return fold_.seen_sensor(); }
+  int32_t seen_um() const { return fold_.seen_um(); }
   // Whether a sensor reads curvature: enabled, everted, zeroed.
   bool reads(uint8_t sensor) const { return (usable_mask() >> sensor & 1) != 0; }
   // Curvature by a sensor's latest reading, 1e-5/cm.
@@ -222,8 +225,8 @@ class Controller {
   void watch_motion(int16_t duty);
   void watch_fold();
   void watch_power();
-  bool grows() const { return config_.get(Param::kGrows) != 0; }
-  bool brake_fitted() const { return grows() && config_.get(Param::kBrakeFitted) != 0; }
+  bool grows() const { return derived_.grows; }
+  bool brake_fitted() const { return derived_.brake_steps != 0; }
   bool power_wanted() const;
   void prove_brake();
   void stall(protocol::StallCause cause);

@@ -732,8 +732,6 @@ inline void Controller::fill(protocol::StatusReport* out) const {
   out->conditions = conditions_;
   out->t_us = t_us();
   out->length_um = length_um_;
-  out->seen_um = fold_.seen_um();
-  out->seen_sensor = fold_.seen_sensor();
   for (uint8_t i = 0; i < kMuscles; ++i) out->pressure_cpsi[i] = pressure_[i].cpsi();
   out->everted_mask = eversion_.everted_mask();
   out->settled_mask = eversion_.settled_mask();

@@ -126,7 +126,7 @@ def test_a_stopped_robot_is_cleared_retracted_and_started_again(
     page.locator("#length-now").fill(f"{length_cm:.1f}")
     page.locator("#length-to").fill(f"{length_cm - 2:.1f}")
     page.locator("#sure-yes").click()
-    expect(banners).to_have_text(f"Retracted to {length_cm - 2:.1f} cm.")
+    expect(banners).to_contain_text(f"Retracted to {length_cm - 2:.1f} cm by the encoder")
     expect(doing).to_have_text("Retracted")
     expect(phase).to_have_text("safe")
     assert robot.off

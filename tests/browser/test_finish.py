@@ -107,7 +107,7 @@ def test_stopped_run_is_seen_to_empty_and_is_cleared_jogged_and_retracted(
     _retract(page, "21", "19")
     expect(page.locator("#doing")).to_have_text("Retracting")
     expect(page.locator("#run-name")).to_have_text("finish")  # its contacts stay shown
-    expect(banners).to_contain_text("Retracted to 19.0 cm.")
+    expect(banners).to_contain_text("Retracted to 19.0 cm by the encoder; no sensor has confirmed")
     expect(page.locator("#doing")).to_have_text("Retracted")
     expect(page.locator("#phase")).to_have_text("safe")
     expect(page.locator("#length")).to_have_text("19.0")

@@ -11,12 +11,11 @@ import pytest
 from emulated import armed, at_each_step, emulated, scene_at
 
 from thigmo.config import RobotConfig
-from thigmo.design.draft import draft
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import RobotFaultError
+from thigmo.link import protocol as wire
 from thigmo.robot import Retraction, Robot
-from thigmo.wiring import Wiring
 
 ROBOTS = Path(__file__).parents[2] / "docs/robots"
 GALLERY = ("thick-7", "thick-10", "mixed", "one-column")
@@ -110,9 +109,12 @@ def test_a_sound_robot_is_confirmed(name: str, start_cm: float, to_cm: float, se
     assert "look at the tip" not in end.words
 
 
-def test_a_fibre_says_nothing_of_the_tip() -> None:
-    robot, _ = armed(scene_at(20.0))
-    end = Retraction.of(robot.status(), Wiring.of(draft(53.0, 20, 2, kind="fibre")), 10.0)
+def test_a_robot_without_sensors_says_that_the_encoder_is_alone() -> None:
+    scene = scene_at(20.0)
+    for sensor in scene.robot.board_sensors:
+        sensor.healthy = False
+    robot, _ = armed(scene)
+    end = robot.retract_to(10.0)
     assert not end.late
     assert "no sensor of this robot shows where its tip is" in end.words
 
@@ -139,5 +141,5 @@ def test_homing_confirms_the_length() -> None:
     robot.arm()
     robot.confirm_length(6.0, settled=True)
     robot.home()
-    status = robot.status()
-    assert (status.seen_sensor, status.seen_cm) == (None, 0.0)
+    tip = robot.link.request(wire.GetTip())
+    assert (tip.sensor, tip.length_um) == (255, 0)

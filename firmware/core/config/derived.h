@@ -94,6 +94,7 @@ struct Derived {
   int32_t astray_speed_q16;  // counts a control step
   int32_t slew_q8;           // fastest set-point change in a control step, 1/256 of 0.01 psi
   uint8_t brake_steps;  // until the brake has closed, its enable's decay included; 0 = none fitted
+  bool grows;           // by a spool
   uint16_t stuck_steps;
   uint16_t stall_steps;
   uint16_t stall_forgiven;  // steps that a count of progress forgives
@@ -178,7 +179,8 @@ struct Derived {
       update_stuck(c);
     } else if (within(Param::kStallMs, 1)) {
       update_stall(c);
-    } else if (within(Param::kBrakeFitted, 1) || within(Param::kBrakeClosesMs, 1)) {
+    } else if (within(Param::kBrakeFitted, 1) || within(Param::kBrakeClosesMs, 1) ||
+               within(Param::kGrows, 1)) {
       update_brake(c);
     } else if (within(Param::kTelemetryMs, 1)) {
       update_telemetry(c);
@@ -390,7 +392,8 @@ struct Derived {
   void update_brake(const Configuration& c) {
     const int32_t closing_ms = c.get(Param::kBrakeClosesMs) + kEnableDecayMs;
     const int32_t steps = (closing_ms + kControlMs - 1) / kControlMs;
-    brake_steps = static_cast<uint8_t>(c.get(Param::kBrakeFitted) != 0 ? steps : 0);
+    grows = c.get(Param::kGrows) != 0;
+    brake_steps = static_cast<uint8_t>(grows && c.get(Param::kBrakeFitted) != 0 ? steps : 0);
   }
 
   void update_telemetry(const Configuration& c) {

@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x720D521Bu;
+constexpr uint32_t kSchemaHash = 0xB282620Cu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -317,6 +317,7 @@ constexpr uint8_t kTestOutput = 0x1D;
 constexpr uint8_t kGetLinkStats = 0x18;
 constexpr uint8_t kClearStop = 0x1A;
 constexpr uint8_t kGetCapacity = 0x1E;
+constexpr uint8_t kGetTip = 0x1F;
 constexpr uint8_t kGetConfigReport = 0x19;
 constexpr uint8_t kAck = 0x80;
 constexpr uint8_t kHelloReply = 0x81;
@@ -327,6 +328,7 @@ constexpr uint8_t kMapValues = 0x85;
 constexpr uint8_t kSnapshot = 0x86;
 constexpr uint8_t kLinkStats = 0x87;
 constexpr uint8_t kCapacity = 0x89;
+constexpr uint8_t kTipReport = 0x8A;
 constexpr uint8_t kConfigReport = 0x88;
 constexpr uint8_t kStop = 0x21;
 constexpr uint8_t kStopped = 0xA2;
@@ -831,6 +833,17 @@ struct GetCapacity {
   }
 };
 
+// Ask where the tip was last known apart from the encoder.
+struct GetTip {
+  static constexpr uint8_t kId = kGetTip;
+  static constexpr uint8_t kSize = 0;
+  void encode(uint8_t*) const {}
+  static bool decode(const uint8_t*, uint8_t length, GetTip*) {
+    if (length != kSize) return false;
+    return true;
+  }
+};
+
 // Ask how the stored configuration fits the firmware.
 struct GetConfigReport {
   static constexpr uint8_t kId = kGetConfigReport;
@@ -915,19 +928,15 @@ struct HelloReply {
 // The board's whole state.
 struct StatusReport {
   static constexpr uint8_t kId = kStatusReport;
-  static constexpr uint8_t kSize = 41 + 1 + 2 * kMuscles;
-  Status status;        // ok.
-  State state;          // Supervisor.
-  Activity activity;    // What it is doing.
-  uint8_t zone;         // Selected body-pressure map; 255 = unknown.
-  uint16_t faults;      // Latched Fault bits.
-  uint16_t conditions;  // Condition bits.
-  uint32_t t_us;        // Device clock; wraps. (us)
-  int32_t length_um;    // Everted length, if known. (um)
-  int32_t seen_um;      // Everted length that was shown where the tip was last known apart from the
-                        // encoder: where a sensor passed it on the present way, out or in, or where
-                        // that way began, or where the length was confirmed or homed. (um)
-  uint8_t seen_sensor;  // The sensor that passed the tip there; 255 = none.
+  static constexpr uint8_t kSize = 36 + 1 + 2 * kMuscles;
+  Status status;                    // ok.
+  State state;                      // Supervisor.
+  Activity activity;                // What it is doing.
+  uint8_t zone;                     // Selected body-pressure map; 255 = unknown.
+  uint16_t faults;                  // Latched Fault bits.
+  uint16_t conditions;              // Condition bits.
+  uint32_t t_us;                    // Device clock; wraps. (us)
+  int32_t length_um;                // Everted length, if known. (um)
   int16_t pressure_cpsi[kMuscles];  // Muscle pressures. (0.01 psi)
   uint16_t everted_mask;            // Sensors that are fully everted, including their margin.
   uint16_t settled_mask;            // Sensors that are past their settling time.
@@ -947,20 +956,18 @@ struct StatusReport {
     detail::put16(out + 6, static_cast<uint16_t>(conditions));
     detail::put32(out + 8, static_cast<uint32_t>(t_us));
     detail::put32(out + 12, static_cast<uint32_t>(length_um));
-    detail::put32(out + 16, static_cast<uint32_t>(seen_um));
-    detail::put8(out + 20, static_cast<uint8_t>(seen_sensor));
-    detail::put8(out + 21, kMuscles);
+    detail::put8(out + 16, kMuscles);
     for (uint8_t i = 0; i < kMuscles; ++i) {
-      detail::put16(out + 21 + 1 + 2 * i, static_cast<uint16_t>(pressure_cpsi[i]));
+      detail::put16(out + 16 + 1 + 2 * i, static_cast<uint16_t>(pressure_cpsi[i]));
     }
-    detail::put16(out + 21 + 1 + 2 * kMuscles, static_cast<uint16_t>(everted_mask));
-    detail::put16(out + 23 + 1 + 2 * kMuscles, static_cast<uint16_t>(settled_mask));
-    detail::put16(out + 25 + 1 + 2 * kMuscles, static_cast<uint16_t>(zeroed_mask));
-    detail::put16(out + 27 + 1 + 2 * kMuscles, static_cast<uint16_t>(event_number));
-    detail::put32(out + 29 + 1 + 2 * kMuscles, static_cast<uint32_t>(config_generation));
-    detail::put16(out + 33 + 1 + 2 * kMuscles, static_cast<uint16_t>(supply_mv));
-    detail::put16(out + 35 + 1 + 2 * kMuscles, static_cast<uint16_t>(encoder_errors));
-    detail::put32(out + 37 + 1 + 2 * kMuscles, static_cast<uint32_t>(stop_nonce));
+    detail::put16(out + 16 + 1 + 2 * kMuscles, static_cast<uint16_t>(everted_mask));
+    detail::put16(out + 18 + 1 + 2 * kMuscles, static_cast<uint16_t>(settled_mask));
+    detail::put16(out + 20 + 1 + 2 * kMuscles, static_cast<uint16_t>(zeroed_mask));
+    detail::put16(out + 22 + 1 + 2 * kMuscles, static_cast<uint16_t>(event_number));
+    detail::put32(out + 24 + 1 + 2 * kMuscles, static_cast<uint32_t>(config_generation));
+    detail::put16(out + 28 + 1 + 2 * kMuscles, static_cast<uint16_t>(supply_mv));
+    detail::put16(out + 30 + 1 + 2 * kMuscles, static_cast<uint16_t>(encoder_errors));
+    detail::put32(out + 32 + 1 + 2 * kMuscles, static_cast<uint32_t>(stop_nonce));
   }
   static bool decode(const uint8_t* in, uint8_t length, StatusReport* out) {
     if (length != kSize) return false;
@@ -972,20 +979,18 @@ struct StatusReport {
     out->conditions = static_cast<uint16_t>(detail::get16(in + 6));
     out->t_us = static_cast<uint32_t>(detail::get32(in + 8));
     out->length_um = static_cast<int32_t>(detail::get32(in + 12));
-    out->seen_um = static_cast<int32_t>(detail::get32(in + 16));
-    out->seen_sensor = static_cast<uint8_t>(detail::get8(in + 20));
-    if (in[21] != kMuscles) return false;
+    if (in[16] != kMuscles) return false;
     for (uint8_t i = 0; i < kMuscles; ++i) {
-      out->pressure_cpsi[i] = static_cast<int16_t>(detail::get16(in + 21 + 1 + 2 * i));
+      out->pressure_cpsi[i] = static_cast<int16_t>(detail::get16(in + 16 + 1 + 2 * i));
     }
-    out->everted_mask = static_cast<uint16_t>(detail::get16(in + 21 + 1 + 2 * kMuscles));
-    out->settled_mask = static_cast<uint16_t>(detail::get16(in + 23 + 1 + 2 * kMuscles));
-    out->zeroed_mask = static_cast<uint16_t>(detail::get16(in + 25 + 1 + 2 * kMuscles));
-    out->event_number = static_cast<uint16_t>(detail::get16(in + 27 + 1 + 2 * kMuscles));
-    out->config_generation = static_cast<uint32_t>(detail::get32(in + 29 + 1 + 2 * kMuscles));
-    out->supply_mv = static_cast<uint16_t>(detail::get16(in + 33 + 1 + 2 * kMuscles));
-    out->encoder_errors = static_cast<uint16_t>(detail::get16(in + 35 + 1 + 2 * kMuscles));
-    out->stop_nonce = static_cast<uint32_t>(detail::get32(in + 37 + 1 + 2 * kMuscles));
+    out->everted_mask = static_cast<uint16_t>(detail::get16(in + 16 + 1 + 2 * kMuscles));
+    out->settled_mask = static_cast<uint16_t>(detail::get16(in + 18 + 1 + 2 * kMuscles));
+    out->zeroed_mask = static_cast<uint16_t>(detail::get16(in + 20 + 1 + 2 * kMuscles));
+    out->event_number = static_cast<uint16_t>(detail::get16(in + 22 + 1 + 2 * kMuscles));
+    out->config_generation = static_cast<uint32_t>(detail::get32(in + 24 + 1 + 2 * kMuscles));
+    out->supply_mv = static_cast<uint16_t>(detail::get16(in + 28 + 1 + 2 * kMuscles));
+    out->encoder_errors = static_cast<uint16_t>(detail::get16(in + 30 + 1 + 2 * kMuscles));
+    out->stop_nonce = static_cast<uint32_t>(detail::get32(in + 32 + 1 + 2 * kMuscles));
     return true;
   }
 };
@@ -1213,6 +1218,28 @@ struct Capacity {
     out->drive_full = static_cast<uint16_t>(detail::get16(in + 6));
     out->motor_full = static_cast<uint16_t>(detail::get16(in + 8));
     out->tick_us = static_cast<uint16_t>(detail::get16(in + 10));
+    return true;
+  }
+};
+
+// Where a sensor last passed the tip on the present way, out or in; without one, where that way
+// began, or where the length was confirmed or homed.
+struct TipReport {
+  static constexpr uint8_t kId = kTipReport;
+  static constexpr uint8_t kSize = 6;
+  Status status;      // ok.
+  uint8_t sensor;     // The sensor; 255 = none.
+  int32_t length_um;  // Everted length that was shown there. (um)
+  void encode(uint8_t* out) const {
+    detail::put8(out + 0, static_cast<uint8_t>(status));
+    detail::put8(out + 1, static_cast<uint8_t>(sensor));
+    detail::put32(out + 2, static_cast<uint32_t>(length_um));
+  }
+  static bool decode(const uint8_t* in, uint8_t length, TipReport* out) {
+    if (length != kSize) return false;
+    out->status = static_cast<Status>(detail::get8(in + 0));
+    out->sensor = static_cast<uint8_t>(detail::get8(in + 1));
+    out->length_um = static_cast<int32_t>(detail::get32(in + 2));
     return true;
   }
 };
@@ -1527,6 +1554,8 @@ constexpr uint8_t inboundSize(uint8_t id) {
       return ClearStop::kSize;
     case kGetCapacity:
       return GetCapacity::kSize;
+    case kGetTip:
+      return GetTip::kSize;
     case kGetConfigReport:
       return GetConfigReport::kSize;
     case kStop:

@@ -69,12 +69,13 @@ class Eversion {
     uint16_t fresh = 0;
     half_mask_ = 0;
     const int32_t margin = c.get(Param::kFoldMarginUm);
-    const bool grows = c.get(Param::kGrows) != 0;
+    // A body that does not grow is out at its full length.
+    const int32_t length_um = c.get(Param::kGrows) != 0 ? length_um_ : INT32_MAX;
     uint16_t bit = 1;
     for (uint8_t i = 0; i < kSensors; ++i, bit = static_cast<uint16_t>(bit << 1)) {
       const int32_t center = c.get(Param::kFlexCenterUm, i);
       const int32_t reach = (c.get(Param::kFlexSpanUm, i) >> 1) + margin;
-      if (!grows || length_um_ >= center + reach) {
+      if (length_um >= center + reach) {
         if ((everted_mask_ & bit) == 0) {
           fresh = static_cast<uint16_t>(fresh | bit);
           everted_tick_[i] = tick;
@@ -82,7 +83,7 @@ class Eversion {
       } else if ((everted_mask_ & bit) == 0 || length_um_ < center + reach - kHysteresisUm) {
         everted_mask_ = static_cast<uint16_t>(everted_mask_ & ~bit);
         settled_mask_ = static_cast<uint16_t>(settled_mask_ & ~bit);
-        if (length_um_ > center - reach && (enabled_mask & bit) != 0) {
+        if (length_um > center - reach && (enabled_mask & bit) != 0) {
           half_mask_ = static_cast<uint16_t>(half_mask_ | bit);
         }
       }

@@ -99,8 +99,9 @@ MESSAGES = {
     "get_link_stats": 24,
     "clear_stop": 26,
     "get_capacity": 30,
+    "get_tip": 31,
     "get_config_report": 25,
 }
 LENGTH_KNOWN = 1
 SENSORS_ALL = 65535
-SCHEMA_HASH = 0x720D521B
+SCHEMA_HASH = 0xB282620C

@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x720D521B
+SCHEMA_HASH = 0xB282620C
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -245,11 +245,6 @@ class StatusReport(Reply, number=0x82):  # The board's whole state.
     conditions: U16  # Condition bits.
     t_us: U32  # Device clock; wraps. [us]
     length_um: I32  # Everted length, if known. [um]
-    # Everted length that was shown where the tip was last known apart from the encoder: where a
-    # sensor passed it on the present way, out or in, or where that way began, or where the length
-    # was confirmed or homed. [um]
-    seen_um: I32
-    seen_sensor: U8  # The sensor that passed the tip there; 255 = none.
     pressure_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Muscle pressures. [0.01 psi]
     everted_mask: U16  # Sensors that are fully everted, including their margin.
     settled_mask: U16  # Sensors that are past their settling time.
@@ -324,6 +319,13 @@ class Capacity(Reply, number=0x89):
     drive_full: U16  # Transducer duty at 20 mA.
     motor_full: U16  # Motor duty at full voltage.
     tick_us: U16  # Time between two conversions of a base sensor. [us]
+
+
+# Where a sensor last passed the tip on the present way, out or in
+class TipReport(Reply, number=0x8A):
+    status: Status  # ok.
+    sensor: U8  # The sensor; 255 = none.
+    length_um: I32  # Everted length that was shown there. [um]
 
 
 # How the stored configuration fitted the firmware at the last start or save.
@@ -529,6 +531,10 @@ class ClearStop(Command[Ack], number=0x1A):  # Clear a stop, by order of an oper
 
 # Ask how many muscles, sensors and so on the board holds.
 class GetCapacity(Command[Capacity], number=0x1E): ...
+
+
+# Ask where the tip was last known apart from the encoder.
+class GetTip(Command[TipReport], number=0x1F): ...
 
 
 # Ask how the stored configuration fits the firmware.

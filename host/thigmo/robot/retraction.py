@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from thigmo.robot.state import RobotStatus
+from thigmo.link import protocol as wire
 from thigmo.wiring import Wiring
 
 # An encoder shows at most twice its counts: what both edges of both signals give where one signal's
 # were meant, or half of the gear that was meant.
 _MOST_FACTOR = 2.0
+_NO_SENSOR = 255
 _PLACE_CM = 0.8  # by which a place and the moment of passing it are in doubt (kDoubtUm)
 _LATE_CM = 2.0  # beyond which a sensor passes the tip late (kLateUm)
 
@@ -30,22 +31,22 @@ class Retraction:
     sees: bool  #: whether the robot has sensors that show where the tip passes
 
     @classmethod
-    def of(cls, status: RobotStatus, wiring: Wiring, length_cm: float) -> Retraction:
-        """Judge a retraction that has just ended at a length, by the board's status."""
-        number = status.seen_sensor
-        seen = None if number is None else wiring.sensors[number]
-        late_cm = seen.passes_at.center_cm - status.seen_cm if seen else 0.0
-        way_cm = status.seen_cm - length_cm
+    def of(cls, tip: wire.TipReport, wiring: Wiring, length_cm: float) -> Retraction:
+        """Judge a retraction that has just ended at a length, by the board's report."""
+        seen_cm = tip.length_um / 1e4
+        seen = None if tip.sensor == _NO_SENSOR else wiring.sensors[tip.sensor]
+        late_cm = seen.passes_at.center_cm - seen_cm if seen else 0.0
+        way_cm = seen_cm - length_cm
         farther_cm = _PLACE_CM + max(late_cm, 0.0) + way_cm * (1.0 - 1.0 / _MOST_FACTOR)
         if seen and late_cm > _PLACE_CM:  # then its swing may have only begun
             farther_cm += seen.passes_at.span_cm / 2
         return cls(
             length_cm=length_cm,
             farther_cm=farther_cm,
-            seen_cm=status.seen_cm,
-            seen_by="" if number is None or seen is None else wiring.sensor_name(number),
+            seen_cm=seen_cm,
+            seen_by=wiring.sensor_name(tip.sensor) if seen else "",
             late=late_cm > _LATE_CM,
-            sees=any(s is not None and s.healthy and s.passes_at.seen for s in wiring.sensors),
+            sees=any(s.healthy and s.passes_at.seen for s in wiring.config.board_sensors),
         )
 
     @property

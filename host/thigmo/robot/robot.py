@@ -499,7 +499,7 @@ class Robot(Closing):
             )
         self.supervisor.start(wire.RetractTo(round(length_cm * 1e4), 0))
         reached_cm = self.supervisor.finish(wire.Activity.RETRACTING, self._travel_s()) / 1e4
-        return Retraction.of(self.status(), self.wiring, reached_cm)
+        return Retraction.of(self.link.request(wire.GetTip()), self.wiring, reached_cm)
 
     def home(self) -> None:
         """Vent, then wind in slowly until the spool has stalled at the base twice: length zero.
