@@ -260,7 +260,9 @@ class Exploration:
             )
             self._note(truth=together([self.document.truth, Truth(truth.pegs, ahead)]))
         clear_cm = obstruction.clear_cm if isinstance(obstruction, Lean) else self._start_cm
-        self.length_cm = self.robot.retract_to(min(self._start_cm, clear_cm))
+        retraction = self.robot.retract_to(min(self._start_cm, clear_cm))
+        self.length_cm = retraction.length_cm
+        self.live.tell(Log, "warning" if retraction.late else "info", retraction.words)
         if leaning:
             return "clear of what held it"
         higher = trial_zone(self.config, self._zone)

@@ -8,6 +8,7 @@ from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import SensorTable, in_mask, mask_of
 from thigmo.robot.fibre import FibreReading
 from thigmo.robot.idle_pressure import VENTED_PSI
+from thigmo.robot.retraction import Retraction
 from thigmo.robot.robot import JOG_CM, WITHOUT_BRAKE, Robot, connect
 from thigmo.robot.state import (
     ContactTrigger,
@@ -35,6 +36,7 @@ __all__ = [
     "Peak",
     "Profile",
     "Reading",
+    "Retraction",
     "Robot",
     "RobotStatus",
     "SensorTable",

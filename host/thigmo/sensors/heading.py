@@ -93,11 +93,9 @@ class HeadingSensor(AnySensor):
         """Its farther IMU must not lie in the fold.
 
         An IMU whose turn the board reads as a divider's, not over the bus, looks like a flex sensor
-        that swings from where its span begins: it may do so a whole span early, and accuses nobody.
+        that swings from where its span begins, up to a whole span early: it shows no tip.
         """
-        return Passage(
-            self.ends_cm[1], IMU_CM, self.center_se_cm if self.i2c_address else self.span_cm
-        )
+        return Passage(self.ends_cm[1], IMU_CM, self.center_se_cm, seen=self.i2c_address != 0)
 
 
 def imus_of(sensors: Sequence[HeadingSensor]) -> tuple[Floats, npt.NDArray[np.intp]]:

@@ -130,7 +130,7 @@ def run(context: Context) -> Outcome:
     found: list[Visited] = []
     outcome = Outcome()
     sound = context.rng(0x45).integers(0, 2**31, context.count(2, 40)).tolist()
-    for name in ROBOTS | UNPROMISED:
+    for name in UNPROMISED | ROBOTS:
         if name in ROBOTS:
             rooms = [(name, seed, number < pegs) for number, seed in enumerate(seeds)]
         else:  # every fourth is empty
