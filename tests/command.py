@@ -35,14 +35,14 @@ def thigmo_command(patch: pytest.MonkeyPatch, captured: pytest.CaptureFixture[st
             main()
         except SystemExit as ended:
             code = int(ended.code or 0)
-        said = captured.readouterr()
-        return Ran(code, said.out, said.err)
+        output = captured.readouterr()
+        return Ran(code, output.out, output.err)
 
     return run
 
 
 def run_python(script: str, *words: str) -> Ran:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script, *words], capture_output=True, text=True, check=False
     )
-    return Ran(done.returncode, done.stdout, done.stderr)
+    return Ran(process.returncode, process.stdout, process.stderr)

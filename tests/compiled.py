@@ -15,7 +15,7 @@ def compiled(
     name: str,
     command: Iterable[str | Path],
     sources: Iterable[Path],
-    made: Mapping[str, str] | None = None,
+    generated: Mapping[str, str] | None = None,
 ) -> Path:
     """The program; a failure to build it fails the test with what the compiler said.
 
@@ -23,10 +23,10 @@ def compiled(
         name: of its folder in build/tests.
         command: the compiler and its arguments, without the output.
         sources: files and folders of headers that it is made of.
-        made: files that are written beside it, on its include path: names and texts.
+        generated: texts of files to write beside it, on its include path, by name.
     """
-    words, made = [str(word) for word in command], made or {}
-    digest = hashlib.sha256(repr((words, sorted(made.items()))).encode())
+    words, generated = [str(word) for word in command], generated or {}
+    digest = hashlib.sha256(repr((words, sorted(generated.items()))).encode())
     for source in sources:
         files = sorted(source.rglob("*.h")) if source.is_dir() else [source]
         for file in files:
@@ -38,11 +38,11 @@ def compiled(
         fcntl.flock(lock, fcntl.LOCK_EX)  # several workers may come here
         if program.exists():
             return program
-        for file, text in made.items():
+        for file, text in generated.items():
             (folder / file).write_text(text)
         built = folder / "built"
-        done = subprocess.run(
+        process = subprocess.run(
             [*words, f"-I{folder}", "-o", built], capture_output=True, text=True, check=False
         )
-        assert done.returncode == 0, done.stderr
+        assert process.returncode == 0, process.stderr
         return built.rename(program)

@@ -77,13 +77,15 @@ def planar(
     scenes = draw(rng, count)
     for clean, free, arcs in zip(scenes.curvature, scenes.free, scenes.arcs, strict=True):
         errors = (GAIN, OFFSET, MAP) if wrong else (0.0, 0.0, 0.0)
-        read = clean * (1.0 + errors[0] * rng.standard_normal(clean.size))
-        read = read + errors[1] * rng.standard_normal() + SIGMA * rng.standard_normal(clean.size)
+        readings = clean * (1.0 + errors[0] * rng.standard_normal(clean.size))
+        readings = (
+            readings + errors[1] * rng.standard_normal() + SIGMA * rng.standard_normal(clean.size)
+        )
         believed = float(free) / (1.0 + errors[2] * rng.standard_normal())
         number = len(arcs) if stated else None
-        across = np.zeros(clean.size)
+        direction = np.zeros(clean.size)
         yield (
-            Frame(group, scenes.position, across, read, believed, number, errors),
+            Frame(group, scenes.position, direction, readings, believed, number, errors),
             sorted(arcs.tolist()),
         )
 
@@ -122,7 +124,7 @@ def walls(rng: np.random.Generator, count: int) -> contact_scenes.Scenes:
         rng,
         count,
         length=LENGTH,
-        most=contact_scenes.MOST_FREE,
+        largest_free=contact_scenes.MOST_FREE,
         radius=(100.0, 200.0),
         moment=(0.2, 1.0),
     )
@@ -138,14 +140,14 @@ def in_space(rng: np.random.Generator, count: int) -> Iterator[Drawn]:
     )
     moment = rng.uniform(0.4, 1.0, (count, 2)) * CRITICAL
     toward = rng.uniform(0.0, 2.0 * np.pi, (count, 2))
-    along, bend = bent_in_space(arcs, moment / arcs, toward)
+    nodes, bend = bent_in_space(arcs, moment / arcs, toward)
     position, direction = np.repeat(COLUMN, 3), np.tile(THIRDS, len(COLUMN))
     total = np.concatenate([np.zeros((count, 1, 2)), np.cumsum(bend[:, 1:] + bend[:, :-1], 1)], 1)
     total *= 0.5 * STEP_CM
     ends = [np.rint((position + half) / STEP_CM).astype(int) for half in (SPAN / 2, -SPAN / 2)]
     mean = (total[:, ends[0]] - total[:, ends[1]]) / SPAN
     clean = mean[..., 0] * np.cos(direction) + mean[..., 1] * np.sin(direction)
-    assert along[-1] >= LENGTH - 1e-9
+    assert nodes[-1] >= LENGTH - 1e-9
     for frame, true in zip(clean, arcs, strict=True):
         read = frame + SIGMA * rng.standard_normal(frame.size)
         yield Frame("space", position, direction, read, 0.0, 2), true.tolist()
@@ -179,8 +181,8 @@ def bent_in_space(arcs: Floats, force: Floats, toward: Floats) -> tuple[Floats, 
 
     for node in reversed(range(nodes.size)):
         for load in (1, 0):
-            here = index[:, load] == node
-            pull[here] += np.einsum("sij,sj->si", frame[here], local[here, load])
+            loaded = index[:, load] == node
+            pull[loaded] += np.einsum("sij,sj->si", frame[loaded], local[loaded, load])
         u = strain(frame, moment)
         bend[:, node] = np.stack([u[:, 1], -u[:, 0]], axis=-1)
         h = -STEP_CM
@@ -211,8 +213,8 @@ GROUPS: dict[str, Callable[[np.random.Generator, int], Iterator[Drawn]]] = {
 
 def make(seed: int, folder: Path, truth_folder: Path, prefix: str = "") -> None:
     """Write frames, readings and truth of a seed; `prefix` begins the frames' names."""
-    for each in (folder, truth_folder):
-        each.mkdir(parents=True, exist_ok=True)
+    for output_folder in (folder, truth_folder):
+        output_folder.mkdir(parents=True, exist_ok=True)
     paths = (folder / "frames.csv", folder / "readings.csv", truth_folder / f"{prefix}truth.csv")
     opened = [path.open("w", newline="") for path in paths]
     frames, readings, truth = map(csv.writer, opened)
@@ -230,7 +232,7 @@ def make(seed: int, folder: Path, truth_folder: Path, prefix: str = "") -> None:
             count = "" if frame.contacts is None else frame.contacts
             frames.writerow([
                 name, frame.group, count, f"{LENGTH:g}", f"{RADIUS:g}", f"{frame.free:.7g}",
-                f"{SIGMA:g}", *(f"{each:g}" for each in frame.errors),
+                f"{SIGMA:g}", *(f"{output_folder:g}" for output_folder in frame.errors),
             ])  # fmt: skip
             for values in zip(frame.position, frame.direction, frame.curvature, strict=True):
                 place, angle, read = values
@@ -258,9 +260,9 @@ def in_plane(position: Floats, direction: Floats, curvature: Floats) -> tuple[Fl
     places = np.unique(position)
     vectors = []
     for place in places:
-        here = position == place
-        axes = np.stack([np.cos(direction[here]), np.sin(direction[here])], axis=1)
-        vectors.append(np.linalg.lstsq(axes, curvature[here], rcond=None)[0])
+        same_place = position == place
+        axes = np.stack([np.cos(direction[same_place]), np.sin(direction[same_place])], axis=1)
+        vectors.append(np.linalg.lstsq(axes, curvature[same_place], rcond=None)[0])
     bends = np.array(vectors)
     main = np.linalg.svd(bends, full_matrices=False)[2][0]
     return places, bends @ main
@@ -294,12 +296,12 @@ def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list
                 **SETTLED,
             }  # fmt: skip
             localizer = Localizer.of(**(options | around))
-            found = localizer.localize(curvature, free_curvature=free).contacts
+            answers = localizer.localize(curvature, free_curvature=free).contacts
             claims = [
                 [f"{c.arc:.4f}", f"{c.interval[0]:.4f}", f"{c.interval[1]:.4f}",
                  int(c.status == "localized")]
                 if method == METHODS[0] else [f"{c.arc:.4f}", "", "", ""]
-                for c in found
+                for c in answers
             ]  # fmt: skip
             return [[row["frame"], *claim] for claim in claims or [["", "", "", ""]]]
         if not count:
@@ -349,15 +351,15 @@ def main() -> None:
     answering.add_argument("--folder", type=Path, default=FOLDER, help="of frames and readings")
     tabling = commands.add_parser("table")
     tabling.add_argument("--jobs", type=int, default=1)
-    given = parser.parse_args()
-    if given.command == "make" and given.held is None:
+    options = parser.parse_args()
+    if options.command == "make" and options.held is None:
         make(SEED, FOLDER, FOLDER)
-    elif given.command == "make":
-        make(given.held, FOLDER / "held", ROOT / "build", "held-")
-    elif given.command == "answer":
-        write_answers(given.method, given.out, given.folder)
+    elif options.command == "make":
+        make(options.held, FOLDER / "held", ROOT / "build", "held-")
+    elif options.command == "answer":
+        write_answers(options.method, options.out, options.folder)
     else:
-        with ProcessPoolExecutor(given.jobs) as pool:
+        with ProcessPoolExecutor(options.jobs) as pool:
             rows = [row for rows in pool.map(scored, COMPARED) for row in rows]
         print(json.dumps(rows, indent=1))
 

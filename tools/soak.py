@@ -105,9 +105,9 @@ class SoakRig(Rig):
     def _run(self, cycle: int) -> bool:
         """A millisecond of the chip."""
         chip = self.chip
-        before, asleep = chip.cycle, chip.asleep_cycles
+        start_cycle, asleep = chip.cycle, chip.asleep_cycles
         alive = self._chip_run(cycle)
-        busy = chip.cycle - before - (chip.asleep_cycles - asleep)
+        busy = chip.cycle - start_cycle - (chip.asleep_cycles - asleep)
         for name, recent in self._recent.items():
             self._sum[name] += busy - recent[0]
             recent.append(busy)
@@ -148,10 +148,10 @@ class Soak:
             self.robot.configure(transport.config)
             self.robot.set_parameter("drift_limit_e5", [5000])
             self.robot.set_parameter("zero_ms", [200])
-            self.wanted = [
+            self.target_parameters = [
                 client.request(wire.GetParameter(i)).value for i in range(wire.PARAMETER_COUNT)
             ]
-            self.held = list(self.wanted)
+            self.board_parameters = list(self.target_parameters)
 
     # --- what is noted --------------------------------------------------------------------------
     def _note_event(self, received: ReceivedEvent) -> None:
@@ -171,7 +171,9 @@ class Soak:
         """From handing the command to the line to the reply's last byte on it."""
         took = (self.client.now() - self._sent_s) * 1e3
         if isinstance(self._rig, Rig):
-            replies = [at for message, at in self._rig.frames() if isinstance(message, wire.Reply)]
+            replies = [
+                cycle for message, cycle in self._rig.frames() if isinstance(message, wire.Reply)
+            ]
             if not replies:
                 return  # lost
             took = (replies[-1] - self._sent_cycle) / CYCLES_PER_MS
@@ -211,7 +213,7 @@ class Soak:
     def step(self) -> None:
         """One command or one of the things that are due, and a pause."""
         chance = self.random
-        due = {name for name, at in self._next.items() if self.client.now() >= at}
+        due = {name for name, due_s in self._next.items() if self.client.now() >= due_s}
         if "clock" in due:
             self._again("clock", CLOCK_S)
             self._note_clock()
@@ -253,7 +255,7 @@ class Soak:
 
     def _question(self) -> wire.Command[wire.Message]:
         chance = self.random
-        asked: list[wire.Command[wire.Message]] = [
+        questions: list[wire.Command[wire.Message]] = [
             wire.GetStatus(),
             wire.GetSensor(chance.randrange(10)),
             wire.GetParameter(chance.randrange(wire.PARAMETER_COUNT)),
@@ -265,7 +267,7 @@ class Soak:
             wire.GetSnapshot(chance.choice((*range(10), 255))),
             wire.GetLinkStats(),
         ]
-        return chance.choice(asked)
+        return chance.choice(questions)
 
     def _side(self) -> int:
         return self.random.randrange(2)
@@ -276,13 +278,13 @@ class Soak:
     def _order(self) -> wire.Command[wire.Message]:
         """A sensible one, whether or not its time is right."""
         chance = self.random
-        cpsi, other = chance.randrange(200, 1851), chance.choice((0, chance.randrange(1851)))
+        cpsi, cpsi_2 = chance.randrange(200, 1851), chance.choice((0, chance.randrange(1851)))
         sides = chance.choice(((cpsi, 0), (0, cpsi)))
         length = round(1e4 * chance.uniform(45.0, 53.0))
         assert self.transport is not None
         true_um = round(1e4 * self.transport.lockstep.plant.length_cm)
         orders: list[tuple[int, wire.Command[wire.Message]]] = [
-            (6, wire.Sweep(tuple(chance.sample((cpsi, other), 2)), chance.randrange(1000, 6000),
+            (6, wire.Sweep(tuple(chance.sample((cpsi, cpsi_2), 2)), chance.randrange(1000, 6000),
                            chance.randrange(1, 3), chance.randrange(2))),
             (5, wire.SetPressure(sides, chance.choice((0, 300, 3000)))),
             (2, wire.SetPressure((0, 0), 0)),
@@ -309,11 +311,11 @@ class Soak:
             size = chance.randrange(80)
         number, reply = command.ID, command.REPLY
         if chance.random() < 0.2:
-            known = [*wire.MESSAGES]
-            number = chance.choice([n for n in range(1, 256) if n not in known])
+            used_numbers = [*wire.MESSAGES]
+            number = chance.choice([n for n in range(1, 256) if n not in used_numbers])
             reply = wire.Ack
         if command is wire.LoadDefaults and size == 0:
-            self.held = [row.defaults[i - row.index] for i, row in ELEMENTS.items()]
+            self.board_parameters = [row.defaults[i - row.index] for i, row in ELEMENTS.items()]
         payload = chance.randbytes(size)
         if command is wire.SetParameter and number == command.ID and size == command.SIZE:
             # Never a valid row by accident: what the board holds is kept count of.
@@ -335,7 +337,7 @@ class Soak:
         if chance.random() < 0.1:
             value = chance.choice((row.low - 1, row.high + 1))
         if self.ask(wire.SetParameter(index, value)) is not None:
-            self.held[index] = value
+            self.board_parameters[index] = value
             self.ask(wire.ApplyParameters())
 
     def _break_something(self) -> None:
@@ -366,15 +368,17 @@ class Soak:
                 if vented:
                     break
             self.client.poll(0.5)
-        for index, (held, wanted) in enumerate(zip(self.held, self.wanted, strict=True)):
-            if held != wanted and self.ask(wire.SetParameter(index, wanted)) is not None:
-                self.held[index] = wanted
+        for index, (value, target) in enumerate(
+            zip(self.board_parameters, self.target_parameters, strict=True)
+        ):
+            if value != target and self.ask(wire.SetParameter(index, target)) is not None:
+                self.board_parameters[index] = target
         self.ask(wire.ApplyParameters())
         self.client.poll(0.2)
-        before = self.ask(wire.GetStatus())
+        previous = self.ask(wire.GetStatus())
         left = self.ask(wire.ClearFaults(ALL_FAULTS))
-        if isinstance(before, wire.StatusReport) and isinstance(left, wire.Ack):
-            self.count["faults cleared"] += (before.faults & ~left.detail).bit_count()
+        if isinstance(previous, wire.StatusReport) and isinstance(left, wire.Ack):
+            self.count["faults cleared"] += (previous.faults & ~left.detail).bit_count()
         length_um = max(round(1e4 * transport.lockstep.plant.length_cm), 0)
         self.ask(wire.ConfirmLength(min(length_um, 530000), 1))
         self.ask(wire.SelectZone(self.random.randrange(3)))
@@ -398,7 +402,7 @@ class Soak:
         """Figures, with the promises as limits."""
         stats, client = self.client.stats, self.client
         board = client.request(wire.GetLinkStats())
-        found = [
+        figures = [
             Figure("commands sent", self.count["sent"], ""),
             Figure("commands replied", self.count["replied"], ""),
             Figure("commands refused, as they should be", self.count["refused"], ""),
@@ -419,13 +423,13 @@ class Soak:
         if self._clock:
             settled = self._clock[len(self._clock) // 10 :]
             # One reading is as good as the bridge's latency is steady: a drift is of many.
-            many = max(len(settled) // 5, 1)
-            drift = statistics.fmean(settled[-many:]) - statistics.fmean(settled[:many])
-            found += [
+            window = max(len(settled) // 5, 1)
+            drift = statistics.fmean(settled[-window:]) - statistics.fmean(settled[:window])
+            figures += [
                 Figure("clock map, drift", abs(drift), "us", 500),
                 Figure("clock map, spread", max(settled) - min(settled), "us", 1000),
             ]
-        return found
+        return figures
 
 
 def simulated(board: str, seed: int, hours: float) -> list[Figure]:
@@ -443,31 +447,31 @@ def simulated(board: str, seed: int, hours: float) -> list[Figure]:
     soak.run(WARM_UP_S)
     early = depth() if depth else 0
     soak.run(max(hours * 3600 - WARM_UP_S, 0))
-    found = [Figure("robot time", round(transport.now() / 3600, 3), "h"), *soak.figures()]
+    figures = [Figure("robot time", round(transport.now() / 3600, 3), "h"), *soak.figures()]
     restarted = used.boots - boots  # type: ignore[attr-defined]
-    found.append(Figure("restarts of the firmware", restarted, "", 0))
+    figures.append(Figure("restarts of the firmware", restarted, "", 0))
     if rig and depth:
         stack = depth()
-        found += [
+        figures += [
             Figure("RAM with the stack, after a minute", static + early, "byte"),
             Figure("RAM with the stack, at the end", static + stack, "byte", 0.75 * RAM),
             Figure("EEPROM bytes written", rig.chip.eeprom_writes, ""),
         ]
-        found += [
+        figures += [
             Figure(name, 100 * rig.worst[name] / (width * CYCLES_PER_MS), "%", 50)
             for name, width in WORST.items()
         ]
-    return found
+    return figures
 
 
 def together(runs: Sequence[list[Figure]]) -> list[Figure]:
     """The figures of several seeds: counts and times added up, the worst of everything else."""
-    found = []
-    for same in zip(*runs, strict=True):
-        values = [figure.value for figure in same]
-        added = same[0].unit in ("", "h")
-        found.append(replace(same[0], value=sum(values) if added else max(values)))
-    return found
+    totals = []
+    for of_seeds in zip(*runs, strict=True):
+        values = [figure.value for figure in of_seeds]
+        added = of_seeds[0].unit in ("", "h")
+        totals.append(replace(of_seeds[0], value=sum(values) if added else max(values)))
+    return totals
 
 
 def over_a_cable(url: str, seed: int, hours: float) -> list[Figure]:
@@ -506,7 +510,7 @@ def main() -> int:
     else:
         for f in figures:
             print(f.line)
-    return 0 if all(f.kept for f in figures) else 1
+    return 0 if all(f.within_limit for f in figures) else 1
 
 
 if __name__ == "__main__":

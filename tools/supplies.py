@@ -50,17 +50,20 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--stall", type=float, default=5.0, help="motor's stall current, A")
     parser.add_argument("--brake", type=float, default=0.8, help="brake's current, A; 0: none")
     parser.add_argument("--air", type=float, default=0.64, help="load of the 24 V, A")
-    given = parser.parse_args(words)
-    if given.stall <= 0 or given.brake < 0 or not 0 < given.air <= RATINGS_A[-1] / SPARE:
+    options = parser.parse_args(words)
+    if options.stall <= 0 or options.brake < 0 or not 0 < options.air <= RATINGS_A[-1] / SPARE:
         parser.error("currents are in ampere and positive; the 24 V bear 4 A")
     try:
-        fuse = motor_fuse(given.stall, given.brake)
+        fuse = motor_fuse(options.stall, options.brake)
     except ValueError as error:
         parser.error(str(error))
-    print(f"PS2  12 V, {motor_supply(given.stall, given.brake):.1f} A or more")
-    print(f"F2   {fuse:g} A slow; the work takes {working(given.stall, given.brake):.1f} A at most")
-    print(f"PS1  24 V, {SPARE * given.air:.1f} A or more")
-    print(f"F1   {air_fuse(given.air):g} A slow")
+    print(f"PS2  12 V, {motor_supply(options.stall, options.brake):.1f} A or more")
+    print(
+        f"F2   {fuse:g} A slow; "
+        f"the work takes {working(options.stall, options.brake):.1f} A at most"
+    )
+    print(f"PS1  24 V, {SPARE * options.air:.1f} A or more")
+    print(f"F1   {air_fuse(options.air):g} A slow")
     return 0
 
 

@@ -22,11 +22,11 @@ LEFT_OUT = ("thigmo.emulator",)
 
 def entered(seed: int) -> set[str]:
     """Names of the modules whose functions an exploration calls."""
-    found: set[str] = set()
+    modules: set[str] = set()
 
     def note(frame: FrameType, event: str, _argument: object) -> None:
         if event == "call" and frame.f_code.co_name != "<module>":
-            found.add(frame.f_globals.get("__name__", ""))
+            modules.add(frame.f_globals.get("__name__", ""))
 
     with tempfile.TemporaryDirectory() as folder:
         sys.setprofile(note)
@@ -34,7 +34,9 @@ def entered(seed: int) -> set[str]:
             explore("emulator://default", seed=seed, out=folder)
         finally:
             sys.setprofile(None)
-    return {name for name in found if name.startswith("thigmo.") and not name.startswith(LEFT_OUT)}
+    return {
+        name for name in modules if name.startswith("thigmo.") and not name.startswith(LEFT_OUT)
+    }
 
 
 def main() -> None:

@@ -240,7 +240,7 @@ inline Outcome Controller::confirm_length(int32_t length_um, bool settled) {
   length_known_ = true;
   slip_.accept(encoder_);
   motion_.restart(encoder_);
-  fold_.restart();
+  fold_.restart(length_um);
   follow_length();  // nothing everts by being vouched for: no events
   eversion_.confirm(settled, tick_);
   if (!settled) zeros_.invalidate(0xFFFF);

@@ -335,6 +335,7 @@ THIGMO_NOINLINE inline void Controller::finish_homing_stage(bool arrived) {
   if (length_known_ && apart(zero_count_, kHomeUm)) return lose_home();
   // An unknown length stays unknown: a jam stalls twice at one place as well.
   zero_count_ = encoder_;
+  fold_.restart(0);
   finish_activity(protocol::EventCode::kActivityDone, 0);
   body_step();
 }
@@ -731,6 +732,8 @@ inline void Controller::fill(protocol::StatusReport* out) const {
   out->conditions = conditions_;
   out->t_us = t_us();
   out->length_um = length_um_;
+  out->seen_um = fold_.seen_um();
+  out->seen_sensor = fold_.seen_sensor();
   for (uint8_t i = 0; i < kMuscles; ++i) out->pressure_cpsi[i] = pressure_[i].cpsi();
   out->everted_mask = eversion_.everted_mask();
   out->settled_mask = eversion_.settled_mask();

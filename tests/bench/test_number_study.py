@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thigmo_bench.studies import Context, load
-from thigmo_bench.studies.number import _felt, by_prior, calibration, pairs
+from thigmo_bench.studies.number import _countable, by_prior, calibration, pairs
 
 
 def test_the_error_of_calibration_is_that_of_its_bins() -> None:
@@ -20,9 +20,9 @@ def test_the_error_of_calibration_is_that_of_its_bins() -> None:
 
 def test_a_contact_counts_from_three_standard_errors() -> None:
     arcs = np.array([30.0, 50.0])
-    assert _felt(arcs, np.array([1e-4, 1e-4])) == 2
-    assert _felt(arcs, np.array([1e-4, 1e-7])) == 1
-    assert _felt(arcs, np.array([1e-6, 1e-7])) == 0
+    assert _countable(arcs, np.array([1e-4, 1e-4])) == 2
+    assert _countable(arcs, np.array([1e-4, 1e-7])) == 1
+    assert _countable(arcs, np.array([1e-6, 1e-7])) == 0
 
 
 def test_frames_of_the_prior_hold_every_number_with_its_odds() -> None:

@@ -12,7 +12,7 @@ from thigmo_bench.studies.trigger import (
     DEFAULT,
     THRESHOLD,
     allowed,
-    chosen,
+    best_setting,
     hum_borne,
     quantile,
     room,
@@ -89,8 +89,8 @@ def test_the_rule_takes_the_shortest_latency_of_what_is_allowed() -> None:
     candidates = allowed(tried, [3.0, 0.0, 0.5, 1.0, 0.0])
     assert candidates == [1, 2, 3]
     steps = [5.0, 8.0, 20.0, 18.0, 1.0]
-    assert chosen(candidates, steps, [10.0, 90.0, 40.0, 49.0, 1.0]) == 3
-    assert chosen(candidates, steps, [10.0, 90.0, 40.0, 51.0, 1.0]) == 2
+    assert best_setting(candidates, steps, [10.0, 90.0, 40.0, 49.0, 1.0]) == 3
+    assert best_setting(candidates, steps, [10.0, 90.0, 40.0, 51.0, 1.0]) == 2
 
 
 def test_a_missed_contact_is_infinitely_late_and_an_alarm_before_a_step_is_none() -> None:

@@ -117,7 +117,9 @@ def test_a_fold_adds_its_angle_to_the_base() -> None:
 
 @pytest.mark.parametrize("part", ["side", "corner", "anywhere"])
 def test_pegs_stand_still_while_bodies_inflate_against_them(part) -> None:
-    found = rooms(np.random.default_rng(5), 12, length=LENGTH, most=0.04, frames=4, part=part)
+    found = rooms(
+        np.random.default_rng(5), 12, length=LENGTH, largest_free=0.04, frames=4, part=part
+    )
     assert found.peg.shape == (2, 12)
     for frame in range(4):
         felt = np.isfinite(found.u[frame])
@@ -139,7 +141,7 @@ def test_pegs_stand_still_while_bodies_inflate_against_them(part) -> None:
 
 
 def test_pegs_keep_off_the_body_that_does_not_touch_them_yet() -> None:
-    found = rooms(np.random.default_rng(6), 12, length=LENGTH, most=0.04, frames=4)
+    found = rooms(np.random.default_rng(6), 12, length=LENGTH, largest_free=0.04, frames=4)
     arcs = np.linspace(0.0, LENGTH, 2000)
     beside = 0
     for frame in range(4):

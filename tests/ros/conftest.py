@@ -58,12 +58,12 @@ class Program(Closing):
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
 
-    def hears(self, wanted: Callable[[Told], bool]) -> Told:
+    def hears(self, matches: Callable[[Told], bool]) -> Told:
         """The first object of a kind; waits for it."""
         with self._changed:
-            found = self._changed.wait_for(lambda: next(filter(wanted, self.said), None), 60.0)
-        assert found, f"never came; the last were {self.said[-5:]}"
-        return found
+            line = self._changed.wait_for(lambda: next(filter(matches, self.said), None), 60.0)
+        assert line, f"never came; the last were {self.said[-5:]}"
+        return line
 
     def of(self, topic: str) -> list[Told]:
         return [each for each in self.said if each["topic"] == topic]

@@ -53,7 +53,7 @@ def test_what_winds_in_pulls_no_harder_than_the_line_bears(
     [
         (None, 0.0),
         (wire.GrowTo(530_000, 0), 4.0),
-        (wire.RetractTo(0, 0), -4.0),
+        (wire.RetractTo(0, 0), -2.77),
         (wire.Home(), -1.6),
     ],
 )

@@ -154,7 +154,7 @@ def assert_same(said: bytes, reference: bytes) -> None:
 def micropython(on: Processor, store: bytes, profile: tuple[int, int]) -> MicroPythonBoard:
     if reason := missing(on):
         pytest.skip(reason)
-    return MicroPythonBoard(5, store, on=on, adc_bits=profile[0], frame_us=profile[1])
+    return MicroPythonBoard(5, store, processor=on, adc_bits=profile[0], frame_us=profile[1])
 
 
 def test_the_image_of_the_mega_says_the_same_byte_for_byte(

@@ -110,7 +110,7 @@ class DictionaryBoard:
     def _status(self) -> wire.StatusReport:
         return wire.StatusReport(
             OK, wire.State.READY, wire.Activity.IDLE, 255, self.faults, self.conditions, 0,
-            123_400, (0, 0), 0, 0, 0, 0, self.generation, 4980, 3, 0,
+            123_400, 123_400, 255, (0, 0), 0, 0, 0, 0, self.generation, 4980, 3, 0,
         )  # fmt: skip
 
 
@@ -276,8 +276,8 @@ def test_events_from_before_a_command_do_not_end_it() -> None:
 def test_an_aborted_activity_says_why() -> None:
     robot, board = _robot()
     everted = wire.StatusReport(
-        OK, wire.State.READY, wire.Activity.IDLE, 0, 0, 0, 0, 0, (0, 0), 0x21, 0x21, 0, 0, 1, 5000,
-        0, 0,
+        OK, wire.State.READY, wire.Activity.IDLE, 0, 0, 0, 0, 0, 0, 255, (0, 0), 0x21, 0x21, 0, 0,
+        1, 5000, 0, 0,
     )  # fmt: skip
     board._status = lambda: everted  # type: ignore[method-assign]
     board.coming = [

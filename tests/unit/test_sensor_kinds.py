@@ -50,6 +50,7 @@ def test_what_sensors_share_is_of_their_own_kind_only() -> None:
 def test_every_kind_passes_the_tip_within_the_body() -> None:
     body_cm = RobotConfig().body.length_cm
     for kind in KINDS:
-        center_cm, span_cm, center_se_cm = made(kind).passes_at
-        assert 0.0 < center_cm - span_cm / 2 < center_cm + span_cm / 2 < body_cm
-        assert center_se_cm > 0.0
+        passage = made(kind).passes_at
+        reach_cm = passage.span_cm / 2
+        assert 0.0 < passage.center_cm - reach_cm < passage.center_cm + reach_cm < body_cm
+        assert passage.center_se_cm > 0.0

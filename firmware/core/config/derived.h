@@ -82,6 +82,7 @@ struct Derived {
   int16_t top_duty;  // that the line holds, a sudden stop included
   int16_t homing_duty;
   int16_t holding_duty;        // by which the body pulls harder than friction holds
+  int16_t pull_duty;           // that balances the most the body pulls
   int32_t winding_speed_um_s;  // fastest tip of a retraction
   int32_t home_speed_um_s;
   int32_t motor_slope_q16;   // counts a control step for each duty beyond the dead zone
@@ -143,7 +144,7 @@ struct Derived {
     } else if (within(Param::kLineSpeedUmS, 2)) {
       wait_for(kMotor);
     } else if (within(Param::kBodyPullN, 1)) {
-      wait_for(kPull);
+      wait_for(kPull | kForce);
     } else if (within(Param::kSpoolDeadZone, 1)) {
       wait_for(kMotor | kForce);
     } else if (within(Param::kMotorStallN, 1)) {
@@ -313,7 +314,7 @@ struct Derived {
   }
 
   void update_pull(const Configuration& c) {
-    const int32_t pull_duty = c.get(Param::kBodyPullN) * kMotorFull / c.get(Param::kMotorStallN);
+    pull_duty = saturated16(c.get(Param::kBodyPullN) * kMotorFull / c.get(Param::kMotorStallN));
     holding_duty = static_cast<int16_t>(
         limited<int32_t>(pull_duty - c.get(Param::kSpoolDeadZone), 0, kMotorFull / 2));
     helped_q16 = (pull_duty + c.get(Param::kSpoolDeadZone) / kFrictionShare) * motor_slope_q16;
@@ -326,23 +327,24 @@ struct Derived {
     astray_speed_q16 = speed_q16(kAstrayUmS);
   }
 
-  // A line that is stopped at once bears the motor's pull and its momentum. The momentum may take a
-  // quarter of what line and tail are rated for, in homing an eighth; and homing pulls half as
-  // hard.
+  // A line that is stopped at once bears the motor's pull and its momentum. The momentum may take
+  // an eighth of what line and tail are rated for: an encoder that shows half of its counts lets
+  // the spool turn twice as fast, and a body that is home then stops it. Homing, as a session's
+  // first move, pulls half as hard, or as hard as a thick body's pull needs.
   void update_force(const Configuration& c) {
     const int32_t rating_n = c.get(Param::kLineRatingN);
     const int32_t stall_n = c.get(Param::kMotorStallN) * 9 / 8;
     top_duty = static_cast<int16_t>(
         lesser<int32_t>((rating_n - rating_n / kMomentumShare) * kMotorFull / stall_n, kMotorFull));
-    const int32_t turns = c.get(Param::kSpoolDeadZone) + kMotorFull / 8;
+    const int32_t turns = c.get(Param::kSpoolDeadZone) +
+                          greater<int32_t>(kMotorFull / 8, pull_duty + kMotorFull / 16);
     homing_duty =
         static_cast<int16_t>(lesser<int32_t>(greater<int32_t>(top_duty / 2, turns), top_duty));
     // um/s of the tip at which the momentum takes its share: N / (N s/m) is m/s of line.
     const int32_t touch = greater<int32_t>(c.get(Param::kTouchNSM), 1);
     const int32_t line_um_s = rating_n * 1000 / touch * (1000 / kMomentumShare);
-    const int32_t most = line_um_s / c.get(Param::kPayoutQ8) * 256;
-    winding_speed_um_s = most;
-    home_speed_um_s = lesser(c.get(Param::kHomeSpeedUmS), most / 2);
+    winding_speed_um_s = line_um_s / c.get(Param::kPayoutQ8) * 128;
+    home_speed_um_s = lesser(c.get(Param::kHomeSpeedUmS), winding_speed_um_s);
   }
 
   void update_supports(const Configuration& c) {

@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0x58FAA22Cu;
+constexpr uint32_t kSchemaHash = 0x720D521Bu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -915,15 +915,19 @@ struct HelloReply {
 // The board's whole state.
 struct StatusReport {
   static constexpr uint8_t kId = kStatusReport;
-  static constexpr uint8_t kSize = 36 + 1 + 2 * kMuscles;
-  Status status;                    // ok.
-  State state;                      // Supervisor.
-  Activity activity;                // What it is doing.
-  uint8_t zone;                     // Selected body-pressure map; 255 = unknown.
-  uint16_t faults;                  // Latched Fault bits.
-  uint16_t conditions;              // Condition bits.
-  uint32_t t_us;                    // Device clock; wraps. (us)
-  int32_t length_um;                // Everted length, if known. (um)
+  static constexpr uint8_t kSize = 41 + 1 + 2 * kMuscles;
+  Status status;        // ok.
+  State state;          // Supervisor.
+  Activity activity;    // What it is doing.
+  uint8_t zone;         // Selected body-pressure map; 255 = unknown.
+  uint16_t faults;      // Latched Fault bits.
+  uint16_t conditions;  // Condition bits.
+  uint32_t t_us;        // Device clock; wraps. (us)
+  int32_t length_um;    // Everted length, if known. (um)
+  int32_t seen_um;      // Everted length that was shown where the tip was last known apart from the
+                        // encoder: where a sensor passed it on the present way, out or in, or where
+                        // that way began, or where the length was confirmed or homed. (um)
+  uint8_t seen_sensor;  // The sensor that passed the tip there; 255 = none.
   int16_t pressure_cpsi[kMuscles];  // Muscle pressures. (0.01 psi)
   uint16_t everted_mask;            // Sensors that are fully everted, including their margin.
   uint16_t settled_mask;            // Sensors that are past their settling time.
@@ -943,18 +947,20 @@ struct StatusReport {
     detail::put16(out + 6, static_cast<uint16_t>(conditions));
     detail::put32(out + 8, static_cast<uint32_t>(t_us));
     detail::put32(out + 12, static_cast<uint32_t>(length_um));
-    detail::put8(out + 16, kMuscles);
+    detail::put32(out + 16, static_cast<uint32_t>(seen_um));
+    detail::put8(out + 20, static_cast<uint8_t>(seen_sensor));
+    detail::put8(out + 21, kMuscles);
     for (uint8_t i = 0; i < kMuscles; ++i) {
-      detail::put16(out + 16 + 1 + 2 * i, static_cast<uint16_t>(pressure_cpsi[i]));
+      detail::put16(out + 21 + 1 + 2 * i, static_cast<uint16_t>(pressure_cpsi[i]));
     }
-    detail::put16(out + 16 + 1 + 2 * kMuscles, static_cast<uint16_t>(everted_mask));
-    detail::put16(out + 18 + 1 + 2 * kMuscles, static_cast<uint16_t>(settled_mask));
-    detail::put16(out + 20 + 1 + 2 * kMuscles, static_cast<uint16_t>(zeroed_mask));
-    detail::put16(out + 22 + 1 + 2 * kMuscles, static_cast<uint16_t>(event_number));
-    detail::put32(out + 24 + 1 + 2 * kMuscles, static_cast<uint32_t>(config_generation));
-    detail::put16(out + 28 + 1 + 2 * kMuscles, static_cast<uint16_t>(supply_mv));
-    detail::put16(out + 30 + 1 + 2 * kMuscles, static_cast<uint16_t>(encoder_errors));
-    detail::put32(out + 32 + 1 + 2 * kMuscles, static_cast<uint32_t>(stop_nonce));
+    detail::put16(out + 21 + 1 + 2 * kMuscles, static_cast<uint16_t>(everted_mask));
+    detail::put16(out + 23 + 1 + 2 * kMuscles, static_cast<uint16_t>(settled_mask));
+    detail::put16(out + 25 + 1 + 2 * kMuscles, static_cast<uint16_t>(zeroed_mask));
+    detail::put16(out + 27 + 1 + 2 * kMuscles, static_cast<uint16_t>(event_number));
+    detail::put32(out + 29 + 1 + 2 * kMuscles, static_cast<uint32_t>(config_generation));
+    detail::put16(out + 33 + 1 + 2 * kMuscles, static_cast<uint16_t>(supply_mv));
+    detail::put16(out + 35 + 1 + 2 * kMuscles, static_cast<uint16_t>(encoder_errors));
+    detail::put32(out + 37 + 1 + 2 * kMuscles, static_cast<uint32_t>(stop_nonce));
   }
   static bool decode(const uint8_t* in, uint8_t length, StatusReport* out) {
     if (length != kSize) return false;
@@ -966,18 +972,20 @@ struct StatusReport {
     out->conditions = static_cast<uint16_t>(detail::get16(in + 6));
     out->t_us = static_cast<uint32_t>(detail::get32(in + 8));
     out->length_um = static_cast<int32_t>(detail::get32(in + 12));
-    if (in[16] != kMuscles) return false;
+    out->seen_um = static_cast<int32_t>(detail::get32(in + 16));
+    out->seen_sensor = static_cast<uint8_t>(detail::get8(in + 20));
+    if (in[21] != kMuscles) return false;
     for (uint8_t i = 0; i < kMuscles; ++i) {
-      out->pressure_cpsi[i] = static_cast<int16_t>(detail::get16(in + 16 + 1 + 2 * i));
+      out->pressure_cpsi[i] = static_cast<int16_t>(detail::get16(in + 21 + 1 + 2 * i));
     }
-    out->everted_mask = static_cast<uint16_t>(detail::get16(in + 16 + 1 + 2 * kMuscles));
-    out->settled_mask = static_cast<uint16_t>(detail::get16(in + 18 + 1 + 2 * kMuscles));
-    out->zeroed_mask = static_cast<uint16_t>(detail::get16(in + 20 + 1 + 2 * kMuscles));
-    out->event_number = static_cast<uint16_t>(detail::get16(in + 22 + 1 + 2 * kMuscles));
-    out->config_generation = static_cast<uint32_t>(detail::get32(in + 24 + 1 + 2 * kMuscles));
-    out->supply_mv = static_cast<uint16_t>(detail::get16(in + 28 + 1 + 2 * kMuscles));
-    out->encoder_errors = static_cast<uint16_t>(detail::get16(in + 30 + 1 + 2 * kMuscles));
-    out->stop_nonce = static_cast<uint32_t>(detail::get32(in + 32 + 1 + 2 * kMuscles));
+    out->everted_mask = static_cast<uint16_t>(detail::get16(in + 21 + 1 + 2 * kMuscles));
+    out->settled_mask = static_cast<uint16_t>(detail::get16(in + 23 + 1 + 2 * kMuscles));
+    out->zeroed_mask = static_cast<uint16_t>(detail::get16(in + 25 + 1 + 2 * kMuscles));
+    out->event_number = static_cast<uint16_t>(detail::get16(in + 27 + 1 + 2 * kMuscles));
+    out->config_generation = static_cast<uint32_t>(detail::get32(in + 29 + 1 + 2 * kMuscles));
+    out->supply_mv = static_cast<uint16_t>(detail::get16(in + 33 + 1 + 2 * kMuscles));
+    out->encoder_errors = static_cast<uint16_t>(detail::get16(in + 35 + 1 + 2 * kMuscles));
+    out->stop_nonce = static_cast<uint32_t>(detail::get32(in + 37 + 1 + 2 * kMuscles));
     return true;
   }
 };
@@ -1666,10 +1674,14 @@ enum class Param : uint16_t {
   kFlexCenterSeUm = kTriggerWhen +
       kSensors,  // One sigma of flex_center_um; by it a sensor may pass the tip early or late.
                  // Default: a ruler along the tube, read to a millimetre. (um) [kSensors]
-  kBodyPullN = kFlexCenterSeUm +
-      kSensors,  // Most that the body pulls its tail with: half of its highest pressure times its
-                 // section. Growth that the encoder shows beyond what the motor gives at its duty,
-                 // helped by this pull, is a spool_stall. (N)
+  kUnseenMask = kFlexCenterSeUm +
+      kSensors,  // Sensors, by bit, whose readings do not show where the tip passes them, such as
+                 // an IMU whose turn a reader gives to the converter. They accuse no encoder and
+                 // confirm no length.
+  kBodyPullN = kUnseenMask +
+      1,  // Most that the body pulls its tail with: half of its highest pressure times its section.
+          // Growth that the encoder shows beyond what the motor gives at its duty, helped by this
+          // pull, is a spool_stall. (N)
   kBrakeClosesMs = kBodyPullN +
       1,  // Time that the brake takes to close after its current ends. At the end of a growth or a
           // retraction the motor keeps its supply for so long, and for the 30 ms in which the
@@ -1751,6 +1763,7 @@ constexpr ParamKey kParamKeyTable[] THIGMO_PROGMEM = {
     {67, 1},               // grows
     {60, kSensors},        // trigger_when
     {63, kSensors},        // flex_center_se_um
+    {68, 1},               // unseen_mask
     {64, 1},               // body_pull_n
     {65, 1},               // brake_closes_ms
 #if THIGMO_IMUS
@@ -1847,6 +1860,7 @@ constexpr ParamRows param_rows() {
   const int32_t trigger_when[] = {130, 0, 0, 0, 0, 129};
   rows.add(kSensors, 0, 255, trigger_when);
   rows.add(kSensors, 0, 32000, 1000);  // flex_center_se_um
+  rows.add(1, 0, 65535, 0);            // unseen_mask
   rows.add(1, 0, 2000, 5);             // body_pull_n
   rows.add(1, 0, 250, 40);             // brake_closes_ms
   rows.add(kImus, 0, 1023, 0);         // imu_from

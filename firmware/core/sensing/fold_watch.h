@@ -18,6 +18,9 @@
 // before the fold can have reached the sensor is early.
 //
 // While a reading still swings out the tip moves: the body then pulls at the tail.
+//
+// The last sensor that passed on the way out or in, and the length shown there, tell the host how
+// far the tip may be from the length shown now, though no pair has accused the encoder.
 #ifndef THIGMO_CORE_SENSING_FOLD_WATCH_H_
 #define THIGMO_CORE_SENSING_FOLD_WATCH_H_
 
@@ -42,6 +45,7 @@ class FoldWatch {
   // A swing that grows by so much, more than noise, is of a tip that moved within the last looks.
   static constexpr int32_t kRiseE5 = 200;
   static constexpr uint8_t kMovesSteps = 30;
+  static constexpr uint8_t kNone = 255;  // no sensor
 
   // The body grows, or is wound in, from here. Sensors that it passed by count only stay watched
   // until the fold has come, however often the spool stops. One that the fold has entered by a
@@ -50,16 +54,17 @@ class FoldWatch {
   // there yet.
   void begin(int32_t length_um, bool grows, uint16_t enabled, const Configuration& c) {
     const uint16_t awaited = grows != grows_ ? watched_ : uint16_t{0};
-    if (grows != grows_) restart();
+    if (grows != grows_) restart(length_um);
+    const uint16_t unseen = static_cast<uint16_t>(c.get(Param::kUnseenMask));
     grows_ = grows;
     for (uint8_t i = 0; i < kSensors; ++i) {
       const uint16_t bit = static_cast<uint16_t>(1u << i);
       const int32_t lag = lag_um(length_um, i, c);
       if ((watched_ & bit) != 0 || lag >= -kDoubtUm) continue;
       watched_ = static_cast<uint16_t>(watched_ | bit);
-      unseen_ = static_cast<uint16_t>(unseen_ | bit);
+      unread_ = static_cast<uint16_t>(unread_ | bit);
       const bool clear =
-          (awaited & bit) == 0 && lag < -kDoubtUm - (c.get(Param::kFlexSpanUm, i) >> 2);
+          ((awaited | unseen) & bit) == 0 && lag < -kDoubtUm - (c.get(Param::kFlexSpanUm, i) >> 2);
       judged_ = static_cast<uint16_t>(clear ? judged_ | bit : judged_ & ~bit);
     }
     watched_ = static_cast<uint16_t>(watched_ & enabled);
@@ -67,10 +72,12 @@ class FoldWatch {
   }
 
   // Forgets what earlier motion felt: when the spool turns the other way, and when a length is
-  // confirmed.
-  void restart() {
+  // confirmed or homed.
+  void restart(int32_t length_um) {
     for (Pair& pair : pair_) pair = Pair{};
     watched_ = 0;
+    seen_sensor_ = kNone;
+    seen_um_ = length_um;
   }
 
   // Looks at one sensor, in turn. Says what a pair that has passed the tip shows.
@@ -82,8 +89,8 @@ class FoldWatch {
     const uint16_t bit = static_cast<uint16_t>(1u << i);
     if ((watched_ & bit) == 0) return Verdict::kNone;
     const int32_t total = total_ohm_q4(count_q6(flex.latest(i), flex.log2()));
-    const bool fresh = (unseen_ & bit) != 0;
-    unseen_ = static_cast<uint16_t>(unseen_ & ~bit);
+    const bool fresh = (unread_ & bit) != 0;
+    unread_ = static_cast<uint16_t>(unread_ & ~bit);
     const int32_t lag = lag_um(length_um, i, c);
     const bool imu = is_imu(i, c);
     const int32_t place_se_um = c.get(Param::kFlexCenterSeUm, i);
@@ -97,11 +104,20 @@ class FoldWatch {
     }
     watched_ = static_cast<uint16_t>(watched_ & ~bit);
     if ((judged_ & bit) == 0) return Verdict::kNone;
-    return pair_[imu].judge(imu ? lag : top_um_[i], place_se_um);
+    const int32_t passed_um = imu ? lag : top_um_[i];
+    const int32_t center_um = c.get(Param::kFlexCenterUm, i);
+    seen_sensor_ = i;
+    seen_um_ = grows_ ? center_um + passed_um : center_um - passed_um;
+    return pair_[imu].judge(passed_um, place_se_um);
   }
 
   // Whether a sensor in the fold shows that the tip moves.
   bool moves() const { return moves_ != 0; }
+
+  // The sensor that passed the tip last on this way, or kNone, and the length shown there: without
+  // a sensor, where this way began or the length was confirmed.
+  uint8_t seen_sensor() const { return seen_sensor_; }
+  int32_t seen_um() const { return seen_um_; }
 
  private:
   static constexpr int32_t kHalfTurnQ4 = int32_t{31416} * 16;  // of an IMU: 10 kOhm a radian
@@ -200,9 +216,11 @@ class FoldWatch {
   int16_t top_e5_[kSensors] = {};
   uint16_t watched_ = 0;
   uint16_t judged_ = 0;  // with a resting value
-  uint16_t unseen_ = 0;  // no resting value yet
+  uint16_t unread_ = 0;  // no resting value yet
   uint8_t next_ = 0;
   uint8_t moves_ = 0;  // control steps for which the tip counts as moving
+  uint8_t seen_sensor_ = kNone;
+  int32_t seen_um_ = 0;
   bool grows_ = true;
 };
 

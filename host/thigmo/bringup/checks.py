@@ -66,7 +66,7 @@ class Finding:
     """What a check found."""
 
     stage: str  # one of `STAGES`
-    subject: str  # what was looked at
+    subject: str  # the part that was checked
     good: bool  # nothing is wrong with it
     observation: str  # what was measured, or what is wrong
     cure: str = ""  # what to do about it; empty if good

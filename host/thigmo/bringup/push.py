@@ -83,8 +83,8 @@ def press(
 ) -> float:
     """Give one transducer the current of a low pressure for a while, then vent.
 
-    The pressure loop is not closed: what the sensor says goes to `progress` and is not
-    used. Returns the pressure at the end, psi.
+    The loop is open: `progress` receives the measured pressure, and nothing else uses it.
+    Returns the pressure at the end, psi.
 
     Raises:
         ConfigError: more than `PRESS_PSI`, for longer than `PRESS_S`, or no muscle of that name.

@@ -23,7 +23,7 @@ _LEAST_OHM = 200.0  # below, the unit is not ohm: flex sensors have thousands
 
 @dataclass(frozen=True)
 class FlexReadings:
-    """How the robot was bent in n rows, and what was measured."""
+    """n rows: how the robot was bent, and the measurements of camera and sensors."""
 
     kind: tuple[str, ...]  # (n,) "straight", "tip" or "bend", in order of time
     tip_cm: Array  # (n, 2) tip by camera; nan where the marker was not seen or there is none

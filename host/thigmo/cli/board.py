@@ -195,5 +195,5 @@ def retract(
         else:
             machine.known_length_cm()
         machine.arm()
-        reached = machine.retract_to(to)
-    show(as_json, {"length_cm": reached}, f"Retracted to {reached:.1f} cm.")
+        retraction = machine.retract_to(to)
+    show(as_json, asdict(retraction), retraction.words)

@@ -12,7 +12,7 @@ base folds.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import degrees, hypot, isinf, pi
+from math import degrees, hypot, pi
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,7 @@ from thigmo.config import (
     Side,
     Spool,
 )
-from thigmo.design.bounds import arc_bounds
+from thigmo.design.bounds import FEWEST_READINGS, arc_bounds
 from thigmo.design.finding import Finding
 from thigmo.design.units import unit_questions
 from thigmo.errors import ConfigError
@@ -52,8 +52,9 @@ _TICKS_HZ = 1000  # rate of the board's control loop
 # are read (kTurnBits of firmware/core/sensing/imu_string.h).
 _BUS_HZ, IMU_BITS = 400_000, 9 * (2 + 2 + 1 + 21) + 3 * 2
 _REPORTS_HZ = 50  # reports of each IMU
-_TRIGGER_SIGMAS = 5.0  # a trigger below so many standard deviations fires by noise
+_TRIGGER_SIGMAS = 5.0  # a trigger threshold below this many standard deviations fires by noise
 _STEPS = 200
+_PUSHED_RAD = 0.5  # turn of the tip, under a push that `feel` is asked about
 # Of the body, in percent: below this the answer "somewhere" is the rule. The thesis's robot has 34.
 _LOCALIZED_LEAST = 15.0
 _CURE_PLACES = 25  # where one more sensor is tried
@@ -87,6 +88,8 @@ def judge(config: RobotConfig) -> list[Finding]:
         findings.append(Finding("stages", "bad", str(error)))
     growth = _growth(config) if config.body.grows else ()
     findings += [*growth, *_bends(config, wiring), *_folds(config)]
+    if not config.muscles:
+        findings += _touches(config)
     if wiring:
         for side in config.sides:
             findings += _contacts(wiring, side)
@@ -197,7 +200,7 @@ def _bends(config: RobotConfig, wiring: Wiring | None) -> Iterator[Finding]:
 
 def _folds(config: RobotConfig) -> Iterator[Finding]:
     """Whether the base folds before a contact is felt."""
-    if isinf(config.body.critical_curvature):
+    if not config.body.folds:
         return
     for zone, moment in zip(config.body.zones, _fold_moments(config), strict=True):
         part = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
@@ -308,6 +311,25 @@ def _contacts(wiring: Wiring, side: Side) -> Iterator[Finding]:
     yield Finding(what, "warning", f"{text}: {_cure(config, column, arcs, moment, muscle)}")
 
 
+def _touches(config: RobotConfig) -> Iterator[Finding]:
+    """Where `thigmo feel` localizes a contact that pushes a body without muscles aside."""
+    column = [sensor for sensor in config.sensors if sensor.usable and sensor.side]
+    if not column:
+        yield Finding("feel", "bad", "no healthy sensor reads bends in the plane: add one")
+        return
+    length_cm = config.body.length_cm
+    arcs = np.linspace(0.0, length_cm, _STEPS + 1)[1:]
+    # A force at the tip turns it by half of its moment at the base times the length.
+    moment = min(2 * _PUSHED_RAD / length_cm, *_fold_moments(config))
+    sensors = sorted(column, key=lambda sensor: sensor.center_cm)
+    felt = 100 * _localized(config, sensors, arcs, moment, 0.0, _CALIBRATED_GAIN).mean()
+    text = (
+        f"a push that turns the tip by {degrees(moment * length_cm / 2):.0f} degrees is localized "
+        f"to {WIDTH_SHARE * length_cm:.1f} cm on {felt:.0f} % of the body (`thigmo feel`)"
+    )
+    yield Finding("feel", "ok" if felt >= _LOCALIZED_LEAST else "warning", text)
+
+
 def _cure(
     config: RobotConfig, column: list[Sensor], arcs: Floats, moment: float, muscle: Muscle
 ) -> str:
@@ -346,7 +368,7 @@ def _cure(
 
 
 def _zero(sensor: Sensor, factor: float) -> dict[str, float]:
-    """A flex sensor's error of its zero so many times smaller; others state none."""
+    """A flex sensor's zero error divided by a factor; empty for kinds that state none."""
     return {"zero_se": sensor.zero_se / factor} if isinstance(sensor, FlexSensor) else {}
 
 
@@ -358,10 +380,12 @@ def _localized(
     offset: float,
     most_gain: float,
 ) -> npt.NDArray[np.bool_]:
-    """(n,) whether the 95 % interval of a contact at each arc is narrow enough.
+    """(n,) whether the 95 % interval of a contact at each arc is narrow enough, and checked.
 
     The intervals are Cramer-Rao bounds for small deflections.
     """
+    if len(column) < FEWEST_READINGS:
+        return np.zeros(len(arcs), bool)
     gains = [min(s.gain_error, most_gain) * moment * (1 - s.center_cm / arcs[-1]) for s in column]
     noise = [hypot(s.reading_se, gain) for s, gain in zip(column, gains, strict=True)]
     centers, spans = ([getattr(s, key) for s in column] for key in ("center_cm", "span_cm"))

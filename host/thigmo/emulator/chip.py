@@ -200,7 +200,7 @@ class Chip:
         return not self._lib.bridge_run(self._chip, cycle)
 
     def run_ms(self, milliseconds: float) -> bool:
-        """Run on for so long."""
+        """Run for a number of milliseconds."""
         return self.run(self.cycle + round(milliseconds * CYCLES_PER_MS))
 
     # --- analog -----------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ class FaultInjector:
         self._waiting.append(fault)
 
     def update(self, plant: Plant, board: EmulatedBoard) -> None:
-        """Start and end what is due. Called before each plant step."""
+        """Start and end the faults that are due. Call before each plant step."""
         for end, fault in list(self._running):
             if plant.t_s >= end:
                 self._running.remove((end, fault))
@@ -108,16 +108,17 @@ class FaultInjector:
                 self._hold(plant.flex_noise, channel, value, on)
             case "imu_hung":
                 end_cm = robot.column(fault.side)[fault.sensor].passes_at.center_cm
-                (plant.imus.hung.add if on else plant.imus.hung.discard)(plant.imus.at(end_cm))
+                (plant.imus.hung.add if on else plant.imus.hung.discard)(plant.imus.imu_at(end_cm))
             case "grating_lost":
-                (plant.fibre.lost.add if on else plant.fibre.lost.discard)(fault.sensor)
+                lost = plant.fibre.lost_gratings
+                (lost.add if on else lost.discard)(fault.sensor)
             case "grating_noisy":
                 self._hold(plant.fibre.noisy, fault.sensor, value, on)
             case "interrogator_silent":
                 plant.fibre.silent = on
             case "pressure_frozen":
-                here = plant.pressure_seen[muscle] if fault.value is None else value
-                plant.pressure_frozen[muscle] = here if on else math.nan
+                level = plant.pressure_reading[muscle] if fault.value is None else value
+                plant.pressure_frozen[muscle] = level if on else math.nan
             case "pressure_gain" | "pressure_offset" | "pressure_noisy":
                 neutral = 1.0 if fault.kind == "pressure_gain" else 0.0
                 getattr(plant, fault.kind)[muscle] = value if on else neutral
@@ -126,8 +127,8 @@ class FaultInjector:
             case "pressure_chatters":
                 self._hold(plant.chatters, channel, value, on)
             case "pressure_stuck":
-                here = plant.muscle_psi[muscle] if fault.value is None else value
-                plant.forced_outlet[muscle] = here if on else math.nan
+                level = plant.muscle_psi[muscle] if fault.value is None else value
+                plant.forced_outlet[muscle] = level if on else math.nan
             case "over_pressure":
                 plant.forced_outlet[muscle] = value if on else math.nan
             case "air_lost":

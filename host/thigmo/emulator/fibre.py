@@ -23,7 +23,7 @@ from thigmo.errors import ConfigError
 Floats = npt.NDArray[np.float64]
 
 _KEPT = 500  # lines for a host that does not read
-_UE_PER_K = 1.1  # what a kelvin leaves if each core is read by itself (config.FibreSensor)
+_UE_PER_K = 1.1  # apparent strain per kelvin if each core is read by itself (config.FibreSensor)
 _QUEUE = 65_536  # bytes for a program that does not read; beyond, it is cut off
 
 
@@ -39,25 +39,25 @@ class EmulatedFibre:
     name = "emulator"
 
     def __init__(
-        self, known: Fibre, gratings: Sequence[FibreSensor], step_s: float,
+        self, parameters: Fibre, gratings: Sequence[FibreSensor], step_s: float,
         rng: np.random.Generator, fold_bend: float = 0.0,
     ) -> None:  # fmt: skip
-        self._known, self._rng, self._step_s = known, rng, step_s
-        self._every = max(1, round(1.0 / (known.lines_hz * step_s)))
+        self._parameters, self._rng, self._step_s = parameters, rng, step_s
+        self._every = max(1, round(1.0 / (parameters.lines_hz * step_s)))
         self._ends = np.array([grating.center_cm + grating.span_cm / 2 for grating in gratings])
         self._spans = np.array([max(grating.span_cm, 1e-9) for grating in gratings])
         self._fold_bend = fold_bend  # 1/cm, which a grating sees while the tip's fold passes
-        turned = radians(known.twist_deg) * rng.standard_normal()
-        lies = np.radians([grating.direction_deg % 180.0 for grating in gratings])
+        twist = radians(parameters.twist_deg) * rng.standard_normal()
+        directions = np.radians([grating.direction_deg % 180.0 for grating in gratings])
         scale = np.array([grating.scale_per_ue for grating in gratings])
-        self._per_bend = np.sin(lies + turned) / scale  # microstrain for 1/cm in the plane
+        self._per_bend = np.sin(directions + twist) / scale  # microstrain for 1/cm in the plane
         self._zero = np.array([grating.zero_ue for grating in gratings])
         self._seat = np.zeros(len(gratings))
-        self._own = np.zeros(len(gratings))
-        self._out = np.zeros(len(gratings), dtype=np.bool_)
-        self._ramp_k_s = known.warming_k_min / 60 * rng.standard_normal()
+        self._drift = np.zeros(len(gratings))
+        self._everted = np.zeros(len(gratings), dtype=np.bool_)
+        self._ramp_k_s = parameters.warming_k_min / 60 * rng.standard_normal()
         self._warm_k = 0.0
-        self.lost: set[int] = set()
+        self.lost_gratings: set[int] = set()
         self.noisy: dict[int, float] = {}
         self.silent = False
         self._lines: deque[bytes] = deque(maxlen=_KEPT)
@@ -66,24 +66,24 @@ class EmulatedFibre:
         """Go on to a step; (n,) mean curvatures of the gratings, 0 inside the tail."""
         if not len(self._ends) or number % self._every:
             return
-        known, rng, count = self._known, self._rng, len(self._ends)
+        parameters, rng, count = self._parameters, self._rng, len(self._ends)
         dt_s = self._every * self._step_s
-        out = self._ends <= length_cm
-        came = out & ~self._out
-        self._out = out
-        self._seat[came] = known.seat_ue * rng.standard_normal(int(came.sum()))
-        self._own += known.walk_ue_root_s * dt_s**0.5 * rng.standard_normal(count)
-        walk = known.warm_k_root_s * dt_s**0.5 * rng.standard_normal()
+        everted = self._ends <= length_cm
+        emerged = everted & ~self._everted
+        self._everted = everted
+        self._seat[emerged] = parameters.seat_ue * rng.standard_normal(int(emerged.sum()))
+        self._drift += parameters.walk_ue_root_s * dt_s**0.5 * rng.standard_normal(count)
+        walk = parameters.warm_k_root_s * dt_s**0.5 * rng.standard_normal()
         self._warm_k += self._ramp_k_s * dt_s + walk
-        strain = self._zero + self._seat + self._own + _UE_PER_K * self._warm_k
+        strain = self._zero + self._seat + self._drift + _UE_PER_K * self._warm_k
         passed = np.clip(1.0 + (length_cm - self._ends) / self._spans, 0.0, 1.0)
         fold = 0.5 * self._fold_bend * (1.0 - np.cos(2.0 * np.pi * passed))
-        strain += self._per_bend * np.where(out, curvature, fold)
-        strain += known.noise_ue * rng.standard_normal(count)
+        strain += self._per_bend * np.where(everted, curvature, fold)
+        strain += parameters.noise_ue * rng.standard_normal(count)
         for grating, sigma in self.noisy.items():
             strain[grating] += sigma * rng.standard_normal()
-        strain[rng.random(count) < known.dropout] = np.nan
-        strain[[*self.lost]] = np.nan
+        strain[rng.random(count) < parameters.dropout] = np.nan
+        strain[[*self.lost_gratings]] = np.nan
         if not self.silent:
             values = ",".join(f"{value:.2f}" for value in strain)
             self._lines.append(f"{number * self._step_s:.3f},{values}\n".encode())

@@ -31,7 +31,7 @@ def hold(
     from scipy.optimize import root  # a quarter of a second that most emulations need not wait
 
     arcs = np.array([arc for arc, _ in pushes])
-    wanted = np.array([y for _, y in pushes])
+    target_y = np.array([y for _, y in pushes])
     unit = 3 / length_cm**3  # force that moves a straight tip by about 1 cm
 
     def bent(forces: Floats, fold: float) -> Solution:
@@ -39,8 +39,8 @@ def hold(
                     tube=tube, fold_angle=fold)  # fmt: skip
 
     def miss(body: Solution) -> Floats:
-        away: Floats = np.array([body.pose(float(arc))[1] for arc in arcs]) - wanted
-        return away
+        offset: Floats = np.array([body.pose(float(arc))[1] for arc in arcs]) - target_y
+        return offset
 
     # A straight cantilever's flexibility gives the start.
     near, far = np.minimum.outer(arcs, arcs), np.maximum.outer(arcs, arcs)
@@ -57,11 +57,11 @@ def hold(
         limit = float(np.copysign(critical, body.base_moment))
 
         def folded(unknown: Floats) -> Floats:
-            held = bent(unknown[:-1], float(unknown[-1]))
-            return np.append(miss(held), (held.base_moment - limit) / critical)
+            body = bent(unknown[:-1], float(unknown[-1]))
+            return np.append(miss(body), (body.base_moment - limit) / critical)
 
-        first = np.append(solution.x * limit / body.base_moment, 0.0)
-        solution = root(folded, first, tol=1e-10)
+        start_folded = np.append(solution.x * limit / body.base_moment, 0.0)
+        solution = root(folded, start_folded, tol=1e-10)
         body = bent(solution.x[:-1], float(solution.x[-1]))
     if not np.abs(miss(body)).max() < _MISS_CM or abs(body.fold_angle) > _FOLD_MOST:
         places = ", ".join(f"y = {y:.1f} cm at {arc:.1f} cm" for arc, y in pushes)

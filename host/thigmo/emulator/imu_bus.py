@@ -37,7 +37,7 @@ class Bno085:
     """
 
     def __init__(self, string: ImuString, number: int) -> None:
-        self._string, self._of = string, number
+        self._string, self._imu = string, number
         self.answers = self.counts = self.moves = True
         self.restart()
 
@@ -54,7 +54,7 @@ class Bno085:
     @property
     def acknowledges(self) -> bool:
         """Whether it answers on the bus now."""
-        return self.answers and self._of not in self._string.hung
+        return self.answers and self._imu not in self._string.hung
 
     def write(self, data: bytes) -> None:
         """Take a message: only the command that asks for game rotation vectors does anything."""
@@ -82,7 +82,7 @@ class Bno085:
         if self.counts:
             self._number = (self._number + 1) % 256
         if self.moves:
-            half = (float(self._string.headings[self._of]) + self._origin) / 2
+            half = (float(self._string.headings[self._imu]) + self._origin) / 2
             self._last = (round(_ONE * sin(half)), round(_ONE * cos(half)))
         turn = b"".join(n.to_bytes(2, "little", signed=True) for n in (0, 0, *self._last))
         return b"\xfb\0\0\0\0" + bytes([0x08, self._number, 3, 0]) + turn
@@ -118,20 +118,20 @@ class ImuBus:
             if data and not self.mux_stuck:
                 self._selected = data[-1]
             return DONE, bytes([self._selected]) * count
-        heard = [
+        addressed = [
             chip
-            for (channel, own), chip in self.chips.items()
-            if self._selected >> channel & 1 and own == address and chip.acknowledges
+            for (channel, chip_address), chip in self.chips.items()
+            if self._selected >> channel & 1 and chip_address == address and chip.acknowledges
         ]
-        if not heard:
+        if not addressed:
             return REFUSED, b""
         if data:
-            for chip in heard:
+            for chip in addressed:
                 chip.write(data)
             return DONE, b""
-        # Who sends a 0 wins.
-        read = [np.frombuffer(chip.read(count, now_us), np.uint8) for chip in heard]
-        return DONE, np.bitwise_and.reduce(read).tobytes()
+        # The bus is open drain: a 0 from any chip wins.
+        replies = [np.frombuffer(chip.read(count, now_us), np.uint8) for chip in addressed]
+        return DONE, np.bitwise_and.reduce(replies).tobytes()
 
     def clock(self) -> None:
         """Nine clocks and a STOP."""
@@ -144,15 +144,15 @@ def string_bus(config: RobotConfig, string: ImuString) -> ImuBus:
     Raises ConfigError for an IMU without an address, and for two with the same one.
     """
     wired = Wiring.of(config).sensors
-    turning = {n: s for n, s in enumerate(wired) if isinstance(s, HeadingSensor)}
+    heading_sensors = {n: s for n, s in enumerate(wired) if isinstance(s, HeadingSensor)}
     chips: dict[tuple[int, int], Bno085] = {}
-    _, ends = imus_of([*turning.values()])
-    for row, sensor in enumerate(turning.values()):
-        where = sensor.mux_channel, sensor.i2c_address
-        if not sensor.i2c_address or where in chips:
+    _, ends = imus_of([*heading_sensors.values()])
+    for row, sensor in enumerate(heading_sensors.values()):
+        address = sensor.mux_channel, sensor.i2c_address
+        if not sensor.i2c_address or address in chips:
             raise ConfigError(
                 f"the IMU at {sensor.ends_cm[1]:g} cm has no channel and address of its own",
                 "give each [[sensor]] its mux_channel and i2c_address",
             )
-        chips[where] = Bno085(string, int(ends[row, 1]))
-    return ImuBus(chips, np.array([*turning], dtype=np.intp))
+        chips[address] = Bno085(string, int(ends[row, 1]))
+    return ImuBus(chips, np.array([*heading_sensors], dtype=np.intp))

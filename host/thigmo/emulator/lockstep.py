@@ -49,8 +49,8 @@ class Lockstep:
         plant, board = self.plant, self.board
         self.faults.update(plant, board)
         if not self.faults.powered:
-            none = len(plant.muscle_psi)
-            plant.step((0,) * none, (False,) * none, 0, True)
+            muscles = len(plant.muscle_psi)
+            plant.step((0,) * muscles, (False,) * muscles, 0, True)
             return
         plant.step(
             board.drive, board.drive_enabled, board.motor, board.braked, board.air,
@@ -63,10 +63,10 @@ class Lockstep:
             board.step(STEP_MS)
             return
         begin, change = plant.analog[:, :1], plant.analog[:, 1:] - plant.analog[:, :1]
-        at, to = plant.encoder
-        for done in range(0, STEP_MS, self._exchange_ms):
-            a, b = done / STEP_MS, (done + self._exchange_ms) / STEP_MS
+        start, end = plant.encoder
+        for offset_ms in range(0, STEP_MS, self._exchange_ms):
+            a, b = offset_ms / STEP_MS, (offset_ms + self._exchange_ms) / STEP_MS
             levels = begin + change * [[a, b]]
             board.set_analog(levels)
-            board.set_encoder(at + a * (to - at), at + b * (to - at))
+            board.set_encoder(start + a * (end - start), start + b * (end - start))
             board.step(self._exchange_ms)

@@ -21,7 +21,7 @@ BRIDGE = ROOT / "firmware" / "mega" / "sim"
 
 
 def missing() -> str:
-    """What keeps the simulated Mega from running here, in words; empty when nothing does."""
+    """The reason why the simulated Mega cannot run here, as text; empty if it can."""
     if not (BRIDGE / "Makefile").exists():
         return "it links to libsimavr (GPL) and is built in a source checkout only"
     absent = [tool for tool in ("make", "cc", "avr-g++") if shutil.which(tool) is None]

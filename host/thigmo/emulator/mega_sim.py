@@ -112,10 +112,10 @@ class SimulatedMega:
         chip.analog(self._analog[:, 0], self._analog[:, 1], start, end)
         self._analog[:, 0] = self._analog[:, 1]
         if self._encoder is not None:
-            at, to = self._encoder
-            if at != to:
-                chip.encoder(ENCODER, at, to, start, end)
-            self._encoder = (to, to)
+            encoder_start, encoder_end = self._encoder
+            if encoder_start != encoder_end:
+                chip.encoder(ENCODER, encoder_start, encoder_end, start, end)
+            self._encoder = (encoder_end, encoder_end)
         while self._grid < end:
             self._grid += CYCLES_PER_MS
             chip.run(self._grid)
@@ -255,14 +255,14 @@ class SimulatedMega:
     @property
     def air(self) -> tuple[bool, bool]:
         """Whether the air enables of muscles and body are held on by their pins' edges."""
-        return self._held(0), self._held(1)
+        return self._is_held_on(0), self._is_held_on(1)
 
     @property
     def motor_enables(self) -> tuple[bool, bool]:
         """Whether the enables of the motor's supply and of the brake's coil are held on so."""
-        return self._held(2), self._held(3)
+        return self._is_held_on(2), self._is_held_on(3)
 
-    def _held(self, enable: int) -> bool:
+    def _is_held_on(self, enable: int) -> bool:
         return self._grid - self._enable_edges[enable] < HOLD_CYCLES[enable]
 
     # --- faults and the store ---------------------------------------------------------------------
@@ -320,10 +320,10 @@ class SimulatedMega:
         table[rows[:, 0] - first, rows[:, 1]] = rows[:, 2]
         self.chip.feed_trace(table, first)
 
-    def record_trace(self, on: bool) -> None:
-        """Begin or end recording conversions; forgets what was recorded."""
+    def record_trace(self, enabled: bool) -> None:
+        """Begin or end recording conversions; earlier records are discarded."""
         self.chip.take_trace()
-        self.chip.record_trace(on)
+        self.chip.record_trace(enabled)
 
     def recorded_trace(self) -> npt.NDArray[np.int64]:
         """Recorded conversions, shape (n, 3): tick since the firmware's start, channel, count."""

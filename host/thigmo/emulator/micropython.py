@@ -40,8 +40,8 @@ Floats = npt.NDArray[np.float64]
 Processor = Literal["unix", "cortex-m3"]
 
 BOOT_MS = 840  # as the Mega's boot loader takes, so that runs on both can be compared
-# Of the usual board and of the large one: bytes of the core's store, of which the flash keeps an
-# image in one of its two sectors.
+# Size of the core's store on the usual board and on the large one, bytes. The flash keeps an image
+# of it in one of two sectors.
 STORE_SIZE, _LARGE_STORE = 2048, 8192
 _SECTORS = {STORE_SIZE: 4096, _LARGE_STORE: 3 * 4096}
 _PAGE = 256
@@ -62,11 +62,11 @@ def flash_of(store: bytes, size: int = STORE_SIZE) -> bytes:
     flash_size = 2 * _SECTORS[size]
     if not store:
         return b"\xff" * flash_size
-    whole = store[:size].ljust(size, b"\xff")
+    image = store[:size].ljust(size, b"\xff")
     header = struct.pack("<IH", 1, 0)
     header += struct.pack("<H", check_sequence(header))
     page = header.ljust(_PAGE // 2, b"\xff") * 2
-    return (page + whole).ljust(flash_size, b"\xff")
+    return (page + image).ljust(flash_size, b"\xff")
 
 
 class MicroPythonBoard:
@@ -100,7 +100,7 @@ class MicroPythonBoard:
         seed: int,
         store: bytes = b"",
         *,
-        on: Processor = "unix",
+        processor: Processor = "unix",
         program: str | None = None,
         adc_bits: int = 10,
         frame_us: int = 832,
@@ -111,12 +111,12 @@ class MicroPythonBoard:
         self._attended = attended
         if large:
             adc_bits, frame_us = _LARGE_BITS, _LARGE_FRAME_US
-        self._image = self._built("unix-large" if large else on)
-        self._on: Processor = on
+        self._image = self._built("unix-large" if large else processor)
+        self._processor: Processor = processor
         self._profile = (adc_bits, frame_us)
         self._passes = np.array(sorted({250, 500, 990, frame_us})) * 1e-3
-        made = LargeAnalog if large else Analog
-        self._analog = made(seed, adc_bits, frame_us)
+        analog_kind = LargeAnalog if large else Analog
+        self._analog = analog_kind(seed, adc_bits, frame_us)
         self._muscles = 4 if large else 2
         self._state = struct.Struct(f"<B{self._muscles + 1}hH")
         self._store_size = _LARGE_STORE if large else STORE_SIZE
@@ -126,7 +126,7 @@ class MicroPythonBoard:
         self._socket: socket.socket | None = None
         self._console = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the board
         self._keys = -1  # where the unix port's prompt takes keys from
-        self._sent = bytearray()
+        self._host_bytes = bytearray()
         self._received = bytearray()
         self._supply_mv = 5000
         self._encoder_errors = 0
@@ -153,31 +153,31 @@ class MicroPythonBoard:
         self.ended = False
         self._hung = False
         self.powered = True
-        self._off()
-        self._sent.clear()
+        self._outputs_off()
+        self._host_bytes.clear()
 
-    def _off(self) -> None:
+    def _outputs_off(self) -> None:
         self.running = False
         self._drive = (-1,) * self._muscles
         self.motor = 0
         self.air = self.motor_enables = (False, False)
 
     def _start(self) -> None:
-        mine, its = socket.socketpair()
-        with its:
-            self._process = self._launch(its)
-        mine.settimeout(_START_S)
-        self._socket = mine
+        host_end, board_end = socket.socketpair()
+        with board_end:
+            self._process = self._launch(board_end)
+        host_end.settimeout(_START_S)
+        self._socket = host_end
         adc_bits, frame_us = self._profile
-        described = bytes([self._cause]) + self._latches + struct.pack("<BH", adc_bits, frame_us)
-        self._tell(b"I" + described + self._flash)
+        description = bytes([self._cause]) + self._latches + struct.pack("<BH", adc_bits, frame_us)
+        self._tell(b"I" + description + self._flash)
         if self._attended:
             return
         started, problem = b"", ""
         end = time.monotonic() + _START_S
         while not started and not problem and time.monotonic() < end:
-            if select.select([mine], [], [], 0.05)[0]:
-                started = mine.recv(1)
+            if select.select([host_end], [], [], 0.05)[0]:
+                started = host_end.recv(1)
                 problem = "" if started else "it has ended"
             else:
                 problem = next((x for x in self.console().splitlines() if "Error:" in x), "")
@@ -204,36 +204,36 @@ class MicroPythonBoard:
         self.ended = self._process.poll() is not None
         return self.boots > 0 and not self.ended
 
-    def _launch(self, its: socket.socket) -> subprocess.Popen[bytes]:
-        if self._on == "unix":
+    def _launch(self, board_end: socket.socket) -> subprocess.Popen[bytes]:
+        if self._processor == "unix":
             command = [str(self._image), "-X", "heapsize=128k"]
-            environment = os.environ | {"THIGMO_HARDWARE": str(its.fileno())}
+            environment = os.environ | {"THIGMO_HARDWARE": str(board_end.fileno())}
             if self._attended:
-                return subprocess.Popen(command, env=environment, pass_fds=(its.fileno(),))
+                return subprocess.Popen(command, env=environment, pass_fds=(board_end.fileno(),))
             self._keys, terminal = os.openpty()
             try:
                 # A new session's first terminal makes a signal of Ctrl-C while a program runs.
                 return subprocess.Popen(
                     ["sh", "-c", 'exec "$@" <"$0"', os.ttyname(terminal), *command,
                      "-i", "-c", self._program],
-                    env=environment, pass_fds=(its.fileno(),), start_new_session=True,
+                    env=environment, pass_fds=(board_end.fileno(),), start_new_session=True,
                     stdin=subprocess.DEVNULL, stdout=self._console, stderr=subprocess.STDOUT,
                 )  # fmt: skip
             finally:
                 os.close(terminal)
-        monitor, its_monitor = socket.socketpair()
-        with its_monitor, monitor:
+        monitor, board_monitor = socket.socketpair()
+        with board_monitor, monitor:
             process = subprocess.Popen(
                 [
                     "qemu-system-arm", "-machine", "mps2-an385", "-nodefaults", "-display", "none",
                     "-semihosting-config", "enable=on,target=native", "-kernel", self._image,
                     "-chardev", "stdio,id=prompt,signal=off", "-serial", "chardev:prompt",
-                    "-chardev", f"socket,id=hardware,fd={its.fileno()}",
+                    "-chardev", f"socket,id=hardware,fd={board_end.fileno()}",
                     "-serial", "chardev:hardware",
-                    "-chardev", f"socket,id=monitor,fd={its_monitor.fileno()}",
+                    "-chardev", f"socket,id=monitor,fd={board_monitor.fileno()}",
                     "-mon", "chardev=monitor",
                 ],
-                pass_fds=(its.fileno(), its_monitor.fileno()), stdin=subprocess.PIPE,
+                pass_fds=(board_end.fileno(), board_monitor.fileno()), stdin=subprocess.PIPE,
                 stdout=self._console, stderr=subprocess.STDOUT,
             )  # fmt: skip
             self._process = process
@@ -267,7 +267,7 @@ class MicroPythonBoard:
         self.type(b"\x03")
 
     def printed(self, past: int = 0) -> bytes:
-        """What Python has printed so far, past so many bytes."""
+        """Python's output so far, without its first `past` bytes."""
         return os.pread(self._console.fileno(), 1 << 20, past)
 
     def console(self) -> str:
@@ -291,7 +291,7 @@ class MicroPythonBoard:
     def _kill(self, *, keep: bool = True) -> None:
         if self._process is None:
             return
-        with suppress(OSError):  # it has ended; what it kept was taken before
+        with suppress(OSError):  # it has ended, and its store has been read
             if keep:
                 self._keep()
         assert self._socket is not None
@@ -321,34 +321,34 @@ class MicroPythonBoard:
     # --- time -------------------------------------------------------------------------------------
     def step(self, ticks: int) -> None:
         """Run for a number of milliseconds."""
-        done = 0
-        while done < ticks:
-            count = min(ticks - done, self._boot_left or _MOST_TICKS)
+        elapsed = 0
+        while elapsed < ticks:
+            count = min(ticks - elapsed, self._boot_left or _MOST_TICKS)
             if self._boot_left:
-                self._sent.clear()  # nobody takes it
+                self._host_bytes.clear()  # nobody takes it
                 self._boot_left -= count
                 if not self._boot_left:
                     self._start()
             elif self._process is not None and (not self._attended or self._begins()):
-                self._exchange(done, count, ticks)
-            done += count
+                self._exchange(elapsed, count, ticks)
+            elapsed += count
             self._now_ms += count
         self._analog.settle()
         self._encoder = (self._encoder[1], self._encoder[1])
 
-    def _exchange(self, begun: int, count: int, ticks: int) -> None:
-        """Run the program for `milliseconds`, from the `begun`-th of a step of `ticks`."""
-        counts = self._analog.frames(self._ticks, count, begun, 1.0 / ticks)
-        at, to = self._encoder
-        shares = (begun + np.arange(count)[:, None] + self._passes) * (1.0 / ticks)
-        places = np.floor(at + (to - at) * shares).astype("<i4")
+    def _exchange(self, elapsed: int, count: int, ticks: int) -> None:
+        """Run the program for `count` ms, from `elapsed` ms into a step of `ticks` ms."""
+        counts = self._analog.frames(self._ticks, count, elapsed, 1.0 / ticks)
+        encoder_start, encoder_end = self._encoder
+        shares = (elapsed + np.arange(count)[:, None] + self._passes) * (1.0 / ticks)
+        places = np.floor(encoder_start + (encoder_end - encoder_start) * shares).astype("<i4")
         if self._ticks == 0:  # the controller counts from where it began
             self._encoder_origin = places[0, 0]
         places -= self._encoder_origin
         rows = np.hstack([counts.astype("<u2").view("u1"), places.view("u1")])
         flags = self._estop | self._hung << 1 | self._motor_power << 2
-        line = bytes(self._sent)
-        self._sent.clear()
+        line = bytes(self._host_bytes)
+        self._host_bytes.clear()
         errors = self._encoder_errors
         message = struct.pack("<BBHHH", count, flags, self._supply_mv, errors, len(line))
         try:
@@ -361,7 +361,7 @@ class MicroPythonBoard:
             state, *drive, motor, length = self._state.unpack(self._hear(self._state.size))
             self._received += self._hear(length)
         except OSError:  # Python itself has ended, and the pins float
-            self._off()
+            self._outputs_off()
             return
         self.running = bool(state & _RUNS)
         # A controller that restarts in the next step begins with tick 0.
@@ -377,14 +377,14 @@ class MicroPythonBoard:
             self.reset(ResetCause.WATCHDOG)
 
     def _serve_bus(self, bus: ImuBus, kind: bytes) -> None:
-        """Do on the bus what the firmware wants."""
+        """Carry out one I2C transfer of the firmware on the bus."""
         if kind == b"N":
             bus.clock()
             return
         now_us, address, reads, count, data = _TRANSFER.unpack(self._hear(_TRANSFER.size))
         now_us += 1000 * (self._now_ms - self._ticks)
-        written, wanted = (b"", count) if reads else (data[:count], 0)
-        ended, read = bus.transfer(now_us, address, written, wanted)
+        written, read_count = (b"", count) if reads else (data[:count], 0)
+        ended, read = bus.transfer(now_us, address, written, read_count)
         self._tell(bytes([ended]) + read.ljust(21, b"\xff"))
 
     @property
@@ -395,7 +395,7 @@ class MicroPythonBoard:
     # --- serial line ------------------------------------------------------------------------------
     def write(self, data: bytes) -> None:
         """Bytes from the host; they reach the board one after another, 40 us each."""
-        self._sent += data
+        self._host_bytes += data
 
     def read(self) -> bytes:
         """Bytes that have reached the host since the last call."""
@@ -473,11 +473,11 @@ class MicroPythonBoard:
 def open_micropython(url: str, *, seed: int | None = None, realtime: bool = False) -> Transport:
     """Open `micropython://SCENE?seed=N&on=unix|cortex-m3`."""
     scene, used, options = parse_url(url, seed, on=("unix", "cortex-m3"))
-    on: Processor = "cortex-m3" if options["on"] == "cortex-m3" else "unix"
+    processor: Processor = "cortex-m3" if options["on"] == "cortex-m3" else "unix"
     large = board_size(scene.robot) is not BOARD_SIZES[0]
-    if on == "cortex-m3":
+    if processor == "cortex-m3":
         require_usual(scene.robot)
-    board = MicroPythonBoard(used, on=on, large=large)
+    board = MicroPythonBoard(used, processor=processor, large=large)
     transport = EmulatorTransport(scene, board, seed=used, realtime=realtime, name=url)
     if large:
         board.bus = string_bus(scene.robot, transport.lockstep.plant.imus)

@@ -28,7 +28,7 @@ _TOOLS = {
 
 
 def missing(kind: str) -> str:
-    """What keeps an image from being built and run here, in words; empty when nothing does."""
+    """The reason why an image cannot be built and run here, as text; empty if it can."""
     if not (SOURCES / "Makefile").exists():
         return "MicroPython with the controller is built in a source checkout only"
     needed = {*_TOOLS["unix"], *_TOOLS[kind]}

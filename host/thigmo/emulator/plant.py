@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import ceil, cos, exp, hypot, inf, isinf, isnan, nan, pi, radians, sin
+from math import ceil, cos, exp, hypot, inf, isnan, nan, pi, radians, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -60,9 +60,10 @@ _SMALLEST_CM = 0.5  # a shorter body has no shape worth solving
 
 @dataclass(frozen=True)
 class Truth:
-    """What the emulator knows."""
+    """The true room, body and contacts."""
 
-    # The room, walls as rows of pegs, also what has given way; while dowels hold the body, those
+    # All pegs of the room, those that gave way included, and walls as rows of pegs; while dowels
+    # hold the body, only these dowels
     pegs: tuple[Peg, ...]
     length_cm: float  # everted length
     contacts: tuple[PegContact, ...]  # touching pegs, base first
@@ -98,7 +99,7 @@ class Plant:
         board = wiring.size
         self.pressure_channel = first = board.sensors  # of the first muscle
         self.pegs = scene.peg_list()
-        # What the mechanics know of: those obstacles that still stand, by their numbers.
+        # Numbers of the obstacles that still stand; only these are part of the mechanics.
         self._obstacles: tuple[Obstacle, ...] = (*self.pegs, *scene.wall_list())
         self._gives_way = [table.gives_way or inf for table in (*scene.pegs, *scene.walls)]
         self._standing = list(range(len(self._obstacles)))
@@ -109,7 +110,7 @@ class Plant:
         self._regulator_psi = self.body_psi
         self._body_air = 0.0 if scene.enables.fitted else 1.0  # share of it that the body holds
 
-        # What faults set.
+        # Set by faults.
         muscles = len(robot.muscles)
         self.forced_outlet = np.full(muscles, np.nan)  # psi at which the transducers' outputs stand
         self.spool_stall = False  # the spool does not turn
@@ -126,16 +127,16 @@ class Plant:
         self.stuck: dict[int, float] = {}  # counts at which analog inputs stand, by channel
         self.chatters: dict[int, float] = {}  # share of time for which a wire is open, by channel
         self.flex_noise: dict[int, float] = {}  # counts, by input
-        # What ails the pressure sensors: psi at which they stand, factor, psi added, psi of noise.
+        # Faults of the pressure sensors: frozen value, highest value, factor, offset, noise; psi.
         self.pressure_frozen = np.full(muscles, np.nan)
         self.pressure_most = np.full(muscles, np.inf)  # psi that its sensor shows, but for moments
         self.pressure_gain = np.ones(muscles)
         self.pressure_offset = np.zeros(muscles)
         self.pressure_noisy = np.zeros(muscles)
-        # What `hold` holds: (arc, y) of points of the body.
+        # Points (arc, y) of the centreline that `hold` keeps in place, cm.
         self.pushes: tuple[tuple[float, float], ...] = ()
         self._dowel_cm = 0.0
-        self._held: Solution | None = None
+        self._held_body: Solution | None = None
 
         t, m = scene.transducer, scene.muscle
         self._muscles = tuple(
@@ -152,9 +153,9 @@ class Plant:
         )  # fmt: skip
         self._pressure_zero = t.sensor_zero_error_psi * rng.standard_normal(len(robot.muscles))
         # Share of each muscle's bend that is in the plane, positive to the left, and out of it.
-        self._in_plane, self._across = _parts(robot.muscles)
+        self._in_plane, self._out_of_plane = _parts(robot.muscles)
         self._planar = all(muscle.side for muscle in robot.muscles)
-        self._swing, self._swing_across = (
+        self._swing, self._swing_out_of_plane = (
             Swing(frequency_hz=scene.body.frequency_hz, damping=scene.body.damping)
             for _ in range(2)
         )
@@ -223,14 +224,14 @@ class Plant:
     def _make_sensors(self, wired: Sequence[config.Sensor | None]) -> list[FlexSensor]:
         scene, f = self.scene, self.scene.flex
         # The muscle under each sensor, by number.
-        at = {muscle.direction_deg: n for n, muscle in enumerate(scene.robot.muscles)}
-        self._under = [at.get(s.direction_deg) if s else None for s in wired]
+        muscle_at = {muscle.direction_deg: n for n, muscle in enumerate(scene.robot.muscles)}
+        self._under = [muscle_at.get(s.direction_deg) if s else None for s in wired]
         draws = self._rng.standard_normal((len(wired), 2))
         phases = self._rng.uniform(0, 2 * pi, (len(wired), 2))
         sensors = []
         for i, on_input in enumerate(wired):
             sensor = on_input if isinstance(on_input, config.FlexSensor) else _NO_SENSOR
-            made = FlexSensor(
+            flex_sensor = FlexSensor(
                 loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
                 wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
                 wrinkle_full_psi=max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
@@ -240,12 +241,12 @@ class Plant:
                 loop=scene.noise.hysteresis * draws[i, 0], creep_tau_s=sensor.settle_tau_s,
                 stowed=f.stowed * draws[i, 1], phase_1=phases[i, 0], phase_2=phases[i, 1],
             )  # fmt: skip
-            sensors.append(made)
+            sensors.append(flex_sensor)
         return sensors
 
     def _critical(self) -> float | None:
         body = self._robot.body
-        if not self.scene.body.fold or isinf(body.critical_curvature):
+        if not (self.scene.body.fold and body.folds):
             return None
         return critical_moment(body.critical_curvature, body.critical_pressure_psi, self.body_psi)
 
@@ -262,14 +263,18 @@ class Plant:
         self.body_psi = pressure_psi
         self.body.critical_moment = self._critical()
         self._solved_g = nan
-        for muscle, known in zip(self._muscles, self._robot.muscles, strict=True):
-            maps = sorted(known.maps, key=lambda m: m.body_pressure_psi)
-            at = [m.body_pressure_psi for m in maps]
-            muscle.set_maps(*(
-                [np.interp(pressure_psi, at, [getattr(getattr(m, branch), key) for m in maps])
-                 for key in ("amplitude", "scale_psi", "offset_psi")]
-                for branch in ("inflate", "deflate")
-            ))  # fmt: skip
+        for muscle, config_muscle in zip(self._muscles, self._robot.muscles, strict=True):
+            maps = sorted(config_muscle.maps, key=lambda m: m.body_pressure_psi)
+            mapped_psi = [m.body_pressure_psi for m in maps]
+            branches = []
+            for curves in ([m.inflate for m in maps], [m.deflate for m in maps]):
+                constants = [
+                    [curve.amplitude for curve in curves],
+                    [curve.scale_psi for curve in curves],
+                    [curve.offset_psi for curve in curves],
+                ]
+                branches.append([np.interp(pressure_psi, mapped_psi, row) for row in constants])
+            muscle.set_maps(*branches)
 
     def hold(self, pushes: Sequence[tuple[float, float]], dowel_cm: float = 0.0) -> None:
         """Hold points (arc, y) of the centreline aside, cm, base first; none lets go.
@@ -285,7 +290,7 @@ class Plant:
                 )
         self.pushes = tuple(pushes)
         self._dowel_cm = dowel_cm
-        self._held = None
+        self._held_body = None
         self._solved_g = nan
         if self.pushes:
             self._solve(self.length_cm)
@@ -340,9 +345,9 @@ class Plant:
         return self._swing.curvature
 
     @property
-    def pressure_seen(self) -> tuple[float, ...]:
-        """What the pressure sensors make of it, psi."""
-        seen = []
+    def pressure_reading(self) -> tuple[float, ...]:
+        """Pressures by the sensors, with their errors and faults, psi."""
+        readings = []
         for n, true in enumerate(self.muscle_psi):
             psi = self.pressure_frozen[n]
             if isnan(psi):
@@ -352,8 +357,8 @@ class Plant:
                 psi += self.pressure_offset[n]
             if self.steps % _FLICKER_STEPS >= _TRUE_STEPS:
                 psi = min(psi, self.pressure_most[n])
-            seen.append(float(psi))
-        return tuple(seen)
+            readings.append(float(psi))
+        return tuple(readings)
 
     @property
     def sensor_curvature(self) -> Floats:
@@ -362,30 +367,30 @@ class Plant:
 
     def truth(self) -> Truth:
         """Pegs, contacts and shape, now."""
-        if (held := self._held) is not None:
+        if (body := self._held_body) is not None:
             # Fingers touch nothing that a camera or a map could show.
-            contacts = held.contacts if self._dowel_cm else ()
-            line = np.column_stack([held.s, held.heading, held.curvature, held.x, held.y])
+            contacts = body.contacts if self._dowel_cm else ()
+            line = np.column_stack([body.s, body.heading, body.curvature, body.x, body.y])
             pegs = tuple(peg_for(contact, self._dowel_cm) for contact in contacts)
             return Truth(pegs, self.length_cm, contacts, line)
         # Walls are rows of pegs here: of each, by its number, the row's first and the row.
-        shown = list(self.pegs)
+        all_pegs = list(self.pegs)
         rows: dict[int, tuple[int, list[Peg]]] = {}
         for number, obstacle in enumerate(self._obstacles):
             if isinstance(obstacle, Wall):
-                rows[number] = len(shown), _row(obstacle)
-                shown += rows[number][1]
+                rows[number] = len(all_pegs), _row(obstacle)
+                all_pegs += rows[number][1]
         if self.length_cm < _SMALLEST_CM:
-            return Truth(tuple(shown), self.length_cm, (), np.zeros((1, 5)))
+            return Truth(tuple(all_pegs), self.length_cm, (), np.zeros((1, 5)))
         touching = []
         for contact in self.body.contacts():
             number = self._standing[contact.peg]
             if number in rows:
                 first, row = rows[number]
-                away = [hypot(contact.x - peg.x, contact.y - peg.y) for peg in row]
-                number = first + int(np.argmin(away))
+                distances = [hypot(contact.x - peg.x, contact.y - peg.y) for peg in row]
+                number = first + int(np.argmin(distances))
             touching.append(replace(contact, peg=number))
-        return Truth(tuple(shown), self.length_cm, tuple(touching), self.body.nodes())
+        return Truth(tuple(all_pegs), self.length_cm, tuple(touching), self.body.nodes())
 
     # Motion.
 
@@ -415,9 +420,9 @@ class Plant:
         bends = [muscle.advance(ma, psi) for muscle, ma, psi in driven]
         self._swing.follow(sum(share * g for share, g in zip(self._in_plane, bends, strict=True)))
         if not self._planar:
-            across = sum(share * g for share, g in zip(self._across, bends, strict=True))
-            self._swing_across.follow(across)
-        before = self._encoder()
+            pairs = zip(self._out_of_plane, bends, strict=True)
+            self._swing_out_of_plane.follow(sum(share * g for share, g in pairs))
+        encoder_start = self._encoder()
         if self.scene.spool.wiring in _MOTOR_SWAPPED:
             motor = -motor
         if self.motor_forced is not None:
@@ -427,12 +432,12 @@ class Plant:
             motor, braked = 0, False
         pull_n = 0.0 if self.line_snapped else self.pull_n
         self._spool.advance(motor, braked or motor != 0, self.spool_stall, pull_n, brake_n)
-        after = self._encoder()
+        encoder_end = self._encoder()
         if self.encoder_share != 1.0:
-            lost = (1.0 - self.encoder_share) * (after - before)
-            self._encoder_missed += lost
-            after -= lost
-        self.encoder = (before, after)
+            missed = (1.0 - self.encoder_share) * (encoder_end - encoder_start)
+            self._encoder_missed += missed
+            encoder_end -= missed
+        self.encoder = (encoder_start, encoder_end)
         length = self._grown()
         moved = abs(self._swing.curvature - self._solved_g) > 1e-8
         if moved or length != self.length_cm or isnan(self._solved_g):
@@ -485,20 +490,20 @@ class Plant:
         """Length that line, body pressure and tail allow."""
         robot, body = self._robot, self.scene.body
         paid = self._spool.line_cm / robot.spool.payout_ratio
-        most = min(robot.body.length_cm if self.line_snapped else paid, robot.body.length_cm)
-        if most <= self.length_cm:
-            return float(most)
+        allowed = min(robot.body.length_cm if self.line_snapped else paid, robot.body.length_cm)
+        if allowed <= self.length_cm:
+            return float(allowed)
         friction = robot.body.growth_psi_per_cm * self.length_cm
         over = self.body_psi - robot.body.growth_psi - friction
         rate = max(over, 0.0) * body.growth_cm_s_psi
-        return float(min(most, self.length_cm + rate * STEP_S))
+        return float(min(allowed, self.length_cm + rate * STEP_S))
 
     def _solve(self, length: float) -> None:
         """Find the body's shape; a tip that is pushed back too hard does not grow."""
         g = self._swing.curvature
         if self.pushes:
-            held = [(min(arc, length), y) for arc, y in self.pushes]
-            self._held = hold(held, g, length, self.body.tube)
+            pushes = [(min(arc, length), y) for arc, y in self.pushes]
+            self._held_body = hold(pushes, g, length, self.body.tube)
         grown = length > self.length_cm
         if length >= _SMALLEST_CM:
             if grown and self._standing:
@@ -538,14 +543,14 @@ class Plant:
         if self.length_cm < _SMALLEST_CM:
             self._curvature[:] = 0.0
             return
-        if self._held is not None:
-            self._curvature[:] = self._held.averages(self._centers, self._spans)
+        if self._held_body is not None:
+            self._curvature[:] = self._held_body.averages(self._centers, self._spans)
         else:
             self.body.averages_into(self._centers, self._spans, self._curvature)
-        in_plane, across = self._reads.T
+        in_plane, out_of_plane = self._reads.T
         self._curvature *= in_plane
         if not self._planar:
-            self._curvature += across * self._swing_across.curvature
+            self._curvature += out_of_plane * self._swing_out_of_plane.curvature
 
     def _evert(self, *, settled: bool) -> None:
         """Sensors that have just come out start to creep; those drawn in forget."""
@@ -570,7 +575,7 @@ class Plant:
         if self._turning.size:
             analog[self._turning, 1] = self.imus.counts(self._curvature[self._turning], length)
         full = self.scene.transducer.sensor_full_psi
-        for n, psi in enumerate(self.pressure_seen):
+        for n, psi in enumerate(self.pressure_reading):
             analog[self.pressure_channel + n, 1] = 1024.0 * min(
                 max(0.1 + 0.8 * psi / full, 0.0), 0.9999
             )

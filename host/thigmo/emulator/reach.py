@@ -38,8 +38,8 @@ def stages(robot: RobotConfig) -> list[float]:
     full, pitch = robot.body.length_cm, robot.body.pitch_cm
     if not robot.body.grows:
         return [full]
-    whole = [pitch * n for n in range(1, int(full / pitch) + 1) if pitch * n < full - 1e-6]
-    return [*whole, full]
+    pitches = [pitch * n for n in range(1, int(full / pitch) + 1) if pitch * n < full - 1e-6]
+    return [*pitches, full]
 
 
 def first_felt(robot: RobotConfig, pegs: Sequence[Peg]) -> Felt | None:
@@ -48,15 +48,17 @@ def first_felt(robot: RobotConfig, pegs: Sequence[Peg]) -> Felt | None:
     The base contact curvature is the base sensor's mean curvature (fold included) less the free
     curvature. At each stage the first muscle's half of the sweep comes first.
     """
-    sweeps = (sweep_once(robot, pegs, at, side) for at in stages(robot) for side in robot.sides)
-    return next((felt for felt in sweeps if felt is not None and felt.peak >= TRIGGER), None)
+    sweeps = (
+        sweep_once(robot, pegs, length, side) for length in stages(robot) for side in robot.sides
+    )
+    return next((touch for touch in sweeps if touch is not None and touch.peak >= TRIGGER), None)
 
 
 def pressed(robot: RobotConfig, pegs: Sequence[Peg]) -> str:
     """Muscle and pressure, as `left=6`, that press the whole robot against a peg where it can."""
     full = robot.body.length_cm
-    felt = [sweep for side in robot.sides if (sweep := sweep_once(robot, pegs, full, side))]
-    best = max(felt, key=lambda sweep: sweep.peak, default=None)
+    touches = [sweep for side in robot.sides if (sweep := sweep_once(robot, pegs, full, side))]
+    best = max(touches, key=lambda sweep: sweep.peak, default=None)
     muscle = robot.muscle(best.side if best else robot.sides[0])
     psi = max(_PRESSED * best.pressure_psi, _LEAST_PSI) if best else np.inf
     return f"{muscle.name}={min(psi, muscle.max_pressure_psi):g}"
@@ -82,18 +84,19 @@ def sweep_once(
     base = sensors[0]
     center, span, mean = np.array([base.center_cm]), np.array([base.span_cm]), np.zeros(1)
     sign = SIGN[side]
-    felt: list[tuple[float, float]] = []  # pressure and base contact curvature while it touches
+    touches: list[tuple[float, float]] = []  # pressure and base contact curvature while it touches
     top = muscle.max_pressure_psi
     for pressure in np.linspace(0.0, top, max(2, round(top / _STEP_PSI) + 1))[1:].tolist():
         g = sign * muscle.maps[zone].inflate.curvature(pressure)
         model.step(g, length_cm)
         if model.touching:
             model.averages_into(center, span, mean)
-            felt.append((pressure, abs(float(mean[0]) - g)))
-    if not felt:
+            touches.append((pressure, abs(float(mean[0]) - g)))
+    if not touches:
         return None
-    passed = next((pressure for pressure, excess in felt if excess >= TRIGGER), 0.0)
-    return Felt(length_cm, side, passed, max(excess for _, excess in felt), model.contacts())
+    trigger_psi = next((pressure for pressure, excess in touches if excess >= TRIGGER), 0.0)
+    peak = max(excess for _, excess in touches)
+    return Felt(length_cm, side, trigger_psi, peak, model.contacts())
 
 
 def random_peg(
@@ -111,9 +114,9 @@ def random_peg(
         x = float(rng.uniform(5.0, full))
         y = float(rng.choice([-1.0, 1.0]) * rng.uniform(clear, 0.8 * full))
         peg = Peg(round(x, 3), round(y, 3), round(r, 3))
-        felt = first_felt(robot, [peg])
-        if felt is not None and felt.contacts:
-            return peg, felt
+        touch = first_felt(robot, [peg])
+        if touch is not None and touch.contacts:
+            return peg, touch
 
 
 def room_for(robot: RobotConfig, seed: int, *, peg: bool = True) -> Scene:
@@ -130,6 +133,6 @@ def room_for(robot: RobotConfig, seed: int, *, peg: bool = True) -> Scene:
     scene.transducer.sensor_full_psi = robot.board.pressure_sensor_psi
     if peg:
         scene.about = "A room with one peg that the robot feels."
-        made, _ = random_peg(robot, np.random.default_rng([seed, 0x9E6]))
-        scene.pegs = [PegTable(x=made.x, y=made.y, radius=made.radius)]
+        touched, _ = random_peg(robot, np.random.default_rng([seed, 0x9E6]))
+        scene.pegs = [PegTable(x=touched.x, y=touched.y, radius=touched.radius)]
     return scene

@@ -211,25 +211,26 @@ def _clutter(flat: Canvas, look: Look, rng: np.random.Generator, px: float) -> N
     """Pens, scraps of paper, coins and cables, anywhere on the table."""
     rows, columns = flat.shape[:2]
     for _ in range(look.clutter):
-        at = rng.uniform((0, 0), (columns, rows))
+        place = rng.uniform((0, 0), (columns, rows))
         color = tuple(float(c) for c in rng.uniform(20, 235, 3))
         kind = rng.integers(4)
         turn = rng.uniform(0, np.pi)
-        along = np.array([np.cos(turn), np.sin(turn)])
+        direction = np.array([np.cos(turn), np.sin(turn)])
         if kind == 0:
-            end = at + along * rng.uniform(6, 14) * px
-            cv2.line(flat, _pair(at), _pair(end), color, max(1, int(0.8 * px)), cv2.LINE_AA)
+            end = place + direction * rng.uniform(6, 14) * px
+            cv2.line(flat, _pair(place), _pair(end), color, max(1, int(0.8 * px)), cv2.LINE_AA)
         elif kind == 1:
             size = rng.uniform(2, 9, 2) * px
-            box = cv2.boxPoints((_pair(at), (float(size[0]), float(size[1])), float(turn * 57)))
+            box = cv2.boxPoints((_pair(place), (float(size[0]), float(size[1])), float(turn * 57)))
             cv2.fillPoly(flat, [box.astype(np.int32)], color, cv2.LINE_AA)
         elif kind == 2:
             radius = int(rng.uniform(0.3, 0.6) * px)
-            cv2.circle(flat, _pair(at), radius, color, -1, cv2.LINE_AA)
+            cv2.circle(flat, _pair(place), radius, color, -1, cv2.LINE_AA)
         else:
             steps = np.cumsum(rng.normal(0, 0.35, 40)) + turn
-            ways = np.column_stack([np.cos(steps), np.sin(steps)])
-            walk = (at + np.cumsum(ways * 0.5 * px, axis=0)).astype(np.int32).reshape(-1, 1, 2)
+            directions = np.column_stack([np.cos(steps), np.sin(steps)])
+            points = place + np.cumsum(directions * 0.5 * px, axis=0)
+            walk = points.astype(np.int32).reshape(-1, 1, 2)
             cv2.polylines(flat, [walk], False, color, max(1, int(0.3 * px)), cv2.LINE_AA)
 
 
@@ -265,9 +266,9 @@ def _tube(
         for side in (1.0, -1.0):
             edges = []
             for angle in (outer, inner):
-                across = side * np.sin(angle) * wide
+                sideways = side * np.sin(angle) * wide
                 height = body.radius_cm + np.cos(angle) * wide
-                points = np.column_stack([axis + across[:, None] * normal, height])
+                points = np.column_stack([axis + sideways[:, None] * normal, height])
                 edges.append(camera.project(points))
             middle = (outer + inner) / 2
             facing = side * np.sin(middle) * normal @ sun[:2] + np.cos(middle) * sun[2]
@@ -290,8 +291,8 @@ def _housing(canvas: Canvas, camera: CameraModel) -> None:
     _fill(canvas, lid, (82.0, 76.0, 72.0))
 
 
-def _scaled(color: Color, by: float) -> Color:
-    return color[0] * by, color[1] * by, color[2] * by
+def _scaled(color: Color, factor: float) -> Color:
+    return color[0] * factor, color[1] * factor, color[2] * factor
 
 
 def _peg(
@@ -319,14 +320,14 @@ def _paste(canvas: Canvas, camera: CameraModel, patch: Decal) -> None:
     if far <= near or lower <= upper:
         return
     box = (slice(int(upper), lower), slice(int(near), far))
-    across, down = corners[1] - corners[0], corners[3] - corners[0]
-    normal = np.cross(across, down)
+    side, height = corners[1] - corners[0], corners[3] - corners[0]
+    normal = np.cross(side, height)
     rays = camera.rays[box].astype(float)
     from_corner = camera.eye_cm - corners[0]
     reach = -(from_corner @ normal) / (rays @ normal)
-    at = from_corner + reach[..., None] * rays
-    u = at @ across / (across @ across)
-    v = at @ down / (down @ down)
+    points = from_corner + reach[..., None] * rays
+    u = points @ side / (side @ side)
+    v = points @ height / (height @ height)
     n_rows, n_columns = patch.image.shape
     # Texels per pixel, for the smoothing that sampling needs.
     wide = max(1.0, float(np.linalg.norm(outline[1] - outline[0])))
@@ -346,11 +347,11 @@ def _sensor(
 ) -> Picture:
     """Uneven light, lens blur, noise, rounding, compression."""
     rows, columns = canvas.shape[:2]
-    across = np.linspace(-1, 1, columns, dtype=np.float32)
-    down = np.linspace(-1, 1, rows, dtype=np.float32)[:, None]
+    x = np.linspace(-1, 1, columns, dtype=np.float32)
+    y = np.linspace(-1, 1, rows, dtype=np.float32)[:, None]
     turn = rng.uniform(0, 2 * np.pi)
-    slope = np.float32(np.cos(turn)) * across + np.float32(np.sin(turn)) * down
-    light = 1 - look.falloff * (0.3 * (1 + slope) / 2 + 0.35 * (across**2 + down**2))
+    slope = np.float32(np.cos(turn)) * x + np.float32(np.sin(turn)) * y
+    light = 1 - look.falloff * (0.3 * (1 + slope) / 2 + 0.35 * (x**2 + y**2))
     lit = canvas * light[..., None].astype(np.float32)
     if look.blur_px > 0:
         lit = np.asarray(cv2.GaussianBlur(lit, (0, 0), look.blur_px), np.float32)

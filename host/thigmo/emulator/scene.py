@@ -9,7 +9,7 @@ how far the host's robot.toml is off. Lengths in cm, pressures in psi, curvature
 
 from __future__ import annotations
 
-from math import hypot, isinf
+from math import hypot
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -62,11 +62,11 @@ class WallTable(Yields):
 
     def clear_of_base(self, half_width: float) -> bool:
         """Whether it stays clear of a body of this half width where it leaves the base."""
-        along = np.linspace(0.0, 1.0, 400)
-        x = self.x + along * (self.end_x - self.x)
-        y = self.y + along * (self.end_y - self.y)
-        beside = np.maximum(np.abs(y) - half_width, 0.0)
-        return bool(np.hypot(x, beside).min() >= self.radius)
+        share = np.linspace(0.0, 1.0, 400)
+        x = self.x + share * (self.end_x - self.x)
+        y = self.y + share * (self.end_y - self.y)
+        gap = np.maximum(np.abs(y) - half_width, 0.0)
+        return bool(np.hypot(x, gap).min() >= self.radius)
 
 
 class Noise(Model):
@@ -124,7 +124,7 @@ class Flex(Model):
     wrinkle_start_psi: NonNegative = 1.0
     wrinkle_full_psi: Positive = 4.0
     fold_bend: NonNegative = 0.15  # 1/cm, seen while the fold of a tip of 1.75 cm radius passes
-    stowed: NonNegative = 0.01  # 1/cm, one sigma of what a sensor inside the tail reads
+    stowed: NonNegative = 0.01  # 1/cm, one sigma of the reading of a sensor inside the tail
 
 
 class Imu(Model):
@@ -367,8 +367,8 @@ class Scene(Model):
                     start = begins.get(round(first, 3), first)
                     begins[round(last, 3)] = end = min(last + moved, config.body.length_cm)
                     # What an IMU lies off by makes one span longer, and the next one shorter.
-                    off = 2**0.5 * spread.position_spread_cm / sensor.span_cm
-                    sensor.scale_se = hypot(sensor.scale_se, off)
+                    end_error = 2**0.5 * spread.position_spread_cm / sensor.span_cm
+                    sensor.scale_se = hypot(sensor.scale_se, end_error)
                     sensor.center_cm, sensor.span_cm = (start + end) / 2, end - start
                     continue
                 sensor.zero_se = max(sensor.zero_se, self.noise.hysteresis)
@@ -388,7 +388,7 @@ class Scene(Model):
             grating.rescale(1 + spread.gain_spread * rng.standard_normal())
             grating.scale_se = spread.gain_spread
         body = config.body
-        if not isinf(body.critical_curvature):
+        if body.folds:
             body.critical_curvature_se = spread.critical_error * body.critical_curvature
             body.critical_curvature *= max(1 + spread.critical_error * rng.standard_normal(), 0.1)
         return config
@@ -416,8 +416,8 @@ def _merged(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
     base = data.get("extends")
     if not isinstance(base, str):
         return data
-    other = path.parent / base if base.endswith(".toml") else _find(base)
-    start = {k: v for k, v in _merged(other, (*below, path)).items() if k not in _OWN}
+    base_path = path.parent / base if base.endswith(".toml") else _find(base)
+    start = {k: v for k, v in _merged(base_path, (*below, path)).items() if k not in _OWN}
     return _over(start, data)
 
 

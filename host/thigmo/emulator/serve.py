@@ -249,11 +249,11 @@ def attend(scene: str | Path, *, seed: int | None = None) -> None:
     board = MicroPythonBoard(used, configured(room, seed)[:STORE_SIZE], attended=True)
     server = PtyServer(Lockstep(room, board, seed=seed), reset_on_open=False)
     print(f"{room.name}: a host may open {server.path}; Ctrl-D leaves the prompt", file=sys.stderr)
-    before = signal.signal(signal.SIGINT, lambda *_: None)  # Ctrl-C is for the prompt
+    previous = signal.signal(signal.SIGINT, lambda *_: None)  # Ctrl-C is for the prompt
     try:
         server.run(lambda: not board.ended)
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous)
         server.close()
 
 
@@ -281,13 +281,13 @@ def serve(
     server = PtyServer(lockstep, link=link)
     port = server.path if link is None else link
     try:
-        said = f"{room.name}: open {port}; Ctrl-C ends it"
+        message = f"{room.name}: open {port}; Ctrl-C ends it"
         if config is not None:
-            known = room.believed(seed)
-            if not (config.exists() and RobotConfig.load(config) == known):
-                known.save(config)
-            said += f"\nIts constants: thigmo explore --robot {port} --config {config}"
-        announce(said)
+            believed = room.believed(seed)
+            if not (config.exists() and RobotConfig.load(config) == believed):
+                believed.save(config)
+            message += f"\nIts constants: thigmo explore --robot {port} --config {config}"
+        announce(message)
         server.run()
     finally:
         server.close()

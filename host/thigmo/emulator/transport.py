@@ -174,7 +174,7 @@ class EmulatorTransport:
         """Bytes as soon as there are any; b"" when so much virtual time passed without."""
         self._require_open()
         end = self.now() + timeout_s - 1e-9
-        # Any wait, however short, makes time pass: what is waited for may lie between two steps.
+        # Any wait, however short, makes time pass: the awaited bytes may lie between two steps.
         while not self._received and timeout_s > 0:
             self._advance()
             if self.now() >= end:
@@ -184,7 +184,7 @@ class EmulatorTransport:
         return data
 
     def pass_time(self, seconds: float) -> None:
-        """Let virtual time pass; what the board says meanwhile is kept for `read`."""
+        """Let virtual time pass; bytes that the board sends meanwhile wait for `read`."""
         self._require_open()
         end = self.now() + seconds - 1e-9
         while self.now() < end:
@@ -227,9 +227,9 @@ class EmulatorTransport:
 
     def beats(self) -> list[Beat]:
         """Heartbeats sent since the last call, oldest first (the last 64 at most)."""
-        sent = list(self._beats)
+        beats = list(self._beats)
         self._beats.clear()
-        return sent
+        return beats
 
     def truth(self) -> Truth:
         """Pegs, contacts and shapes."""
@@ -268,18 +268,20 @@ def parse_url(
     then the scene's. An option that is omitted takes its first choice.
     """
     place, _, query = url.partition("://")[2].partition("?")
-    given = {key: values[-1] for key, values in parse_qs(query, keep_blank_values=True).items()}
-    text = given.pop("seed", None)
-    for key, value in given.items():
+    stated = {key: values[-1] for key, values in parse_qs(query, keep_blank_values=True).items()}
+    text = stated.pop("seed", None)
+    for key, value in stated.items():
         if value not in choices.get(key, ()):
-            known = ["seed=NUMBER", *(f"{k}={' or '.join(c)}" for k, c in choices.items())]
-            raise ConfigError(f"{url}: no option {key}={value}", f"give any of {', '.join(known)}")
+            allowed = ["seed=NUMBER", *(f"{k}={' or '.join(c)}" for k, c in choices.items())]
+            raise ConfigError(
+                f"{url}: no option {key}={value}", f"give any of {', '.join(allowed)}"
+            )
     if text is not None and seed is None:
         if not text.isdecimal():
             raise ConfigError(f"{url}: seed {text!r} is not a whole number", "give ?seed=NUMBER")
         seed = int(text)
     scene = Scene.load(place or "default")
-    options = {key: known[0] for key, known in choices.items()} | given
+    options = {key: allowed[0] for key, allowed in choices.items()} | stated
     return scene, scene.seed if seed is None else seed, options
 
 

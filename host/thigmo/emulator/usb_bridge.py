@@ -53,7 +53,7 @@ class UsbBridge:
         return down, up
 
     def drop(self) -> None:
-        """The cable was pulled: what was under way is lost."""
+        """Pull the cable; bytes under way are lost."""
         self._down.clear()
         self._up.clear()
 

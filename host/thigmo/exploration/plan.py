@@ -16,9 +16,10 @@ def half_everted(config: RobotConfig, length_cm: float) -> str:
         return ""
     for side in SIDES:
         for index, sensor in enumerate(config.column(side)):
-            center_cm, span_cm, _ = sensor.passes_at
-            away = span_cm / 2 + FOLD_MARGIN_CM
-            if sensor.healthy and center_cm - away < length_cm < center_cm + away - 1e-6:
+            passage = sensor.passes_at
+            away_cm = passage.span_cm / 2 + FOLD_MARGIN_CM
+            beyond_cm = length_cm - passage.center_cm
+            if sensor.healthy and -away_cm < beyond_cm < away_cm - 1e-6:
                 return f"{side}[{index}]"
     return ""
 

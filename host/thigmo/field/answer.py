@@ -5,27 +5,37 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from math import nan
 
 import numpy as np
+from scipy.special import chdtri
 from threadpoolctl import ThreadpoolController
 
 from thigmo.field.atlas import Atlas
-from thigmo.field.fit import ALIKE, FieldFit
-from thigmo.field.hypotheses import FRICTION, RADIUS
-from thigmo.field.posterior import ENOUGH, PegSearch, Samples
+from thigmo.field.fit import ALIKE, Mode
+from thigmo.field.hypotheses import BEND, FRICTION, OBSTACLE_UNKNOWNS, RADIUS, WALL_BEND
+from thigmo.field.posterior import ENOUGH, ROUNDS, Samples, Search
 from thigmo.field.readings import Errors, Floats, Readings
 
 # Log likelihood that a place must gain for a fit: with less, the prior odds of a place refuse it.
 LEAST_GAIN = 3.0
-# Sum of squares over the number of independent readings beyond which the model does not explain the
-# sweeps. Below it, what it leaves above one widens the answer.
-UNEXPLAINED = 2.0
+# Share of sweeps that their own model explains, and that are taken for unexplained.
+FALSE_ALARMS = 0.05
+# Log evidence by which an explanation must be likelier than the next for its place to count, and
+# beyond which a less likely one need not be sampled: its mode alone says so much.
+_SURELY, _NEAR = 3.0, 5.0
 # Everted length by the spool's encoder, and the side against the corner of the end, cm.
 _LENGTH_CM = 0.1
 _TRACK = 25  # points
+_FEW_ROUNDS = 3
 _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
 
+# Probability of a touch before the first bin, where no reading shows when it came, beyond which a
+# contact that one length alone has felt is not placed.
+_EARLY = 0.5
+
 UNEXPLAINED_WORDS = "the model does not explain these sweeps"
+EARLY_WORDS = "one length alone touched it, before the first readings that count"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +55,8 @@ class FieldContact:
     force_per_cm2: float  # across the body over EI, without sign
     force_interval_per_cm2: tuple[float, float]  # 95 %
     track: Floats  # (25, 2) the interval drawn along the skin
+    arcs: Floats  # (n,) samples of the arc, cm, widened as the interval is
+    weights: Floats  # (n,) of the samples, of sum one
     probability: float  # that something stands there
     places: bool  # whether its place is an answer: the model holds, and enough samples agree
     doubt: str  # why not, in words
@@ -53,9 +65,10 @@ class FieldContact:
     log_evidence: float  # of the readings, with the prior odds, less what all hypotheses share
     misfit: float  # sum of squares over the number of independent readings: 1 if the model holds
     effective: float  # samples
-    peg_radius_cm: float  # posterior median
+    kind: str  # "peg" or "wall"
+    peg_radius_cm: float  # posterior median; NaN for a wall
     friction: float  # posterior mean
-    yield_cm: float  # posterior mean, of the peg under its force
+    yield_cm: float  # posterior mean, of the obstacle under its force
 
 
 def contacts(
@@ -85,29 +98,81 @@ def _contacts(
     atlas: Atlas,
     expected: Callable[[Floats], Floats] | None,
 ) -> list[FieldContact]:
-    search = PegSearch(readings, errors, atlas)
+    search = Search(readings, errors, atlas)
+    peg = _one_peg(search, expected)
+    if peg is None:
+        return []
+    if _explains(peg, readings):
+        return _answer(search, peg, "")
+    explanations, best = [peg], peg
+    for sought in (search.pairs, search.walls):
+        modes = sought()
+        if modes and max(map(search.laplace, modes)) > best.log_evidence - _NEAR:
+            samples = _sampled(search, [modes], expected)
+            explanations += [] if samples is None else [samples]
+        explanations.sort(key=lambda samples: -samples.log_evidence)
+        best, *others = explanations
+        rivalled = any(one.log_evidence > best.log_evidence - _SURELY for one in others)
+        if _explains(best, readings) and not rivalled:
+            return _answer(search, best, "")
+    return _answer(search, best, UNEXPLAINED_WORDS)
+
+
+def _one_peg(search: Search, expected: Callable[[Floats], Floats] | None) -> Samples | None:
+    """Samples of one peg; None where nothing is likelier."""
     if not search.places or search.places[0].gain < LEAST_GAIN:
-        return []
+        return None
     chains = search.ridges()
-    if not chains:
-        return []
-    samples = search.sample(chains, expected=expected)
-    if samples is None:
-        return []
-    log_odds = samples.log_evidence + 0.5 * search.nothing.cost
-    if log_odds < np.log(_REFUSED):
-        return []
-    contact = _placed(readings, samples, log_odds)
-    return [] if contact is None else [contact]
+    samples = _sampled(search, chains, expected) if chains else None
+    if samples is None or _log_odds(search, samples) < np.log(_REFUSED):
+        return None
+    return samples
 
 
-def untouched_evidence(readings: Readings, errors: Errors) -> float:
-    """Log evidence of the readings if nothing was touched, less what all hypotheses share."""
-    return -0.5 * FieldFit(readings, errors).nothing().cost
+def _sampled(
+    search: Search, chains: list[list[Mode]], expected: Callable[[Floats], Floats] | None
+) -> Samples | None:
+    """Samples around modes; few, for their evidence alone, if the likeliest leaves too much.
+
+    Where nothing explains the readings, samples that agree are hard to get, and place nothing.
+    """
+    left = search.misfit([mode for chain in chains for mode in chain]) * ALIKE
+    explains = left <= _most_misfit(search.readings)
+    return search.sample(chains, expected=expected, rounds=ROUNDS if explains else _FEW_ROUNDS)
 
 
-def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldContact | None:
-    touches = np.isfinite(samples.touch[:, :, 0])  # (n, stages)
+def _log_odds(search: Search, samples: Samples) -> float:
+    return samples.log_evidence + 0.5 * search.nothing.cost
+
+
+def _explains(samples: Samples, readings: Readings) -> bool:
+    """Whether samples leave no more than a model that holds, and enough of them agree."""
+    return samples.misfit * ALIKE <= _most_misfit(readings) and samples.effective >= ENOUGH
+
+
+def _most_misfit(readings: Readings) -> float:
+    """The sum of squares over the number of independent readings that a model which holds leaves.
+
+    With the noise as these sweeps show it, the sum is distributed as chi-squared.
+    """
+    independent = float(np.isfinite(readings.curvature).sum()) / ALIKE
+    return float(chdtri(independent, FALSE_ALARMS)) / independent
+
+
+def _answer(search: Search, samples: Samples, doubt: str) -> list[FieldContact]:
+    placed = (
+        _placed(search.readings, samples, n, _log_odds(search, samples), doubt)
+        for n in range(samples.hypothesis.obstacles)
+    )
+    return [contact for contact in placed if contact is not None]
+
+
+def _placed(
+    readings: Readings, samples: Samples, obstacle: int, log_odds: float, doubt: str
+) -> FieldContact | None:
+    """One of the obstacles where the last sweep that reached it touched it."""
+    touch = samples.touch[:, :, obstacle]
+    touches = np.isfinite(touch[:, :, 0])  # (n, stages)
     shares = samples.weight @ touches
     reached = np.flatnonzero(shares > 0.5)
     if not reached.size:
@@ -117,24 +182,28 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
     weight = _widened(np.where(touches[:, stage], samples.weight, 0.0))
     on = weight > 0.0
     weight = weight[on] / weight[on].sum()
-    arc, x, y, normal, force = samples.touch[on, stage].T
+    arc, x, y, normal, force = touch[on, stage].T
     length = readings.stages[stage].length
     low, high = _quantiles(arc, weight, (0.025, 0.975))
     mean = weight @ np.column_stack([arc, x, y])
     leaves = samples.misfit * ALIKE
     wider = max(1.0, leaves)
     interval = (
-        max(mean[0] - wider * (mean[0] - low) - _LENGTH_CM, 0.0),
-        min(mean[0] + wider * (high - mean[0]) + _LENGTH_CM, length),
+        max(float(mean[0] - wider * (mean[0] - low)) - _LENGTH_CM, 0.0),
+        min(float(mean[0] + wider * (high - mean[0])) + _LENGTH_CM, length),
     )
     off = wider * (np.column_stack([arc, x, y]) - mean)
     covariance = (weight[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
-    unexplained = leaves > UNEXPLAINED or samples.effective < ENOUGH
-    doubt = UNEXPLAINED_WORDS if unexplained else ""
     felt = sorted({round(readings.stages[s].length, 2) for s in reached})
     q = samples.q[on]
+    is_peg = obstacle < samples.hypothesis.pegs
+    bends = q[:, OBSTACLE_UNKNOWNS * obstacle + (BEND if is_peg else WALL_BEND)]
+    before = bends < readings.bend[np.isin(readings.stage, reached)].min()
+    if not doubt and len(felt) == 1 and weight @ before > _EARLY:
+        doubt = EARLY_WORDS
+    radii = readings.radius * np.exp(q[:, OBSTACLE_UNKNOWNS * obstacle + RADIUS])
     return FieldContact(
         length_cm=length,
         arc_cm=float(mean[0]),
@@ -145,6 +214,8 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         normal_rad=float(turn),
         force_per_cm2=float(weight @ np.abs(force)),
         force_interval_per_cm2=_quantiles(np.abs(force), weight, (0.025, 0.975)),
+        arcs=mean[0] + off[:, 0],
+        weights=weight,
         track=mean[1:] + along * covariance[0, 1:] / covariance[0, 0],
         probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
         places=not doubt,
@@ -154,7 +225,8 @@ def _placed(readings: Readings, samples: Samples, log_odds: float) -> FieldConta
         log_evidence=samples.log_evidence,
         misfit=leaves,
         effective=samples.effective,
-        peg_radius_cm=_quantiles(np.exp(q[:, RADIUS]), weight, (0.5, 0.5))[0] * readings.radius,
+        kind="peg" if is_peg else "wall",
+        peg_radius_cm=_quantiles(radii, weight, (0.5, 0.5))[0] if is_peg else nan,
         friction=float(weight @ np.abs(q[:, FRICTION])),
         yield_cm=float(weight @ (samples.compliance[on] * np.abs(force))),
     )

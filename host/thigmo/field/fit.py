@@ -18,21 +18,20 @@ import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
 from thigmo.field.hypotheses import (
-    ARC,
     BASE,
-    BEND,
     FOLD,
     FRICTION,
     NOTHING,
-    PEG_UNKNOWNS,
+    OBSTACLE_UNKNOWNS,
     UNSIGNED,
     YIELD,
     Body,
     Hypothesis,
+    nearest_on,
     untouched,
 )
 from thigmo.field.readings import Errors, Floats, Readings
-from thigmo.mechanics import Peg, Rod, Tube
+from thigmo.mechanics import Obstacle, Rod, Tube
 
 # Rows of a table of the mechanics: turns (rad) of the whole body between them, and the share of a
 # sweep's highest bend up to which errors of the map may take it.
@@ -52,12 +51,12 @@ _LARGEST_TURN = 0.13  # rad at the end of the body, of one step of the touch's b
 
 
 class Touch(NamedTuple):
-    """Contacts by bend (k) and peg (p) at one stage; NaN where there is none."""
+    """Contacts by bend (k) and obstacle (p) at one stage; NaN where there is none."""
 
     arc: Floats  # (k, p) cm
     x: Floats  # (k, p) of the touched skin, cm
     y: Floats
-    normal: Floats  # (k, p) direction from the contact into the peg, rad
+    normal: Floats  # (k, p) direction from the contact into the obstacle, rad
     force: Floats  # (k, p) over EI, 1/cm^2
 
 
@@ -77,7 +76,9 @@ class Prediction(NamedTuple):
     slope: Floats  # (n, m) over the bend
     effect: Floats  # (n, m, count) derivatives by the errors
     bend: Floats  # (n,) of the free body, 1/cm
-    by_q: Floats  # (n, m, unknowns) derivatives by what stands there
+    answer: Floats  # (n, m) derivatives over the true curvature
+    row: npt.NDArray[np.intp]  # (n,) of the tables below the bend, and
+    part: Floats  # (n,) its share of the way to the next
 
 
 class Departures(NamedTuple):
@@ -88,8 +89,7 @@ class Departures(NamedTuple):
     weight: Floats  # (n, m) of the whitening, for `whitened`
     along: Floats  # (n, m) bin's error of the bend, whitened
     volume: float  # logarithm of the noise's volume
-    value: Floats  # (n, m) prediction
-    by_q: Floats  # (n m, unknowns) its derivatives by what stands there, whitened
+    prediction: Prediction
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,11 @@ class FieldFit:
         self._zero = self._against + 1
         self._modelled = self._zero + self.on_zero.shape[2]
         self.count = self._modelled + (m if self.model else 0)
+        # Errors that each sweep has by itself: of the bend, and beyond a sensor's constant zero.
+        self.of_sweeps = np.zeros(self.count, dtype=bool)
+        first = 1 + 2 * zones.shape[1]
+        self.of_sweeps[first : first + 2 * sweeps.shape[1]] = True
+        self.of_sweeps[self._zero + m : self._modelled] = True
         self._unit = np.eye(self.count)
 
     def free(self) -> Floats:
@@ -170,29 +175,29 @@ class FieldFit:
     def tables(self, hypothesis: Hypothesis, q: Floats) -> Tables:
         """The mechanics of q; most of the time goes here."""
         r, m = self.readings, self.readings.centers.size
-        pegs = hypothesis.place(q, self.body)
+        some = hypothesis.place(q, self.body)
         mean = np.tile(self.bends[:, None], (len(r.stages), 1, m))
         shift = np.zeros(mean.shape)
         by_q = np.zeros((*mean.shape, hypothesis.unknowns))
-        chain = [self._moves(row) for row in np.reshape(q[: PEG_UNKNOWNS * len(pegs)], (-1, 3))]
+        chain = hypothesis.moves(q, self.body)
         touches: list[Touch | None] = []
         for s, (length, zone) in enumerate(r.stages):
             rows, touch = self._rows[s], None
             bends = self.bends[:rows]
-            first = min((untouched(p, length, r.radius, bends) for p in pegs), default=rows)
+            first = min((untouched(p, length, r.radius, bends) for p in some), default=rows)
             if first < rows:
                 critical = float(r.fold_moment[zone] * np.exp(q[FOLD]))
                 base = abs(float(q[BASE])) * self.longest
                 rod = Rod(
-                    Tube(2 * r.radius, critical, base), pegs, cell_cm=CELL * self.longest,
+                    Tube(2 * r.radius, critical, base), some, cell_cm=CELL * self.longest,
                     friction=abs(float(q[FRICTION])),
                 )  # fmt: skip
                 sweep = rod.sweep(bends[first:], length, r.centers, r.spans)
                 on = slice(first, rows)
                 mean[s, on], shift[s, on] = sweep.readings, sweep.by_place
                 for p, moves in enumerate(chain):
-                    at = PEG_UNKNOWNS * p
-                    by_q[s, on, :, at : at + 3] = sweep.by_obstacle[:, :, p, :3] @ moves
+                    own = slice(OBSTACLE_UNKNOWNS * p, OBSTACLE_UNKNOWNS * (p + 1))
+                    by_q[s, on, :, own] = sweep.by_obstacle[:, :, p, :5] @ moves
                 yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
                 by_q[s, on, :, YIELD] = yields * np.sign(q[YIELD])
                 by_q[s, on, :, FOLD] = sweep.by_body[..., 0] * critical
@@ -200,31 +205,18 @@ class FieldFit:
                 by_q[s, on, :, FRICTION] = sweep.by_body[..., 2] * np.sign(q[FRICTION])
                 for part in (mean, shift, by_q):
                     part[s, rows:] = part[s, rows - 1]
-                touch = self._touch(pegs, sweep.contacts, first, rows)
+                touch = self._touch(some, sweep.contacts, first, rows)
             touches.append(touch)
         return Tables(mean, shift, by_q, tuple(touches))
 
-    def _moves(self, peg: Floats) -> Floats:
-        """(3, 3) derivatives of a peg's x, y and radius by its three unknowns."""
-        arc, bend, log_radius = peg.tolist()
-        radius, turn = float(np.exp(log_radius)) * self.body.radius, arc * bend
-        across = 1 / bend - self.body.radius - radius
-        sine, cosine = float(np.sin(turn)), float(np.cos(turn))
-        moves = np.zeros((3, 3))
-        moves[:2, ARC] = bend * across * cosine, bend * across * sine
-        moves[:2, BEND] = (
-            arc * across * cosine - sine / bend**2,
-            arc * across * sine - (1 - cosine) / bend**2,
-        )
-        moves[:, 2] = -radius * sine, radius * cosine, radius
-        return moves
-
     @staticmethod
-    def _touch(pegs: list[Peg], contacts: Floats, first: int, rows: int) -> Touch:
-        where = np.full((5, rows, len(pegs)), np.nan)
+    def _touch(some: list[Obstacle], contacts: Floats, first: int, rows: int) -> Touch:
+        where = np.full((5, rows, len(some)), np.nan)
         arc, x, y, force = np.moveaxis(contacts, 2, 0)
-        away = np.arctan2([p.y for p in pegs] - y, [p.x for p in pegs] - x)
-        where[:, first:] = arc, x, y, away, force
+        for p, obstacle in enumerate(some):
+            near_x, near_y = nearest_on(obstacle, x[:, p], y[:, p])
+            where[3, first:, p] = np.arctan2(near_y - y[:, p], near_x - x[:, p])
+        where[:3, first:], where[4, first:] = (arc, x, y), force
         return Touch(*where)
 
     def bend(self, xi: Floats, spread: float = 1.0) -> Floats:
@@ -265,12 +257,14 @@ class FieldFit:
             added = self.model * (true - bend[:, None])
             effect[:, sensors, self._modelled + sensors] = added
             value = value + added * xi[self._modelled :]
-        answers = (gain * answer)[..., None]
-        by_q = answers * (
-            tables.by_q[r.stage, k] * (1 - part[:, None, None])
-            + tables.by_q[r.stage, k + 1] * part[:, None, None]
-        )
-        return Prediction(value, slope, effect, bend, by_q)
+        return Prediction(value, slope, effect, bend, gain * answer, k, part)
+
+    def by_q(self, tables: Tables, at: Prediction) -> Floats:
+        """(n, m, unknowns) derivatives of a prediction by what stands there."""
+        stage, part = self.readings.stage, at.part[:, None, None]
+        below, above = tables.by_q[stage, at.row], tables.by_q[stage, at.row + 1]
+        slopes: Floats = at.answer[..., None] * (below * (1 - part) + above * part)
+        return slopes
 
     def departures(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Departures:
         """Departures from a prediction.
@@ -278,14 +272,14 @@ class FieldFit:
         The noise is white, plus the mechanics' error, plus each bin's error of the bend, which all
         of its sensors share (a rank-one update).
         """
-        value, slope, effect, bend, by_q = self.predict(tables, xi, spread)
-        added = self.model * (value - bend[:, None]) / self._sd
+        there = self.predict(tables, xi, spread)
+        added = self.model * (there.value - there.bend[:, None]) / self._sd
         weight = 1 / (self._sd * np.sqrt(1 + added**2))
-        along = weight * slope * self.errors.bend_bin
+        along = weight * there.slope * self.errors.bend_bin
         volume = float(np.log1p((along**2).sum(axis=1)).sum() + np.log1p(added**2).sum())
-        left = np.where(self.missing, 0.0, self.readings.curvature - value)
-        z, effect = whitened(left, weight, along), whitened(effect, weight, along)
-        return Departures(z, effect, weight, along, volume, value, whitened(by_q, weight, along))
+        left = np.where(self.missing, 0.0, self.readings.curvature - there.value)
+        z, effect = whitened(left, weight, along), whitened(there.effect, weight, along)
+        return Departures(z, effect, weight, along, volume, there)
 
     def evidence(
         self, tables: Tables, xi: Floats, *, spread: float = 1.0, passes: int = 2
@@ -337,7 +331,8 @@ class FieldFit:
         q = np.array(q, dtype=float)
         xi = self.free() if xi is None or xi.size != self.count else xi
         unit = self.longest
-        most = hypothesis.columns((0.06 * unit, _LARGEST_TURN / unit, 0.6), 0.15, 0.3, 0.5, 0.05)
+        turn = _LARGEST_TURN / unit
+        most = hypothesis.columns((0.06 * unit, turn, 0.6), 0.15, 0.3, 0.5, 0.05, (turn, 0.2, 0.6))
         mean, spread = hypothesis.bells(self.body)
         precision = np.concatenate([1 / spread**2, np.ones(self.count)])
 
@@ -350,7 +345,7 @@ class FieldFit:
         cost, tables, d = cost_at(q, xi)
         damping, hessian = _DAMPING, np.eye(q.size + self.count)
         for _ in range(passes):
-            by_q = d.by_q.copy()
+            by_q = whitened(self.by_q(tables, d.prediction), d.weight, d.along)
             by_q[:, list(held)] = 0.0
             jacobian = np.hstack([by_q, d.effect])
             hessian = jacobian.T @ jacobian + np.diag(precision)

@@ -1,8 +1,10 @@
-"""The posterior of one peg: modes along its ridge of radius and place, then importance samples.
+"""The posterior of what stands there: modes, then importance samples around them.
 
-The contact slides as the body bends on, so radius and place trade off along a narrow ridge, jagged
-where an end slips off. Starts lie under a large error of the mechanics, under which it is smooth;
-then it is followed from radius to radius. Samples carry what has no table of its own as well: how
+A contact slides as the body bends on, so a peg's radius and place trade off along a narrow ridge,
+jagged where an end slips off. Starts lie under a large error of the mechanics, under which it is
+smooth; then it is followed from radius to radius. Two pegs, or a wall, are sought where one peg
+does not explain the readings: each everted length by itself says where the pegs of a pair may be,
+and walls are tried on a grid. Samples carry what has no table of its own as well: how
 far gains and maps have drifted, and the mechanics' relative error.
 """
 
@@ -10,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -22,12 +24,16 @@ from thigmo.field.fit import MOST_EVIDENCE_PASSES, SPREAD_STD, FieldFit, Mode
 from thigmo.field.hypotheses import (
     BASE,
     FOLD,
+    OBSTACLE_UNKNOWNS,
     PEG,
+    PEGS,
     RADIUS,
     RADIUS_MEAN,
     RADIUS_STD,
     UNSIGNED,
+    WALL,
     YIELD,
+    Hypothesis,
 )
 from thigmo.field.readings import Errors, Floats, Readings
 
@@ -54,20 +60,28 @@ ROUND, ROUNDS = 60, 10
 ENOUGH = 50.0  # effective samples
 _KEPT = np.array([0, 1, 3, 4, 5, 6])  # unknowns other than the radius
 _UNFOLDED = 0.25  # of the proposals, against those that hold to a mode's fold
-_MIRRORS = np.array([[1.0] * 4 + list(signs) for signs in product((1.0, -1.0), repeat=3)])
+_SIGNS = np.array(list(product((1.0, -1.0), repeat=len(UNSIGNED))))
+# Of the search for a pair: places of the plane taken from each length, pairs tried, and two of
+# them fitted; radii beside the likeliest at which samples are proposed, as logarithms.
+_PLACES, _PAIRS, _ASIDE = 2, 4, 0.6
+_LEAST_PLACE = 3.0  # log likelihood that a length by itself gains by a place
+# Of the search for a wall: bends over the highest, tilts (rad) and reaches.
+_WALLS = np.linspace(0.1, 0.9, 9), (0.2, 0.5, 0.8, 1.1, 1.4), np.log((0.12, 0.5))
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Weighted samples of one peg."""
+    """Weighted samples of what stands there."""
 
-    q: Floats  # (n, 7)
+    hypothesis: Hypothesis
+    q: Floats  # (n, unknowns)
     model: Floats  # (n, levels) posterior of the level of the mechanics' error
-    touch: Floats  # (n, stages, 5) arc, x, y, normal, force at each stage's last peak; NaN: none
+    # (n, stages, obstacles, 5) arc, x, y, normal, force at each stage's last peak; NaN: none
+    touch: Floats
     weight: Floats  # (n,) of sum one
-    compliance: Floats  # (n,) of the peg, cm^3
+    compliance: Floats  # (n,) of the obstacles, cm^3
     misfit: float  # of the likeliest, over the number of readings
-    log_evidence: float  # with the prior odds of the peg
+    log_evidence: float  # with the prior odds of the obstacles
 
     @property
     def effective(self) -> float:
@@ -75,13 +89,14 @@ class Samples:
         return float(1 / np.sum(self.weight**2))
 
 
-class PegSearch:
-    """Fits of one peg to a side's readings, at each level of the mechanics' error."""
+class Search:
+    """Fits to a side's readings, at each level of the mechanics' error."""
 
     def __init__(self, readings: Readings, errors: Errors, atlas: Atlas) -> None:
         self.readings, self.errors, self._atlas = readings, errors, atlas
         self.fit = FieldFit(readings, errors)
         self._levels = [self.fit, *(FieldFit(readings, errors, model=m) for m in MODELS[1:])]
+        self._rough = FieldFit(readings, errors, model=ROUGH, row=2.0)
         self.nothing = self.fit.nothing()
         self.places = atlas.search(self.fit, self.nothing)
         stages = range(len(readings.stages))
@@ -89,8 +104,7 @@ class PegSearch:
 
     def ridges(self, known: Sequence[Mode] = (), keep: int = 2) -> list[list[Mode]]:
         """Chains of modes along the ridges of the likeliest places; `known`: of earlier sweeps."""
-        fit = self.fit
-        rough = FieldFit(self.readings, self.errors, model=ROUGH, row=2.0)
+        fit, rough = self.fit, self._rough
         first = []
         for place in self.places:
             for log_radius in _STARTS:
@@ -142,33 +156,120 @@ class PegSearch:
                 n += way
         return [nodes[n] for n in sorted(nodes)]
 
+    def pairs(self) -> list[Mode]:
+        """Modes of two pegs: the likeliest one with free radii, and some beside it."""
+        places = list(self.places)
+        for length in sorted({stage.length for stage in self.readings.stages}):
+            alone = FieldFit(self.readings.at_length(length), self.errors)
+            found = self._atlas.search(alone, alone.nothing())[:_PLACES]
+            places += [place for place in found if place.gain > _LEAST_PLACE]
+        touches = sorted({(place.arc, place.bend) for place in places})
+        starts = [
+            np.array([*one, RADIUS_MEAN, *other, RADIUS_MEAN, 0.0, *_LEAST])
+            for one, other in combinations(touches, 2)
+        ]
+        radii = RADIUS, RADIUS + OBSTACLE_UNKNOWNS
+        best = self._likeliest(PEGS, starts, radii)
+        if best is None:
+            return []
+        free = self.fit.solve(PEGS, best.q, best.xi)
+        if not self._shows(free):
+            return []
+        modes = [free]
+        for aside in product((-_ASIDE, _ASIDE), repeat=2):
+            q = free.q.copy()
+            q[list(radii)] += aside
+            if PEGS.possible(q, self.fit.body):
+                modes.append(self.fit.solve(PEGS, q, free.xi, passes=3, held=radii))
+        return [mode for mode in modes if self._shows(mode)]
+
+    def walls(self) -> list[Mode]:
+        """The likeliest mode of a wall, if one is possible."""
+        bends, tilts, reaches = _WALLS
+        highest = float(self.readings.bend.max())
+        starts = [
+            np.array([highest * bend, tilt, reach, 0.0, *_LEAST])
+            for bend, tilt, reach in product(bends, tilts, reaches)
+        ]
+        best = self._likeliest(WALL, starts, ())
+        free = self.fit.solve(WALL, best.q, best.xi) if best is not None else None
+        return [] if free is None or not self._shows(free) else [free]
+
+    def _shows(self, mode: Mode) -> bool:
+        """Whether the readings say of each obstacle where it is: more than that it is in reach."""
+        unit, most = self.fit.longest, np.inf
+        wide = mode.hypothesis.columns(
+            (unit, 1 / unit, most), most, most, most, most, (1 / unit, 1.0, most)
+        )
+        known = np.isfinite(wide)
+        scaled = mode.precision[np.ix_(known, known)] * np.outer(wide[known], wide[known])
+        return bool(np.linalg.eigvalsh(scaled).min() > 1.0)
+
+    def _likeliest(
+        self, hypothesis: Hypothesis, starts: Sequence[Floats], held: tuple[int, ...]
+    ) -> Mode | None:
+        """The likeliest mode near starts, with what they share and q[held] as they have it."""
+        rough = self._rough
+        tried = []
+        for q in starts:
+            if hypothesis.possible(q, rough.body):
+                log, xi, _ = rough.evidence(rough.tables(hypothesis, q), rough.free(), passes=1)
+                tried.append((log + hypothesis.log_prior(q, rough.body), q, xi))
+        tried.sort(key=lambda one: -one[0])
+        shared = tuple(range(OBSTACLE_UNKNOWNS * hypothesis.obstacles, hypothesis.unknowns))
+        first = [
+            rough.solve(hypothesis, q, xi, passes=6, held=held + shared)
+            for _, q, xi in tried[:_PAIRS]
+        ]
+        first.sort(key=lambda mode: mode.cost)
+        modes = [self.fit.solve(hypothesis, mode.q, passes=6, held=held) for mode in first[:2]]
+        return min(modes, key=lambda mode: mode.cost, default=None)
+
+    def misfit(self, modes: Sequence[Mode]) -> float:
+        """Sum of squares that the likeliest of modes leaves, over the number of readings."""
+        mode = min(modes, key=lambda mode: mode.cost)
+        least = np.inf
+        for level in self._levels:
+            xi = level.free()
+            xi[: mode.xi.size] = mode.xi
+            least = min(least, level.evidence(mode.tables, xi)[2])
+        return least / float(np.sum(~self.fit.missing))
+
+    def laplace(self, mode: Mode) -> float:
+        """Log evidence of a mode's hypothesis, were its posterior a bell."""
+        log = self.fit.evidence(mode.tables, mode.xi)[0]
+        prior = mode.hypothesis.log_prior(mode.q, self.fit.body)
+        volume = float(np.linalg.slogdet(mode.precision / (2 * np.pi))[1])
+        return log + prior - 0.5 * volume
+
     def sample(
         self,
         chains: Sequence[Sequence[Mode]],
         *,
         seed: int = 0,
         expected: Callable[[Floats], Floats] | None = None,
+        rounds: int = ROUNDS,
     ) -> Samples | None:
         """Importance samples, in rounds until enough of them count; None if no place is possible.
 
         The first round is drawn around the ridges, later ones mostly as the samples so far are
         spread; all are weighed by the mixture of all rounds. `expected`: density of a given map at
-        points (n, 2) of the touched skin, over that of a new obstacle.
+        points (n, 2) of the touched skin, over that of a new obstacle; `rounds`: at most so many.
         """
-        rng, fit = np.random.default_rng(seed), self.fit
-        ridges, modes, chain_of = _ridges(chains)
+        rng, fit, hypothesis = np.random.default_rng(seed), self.fit, chains[0][0].hypothesis
+        ridges, modes, chain_of = _ridges(chains) if hypothesis == PEG else _around(chains)
         likeliest = min(modes, key=lambda mode: mode.cost)
         drifts, levels = self._drifts(likeliest), self._likely_levels(likeliest)
         proposals: list[_Proposal] = [ridges]
         counts = np.zeros(ROUNDS * len(chains) + 1)
         drawn: list[_Draw] = []
         weight, round_shares = np.zeros(0), [1.0]
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             for n in rng.choice(len(round_shares), ROUND, p=round_shares):
                 at = len(proposals) - len(round_shares) + n if n else 0
                 counts[at] += 1
                 q, drift = proposals[at].draw(rng), drifts.draw(rng)
-                if PEG.possible(q, fit.body):
+                if hypothesis.possible(q, fit.body):
                     drawn.append(self._drawn(q, modes[ridges.nearest(q[None])[0]], levels, drift))
             if not drawn:
                 continue
@@ -182,7 +283,9 @@ class PegSearch:
             )
             logs = np.array([d.log - drifts.log_ratio(d.drift) for d in drawn]) - density
             if expected is not None:
-                logs += np.log(expected(np.array([d.skin for d in drawn])))
+                skin = np.array([d.skin for d in drawn])
+                density_given = expected(skin.reshape(-1, 2)).reshape(len(drawn), -1)
+                logs += np.log(density_given).sum(axis=1)
             weight = np.exp(logs - logs.max())
             total = float(logs.max() + np.log(weight.sum() / counts.sum()))
             weight /= weight.sum()
@@ -198,7 +301,8 @@ class PegSearch:
             return None
         best = drawn[int(np.argmax(weight))]
         return Samples(
-            q, np.array([d.levels for d in drawn]), np.array([d.touch for d in drawn]), weight,
+            hypothesis, q, np.array([d.levels for d in drawn]),
+            np.array([d.touch for d in drawn]), weight,
             np.abs(q[:, YIELD]) * fit.body.yield_unit,
             best.misfit / float(np.sum(~fit.missing)), total,
         )  # fmt: skip
@@ -230,7 +334,8 @@ class PegSearch:
 
     def _drawn(self, q: Floats, mode: Mode, levels: Sequence[int], drift: float) -> _Draw:
         fit, spread = self.fit, float(np.exp(SPREAD_STD * drift))
-        tables = fit.tables(PEG, q)
+        hypothesis = mode.hypothesis
+        tables = fit.tables(hypothesis, q)
         logs = np.full(len(MODELS), -np.inf)
         for n in levels:
             level = self._levels[n]
@@ -242,18 +347,16 @@ class PegSearch:
             logs[n] = log + np.log(MODEL_ODDS[n])
             if logs[n] == logs.max():
                 best, least = fitted, misfit
-        touch = np.full((len(self.readings.stages), 5), np.nan)
+        touch = np.full((len(self.readings.stages), hypothesis.obstacles, 5), np.nan)
         k, u = np.divmod(fit.bend(best, spread)[self._peaks] / fit.step, 1)
         for s, on in enumerate(tables.touch):
             if on is not None:
                 row = min(int(k[s]), len(on.arc) - 2)
-                low, high = (np.array([part[n, 0] for part in on]) for n in (row, row + 1))
+                low, high = (np.array([part[n] for part in on]).T for n in (row, row + 1))
                 touch[s] = np.where(np.isfinite(low), low + u[s] * (high - low), high)
         total = float(np.logaddexp.reduce(logs))
-        prior = PEG.log_prior(q, fit.body)
-        (peg,) = PEG.place(q, fit.body)
-        turn = float(q[0] * q[1])
-        skin = np.array([peg.x + peg.radius * np.sin(turn), peg.y - peg.radius * np.cos(turn)])
+        prior = hypothesis.log_prior(q, fit.body)
+        skin = hypothesis.skin(q, fit.body)
         return _Draw(q, drift, total + prior, np.exp(logs - total), touch, skin, least)
 
 
@@ -279,7 +382,7 @@ class _Draw(NamedTuple):
     log: float  # posterior density
     levels: Floats  # (levels,) posterior of the mechanics' error
     touch: Floats
-    skin: Floats  # (2,) first touched point
+    skin: Floats  # (obstacles, 2) first touched points
     misfit: float
 
 
@@ -329,7 +432,7 @@ class _Mixture:
 
     def log_density(self, q: Floats) -> Floats:
         """(k,) logarithm of the density at unknowns (k, 7), mirrored ones included."""
-        mirrored = [self._logs(q * sign) for sign in _MIRRORS]
+        mirrored = [self._logs(q * sign) for sign in _mirrors(q.shape[1])]
         density: Floats = np.logaddexp.reduce(np.concatenate(mirrored, axis=1), axis=1)
         return density + self._norm
 
@@ -363,16 +466,48 @@ class _Bell:
         return q
 
     def log_density(self, q: Floats) -> Floats:
-        """(k,) logarithm of the density at unknowns (k, 7), mirrored ones included."""
+        """(k,) logarithm of the density at unknowns (k, d), mirrored ones included."""
         logs = []
-        for sign in _MIRRORS:
+        for sign in _mirrors(q.shape[1]):
             z = np.linalg.solve(self._factor, (q * sign - self._center).T)
             logs.append(-0.5 * (_DOF + len(z)) * np.log1p(np.sum(z**2, axis=0) / _DOF))
         density: Floats = np.logaddexp.reduce(logs, axis=0) + self._norm
         return density
 
 
-_Proposal = _Mixture | _Bell
+class _Bells:
+    """Bells around modes."""
+
+    def __init__(self, bells: list[_Bell], share: Floats) -> None:
+        self._bells, self._share = bells, share
+
+    def draw(self, rng: np.random.Generator) -> Floats:
+        """Unknowns."""
+        return self._bells[int(rng.choice(self._share.size, p=self._share))].draw(rng)
+
+    def nearest(self, q: Floats) -> npt.NDArray[np.intp]:
+        """(k,) the bells in which unknowns (k, d) most probably lie."""
+        nearest: npt.NDArray[np.intp] = np.argmax(self._logs(q), axis=0)
+        return nearest
+
+    def log_density(self, q: Floats) -> Floats:
+        """(k,) logarithm of the density at unknowns (k, d), mirrored ones included."""
+        density: Floats = np.logaddexp.reduce(self._logs(q), axis=0)
+        return density
+
+    def _logs(self, q: Floats) -> Floats:
+        logs = [bell.log_density(q) for bell in self._bells]
+        return np.array(logs) + np.log(self._share)[:, None]
+
+
+_Proposal = _Mixture | _Bells | _Bell
+
+
+def _mirrors(unknowns: int) -> Floats:
+    """(8, unknowns) signs under which samples mean the same."""
+    mirrors = np.ones((len(_SIGNS), unknowns))
+    mirrors[:, list(UNSIGNED)] = _SIGNS
+    return mirrors
 
 
 def _bells(q: Floats, weight: Floats, chain: npt.NDArray[np.intp]) -> tuple[list[_Bell], Floats]:
@@ -407,6 +542,24 @@ def _unfolded(mode: Mode) -> Floats:
         precision[n] = precision[:, n] = 0.0
         precision[n, n] = mode.prior_precision[n]
     return precision
+
+
+def _around(
+    chains: Sequence[Sequence[Mode]],
+) -> tuple[_Bells, list[Mode], npt.NDArray[np.intp]]:
+    """Proposals around modes, the modes, and the numbers of their chains."""
+    numbered = [(n, mode) for n, chain in enumerate(chains) for mode in chain]
+    best = min(mode.cost for _, mode in numbered)
+    numbered = [(n, mode) for n, mode in numbered if mode.cost < best + _PROPOSED]
+    near = [mode for _, mode in numbered]
+    share = np.exp([-_TEMPER * (mode.cost - best) for mode in near])
+    bells = []
+    for mode in near:
+        w, v = np.linalg.eigh(mode.precision)
+        wide = v * np.minimum(1 / np.sqrt(np.maximum(w, 1e-9)), _WIDEST)
+        bells.append(_Bell(mode.q, _WIDER**2 * wide @ wide.T))
+    numbers = np.array([n for n, _ in numbered], dtype=np.intp)
+    return _Bells(bells, share / share.sum()), near, numbers
 
 
 def _ridges(

@@ -7,7 +7,7 @@ inflated side.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +40,22 @@ class Readings:
     spans: Floats  # (m,) cm
     fold_moment: Floats  # (zones,) contact moment over EI that folds the base, 1/cm
     radius: float  # of the tube, cm
+
+    def at_length(self, length: float) -> Readings:
+        """The bins of the sweeps at an everted length."""
+        kept = np.flatnonzero([stage.length == length for stage in self.stages])
+        rows = np.isin(self.stage, kept)
+
+        def renumbered(values: Indices) -> Indices:
+            numbers: Indices = np.unique(values[rows], return_inverse=True)[1]
+            return numbers
+
+        return replace(
+            self, curvature=self.curvature[rows], noise=self.noise[rows], bend=self.bend[rows],
+            rate=self.rate[rows], stage=np.searchsorted(kept, self.stage[rows]),
+            sweep=renumbered(self.sweep), zeroing=renumbered(self.zeroing),
+            stages=tuple(self.stages[n] for n in kept),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

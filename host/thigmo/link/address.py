@@ -43,7 +43,7 @@ def over_network(url: str) -> bool:
 
 
 def names(url: str) -> list[str]:
-    """Hashes of an address as it is written, without its options, and of what it resolves to."""
+    """Hashes of an address as written, without its options, and of the addresses it resolves to."""
     return [_hashed(name) for name in dict.fromkeys([_written(url), *_places(url)])]
 
 

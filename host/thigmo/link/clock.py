@@ -54,8 +54,8 @@ class DeviceClock:
     ) -> None:
         """Take a round trip: host times around an (unwrapped) device stamp.
 
-        `waited_s` is the longest that it may have waited for bytes ahead of it on its way there;
-        the pair is in doubt by so much more.
+        `waited_s` is the longest time for which the request may have queued behind other bytes; it
+        is added to the pair's uncertainty.
         """
         round_trip_s = received_s - sent_s + waited_s
         pair = _Pair((sent_s + received_s) / 2, device_us, round_trip_s)

@@ -57,7 +57,7 @@ def nobody(
     """No hello was answered.
 
     Args:
-        transport: what was listened to.
+        transport: the connection on which no hello was answered.
         announced: whether an announce came.
         frames: whole frames with a good check sequence, which only a thigmo board sends.
         strange: frames of a layout that this host cannot read.

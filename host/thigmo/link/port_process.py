@@ -54,9 +54,9 @@ _READ_BYTES = 4096
 _BACKLOG_BYTES = 4 << 20  # five minutes of telemetry for a host that does not read
 _TICK_S = 0.02
 _ORPHAN_S = 1.0  # for a dead host's stop to be confirmed
-_STATE_S = 0.5  # after which what telemetry said of the board's state is old
-# After a command, until telemetry tells of what it began: the longest time between two frames that
-# a board in motion sends is 0.1 s, and a busy computer is late.
+_STATE_S = 0.5  # age at which the state in the last telemetry no longer counts
+# Time from a command until telemetry must show its motion: a board in motion sends a frame at least
+# every 0.1 s, and a busy computer is late.
 _SHOWN_S = 0.5
 _ARMED = (State.READY, State.MOVING)
 
@@ -88,7 +88,7 @@ class Outbox:
             self._changed.notify()
 
     def close(self, wait_s: float) -> None:
-        """Write what is queued, for so long at most."""
+        """Write the queued packets, for `wait_s` at most."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -126,7 +126,7 @@ class PortProcess:
         self._heartbeat: HeartbeatSource | None = None
         self._lease_s = self._written_s = time.monotonic()
         self._attended = False  # the main thread waits for its operator
-        self._still_s = -math.inf  # when telemetry last told that no output is energised
+        self._still_s = -math.inf  # time of the last telemetry without an energised output
         self._lease_ended = False
         self._touched_um: int | None = None  # length at the last touch, while the body grows
         self._decoder = Decoder()

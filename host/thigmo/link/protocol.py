@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0x58FAA22C
+SCHEMA_HASH = 0x720D521B
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -245,6 +245,11 @@ class StatusReport(Reply, number=0x82):  # The board's whole state.
     conditions: U16  # Condition bits.
     t_us: U32  # Device clock; wraps. [us]
     length_um: I32  # Everted length, if known. [um]
+    # Everted length that was shown where the tip was last known apart from the encoder: where a
+    # sensor passed it on the present way, out or in, or where that way began, or where the length
+    # was confirmed or homed. [um]
+    seen_um: I32
+    seen_sensor: U8  # The sensor that passed the tip there; 255 = none.
     pressure_cpsi: Annotated[tuple[int, ...], "muscles?h"]  # Muscle pressures. [0.01 psi]
     everted_mask: U16  # Sensors that are fully everted, including their margin.
     settled_mask: U16  # Sensors that are past their settling time.

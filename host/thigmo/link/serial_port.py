@@ -21,7 +21,7 @@ from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
 
 _OPEN_S = 15.0  # a busy machine starts an interpreter slowly; socket:// waits for its peer
 _TOUCH_S = 0.1
-_QUEUE = 4096  # packets; then the process keeps, and at last drops, what comes
+_QUEUE = 4096  # packets; if it is full, the port's process buffers, and at last drops, the oldest
 
 
 # A main thread that has not touched its port for a while counts as hung, and the port's process

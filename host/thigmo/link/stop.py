@@ -18,10 +18,10 @@ from thigmo.link.protocol import Stop, Stopped
 
 REPEAT_S = 0.05
 CONFIRM_S = 3.0  # of a board that talks: sixty repeats
-# A board that is not heard for so long may be in its boot loader, which must hear nothing: after a
-# reset its outputs are off anyway. A board that runs talks twice a second at least.
+# A board that is silent for this time may be in its boot loader, which must receive nothing: after
+# a reset its outputs are off anyway. A board that runs sends at least twice a second.
 MUTE_S = 0.6
-# After so long it is no boot loader that keeps silent (`client.SILENCE_S`).
+# Silence longer than any boot loader's (`client.SILENCE_S`).
 SILENT_S = 1.6
 UNCONFIRMED_CURE = "use the emergency stop or cut the power, and shut the air"
 
@@ -64,9 +64,9 @@ class StopCall:
 
 
 class Stopper:
-    """Stops that any thread calls for, until the board has confirmed them.
+    """A stop that any thread may request, repeated until the board has confirmed it.
 
-    The owner of the board's bytes uses it to send what is due by its clock `now`.
+    The program that writes to the board sends `frame` when one is due by the clock `now` (s).
     """
 
     def __init__(self, now: Callable[[], float]) -> None:

@@ -46,7 +46,7 @@ class Trigger:
     side: str  # active muscle
     t_s: float  # device time
     excess_per_cm: float  # base curvature minus free curvature when it fired
-    status: str  # what the localizer made of the peak's readings
+    status: str  # of the localizer's result for the peak's readings
     message: str = ""  # the localizer's reason
 
 
@@ -89,7 +89,7 @@ class MapContact:
     #: force across the body in newtons, and its 95 % interval; null and empty if EI is not known
     force_n: float | None = None
     force_interval_n: list[float] = field(default_factory=list)
-    #: of the method `field`, null of others: log odds that something stands there; squares that the
+    #: of a fit, null of other contacts: log odds that something stands there; squares that the
     #: fit leaves for each independent reading (1 if the model holds); effective samples
     fit_log_odds: float | None = None
     fit_misfit: float | None = None
@@ -173,8 +173,8 @@ class Stage:
     t_s: float
     shapes: list[Shape] = field(default_factory=list)
     triggers: list[Trigger] = field(default_factory=list)
-    # by how much the base was held back at most, of each side swept: what the trigger compares with
-    # its threshold
+    # by side swept: largest curvature by which the base fell short of the free curvature, 1/cm;
+    # the trigger compares it with its threshold
     held_back_per_cm: dict[str, float] = field(default_factory=dict)
 
 
@@ -303,10 +303,10 @@ class RunDocument:
     length_cm: float = 0.0  #: everted length at the end, which the robot keeps
     robot_time_s: float = 0.0  #: device time that the run took
     wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on
-    method: str = "posterior"  #: of the localizer: `thigmo.localize`
+    method: str = "field"  #: by which contacts were localized, as for `thigmo.explore`
     #: "quick", "default", "careful", "thesis", or a budget such as "120 s"
     effort: str = ""
-    skips: str = ""  #: what that effort omitted, and what it costs; empty if it was nothing
+    skips: str = ""  #: parts of a full run that this effort omitted, and their cost; or empty
     resumes: str = ""  #: folder of the run that was cut short, from which this one goes on
     muscles: list[NamedMuscle] = field(default_factory=list)
     version: Literal[2] = 2

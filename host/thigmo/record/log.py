@@ -75,7 +75,7 @@ class Note:
     """A fact of the run."""
 
     t_s: float  # as an entry's
-    facts: dict[str, Any]  # its `topic`, and what is said of it
+    facts: dict[str, Any]  # its `topic`, and the values of that topic
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class Log:
 
     @property
     def missing(self) -> str:
-        """What to say to the operator of what is missing; empty if nothing is."""
+        """A sentence for the operator about gaps in the record; empty if it is complete."""
         gaps = [f"damaged in {self.gaps} place{'s' if self.gaps > 1 else ''}"] if self.gaps else []
         times = sorted(entry.t_s for entry in self.entries)
         gaps += [
@@ -124,8 +124,8 @@ class LogWriter(Closing):
     """Writes `run.mcap`, which must not exist. A context manager; `close` may be called twice.
 
     The metadata are facts of the run (versions, schema hash, URL, seed); `epoch_s` is when the
-    robot's time base was 0, in UTC seconds since 1970; `chunk_bytes` is what a killed process loses
-    at most. Raises RunFolderError if the file cannot be created.
+    robot's time base was 0, in UTC seconds since 1970; `chunk_bytes` is the largest loss if the
+    process is killed. Raises RunFolderError if the file cannot be created.
 
     It is written to while the robot is commanded, and so never raises then: `check` does.
     """

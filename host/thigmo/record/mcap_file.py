@@ -1,6 +1,6 @@
-"""Reads MCAP files that may be damaged: what is whole is given, and the gaps are counted.
+"""Reads MCAP files that may be damaged: intact records are returned, and gaps are counted.
 
-MCAP's own reader stops at the first record that is not as it should be. A file is a sequence of
+MCAP's own reader stops at the first damaged record. A file is a sequence of
 records (opcode u8, length u64, content), most of them chunks with a checksum of their own
 (mcap.dev/spec), so that a flipped bit costs one chunk, a fraction of a second of a run.
 """
@@ -26,7 +26,7 @@ from thigmo.errors import RunFolderError
 from thigmo.files import RECORD_BYTES, read_file
 
 _HEADER = struct.Struct("<BQ")
-# Beyond what a record of telemetry unpacks to, which is four to eight times its size.
+# A limit on unpacked size. Telemetry unpacks to four to eight times its size in the file.
 _MOST_RATIO, _MOST_MORE = 100, 64 << 20
 _CHUNK_BYTES = 28  # before a chunk's compression: start and end time, size (u64), checksum (u32)
 _STATED = struct.Struct("<16xQ")  # a chunk's size before compression

@@ -62,7 +62,7 @@ def passed(shapes: Iterable[Shape], shrink_sigmas: float = 0.0) -> Floats:
 
 
 def _turned(poses: Floats, steps: Floats, curvature: Floats) -> Floats:
-    """Centrelines (k, n, 3) of (k, n - 1) steps, bent by so much more each (k,)."""
+    """Centrelines (k, n, 3) of (k, n - 1) steps after adding a curvature (k,) to each, 1/cm."""
     arc = np.concatenate((np.zeros((len(steps), 1)), np.cumsum(steps, axis=1)), axis=1)
     heading = poses[..., 2] + curvature[:, None] * arc
     return np.stack((*traced(heading, steps), heading), axis=-1)

@@ -8,6 +8,7 @@ from thigmo.robot.creep import CreepWatch
 from thigmo.robot.curvature import SensorTable, in_mask, mask_of
 from thigmo.robot.fibre import FibreReading
 from thigmo.robot.idle_pressure import VENTED_PSI
+from thigmo.robot.retraction import Retraction
 from thigmo.robot.robot import JOG_CM, WITHOUT_BRAKE, Robot, connect
 from thigmo.robot.state import (
     ContactTrigger,
@@ -19,10 +20,11 @@ from thigmo.robot.state import (
     mean_peak,
 )
 from thigmo.robot.strains import Strains
-from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
+from thigmo.robot.sweep import FRAME_SPACING_S, TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.watchers import GrowthWatcher, Profile, SweepWatcher, peak_frame
 
 __all__ = [
+    "FRAME_SPACING_S",
     "JOG_CM",
     "TRIGGER_PER_CM",
     "VENTED_PSI",
@@ -35,6 +37,7 @@ __all__ = [
     "Peak",
     "Profile",
     "Reading",
+    "Retraction",
     "Robot",
     "RobotStatus",
     "SensorTable",

@@ -41,9 +41,8 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
     return imus | {
         "flex_enabled": [int(s is not None and s.healthy) for s in flex],
         "flex_center_um": [round(s.passes_at.center_cm * 1e4) if s else 0 for s in flex],
-        "flex_center_se_um": [
-            _um(s.passes_at.center_se_cm, "flex_center_se_um") if s else 0 for s in flex
-        ],
+        "flex_center_se_um": [round(s.passes_at.center_se_cm * 1e4) if s else 0 for s in flex],
+        "unseen_mask": [sum(1 << n for n, s in enumerate(flex) if s and not s.passes_at.seen)],
         "flex_span_um": [round(s.passes_at.span_cm * 1e4) if s else 0 for s in flex],
         "flex_scale": [round(s.raw_scale * ratio * 1e9) if s else 0 for s in flex],
         "settle_ms": [round(board.settle_s * 1e3)],
@@ -75,11 +74,6 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
             for number in range(len(flex))
         ],
     }
-
-
-def _um(centimetres: float, parameter: str) -> int:
-    """A length as a parameter holds it, or the most that it holds."""
-    return min(round(centimetres * 1e4), wire.PARAMETERS[parameter].high)
 
 
 def _counts_while(wiring: Wiring, base_input: int) -> int:

@@ -31,6 +31,7 @@ from thigmo.robot.fibre_guard import FibreGuard
 from thigmo.robot.idle_pressure import VENTED_PSI
 from thigmo.robot.publishing import Publisher
 from thigmo.robot.readings import Readings
+from thigmo.robot.retraction import Retraction
 from thigmo.robot.state import Reading, Recording, RobotStatus, SweepFrame, SweepResult, together
 from thigmo.robot.strains import Strains
 from thigmo.robot.supervisor import Supervisor
@@ -481,8 +482,8 @@ class Robot(Closing):
             supervisor.start(wire.GrowTo(round(length_cm * 1e4), 0))
             return supervisor.finish(wire.Activity.GROWING, self._travel_s()) / 1e4
 
-    def retract_to(self, length_cm: float) -> float:
-        """Vent, then wind in to an everted length; returns the length reached, cm.
+    def retract_to(self, length_cm: float) -> Retraction:
+        """Vent, then wind in to an everted length, cm; returns the length reached and its doubt.
 
         Refused while the length is unknown, or a muscle is above 0.5 psi, because a bent body
         buckles when it is wound in.
@@ -497,7 +498,8 @@ class Robot(Closing):
                 reason=wire.Reason.NOT_VENTED.key,
             )
         self.supervisor.start(wire.RetractTo(round(length_cm * 1e4), 0))
-        return self.supervisor.finish(wire.Activity.RETRACTING, self._travel_s()) / 1e4
+        reached_cm = self.supervisor.finish(wire.Activity.RETRACTING, self._travel_s()) / 1e4
+        return Retraction.of(self.status(), self.wiring, reached_cm)
 
     def home(self) -> None:
         """Vent, then wind in slowly until the spool has stalled at the base twice: length zero.

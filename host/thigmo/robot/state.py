@@ -31,6 +31,10 @@ class RobotStatus:
     conditions: frozenset[str]  #: names of the condition bits that are set
     t_s: float  #: device time
     length_cm: float | None  #: everted length, None if unknown
+    #: everted length that was shown where a sensor last passed the tip on the present way, out or
+    #: in; without one, where that way began, or the length was confirmed or homed
+    seen_cm: float
+    seen_sensor: int | None  #: that sensor's input
     pressure_psi: tuple[float, ...]  #: of each muscle
     everted: int  #: bit mask of sensors that have everted, by input
     settled: int  #: bit mask of those past their settling time

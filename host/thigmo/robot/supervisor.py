@@ -36,6 +36,7 @@ _PROMPT_S = 0.1  # where somebody asks meanwhile whether to go on
 _STRAIGHTENS_S = 1.2  # six times the body's usual lag, and more than the time between two shapes
 _VENT_S = 15.0  # muscles empty within a second or two; a blocked valve does not
 _UNKNOWN_ZONE = 255
+_NO_SENSOR = 255  # of seen_sensor
 OPEN, SHORT, _ENABLED = 1 << 3, 1 << 4, 1 << 5  # of sensor_report.flags
 _OF_A_MUSCLE = (
     wire.Fault.OVER_PRESSURE, wire.Fault.PRESSURE_WIRE, wire.Fault.PRESSURE_STUCK,
@@ -84,6 +85,8 @@ class Supervisor:
             conditions=conditions,
             t_s=self.link.device_s(report.t_us),
             length_cm=report.length_um / 1e4 if "length_known" in conditions else None,
+            seen_cm=report.seen_um / 1e4,
+            seen_sensor=None if report.seen_sensor == _NO_SENSOR else report.seen_sensor,
             pressure_psi=pressures_psi(report.pressure_cpsi, self._wiring),
             everted=report.everted_mask,
             settled=report.settled_mask,

@@ -25,26 +25,26 @@ def _least_1(y: Array, levers: Array) -> Array:
     the line of forces that fit one reading, the best is again a weighted median, which fits the
     next reading (Karst, J. Am. Stat. Assoc. 53, 1958).
     """
-    one, two, each = levers[:, 0], levers[:, -1], np.arange(levers.shape[2])
+    first, second, columns = levers[:, 0], levers[:, -1], np.arange(levers.shape[2])
     if levers.shape[1] == 1:
-        ratio = np.divide(y[:, None], one, out=np.zeros_like(one), where=one > 0.0)
-        return np.asarray(ratio[weighted_median(ratio, one), each][None])
-    at = (np.abs(y)[:, None] * (two > 0.0)).argmax(axis=0)
-    before, forces = np.full(each.size, -1), np.zeros((2, each.size))
+        ratio = np.divide(y[:, None], first, out=np.zeros_like(first), where=first > 0.0)
+        return np.asarray(ratio[weighted_median(ratio, first), columns][None])
+    active = (np.abs(y)[:, None] * (second > 0.0)).argmax(axis=0)
+    previous, forces = np.full(columns.size, -1), np.zeros((2, columns.size))
     for _ in range(_MOST_LINES):
-        row = np.stack([one[at, each], two[at, each]])
-        through = row * y[at] / np.maximum((row**2).sum(axis=0), 1e-300)
-        slope = one * -row[1] + two * row[0]
-        slope[at, each] = 0.0
+        row = np.stack([first[active, columns], second[active, columns]])
+        through = row * y[active] / np.maximum((row**2).sum(axis=0), 1e-300)
+        slope = first * -row[1] + second * row[0]
+        slope[active, columns] = 0.0
         weight = np.where(np.abs(slope) > 1e-12 * np.abs(slope).max(axis=0), np.abs(slope), 0.0)
-        rest = y[:, None] - one * through[0] - two * through[1]
-        ratio = np.divide(rest, slope, out=np.zeros_like(rest), where=weight > 0.0)
+        residual = y[:, None] - first * through[0] - second * through[1]
+        ratio = np.divide(residual, slope, out=np.zeros_like(residual), where=weight > 0.0)
         best = weighted_median(ratio, weight)
-        forces = through + ratio[best, each] * np.stack([-row[1], row[0]])
-        best = np.where(weight[best, each] > 0.0, best, before)
-        if (best == before).all():
+        forces = through + ratio[best, columns] * np.stack([-row[1], row[0]])
+        best = np.where(weight[best, columns] > 0.0, best, previous)
+        if (best == previous).all():
             break
-        before, at = at, np.where(best < 0, at, best)
+        previous, active = active, np.where(best < 0, active, best)
     return forces
 
 

@@ -94,14 +94,14 @@ def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
     def cost(arcs: Array, forces: Array) -> float:
         return objective(cut, arcs, forces)
 
-    def moved(arcs: Array, forces: Array) -> Array:
+    def step_arcs(arcs: Array, forces: Array) -> Array:
         with warnings.catch_warnings():
             # The objective has kinks; SciPy warns of the flat quasi-Newton updates they cause.
             warnings.simplefilter("ignore", UserWarning)
-            found = minimize(cost, arcs, args=(forces,), method="trust-constr", bounds=bounds)
-        return np.asarray(np.clip(found.x, 0.0, cut.length))
+            minimum = minimize(cost, arcs, args=(forces,), method="trust-constr", bounds=bounds)
+        return np.asarray(np.clip(minimum.x, 0.0, cut.length))
 
-    return alternate(starting_arcs(cut), lambda arcs: best_forces(cut, arcs), moved)
+    return alternate(starting_arcs(cut), lambda arcs: best_forces(cut, arcs), step_arcs)
 
 
 def grid(problem: Problem) -> tuple[Array, Array]:
@@ -113,15 +113,15 @@ def grid(problem: Problem) -> tuple[Array, Array]:
     step = _GRID_CM if problem.contacts == 1 else _PAIR_GRID_CM
     nodes = np.linspace(0.0, problem.length, int(problem.length / step) + 1)[1:]
     levers = influence(problem, nodes)
-    chosen = np.array(list(combinations(range(nodes.size), problem.contacts)))
-    phi = levers.T[chosen]  # (K, contacts, N)
+    combinations_of_nodes = np.array(list(combinations(range(nodes.size), problem.contacts)))
+    phi = levers.T[combinations_of_nodes]  # (K, contacts, N)
     if problem.contacts == 1:
         forces = single_forces(problem, nodes)[:, None]
     else:
         gram = phi @ phi.transpose(0, 2, 1) + 1e-9 * np.eye(problem.contacts)
         forces = np.linalg.solve(gram, (phi @ problem.curvature)[..., None])[..., 0]
-    rest = problem.curvature - (forces[:, None, :] @ phi)[:, 0, :]
-    arcs = nodes[chosen[np.abs(rest).sum(axis=1).argmin()]]
+    residual = problem.curvature - (forces[:, None, :] @ phi)[:, 0, :]
+    arcs = nodes[combinations_of_nodes[np.abs(residual).sum(axis=1).argmin()]]
     return arcs, best_forces(problem, arcs)
 
 
@@ -139,10 +139,10 @@ def pwlf(problem: Problem) -> tuple[Array, Array]:
     from pwlf import PiecewiseLinFit
 
     places = np.unique(problem.position)
-    least = 2 * problem.contacts + 2
-    if places.size < least:
+    fewest_places = 2 * problem.contacts + 2
+    if places.size < fewest_places:
         raise DataError(
-            f"pwlf needs readings at {least} places, not {places.size}", "use the localizer"
+            f"pwlf needs readings at {fewest_places} places, not {places.size}", "use the localizer"
         )
     means = np.array([problem.curvature[problem.position == x].mean() for x in places])
     fit = PiecewiseLinFit(places, means, seed=0)
@@ -167,9 +167,11 @@ def ruptures(problem: Problem) -> tuple[Array, Array]:
     from ruptures import Dynp
 
     order = np.argsort(problem.position, kind="stable")
-    least = _SEGMENT * (problem.contacts + 1)
-    if order.size < least:
-        raise DataError(f"ruptures needs {least} readings, not {order.size}", "use the localizer")
+    fewest_readings = _SEGMENT * (problem.contacts + 1)
+    if order.size < fewest_readings:
+        raise DataError(
+            f"ruptures needs {fewest_readings} readings, not {order.size}", "use the localizer"
+        )
     fit = Dynp(model="clinear", min_size=_SEGMENT, jump=1)
     fit.fit(problem.curvature[order][:, None])
     ends = np.asarray(fit.predict(n_bkps=problem.contacts)[:-1], dtype=int)
@@ -224,10 +226,10 @@ def _example(layout: Problem, rng: np.random.Generator) -> tuple[Problem, Array]
 
 
 def _features(problem: Problem, mechanics: bool) -> Array:
-    """The readings; with mechanics also the fit of `grid`, and what that leaves over."""
+    """The readings; with mechanics also the fit of `grid` and its residuals."""
     plain = problem.curvature * problem.length
     if not mechanics:
         return plain
     arcs, forces = grid(problem)
-    rest = problem.curvature - influence(problem, arcs) @ forces
-    return np.concatenate([plain, arcs, forces * problem.length**2, rest * problem.length])
+    residual = problem.curvature - influence(problem, arcs) @ forces
+    return np.concatenate([plain, arcs, forces * problem.length**2, residual * problem.length])

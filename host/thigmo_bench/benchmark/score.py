@@ -96,7 +96,7 @@ def _answers(
         raise AnswersError(f"{path} has semicolons between its columns, where commas belong")
     if not {"frame", "arc_cm"} <= set(names):
         raise AnswersError(f"{path} needs the columns {', '.join(_COLUMNS[:2])}")
-    found: dict[str, list[Claim]] = {}
+    claims_by_frame: dict[str, list[Claim]] = {}
     for row in rows:
         where, frame = f"{path}, line {rows.line_num}", (row["frame"] or "").strip()
         if frame not in frames:
@@ -109,61 +109,61 @@ def _answers(
                 raise AnswersError(f"{where}: {name} is {row[name]!r}, not a number") from error
             if math.isinf(numbers[name]):
                 raise AnswersError(f"{where}: {name} is infinite")
-        arc, low, high, sure = numbers.values()
-        claims = found.setdefault(frame, [])
+        arc, low, high, localized = numbers.values()
+        claims = claims_by_frame.setdefault(frame, [])
         if math.isnan(arc):
-            if claims or not math.isnan(low) or sure == 1:
+            if claims or not math.isnan(low) or localized == 1:
                 raise AnswersError(f"{where}: an empty arc_cm says that nothing is touched")
             continue
         if math.isnan(low) != math.isnan(high) or low > high:
             raise AnswersError(f"{where}: low_cm and high_cm are not an interval")
         interval = None if math.isnan(low) else (low, high)
-        if sure == 1 and interval is None:
+        if localized == 1 and interval is None:
             raise AnswersError(f"{where}: a localized contact has an interval")
-        claims.append(Claim(arc, interval, sure == 1))
-    return found
+        claims.append(Claim(arc, interval, localized == 1))
+    return claims_by_frame
 
 
 def groups_of() -> dict[str, str]:
     """Group of each frame, of those held back, too."""
-    found = {}
+    groups = {}
     for path in (FOLDER / "frames.csv", FOLDER / "held" / "frames.csv"):
         with path.open(newline="", encoding="utf-8") as file:
-            found.update({row["frame"]: row["group"] for row in csv.DictReader(file)})
-    return found
+            groups.update({row["frame"]: row["group"] for row in csv.DictReader(file)})
+    return groups
 
 
 def truth_of(path: Path) -> dict[str, list[float]]:
     """True arcs of each frame, cm, rising; none where nothing is touched. Raises AnswersError."""
-    found: dict[str, list[float]] = {}
+    arcs_by_frame: dict[str, list[float]] = {}
     try:
         with path.open(newline="", encoding="utf-8") as file:
             for row in csv.DictReader(file):
-                arcs = found.setdefault(row["frame"], [])
+                arcs = arcs_by_frame.setdefault(row["frame"], [])
                 if row["arc_cm"]:
                     arcs.append(float(row["arc_cm"]))
     except OSError as error:
         raise AnswersError(f"cannot read {path}: {error.strerror}") from error
     except (KeyError, ValueError) as error:
         raise AnswersError(f"{path} is not a truth file of the benchmark: {error}") from error
-    return {frame: sorted(arcs) for frame, arcs in found.items()}
+    return {frame: sorted(arcs) for frame, arcs in arcs_by_frame.items()}
 
 
 def score(answers: Path, truth: Path = FOLDER / "truth.csv") -> list[Score]:
     """Score a file of answers, group by group. Raises AnswersError."""
     true = truth_of(truth)
     groups = {frame: group for frame, group in groups_of().items() if frame in true}
-    given = read_answers(answers, groups)
-    members: dict[str, list[str]] = defaultdict(list)
+    claims = read_answers(answers, groups)
+    frames_by_group: dict[str, list[str]] = defaultdict(list)
     for frame, group in groups.items():
-        members[group].append(frame)
+        frames_by_group[group].append(frame)
     return [
-        _scored(group, frames, [(given[f], true[f]) for f in frames if f in given])
-        for group, frames in members.items()
+        _group_score(group, frames, [(claims[f], true[f]) for f in frames if f in claims])
+        for group, frames in frames_by_group.items()
     ]
 
 
-def _scored(
+def _group_score(
     group: str, frames: Sequence[str], pairs: Sequence[tuple[list[Claim], list[float]]]
 ) -> Score:
     errors = []
@@ -175,8 +175,8 @@ def _scored(
         if arcs:
             places = sorted(claim.arc_cm for claim in claims)
             errors.append(fmean(abs(a - b) for a, b in zip(places, arcs, strict=True)))
-    far = sum(error > FAILURE_CM for error in errors)
-    held = [claim.holds(arcs) for claims, arcs in pairs for claim in claims if claim.interval_cm]
+    misses = sum(error > FAILURE_CM for error in errors)
+    covered = [claim.holds(arcs) for claims, arcs in pairs for claim in claims if claim.interval_cm]
     wrong = [not claim.holds(arcs) for claims, arcs in pairs for claim in claims if claim.localized]
     widths = [
         claim.interval_cm[1] - claim.interval_cm[0]
@@ -184,19 +184,19 @@ def _scored(
         for claim in claims
         if claim.interval_cm
     ]
-    sure = sum(any(claim.localized for claim in claims) for claims, _ in pairs)
-    many = len(pairs)
+    localized = sum(any(claim.localized for claim in claims) for claims, _ in pairs)
+    answered = len(pairs)
     return Score(
-        group, len(frames), many, _share(hits, many), fmean(errors) if errors else math.nan,
+        group, len(frames), answered, _share(hits, answered), fmean(errors) if errors else math.nan,
         stdev(errors) / math.sqrt(len(errors)) if len(errors) > 1 else math.nan,
-        median(errors) if errors else math.nan, _share(many - hits + far, many),
-        _share(sum(held), len(held)), median(widths) if widths else math.nan,
-        _share(sure, many), _share(sum(wrong), len(wrong)),
+        median(errors) if errors else math.nan, _share(answered - hits + misses, answered),
+        _share(sum(covered), len(covered)), median(widths) if widths else math.nan,
+        _share(localized, answered), _share(sum(wrong), len(wrong)),
     )  # fmt: skip
 
 
-def _share(count: int, of: int) -> float:
-    return count / of if of else math.nan
+def _share(count: int, total: int) -> float:
+    return count / total if total else math.nan
 
 
 # Of each column, in one or two lines.
@@ -210,16 +210,16 @@ _HEADS = {
 def table(scores: Sequence[Score]) -> str:
     """Scores for people, in 80 columns."""
     heads = [["", *head.split()][-2:] for head in _HEADS.values()]
-    lines = [["", *(above for above, _ in heads)], ["group", *(below for _, below in heads)]]
-    for each in scores:
-        cells = [each.group, f"{each.answered}/{each.frames}"]
+    lines = [["", *(upper for upper, _ in heads)], ["group", *(lower for _, lower in heads)]]
+    for score in scores:
+        cells = [score.group, f"{score.answered}/{score.frames}"]
         for name in list(_HEADS)[1:]:
-            value = getattr(each, name)
+            value = getattr(score, name)
             cells.append("-" if math.isnan(value) else f"{value:.2f}")
         lines.append(cells)
-    wide = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(
-        " ".join([line[0].ljust(wide[0]), *map(str.rjust, line[1:], wide[1:])]).rstrip()
+        " ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]).rstrip()
         for line in lines
     )
 

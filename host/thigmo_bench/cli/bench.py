@@ -88,14 +88,16 @@ def bench(
         raise DataError(f"--backend is {backend!r}", "choose loky or dask")
     if backend == "dask" and not scheduler:
         raise DataError("--backend dask needs a cluster", "give --scheduler ADDRESS")
-    chosen = Explorations(
+    explorations = Explorations(
         tuple(kind or ()), tuple(setting or ()), method, earlier_runs(against) if against else ()
     )
-    if chosen != Explorations() and names != ["exploration"]:
+    if explorations != Explorations() and names != ["exploration"]:
         raise DataError(
             "--kind, --setting, --method and --against are of the study exploration",
             "run `thigmo bench exploration`",
         )
-    context = Context(seed, "quick" if scale == "quick" else "full", most, jobs, backend, chosen)
+    context = Context(
+        seed, "quick" if scale == "quick" else "full", most, jobs, backend, explorations
+    )
     with connect_cluster(scheduler) if backend == "dask" and scheduler else nullcontext():
         conduct({name: load(name) for name in names}, context, out, as_json)

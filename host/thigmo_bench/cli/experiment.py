@@ -101,13 +101,16 @@ def experiment(
         if robot is not None:
             look = None if camera is None else _look(camera, sheet_file, camera_file)
             _take(name, robot, folder, trials, seed, config, look, rehearse, as_json)
-        found = report(name, _evaluated(name, folder, jobs), folder, as_json)
+        result = report(name, _evaluated(name, folder, jobs), folder, as_json)
         if as_json:
-            print_json([found])
+            print_json([result])
     elif name == "fit":
         _fit(seed, out)
     else:
-        studies = {one: partial(EXPERIMENTS[one], robots, trials) for one in names}
+        studies = {
+            name_of_study: partial(EXPERIMENTS[name_of_study], robots, trials)
+            for name_of_study in names
+        }
         conduct(studies, Context(seed=seed, jobs=jobs), out, as_json)
 
 
@@ -116,11 +119,11 @@ def _fit(seed: int, out: Path) -> None:
     from thigmo_bench.experiments.fit import fit
 
     with study_progress("fit to section 3.2") as tell:
-        found = json.dumps(fit(seed, tell), indent=1)
+        text = json.dumps(fit(seed, tell), indent=1)
     with DataError.from_os(f"cannot write to {out}", "choose another --out"):
         out.mkdir(parents=True, exist_ok=True)
-        write_whole(out / "constants.json", f"{found}\n")
-    typer.echo(found)
+        write_whole(out / "constants.json", f"{text}\n")
+    typer.echo(text)
 
 
 def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float], list[Place]]:
@@ -134,12 +137,12 @@ def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float],
     located = open_source(camera), CameraModel.load(camera_file), load_sheet(sheet_file)
 
     def look(diameter_cm: float) -> list[Place]:
-        found = (
+        detection = (
             OverheadCamera(*located, Body(diameter_cm=diameter_cm), thesis.DOWEL_CM)
             .detection()
             .obstacles
         )
-        return sorted((float(o.x_cm), float(o.y_cm)) for o in found)
+        return sorted((float(o.x_cm), float(o.y_cm)) for o in detection)
 
     return look
 
@@ -168,13 +171,13 @@ def _take(
             typer.echo(text)
 
     console = Console(quiet=quiet)
-    given = RobotConfig.load(config) if config else None
+    stated = RobotConfig.load(config) if config else None
     exploration = name == "exploration"
     with console.interruptible(url):
         with connect(url, seed=seed, operator=console) as machine:
-            known = given or machine.known_config
+            constants = stated or machine.known_config
             emulated = machine.scenery() is not None
-            if known is None:
+            if constants is None:
                 raise DataError("the robot's constants are not known", "give --config robot.toml")
             if rehearse and not emulated:
                 raise DataError("--rehearse is for the emulator", "give --robot emulator://default")
@@ -182,19 +185,19 @@ def _take(
                 raise DataError("--camera is for a real robot", "the emulator knows its dowels")
             attendant = Attendant(
                 None if emulated and not rehearse else console.ask,
-                partial(look, known.body.diameter_cm) if look else None,
+                partial(look, constants.body.diameter_cm) if look else None,
                 machine if emulated and not exploration else None,
             )
-            folder = Folder(out, known, "explorations" if exploration else "trials")
+            folder = Folder(out, constants, "explorations" if exploration else "trials")
             if not exploration:
-                done = run_trials(machine, attendant, folder, name, trials, say)
+                complete = run_trials(machine, attendant, folder, name, trials, say)
         if exploration:  # opens the robot by itself
             with console.progress() as show:
-                done = run_explorations(
+                complete = run_explorations(
                     url, attendant, folder, trials, seed=seed, operator=console, progress=show,
                     say=say,
                 )  # fmt: skip
-        if not done:
+        if not complete:
             say("stopped; the same command resumes")
 
 

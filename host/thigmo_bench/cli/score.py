@@ -30,7 +30,7 @@ def score(
     from thigmo_bench.benchmark.score import score as scored
 
     try:
-        found = scored(answers, truth or FOLDER / "truth.csv")
+        scores = scored(answers, truth or FOLDER / "truth.csv")
     except AnswersError as error:
         raise DataError(str(error), "see docs/benchmark.md for the format") from error
-    show(as_json, [asdict(each) for each in found], table(found))
+    show(as_json, [asdict(group) for group in scores], table(scores))

@@ -33,26 +33,26 @@ def conduct(studies: Mapping[str, Study], context: Context, out: Path, as_json: 
 
     from thigmo_bench.studies.engine import write
 
-    found = []
+    records = []
     for name, study in studies.items():
         with study_progress(name) as tell:
             save = partial(write, name=name, folder=out)
             try:
-                own = replace(context, progress=tell, save=save, samples={})
-                outcome = study(own)
+                study_context = replace(context, progress=tell, save=save, samples={})
+                outcome = study(study_context)
             except KeyboardInterrupt:
                 typer.echo(f"thigmo: stopped; finished parts are in {out}/{name}-*", err=True)
                 raise typer.Exit(signals.status()) from None
-        outcome.samples = own.samples
-        found.append(report(name, outcome, out, as_json, context.scale))
+        outcome.samples = study_context.samples
+        records.append(report(name, outcome, out, as_json, context.scale))
     if as_json:
-        print_json(found)
+        print_json(records)
 
 
 def report(
     name: str, outcome: Outcome, out: Path, as_json: bool, scale: Scale = "full"
 ) -> dict[str, Any]:
-    """Write what a study found, print it for people, and return it for programs."""
+    """Write a study's results, print them for people, and return them for programs."""
     from thigmo_bench.studies.engine import write
 
     paths = write(outcome, name, out)
@@ -62,7 +62,7 @@ def report(
         if outcome.samples:
             cases = "; ".join(f"{part} {count}" for part, count in outcome.samples.items())
             typer.echo(f"  cases: {cases}")
-        for line in (*(claim.said(scale) for claim in outcome.claims), *outcome.notes):
+        for line in (*(claim.sentence(scale) for claim in outcome.claims), *outcome.notes):
             typer.echo(f"  {line}")
         typer.echo(f"  wrote {len(paths)} files to {out}/{name}-*")
     return {"study": name, **outcome.record(), "files": [str(path) for path in paths]}
@@ -77,23 +77,23 @@ def _show(name: str, rows: Sequence[Record]) -> None:
     from rich.measure import Measurement
     from rich.table import Table as RichTable
 
-    shown = RichTable(title=name, box=box.SIMPLE_HEAD, padding=0, show_edge=False, pad_edge=False)
-    first, *others = rows[0]
+    table = RichTable(title=name, box=box.SIMPLE_HEAD, padding=0, show_edge=False, pad_edge=False)
+    first, *columns = rows[0]
     widest = max(len(str(row[first])) for row in rows)
-    shown.add_column(first, min_width=min(widest, _ROW_NAME))
-    for column in others:
-        shown.add_column(column, justify="right")
+    table.add_column(first, min_width=min(widest, _ROW_NAME))
+    for column in columns:
+        table.add_column(column, justify="right")
     for row in rows:
         cells = (
             str(cell) if not isinstance(cell, float) else f"{cell:.2f}" if isfinite(cell) else "-"
             for cell in row.values()
         )
-        shown.add_row(*cells)
+        table.add_row(*cells)
     console = Console()
     # Words are not cut: a table that needs more width than the terminal has goes beyond it.
-    needed = Measurement.get(console, console.options.update_width(1000), shown).minimum
+    needed = Measurement.get(console, console.options.update_width(1000), table).minimum
     console.width = max(console.width, needed)
-    console.print(shown)
+    console.print(table)
 
 
 @contextmanager
@@ -131,15 +131,17 @@ def lines(write: Callable[[str], object], clock: Callable[[], float]) -> Tell:
 
     def tell(part: str, done: int, total: int) -> None:
         nonlocal written_s
-        now = clock()
+        now_s = clock()
         first = done == 0 or part not in began
         if first:
-            began[part] = now
-        gone = now - began[part]
-        if not first and done < total and now - written_s < LINE_EVERY_S:
+            began[part] = now_s
+        elapsed_s = now_s - began[part]
+        if not first and done < total and now_s - written_s < LINE_EVERY_S:
             return
-        written_s = now
-        rest = f", about {gone / done * (total - done):.0f} s to go" if 0 < done < total else ""
-        write(f"{part}: {done}/{total}, {gone:.0f} s{rest}")
+        written_s = now_s
+        remaining = (
+            f", about {elapsed_s / done * (total - done):.0f} s to go" if 0 < done < total else ""
+        )
+        write(f"{part}: {done}/{total}, {elapsed_s:.0f} s{remaining}")
 
     return tell

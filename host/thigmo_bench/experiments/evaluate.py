@@ -203,7 +203,7 @@ def _printed_row(r: Row) -> Row:
 
 
 def _remarks(r: Row) -> list[str]:
-    """Remarks on what the numbers of a row do not show."""
+    """Sentences that the numbers of a row do not show: ties, missing bounds, foreshortening."""
     lines = []
     if r["experiment"] == "two-contacts":
         lines.append(

@@ -253,9 +253,10 @@ def _wind_in(url: str, config: RobotConfig, person: _LengthRemembered | None, sa
         if robot.known_length_cm() > _BASE_CM:
             say("winding the robot in")
             robot.arm()
-            reached = robot.retract_to(0.0)
+            retraction = robot.retract_to(0.0)
+            say(retraction.words)
             if person:
-                person.length_cm = reached
+                person.length_cm = retraction.length_cm
 
 
 def evaluate(folder: Folder) -> Outcome:

@@ -154,7 +154,7 @@ class Attendant:
         }
 
     def verdict(self, summary: str) -> Verdict:
-        """Ask whether to keep what was just taken."""
+        """Ask whether to keep the trial that was just taken."""
         if self.ask is None:
             return "keep"
         question = f"{summary}. Enter = keep, r = redo, s = skip, q = stop here and go on later:"
@@ -215,7 +215,7 @@ class Folder:
     ) -> bool:
         """Take the `missing` trials one after the other, each again until it is kept or skipped.
 
-        `take` returns what is kept of a trial in addition to its plan, and a summary for the judge.
+        `take` returns the values to store beside a trial's plan, and a summary for the judge.
         Returns whether all are done; False if the judge stopped.
         """
         try:

@@ -94,7 +94,9 @@ class Specimen:
         map_error: float = 0.0,
     ) -> None:
         self.constants = constants
-        self.gain_error = constants.gain_spread  # of what is still unknown of a gain
+        self.gain_error = (
+            constants.gain_spread
+        )  # relative standard deviation of the unknown part of a gain
         self._muscle = muscle or emulated_robot().muscle("left").maps[-1].inflate
         self._map_error = map_error
         self._believed: Floats = np.tile(thesis.CENTERS_CM, 2)

@@ -134,8 +134,8 @@ class Trial:
     curvature: Floats  # (N,) readings, 1/cm
     free: float  # believed free curvature, 1/cm
     gain: Floats  # (N,) of each sensor, as far as the untouched robot has shown it; 1 elsewhere
-    # (N,) what a lab states as standard deviation of the readings: white noise, the uncertainty of
-    # their gains, and that of their places times the slope of the readings
+    # (N,) standard deviation of the readings as a lab would state it, 1/cm: white noise, the
+    # uncertainty of the gains, and that of the places times the slope of the readings
     sigma: Floats
     # contacts, base first: the true ones of a simulated robot, the intended ones of a real one
     arcs_cm: tuple[float, ...]

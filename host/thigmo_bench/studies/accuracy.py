@@ -94,9 +94,9 @@ def _bad(offset: float | None) -> Error:
     """One reading is off by `offset`; with None, it is always zero."""
 
     def read(rng: np.random.Generator, readings: Floats) -> Floats:
-        which = rng.integers(readings.size)
+        index = rng.integers(readings.size)
         sign = rng.choice([-1.0, 1.0])
-        readings[which] = 0.0 if offset is None else readings[which] + sign * offset
+        readings[index] = 0.0 if offset is None else readings[index] + sign * offset
         return readings
 
     return Error(read=read)
@@ -180,8 +180,8 @@ def other_readings_tell(frames: list[Frame]) -> NDArray[np.bool_]:
     """
     position = frames[0].position
     curvature, free = [frame.curvature for frame in frames], [frame.free for frame in frames]
-    least = contact_scenes.misfit_of_one_contact(np.array(curvature), position, np.array(free))
-    return np.greater(least, chi2.isf(0.01, position.size - 2))
+    misfit = contact_scenes.misfit_of_one_contact(np.array(curvature), position, np.array(free))
+    return np.greater(misfit, chi2.isf(0.01, position.size - 2))
 
 
 @cache
@@ -229,13 +229,17 @@ def judge(task: tuple[Case, int, int, int]) -> Floats:
 
 def score(case: Case, frames: Floats) -> Row:
     """The row of a case, from the frames (n, 7) of `judge`."""
-    found, covered, wrong, off, bound, tells, localized = frames.T
-    felt = np.isfinite(off)
-    fine = felt & (bound < RESOLVABLE)
-    ratio = np.sqrt(off[fine].sum() / (bound[fine] ** 2).sum()) if fine.any() else np.nan
+    listed, covered, wrong, squared_error, bound, tells, localized = frames.T
+    answered = np.isfinite(squared_error)
+    resolvable = answered & (bound < RESOLVABLE)
+    ratio = (
+        np.sqrt(squared_error[resolvable].sum() / (bound[resolvable] ** 2).sum())
+        if resolvable.any()
+        else np.nan
+    )
     return {
         "error": case.error, "group": case.group, "stated": case.stated, "count": len(frames),
-        "found": share(found), "covered": share(covered[felt]), "localized": share(localized),
+        "found": share(listed), "covered": share(covered[answered]), "localized": share(localized),
         "wrong": share(wrong), "wrong_of_localized": share(wrong[localized > 0.5]),
         "wrong_against_others": share(wrong[tells > 0.5]), "rmse_over_bound": float(ratio),
     }  # fmt: skip
@@ -246,17 +250,17 @@ def _claims(rows: list[Row]) -> list[Claim]:
     clean = {row["group"]: row for row in rows if row["error"] == "none"}
     limits = {"pressed": 1.15, "bent": 1.2, "peg": 1.2, "corner": 1.0}
     claims = [
-        Claim(f"{group}: RMSE over bound", clean[group]["rmse_over_bound"], most)
-        for group, most in limits.items()
+        Claim(f"{group}: RMSE over bound", clean[group]["rmse_over_bound"], limit)
+        for group, limit in limits.items()
     ]
     for group, promised in (("bent", 0.85), ("peg", 0.9)):
-        least = promised - 2.0 * np.sqrt(promised * (1.0 - promised) / clean[group]["count"])
+        lower_limit = promised - 2.0 * np.sqrt(promised * (1.0 - promised) / clean[group]["count"])
         text = f"{group}: contacts found ({promised:g} within two standard errors)"
-        claims.append(Claim(text, clean[group]["found"], least, at_most=False))
+        claims.append(Claim(text, clean[group]["found"], lower_limit, at_most=False))
     fair = [row for row in rows if row["stated"] or row["error"] == "none"]
     stated = [row for row in fair if not row["group"].startswith("free")]
     free = [row["found"] for row in fair if row["group"].startswith("free")]
-    other = [row for row in rows if row["error"] in OTHER_NOISE]
+    other_noise = [row for row in rows if row["error"] in OTHER_NOISE]
     bad = [row["wrong_against_others"] for row in rows if row["error"] in BAD]
     return [
         *claims,
@@ -265,9 +269,9 @@ def _claims(rows: list[Row]) -> list[Claim]:
         Claim("errors stated: false contacts, most", max(free), 0.01),
         Claim("one bad reading that others contradict: localized and wrong", np.nanmax(bad), 0.03),
         Claim("other noise than stated: least coverage",
-              np.nanmin([row["covered"] for row in other]), 0.9, False),
+              np.nanmin([row["covered"] for row in other_noise]), 0.9, False),
         Claim("other noise than stated: localized and wrong",
-              max(row["wrong"] for row in other), 0.04),
+              max(row["wrong"] for row in other_noise), 0.04),
     ]  # fmt: skip
 
 
@@ -276,16 +280,19 @@ def _stated_figure(rows: list[Row]) -> Figure:
     lines = {(row["error"], row["group"], row["stated"]): row for row in rows}
     pairs = [(e, g) for e, g, stated in lines if stated and not g.startswith("free")]
     figure, (first, second, third) = panels(1, 3, size=(3.7, 0.3 * len(pairs) + 1.4), share=True)
-    at = np.arange(len(pairs))
-    for label, color, place in (("not stated", RED, at - 0.2), ("stated", BLUE, at + 0.2)):
-        some = [lines[*pair, label == "stated"] for pair in pairs]
-        first.barh(place, [100 * row["covered"] for row in some], 0.4, color=color)
-        second.barh(place, [100 * row["wrong"] for row in some], 0.4, color=color, label=label)
-        third.barh(place, [100 * row["wrong_of_localized"] for row in some], 0.4, color=color)
+    positions = np.arange(len(pairs))
+    for label, color, place in (
+        ("not stated", RED, positions - 0.2),
+        ("stated", BLUE, positions + 0.2),
+    ):
+        selected = [lines[*pair, label == "stated"] for pair in pairs]
+        first.barh(place, [100 * row["covered"] for row in selected], 0.4, color=color)
+        second.barh(place, [100 * row["wrong"] for row in selected], 0.4, color=color, label=label)
+        third.barh(place, [100 * row["wrong_of_localized"] for row in selected], 0.4, color=color)
     first.axvline(95.0, color="black", linewidth=0.8)
     second.axvline(3.0, color="black", linewidth=0.8, label="stated, and promised")
     names = [error if error.startswith(group) else f"{error}, {group}" for error, group in pairs]
-    first.set_yticks(at, names, fontsize=8)
+    first.set_yticks(positions, names, fontsize=8)
     first.set(xlabel="intervals that hold the contact (%)", xlim=(40, 100), ylim=(len(pairs), -1))
     second.set_xlabel("localized where nothing is (% of frames)")
     third.set_xlabel("the same (% of localized)")
@@ -296,7 +303,7 @@ def _stated_figure(rows: list[Row]) -> Figure:
 def _odds_figure(prices: list[Row]) -> Figure:
     """Contacts found, and bad readings believed, over the odds that are passed."""
     figure, axes = panels(1, 3, size=(3.1, 3.0))
-    for axis, error, title, what, label in (
+    for axis, error, title, column, label in (
         (axes[0], "none", "all readings good", "found", "contacts found (%)"),
         (axes[1], BAD[0], BAD[0], "wrong", "localized where nothing is (% of frames)"),
         (axes[2], BAD[0], BAD[0], "wrong_of_localized", "the same (% of localized)"),
@@ -304,7 +311,7 @@ def _odds_figure(prices: list[Row]) -> Figure:
         lines: dict[str, list[tuple[float, float]]] = {group: [] for group in TOUCHED}
         for price in prices:
             if price["error"] == error:
-                lines[price["group"]].append((price["odds"], 100 * price[what]))
+                lines[price["group"]].append((price["odds"], 100 * price[column]))
         curves(axis, lines, xscale="log", xlabel="odds of a bad reading", ylabel=label, title=title)
     legend_below(figure)
     return figure
@@ -313,26 +320,30 @@ def _odds_figure(prices: list[Row]) -> Figure:
 def run(context: Context) -> Outcome:
     """The study: every error on every group, stated and not; then the odds of a bad reading."""
     batches = parts(context.count(min(BATCH, 50), 3000), BATCH)  # shares of 1 % to a fifth
-    few = batches[: max(1, len(batches) // 5)]
+    fewer_batches = batches[: max(1, len(batches) // 5)]
 
-    def scored(part: str, some: list[tuple[int, int]], cases: list[Case]) -> list[Row]:
-        tasks = [(case, context.seed, *batch) for case in cases for batch in some]
-        got = iter(context.map(judge, tasks, part, last))
-        return [score(case, np.concatenate([next(got) for _ in some])) for case in cases]
+    def scored(part: str, part_batches: list[tuple[int, int]], cases: list[Case]) -> list[Row]:
+        tasks = [(case, context.seed, *batch) for case in cases for batch in part_batches]
+        results = iter(context.map(judge, tasks, part, last))
+        return [
+            score(case, np.concatenate([next(results) for _ in part_batches])) for case in cases
+        ]
 
     outcome = Outcome()
     rows: list[Row] = []
     for name, error in ERRORS.items():
-        ways = (False, True) if error.tell else (False,)
+        statements = (False, True) if error.tell else (False,)
         rows += scored(
-            name, batches, [Case(g, name, stated) for g in error.groups for stated in ways]
+            name, batches, [Case(g, name, stated) for g in error.groups for stated in statements]
         )
         outcome.tables["rows"] = rows
         context.save(outcome)
     cases = [Case(g, e, odds=o) for o in ODDS for g in TOUCHED for e in ("none", *BAD)]
-    priced = zip(cases, scored("odds of a bad reading", few, cases), strict=True)
-    kept = ("group", "error", "found", "wrong", "wrong_of_localized", "covered")
-    prices = [{"odds": case.odds} | {what: row[what] for what in kept} for case, row in priced]
+    priced = zip(cases, scored("odds of a bad reading", fewer_batches, cases), strict=True)
+    columns = ("group", "error", "found", "wrong", "wrong_of_localized", "covered")
+    prices = [
+        {"odds": case.odds} | {column: row[column] for column in columns} for case, row in priced
+    ]
     outcome.tables["odds"] = prices
     outcome.claims = _claims(rows)
     outcome.figures = {"stated": _stated_figure(rows), "odds": _odds_figure(prices)}

@@ -35,21 +35,23 @@ def attempt(
     The localizer is made before, as by any caller with more than one frame. `start` (cm) is the
     starting arc of baselines that need one.
     """
-    answer = _asked(case, method, noise, start)
+    answer = _timed_call(case, method, noise, start)
     times: list[float] = []
     while len(times) < _CALLS and sum(times) < _CALLS_US:
-        begun = process_time()
+        began = process_time()
         try:
-            found = answer()
+            arcs = answer()
         except ThigmoError:
-            found = []
-        times.append((process_time() - begun) * 1e6)
-    if len(found) != len(case.arcs):
+            arcs = []
+        times.append((process_time() - began) * 1e6)
+    if len(arcs) != len(case.arcs):
         return float("inf"), min(times)
-    return float(np.mean(np.abs(np.subtract(sorted(found), sorted(case.arcs))))), min(times)
+    return float(np.mean(np.abs(np.subtract(sorted(arcs), sorted(case.arcs))))), min(times)
 
 
-def _asked(case: Case, method: str, noise: float, start: float | None) -> Callable[[], list[float]]:
+def _timed_call(
+    case: Case, method: str, noise: float, start: float | None
+) -> Callable[[], list[float]]:
     """The call that is timed; it returns a method's arcs (cm)."""
     count = len(case.arcs)
     if method not in (*METHODS, ON_A_ROBOT, UNSTATED):
@@ -86,7 +88,11 @@ def mean_and_failures(errors: np.ndarray) -> tuple[float, float]:
     return mean, float(np.mean(~(errors <= FAILURE_CM)))
 
 
-def mean_over(mine: np.ndarray, other: np.ndarray) -> float:
+def mean_over(errors: np.ndarray, reference: np.ndarray) -> float:
     """Mean error of one method over another's, on cases that both answered; NaN without any."""
-    both = np.isfinite(mine) & np.isfinite(other)
-    return float(mine[both].mean() / other[both].mean()) if both.any() else float("nan")
+    answered = np.isfinite(errors) & np.isfinite(reference)
+    return (
+        float(errors[answered].mean() / reference[answered].mean())
+        if answered.any()
+        else float("nan")
+    )

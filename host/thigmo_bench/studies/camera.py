@@ -58,17 +58,17 @@ def axis_of(curvature: Floats, length: float) -> tuple[Floats, Floats, Floats, F
     return s, heading, *traced(heading, step)
 
 
-def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:
+def glimpse(seed: int, method: str = TAPE, lens: Lens | None = None) -> Glimpse:
     """Render one random room and detect it in a way of `WAYS`, with a lens of `board_lens`."""
     rng = np.random.default_rng([seed, 0x6115])
     camera = overhead_camera(rng)
-    if way == LENS:
+    if method == LENS:
         camera = replace(camera, lens=overhead_camera(None).lens)
     sheet = Sheet()
     tape = float(camera.eye_cm[2] + rng.normal(0, 0.7))
-    if way == TAPE:
+    if method == TAPE:
         sheet.camera_height_cm = tape
-    if way == BOX:
+    if method == BOX:
         sheet.cards[1].z_cm = _BOX_CM
     laid = sheet.model_copy(deep=True)
     for card in laid.cards:
@@ -81,29 +81,29 @@ def glimpse(seed: int, way: str = TAPE, lens: Lens | None = None) -> Glimpse:
     patches = [*card_decals(laid), tip_decal(sheet, x, y, 3.5)]
     picture = render(camera, View(BodyShape(x, y), pegs, patches), random_look(rng), rng)
     model = locate(picture, sheet, lens)
-    wanted = DetectionRequest(constant=free, obstacles=way in _DOWELS, length_cm=float(s[-1]))
-    seen = detect(picture, model, sheet, wanted)
+    request = DetectionRequest(constant=free, obstacles=method in _DOWELS, length_cm=float(s[-1]))
+    detection = detect(picture, model, sheet, request)
     grid = np.array([[gx, gy, RADIUS] for gx in (0, 14, 27, 40, 54) for gy in range(-40, 41, 20)])
-    off = model.to_plane(camera.project(grid), RADIUS) - grid[:, :2]
-    found = Glimpse(float(np.linalg.norm(off, axis=1).max()), model.accuracy_cm, free)
-    if seen.tip is not None:
-        found.tip_cm = float(np.hypot(seen.tip.x_cm - x[-1], seen.tip.y_cm - y[-1]))
-    if seen.axis is not None:
-        axis = seen.axis
-        found.end_cm = float(np.hypot(axis.tip_cm[0] - x[-1], axis.tip_cm[1] - y[-1]))
+    place_error = model.to_plane(camera.project(grid), RADIUS) - grid[:, :2]
+    errors = Glimpse(float(np.linalg.norm(place_error, axis=1).max()), model.accuracy_cm, free)
+    if detection.tip is not None:
+        errors.tip_cm = float(np.hypot(detection.tip.x_cm - x[-1], detection.tip.y_cm - y[-1]))
+    if detection.axis is not None:
+        axis = detection.axis
+        errors.end_cm = float(np.hypot(axis.tip_cm[0] - x[-1], axis.tip_cm[1] - y[-1]))
         if free:
             bend = float(axis.coefficients[2] - heading[-1] / s[-1])
-            found.bend = [(bend, float(np.sqrt(axis.covariance[2, 2])))]
+            errors.bend = [(bend, float(np.sqrt(axis.covariance[2, 2])))]
         else:
             for centre in (c for c in COLUMN if c + SPAN / 2 < s[-1] - 2):
                 mean, error = axis.mean_curvature(centre, SPAN)
                 turn = np.diff(np.interp([centre - SPAN / 2, centre + SPAN / 2], s, heading))[0]
-                found.bend.append((mean - float(turn) / SPAN, error))
-    for peg in pegs if way in _DOWELS else ():
-        gaps = (float(np.hypot(o.x_cm - peg.x_cm, o.y_cm - peg.y_cm)) for o in seen.obstacles)
-        found.pegs_cm.append(min((gap for gap in gaps if gap < 1.0), default=nan))
-    found.false_pegs = len(seen.obstacles) - int(np.isfinite(found.pegs_cm).sum())
-    return found
+                errors.bend.append((mean - float(turn) / SPAN, error))
+    for peg in pegs if method in _DOWELS else ():
+        gaps = (float(np.hypot(o.x_cm - peg.x_cm, o.y_cm - peg.y_cm)) for o in detection.obstacles)
+        errors.pegs_cm.append(min((gap for gap in gaps if gap < 1.0), default=nan))
+    errors.false_pegs = len(detection.obstacles) - int(np.isfinite(errors.pegs_cm).sum())
+    return errors
 
 
 def _body(rng: np.random.Generator, free: bool) -> tuple[Floats, Floats, Floats, Floats]:
@@ -115,9 +115,9 @@ def _body(rng: np.random.Generator, free: bool) -> tuple[Floats, Floats, Floats,
         if not free:
             force = rng.choice([-1, 1]) * rng.uniform(1e-4, 8e-4)
             k = 0.6 * k + force * np.clip(rng.uniform(15, length) - s, 0, None)
-        made = axis_of(k, length)
-        if np.abs(made[3]).max() < 36 and made[2].min() > -1:
-            return made
+        axis = axis_of(k, length)
+        if np.abs(axis[3]).max() < 36 and axis[2].min() > -1:
+            return axis
 
 
 def _pegs(rng: np.random.Generator, heading: Floats, x: Floats, y: Floats) -> list[PegShape]:
@@ -125,14 +125,14 @@ def _pegs(rng: np.random.Generator, heading: Floats, x: Floats, y: Floats) -> li
     i, radius = int(rng.integers(90, 260)), float(rng.uniform(0.8, 1.6))
     side = rng.choice([-1, 1])
     normal = np.array([-np.sin(heading[i]), np.cos(heading[i])])
-    at = np.array([x[i], y[i]]) + side * (1.75 + radius) * normal
-    touching = PegShape(float(at[0]), float(at[1]), radius)
+    center = np.array([x[i], y[i]]) + side * (1.75 + radius) * normal
+    touching = PegShape(float(center[0]), float(center[1]), radius)
     while True:
         px, py = float(rng.uniform(8, 48)), float(rng.uniform(-32, 32))
-        other = PegShape(px, py, float(rng.uniform(0.8, 1.6)))
-        apart = np.hypot(x - px, y - py).min() > 5.5
-        if apart and np.hypot(px - at[0], py - at[1]) > 5:
-            return [touching, other]
+        second = PegShape(px, py, float(rng.uniform(0.8, 1.6)))
+        clear_of_body = np.hypot(x - px, y - py).min() > 5.5
+        if clear_of_body and np.hypot(px - center[0], py - center[1]) > 5:
+            return [touching, second]
 
 
 def board_lens(poses: int = 10) -> Lens:
@@ -200,20 +200,25 @@ def run(context: Context) -> Outcome:
     """Errors over many renderings, for every way to know the lens."""
     seeds = [context.seed * 100_000 + n for n in range(context.count(6, 24))]
     lens = board_lens()
-    found, outcome = {}, Outcome()
-    for way in WAYS:
-        paint = partial(glimpse, way=way, lens=lens if way == LENS else None)
-        found[way] = errors = summarise(context.map(paint, seeds, f"pictures, {way}"))
-        for what, text in (
+    errors_by_method, outcome = {}, Outcome()
+    for method in WAYS:
+        paint = partial(glimpse, method=method, lens=lens if method == LENS else None)
+        errors_by_method[method] = errors = summarise(
+            context.map(paint, seeds, f"pictures, {method}")
+        )
+        for quantity, text in (
             ("place_p95_cm", "95 % of places in the workspace"),
             ("tip_p95_cm", "95 % of tips"),
-            *((("peg_p95_cm", "95 % of dowels"),) if way in _DOWELS else ()),
+            *((("peg_p95_cm", "95 % of dowels"),) if method in _DOWELS else ()),
         ):
-            outcome.claims.append(Claim(f"{text} ({way})", errors[what], 0.3, unit="cm"))
-        text = f"place error over the stated one sigma, rms ({way})"
+            outcome.claims.append(Claim(f"{text} ({method})", errors[quantity], 0.3, unit="cm"))
+        text = f"place error over the stated one sigma, rms ({method})"
         outcome.claims.append(Claim(text, errors["place_chi"], 2))
     outcome.tables["errors"] = [
-        {"quantity": name, **{way: round(errors[name], 6) for way, errors in found.items()}}
-        for name in found[CARDS]
+        {
+            "quantity": name,
+            **{method: round(errors[name], 6) for method, errors in errors_by_method.items()},
+        }
+        for name in errors_by_method[CARDS]
     ]
     return outcome

@@ -36,8 +36,8 @@ def panels(
     width = min(size[0] * columns, _PAGE_IN)
     height = size[1] * rows * max(width / (size[0] * columns), _FLATTEST)
     figure = Figure(figsize=(width, height), layout="constrained")
-    found = figure.subplots(rows, columns, sharex=share == "all", sharey=bool(share), squeeze=False)
-    axes: list[Axes] = list(found.ravel())
+    grid = figure.subplots(rows, columns, sharex=share == "all", sharey=bool(share), squeeze=False)
+    axes: list[Axes] = list(grid.ravel())
     for axis in axes:
         axis.set_prop_cycle(color=CYCLE)
         small(axis)
@@ -95,9 +95,9 @@ def named(
     points of a line of steps, each of which follows its point.
     """
     frame = axis.get_window_extent().padded(-1)
-    taken = [Bbox.from_bounds(x - 6, y - 6, 12, 12) for x, y in axis.transData.transform(points)]
+    occupied = [Bbox.from_bounds(x - 6, y - 6, 12, 12) for x, y in axis.transData.transform(points)]
     for (x0, y0), (x1, y1) in pairwise(axis.transData.transform(np.reshape(stairs, (-1, 2)))):
-        taken += [Bbox.from_extents(x0, y0 - 2, x1, y0 + 2), Bbox.from_extents(x1, y1, x1, y0)]
+        occupied += [Bbox.from_extents(x0, y0 - 2, x1, y0 + 2), Bbox.from_extents(x1, y1, x1, y0)]
     for name, point in zip(names, points, strict=True):
         text = axis.annotate(
             name, point, (5, 0), textcoords="offset points", fontsize=7, va="center",
@@ -107,12 +107,12 @@ def named(
             text.set(position=(6 * side, rise), ha="left" if side > 0 else "right")
             box = text.get_window_extent()
             inside = frame.contains(*box.min) and frame.contains(*box.max)
-            if inside and not box.count_overlaps(taken):
+            if inside and not box.count_overlaps(occupied):
                 break
         else:
             rise = 0
             text.set(position=(6, rise), ha="left")
-        taken.append(text.get_window_extent().padded(2, 0))
+        occupied.append(text.get_window_extent().padded(2, 0))
         if rise:
             axis.annotate(
                 "", point, text.get_position(), textcoords="offset points",
@@ -124,7 +124,7 @@ def legend_below(figure: Figure, *panels: Axes, title: str | None = None) -> Non
     """Put the legend of some panels, or of the first, below all panels, where it covers nothing."""
     named = [panel.get_legend_handles_labels() for panel in panels or figure.axes[:1]]
     handles, labels = (
-        [each for part in parts for each in part] for parts in zip(*named, strict=True)
+        [item for part in parts for item in part] for parts in zip(*named, strict=True)
     )
     figure.legend(
         handles, labels, loc="outside lower center", ncols=6 if title else 4, fontsize=7,

@@ -54,8 +54,8 @@ def signs(rng: np.random.Generator, count: int) -> Floats:
 
 def rubbing(force: Floats, friction: Floats | float) -> dict[str, Any]:
     """Options of `rod.solve` for friction, which acts on the skin where the body is pushed."""
-    along = friction * np.abs(force)
-    return {"tangential": along, "couple": np.sign(force) * RADIUS * along}
+    tangential = friction * np.abs(force)
+    return {"tangential": tangential, "couple": np.sign(force) * RADIUS * tangential}
 
 
 def one_contact(
@@ -115,7 +115,7 @@ def uneven(rng: np.random.Generator, count: int) -> Scenes:
 
 def pegs(part: Part, rng: np.random.Generator, count: int) -> Scenes:
     """A bent body against a peg in the room, on that part of it."""
-    room = rooms(rng, count, length=LENGTH, most=MOST_FREE, part=part)
+    room = rooms(rng, count, length=LENGTH, largest_free=MOST_FREE, part=part)
     side, free = signs(rng, count), room.free[-1]
     # The bound is that of a contact on the side with the same normal force.
     _, _, away, _ = outline(room.u[-1], room.peg_radius, LENGTH)
@@ -159,18 +159,18 @@ def misfit_of_one_contact(curvature: Floats, position: Floats, free: Floats) -> 
     places = np.linspace(1.0, LENGTH, 53)
     arcs = np.tile(places, len(curvature))[:, None]
     bend = np.repeat(free, len(places))[:, None]
-    read = np.repeat(curvature, len(places), axis=0)
+    readings = np.repeat(curvature, len(places), axis=0)
 
     def excess(force: Floats) -> Floats:
         bodies = solve(arcs, force, length=LENGTH, free_curvature=bend)
-        return read - bodies.readings(position, SPAN)
+        return readings - bodies.readings(position, SPAN)
 
     force, step = np.zeros_like(arcs), 1e-6  # 1/cm^2
     for _ in range(2):  # Gauss-Newton: the body is almost linear in the force
-        rest = excess(force)
-        slope = (rest - excess(force + step)) / step
+        residual = excess(force)
+        slope = (residual - excess(force + step)) / step
         power = np.maximum((slope**2).sum(axis=1), 1e-12)
-        force = force + ((slope * rest).sum(axis=1) / power)[:, None]
-    each = np.square(excess(force) / SIGMA).sum(axis=1).reshape(len(curvature), -1)
-    least: Floats = each.min(axis=1)
-    return least
+        force = force + ((slope * residual).sum(axis=1) / power)[:, None]
+    misfits = np.square(excess(force) / SIGMA).sum(axis=1).reshape(len(curvature), -1)
+    smallest: Floats = misfits.min(axis=1)
+    return smallest

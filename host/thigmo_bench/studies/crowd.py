@@ -1,9 +1,9 @@
 """How soon a stop on the page is confirmed in a crowd of connections that would keep it out.
 
 Nobody in the crowd has the page's token. Some begin a stop and then send a byte a second, others
-leave a request for the page half open; whoever is turned out comes again at once. The robot is
-emulated and served on a pseudo-terminal in real time. Times are this computer's, from the press to
-the end of the answer that names who has confirmed; it should have nothing else to do.
+leave a request for the page half open. A connection that is closed comes again at once. The robot
+is emulated and served on a pseudo-terminal in real time. Times are this computer's, from the press
+to the end of the answer that names who has confirmed; it should have nothing else to do.
 """
 
 from __future__ import annotations
@@ -48,17 +48,19 @@ def run(context: Context) -> Outcome:
         sockets = {**os.environ, OTHER_PLACE: folder}
         start: Start = partial(subprocess.Popen, env=sockets, text=True, stdout=subprocess.PIPE)
         place = stack.enter_context(_page(start, folder))
-        for who, how, crowd in (
+        for visitors, how, crowd in (
             ("nobody else", "the page alone", (0, 0)),
             ("a crowd", f"{_DRIPPING} dripping, {_HALF_OPEN} half open", (_DRIPPING, _HALF_OPEN)),
         ):
             with _crowd(place, *crowd):
                 times = []
                 for press in range(presses):
-                    context.progress(who, press, presses)
+                    context.progress(visitors, press, presses)
                     times.append(1e3 * pressed_s(place))
             p50, worst = float(np.median(times)), max(times)
-            rows.append({"who": who, "how": how, "n": presses, "p50_ms": p50, "worst_ms": worst})
+            rows.append(
+                {"who": visitors, "how": how, "n": presses, "p50_ms": p50, "worst_ms": worst}
+            )
     worst_s = float(rows[-1]["worst_ms"]) / 1e3
     claim = Claim("press to the board's confirmation in the crowd: worst", worst_s, _PROMISED_S,
                   unit="s")  # fmt: skip
@@ -78,24 +80,24 @@ def _page(start: Start, folder: str) -> Iterator[tuple[str, int]]:
         assert holding.stdout is not None
         holding.stdout.readline()
         watch = running(start, "watch", port, "--no-browser", "--port", "0", says="http://")
-        said = stack.enter_context(watch)
-        host, _, number = said.partition("http://")[2].partition("/")[0].partition(":")
+        address_line = stack.enter_context(watch)
+        host, _, number = address_line.partition("http://")[2].partition("/")[0].partition(":")
         yield host, int(number)
 
 
 @contextmanager
 def _crowd(place: tuple[str, int], dripping: int, half_open: int) -> Iterator[None]:
-    """Connections that never finish what they say, in a thread."""
-    begun = [b"POST /stop HTTP/1.1\r\nX: "] * dripping + [b"GET / HTTP/1.1\r\n"] * half_open
-    there, gone = threading.Event(), threading.Event()
+    """Connections that never finish their requests, in a thread."""
+    unfinished = [b"POST /stop HTTP/1.1\r\nX: "] * dripping + [b"GET / HTTP/1.1\r\n"] * half_open
+    connected, finished = threading.Event(), threading.Event()
 
     def crowd() -> None:
-        guests: list[socket.socket | None] = [None] * len(begun)
-        while not gone.is_set():
-            for n, words in enumerate(begun):
-                guests[n] = _said(place, guests[n], words)
-            there.set()
-            gone.wait(_BYTE_S)
+        guests: list[socket.socket | None] = [None] * len(unfinished)
+        while not finished.is_set():
+            for n, words in enumerate(unfinished):
+                guests[n] = _next_bytes(place, guests[n], words)
+            connected.set()
+            finished.wait(_BYTE_S)
         for guest in guests:
             if guest is not None:
                 guest.close()
@@ -103,17 +105,17 @@ def _crowd(place: tuple[str, int], dripping: int, half_open: int) -> Iterator[No
     thread = threading.Thread(target=crowd)
     thread.start()
     try:
-        there.wait()
+        connected.wait()
         yield
     finally:
-        gone.set()
+        finished.set()
         thread.join()
 
 
-def _said(
+def _next_bytes(
     place: tuple[str, int], guest: socket.socket | None, words: bytes
 ) -> socket.socket | None:
-    """A connection that has said one byte more, or its first words where it was turned out."""
+    """The connection after one more byte, or a new one if it had been closed."""
     with suppress(OSError):
         if guest is not None and words.startswith(b"POST"):
             guest.sendall(b"x")

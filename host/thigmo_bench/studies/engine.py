@@ -62,7 +62,7 @@ class Claim:
     unit: str = ""
     standard_error: float = 0.0  # of the value, by the size of its sample; NaN if it is not known
 
-    def said(self, scale: Scale) -> str:
+    def sentence(self, scale: Scale) -> str:
         """The claim with its verdict, as text. At quick scale, a miss is reported as undecided."""
         text = str(self)
         return text.replace("MISSED", "not met in a quick look") if scale == "quick" else text
@@ -92,7 +92,7 @@ class Claim:
 
 @dataclass
 class Outcome:
-    """What a study found."""
+    """The results of a study."""
 
     # tables, figures: written into the folder, by name; no table is empty
     tables: dict[str, Sequence[Record]] = field(default_factory=dict)
@@ -101,18 +101,18 @@ class Outcome:
     notes: list[str] = field(default_factory=list)  # sentences that are printed
     summary: Sequence[Record] | None = None  # a table that is printed
     samples: Mapping[str, int] = field(default_factory=dict)  # cases of each part that was run
-    kept: tuple[str, ...] = ("rows",)  # tables that programs get as well
+    published: tuple[str, ...] = ("rows",)  # names of the tables that `record` contains
 
     def record(self) -> dict[str, Any]:
-        """Plain data for programs: the rows of kept tables, claims and notes."""
-        tables = {name: self.tables.get(name, []) for name in self.kept}
+        """Plain data for programs: rows of the published tables, claims and notes."""
+        tables = {name: self.tables.get(name, []) for name in self.published}
         claims = [claim.record() for claim in self.claims]
         return tables | {"claims": claims, "notes": self.notes, "samples": dict(self.samples)}
 
 
 @dataclass(frozen=True)
 class Explorations:
-    """What the study of explorations runs, and what it is compared with."""
+    """Options of the study of explorations, and the earlier runs to compare it with."""
 
     kinds: tuple[str, ...] = ()  # of rooms; all if empty
     settings: tuple[str, ...] = ()  # efforts and budgets; those of the published study if empty
@@ -181,12 +181,12 @@ def earlier_runs(file: Path) -> list[Record]:
     """
     try:
         rows = json.loads(file.read_text())
-        known = [row for row in rows if {"kind", "seed", "setting", "best_cm"} <= row.keys()]
+        runs = [row for row in rows if {"kind", "seed", "setting", "best_cm"} <= row.keys()]
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise DataError(f"{file} cannot be read as a table of runs: {error}", _RUNS) from None
-    if not known or len(known) < len(rows):
+    if not runs or len(runs) < len(rows):
         raise DataError(f"{file} is no table of runs", _RUNS)
-    return known
+    return runs
 
 
 _RUNS = "give the exploration-runs.json of an earlier `thigmo bench exploration`"

@@ -32,7 +32,7 @@ STEADY_S = 2.0  # end of the failure over which steady values are taken
 _LIVE_ZERO = 320  # of 1599: 4 mA
 EMPTIED_CM = 12.0  # travel of the spool in a second at full speed, while the body empties
 FILL_S = 15.0  # for the body, through its throttle
-QUIET_S = 0.5  # outputs that have been off for so long stay off
+QUIET_S = 0.5  # outputs that have been off for this time stay off
 RECOVERY_S = 4.0
 _SEED = 5
 
@@ -172,7 +172,7 @@ class Visit:
     peak_psi: float
     steady_psi: float
     moved_cm: float  # largest growth of the tip after the failure began
-    # beyond_cm: farthest that the true length was beyond both that and what the encoder shows
+    # largest excess of the true length over both the length at the failure and the encoder's
     beyond_cm: float
     pull_n: float  # largest pull on the line
     recovers: bool  # whether faults clear and the robot arms after the failure, without a reset
@@ -252,8 +252,8 @@ def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) 
     if case.state == STARTING:
         return _start(case)
     scene = _scene(case.fit, case.muscles)
-    made = board_for or partial(virtual_board, scene.robot, _SEED)
-    board = made(stored(case.fit, case.muscles))
+    make_board = board_for or partial(virtual_board, scene.robot, _SEED)
+    board = make_board(stored(case.fit, case.muscles))
     transport = EmulatorTransport(scene, board, seed=_SEED, exchange_ms=exchange_ms)
     lockstep, plant = transport.lockstep, transport.lockstep.plant
     client = Client(transport)
@@ -275,7 +275,7 @@ def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) 
         lockstep.faults.inject(FaultTable.model_validate(table))
     transport.pass_time(lead_s)
     decoder, length = Decoder(), plant.length_cm
-    shown_cm, known = length, length  # by the encoder
+    shown_cm, allowed_cm = length, length  # by the encoder
     faults, announced = 0, False
     rows = []
     while transport.now() < begins + LASTS_S - 0.02:
@@ -286,18 +286,26 @@ def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) 
             if isinstance(message, wire.Telemetry):
                 faults |= message.faults
                 shown_cm = message.length_um / 1e4
-        known = max(known, shown_cm if not faults else known)
+        allowed_cm = max(allowed_cm, shown_cm if not faults else allowed_cm)
         unsafe = board.motor != 0 or any(board.drive_enabled)
         grown = plant.length_cm
         psi_now = max(plant.muscle_psi)
         driven = sum(
-            on and level > _LIVE_ZERO
-            for on, level in zip(board.drive_enabled, board.drive, strict=True)
+            output_on and level > _LIVE_ZERO
+            for output_on, level in zip(board.drive_enabled, board.drive, strict=True)
         )
-        row = t_s - begins, unsafe, psi_now, grown - length, grown - known, plant.line_n, driven
+        row = (
+            t_s - begins,
+            unsafe,
+            psi_now,
+            grown - length,
+            grown - allowed_cm,
+            plant.line_n,
+            driven,
+        )
         rows.append(row)
-    after_s, on, psi, moved_cm, beyond_cm, pull_n, at_once = np.array(rows).T
-    last_s = float(after_s[on > 0].max(initial=0.0))
+    after_s, output_on, psi, moved_cm, beyond_cm, pull_n, at_once = np.array(rows).T
+    last_s = float(after_s[output_on > 0].max(initial=0.0))
     noticed = ", ".join(f.key for f in wire.Fault.from_mask(faults))
     noticed = noticed or ("reset" if announced else "")
     return Visit(
@@ -340,8 +348,8 @@ def _recovers(transport: EmulatorTransport) -> bool:
 
 
 def run(context: Context) -> Outcome:
-    """The campaign: every failure in every state, bare, with valves, with valves and brake; and
-    what a start must notice.
+    """The campaign: every failure in every state (bare, with valves, with valves and brake), and
+    the damage that a start must notice.
 
     Quick: in three of the states, and in growth with valves and brake.
     """
@@ -366,14 +374,14 @@ def run(context: Context) -> Outcome:
     return outcome(cases, context.map(visit, cases, "failures"))
 
 
-def _line(case: Case, one: Visit) -> Record:
+def _line(case: Case, result: Visit) -> Record:
     failure = case.failure
-    bare = not one.noticed or failure.valve or failure.spool
+    bare = not result.noticed or failure.valve or failure.spool
     return {
-        "failure": failure.name, "state": case.state, "noticed_as": one.noticed or "not noticed",
-        "safe_s": "" if one.safe_s is None else one.safe_s, "peak_psi": round(one.peak_psi, 1),
-        "steady_psi": round(one.steady_psi, 1), "grown_cm": round(one.moved_cm, 2),
-        "pull_n": round(one.pull_n),
+        "failure": failure.name, "state": case.state, "noticed_as": result.noticed or "not noticed",
+        "safe_s": "" if result.safe_s is None else result.safe_s,
+        "peak_psi": round(result.peak_psi, 1), "steady_psi": round(result.steady_psi, 1),
+        "grown_cm": round(result.moved_cm, 2), "pull_n": round(result.pull_n),
         "covered_by": failure.covered if bare else "",
     }  # fmt: skip
 
@@ -382,46 +390,49 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
     """Tables and claims of visits."""
     pairs = list(zip(cases, visits, strict=True))
     tables: dict[str, Sequence[Record]] = {}
-    for case, one in pairs:
+    for case, result in pairs:
         name = {
             "bare": "failures", "valves": "failures_with_valves",
             "brake": "failures_with_valves_and_brake",
         }[case.fit]  # fmt: skip
         if case.muscles != 2:
             name = f"failures_with_{case.muscles}_muscles"
-        tables[name] = [*tables.get(name, ()), _line(case, one)]
-    seen = [(c, v) for c, v in pairs if v.noticed]
-    air = [v for c, v in seen if not c.failure.valve or c.fit != "bare"]
+        tables[name] = [*tables.get(name, ()), _line(case, result)]
+    noticed = [(c, v) for c, v in pairs if v.noticed]
+    air = [v for c, v in noticed if not c.failure.valve or c.fit != "bare"]
     braked = [(c, v) for c, v in pairs if c.fit == "brake"]
     obeys = [v for c, v in pairs if c.failure.kind != "motor_shorted"]
     host = [v for c, v in pairs if c.failure.kind in ("host_silent", "hang")]
-    blind = [v for c, v in pairs if c.failure.kind == "encoder_lost"]
-    unseen = [c for c, v in pairs if not v.noticed and c.state not in ("safe", "ready")]
+    without_encoder = [v for c, v in pairs if c.failure.kind == "encoder_lost"]
+    unnoticed = [c for c, v in pairs if not v.noticed and c.state not in ("safe", "ready")]
     claims = (
         ("steady true pressure of a noticed failure whose valve works, or is emptied",
          [v.steady_psi for v in air], MAX_PSI + 1.5, "psi"),
         ("true pressure at its highest, where the valve works",
          [v.peak_psi for c, v in pairs if not c.failure.valve], MAX_PSI + 1.5, "psi"),
         ("growth after host or firmware dies", [v.moved_cm for v in host], 2.0, "cm"),
-        ("growth after the encoder dies", [v.moved_cm for v in blind], 2.0, "cm"),
+        ("growth after the encoder dies", [v.moved_cm for v in without_encoder], 2.0, "cm"),
         ("growth after a noticed failure, where valves empty the body",
-         [v.moved_cm for c, v in seen if c.fit == "valves" and c.failure.kind != "line_snapped"],
+         [v.moved_cm for c, v in noticed if c.fit == "valves" and c.failure.kind != "line_snapped"],
          EMPTIED_CM, "cm"),
         ("growth that was not asked for, where a brake is fitted and the line whole",
          [v.beyond_cm for c, v in braked if c.failure.kind != "line_snapped"], SAFE_CM, "cm"),
         ("pull on the line where the driver obeys", [v.pull_n for v in obeys], RATING_N, "N"),
         ("time to safe of a noticed failure whose spool works",
-         [v.safe_s or 0.0 for c, v in seen if not c.failure.spool], 8.0, "s"),
+         [v.safe_s or 0.0 for c, v in noticed if not c.failure.spool], 8.0, "s"),
         ("time to safe of a noticed failure of the spool, some of which only a motion's end shows",
-         [v.safe_s or 0.0 for c, v in seen if c.failure.spool], LASTS_S - QUIET_S, "s"),
+         [v.safe_s or 0.0 for c, v in noticed if c.failure.spool], LASTS_S - QUIET_S, "s"),
         ("muscles driven at once", [v.driven for v in visits], 1, ""),
         ("noticed failures after which an output stays on",
-         [sum(v.safe_s is None for _, v in seen)], 0, ""),
+         [sum(v.safe_s is None for _, v in noticed)], 0, ""),
         ("failures in motion that nothing notices and nothing covers",
-         [sum(not c.failure.covered for c in unseen)], 0, ""),
+         [sum(not c.failure.covered for c in unnoticed)], 0, ""),
         ("failures after whose end only a reset would help",
          [sum(not v.recovers for v in visits)], 0, ""),
     )  # fmt: skip
     return Outcome(
-        tables, claims=[Claim(t, max(of, default=0.0), most, unit=u) for t, of, most, u in claims]
+        tables,
+        claims=[
+            Claim(t, max(values, default=0.0), limit, unit=u) for t, values, limit, u in claims
+        ],
     )

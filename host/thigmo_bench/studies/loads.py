@@ -57,20 +57,20 @@ class Group:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """The answer to a frame, compared with the truth."""
+class FrameResult:
+    """One frame's answer compared with the truth."""
 
-    found: int  # contacts listed
+    listed: int  # contacts listed
     likely: int  # of these, with a probability over one half
     # localized, ambiguous: whether this is the status
     localized: bool
     ambiguous: bool
-    none: float  # probability that nothing touches
-    held: int  # number of listed contacts whose interval contains a true place
+    p_no_contact: float  # probability that nothing touches
+    covered: int  # number of listed contacts whose interval contains a true place
     wrong: bool  # whether a contact is localized with an interval that contains no true place
     off_cm: float  # largest distance of a localized contact from the nearest true place
     hinge: bool  # whether the explanation or the message mentions a kink
-    open: bool  # whether the message gives the probability of more contacts
+    more_possible: bool  # whether the message gives the probability of more contacts
     stands_out: float  # misfit that decides whether the group's promise covers the frame
     turn: float  # turn of the body by the mean of noise-free readings, rad
     fits: bool  # whether one contact leaves at most the misfit of noise in 99 of 100 frames
@@ -81,14 +81,14 @@ def _free(rng: np.random.Generator, count: int, bent: bool) -> Floats:
     return signs(rng, count) * size
 
 
-def _push(rng: np.random.Generator, free: Floats, least: float) -> Floats:
+def _push(rng: np.random.Generator, free: Floats, least_share: float) -> Floats:
     """Contacts' moments at the base (1/cm), against the bend, or to either side if it is straight.
 
     `least` is the smallest moment over the largest.
     """
     bent = bool(free.any())
-    most = np.minimum(CRITICAL, 0.9 * np.abs(free)) if bent else CRITICAL
-    moment = rng.uniform(least, 1.0, len(free)) * most
+    largest = np.minimum(CRITICAL, 0.9 * np.abs(free)) if bent else CRITICAL
+    moment = rng.uniform(least_share, 1.0, len(free)) * largest
     return (-np.sign(free) if bent else signs(rng, len(free))) * moment
 
 
@@ -99,7 +99,7 @@ def _read(
     return Scenes(bodies.readings(position, SPAN), position, free, arcs)
 
 
-def one(position: Floats, rng: np.random.Generator, count: int) -> Scenes:
+def one_contact(position: Floats, rng: np.random.Generator, count: int) -> Scenes:
     """Straight bodies with one clear contact."""
     arcs = rng.uniform(15.0, LENGTH, (count, 1))
     forces = signs(rng, count)[:, None] * rng.uniform(0.003, 0.011, (count, 1)) / arcs
@@ -194,8 +194,8 @@ def kinked(touched: bool, bent: bool, rng: np.random.Generator, count: int) -> S
     order = np.argsort(places, axis=1)
     arcs, kinks, forces = (np.take_along_axis(v, order, 1) for v in (places, kinks, forces))
     scenes = _read(arcs, forces, COLUMN if bent else BOTH, free, kinks)
-    seen = contact_scenes.misfit_of_one_contact(scenes.curvature, scenes.position, free)
-    return replace(scenes, arcs=places[:, 1 : 1 + touched], stands_out=seen)
+    misfit = contact_scenes.misfit_of_one_contact(scenes.curvature, scenes.position, free)
+    return replace(scenes, arcs=places[:, 1 : 1 + touched], stands_out=misfit)
 
 
 def _groups() -> dict[str, Group]:
@@ -205,9 +205,9 @@ def _groups() -> dict[str, Group]:
             where = BOTH if n == 10 else COLUMN[:n]
             name = f"free, {n} readings, noise {label}"
             groups[name] = Group(partial(straight, where), 3000, noise)
-        groups[f"one contact, noise {label}"] = Group(partial(one, BOTH), count, noise)
+        groups[f"one contact, noise {label}"] = Group(partial(one_contact, BOTH), count, noise)
     groups["one contact, 5 readings, noise unknown"] = Group(
-        partial(one, COLUMN), options={"noise": None}
+        partial(one_contact, COLUMN), options={"noise": None}
     )
     for bent in (False, True):
         body = "bent" if bent else "straight"
@@ -236,84 +236,84 @@ def _groups() -> dict[str, Group]:
     rod = {"length": ROD_CM, "span": 0.0, "noise": ROD_NOISE, "held_end": None}
     for radius, name in ((None, "rod held at its end"), (0.8, "rod held, radius stated")):
         groups[name] = Group(held_rod, options=rod | {"tube_radius": radius}, noise=ROD_NOISE)
-    for held in (0.0, 0.9):
+    for level in (0.0, 0.9):
         for position in (DENSE, COLUMN):
-            name = f"two anywhere, bent, {position.size} readings, number {held:g}"
+            name = f"two anywhere, bent, {position.size} readings, number {level:g}"
             groups[name] = Group(
-                partial(anywhere, 2, True, position), options={"number_level": held}
+                partial(anywhere, 2, True, position), options={"number_level": level}
             )
     groups["three anywhere, straight, 20 readings"] = Group(partial(anywhere, 3, False, DENSE))
     for bent in (False, True):
         body = "bent" if bent else "straight"
         groups[f"folded, {body}, nothing said"] = Group(partial(folded, bent), options=NOTHING_SAID)
     for name, draw in (("pressed", contact_scenes.pressed), ("bent", contact_scenes.bent)):
-        for said, options in (("all said", {}), ("nothing said", NOTHING_SAID)):
-            groups[f"{name}, {said}"] = Group(draw, options=options)
+        for statement, options in (("all said", {}), ("nothing said", NOTHING_SAID)):
+            groups[f"{name}, {statement}"] = Group(draw, options=options)
     return groups
 
 
 GROUPS = _groups()
 
 
-def see(task: tuple[str, tuple[int, ...], int]) -> list[Seen]:
+def answer_frames(task: tuple[str, tuple[int, ...], int]) -> list[FrameResult]:
     """A batch of frames of a group."""
     name, key, size = task
     group, rng = GROUPS[name], np.random.default_rng(key)
     scenes = group.draw(rng, size)
     frames = scenes.curvature + group.noise * rng.standard_normal(scenes.curvature.shape)
     stands_out = np.zeros(size) if scenes.stands_out is None else scenes.stands_out
-    least = np.full(size, np.inf)
+    misfit = np.full(size, np.inf)
     if group.against_free or scenes.arcs.shape[1] == 2:
-        least = contact_scenes.misfit_of_one_contact(frames, scenes.position, scenes.free)
+        misfit = contact_scenes.misfit_of_one_contact(frames, scenes.position, scenes.free)
     if group.against_free:
         free = np.square((frames - scenes.free[:, None]) / SIGMA).sum(axis=1)
-        stands_out = free - least
-    fits = least < chi2.isf(0.01, scenes.position.size - 2)
+        stands_out = free - misfit
+    fits = misfit < chi2.isf(0.01, scenes.position.size - 2)
     stated = {"length": LENGTH, "span": SPAN, "noise": SIGMA, **ROBOT, **group.options}
     localizer = Localizer.of(position=scenes.position, **stated)
-    seen = []
+    results = []
     turns = np.abs(scenes.curvature.mean(axis=1)) * stated["length"]
-    for frame, free, arcs, out, fit, turn in zip(
+    for frame, free, arcs, excess, fit, turn in zip(
         frames, scenes.free, scenes.arcs, stands_out, fits, turns, strict=True
     ):
         result = localizer.localize(frame, free_curvature=free)
-        placed = [contact for contact in result.contacts if contact.status == "localized"]
-        off = (float(np.abs(arcs - c.arc).min(initial=np.inf)) for c in placed)
-        seen.append(
-            Seen(
-                found=len(result.contacts),
+        localized = [contact for contact in result.contacts if contact.status == "localized"]
+        distances = (float(np.abs(arcs - c.arc).min(initial=np.inf)) for c in localized)
+        results.append(
+            FrameResult(
+                listed=len(result.contacts),
                 likely=sum(contact.probability > 0.5 for contact in result.contacts),
-                localized=bool(placed),
+                localized=bool(localized),
                 ambiguous=result.status == "ambiguous",
-                none=1.0 / (1.0 + float(np.exp(min(result.log_odds, 500.0)))),
-                held=sum(holds(arcs, contact.interval) for contact in result.contacts),
-                wrong=any(not holds(arcs, contact.interval) for contact in placed),
-                off_cm=max(off, default=0.0),
+                p_no_contact=1.0 / (1.0 + float(np.exp(min(result.log_odds, 500.0)))),
+                covered=sum(holds(arcs, contact.interval) for contact in result.contacts),
+                wrong=any(not holds(arcs, contact.interval) for contact in localized),
+                off_cm=max(distances, default=0.0),
                 hinge=any(
                     word in f"{result.hypothesis} {result.message}"
                     for word in ("hinge", "folded", "kinked")
                 ),
-                open=", more: " in result.message,
-                stands_out=float(out),
+                more_possible=", more: " in result.message,
+                stands_out=float(excess),
                 turn=float(turn),
                 fits=bool(fit),
             )
         )
-    return seen
+    return results
 
 
-def _coverage(frames: Sequence[Seen]) -> float:
+def _coverage(frames: Sequence[FrameResult]) -> float:
     """Share of listed contacts whose intervals contain a true place."""
-    return sum(f.held for f in frames) / max(sum(f.found for f in frames), 1)
+    return sum(f.covered for f in frames) / max(sum(f.listed for f in frames), 1)
 
 
-def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
+def _claims(results: dict[str, list[FrameResult]]) -> list[Claim]:
     """The promises; each is checked on its worst group."""
 
-    def some(start: str) -> list[list[Seen]]:
-        return [frames for name, frames in seen.items() if name.startswith(start)]
+    def named(start: str) -> list[list[FrameResult]]:
+        return [frames for name, frames in results.items() if name.startswith(start)]
 
-    def most(groups: Iterable[list[Seen]], what: Callable[[Seen], bool]) -> float:
+    def worst(groups: Iterable[list[FrameResult]], what: Callable[[FrameResult], bool]) -> float:
         return max(share([what(f) for f in frames]) for frames in groups)
 
     def at_least(text: str, value: float, limit: float) -> Claim:
@@ -321,102 +321,106 @@ def _claims(seen: dict[str, list[Seen]]) -> list[Claim]:
 
     claims = []
     for noise in ("known", "unknown"):
-        free = [seen[f"free, {n} readings, noise {noise}"] for n in FEW]
-        one = [seen[f"one contact, noise {noise}"]]
+        free = [results[f"free, {n} readings, noise {noise}"] for n in FEW]
+        single = [results[f"one contact, noise {noise}"]]
         claims += [
             Claim(f"noise {noise}: false contacts, 2 to 10 readings, most",
-                  most(free, lambda f: f.likely > 0), 0.01),
-            Claim(f"noise {noise}: false second contacts", most(one, lambda f: f.likely > 1), 0.05),
+                  worst(free, lambda f: f.likely > 0), 0.01),
+            Claim(f"noise {noise}: false second contacts",
+                  worst(single, lambda f: f.likely > 1), 0.05),
         ]  # fmt: skip
-    doubted = [seen[f"one contact, {n}noise unknown"] for n in ("", "5 readings, ")]
+    doubted = [results[f"one contact, {n}noise unknown"] for n in ("", "5 readings, ")]
     claims += [
         at_least("noise unknown, one contact: least coverage", min(map(_coverage, doubted)), 0.93),
         Claim("noise unknown, one contact: localized and wrong, most",
-              most(doubted, lambda f: f.wrong), 0.04),
+              worst(doubted, lambda f: f.wrong), 0.04),
     ]  # fmt: skip
-    base = [[f for f in frames if f.stands_out >= STANDS_OUT] for frames in some("near the base")]
+    base = [[f for f in frames if f.stands_out >= STANDS_OUT] for frames in named("near the base")]
     usual = [f for body in ("straight", "bent")
-             for f in seen[f"near the base, {body}, odds {ODDS[0]:g}"]]  # fmt: skip
-    opposed, beside = some("two opposed"), some("two on one side")
-    explained = [f for frames in beside for f in frames if f.found == 1 and f.fits]
-    both = [[f for f in frames if f.found == 2] for frames in opposed]
-    rods = seen["rod held at its end"]
-    clear = [f for frames in some("kink") for f in frames if f.stands_out >= SEEN_KINK]
-    hidden = [[f for f in frames if f.stands_out < SEEN_KINK] for frames in some("kink and")]
+             for f in results[f"near the base, {body}, odds {ODDS[0]:g}"]]  # fmt: skip
+    opposed, beside = named("two opposed"), named("two on one side")
+    explained = [f for frames in beside for f in frames if f.listed == 1 and f.fits]
+    two_answered = [[f for f in frames if f.listed == 2] for frames in opposed]
+    rods = results["rod held at its end"]
+    clear = [f for frames in named("kink") for f in frames if f.stands_out >= SEEN_KINK]
+    hidden = [[f for f in frames if f.stands_out < SEEN_KINK] for frames in named("kink and")]
     return [
         *claims,
         Claim("near the base, 5 standard errors or more: not listed, most",
-              most(base, lambda f: f.found == 0), 0.0),
+              worst(base, lambda f: f.listed == 0), 0.0),
         Claim("of these, P(no contact) over 0.05 and not ambiguous, most",
-              most(base, lambda f: f.none > 0.05 and f.localized), 0.0),
+              worst(base, lambda f: f.p_no_contact > 0.05 and f.localized), 0.0),
         at_least("more than 25 cm from the end: contacts found",
                  share([f.likely > 0 for f in usual]), 0.83),
         at_least("two opposed contacts, straight: both found",
-                 share([f.likely == 2 for f in seen["two opposed, straight"]]), 0.78),
+                 share([f.likely == 2 for f in results["two opposed, straight"]]), 0.78),
         Claim("two opposed, one answered: localized where neither is, most",
-              most(opposed, lambda f: f.wrong and f.found == 1), 0.05),
+              worst(opposed, lambda f: f.wrong and f.listed == 1), 0.05),
         Claim("two on one side that one does not explain: localized where neither is, most",
-              most(beside, lambda f: f.wrong and f.found == 1 and not f.fits), 0.05),
+              worst(beside, lambda f: f.wrong and f.listed == 1 and not f.fits), 0.05),
         at_least("two opposed, both answered: least coverage of an interval",
-                 min(map(_coverage, both)), 0.93),
+                 min(map(_coverage, two_answered)), 0.93),
         at_least("two on one side that one explains: others said not to be excluded",
-                 share([f.open for f in explained]), 1.0),
+                 share([f.more_possible for f in explained]), 1.0),
         at_least("separated at 18.5 cm, least share",
-                 min(share([f.found == 2 for f in frames]) for frames in some("18.5")), 0.9),
+                 min(share([f.listed == 2 for f in frames]) for frames in named("18.5")), 0.9),
         at_least("13 cm apart: ambiguous, or localized where they are, least share",
-                 min(share([not f.wrong for f in frames]) for frames in some("13 cm")), 0.95),
+                 min(share([not f.wrong for f in frames]) for frames in named("13 cm")), 0.95),
         at_least("rod held at its end: the end in the interval",
-                 share([f.held > 0 for f in rods]), 0.95),
+                 share([f.covered > 0 for f in rods]), 0.95),
         Claim("rod held at its end: localized more than 5 % of its length from there",
               share([f.off_cm > 0.05 * ROD_CM for f in rods]), 0.0),
         Claim("of the rods that turn by 45 degrees or more: localized so far from there",
               share([f.off_cm > 0.05 * ROD_CM for f in rods if f.turn >= BENT]), 0.0),
         Claim("rod held, radius stated: localized more than 5 % of its length from there",
-              share([f.off_cm > 0.05 * ROD_CM for f in seen["rod held, radius stated"]]), 0.0),
+              share([f.off_cm > 0.05 * ROD_CM for f in results["rod held, radius stated"]]), 0.0),
         Claim("two anywhere, bent, 20 readings: localized and wrong",
-              share([f.wrong for f in seen["two anywhere, bent, 20 readings, number 0"]]), 0.13),
+              share([f.wrong for f in results["two anywhere, bent, 20 readings, number 0"]]), 0.13),
         at_least("of these, frames with a localized contact",
-                 share([f.localized for f in seen["two anywhere, bent, 20 readings, number 0"]]),
+                 share([f.localized for f in results["two anywhere, bent, 20 readings, number 0"]]),
                  0.5),
         Claim("two anywhere, bent, 5 readings: localized and wrong",
-              share([f.wrong for f in seen["two anywhere, bent, 5 readings, number 0"]]), 0.08),
+              share([f.wrong for f in results["two anywhere, bent, 5 readings, number 0"]]), 0.08),
         Claim("two anywhere, the number held to 90 %: localized and wrong, most",
-              max(share([f.wrong for f in frames]) for name, frames in seen.items()
+              max(share([f.wrong for f in frames]) for name, frames in results.items()
                   if name.endswith("number 0.9")), 0.075),
         Claim("three anywhere, straight, 20 readings: localized and wrong",
-              share([f.wrong for f in seen["three anywhere, straight, 20 readings"]]), 0.15),
+              share([f.wrong for f in results["three anywhere, straight, 20 readings"]]), 0.15),
         Claim("folds that nobody states: localized and wrong, most",
-              most(some("folded"), lambda f: f.wrong), 0.05),
+              worst(named("folded"), lambda f: f.wrong), 0.05),
         at_least("nothing said: least share of the localized contacts that are with all said",
-                 min(share([f.localized for f in seen[f"{name}, nothing said"]])
-                     / max(share([f.localized for f in seen[f"{name}, all said"]]), 1e-9)
+                 min(share([f.localized for f in results[f"{name}, nothing said"]])
+                     / max(share([f.localized for f in results[f"{name}, all said"]]), 1e-9)
                      for name in ("pressed", "bent")), 2.0 / 3.0),
         at_least("nothing said: least coverage",
-                 min(_coverage(seen[f"{name}, nothing said"]) for name in ("pressed", "bent")),
+                 min(_coverage(results[f"{name}, nothing said"]) for name in ("pressed", "bent")),
                  0.93),
         Claim("kinks of 3 standard errors or more: not reported, and a contact localized",
               share([f.localized and not f.hinge for f in clear]), 0.0),
         Claim("of these, localized where nothing is", share([f.wrong for f in clear]), 0.03),
         at_least("kinks that hardly show: least coverage",
-                 min(share([f.held > 0 for f in frames if f.found]) for frames in hidden), 0.93),
+                 min(share([f.covered > 0 for f in frames if f.listed]) for frames in hidden),
+                 0.93),
         Claim("kinks that hardly show: localized and wrong, most",
-              most(hidden, lambda f: f.wrong), 0.03),
+              worst(hidden, lambda f: f.wrong), 0.03),
     ]  # fmt: skip
 
 
-def _row(name: str, seen: list[Seen]) -> Record:
+def _row(name: str, results: list[FrameResult]) -> Record:
     clear = SEEN_KINK if name.startswith("kink") else STANDS_OUT
     return {
         "group": name,
-        "count": len(seen),
-        **{count: share([f.likely == n for f in seen])
+        "count": len(results),
+        **{count: share([f.likely == n for f in results])
            for n, count in enumerate(("none", "one", "two"))},
-        **{what: share([getattr(f, what) for f in seen]) for what in ("localized", "ambiguous")},
-        "covered": _coverage(seen),
-        **{what: share([getattr(f, what) for f in seen]) for what in ("wrong", "hinge")},
-        "wrong_of_localized": share([f.wrong for f in seen if f.localized]),
-        "stand_out": sum(f.stands_out >= clear for f in seen),
-        "localized_most_off_cm": max(f.off_cm for f in seen),
+        "localized": share([f.localized for f in results]),
+        "ambiguous": share([f.ambiguous for f in results]),
+        "covered": _coverage(results),
+        "wrong": share([f.wrong for f in results]),
+        "hinge": share([f.hinge for f in results]),
+        "wrong_of_localized": share([f.wrong for f in results if f.localized]),
+        "stand_out": sum(f.stands_out >= clear for f in results),
+        "localized_most_off_cm": max(f.off_cm for f in results),
     }  # fmt: skip
 
 
@@ -427,8 +431,10 @@ def run(context: Context) -> Outcome:
         for g, (name, group) in enumerate(GROUPS.items())
         for b, size in parts(context.count(min(20, group.count), group.count), BATCH)
     ]
-    seen: dict[str, list[Seen]] = {name: [] for name in GROUPS}
-    for (name, *_), found in zip(tasks, context.map(see, tasks, "frames", last), strict=True):
-        seen[name] += found
-    rows = [_row(name, frames) for name, frames in seen.items()]
-    return Outcome({"rows": rows}, claims=_claims(seen), summary=rows)
+    results: dict[str, list[FrameResult]] = {name: [] for name in GROUPS}
+    for (name, *_), batch in zip(
+        tasks, context.map(answer_frames, tasks, "frames", last), strict=True
+    ):
+        results[name] += batch
+    rows = [_row(name, frames) for name, frames in results.items()]
+    return Outcome({"rows": rows}, claims=_claims(results), summary=rows)

@@ -62,7 +62,7 @@ class Traded:
     count: int
 
 
-def _felt(arcs: Floats, forces: Floats) -> int:
+def _countable(arcs: Floats, forces: Floats) -> int:
     """Number of contacts that count."""
     column = phi(arcs[:, None], BOTH, SPAN) * forces[:, None] / SIGMA
     return int((np.sqrt(np.square(column).sum(axis=1)) >= priors.FELT).sum())
@@ -76,7 +76,7 @@ def by_prior(task: tuple[tuple[int, ...], int]) -> NDArray[np.float64]:
     """
     key, size = task
     rng = np.random.default_rng(key)
-    odds = np.exp([0.0, *(priors.CONTACT + more * priors.ANOTHER for more in range(3))])
+    odds = np.exp([0.0, *(priors.CONTACT + further * priors.ANOTHER for further in range(3))])
     localizer = Localizer.of(position=BOTH, length=LENGTH, span=SPAN, noise=SIGMA, **PLAIN)
     out = np.zeros((size, 5))
     for row in out:
@@ -90,16 +90,16 @@ def by_prior(task: tuple[tuple[int, ...], int]) -> NDArray[np.float64]:
         if count:
             clean = solve(arcs[None], forces[None], length=LENGTH).readings(BOTH, SPAN)[0]
         result = localizer.localize(clean + SIGMA * rng.standard_normal(BOTH.size))
-        row[:4], row[4] = result.number, _felt(arcs, forces)
+        row[:4], row[4] = result.number, _countable(arcs, forces)
     return out
 
 
 def calibration(frames: NDArray[np.float64]) -> tuple[list[dict[str, Any]], float]:
     """How often the likeliest number was right, by bins of its probability; and the mean error."""
-    said, correct = frames[:, :4].max(axis=1), frames[:, :4].argmax(axis=1) == frames[:, 4]
-    place = np.clip(np.digitize(said, BINS) - 1, 0, len(BINS) - 2)
+    stated, correct = frames[:, :4].max(axis=1), frames[:, :4].argmax(axis=1) == frames[:, 4]
+    place = np.clip(np.digitize(stated, BINS) - 1, 0, len(BINS) - 2)
     rows = [
-        {"said": float(said[place == b].mean()), "correct": share(correct[place == b]),
+        {"said": float(stated[place == b].mean()), "correct": share(correct[place == b]),
          "count": int((place == b).sum())}
         for b in range(len(BINS) - 1) if (place == b).any()
     ]  # fmt: skip
@@ -145,43 +145,43 @@ def trade(task: tuple[str, tuple[int, ...], int]) -> NDArray[np.bool_]:
     noisy = scenes.curvature + SIGMA * rng.standard_normal(scenes.curvature.shape)
     stated: dict[str, Any] = {"position": scenes.position, "length": LENGTH, "span": SPAN}
     stated |= {"noise": SIGMA} | ROBOT
-    ways: list[dict[str, Any]] = [
+    option_sets: list[dict[str, Any]] = [
         *({"number_level": level} for level in NUMBER_LEVELS),
         *({"width_limit": LENGTH * width} for width in WIDTHS),
         NOTHING_SAID,
     ]
-    localizers = [Localizer.of(**(stated | way)) for way in ways]
+    localizers = [Localizer.of(**(stated | options)) for options in option_sets]
     frames = list(zip(noisy, scenes.free, scenes.arcs, strict=True))
     return np.array([
-        [_localized(each.localize(y, free_curvature=g), arcs) for y, g, arcs in frames]
-        for each in localizers
+        [_localized(localizer.localize(y, free_curvature=g), arcs) for y, g, arcs in frames]
+        for localizer in localizers
     ])  # fmt: skip
 
 
 def _calibration_figure(rows: list[dict[str, Any]], curve: list[dict[str, Any]]) -> Figure:
     figure, (first, second) = panels(1, 2, size=(3.7, 3.4))
     first.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
-    said, hit, count = (
-        np.array([row[what] for row in rows]) for what in ("said", "correct", "count")
+    stated, hit, count = (
+        np.array([row[column] for row in rows]) for column in ("said", "correct", "count")
     )
     error = np.sqrt(np.maximum(hit * (1.0 - hit), 0.25 / count) / count)
     bars = np.minimum(1.96 * error, [hit, 1.0 - hit])  # shares end at 0 and 1
-    first.errorbar(said, hit, bars, fmt="o", color=BLUE, markersize=4, linewidth=1.0)
+    first.errorbar(stated, hit, bars, fmt="o", color=BLUE, markersize=4, linewidth=1.0)
     first.set(
         xlabel="probability of the likeliest number", ylabel="share of frames with that number",
         xlim=(0.25, 1.02), ylim=(0, 1.05),
     )  # fmt: skip
     lines = {
-        name: [(row["bound_cm"], 100.0 * row[what]) for row in curve]
-        for name, what in (("both found", "both"), ("two answered", "two"))
+        name: [(row["bound_cm"], 100.0 * row[column]) for row in curve]
+        for name, column in (("both found", "both"), ("two answered", "two"))
     }
     curves(second, lines, xlabel="Cramér-Rao bound of the worse place (cm)", ylabel="frames (%)")
     # The promise is at the upper left.
-    for draw, at, label in (
+    for draw, position, label in (
         (second.axvline, PROMISED_CM, "promise: bounds up to this"),
         (second.axhline, 60.0, "promise: at least this many found"),
     ):
-        draw(at, color="0.6", linewidth=0.8, linestyle=":", label=label)
+        draw(position, color="0.6", linewidth=0.8, linestyle=":", label=label)
     second.set(xlim=(0, BOUNDS[-1]), ylim=(0, 102))
     second.legend(fontsize=7, frameon=False)
     return figure
@@ -199,12 +199,12 @@ def _trade_figure(traded: list[Traded], priced: list[dict[str, Any]]) -> Figure:
                 point = (100 * row.localized, 100 * row.wrong_of_localized)
                 lines[row.group].append(point)
         curves(axis, lines, xlabel="localized (%)", ylabel="wrong (% of localized)", title=title)
-    at = np.arange(len(priced))
-    for shift, what, color in ((-0.2, "said", BLUE), (0.2, "not_said", ORANGE)):
-        values = [100 * row[f"localized_{what}"] for row in priced]
-        label = "end and fold stated" if what == "said" else "nothing stated"
-        axes[2].bar(at + shift, values, 0.4, color=color, label=label)
-    axes[2].set_xticks(at, [row["group"].replace(", ", ",\n") for row in priced], fontsize=6)
+    positions = np.arange(len(priced))
+    for shift, statement, color in ((-0.2, "said", BLUE), (0.2, "not_said", ORANGE)):
+        values = [100 * row[f"localized_{statement}"] for row in priced]
+        label = "end and fold stated" if statement == "said" else "nothing stated"
+        axes[2].bar(positions + shift, values, 0.4, color=color, label=label)
+    axes[2].set_xticks(positions, [row["group"].replace(", ", ",\n") for row in priced], fontsize=6)
     axes[2].set(ylabel="localized (%)", title="price of stating nothing")
     axes[2].legend(fontsize=6, frameon=False)
     legend_below(figure)
@@ -220,23 +220,25 @@ def run(context: Context) -> Outcome:
 
     drawn = np.concatenate(context.map(by_prior, batches(1, 100, 2000), "drawn by the prior", last))
     rows, error = calibration(drawn)
-    found = np.concatenate(context.map(pairs, batches(2, 60, 6000), "pairs", last))
+    answered = np.concatenate(context.map(pairs, batches(2, 60, 6000), "pairs", last))
     edges = (0.0, *BOUNDS)
     curve = []
     for low, high in pairwise(edges):
-        some = found[(found[:, 0] > low) & (found[:, 0] <= high)]
-        if len(some):
+        in_bin = answered[(answered[:, 0] > low) & (answered[:, 0] <= high)]
+        if len(in_bin):
             curve.append({
-                "bound_cm": float(np.median(some[:, 0])), "count": len(some),
-                "two": share(some[:, 1]), "both": share(some[:, 2]),
-                "localized": share(some[:, 3]),
+                "bound_cm": float(np.median(in_bin[:, 0])), "count": len(in_bin),
+                "two": share(in_bin[:, 1]), "both": share(in_bin[:, 2]),
+                "localized": share(in_bin[:, 3]),
             })  # fmt: skip
-    near = found[found[:, 0] <= PROMISED_CM]
+    promised = answered[answered[:, 0] <= PROMISED_CM]
     tasks = [(name, key, size) for n, name in enumerate(TRADED)
              for key, size in batches(3 + n, 20, 600)]  # fmt: skip
     answers: dict[str, list[NDArray[np.bool_]]] = {name: [] for name in TRADED}
-    for (name, *_), each in zip(tasks, context.map(trade, tasks, "levels", last), strict=True):
-        answers[name].append(each)
+    for (name, *_), batch_result in zip(
+        tasks, context.map(trade, tasks, "levels", last), strict=True
+    ):
+        answers[name].append(batch_result)
     levels = [("number", level) for level in NUMBER_LEVELS] + [("place", w) for w in WIDTHS]
     traded: list[Traded] = []
     priced: list[dict[str, Any]] = []
@@ -253,14 +255,14 @@ def run(context: Context) -> Outcome:
                 f"localized_{statement}": localized, f"wrong_{statement}": wrong,
                 f"wrong_of_localized_{statement}": share(frames[frames[:, 0], 1]),
             }  # fmt: skip
-    kept = [row["localized_not_said"] / max(row["localized_said"], 1e-9)
+    localized_share = [row["localized_not_said"] / max(row["localized_said"], 1e-9)
             for row in priced if row["group"] in SINGLES]  # fmt: skip
     claims = [
         Claim("P(number): expected calibration error, frames drawn by the prior", error, 0.05),
         Claim(f"two contacts, bound of {PROMISED_CM:g} cm or less: both found, each in its own set",
-              share(near[:, 2]), 0.6, at_most=False),
+              share(promised[:, 2]), 0.6, at_most=False),
         Claim("nothing said of end and fold: least share of the localized single contacts that "
-              "stay so", min(kept), 2.0 / 3.0, at_most=False),
+              "stay so", min(localized_share), 2.0 / 3.0, at_most=False),
     ]  # fmt: skip
     figures = {
         "number": _calibration_figure(rows, curve),
@@ -271,9 +273,9 @@ def run(context: Context) -> Outcome:
     }  # fmt: skip
     doubted = drawn[drawn[:, :4].max(axis=1) < SURE]
     correct = share(doubted[:, :4].argmax(axis=1) == doubted[:, 4])
-    said = float(doubted[:, :4].max(axis=1).mean()) if len(doubted) else float("nan")
+    mean_probability = float(doubted[:, :4].max(axis=1).mean()) if len(doubted) else float("nan")
     note = (
         f"{len(doubted)} of {len(drawn)} frames have a likeliest number of probability below "
-        f"{SURE:g}: {said:.2f} on average, and {correct:.2f} of them have that number"
+        f"{SURE:g}: {mean_probability:.2f} on average, and {correct:.2f} of them have that number"
     )
     return Outcome(tables, figures, claims, [note], summary=curve)

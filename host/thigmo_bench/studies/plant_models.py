@@ -41,7 +41,7 @@ from thigmo_bench.studies.scenes import (
 
 _STEPS = 200
 _KINDS = ("free", "touched gently", "swept into a peg")
-_WAYS: dict[str, tuple[ModelChoice, float]] = {
+_MODELS: dict[str, tuple[ModelChoice, float]] = {
     "arc": ("arc", 0.05),
     "beam": ("beam", 0.05),
     "elastica": ("elastica", 0.05),
@@ -88,13 +88,13 @@ def follow(pegs: list[Peg], g: float, model: ModelChoice, tolerance: float, cell
     return body
 
 
-def compare(seed: int, kind: str) -> list[tuple[float, float, str]]:
+def compare_models(seed: int, kind: str) -> list[tuple[float, float, str]]:
     """For every model on one scene: time of a step (us), error (cm), and the models used."""
     pegs, g = scene(kind, seed)
     arcs = np.linspace(0.0, LENGTH, 107)[1:].tolist()
     exact = follow(pegs, g, "elastica", 0.05, 0.25)
     runs = []
-    for model, tolerance in _WAYS.values():
+    for model, tolerance in _MODELS.values():
         began = perf_counter()
         body = follow(pegs, g, model, tolerance, 1.0)
         step_us = (perf_counter() - began) / _STEPS * 1e6
@@ -104,7 +104,7 @@ def compare(seed: int, kind: str) -> list[tuple[float, float, str]]:
     return runs
 
 
-def answered(seed: int, kind: str) -> list[tuple[float, float, str]]:
+def time_localizer(seed: int, kind: str) -> list[tuple[float, float, str]]:
     """For every rung on one frame: time of a call (us), error (cm), and the number of contacts."""
     case = _FRAMES[kind](np.random.default_rng(seed))
     runs = []
@@ -117,11 +117,11 @@ def answered(seed: int, kind: str) -> list[tuple[float, float, str]]:
             result = localizer.localize(case.curvature, free_curvature=case.free)
         call_us = (process_time() - began) / _CALLS * 1e6
         found = [contact.arc for contact in result.contacts]
-        runs.append((call_us, _apart(found, case.arcs), str(len(found))))
+        runs.append((call_us, _mean_distance(found, case.arcs), str(len(found))))
     return runs
 
 
-def _apart(found: Sequence[float], true: Sequence[float]) -> float:
+def _mean_distance(found: Sequence[float], true: Sequence[float]) -> float:
     if not found:
         return FAILURE_CM
     distance = np.minimum(np.abs(np.subtract.outer(found, true)), FAILURE_CM)
@@ -147,9 +147,9 @@ def ladder(rows: Sequence[Record]) -> Figure:
         "may make.\nErrors below 0.001 cm are drawn at 0.001.", fontsize=8, va="center",
     )  # fmt: skip
     figure.draw_without_rendering()
-    for axis, here in drawn:
-        names = [_name(row) for row in here]
-        charts.named(axis, [_at(row) for row in here], names, [])
+    for axis, panel_rows in drawn:
+        names = [_name(row) for row in panel_rows]
+        charts.named(axis, [_point(row) for row in panel_rows], names, [])
     return figure
 
 
@@ -165,12 +165,12 @@ def _name(row: Record) -> str:
     return f"{name.removesuffix(' cm').replace(',', '')}: {str(row['used']).removeprefix('arc+')}"
 
 
-def _at(row: Record) -> tuple[float, float]:
+def _point(row: Record) -> tuple[float, float]:
     return float(row["step_us"]), max(float(row["mean_cm"]), _LEAST_CM)
 
 
 def _draw(axis: Axes, rows: Sequence[Record]) -> None:
-    times, errors = np.array([_at(row) for row in rows]).T
+    times, errors = np.array([_point(row) for row in rows]).T
     axis.scatter(times, errors, s=16, color=[GREEN if _auto(row) else "0.5" for row in rows])
     axis.set(
         xscale="log", yscale="log", title=rows[0]["scene"], xlabel="time of a call or step (µs)",
@@ -187,13 +187,14 @@ def _rows(
     kind: str, ways: Sequence[str], runs: Sequence[Sequence[tuple[float, float, str]]]
 ) -> list[Record]:
     rows: list[Record] = []
-    for way, *mine in zip(ways, *runs, strict=True):
-        times, errors, used = zip(*mine, strict=True)
-        common, count = Counter(used).most_common(1)[0]
+    for setting, *outcomes in zip(ways, *runs, strict=True):
+        times, errors, used = zip(*outcomes, strict=True)
+        usual, count = Counter(used).most_common(1)[0]
+        share = "" if count == len(outcomes) else f" ({100 * count // len(outcomes)} %)"
         rows.append({
-            "scene": kind, "model": way, "step_us": round(float(np.median(times)), 2),
-            "mean_cm": float(np.mean(errors)), "worst_cm": max(errors), "cases": len(mine),
-            "used": common if count == len(mine) else f"{common} ({100 * count // len(mine)} %)",
+            "scene": kind, "model": setting, "step_us": round(float(np.median(times)), 2),
+            "mean_cm": float(np.mean(errors)), "worst_cm": max(errors), "cases": len(outcomes),
+            "used": f"{usual}{share}",
         })  # fmt: skip
     return rows
 
@@ -206,16 +207,18 @@ def run(context: Context) -> Outcome:
     excess: list[float] = []
     for number, kind in enumerate(_KINDS):
         seeds = [int(s) for s in context.rng(number).integers(0, 2**31, count)]
-        runs = context.map(partial(compare, kind=kind), seeds, kind)
-        rows += _rows(kind, list(_WAYS), runs)
-        for (model, tolerance), *mine in zip(_WAYS.values(), *runs, strict=True):
+        runs = context.map(partial(compare_models, kind=kind), seeds, kind)
+        rows += _rows(kind, list(_MODELS), runs)
+        for (model, tolerance), *outcomes in zip(_MODELS.values(), *runs, strict=True):
             if model == "auto":
-                excess += [error - tolerance for _, error, used in mine if used != "arc"]
+                excess += [error - tolerance for _, error, used in outcomes if used != "arc"]
             if model == "elastica" and kind != "free":
-                touched += [time for time, *_ in mine]
+                touched += [time for time, *_ in outcomes]
     for number, kind in enumerate(_FRAMES, start=len(_KINDS)):
         seeds = [int(s) for s in context.rng(number).integers(0, 2**31, context.count(10, 400))]
-        rows += _rows(kind, list(_RUNGS), context.map(partial(answered, kind=kind), seeds, kind))
+        rows += _rows(
+            kind, list(_RUNGS), context.map(partial(time_localizer, kind=kind), seeds, kind)
+        )
     return Outcome(
         {"models": rows},
         {"ladder": ladder(rows)},

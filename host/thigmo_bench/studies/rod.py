@@ -43,9 +43,9 @@ class Bodies:
         piece = (arcs[:, :, None] >= self.breaks[:, None, 1:-1]).sum(axis=2)
         low = np.take_along_axis(self.breaks, piece, 1)
         step = (np.take_along_axis(self.breaks, piece + 1, 1) - low) / STEPS
-        along = (arcs - low) / np.maximum(step, 1e-12)
-        node = np.clip(along.astype(int), 0, STEPS - 1)
-        t = along - node
+        node_position = (arcs - low) / np.maximum(step, 1e-12)
+        node = np.clip(node_position.astype(int), 0, STEPS - 1)
+        t = node_position - node
         body = np.arange(len(arcs))[:, None]
         first, second = (body, piece, node), (body, piece, node + 1)
         near = self.heading[first] * (1.0 + 2.0 * t) + self.curvature[first] * step * t
@@ -94,14 +94,14 @@ def solve(
         np.broadcast_to(np.asarray(load, dtype=float), (bodies, loads))
         for load in (normal, tangential, couple, kink)
     )
-    free, besides = (
+    free, extra = (
         np.broadcast_to(np.asarray(value, dtype=float), (bodies, loads + 1))
         for value in (free_curvature, added)
     )
 
     def unloaded(arc: Floats, piece: int) -> Floats:
         factor = 1.0 if evenness is None else evenness(arc)
-        curvature: Floats = free[:, piece] * factor + besides[:, piece]
+        curvature: Floats = free[:, piece] * factor + extra[:, piece]
         return curvature
 
     breaks = np.concatenate([np.zeros((bodies, 1)), arcs, np.full((bodies, 1), length)], axis=1)
@@ -117,20 +117,20 @@ def solve(
         mean = (curvature[:, -1, node - 1] + middle + curvature[:, -1, node]) / 6.0
         heading[:, -1, node] = heading[:, -1, node - 1] + h * mean
     state = np.zeros((4, bodies))  # heading, x, y, moment
-    along, across, kinked = np.zeros((3, bodies))
+    force_x, force_y, kinked = np.zeros((3, bodies))
     at_loads = np.empty((3, bodies, loads))
 
     def slope(arc: Floats, state: Floats, piece: int) -> Floats:
         cosine, sine = np.cos(state[0]), np.sin(state[0])
         soft = state[3] if stiffness is None else state[3] / stiffness(arc)
         turns = unloaded(arc, piece) + soft
-        return np.array([turns, cosine, sine, sine * along - cosine * across])
+        return np.array([turns, cosine, sine, sine * force_x - cosine * force_y])
 
     for e in reversed(range(loads)):
         at_loads[:, :, e] = state[:3]
         cosine, sine = np.cos(state[0]), np.sin(state[0])
-        along = along + tangential[:, e] * cosine - normal[:, e] * sine
-        across = across + tangential[:, e] * sine + normal[:, e] * cosine
+        force_x = force_x + tangential[:, e] * cosine - normal[:, e] * sine
+        force_y = force_y + tangential[:, e] * sine + normal[:, e] * cosine
         state[3] += couple[:, e]
         state[0] -= kink[:, e]
         kinked = kinked + kink[:, e]

@@ -38,12 +38,12 @@ class RodsInSpace:
         piece = (arcs[None, :, None] >= self.breaks[:, None, 1:-1]).sum(axis=2)
         low = np.take_along_axis(self.breaks, piece, 1)
         step = (np.take_along_axis(self.breaks, piece + 1, 1) - low) / STEPS
-        along = (arcs - low) / np.maximum(step, 1e-12)
-        node = np.clip(along.astype(int), 0, STEPS - 1)
-        t, h = (along - node)[..., None], step[..., None]
-        one, two = (rods, piece, node), (rods, piece, node + 1)
-        near = self.turned[one] * (1.0 + 2.0 * t) + self.curvature[one] * h * t
-        far = self.turned[two] * (3.0 - 2.0 * t) + self.curvature[two] * h * (t - 1.0)
+        node_position = (arcs - low) / np.maximum(step, 1e-12)
+        node = np.clip(node_position.astype(int), 0, STEPS - 1)
+        t, h = (node_position - node)[..., None], step[..., None]
+        first, second = (rods, piece, node), (rods, piece, node + 1)
+        near = self.turned[first] * (1.0 + 2.0 * t) + self.curvature[first] * h * t
+        far = self.turned[second] * (3.0 - 2.0 * t) + self.curvature[second] * h * (t - 1.0)
         out: Floats = near * (1.0 - t) ** 2 + far * t**2
         return out
 
@@ -76,7 +76,7 @@ def solve(
     """
     rods, loads = arcs.shape
     couple = np.zeros_like(force) if couple is None else couple
-    rest, heavy = (np.zeros((rods, 3)) if v is None else v for v in (free, weight))
+    free_curvature, heavy = (np.zeros((rods, 3)) if v is None else v for v in (free, weight))
     compliance = np.array([twist, 1.0, 1.0])
     breaks = np.concatenate([np.zeros((rods, 1)), arcs, np.ones((rods, 1))], axis=1)
     turned = np.zeros((rods, loads + 1, STEPS + 1, 3))
@@ -85,16 +85,18 @@ def solve(
     state = np.concatenate([np.tile(np.eye(3), (rods, 1, 1)), np.zeros((rods, 3, 3))], axis=2)
     world = np.zeros((rods, loads, 3))
 
-    def bent(state: Floats) -> Floats:
-        u: Floats = rest + compliance * np.einsum("sij,si->sj", state[:, :, :3], state[:, :, 4])
+    def curvature_of(state: Floats) -> Floats:
+        u: Floats = free_curvature + compliance * np.einsum(
+            "sij,si->sj", state[:, :, :3], state[:, :, 4]
+        )
         return u
 
     def slope(state: Floats) -> Floats:
-        u = bent(state)
+        u = curvature_of(state)
         t, n, b = np.moveaxis(state[:, :, :3], 2, 0)
-        one, two, three = (u[:, j : j + 1] for j in range(3))
+        u1, u2, u3 = (u[:, j : j + 1] for j in range(3))
         columns = [
-            three * n - two * b, one * b - three * t, two * t - one * n,
+            u3 * n - u2 * b, u1 * b - u3 * t, u2 * t - u1 * n,
             -heavy, np.cross(state[:, :, 3], t), u,
         ]  # fmt: skip
         out: Floats = np.stack(columns, axis=2)
@@ -103,7 +105,7 @@ def solve(
     for piece in reversed(range(loads + 1)):
         h = (breaks[:, piece] - breaks[:, piece + 1])[:, None, None] / STEPS
         for node in reversed(range(STEPS + 1)):
-            turned[:, piece, node], curvature[:, piece, node] = state[:, :, 5], bent(state)
+            turned[:, piece, node], curvature[:, piece, node] = state[:, :, 5], curvature_of(state)
             if node == 0:
                 break
             a = slope(state)

@@ -101,7 +101,8 @@ def row_us(rows: NDArray[np.float64], size: int, repeats: int) -> float:
     """
     localizer = Localizer.of(position=BOTH, length=LENGTH, span=SPAN, noise=SIGMA, **STATED)
     batches = [
-        partial(localizer.localize_batch, rows[at : at + size]) for at in range(0, len(rows), size)
+        partial(localizer.localize_batch, rows[start : start + size])
+        for start in range(0, len(rows), size)
     ]
     times = [[time_us(batch) for batch in batches] for _ in range(repeats)]
     return float(np.min(times, axis=0).sum() / len(rows))
@@ -115,26 +116,26 @@ def run(context: Context) -> Outcome:
     for kind, (draw, promised_us) in KINDS.items():
         cases = [draw(context.rng(1, i)) for i in range(frames)]
         ways = (("", SIGMA, 1), (", noise unknown", None, 3))
-        for way, noise, slower in ways if kind.startswith("one") else ways[:1]:
+        for label, noise, slower in ways if kind.startswith("one") else ways[:1]:
             time = answer_us(cases, repeats, noise=noise)
-            text = f"{kind}{way}, 10 readings"
+            text = f"{kind}{label}, 10 readings"
             claims.append(Claim(text, time, slower * promised_us, unit="us"))
         context.progress("promises", len(claims), len(KINDS) + 2)
     sensors: list[Record] = []
-    for name, some in (("one contact", one_contact), ("three contacts", three_contacts)):
-        for done, count in enumerate(SENSORS, 1):
+    for name, draw_contacts in (("one contact", one_contact), ("three contacts", three_contacts)):
+        for number, count in enumerate(SENSORS, 1):
             where = np.linspace(0.5, LENGTH - 0.5, count)
-            cases = [some(context.rng(2, i), where, 0.0) for i in range(3)]
+            cases = [draw_contacts(context.rng(2, i), where, 0.0) for i in range(3)]
             time = answer_us(cases, max(repeats // 5, 2), span=0.0)
             sensors.append({"contacts": name, "sensors": count, "time_us": time})
-            context.progress(f"sensors, {name}", done, len(SENSORS))
+            context.progress(f"sensors, {name}", number, len(SENSORS))
     # The last time is of three contacts on all gratings.
     claims.append(Claim(f"three contacts, {GRATINGS} gratings", time / 1e3, GRATINGS_MS, unit="ms"))
     rows = np.array([one_contact(context.rng(3, i)).curvature for i in range(ROWS)])
     times = {}
-    for done, size in enumerate(BATCHES, 1):
+    for number, size in enumerate(BATCHES, 1):
         times[size] = row_us(rows, size, repeats)
-        context.progress("rows", done, len(BATCHES))
+        context.progress("rows", number, len(BATCHES))
     text = f"localize_batch, a row, {BATCH} at a time"
     claims.append(Claim(text, times[BATCH], ROW_US, unit="us"))
     batch: list[Record] = [{"rows": size, "row_us": time} for size, time in times.items()]

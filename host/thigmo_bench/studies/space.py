@@ -44,8 +44,8 @@ TIMES_PLANE = 3.0  # promised: at most this multiple of the time in a plane
 class Answered:
     """An answer compared with the truth; NaN for a wrong number of contacts."""
 
-    found: bool  # as many contacts as there are
-    off: float  # of the place, the worse of two
+    complete: bool  # as many contacts as there are
+    error: float  # of the place, the worse of two
     covered: bool  # each true place lies in a set
     localized: bool  # whether a contact is
     wrong: bool  # localized, in a set that holds no true place
@@ -71,16 +71,16 @@ def _rods(group: str, rng: np.random.Generator, count: int) -> tuple[RodsInSpace
         about = [0.0 if group == "end" else 1.0, 1.0, 1.0]
         couple = 0.7 * rng.standard_normal((count, 1, 3)) * about
         force = rng.standard_normal((count, 1, 3))
-        across = np.linalg.norm(force[:, 0, 1:], axis=1)
+        force_across = np.linalg.norm(force[:, 0, 1:], axis=1)
         rods = solve(np.ones((count, 1)), force, couple=couple, twist=TWIST)
-        return rods, across, np.full(count, np.nan)
+        return rods, force_across, np.full(count, np.nan)
     rods = solve(arcs, force, weight=weight, twist=TWIST)
     if group != "one":
         return rods, size[:, 0], np.full(count, np.nan)
     clean, slopes = rods.readings(POSITION, AXIS, SPAN), []
     for arc, normal, binormal in np.eye(3) * STEP:
-        by = np.array([0.0, normal, binormal])
-        moved = solve(arcs - arc, force + by, twist=TWIST)
+        force_step = np.array([0.0, normal, binormal])
+        moved = solve(arcs - arc, force + force_step, twist=TWIST)
         slopes.append((moved.readings(POSITION, AXIS, SPAN) - clean) / STEP)
     lines = np.stack(slopes, axis=2) / SIGMA
     bound = np.linalg.inv(np.einsum("sni,snj->sij", lines, lines))
@@ -95,10 +95,10 @@ def answers(task: tuple[str, tuple[int, ...], int]) -> list[Answered]:
     """A batch of rods of a group."""
     group, key, count = task
     rng = np.random.default_rng(key)
-    rods, across, bound = _rods(group, rng, count)
+    rods, force_across, bound = _rods(group, rng, count)
     clean = rods.readings(POSITION, AXIS, SPAN)
     noisy = clean + SIGMA * rng.standard_normal(clean.shape)
-    about = np.array([
+    rotation = np.array([
         [1.0, 0.0, 0.0], [0.0, np.cos(TURNED), -np.sin(TURNED)],
         [0.0, np.sin(TURNED), np.cos(TURNED)],
     ])  # fmt: skip
@@ -106,22 +106,26 @@ def answers(task: tuple[str, tuple[int, ...], int]) -> list[Answered]:
     for k, curvature in enumerate(noisy):
         heavy = {"weight": rods.weight[k]} if group == "weight" else {}
         result = Localizer.of(**READ, **heavy, stiffness=(1.0, 0.0)).localize(curvature)
-        heavy = {name: about @ value for name, value in heavy.items()}
+        heavy = {name: rotation @ value for name, value in heavy.items()}
         turned = READ | {"direction": DIRECTION + TURNED}
         again = Localizer.of(**turned, **heavy).localize(curvature)
         true = rods.breaks[k, 1:-1]
         placed = [c for c in result.contacts if c.status == "localized"]
-        found = len(result.contacts) == len(true)
-        off = np.subtract([c.arc for c in result.contacts], true) if found else np.array([np.nan])
+        complete = len(result.contacts) == len(true)
+        errors = (
+            np.subtract([c.arc for c in result.contacts], true) if complete else np.array([np.nan])
+        )
         first = result.contacts[0] if result.contacts else None
-        vector = np.array(first.vector) if found and first and first.vector else np.full(3, np.nan)
+        vector = (
+            np.array(first.vector) if complete and first and first.vector else np.full(3, np.nan)
+        )
         low, high = first.newtons.across.interval if first and first.newtons else (np.nan, np.nan)
         same = len(again.contacts) == len(result.contacts)
         pairs = zip(again.contacts, result.contacts, strict=True) if same else ()
         out.append(
             Answered(
-                found,
-                float(np.abs(off).max()),
+                complete,
+                float(np.abs(errors).max()),
                 all(_holds(result, arc) for arc in true),
                 bool(placed),
                 any(
@@ -132,7 +136,7 @@ def answers(task: tuple[str, tuple[int, ...], int]) -> list[Answered]:
                 else any(c.interval[1] < END for c in placed),
                 float(((vector - rods.forces[k, 0]) ** 2).sum()),
                 float(bound[k]),
-                bool(low <= across[k] <= high),
+                bool(low <= force_across[k] <= high),
                 max((abs(a.arc - b.arc) for a, b in pairs), default=0.0) if same else np.inf,
             )
         )
@@ -160,27 +164,29 @@ def run(context: Context) -> Outcome:
     columns: dict[str, dict[str, Floats]] = {}
     for number, group in enumerate(GROUPS):
         tasks = [(group, (context.seed, 24, number, k), size) for k, size in parts(count, BATCH)]
-        found = [each for part in context.map(answers, tasks, group, last) for each in part]
-        of = {
-            f.name: np.array([getattr(a, f.name) for a in found], float) for f in fields(Answered)
+        answered = [answer for part in context.map(answers, tasks, group, last) for answer in part]
+        values = {
+            f.name: np.array([getattr(a, f.name) for a in answered], float)
+            for f in fields(Answered)
         }
-        columns[group] = of
+        columns[group] = values
         rows.append({
-            "group": group, "count": count, "found": share(of["found"]),
-            "place_off": float(np.nanmean(of["off"])), "coverage": share(of["covered"]),
-            "localized": share(of["localized"]), "wrong": share(of["wrong"]),
-            "wrong_of_localized": share(of["wrong"][of["localized"] == 1.0]),
-            "newtons_covered": share(of["newtons"]),
+            "group": group, "count": count, "found": share(values["complete"]),
+            "place_off": float(np.nanmean(values["error"])), "coverage": share(values["covered"]),
+            "localized": share(values["localized"]), "wrong": share(values["wrong"]),
+            "wrong_of_localized": share(values["wrong"][values["localized"] == 1.0]),
+            "newtons_covered": share(values["newtons"]),
         })  # fmt: skip
     single = [columns[name] for name in ("one", "weight")]
-    off = np.concatenate([of["off"] for of in single])
-    covered = np.concatenate([of["covered"] for of in single])
-    one, felt = columns["one"], columns["one"]["found"] == 1.0
-    bound = float(np.sqrt((one["force_square"] / one["force_bound_square"])[felt].mean()))
-    turned = max(float(of["turned"].max()) for of in columns.values())
+    errors = np.concatenate([values["error"] for values in single])
+    covered = np.concatenate([values["covered"] for values in single])
+    one_contact = columns["one"]
+    over_bound = one_contact["force_square"] / one_contact["force_bound_square"]
+    bound = float(np.sqrt(over_bound[one_contact["complete"] == 1.0].mean()))
+    turned = max(float(values["turned"].max()) for values in columns.values())
     with one_core():
         times = _times(context)
-    percent = 100.0 * float(np.nanmean(off))
+    percent = 100.0 * float(np.nanmean(errors))
     claims = [
         Claim("one contact, with weight and without: mean place error", percent, 2.0,
               unit="% of the length"),

@@ -90,22 +90,22 @@ def score(context: Context, scene: str, cases: int) -> list[Row]:
     )
     scores = []
     for column, method in enumerate(COMPARED):
-        seen = ~np.isnan(table[:, column, 1])
-        errors, times = table[seen, column].T
+        run = ~np.isnan(table[:, column, 1])
+        errors, times = table[run, column].T
         mean, failures = mean_and_failures(errors)
-        some = errors[np.isfinite(errors)] if np.isfinite(mean) else np.array([nan])
+        answered = errors[np.isfinite(errors)] if np.isfinite(mean) else np.array([nan])
         time_us = float(np.median(times))
         scores.append({
             "scene": scene, "method": method, "cases": len(errors), "mean_cm": mean,
-            "standard_error_cm": float(np.std(some) / np.sqrt(some.size)),
-            "median_cm": float(np.median(some)), "p95_cm": float(np.percentile(some, 95)),
+            "standard_error_cm": float(np.std(answered) / np.sqrt(answered.size)),
+            "median_cm": float(np.median(answered)), "p95_cm": float(np.percentile(answered, 95)),
             "failures": failures, "time_us": time_us, "slower": time_us / default,
-            "guess_cm": guess, **_against(table[seen, 0, 0], errors),
+            "guess_cm": guess, **_ratio(table[run, 0, 0], errors),
         })  # fmt: skip
     return scores
 
 
-def _against(mine: Floats, other: Floats) -> Row:
+def _ratio(mine: Floats, other: Floats) -> Row:
     """The default method's mean error over another's on the same cases, with its interval."""
     both = np.isfinite(mine) & np.isfinite(other)
     low = high = nan
@@ -132,13 +132,13 @@ def pareto(scores: list[Row]) -> list[Row]:
     The default method as robots run it is not among them: it is the same method with less input.
     """
     front: list[Row] = []
-    for one in sorted((s for s in scores if s["method"] != ON_A_ROBOT), key=_at):
-        if np.isfinite(one["mean_cm"]) and (not front or one["mean_cm"] < front[-1]["mean_cm"]):
-            front.append(one)
+    for row in sorted((s for s in scores if s["method"] != ON_A_ROBOT), key=_point):
+        if np.isfinite(row["mean_cm"]) and (not front or row["mean_cm"] < front[-1]["mean_cm"]):
+            front.append(row)
     return front
 
 
-def _at(score: Row) -> tuple[float, float]:
+def _point(score: Row) -> tuple[float, float]:
     """A method's point in a panel: time and error."""
     return score["time_us"], score["mean_cm"]
 
@@ -151,37 +151,39 @@ def chart(scores: list[Row]) -> Figure:
         title="Speed against accuracy (bars: standard errors; dots: larger with more failures, "
         "no answer or > 10 cm off)",
     )  # fmt: skip
-    shown = [[s for s in scores if s["scene"] == k and np.isfinite(s["mean_cm"])] for k in scenes]
-    for axis, scene, here in zip(axes, scenes, shown, strict=False):
-        _draw(axis, scene, here)
+    rows_by_scene = [
+        [s for s in scores if s["scene"] == k and np.isfinite(s["mean_cm"])] for k in scenes
+    ]
+    for axis, scene, scene_rows in zip(axes, scenes, rows_by_scene, strict=False):
+        _draw(axis, scene, scene_rows)
     axes[-1].set_axis_off()  # of five kinds of scene: room for the legend
     axes[-1].legend(*axes[0].get_legend_handles_labels(), loc="center", fontsize=8, frameon=False)
     # Names are placed last, because they keep their places only if nothing moves after them.
     figure.draw_without_rendering()
-    for axis, here in zip(axes, shown, strict=False):
-        points, front = list(map(_at, here)), list(map(_at, pareto(here)))
-        charts.named(axis, points, [s["method"] for s in here], front)
+    for axis, scene_rows in zip(axes, rows_by_scene, strict=False):
+        points, front = list(map(_point, scene_rows)), list(map(_point, pareto(scene_rows)))
+        charts.named(axis, points, [s["method"] for s in scene_rows], front)
     return figure
 
 
-def _draw(axis: Axes, scene: str, here: list[Row]) -> None:
-    front, (times, errors) = pareto(here), np.array(list(map(_at, here))).T
+def _draw(axis: Axes, scene: str, rows: list[Row]) -> None:
+    front, (times, errors) = pareto(rows), np.array(list(map(_point, rows))).T
     axis.plot(
-        *zip(*map(_at, front), strict=True), color=GREEN, linewidth=1.2, drawstyle="steps-post",
+        *zip(*map(_point, front), strict=True), color=GREEN, linewidth=1.2, drawstyle="steps-post",
         zorder=1, label="Pareto front",
     )  # fmt: skip
     axis.axhline(
-        here[0]["guess_cm"], color=RED, linewidth=0.9, linestyle="--", zorder=1,
+        rows[0]["guess_cm"], color=RED, linewidth=0.9, linestyle="--", zorder=1,
         label="guessing even places, without a reading",
     )  # fmt: skip
     colors = [
-        ORANGE if one["method"] == ON_A_ROBOT
-        else GREEN if one in front else BLUE if one["tie"] else "0.5"
-        for one in here
+        ORANGE if row["method"] == ON_A_ROBOT
+        else GREEN if row in front else BLUE if row["tie"] else "0.5"
+        for row in rows
     ]  # fmt: skip
-    bars = np.minimum([one["standard_error_cm"] for one in here], 0.9 * errors)
+    bars = np.minimum([row["standard_error_cm"] for row in rows], 0.9 * errors)
     axis.errorbar(times, errors, bars, fmt="none", ecolor="0.45", elinewidth=0.8, zorder=2)
-    sizes = [10 + 60 * one["failures"] for one in here]
+    sizes = [10 + 60 * row["failures"] for row in rows]
     axis.scatter(times, errors, s=sizes, color=colors, zorder=2)
     for color, label in (
         (BLUE, f"ties with {DEFAULT} (bootstrap)"),
@@ -206,21 +208,21 @@ def run(context: Context) -> Outcome:
         outcome.tables["methods"] = scores
         context.save(outcome)
     outcome.figures["chart"] = chart(scores)
-    here = {s["method"]: s for s in scores if s["scene"] == CLAIMED}
-    mine, thesis = here[DEFAULT], here["alternating-trust-constr"]
-    faster = thesis["time_us"] / mine["time_us"]
+    one_contact = {s["method"]: s for s in scores if s["scene"] == CLAIMED}
+    default, thesis = one_contact[DEFAULT], one_contact["alternating-trust-constr"]
+    faster = thesis["time_us"] / default["time_us"]
     text = "times faster than the thesis's alternation with a general interior point"
     outcome.claims = [Claim(f"one contact: default method, {text}", faster, 1000.0, at_most=False)]
-    others = {"general interior point": thesis, "barrier path": here["alternating"]}
-    for name, other in others.items():
+    references = {"general interior point": thesis, "barrier path": one_contact["alternating"]}
+    for name, reference in references.items():
         text = f"one contact: default method's mean error over the thesis's ({name})"
-        outcome.claims.append(Claim(text, mine["mean_cm"] / other["mean_cm"], 0.5))
+        outcome.claims.append(Claim(text, default["mean_cm"] / reference["mean_cm"], 0.5))
     on_front = 0
     for scene in SCENES:
-        ours, *rest = some = [s for s in scores if s["scene"] == scene]
-        on_front += ours in pareto(some)
-        rest = [s for s in rest if s["method"] != ON_A_ROBOT]
-        best = max(rest, key=lambda s: np.nan_to_num(s["default_over_it"]))
+        ours, *rivals = scene_scores = [s for s in scores if s["scene"] == scene]
+        on_front += ours in pareto(scene_scores)
+        rivals = [s for s in rivals if s["method"] != ON_A_ROBOT]
+        best = max(rivals, key=lambda s: np.nan_to_num(s["default_over_it"]))
         sure = f"95 %: {best['ratio_low']:.2f} to {best['ratio_high']:.2f}"
         text = f"default method's mean error over that of the best other ({best['method']}"
         text += f", a tie; {sure})" if best["tie"] else f"; {sure})"

@@ -89,10 +89,10 @@ def _layout(rng: np.random.Generator, first: float, _: float) -> tuple[Case, flo
     return _pressed(rng, position=np.tile(first + 10.0 * np.arange(5), 2)), SIGMA
 
 
-def _lost(rng: np.random.Generator, lost: float, _: float) -> tuple[Case, float]:
+def _sensor_loss(rng: np.random.Generator, count: float, _: float) -> tuple[Case, float]:
     case = one_contact(rng)
-    rest = np.where(rng.permutation(case.curvature.size) < lost, np.nan, case.curvature)
-    return replace(case, curvature=rest), SIGMA
+    remaining = np.where(rng.permutation(case.curvature.size) < count, np.nan, case.curvature)
+    return replace(case, curvature=remaining), SIGMA
 
 
 def _start_place(rng: np.random.Generator, _start: float, arc: float) -> tuple[Case, float]:
@@ -115,9 +115,9 @@ def _against_wall(rng: np.random.Generator, share: float, _: float) -> tuple[Cas
     """
     while True:
         turn, size = rng.uniform(-0.6, 0.6), rng.uniform(10.0, 40.0)
-        along = np.arange(0.0, size, 0.5)
+        spacing = np.arange(0.0, size, 0.5)
         x, y = rng.uniform(10.0, 40.0), rng.uniform(4.0, 15.0)
-        places = zip(x + along * np.cos(turn), y + along * np.sin(turn), strict=True)
+        places = zip(x + spacing * np.cos(turn), y + spacing * np.sin(turn), strict=True)
         pegs = [Peg(px, py, 0.4) for px, py in places if py > RADIUS + 0.5]
         body, end = Rod(Tube(2.0 * RADIUS), pegs), np.inf
         for free in np.arange(0.0, FULL_CURVATURE, 5e-4).tolist():
@@ -126,12 +126,12 @@ def _against_wall(rng: np.random.Generator, share: float, _: float) -> tuple[Cas
                 end = share * free
             if free >= end:
                 break
-        most = max(body.contacts(), key=lambda contact: abs(contact.normal), default=None)
-        if free < end or most is None or abs(body.base_moment) > CRITICAL:
+        strongest = max(body.contacts(), key=lambda contact: abs(contact.normal), default=None)
+        if free < end or strongest is None or abs(body.base_moment) > CRITICAL:
             continue
         clean = Solution(body).averages(COLUMN, SPAN)
         noisy = clean + SIGMA * rng.standard_normal(COLUMN.size)
-        return Case(noisy, COLUMN, free, (most.arc,)), SIGMA
+        return Case(noisy, COLUMN, free, (strongest.arc,)), SIGMA
 
 
 def _rubbed(rng: np.random.Generator, friction: float, _: float) -> tuple[Case, float]:
@@ -142,9 +142,9 @@ def _rubbed(rng: np.random.Generator, friction: float, _: float) -> tuple[Case, 
     return Case(noisy, COLUMN, free, (arc,)), SIGMA
 
 
-def _wrong_map(rng: np.random.Generator, off: float, _: float) -> tuple[Case, float]:
+def _wrong_map(rng: np.random.Generator, map_error: float, _: float) -> tuple[Case, float]:
     case = actuated(rng)
-    return replace(case, free=(case.free or 0.0) * (1.0 + off)), SIGMA
+    return replace(case, free=(case.free or 0.0) * (1.0 + map_error)), SIGMA
 
 
 def _wrong_gains(rng: np.random.Generator, size: float, _: float) -> tuple[Case, float]:
@@ -210,7 +210,7 @@ STRESSES: tuple[Stress, ...] = (
         *_ARCS, STARTED, starts=True,
     ),
     Stress("layout", _layout, "centre of the first sensor (cm)", (1.0, 2.75, 5.0, 7.25)),
-    Stress("sensor-loss", _lost, "lost sensors of 10", (0.0, 1.0, 3.0, 5.0, 7.0)),
+    Stress("sensor-loss", _sensor_loss, "lost sensors of 10", (0.0, 1.0, 3.0, 5.0, 7.0)),
     Stress(
         "mistakes", _mistaken, "mistake", tuple(map(float, range(len(TOUCHED_KINDS)))),
         methods=(UNSTATED, *MAPPED), names=tuple(TOUCHED_KINDS),
@@ -252,8 +252,8 @@ def errors_of(context: Context, stress: Stress, cases: int) -> Floats:
     """Errors (cm) of every method on every case: (rows, columns, cases, methods)."""
     shape = len(stress.rows), len(stress.columns)
     tasks = [(stress, r, c, cases, context.seed) for r, c in np.ndindex(shape)]
-    found = np.array(context.map(_cell, tasks, stress.name, lambda task: cases))
-    return found.reshape(*shape, cases, len(stress.methods))
+    errors = np.array(context.map(_cell, tasks, stress.name, lambda task: cases))
+    return errors.reshape(*shape, cases, len(stress.methods))
 
 
 def _scores(errors: Floats) -> dict[str, float]:
@@ -276,9 +276,9 @@ def pooled(stress: Stress, errors: Floats) -> list[Record]:
     """A row for each method, over all cells."""
     flat = errors.reshape(-1, len(stress.methods))
     return [
-        {"stress": stress.name, "method": method, "cases": len(flat), **_scores(mine),
-         "default_over_it": mean_over(flat[:, 0], mine)}
-        for method, mine in zip(stress.methods, flat.T, strict=True)
+        {"stress": stress.name, "method": method, "cases": len(flat), **_scores(method_errors),
+         "default_over_it": mean_over(flat[:, 0], method_errors)}
+        for method, method_errors in zip(stress.methods, flat.T, strict=True)
     ]  # fmt: skip
 
 
@@ -336,8 +336,8 @@ def _unstated_figure(errors: dict[str, Floats]) -> Figure:
             values *= 100.0 if measure else 1.0
             tops[measure] = max(tops[measure], 1.1 * float(np.nanmax(values)))
             lines = {
-                name: zip(stress.rows, mine, strict=True)
-                for name, mine in zip(RIVALS.values(), values.T, strict=True)
+                name: zip(stress.rows, series, strict=True)
+                for name, series in zip(RIVALS.values(), values.T, strict=True)
             }
             charts.curves(axis, lines)
             if measure:
@@ -370,17 +370,21 @@ def run(context: Context) -> Outcome:
     unstated: dict[str, Floats] = {}
     for stress in (*HARDER, *STRESSES):
         # A general optimiser takes long from a bad start, and three quick methods do not.
-        some = max(cases // 4, 1) if stress.starts else 5 * cases if stress in HARDER else cases
-        errors = errors_of(context, stress, some)
+        case_count = (
+            max(cases // 4, 1) if stress.starts else 5 * cases if stress in HARDER else cases
+        )
+        errors = errors_of(context, stress, case_count)
         outcome.tables[stress.name] = tabulate(stress, errors)
-        _, *others = over_all = pooled(stress, errors)
+        _, *other_rows = over_all = pooled(stress, errors)
         lines += over_all
         if stress in HARDER:
             unstated[stress.name] = errors
         else:
-            most, best = max((float(line["default_over_it"]), line["method"]) for line in others)
+            largest, best = max(
+                (float(line["default_over_it"]), line["method"]) for line in other_rows
+            )
             text = "default method's mean error over that of the best other"
-            outcome.claims.append(Claim(f"{stress.name}: {text} ({best})", most, 1.0))
+            outcome.claims.append(Claim(f"{stress.name}: {text} ({best})", largest, 1.0))
             outcome.figures[stress.name] = _figure(stress, errors)
         context.save(Outcome({stress.name: outcome.tables[stress.name]}, claims=outcome.claims))
     outcome.tables["rows"] = lines

@@ -178,10 +178,10 @@ _HEARTLESS = ("kill -9, all", "cable")  # nobody remains to tell the board
 def run(context: Context) -> Outcome:
     """Median and worst time from the press until outputs are off, for each way."""
     rows: list[dict[str, str | int | float]] = []
-    for way, (how, _) in WAYS.items():
-        times = stopped_ms(way, context.count(2, 10), partial(context.progress, way))
+    for method, (how, _) in WAYS.items():
+        times = stopped_ms(method, context.count(2, 10), partial(context.progress, method))
         p50, worst = float(np.median(times)), max(times)
-        rows.append({"who": way, "how": how, "n": len(times), "p50_ms": p50, "worst_ms": worst})
+        rows.append({"who": method, "how": how, "n": len(times), "p50_ms": p50, "worst_ms": worst})
         context.save(Outcome({"rows": rows}))
     worst = max(float(row["worst_ms"]) for row in rows if row["who"] in _HEARTLESS)
     limit = _SILENT_MS + 2e3 * STEP_S  # steps at either end
@@ -190,7 +190,7 @@ def run(context: Context) -> Outcome:
 
 
 def stopped_ms(
-    way: str, trials: int, progress: Callable[[int, int], None] = lambda done, total: None
+    method: str, trials: int, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> list[float]:
     """Times from the press to outputs that are off, in ms, by one of `WAYS`.
 
@@ -202,7 +202,7 @@ def stopped_ms(
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="tg"))
         sockets = {**os.environ, OTHER_PLACE: folder}
         start = partial(subprocess.Popen, env=sockets, text=True, stdout=subprocess.PIPE)
-        press = stack.enter_context(WAYS[way][1](start))
+        press = stack.enter_context(WAYS[method][1](start))
         for trial in range(trials):
             times.append(_once(press, start, trial))
             progress(trial + 1, trials)

@@ -87,7 +87,9 @@ def sweep_empty(task: tuple[str, float, int]) -> Floats:
     """False alarms (settings,) in empty sweeps under a multiple of one part of the noise."""
     part, level, seed = task
     session = record(room(part, level), seed, halves_of([0, 1] * _SWEEPS), threshold=THRESHOLD)
-    return np.array([false_alarms(session, replay(session, one)) for one in SETTINGS], dtype=float)
+    return np.array(
+        [false_alarms(session, replay(session, setting)) for setting in SETTINGS], dtype=float
+    )
 
 
 def touch(task: tuple[float, int]) -> Floats:
@@ -96,21 +98,23 @@ def touch(task: tuple[float, int]) -> Floats:
     rng = np.random.default_rng([seed, 0x7016])
     scene = room("all three", 1.0)
     if step != PEGS:
-        at = rng.integers(100, 350, 2 * _SWEEPS) * 10
-        halves = halves_of([0, 1] * _SWEEPS, at.tolist())
+        touch_ms = rng.integers(100, 350, 2 * _SWEEPS) * 10
+        halves = halves_of([0, 1] * _SWEEPS, touch_ms.tolist())
     else:
-        peg, felt = random_peg(scene.robot, rng)
+        peg, contact = random_peg(scene.robot, rng)
         scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
-        scene.start_length_cm = felt.length_cm
-        halves = halves_of([SIDES.index(felt.side)])
+        scene.start_length_cm = contact.length_cm
+        halves = halves_of([SIDES.index(contact.side)])
     session = record(scene, seed, halves, step=step * THRESHOLD, threshold=THRESHOLD)
-    return np.array([latencies(session, replay(session, one)) for one in SETTINGS])
+    return np.array([latencies(session, replay(session, setting)) for setting in SETTINGS])
 
 
 def run(context: Context) -> Outcome:
     """False alarms, latencies, the chart of one against the other, and what the rule chooses."""
-    few, many = context.count(1, 2), context.count(2, 15)
-    sessions = {(p, k): many if (p, k) == DECIDING else few for p in PARTS for k in LEVELS}
+    usual_count, deciding_count = context.count(1, 2), context.count(2, 15)
+    sessions = {
+        (p, k): deciding_count if (p, k) == DECIDING else usual_count for p in PARTS for k in LEVELS
+    }
     tasks = [(*noise, seed) for noise, count in sessions.items() for seed in range(1, 1 + count)]
     counted = iter(context.map(sweep_empty, tasks, "empty sweeps", lambda task: 2 * _SWEEPS))
     alarms = {
@@ -121,12 +125,14 @@ def run(context: Context) -> Outcome:
     touched = [(step, seed) for step, count in touches.items() for seed in range(1, 1 + count)]
     sizes = {**dict.fromkeys(STEPS, 2 * _SWEEPS), PEGS: 1}
     timed = iter(context.map(touch, touched, "touches", lambda task: sizes[task[0]]))
-    late = {
+    latency_ms = {
         step: np.concatenate([next(timed) for _ in range(count)], axis=1)
         for step, count in touches.items()
     }
-    claims = _claims(alarms[DECIDING].tolist(), late)
-    return Outcome({"settings": _table(alarms, late)}, {"chart": _figure(alarms, late)}, claims)
+    claims = _claims(alarms[DECIDING].tolist(), latency_ms)
+    return Outcome(
+        {"settings": _table(alarms, latency_ms)}, {"chart": _figure(alarms, latency_ms)}, claims
+    )
 
 
 def quantile(values: Floats, share: float, *, early: bool) -> float:
@@ -155,21 +161,21 @@ def hum_borne(setting: Setting) -> float:
     threshold for as many successive samples as the debounce takes.
     """
     samples = 2**setting.filter_log2
-    passed = abs(np.sin(np.pi * HUM_PER_MS * samples)) / (samples * np.sin(np.pi * HUM_PER_MS))
-    within = np.cos(np.pi * HUM_PER_MS * min(setting.debounce_ms - 1, 0.5 / HUM_PER_MS))
-    return float(1.0 / (passed * within)) if within > 1e-9 else np.inf
+    averaged = abs(np.sin(np.pi * HUM_PER_MS * samples)) / (samples * np.sin(np.pi * HUM_PER_MS))
+    debounced = np.cos(np.pi * HUM_PER_MS * min(setting.debounce_ms - 1, 0.5 / HUM_PER_MS))
+    return float(1.0 / (averaged * debounced)) if debounced > 1e-9 else np.inf
 
 
-def allowed(tried: Sequence[Setting], alarms: Sequence[float]) -> list[int]:
+def allowed(settings: Sequence[Setting], alarms: Sequence[float]) -> list[int]:
     """Indices of the settings among which the rule chooses."""
     return [
         n
-        for n, (setting, rate) in enumerate(zip(tried, alarms, strict=True))
+        for n, (setting, rate) in enumerate(zip(settings, alarms, strict=True))
         if hum_borne(setting) >= LEAST_HUM and rate <= ALLOWED_PER_100
     ]
 
 
-def chosen(candidates: Sequence[int], steps: Sequence[float], pegs: Sequence[float]) -> int:
+def best_setting(candidates: Sequence[int], steps: Sequence[float], pegs: Sequence[float]) -> int:
     """Index of the setting that the rule chooses of those that it allows, from their latencies."""
     shortest = min(pegs[n] for n in candidates)
     return min((n for n in candidates if pegs[n] < shortest + EQUAL_MS), key=lambda n: steps[n])
@@ -184,9 +190,9 @@ def _table(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) -
             row[f"alarms_per_100, {part}, {level:g} times"] = round(float(rates[n]), 2)
         for step, values in late.items():
             name = "peg" if step == PEGS else f"step_{step:g}_threshold"
-            for what, share in (("median", 0.5), ("90", 0.9), ("95", 0.95)):
+            for label, share in (("median", 0.5), ("90", 0.9), ("95", 0.95)):
                 late_ms = quantile(values[n], share, early=step == PEGS)
-                row[f"{name}_{what}_ms"] = round(late_ms, 1)
+                row[f"{name}_{label}_ms"] = round(late_ms, 1)
             row[f"{name}_missed"] = int(np.isinf(values[n]).sum())
         rows.append(row)
     return rows
@@ -195,7 +201,7 @@ def _table(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) -
 def _claims(rates: list[float], late: dict[float, Floats]) -> list[Claim]:
     steps, pegs = _deciding_ms(late)
     candidates = allowed(SETTINGS, rates)
-    ours, best = SETTINGS.index(DEFAULT), chosen(candidates, steps, pegs)
+    ours, best = SETTINGS.index(DEFAULT), best_setting(candidates, steps, pegs)
     fastest = min(pegs[n] for n in candidates)
     return [
         Claim(f"default trigger: {text}", value, limit, unit=unit)
@@ -237,9 +243,9 @@ def _figure(alarms: dict[tuple[str, float], Floats], late: dict[float, Floats]) 
         for level, line, size, star in zip(LEVELS, ("o-", "o:"), (5, 3), (15, 9), strict=True):
             rates, first = alarms[part, level], level == LEVELS[0]
             for color, log2 in zip(CYCLE, FILTERS, strict=False):
-                those = [setting.filter_log2 == log2 for setting in SETTINGS]
+                same_filter = [setting.filter_log2 == log2 for setting in SETTINGS]
                 axis.plot(
-                    points[those], rates[those], line, color=color, markersize=size,
+                    points[same_filter], rates[same_filter], line, color=color, markersize=size,
                     markerfacecolor=color if first else "white",
                     label=f"{2**log2}" if first else None,
                 )  # fmt: skip

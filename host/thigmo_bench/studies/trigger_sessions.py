@@ -90,7 +90,7 @@ class TouchedBoard(VirtualBoard):
         super().__init__(seed, eeprom)
         self.touch = [0.0, 0.0]  # 1/cm, added to what the two base sensors read
         self._divider = robot.board.divider_ohm
-        self._scale = [robot.column(side)[0].scale_per_ohm for side in SIDES]
+        self._scale = [robot.column(side)[0].raw_scale for side in SIDES]
 
     def set_analog(self, counts: Floats) -> None:
         """Ideal counts as the plant says, and the touch on top."""
@@ -135,32 +135,32 @@ def converse(
             useless.
     """
     decoder, waiting, heartbeat = Decoder(), deque(script), None
-    said: list[wire.Message] = []
+    sent: list[wire.Message] = []
     events: list[wire.Event] = []
 
-    def say(message: wire.Message) -> None:
+    def send(message: wire.Message) -> None:
         assert heartbeat is not None
-        said.append(message)
-        board.write(encode(message, len(said), heartbeat.session))
+        sent.append(message)
+        board.write(encode(message, len(sent), heartbeat.session))
 
-    for now in range(0, end_ms, step_ms):
+    for now_ms in range(0, end_ms, step_ms):
         for frame in decoder.feed(board.read()):
             message = frame.message()
             if isinstance(message, wire.HelloReply):
                 heartbeat = HeartbeatSource(message.session)
             elif isinstance(message, wire.Ack) and message.status is wire.Status.REFUSED:
-                raise RuntimeError(f"{said[frame.seq - 1]} was refused: {message.reason.key}")
+                raise RuntimeError(f"{sent[frame.seq - 1]} was refused: {message.reason.key}")
             elif isinstance(message, wire.Event):
                 if not events or events[-1].number != message.number:
                     events.append(message)
-                say(wire.AckEvent(message.number))
-        if now == _HELLO_MS:
+                send(wire.AckEvent(message.number))
+        if now_ms == _HELLO_MS:
             board.write(encode(wire.Hello(wire.PROTOCOL, wire.SCHEMA_HASH, 1), 0, 0))
         if heartbeat is not None:
-            while waiting and waiting[0][0] <= now:
-                say(waiting.popleft()[1])
-            board.write(heartbeat.beat(now / 1000) or b"")
-        advance(now)
+            while waiting and waiting[0][0] <= now_ms:
+                send(waiting.popleft()[1])
+            board.write(heartbeat.beat(now_ms / 1000) or b"")
+        advance(now_ms)
     if not any(event.code is wire.EventCode.ZEROED for event in events):
         raise RuntimeError("the sensors were not zeroed")
     return np.array([e.t_us / 1e3 for e in events if e.code is wire.EventCode.CONTACT])
@@ -221,38 +221,40 @@ def record(
     end_ms = halves[-1].start_ms + _HALF_MS
     excess = np.zeros(end_ms // STEP_MS + 1)  # contact curvature at the base of the inactive side
 
-    def advance(now: int) -> None:
+    def advance(now_ms: int) -> None:
         inactive, bend = FLEX_RIGHT, 1  # sign of the free curvature
         board.touch = [0.0, 0.0]
         for half in halves:
-            if half.start_ms <= now < half.vent_ms:
+            if half.start_ms <= now_ms < half.vent_ms:
                 inactive, bend = _BASES[1 - half.side], 1 - 2 * half.side
-                if step and now >= half.touch_ms:
+                if step and now_ms >= half.touch_ms:
                     board.touch[1 - half.side] = -bend * step  # a contact takes from the bend
         lockstep.advance()
         plant = lockstep.plant
         base = plant.sensor_curvature[inactive]
-        excess[now // STEP_MS + 1] = bend * (plant.free_curvature - base)
+        excess[now_ms // STEP_MS + 1] = bend * (plant.free_curvature - base)
 
     converse(board, script, end_ms, advance)
     # By the firmware's clock, which had run for 1 ms when the host began.
     timed = tuple(
-        Half(h.side, h.start_ms + 1, (h.touch_ms if step else _passed(h, excess, threshold)) + 1)
+        Half(
+            h.side, h.start_ms + 1, (h.touch_ms if step else _crossing_ms(h, excess, threshold)) + 1
+        )
         for h in halves
     )
     trace = board.recorded_trace()
     return Session(seed, eeprom, script, timed, trace[np.isin(trace[:, 1], _LOOKED_AT)], end_ms)
 
 
-def _passed(half: Half, excess: Floats, threshold: float) -> float:
+def _crossing_ms(half: Half, excess: Floats, threshold: float) -> float:
     """When the true contact curvature of a half first passes the threshold (ms), or NaN."""
     first, last = half.start_ms // STEP_MS, half.vent_ms // STEP_MS
     over = np.flatnonzero(excess[first : last + 1] >= threshold)
     if not len(over) or over[0] == 0:
         return np.nan
-    after = first + int(over[0])
-    part = (threshold - excess[after - 1]) / (excess[after] - excess[after - 1])
-    return float(after - 1 + part) * STEP_MS
+    index = first + int(over[0])
+    part = (threshold - excess[index - 1]) / (excess[index] - excess[index - 1])
+    return float(index - 1 + part) * STEP_MS
 
 
 def with_setting(script: Script, setting: Setting) -> Script:
@@ -263,7 +265,7 @@ def with_setting(script: Script, setting: Setting) -> Script:
             zip(("filter_log2", "debounce_ms", "e5"), setting, strict=True)
         )
     ]
-    return sorted([*script, *first], key=lambda said: said[0])
+    return sorted([*script, *first], key=lambda entry: entry[0])
 
 
 def replay(session: Session, setting: Setting) -> Floats:
@@ -273,7 +275,9 @@ def replay(session: Session, setting: Setting) -> Floats:
     board.set_analog(OTHERS)
     _start(board)
     script = with_setting(session.script, setting)
-    return converse(board, script, session.end_ms, lambda now: board.step(_REPLAY_MS), _REPLAY_MS)
+    return converse(
+        board, script, session.end_ms, lambda now_ms: board.step(_REPLAY_MS), _REPLAY_MS
+    )
 
 
 def _inside(half: Half, times: Floats) -> Floats:
@@ -292,5 +296,5 @@ def latencies(session: Session, times: Floats) -> Floats:
     Infinite when it was not reported before the vent; negative when the trigger, which fires once
     a half, fired before.
     """
-    felt = [half for half in session.halves if not np.isnan(half.touch_ms)]
-    return np.array([min(_inside(half, times), default=np.inf) - half.touch_ms for half in felt])
+    touched = [half for half in session.halves if not np.isnan(half.touch_ms)]
+    return np.array([min(_inside(half, times), default=np.inf) - half.touch_ms for half in touched])

@@ -85,7 +85,7 @@ print((spent_s - before_s) / run.document.robot_time_s)
 
 
 Start = Callable[..., "subprocess.Popen[str]"]
-"""Starts a command where no other run of this user is watched; what it says is piped."""
+"""Starts a command where no other run of this user is watched; its output is piped."""
 
 
 def run(context: Context) -> Outcome:
@@ -100,15 +100,15 @@ def run(context: Context) -> Outcome:
         context.progress("an exploration with three pages", 2, 5)
         watched = _explored(start, _VIEWERS)
         context.progress("the share of publishing", 3, 5)
-        said, _ = start([sys.executable, "-c", _SHARE, folder]).communicate()
+        share, _ = start([sys.executable, "-c", _SHARE, folder]).communicate()
         context.progress("a stop among dead viewers", 4, 5)
         stop_s = _stopped_s(start)
     context.progress("a stop among dead viewers", 5, 5)
     times = ("robot_time_s", "wall_time_s")
-    late = zip(_PROMISED_S.items(), np.quantile(ages_s, [0.5, 0.95]).tolist(), strict=True)
+    quantiles = zip(_PROMISED_S.items(), np.quantile(ages_s, [0.5, 0.95]).tolist(), strict=True)
     claims = [
         Claim(f"age of a reading on the screen, {name}", value, promised, unit="s")
-        for (name, promised), value in late
+        for (name, promised), value in quantiles
     ]
     cost_s = watched["robot_time_s"] - alone["robot_time_s"]
     same = alone["contacts"] == watched["contacts"] and alone["stages"] == watched["stages"]
@@ -117,11 +117,11 @@ def run(context: Context) -> Outcome:
         Claim(f"robot time that {_VIEWERS} pages cost", cost_s, 0.0, unit="s"),
         Claim(f"results that differ with {_VIEWERS} pages", float(not same), 0.0),
         Claim(f"press to the board's confirmation, {_DEAD} dead viewers", stop_s, 1.0, unit="s"),
-        Claim("share of a core that publishing takes on a robot", float(said), 0.02),
+        Claim("share of a core that publishing takes on a robot", float(share), 0.02),
     ]
     explorations = [
-        {"pages": pages} | {what: found[what] for what in times}
-        for pages, found in ((0, alone), (_VIEWERS, watched))
+        {"pages": pages} | {column: exploration[column] for column in times}
+        for pages, exploration in ((0, alone), (_VIEWERS, watched))
     ]
     return Outcome({"explorations": explorations}, claims=claims)
 
@@ -158,8 +158,10 @@ def _stopped_s(start: Start) -> float:
         served = running(start, "emulate", "empty", "--config", config, says="open ")
         port = stack.enter_context(served).partition("open ")[2].partition(";")[0]
         watch = running(start, "watch", port, "--no-browser", "--port", "0", says="http://")
-        said = stack.enter_context(watch)
-        place, _, token = said.partition("http://")[2].partition(" ")[0].partition("/?token=")
+        address_line = stack.enter_context(watch)
+        place, _, token = (
+            address_line.partition("http://")[2].partition(" ")[0].partition("/?token=")
+        )
         streaming = stack.enter_context(start([sys.executable, "-c", _STREAM, port, "300"]))
         stack.callback(streaming.terminate)
         assert streaming.stdout is not None
@@ -167,18 +169,18 @@ def _stopped_s(start: Start) -> float:
         for _ in range(os.cpu_count() or 1):
             busy = stack.enter_context(start([sys.executable, "-c", "while True: pass"]))
             stack.callback(busy.kill)
-        host, _, at = place.partition(":")
+        host, _, port_number = place.partition(":")
         head = f"HTTP/1.1\r\nHost: {place}\r\nOrigin: http://{place}\r\n"
         look = (
-            f"GET /stream {head}Cookie: thigmo-{at}={token}\r\nUpgrade: websocket\r\n"
+            f"GET /stream {head}Cookie: thigmo-{port_number}={token}\r\nUpgrade: websocket\r\n"
             "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
             "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
         )
         for _ in range(_DEAD):
-            viewer = stack.enter_context(socket.create_connection((host, int(at))))
+            viewer = stack.enter_context(socket.create_connection((host, int(port_number))))
             viewer.sendall(look.encode())
         time.sleep(3.0)  # of readings that nobody takes
-        return pressed_s((host, int(at)))
+        return pressed_s((host, int(port_number)))
 
 
 def pressed_s(place: tuple[str, int]) -> float:
@@ -209,9 +211,9 @@ def _explored(start: Start, pages: int) -> dict[str, Any]:
             for _ in range(pages):
                 browser.new_context().new_page().goto(address)
         command = [sys.executable, "-m", "thigmo", "explore", "--seed", "1", "--out", folder]
-        said, _ = stack.enter_context(start([*command, "--json"])).communicate()
-        found: dict[str, Any] = json.loads(said)
-    return found
+        output, _ = stack.enter_context(start([*command, "--json"])).communicate()
+        document: dict[str, Any] = json.loads(output)
+    return document
 
 
 @contextmanager
@@ -236,8 +238,8 @@ def opened_page(start: Start, *options: str) -> Iterator[tuple[Any, str]]:
             ) from error
         stack.callback(browser.close)
         watch = running(start, "watch", "--no-browser", "--port", "0", *options, says="http://")
-        said = stack.enter_context(watch)
-        yield browser, "http://" + said.partition("http://")[2].partition(" ")[0]
+        address_line = stack.enter_context(watch)
+        yield browser, "http://" + address_line.partition("http://")[2].partition(" ")[0]
 
 
 @contextmanager
@@ -246,9 +248,9 @@ def running(start: Start, *arguments: str, says: str) -> Iterator[str]:
     command = [sys.executable, "-m", "thigmo", *arguments]
     with start(command, stderr=subprocess.STDOUT) as started:
         try:
-            said = next((line for line in started.stdout or () if says in line), None)
-            if said is None:
+            line = next((line for line in started.stdout or () if says in line), None)
+            if line is None:
                 raise DataError(f"thigmo {arguments[0]} has ended", "run it by hand to see why")
-            yield said.strip()
+            yield line.strip()
         finally:
             started.terminate()

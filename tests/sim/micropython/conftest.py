@@ -19,7 +19,7 @@ def bench(stored_config: bytes, full_length: Scene) -> Callable[..., Rig[MicroPy
     def make(on: Processor = "unix", program: str | None = None) -> Rig[MicroPythonBoard]:
         if reason := missing(on):
             pytest.skip(reason)
-        board = MicroPythonBoard(5, stored_config, on=on, program=program)
+        board = MicroPythonBoard(5, stored_config, processor=on, program=program)
         return Rig(board, full_length, seed=5)
 
     return make

@@ -10,10 +10,23 @@ import pytest
 from thigmo.field import Atlas, Errors, FieldContact, Readings, Stage, contacts
 from thigmo.field.answer import UNEXPLAINED_WORDS, _widened
 from thigmo.field.fit import ALIKE, FieldFit
-from thigmo.field.hypotheses import ARC, BEND, NOTHING, PEG, Body, touched, untouched
+from thigmo.field.hypotheses import (
+    ARC,
+    BEND,
+    NOTHING,
+    PEG,
+    PEGS,
+    WALL,
+    Body,
+    Hypothesis,
+    faced,
+    touched,
+    untouched,
+)
 from thigmo.field.hypotheses import RADIUS as RADIUS_LOG
-from thigmo.field.posterior import _Bell
+from thigmo.field.posterior import Search, _Bell
 from thigmo.mechanics import Rod, Tube
+from thigmo_bench.studies.obstructed import Mechanics, Obstacles, Sweeper, Swept
 from thigmo_bench.studies.pegs import inflate, press
 
 RADIUS = 1.75
@@ -71,6 +84,22 @@ def _beside_peg(
         read[k, seen] = clean[seen] + NOISE * rng.standard_normal(int(seen.sum()))
     peg = touched(arc, bend, peg_radius, RADIUS)
     return read, (float(place[-1, 0]), peg.x, peg.y)
+
+
+def _among(
+    obstacles: Obstacles, rng: np.random.Generator
+) -> tuple[dict[float, np.ndarray], dict[float, Swept]]:
+    """Readings among obstacles (1, P) at each length, and the independent rod's sweeps."""
+    rows, swept = {}, {}
+    for length in LENGTHS:
+        body = Mechanics.ideal(1, length=length, radius=RADIUS, critical=0.2)
+        swept[length] = Sweeper(body, obstacles).sweep(FREE[:, None], CENTERS, float(SPANS[0]))
+        assert not swept[length].ended.any()
+        rows[length] = swept[length].readings[:, 0] + NOISE * rng.standard_normal(
+            (FREE.size, CENTERS.size)
+        )
+        rows[length][:, length < CENTERS + SPANS / 2] = np.nan
+    return rows, swept
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +198,8 @@ def test_derivatives_are_those_of_the_readings(
     fit = FieldFit(replace(_readings(rows), fold_moment=np.array([fold])), _errors())
     q = PEG.columns((34.0, 0.009, -0.6), 0.05, friction, 0.3, 0.03)
     xi = 0.1 * rng.standard_normal(fit.count)
-    there = fit.predict(fit.tables(PEG, q), xi)
+    tables = fit.tables(PEG, q)
+    by_q = fit.by_q(tables, fit.predict(tables, xi))
     steps = PEG.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3, 1e-4)
     for i in unknowns:
         ends = [
@@ -179,9 +209,82 @@ def test_derivatives_are_those_of_the_readings(
         differences = (ends[0] - ends[1]) / (2 * steps[i])
         size = np.nanmax(np.abs(differences))
         assert size > 0.0
-        off = np.abs(there.by_q[..., i] - differences)
+        off = np.abs(by_q[..., i] - differences)
         # The row in which the base folds is another one for a moved peg.
         assert np.nanquantile(off, 0.9) < share * size
+
+
+@pytest.mark.parametrize(
+    ("hypothesis", "q", "known"),
+    [
+        (PEGS, [22.0, 0.012, -0.6, 47.0, 0.007, -0.9, 0.05, 0.0, 0.3, 0.03], 6),
+        (WALL, [0.006, 0.3, -0.8, 0.05, 0.0, 0.3, 0.03], 2),
+        (WALL, [0.009, 0.2, -2.5, 0.05, 0.0, 0.3, 0.03], 3),  # touched at the wall's end
+    ],
+)
+def test_derivatives_by_two_pegs_and_by_a_wall(
+    hypothesis: Hypothesis, q: list[float], known: int
+) -> None:
+    rng = np.random.default_rng(4)
+    rows = {length: _untouched(length, rng) for length in LENGTHS}
+    fit = FieldFit(replace(_readings(rows), fold_moment=np.array([0.01])), _errors())
+    there = np.array(q)
+    assert hypothesis.possible(there, fit.body)
+    xi = fit.free()
+    exact = fit.predict(fit.tables(hypothesis, there), xi).by_q
+    steps = hypothesis.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3, 1e-4, (1e-6, 1e-3, 1e-3))
+    felt = list[float]()
+    for i in range(3 * hypothesis.obstacles):
+        low, high = (
+            fit.predict(
+                fit.tables(hypothesis, there + way * steps * (np.arange(there.size) == i)), xi
+            ).value
+            for way in (-1.0, 1.0)
+        )
+        differences = (high - low) / (2 * steps[i])
+        felt.append(np.abs(differences).max())
+        # A wall that is touched in its middle does not show where it ends.
+        off = np.abs(exact[..., i] - differences)
+        assert np.quantile(off, 0.9) < 1e-2 * felt[-1] + 1e-12
+    assert np.count_nonzero(np.array(felt) > 1e-9) == known
+
+
+@pytest.mark.sim
+def test_two_pegs_of_the_independent_rod_are_told_apart(atlas: Atlas) -> None:
+    first, second = touched(24.0, 0.014, 0.8, RADIUS), touched(46.0, 0.009, 1.2, RADIUS)
+    obstacles = Obstacles(
+        np.array([[first.x, second.x]]), np.array([[first.y, second.y]]),
+        np.array([[first.radius, second.radius]]), np.full((1, 2), np.nan), np.zeros((1, 2)),
+    )  # fmt: skip
+    rows, swept = _among(obstacles, np.random.default_rng(5))
+    answer = contacts(_readings(rows), _errors(), atlas)
+    assert len(answer) == 2
+    for contact in answer:
+        touches = swept[contact.length_cm].contacts[-1, 0]
+        off = touches[:, 1:] - [contact.x_cm, contact.y_cm]
+        away = np.hypot(*off.T)
+        assert np.nanmin(away) < 1.0
+        nearest = off[np.nanargmin(away)]
+        assert nearest @ np.linalg.solve(contact.covariance_cm2, nearest) < 9.0
+    assert {round(contact.arc_cm / 12) for contact in answer} == {2, 4}
+
+
+@pytest.mark.sim
+def test_a_wall_of_the_independent_rod_is_likelier_than_pegs(atlas: Atlas) -> None:
+    body = Body(RADIUS, 53.0, 0.03, 0.1, 1.0)
+    wall = faced(np.array([0.007, 0.35, -0.7]), body)
+    angle = np.arctan2(wall.end_y - wall.y, wall.end_x - wall.x)
+    obstacles = Obstacles(
+        np.array([[wall.x]]), np.array([[wall.y]]), np.array([[wall.radius]]),
+        np.array([[angle]]), np.zeros((1, 1)),
+    )  # fmt: skip
+    rows, swept = _among(obstacles, np.random.default_rng(5))
+    search = Search(_readings(rows), _errors(), atlas)
+    walls = search.walls()
+    pegs = [mode for chain in search.ridges() for mode in chain] + search.pairs()
+    assert search.laplace(walls[0]) > max(map(search.laplace, pegs)) + 3.0
+    assert walls[0].q[:2] == pytest.approx([0.007, 0.35], rel=0.05)
+    assert np.nanmin(swept[53.0].contacts[-1, 0, :, 0]) == pytest.approx(53.0)  # the end slides
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -77,10 +77,10 @@ class TurningSpool:
             self.speed = 0.0
         elif duty == 0:
             self.speed = self.pull
-        before = self.counts
+        previous = self.counts
         self.counts = max(self.wall, self.counts + self.speed * dt)
         if not self.unseen:
-            self.seen += self.share * (self.counts - before)
+            self.seen += self.share * (self.counts - previous)
 
 
 @dataclass
@@ -156,13 +156,13 @@ class Bench:
         for _ in range(ms // STEP_MS):
             if self.beating and self.session and self.board.now_us // 1000 % 100 == 0:
                 self.beat()
-            before = self.spool.seen
+            previous = self.spool.seen
             self.air.step(self.board, STEP_MS * 1e-3)
             self.spool.step(self.board, STEP_MS * 1e-3)
-            now = self.inputs()
-            self.board.set_analog(np.ascontiguousarray(np.stack([self.counts, now], axis=1)))
-            self.board.set_encoder(before, self.spool.seen)
-            self.counts = now
+            now_us = self.inputs()
+            self.board.set_analog(np.ascontiguousarray(np.stack([self.counts, now_us], axis=1)))
+            self.board.set_encoder(previous, self.spool.seen)
+            self.counts = now_us
             self.board.step(STEP_MS)
             fresh += self.listen()
         return fresh
@@ -255,11 +255,11 @@ class Bench:
 
     def highest_psi(self, ms: int) -> float:
         """Highest pressure in a muscle over a time."""
-        most = 0.0
+        highest = 0.0
         for _ in range(ms // STEP_MS):
             self.step()
-            most = max(most, *self.air.psi)
-        return most
+            highest = max(highest, *self.air.psi)
+        return highest
 
     def faults(self) -> tuple[wire.Fault, ...]:
         return wire.Fault.from_mask(self.status().faults)

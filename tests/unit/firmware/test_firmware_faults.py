@@ -385,7 +385,7 @@ def test_a_flex_sensor_whose_wire_chatters_is_named(sensor: int) -> None:
 def test_a_jammed_spool_that_shows_a_count_now_and_then_is_a_stall() -> None:
     bench = Bench().grown(300_000)
     bench.do(wire.RetractTo(100_000, 0))
-    bench.until(lambda: bench.board.motor < -200)
+    bench.until(lambda: bench.board.motor < -120)
     bench.spool.jammed = True
     for _ in range(4):
         bench.step(350)
@@ -400,7 +400,7 @@ def test_a_jammed_spool_that_shows_a_count_now_and_then_is_a_stall() -> None:
 def retracting() -> Bench:
     bench = Bench().grown(300_000)
     bench.do(wire.RetractTo(100_000, 0))
-    bench.until(lambda: bench.board.motor < -200)
+    bench.until(lambda: bench.board.motor < -120)
     return bench
 
 

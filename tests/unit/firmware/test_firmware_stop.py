@@ -34,7 +34,7 @@ def growing(bench: Bench) -> None:
 def retracting(bench: Bench) -> None:
     bench.grown(300_000)
     bench.do(wire.RetractTo(100_000, 0))
-    bench.until(lambda: bench.board.motor < -200)
+    bench.until(lambda: bench.board.motor < -120)
 
 
 def homing(bench: Bench) -> None:
