@@ -206,7 +206,9 @@ def test_events_are_an_operators_until_technical_ones_are_asked_for(
     page: Page, run: ScriptedRun
 ) -> None:
     run.event("contact", "warning", "contact felt at the base while the left muscle bends the body")
-    run.event("bad_config", "fault", "The board has no valid configuration.")  # cured since
+    run.read(20, faults=("bad_config",))
+    run.event("bad_config", "fault", "The board has no valid configuration.")
+    expect(page.locator("#events li:visible")).to_have_count(2)
     for number in range(40):
         run.event("zeroed", "info", f"{number} sensors zeroed")
     run.read(20)

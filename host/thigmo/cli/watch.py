@@ -58,7 +58,7 @@ def watch(
         int, typer.Option(help="Port for Foxglove; 0 takes any free one.", min=0, max=65535)
     ] = 8765,
     leave: Annotated[
-        bool, typer.Option("--leave", help="End once the run is over and no page is open any more.")
+        bool, typer.Option("--leave", hidden=True)  # for `explore --watch`: ends when deserted
     ] = False,
 ) -> None:  # fmt: skip
     """Show a run in the browser (the robot in its room, signals, contacts), with a Stop button."""

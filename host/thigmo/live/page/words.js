@@ -156,6 +156,10 @@ function drawEvents() {
     list.prepend(entry(events[listed.count]));
     if (list.children.length > SHOWN) list.lastElementChild.remove();
   }
+  // A board gets its configuration after it has missed it.
+  for (const item of list.querySelectorAll('[data-name="bad_config"]')) {
+    item.classList.toggle("detail", !store.board.faults.includes("bad_config"));
+  }
   const operators = events.filter((event) => !technical(event)).length;
   $("events-empty").hidden = (listed.technical ? events.length : operators) > 0;
   $("events-count").textContent = listed.technical ? events.length || "" : operators || "";
@@ -182,6 +186,7 @@ function entry(event) {
   if (event.next) what.append(element("div", { class: "next" }, sentence(event.next)));
   const item = element("li", { class: `${event.severity}${technical(event) ? " detail" : ""}`, title: event.name });
   item.dataset.t = time(event.t_s);
+  item.dataset.name = event.name;
   item.innerHTML = `<time>${fixed(time(event.t_s), 1)} s</time>${ICONS[event.severity] ?? ICONS.info}`;
   item.append(what);
   return item;
