@@ -43,3 +43,11 @@ def test_what_is_no_layout_is_named(tmp_path: Path, options: tuple[str, ...], na
     done = CliRunner().invoke(app, ["design", "--out", str(tmp_path), *options])
     assert isinstance(done.exception, DataError)
     assert named in str(done.exception)
+
+
+def test_two_readings_localize_nothing_and_design_says_so(tmp_path: Path) -> None:
+    options = ["design", "--columns", "1", "--out", str(tmp_path), "--centers"]
+    two = CliRunner().invoke(app, [*options, "15,35"])
+    assert "nothing is localized with fewer than 3 readings" in two.stdout
+    three = CliRunner().invoke(app, [*options, "15,25,35"])
+    assert "nothing is localized" not in three.stdout

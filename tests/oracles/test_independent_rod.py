@@ -7,9 +7,10 @@ import pytest
 
 import thigmo
 from thigmo.localization import priors
+from thigmo_bench.studies.mistakes import Body, holds
 from thigmo_bench.studies.pegs import Rooms, rooms
-from thigmo_bench.studies.rod import readings
-from thigmo_bench.studies.scenes import CRITICAL, RADIUS, SIGMA, STATED
+from thigmo_bench.studies.rod import readings, solve
+from thigmo_bench.studies.scenes import CRITICAL, LENGTH, RADIUS, ROBOT, SIGMA, STATED
 
 FRAMES = 6
 LENGTHS = (53.0, 36.0)
@@ -85,3 +86,29 @@ def test_without_noise_the_side_is_found_at_any_bend(
         curvature, position, length=length, span=span, free_curvature=free, noise=1e-6
     )
     assert result.contacts[0].arc == pytest.approx(arc, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "body", [Body(False, 10), Body(True, 5), Body(True, 10)], ids=["straight", "bent, 5", "bent"]
+)
+def test_sets_hold_contacts_near_the_base_where_one_sensor_sees_them(body: Body) -> None:
+    # Only the product of force and lever is known there, so the place may be far off.
+    rng = np.random.default_rng([3, body.sensors])
+    free = body.bent * rng.choice([-1.0, 1.0], 100) * rng.uniform(0.01, 0.04, 100)
+    arcs = rng.uniform(6.0, 9.0, (100, 1))
+    moment = rng.choice([-1.0, 1.0], arcs.shape) * rng.uniform(0.2, 1.0, arcs.shape) * CRITICAL
+    bodies = solve(arcs, moment / arcs, length=LENGTH, free_curvature=free[:, None])
+    noisy = bodies.readings(body.position, body.span)
+    noisy += SIGMA * rng.standard_normal(noisy.shape)
+    localizer = thigmo.Localizer.of(
+        position=body.position, span=body.span, length=LENGTH, noise=SIGMA, **ROBOT
+    )
+    listed, held, wrong = 0, 0, 0
+    for row, bend, truth in zip(noisy, free, arcs, strict=True):
+        contacts = localizer.localize(row, free_curvature=bend).contacts
+        listed += bool(contacts)
+        held += any(holds(contact, truth) for contact in contacts)
+        wrong += any(c.status == "localized" and not holds(c, truth) for c in contacts)
+    assert listed >= 50
+    assert held >= 0.92 * listed
+    assert wrong <= 2

@@ -41,7 +41,9 @@ def design(
         raise DataError(f"--columns is {columns}", "give 1 or more")
     require("plot", "the figure of a design")
     from thigmo.design import identifiability
+    from thigmo.design.bounds import FEWEST_READINGS
     from thigmo.design.figure import draw_design
+    from thigmo.localization.result import UNCHECKED
     from thigmo.report.files import write_files
 
     position = places * columns
@@ -73,10 +75,20 @@ def design(
     tables = {"one-contact": one, "two-contacts": two}
     figures = {"bounds": draw_design(layout, position, span)}
     paths = write_files("design", out, tables, figures)
+    localizes = len(position) >= FEWEST_READINGS
     if as_json:
-        print_json({"one_contact": one, "two_contacts": two, "files": [str(p) for p in paths]})
+        print_json(
+            {
+                "one_contact": one,
+                "two_contacts": two,
+                "localizes": localizes,
+                "files": [str(p) for p in paths],
+            }
+        )
         return
     _show(layout, out)
+    if not localizes:
+        typer.echo(f"nothing is localized with fewer than {FEWEST_READINGS} readings: {UNCHECKED}")
 
 
 def _show(layout: Identifiability, out: Path) -> None:

@@ -18,6 +18,9 @@ from thigmo.mechanics.closed_forms import phi
 
 # Signal over noise from which one contact is reported nine times in ten (`thigmo bench accuracy`).
 DETECTABLE = 4.5
+# Readings of a frame below which `localize` calls no contact localized: a contact has two numbers,
+# its place and its force, and only a further reading checks them.
+FEWEST_READINGS = 3
 _SINGULAR = 1e-11  # pivot of an information matrix of unit diagonal
 _STEP = 1e-6  # share of the length by which central differences step to either side
 

@@ -29,7 +29,7 @@ from thigmo.config import (
     Side,
     Spool,
 )
-from thigmo.design.bounds import arc_bounds
+from thigmo.design.bounds import FEWEST_READINGS, arc_bounds
 from thigmo.design.finding import Finding
 from thigmo.design.units import unit_questions
 from thigmo.errors import ConfigError
@@ -358,10 +358,12 @@ def _localized(
     offset: float,
     most_gain: float,
 ) -> npt.NDArray[np.bool_]:
-    """(n,) whether the 95 % interval of a contact at each arc is narrow enough.
+    """(n,) whether the 95 % interval of a contact at each arc is narrow enough, and checked.
 
     The intervals are Cramer-Rao bounds for small deflections.
     """
+    if len(column) < FEWEST_READINGS:
+        return np.zeros(len(arcs), bool)
     gains = [min(s.gain_error, most_gain) * moment * (1 - s.center_cm / arcs[-1]) for s in column]
     noise = [hypot(s.reading_se, gain) for s, gain in zip(column, gains, strict=True)]
     centers, spans = ([getattr(s, key) for s in column] for key in ("center_cm", "span_cm"))

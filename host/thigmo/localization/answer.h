@@ -2,7 +2,7 @@
 //
 // Two claims are kept apart. The number of contacts counts those that move the readings by enough
 // (`felt`), over all hypotheses. Each contact that is listed has the set of places where, in every
-// hypothesis and whatever its number, the contact nearest to its median lies. A contact is
+// hypothesis and whatever its number, the contact nearest to its best point lies. A contact is
 // localized if that set is no wider than the limit, and the contact is there with the level's
 // probability.
 #pragma once
@@ -151,6 +151,16 @@ class Mixture {
     return pieces;
   }
 
+  // Median of that piece of the highest-density set which holds most.
+  double median_of_piece(double share) const {
+    double most = 0.0, middle = 0.5;
+    for (const auto& [near, far] : densest(share)) {
+      const double held = below(far) - below(near);
+      if (held > most) most = held, middle = 0.5 * (below(near) + below(far));
+    }
+    return quantile(middle);
+  }
+
   // Root mean square of what parts the force from `value`, wherever in these pieces it acts.
   double departure(double value, const std::vector<std::pair<double, double>>& pieces) const {
     double total = 0.0, square = 0.0;
@@ -164,6 +174,12 @@ class Mixture {
   }
 
  private:
+  // Mass below an edge.
+  double below(double edge) const {
+    double sum = 0.0;
+    for (std::size_t c = 0; c < mass.size() && edges[c] < edge; ++c) sum += mass[c];
+    return sum;
+  }
   void add_edge(double edge, Window within) {
     if (edge > within.near && edge < within.far) edges.push_back(edge);
   }
@@ -364,13 +380,23 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
   }
   const Row present = count > 0 ? posterior.present(medians) : Row{};
   for (std::size_t j = 0; j < count; ++j) {
-    Mixture mixture = posterior.mixture(within, [&](const FeltSet& set) {
-      return Posterior::nearest(set.arc.data(), set.count, medians[j]);
-    });
+    const auto nearest_to = [&](double arc) {
+      return posterior.mixture(within, [&](const FeltSet& set) {
+        return Posterior::nearest(set.arc.data(), set.count, arc);
+      });
+    };
     FeltContact felt;
     felt.arc = medians[j];
     felt.probability = present[j];
+    Mixture mixture = nearest_to(felt.arc);
     felt.pieces = mixture.densest(priors.level);
+    // A less likely place far away, such as the end, would draw a single contact's median to where
+    // hardly any mass is.
+    if (count == 1 && felt.pieces.size() > 1) {
+      felt.arc = mixture.median_of_piece(priors.level);
+      mixture = nearest_to(felt.arc);
+      felt.pieces = mixture.densest(priors.level);
+    }
     felt.low = felt.pieces.front().first;
     felt.high = felt.pieces.back().second;
     felt.force = mixture.force[mixture.cell(felt.arc)];

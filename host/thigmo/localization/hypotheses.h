@@ -67,9 +67,10 @@ struct Hypothesis {
 
 class Explanations {
  public:
-  static constexpr double kMatters = -3.0;        // log share from which a rival has its own grid
-  static constexpr double kNegligible = -4.6;     // the same of three that are felt, or left out
-  static constexpr double kSeveralMatter = -1.5;  // the same of several contacts
+  static constexpr double kMatters = -3.0;         // log share from which a rival has its own grid
+  static constexpr double kNegligible = -4.6;      // the same of three that are felt, or left out
+  static constexpr double kSeveralMatter = -1.5;   // the same of several contacts
+  static constexpr double kHopelessLevel = -12.0;  // the same of a model of the errors
   static constexpr double kFarFromIt =
       -40.0;  // the same at a first shape, as of none that is right
   // The same while a twist is found, which goes too far at first: to -94 in 800 frames.
@@ -105,9 +106,8 @@ class Explanations {
     weigh_free_body();
     // Beyond this misfit the noise may be larger than stated.
     doubtful_ = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
-    // What is weighed again needs no marks before.
     const bool doubted = frame_.rows.size() > 1;
-    std::size_t one = weigh(kOne, contact_, body_->start, 0.0, kNoMark, !doubted);
+    std::size_t one = weigh(kOne, contact_, body_->start, 0.0, kNoMark, doubted);
     if (doubted) {
       if (!looks_free()) {
         whiten_by(each_row(frame_.levels));
@@ -121,6 +121,7 @@ class Explanations {
     if (found[one].misfit > doubtful_) {
       doubtful_ = INFINITY;
       whiten_by(each_noise(frame_.levels));
+      drop_hopeless_levels(found[one].shape);
       one = weigh_again(found[one].shape);
     }
     drop_unlikely_levels();
@@ -319,11 +320,14 @@ class Explanations {
                         white_.levels.end());
   }
 
-  // Leaves out models of the errors that are hopeless for a free body and, on
-  // this shape, for one contact. The shape is far from that of a model that
-  // bends the free body otherwise.
+  // Leaves out models of the errors that are hopeless even if they leave no
+  // misfit, or for a free body and, on this shape, for one contact. The shape
+  // is far from that of a model that bends the free body otherwise.
   void drop_hopeless_levels(const Row& shape) {
-    Grid grid;
+    Row most;
+    for (const Whitened::At& at : white_.levels) most.push_back(at.by.log_det);
+    drop_levels(most, [&](const Level&) { return best() + kHopelessLevel; });
+    Grid& grid = grid_of(kOne);
     prepare(kOne, 0.0, grid);
     body_->begin(kOne, false);
     std::vector<Loaded> loads;
@@ -481,19 +485,25 @@ class Explanations {
     return read;
   }
 
-  // Weighs an explanation from a shape on, beside a mark or none, and beside marks that may matter,
-  // if it `may_have` any. `side`: of the moment that folds the base. Returns the index of the
-  // hypothesis, or `kNone` if it is of no account.
+  // An explanation's grid, whose memory the next frame needs.
+  static Grid& grid_of(const Explanation& of) {
+    thread_local std::map<const Explanation*, Grid> grids;
+    return grids[&of];
+  }
+
+  // Weighs an explanation from a shape on, beside a mark or none, and beside marks that may matter.
+  // `side`: of the moment that folds the base. `rough`: only its shape, evidence and misfit are
+  // needed, by cells of the first grid. Returns the index of the hypothesis, or `kNone` if it is of
+  // no account.
   std::size_t weigh(const Explanation& of, double weight, Row shape, double side = 0.0,
-                    int mark = kNoMark, bool may_have = true) {
+                    int mark = kNoMark, bool rough = false) {
     Frame marked;
     std::optional<Whitened> own;
     if (mark >= 0) marked = frame_, marked.share(marks_[mark]), own.emplace(marked);
     const Whitened& white = own ? *own : white_;
     const double odds = weight + (mark < 0 ? 0.0 : mark_odds_[mark]);
     const int bad = mark < frame_.size() ? mark : -1;
-    thread_local std::map<const Explanation*, Grid> grids;  // whose memory the next frame needs
-    Grid& grid = grids[&of];
+    Grid& grid = grid_of(of);
     prepare(of, side, grid);
     const int count = grid.count();
     const bool asked = options_.contacts == count, all = asked && count > 1;
@@ -543,9 +553,15 @@ class Explanations {
         continue;
       }
       const double coarse = all || log_evidence > matters ? kResolved : kCoarse;
-      if (!last_turn && split(grid, coarse)) {
+      if (!last_turn && !rough && split(grid, coarse)) {
         whole = false, shape = next;
         continue;
+      }
+      // One contact with such a misfit is weighed again, with larger noises.
+      if (rough || (&of == &kOne && mark < 0 && now.misfit > doubtful_)) {
+        found.push_back(
+            {&of, log_evidence + odds, bent, next, now.misfit, read.levels[grid.level].level});
+        return found.size() - 1;
       }
       const double nothing =
           count == 1 ? 0.0 : kNothingOfAll * std::exp(std::min(matters - log_evidence, 3.0));
@@ -568,10 +584,10 @@ class Explanations {
       };
       add(grid, log_evidence + odds, mark);
       const std::size_t index = found.size() - 1;
-      if (mark >= 0 || !may_have) return index;
+      if (mark >= 0) return index;
       const double misfit = found[index].misfit;
       int marks = misfit > limit_ ? frame_.size() : 0;
-      if (&of == &kOne) marks = misfit > doubtful_ ? 0 : static_cast<int>(marks_.size());
+      if (&of == &kOne) marks = static_cast<int>(marks_.size());
       if (marks == 0) return index;
       if (!whole) {  // beside another mark the contacts may lie anywhere
         for (Placed& p : grid.placed) p.window = {0.0, 1.0};

@@ -392,7 +392,11 @@ class Grid {
     levels_.resize(readings.levels.size());
     white_.resize(levels_.size());
     for (std::size_t s = 0; s < levels_.size(); ++s) {
-      take(readings.levels[s], white_[s], levels_[s]);
+      if (const int base = readings.base(s); base < 0) {
+        take(readings.levels[s], white_[s], levels_[s]);
+      } else {
+        take_beside(readings.levels[base], levels_[base], readings.levels[s], levels_[s]);
+      }
     }
   }
 
@@ -586,8 +590,23 @@ class Grid {
     std::vector<Matrix> weighted;
     weighted.reserve(levels_.size());
     for (std::size_t s = 0; s < levels_.size(); ++s) {
-      weighted.push_back(white_[s]);
-      readings.levels[s].by.raise(weighted.back());
+      const Whitener& by = readings.levels[s].by;
+      const int base = readings.base(s);
+      if (base < 0) {
+        weighted.push_back(white_[s]);
+        by.raise(weighted.back());
+        continue;
+      }
+      weighted.push_back(weighted[base]);
+      Row products(column_.columns);
+      for (int k = readings.levels[base].by.shared(); k < by.shared(); ++k) {
+        products_with(by.weighted_error(k), products.data());
+        for (int i = 0; i < column_.rows; ++i) {
+          const double share = by.taken(k) * by.weighted_error(k)[i];
+          double* row = weighted.back()[i];
+          for (int c = 0; c < column_.columns; ++c) row[c] -= share * products[c];
+        }
+      }
     }
     return weighted;
   }
@@ -741,6 +760,50 @@ class Grid {
     }
   }
 
+  // Products of a row of numbers, one for each reading, with all columns.
+  [[gnu::always_inline]] void products_with(const double* row, double* out) const {
+    std::fill_n(out, column_.columns, 0.0);
+    for (int i = 0; i < column_.rows; ++i) {
+      const double own = row[i], *column = column_[i];
+      for (int c = 0; c < column_.columns; ++c) out[c] += own * column[c];
+    }
+  }
+
+  // Takes a level that has further shared errors and shifts beside another, whose products change
+  // by an outer product for each error.
+  THIGMO_WIDE void take_beside(const Whitened::At& base, const Products& products,
+                               const Whitened::At& at, Products& out) {
+    const int count = static_cast<int>(number_.size()), from = base.by.shared();
+    const int errors = at.by.shared() - from;
+    out.constant = at.log_density, out.square = at.square;
+    out.of.resize(count + count * (count + 1) / 2, padded());
+    error_products_.resize(errors + 1, column_.columns);
+    set_products_.resize(errors * count, padded());
+    products_with(at.raised.data(), error_products_[errors]);
+    for (int e = 0; e < errors; ++e) {
+      products_with(at.by.weighted_error(from + e), error_products_[e]);
+      const double scale = std::sqrt(at.by.taken(from + e));
+      for (int c = 0; c < column_.columns; ++c) error_products_[e][c] *= scale;
+    }
+    for (int k = 0; k < count; ++k) {
+      const auto [load, number] = at_[k];
+      const int *cell = cell_[load].data(), first = first_[load] + number * placed[load].cells;
+      for (int e = 0; e <= errors; ++e) {
+        const double* of_cell = error_products_[e] + first;
+        double* __restrict to = e < errors ? set_products_[e * count + k] : out.of[k];
+        for (int s = 0; s < padded(); ++s) to[s] = of_cell[cell[s]];
+      }
+      for (int l = 0; l <= k; ++l) {
+        double* __restrict to = out.of[gram(count, k, l)];
+        std::copy_n(products.of[gram(count, k, l)], padded(), to);
+        for (int e = 0; e < errors; ++e) {
+          const double *one = set_products_[e * count + k], *two = set_products_[e * count + l];
+          for (int s = 0; s < padded(); ++s) to[s] -= one[s] * two[s];
+        }
+      }
+    }
+  }
+
   // Products of whitened columns from `beside` on, one in each row, with those from `from` on; of
   // no rows, of those at the same cells. Contacts on the same cells share them.
   [[gnu::always_inline]] const double* block(const Matrix& white, int from, int cells, int beside,
@@ -880,12 +943,14 @@ class Grid {
   std::vector<int> first_;  // column of each load
   Matrix column_, weight_;
   std::vector<Products> levels_;
-  Scratch<std::vector<Matrix>> white_;  // whitened columns, at each level of the noise
+  Scratch<std::vector<Matrix>> white_;  // whitened columns, at each level that has no base
   std::vector<Way> ways_;
   // Blocks of products of columns, by where they are taken: their first one.
   std::vector<std::pair<std::array<int, 3>, std::size_t>> blocks_;
   std::size_t ends_ = 0;
   Scratch<Row> both_;
+  // Of each shared error beside a base: products with columns, and with those of each set.
+  Scratch<Matrix> error_products_, set_products_;
   Row density_;
   const Priors* priors_ = nullptr;
   double scale_ = 0.0;  // of the forces, and index, of the likeliest set

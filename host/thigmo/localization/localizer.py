@@ -356,7 +356,7 @@ def localize(
         >>> position = [5, 15, 25, 35, 45]
         >>> reading = [0.0059, 0.0042, 0.0021, 0.0006, 0.0]
         >>> thigmo.localize(reading, position, length=53, span=5.5, noise=6e-4)
-        LocalizeResult(ambiguous, one contact: arc 38.35, 29.15 to 48.58; body of 53)
+        LocalizeResult(ambiguous, one contact: arc 38.42, 29.15 to 49.47; body of 53)
         >>> thigmo.localize(reading, position, length=53, span=5.5, noise=1e-4).contacts[0].status
         'localized'
     """

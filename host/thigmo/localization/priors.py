@@ -101,7 +101,7 @@ NOISE_ODDS = (0.05, 0.06, 0.07)
 # each row, and its size. A free curvature a little off, as a share of itself, and an offset of all
 # readings, as a multiple of the noise; one row has both, with the sum of their odds.
 SLIGHT_MAP_ODDS = 0.08
-SLIGHT_OFFSET_ODDS = 0.12
+SLIGHT_OFFSET_ODDS = 0.25
 SLIGHT_MAP = 0.08
 SLIGHT_OFFSET = 2.0
 # A free curvature of the wrong sign, and one that was subtracted already.

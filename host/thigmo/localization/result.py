@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Status = Literal["localized", "ambiguous", "below detection", "no contact", "point estimate"]
 STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
+UNCHECKED = (
+    "there are no more readings than a contact has numbers, so nothing checks the place: "
+    "read one more sensor"
+)
 _BEND_POINTS = 107  # along a body bent by a point fit; every 0.5 cm of 53
 _COLUMNS = ("arc", "interval", "force / EI, or N", "probability", "status")
 
@@ -36,7 +40,8 @@ class Contact:
     """One contact. The arc is in the caller's unit, the force over EI in that unit to the power -2.
 
     Attributes:
-        arc: place along the body, the median of the posterior.
+        arc: best point along the body: the median of the posterior or, if a single contact's
+            `intervals` are several, that of the interval that holds most.
         force: normal force over EI if the contact is at `arc`, positive towards positive curvature.
         interval: hull of `intervals`; the whole body if the status is `point estimate`.
         status: `localized` (the interval is no wider than the limit, and the probability that there
@@ -449,8 +454,5 @@ def message(
     if end_open:
         return f"something may hold the end: give held_end; {felt}{more}"
     if freedom <= 0:
-        return (
-            "there are no more readings than a contact has numbers, so nothing checks the place: "
-            f"read one more sensor; {felt}{more}"
-        )
+        return f"{UNCHECKED}; {felt}{more}"
     return f"several places explain the readings, and the intervals hold them; {felt}{more}"

@@ -149,6 +149,12 @@ class Whitener {
     return std::max(sum, 0.0);
   }
 
+  // Shared errors: how many, V^(-1) of those before times one, and the share of its products that
+  // it takes away. So V^(-1) with all is that without the last few, less their outer products.
+  int shared() const { return column_.rows; }
+  const double* weighted_error(int k) const { return raised_[k]; }
+  double taken(int k) const { return taken_[k]; }
+
   static double dot(const double* a, const double* b, std::size_t n) {
     double sum = 0.0;
     for (std::size_t i = 0; i < n; ++i) sum += a[i] * b[i];
@@ -263,6 +269,18 @@ struct Whitened {
       at.square = Whitener::dot(at.read.data(), at.read.data(), of.size());
       at.log_density = at.by.log_det - 0.5 * at.square;
     }
+  }
+
+  // A level that has the same noise and only errors as stated, beside which this one has further
+  // shared errors and shifts; or -1.
+  int base(std::size_t level) const {
+    const Level& own = levels[level].level;
+    if (own.row == 0 || frame->rows[own.row].correlation != frame->rows[0].correlation) return -1;
+    for (int other = 0; other < static_cast<int>(level); ++other) {
+      const Level& stated = levels[other].level;
+      if (stated.row == 0 && stated.factor == own.factor) return other;
+    }
+    return -1;
   }
 
   // The level that suits a free body best.

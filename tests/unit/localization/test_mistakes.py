@@ -170,3 +170,20 @@ def test_a_batch_draws_each_contact_at_its_row() -> None:
     assert axes.get_ylim() == (0.0, LENGTH)
     with pytest.raises(DataError, match="moments"):
         rows.plot(moments=[1.0])
+
+
+def test_a_less_likely_contact_on_the_end_does_not_draw_the_arc_there():
+    # A contact at 21.7 cm. Its set is 19 to 36 cm with 58 %, and the end with 42 %.
+    readings = [
+        0.01922, 0.02178, 0.02465, 0.02629, 0.02692, 0.02788, 0.02964, 0.02902, 0.02887, 0.02841,
+    ]  # fmt: skip
+    result = thigmo.localize(
+        readings, np.linspace(2.75, 50.25, 10), length=LENGTH, span=5.5, noise=NOISE,
+        free_curvature=0.0284, tube_radius=1.75, held_end=False, critical_curvature=np.inf,
+        **STATED,
+    )  # fmt: skip
+    (contact,) = result.contacts
+    pieces = contact.intervals
+    assert len(pieces) > 1
+    assert pieces[0][0] < contact.arc < pieces[0][1]
+    assert abs(contact.arc - 21.7) < 5.0
