@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from thigmo_bench.studies.engine import Context, Scale
 from thigmo_bench.studies.faults import run
 
 PAGE = Path(__file__).parents[1] / "docs/faults.md"
+SUMMARY = "@SUMMARY@"
 HEAD = """\
 # What single failures do
 
@@ -24,6 +26,11 @@ Written by `python tools/fault_table.py`; do not edit. Each row is a run of the 
 virtual board in the emulated body, at the body pressure that pulls hardest at the tail (1.47 psi,
 4.9 N). The failure begins in the middle of the motion and lasts 12 s. Muscles may be pressed to
 18.5 psi (`max_pressure_cpsi`).
+
+@SUMMARY@
+
+What is not noticed in time is covered by hardware that the last column of the tables names; growth
+and pull are highest where nothing else ends them.
 
 The first table is of the thesis's robot: its muscles empty only through the transducers, at 0 mA.
 In the second one, valves empty muscles and body as soon as the board stops
@@ -120,6 +127,9 @@ def main() -> None:
         "failure", "state", "noticed as", "safe, s", "peak, psi", "steady, psi", "grown, cm",
         "pull, N", "covered by",
     ]  # fmt: skip
+    cells = [
+        [[str(cell) for cell in row.values()] for row in table] for table in found.tables.values()
+    ]
     lines = [f"- {claim}" for claim in found.claims]
     if options.quick:
         lines += ["", SOME]
@@ -127,9 +137,33 @@ def main() -> None:
         lines += ["", f"## {title}", ""]
         lines += ["| " + " | ".join(names) + " |", "| --- " * len(names) + "|"]
         lines += ["| " + " | ".join(str(cell) for cell in row.values()) + " |" for row in table]
-    PAGE.write_text(HEAD + "\n".join(lines) + "\n")
+    PAGE.write_text(HEAD.replace(SUMMARY, summary(cells)) + "\n".join(lines) + "\n")
     for claim in found.claims:
         print(claim)
+
+
+def summary(tables: Sequence[Sequence[Sequence[str]]]) -> str:
+    """A row for each robot: how many failures are noticed, and the worst that comes of any.
+
+    Args:
+        tables: of each robot, the rows of its table as cells.
+    """
+    head = (
+        "robot", "failures in a state", "noticed", "not noticed, and covered",
+        "safe at the latest, s",
+        "highest pressure, psi", "most growth, cm", "hardest pull, N",
+    )  # fmt: skip
+    lines = [f"| {' | '.join(head)} |", "| --- " * len(head) + "|"]
+    for title, rows in zip(TITLES, tables, strict=True):
+        silent = [row for row in rows if row[2] == "not noticed"]
+        covered = sum(bool(row[8]) for row in silent)
+        worst = [max(float(row[column] or 0) for row in rows) for column in (3, 4, 6, 7)]
+        cells = (
+            title, len(rows), len(rows) - len(silent), f"{len(silent)}, {covered}",
+            *(f"{value:g}" for value in worst),
+        )  # fmt: skip
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
 
 
 def _count(part: str, done: int, total: int) -> None:

@@ -528,7 +528,8 @@ HEADLINES = (
     (
         "bench-exploration",
         "one peg, default: mean error in the plane",
-        "mean error, in the plane, of the contact that a default exploration finds, 40 rooms",
+        "mean error, in the plane, of the contact that a default exploration finds, 40 rooms "
+        "(before explorations answered from one fit to all frames; to be measured again)",
     ),
     (
         "experiments",

@@ -252,8 +252,10 @@ def robot_entries() -> Iterator[tuple[str, str, str, str, str]]:
     """Table, entry, what it must be, default and meaning of everything in robot.toml."""
     for table, model in _ROBOT_TABLES.items():
         texts = _comments(model)
+        usual: dict[str, object] = {}  # of the entries before, on which some defaults depend
         for name, field in model.model_fields.items():
-            default = field.get_default(call_default_factory=True)
+            default = field.get_default(call_default_factory=True, validated_data=usual)
+            usual[name] = default
             shown = "needed" if field.is_required() else "none" if default is None else ""
             if not shown:
                 simple = isinstance(default, bool | int | float | str)

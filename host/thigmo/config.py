@@ -171,6 +171,19 @@ class Body(Model):
         return entries
 
     @property
+    def folds(self) -> bool:
+        """Whether the base folds at all."""
+        return self.critical_curvature < inf
+
+    @property
+    def push_curvature(self) -> float:
+        """Contact moment over EI (1/cm) up to which a hand may push the tip aside.
+
+        That of the fold; or what turns the tip by 0.3 rad, where nothing folds.
+        """
+        return self.critical_curvature if self.folds else 0.6 / self.length_cm
+
+    @property
     def radius_cm(self) -> float:
         """Tube radius."""
         return self.diameter_cm / 2

@@ -6,6 +6,8 @@ from typing import Literal
 
 # Status of a contact by a method that gives a place and no measure of its error.
 POINT_ESTIMATE: Literal["point estimate"] = "point estimate"
+# Probability of a contact beyond which it is listed, and from which it is sure.
+LIKELY, SURE = 0.5, 0.95
 
 
 def interval_text(status: str, interval: tuple[float, float], number: str, unit: str = "") -> str:

@@ -95,7 +95,7 @@ def errors_of(
     if not 0 <= zone < len(body.zones):
         raise DataError(f"robot.toml has no pressure zone {zone}", "count body.pressure from 0")
     critical, critical_error = inf, 0.0
-    if body.critical_curvature < inf:
+    if body.folds:
         ratio = body.zones[zone].pressure_psi / body.critical_pressure_psi
         critical = body.critical_curvature * ratio
         measured_error = body.critical_curvature_se / body.critical_curvature

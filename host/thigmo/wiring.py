@@ -243,8 +243,8 @@ class Wiring:
         if names:
             return Limitation(
                 f"{' and '.join(names)} out of the plane, which is 90 and 270 degrees",
-                "press its muscles by name (`Robot.press`), and localize its readings with a "
-                "column `direction` (`thigmo localize`)",
+                "press its muscles by name and feel in space (`thigmo feel`), or localize its "
+                "readings with a column `direction` (`thigmo localize`)",
             )
         if not config.muscles:
             return Limitation(

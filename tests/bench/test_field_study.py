@@ -18,8 +18,8 @@ CONTACT = FieldContact(
     covariance_cm2=0.04 * np.eye(2), normal_rad=1.5, force_per_cm2=1e-3,
     force_interval_per_cm2=(5e-4, 2e-3), track=np.zeros((25, 2)), probability=0.99, places=True,
     doubt="", felt_at_cm=(53.0,), log_odds=50.0, log_evidence=-40.0, misfit=1.0,
-    effective=60.0, peg_radius_cm=1.0,
-    friction=0.1, yield_cm=0.0,
+    effective=60.0, kind="peg", peg_radius_cm=1.0, friction=0.1, yield_cm=0.0,
+    arcs=np.array([25.2]), weights=np.ones(1),
 )  # fmt: skip
 
 

@@ -9,16 +9,20 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from contacts import CONTACT
+from emulated import room_file, scene_at
 from served import LIVE, comes, ready_to_sweep
 
 import thigmo
 from thigmo.errors import RobotFaultError, StoppedByViewerError
+from thigmo.record import RunFolder
 from thigmo.stream import Hello, Hub, Server
 
 # A run hears of a stop from its viewer and from its board, whichever is first.
@@ -206,8 +210,10 @@ def test_planner_that_comes_later_gets_a_finished_run_s_map(
 
 
 def test_planner_receives_walls_as_lines_with_their_probability(ros: Any, tmp_path: Path) -> None:
-    run = thigmo.explore("emulator://wall", seed=1, out=tmp_path)
-    (wall,) = (contact for contact in run.contacts if contact.surface)
+    run = thigmo.explore(room_file(tmp_path, scene_at(51.0, "empty")), seed=1, out=tmp_path)
+    line = [(12.0, 9.0), (20.0, 9.5), (31.0, 10.0), (33.0, 10.1)]
+    wall = replace(CONTACT, kind="wall", surface=line, wall_probability=0.8)
+    RunFolder(run.folder).write_document(replace(run.document, contacts=[wall]))
     ros.bridge(run.folder)
     said = ros.planner().hears(lambda said: said["topic"] == "walls" and said["lines"])
     assert said["removed"] == 1

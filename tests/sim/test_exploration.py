@@ -19,6 +19,7 @@ from thigmo.emulator.scene import FaultTable, PegTable, Scene
 from thigmo.errors import LinkError, RobotFaultError
 from thigmo.exploration import ExplorationResult, explore, replay
 from thigmo.exploration.effort import Effort
+from thigmo.exploration.replay import ReplayResult
 from thigmo.exploration.run import Protocol
 from thigmo.link import protocol as wire
 from thigmo.link.framing import decode
@@ -26,13 +27,19 @@ from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles
 from thigmo_bench.studies.rooms import explored
 
 FOUND = ("localized", "ambiguous")
-EVERY_PITCH = Effort("every pitch", 6, 1)
+EVERY_PITCH = Effort("every pitch", measurements=1)
 
 
 @pytest.fixture(scope="module")
 def default(tmp_path_factory: pytest.TempPathFactory) -> ExplorationResult:
     """Section 3.5 of the thesis, explored once."""
     return explore("emulator://default", seed=1, out=tmp_path_factory.mktemp("runs"))
+
+
+@pytest.fixture(scope="module")
+def replayed(default: ExplorationResult) -> ReplayResult:
+    """The same run, from its record."""
+    return replay(default.folder)
 
 
 def test_the_peg_of_section_3_5_is_found_and_localized_within_3_cm(
@@ -145,7 +152,11 @@ def test_the_robot_ends_vented_braked_and_safe(default: ExplorationResult) -> No
 
 @pytest.mark.parametrize("share", [0.003, 0.2, 0.5, 0.93])
 def test_a_replay_of_a_damaged_record_uses_what_is_whole_and_says_so(
-    default: ExplorationResult, tmp_path: Path, share: float, thigmo: Thigmo
+    default: ExplorationResult,
+    replayed: ReplayResult,
+    tmp_path: Path,
+    share: float,
+    thigmo: Thigmo,
 ) -> None:
     folder = tmp_path / "damaged"
     shutil.copytree(default.folder, folder)
@@ -158,7 +169,7 @@ def test_a_replay_of_a_damaged_record_uses_what_is_whole_and_says_so(
     assert again.gaps == 1
     assert not again.truncated
     # A stage at most is damaged: two sides, and a measurement.
-    assert again.sweeps >= replay(default.folder).sweeps - 3
+    assert again.sweeps >= replayed.sweeps - 3
     if share < 0.9:  # in the last stage, where the peg is felt
         (contact,), (whole,) = again.document.contacts, default.document.contacts
         assert contact.x_cm == pytest.approx(whole.x_cm, abs=0.5)
@@ -167,16 +178,16 @@ def test_a_replay_of_a_damaged_record_uses_what_is_whole_and_says_so(
     assert "what is whole was used" in said
 
 
-def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -> None:
-    again = replay(default.folder)
+def test_a_replay_of_the_raw_frames_finds_the_same(
+    default: ExplorationResult, replayed: ReplayResult
+) -> None:
     notes = RunFolder(default.folder).read_log().notes
     measured = sum(note.facts["state"] == "MEASURE" for note in notes)
-    assert again.sweeps == 8 + measured  # two sides at four stages
-    assert again.bad_frames == 0
-    (live,), (replayed,) = default.document.contacts, again.document.contacts
-    assert replayed == live
-    assert again.document.error_x_cm == default.document.error_x_cm
-    for mine, theirs in zip(again.document.stages, default.document.stages, strict=True):
+    assert replayed.sweeps == 8 + measured  # two sides at four stages
+    assert replayed.bad_frames == 0
+    assert replayed.document.contacts == default.document.contacts
+    assert replayed.document.error_x_cm == default.document.error_x_cm
+    for mine, theirs in zip(replayed.document.stages, default.document.stages, strict=True):
         assert mine.triggers == theirs.triggers
         assert mine.shapes == theirs.shapes
     assert (default.folder / "replay.png").exists()
@@ -185,7 +196,7 @@ def test_a_replay_of_the_raw_frames_finds_the_same(default: ExplorationResult) -
         assert (default.folder / f"replay-{name}").read_bytes().replace(b"replay-", b"") == live
     mine = read_obstacles(default.folder / f"replay-{OBSTACLES_FILE}")
     assert mine.obstacles == read_obstacles(default.folder / OBSTACLES_FILE).obstacles
-    assert again.document.missed == again.document.false == []
+    assert replayed.document.missed == replayed.document.false == []
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.ci) for n in (2, 3))])

@@ -9,11 +9,13 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 import pytest
+from contacts import CONTACT
 
 import thigmo
 from thigmo.errors import PortError, RobotFaultError, StoppedByViewerError
@@ -136,9 +138,9 @@ def test_foxglove_sees_a_run_and_late_comers_its_map(late_url: str, tmp_path: Pa
 
 
 @pytest.mark.usefixtures("own_sockets")
-def test_foxglove_draws_walls_as_lines_with_their_probability(tmp_path: Path) -> None:
-    run = thigmo.explore("emulator://wall", seed=1, out=tmp_path)
-    (wall,) = (contact for contact in run.contacts if contact.surface)
+def test_foxglove_draws_walls_as_lines_with_their_probability() -> None:
+    line = [(12.0, 9.0), (20.0, 9.5), (31.0, 10.0), (33.0, 10.1)]
+    wall = replace(CONTACT, kind="wall", surface=line, wall_probability=0.8)
 
     async def look(address: str) -> None:
         async with aiohttp.ClientSession() as session:
@@ -162,7 +164,7 @@ def test_foxglove_draws_walls_as_lines_with_their_probability(tmp_path: Path) ->
             assert said["wall_probability"] == f"{wall.wall_probability:.2f}"
 
     with FoxgloveServer(lambda: "", port=0) as server:
-        server.publish(Contacts(0.0, time.time(), tuple(run.contacts)))
+        server.publish(Contacts(0.0, time.time(), (wall,)))
         asyncio.run(look(server.address))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from emulated import room_file, scene_at
 
+from thigmo.errors import DataError
 from thigmo.exploration import ExplorationResult, explore, replay
 from thigmo.record import OBSTACLES_FILE, OccupancyGrid, read_obstacles, write_ros_map
 
@@ -87,7 +88,6 @@ def test_a_map_of_the_true_peg_narrows_the_interval(
         pytest.param(
             [(40.0, -14.0), (48.0, 20.0)], id="pegs that are not there", marks=pytest.mark.ci
         ),
-        pytest.param([(40.0, 0.0)], id="a peg in the path of growth"),
     ],
 )
 def test_a_wrong_map_does_not_break_the_run(
@@ -99,12 +99,29 @@ def test_a_wrong_map_does_not_break_the_run(
     _arc_is_held(result)
 
 
+def test_a_mapped_peg_ahead_is_stopped_short_of_and_said(tmp_path: Path) -> None:
+    first = explore("emulator://ahead", seed=1, out=tmp_path)
+    again = explore("emulator://ahead", seed=2, out=tmp_path, prior=first.folder).document
+    (peg,) = again.truth.pegs if again.truth else ()
+    assert again.outcome == "peg ahead"
+    assert again.stall is None  # it never met the peg
+    assert again.length_cm < peg.x_cm - peg.radius_cm
+    assert again.stages
+    assert "short of what the map has in its path" in again.skips
+
+
+def test_a_map_with_an_obstacle_at_the_base_is_refused(tmp_path: Path) -> None:
+    given = _grid(tmp_path / "room.yaml", (9.0, 0.0))
+    with pytest.raises(DataError, match="leave --map out"):
+        explore("emulator://empty", seed=1, out=tmp_path, prior=given)
+
+
 def test_an_empty_room_stays_empty_whatever_the_map_says(tmp_path: Path) -> None:
-    given = _grid(tmp_path / "room.yaml", (40.0, 0.0), (44.0, 24.0))
+    given = _grid(tmp_path / "room.yaml", (30.0, 8.0), (44.0, 24.0))
     document = explore(
         room_file(tmp_path, scene_at(38.0)), seed=1, out=tmp_path, prior=given
     ).document
     assert document.contacts == []
     assert document.missed is not None
-    assert (40.0, 0.0) in {(round(m.x_cm), round(m.y_cm)) for m in document.missed}
+    assert (30.0, 8.0) in {(round(m.x_cm), round(m.y_cm)) for m in document.missed}
     assert all(m.source == "prior" for m in document.missed)

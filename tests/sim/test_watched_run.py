@@ -154,13 +154,13 @@ def test_what_a_run_publishes_tells_it_from_its_states_to_its_map(run: Watched) 
     assert "contact" in [event.name for event in seen.of(Event)]
 
 
-def test_posterior_comes_in_mid_sweep_ten_times_a_second_until_the_place_is_known(
+def test_posterior_comes_in_mid_sweep_ten_times_a_second_until_the_base_is_near_its_fold(
     run: Watched,
 ) -> None:
     seen = run.seen
     measured = [posterior for posterior in seen.of(Posterior) if not posterior.sweeping]
     so_far = [posterior for posterior in seen.of(Posterior) if posterior.sweeping]
-    assert len(so_far) > 5
+    assert len(so_far) > 1
     steps = np.diff([posterior.t_s for posterior in so_far])
     assert np.median(steps) == pytest.approx(0.1, abs=0.05)
     states = seen.of(RunState)
@@ -173,8 +173,11 @@ def test_posterior_comes_in_mid_sweep_ten_times_a_second_until_the_place_is_know
     last, then = so_far[-1], measured[-1]
     low, high = np.interp([0.025, 0.975], np.cumsum(last.probability), last.places_cm)
     assert low <= contact.arc_cm <= high + 0.5  # a cell
-    middle, measured_cm = (np.dot(each.places_cm, each.probability) for each in (last, then))
-    assert middle == pytest.approx(measured_cm, abs=5.0)
+    spread = [
+        np.sqrt(np.dot((np.array(each.places_cm) - contact.arc_cm) ** 2, each.probability))
+        for each in (last, then)
+    ]
+    assert spread[1] < spread[0]  # all frames say more than those of half a second
     assert then.contact_probability > 0.99
 
 

@@ -2,25 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from fits import a_fit
 
 from thigmo.config import RobotConfig
 from thigmo.errors import CommandRefusedError, DataError, RobotFaultError
-from thigmo.exploration.effort import Effort
+from thigmo.exploration.effort import THESIS, Effort, Planner
 from thigmo.exploration.run import Exploration, Progress, Protocol
 from thigmo.exploration.states import State
+from thigmo.field import FieldContact, Readings
 from thigmo.record import LogWriter, RunDocument, RunFolder
 from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
 from thigmo.robot.strains import Strains
 from thigmo.stream import Hub
 
-EVERY_PITCH = Effort("every pitch", 6, 1)
+EVERY_PITCH = Effort("every pitch", measurements=1)
+
+
+@dataclass
+class Fit:
+    """The fit's answer to any sweeps with readings: a contact 2 cm from the end of the longest."""
+
+    width_cm: float = 6.0
+
+    def __call__(self, readings: Readings, *_: Any, **__: Any) -> list[FieldContact]:
+        length_cm = max(stage.length for stage in readings.stages)
+        return [a_fit(length_cm - 2.0, length_cm, width_cm=self.width_cm)]
+
+
+@pytest.fixture(autouse=True)
+def fit(monkeypatch: pytest.MonkeyPatch) -> Fit:
+    fit = Fit()
+    monkeypatch.setattr("thigmo.exploration.fitted.contacts", fit)
+    return fit
 
 
 class Script:
@@ -38,7 +58,6 @@ class Script:
         self.clock = 0.0
         self.oversample = 16
         self.settles_at = np.inf
-        self.clear = False  # ask whether the sweep is enough already
         self.alone = False  # nobody is there once the stages have begun
         self.doubt = 0.0  # about what young sensors rest at, 1/cm
         self.hub = Hub()
@@ -145,8 +164,8 @@ class Script:
         ]
         unread = np.full((len(frames), 10), np.nan)
         result = SweepResult([ContactTrigger("left", 0.0, -0.006)], [peak], frames, unread)
-        if self.clear and enough:
-            assert enough(result)
+        if enough:
+            enough(result)
         return result
 
     def follow_settling(self) -> None:
@@ -162,47 +181,25 @@ class Script:
         self._call("disarm")
 
 
-def _calibrated(*, drifts: bool) -> RobotConfig:
-    """Standard errors of a good calibration; the defaults are those of none.
-
-    The script shows no untouched frames from which it could be learnt how its robot has drifted.
-    """
-    config = RobotConfig()
-    for side in (config.muscle("left"), config.muscle("right")):
-        side.offset_se = 1e-4
-        for zone in side.maps:
-            zone.scale_se = 0.005
-    for sensor in config.column("left") + config.column("right"):
-        sensor.scale_se = 0.005
-    if not drifts:
-        for muscle in config.muscles:
-            muscle.drift_se = muscle.sweep_se = muscle.sweep_offset_se = 1e-6
-        for sensor in config.sensors:
-            sensor.drift_se = 1e-6
-    return config
-
-
 def _explore(
     tmp_path: Path,
     robot: Script,
     protocol: Protocol = "measure",
     progress: Progress = lambda doing, share: None,
     effort: Effort = EVERY_PITCH,
-    *,
-    drifts: bool = True,
 ) -> Exploration:
     document = RunDocument(thigmo="0", name="n", url="u", started="s")
     tmp_path.mkdir(exist_ok=True)
     log = LogWriter(tmp_path / "run.mcap", {})
     run = Exploration(
         robot,  # type: ignore[arg-type]
-        _calibrated(drifts=drifts),
+        RobotConfig(),
         RunFolder(tmp_path),
         log,
         document,
         progress,
+        Planner(RobotConfig(), THESIS if protocol == "thesis" else effort),
         protocol,
-        effort,
     )
     with log:
         run.run()
@@ -300,14 +297,10 @@ def test_young_sensors_are_waited_for_and_zeroed_if_their_rest_stays_unknown(
     assert robot.calls[contact + 1] == "zero"
 
 
-def test_a_sweep_that_placed_its_contact_is_not_repeated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("thigmo.exploration.reference._LEAST_OFFSET", 1e-6)
-    monkeypatch.setattr("thigmo.exploration.stage.ENOUGH", 6.0)
+def test_a_sweep_that_placed_its_contact_is_not_repeated(tmp_path: Path, fit: Fit) -> None:
+    fit.width_cm = 2.0
     robot = Script(touches_at=50)
-    robot.clear = True
-    run = _explore(tmp_path, robot, drifts=False)
+    run = _explore(tmp_path, robot)
     assert [c for c in robot.calls if c.startswith("sweep")] == ["sweep 18 18"] * 6
     assert len(run.document.contacts) == 1
 
@@ -323,19 +316,15 @@ def test_the_thesis_protocol_zeroes_before_and_after_every_sweep(tmp_path: Path)
     assert third == ["body 1.47", "zone 0", "grow 26.5", "body 1.01", "zone 1", "grow 30"]
 
 
-def test_a_contact_is_mapped_and_the_run_goes_on_to_the_full_length(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("thigmo.exploration.reference._LEAST_OFFSET", 1e-6)
+def test_a_contact_is_mapped_and_the_run_goes_on_to_the_full_length(tmp_path: Path) -> None:
     robot = Script(touches_at=50)
-    run = _explore(tmp_path, robot, drifts=False)
+    run = _explore(tmp_path, robot)
     assert run.document.outcome == "full length"
     (contact,) = run.document.contacts
     assert contact.everted_length_cm == pytest.approx(50.02)
-    low, high = contact.interval_cm
-    assert low <= 48 <= high
+    assert contact.arc_cm == pytest.approx(48.02)
     assert contact.readings == 5
-    assert contact.y_cm > 20  # bent to the left
+    assert contact.y_cm > 0  # bent to the left
     assert [bool(s.triggers) for s in run.document.stages] == [False] * 4 + [True, False]
     sweeps = [call for call in robot.calls if call.startswith("sweep")]
     assert len(sweeps) == 7

@@ -1,7 +1,8 @@
-"""What the fit of a side says on the map."""
+"""From the fit's answers to the map: sides, stages, places and what is said of them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from math import nan
 from typing import Any
 
@@ -9,55 +10,163 @@ import numpy as np
 import pytest
 from fits import a_fit
 
-from thigmo.config import RobotConfig
-from thigmo.exploration.fitted import FittedMap
+from thigmo.config import RobotConfig, Side
+from thigmo.exploration.map import ContactMap
+from thigmo.exploration.stage import Interpreter
 from thigmo.field import FieldContact
-from thigmo.record import MapContact
+from thigmo.field.answer import UNEXPLAINED_WORDS
 from thigmo.robot import Peak, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
 
 
-def _sweep(length_cm: float) -> SweepResult:
-    bends = np.linspace(0.0, 0.03, 80)
-    frames = [SweepFrame("left", n / 20, 600 * g, g, 0.0) for n, g in enumerate(bends.tolist())]
+@dataclass
+class Fits:
+    """Answers of the fit, and how often it was asked."""
+
+    answers: list[FieldContact] = field(default_factory=list)
+    asked: int = 0
+
+    def __call__(self, *_: Any, **__: Any) -> list[FieldContact]:
+        self.asked += 1
+        return self.answers
+
+
+@pytest.fixture
+def fits(monkeypatch: pytest.MonkeyPatch) -> Fits:
+    fits = Fits()
+    monkeypatch.setattr("thigmo.exploration.fitted.contacts", fits)
+    return fits
+
+
+def _sweep(
+    side: Side = "left", length_cm: float = 53.0, *, held_at_rest: float = 0.0
+) -> SweepResult:
+    """A sweep to one side, with a base that is held back at rest and by nothing else."""
+    way = 1.0 if side == "left" else -1.0
+    bends = way * np.linspace(0.0, 0.03, 80)
+    frames = [
+        SweepFrame(side, n / 20, 600 * abs(bend), bend, -way * held_at_rest)
+        for n, bend in enumerate(bends.tolist())
+    ]
     curvature = np.repeat(bends[:, None], 10, axis=1)
-    peak = Peak("left", 4.0, length_cm, curvature[-1], float(bends[-1]), 18.0, 0x3FF, 10)
+    peak = Peak(side, 4.0, length_cm, curvature[-1], bends[-1], 18.0, 0x3FF, 10)
     return SweepResult([], [peak], frames, curvature, sensors=0x3FF)
 
 
-def _mapped(monkeypatch: pytest.MonkeyPatch, *answer: FieldContact) -> list[MapContact]:
-    def contacts(*_: Any, **__: Any) -> list[FieldContact]:
-        return list(answer)
-
-    monkeypatch.setattr("thigmo.exploration.fitted.contacts", contacts)
-    fitted = FittedMap(CONFIG)
-    for length_cm in (40.0, 53.0):
-        fitted.add(_sweep(length_cm), 2)
-    return fitted.contacts("left")
+def _mapped(fits: Fits, *answers: FieldContact, side: Side = "left") -> ContactMap:
+    fits.answers = list(answers)
+    room = ContactMap(CONFIG)
+    room.add_sweep(_sweep(side), 2, [side])
+    return room
 
 
-def test_a_peg_that_explains_its_sweeps_is_localized(monkeypatch: pytest.MonkeyPatch) -> None:
-    (contact,) = _mapped(monkeypatch, a_fit(44.0, felt_at_cm=(40.0, 53.0)))
-    assert (contact.status, contact.merged) == ("localized", [40.0])
-    assert contact.model == "peg, by 2 sweeps"
-    assert contact.fit_radius_cm == 1.0
+def test_a_fit_is_made_once_for_so_many_sweeps(fits: Fits) -> None:
+    room = _mapped(fits, a_fit(45.0))
+    assert room.contacts == room.contacts
+    assert fits.asked == 1  # the right side was not swept
+    room.add_sweep(_sweep(), 2, ["left"])
+    assert len(room.contacts) == 1
+    assert fits.asked == 2
 
 
-def test_two_pegs_of_a_side_are_two_contacts(monkeypatch: pytest.MonkeyPatch) -> None:
-    near, far = _mapped(monkeypatch, a_fit(24.0, 40.0, x_cm=22.0, y_cm=6.0), a_fit(46.0))
+def test_a_contact_of_the_right_side_lies_on_the_right(fits: Fits) -> None:
+    (left,) = _mapped(fits, a_fit(45.0)).contacts
+    (right,) = _mapped(fits, a_fit(45.0), side="right").contacts
+    assert (right.x_cm, right.y_cm) == (left.x_cm, -left.y_cm)
+    assert right.normal_rad == -left.normal_rad
+    assert right.force_per_cm2 == -left.force_per_cm2
+    assert right.covariance_cm2[0][1] == pytest.approx(-left.covariance_cm2[0][1])
+    assert right.track == [(x, -y) for x, y in left.track]
+
+
+@pytest.mark.parametrize(
+    ("fit", "status"),
+    [
+        (a_fit(45.0), "localized"),
+        (a_fit(45.0, width_cm=11.0), "ambiguous"),
+        (a_fit(45.0, probability=0.9), "ambiguous"),
+        (a_fit(45.0, doubt=UNEXPLAINED_WORDS), "ambiguous"),
+    ],
+)
+def test_only_a_sure_and_narrow_place_that_the_model_explains_is_localized(
+    fits: Fits, fit: FieldContact, status: str
+) -> None:
+    (contact,) = _mapped(fits, fit).contacts
+    assert contact.status == status
+    assert contact.model == "peg, by 1 sweep" + (f"; {fit.doubt}" if fit.doubt else "")
+
+
+def test_what_is_likely_nothing_is_on_no_map(fits: Fits) -> None:
+    assert _mapped(fits, a_fit(45.0, probability=0.4)).contacts == []
+
+
+def test_two_contacts_of_one_side_are_two_obstacles(fits: Fits) -> None:
+    """The fit has already told them apart, however near they are."""
+    room = _mapped(fits, a_fit(45.0), a_fit(44.0, x_cm=40.2, y_cm=19.8))
+    assert len(room.contacts) == 2
+
+
+def test_the_cells_along_the_body_hold_the_samples(fits: Fits) -> None:
+    room = _mapped(fits, a_fit(45.0, width_cm=4.0))
+    (fitted,) = room.fitted("left")
+    places, mass = fitted.cells(53.0)
+    assert mass.sum() == pytest.approx(1.0)
+    assert places @ mass == pytest.approx(45.0, abs=0.05)
+    assert np.sqrt(mass @ (places - 45.0) ** 2) == pytest.approx(4.0 / 3.92, abs=0.2)
+    end = _mapped(fits, a_fit(54.0, width_cm=0.2)).fitted("left")[0].cells(53.0)[1]
+    assert end[-1] == pytest.approx(1.0, abs=1e-3)  # what lies beyond the end bears on it
+
+
+def test_a_side_that_feels_nothing_new_is_not_measured(fits: Fits) -> None:
+    found = Interpreter(CONFIG)
+    fits.answers = [a_fit(39.0, 40.0)]
+    short = _sweep(length_cm=40.0)
+    found.take(short, 2)
+    assert found.felt_sides(short) == {"left"}
+    longer = _sweep(length_cm=53.0)
+    found.take(longer, 2)
+    assert found.felt_sides(longer) == set()  # it passed what the shorter body touched
+    fits.answers = [a_fit(45.0, felt_at_cm=(40.0, 53.0), width_cm=2.0)]
+    found.take(longer, 2)
+    assert found.felt_sides(longer) == found.placed_sides(longer) == {"left"}
+    fits.answers = [a_fit(45.0, felt_at_cm=(40.0, 53.0), width_cm=6.0)]
+    found.take(longer, 2)
+    assert found.felt_sides(longer) == {"left"}
+    assert found.placed_sides(longer) == set()
+
+
+def test_a_body_that_was_held_bent_before_its_sweep_says_nothing_of_that_side(fits: Fits) -> None:
+    fits.answers = [a_fit(45.0)]
+    found = Interpreter(CONFIG)
+    caught = _sweep(held_at_rest=0.007)
+    found.take(caught, 2)
+    assert found.felt_sides(caught) == set()
+    assert found.map.contacts == []
+    assert fits.asked == 0
+
+
+def test_a_stage_says_what_it_felt_and_how_well(fits: Fits) -> None:
+    fits.answers = [a_fit(45.0)]
+    found = Interpreter(CONFIG)
+    sweep = _sweep()
+    found.take(sweep, 2)
+    (answer,) = found.localize(sweep, None, 2, 2)
+    assert (answer.side, answer.status, answer.probability) == ("left", "localized", 1.0)
+    assert "at 45.0 cm along the body, 95 % 44.0 to 46.0" in answer.message
+    assert answer.mass.sum() == pytest.approx(1.0)
+    entry = found.entry(1.0, 53.0, sweep, [answer], 2)
+    assert entry.shapes[-1].side == "left"
+
+
+def test_two_pegs_of_a_side_are_one_of_two_each(fits: Fits) -> None:
+    near, far = _mapped(fits, a_fit(24.0, 40.0, x_cm=22.0, y_cm=6.0), a_fit(46.0)).contacts
     assert [near.status, far.status] == ["localized", "localized"]
-    assert near.model == "peg, by 2 sweeps; one of 2 on this side"
+    assert near.model == "peg, by 1 sweep; one of 2 on this side"
     assert [near.everted_length_cm, far.everted_length_cm] == [40.0, 53.0]
 
 
-def test_a_doubted_contact_is_not_localized_and_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    (contact,) = _mapped(monkeypatch, a_fit(44.0, doubt="the model does not explain these sweeps"))
-    assert contact.status == "ambiguous"
-    assert contact.model == "peg, by 2 sweeps; the model does not explain these sweeps"
-
-
-def test_a_wall_has_no_radius(monkeypatch: pytest.MonkeyPatch) -> None:
-    (contact,) = _mapped(monkeypatch, a_fit(53.0, kind="wall", peg_radius_cm=nan))
+def test_a_wall_has_no_radius(fits: Fits) -> None:
+    (contact,) = _mapped(fits, a_fit(53.0, kind="wall", peg_radius_cm=nan)).contacts
     assert contact.fit_radius_cm is None
     assert contact.model.startswith("wall")

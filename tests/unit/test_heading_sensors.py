@@ -16,9 +16,8 @@ from thigmo.design import draft, judge
 from thigmo.emulator.imus import ImuString
 from thigmo.emulator.scene import Imu, Scene
 from thigmo.errors import ConfigError, DataError
-from thigmo.exploration.reference import FreeResponse
 from thigmo.reading_errors import reading_errors
-from thigmo.robot import SensorTable, SweepFrame, SweepResult
+from thigmo.robot import SensorTable
 from thigmo.robot.configuration import parameter_settings
 from thigmo.wiring import Wiring
 
@@ -118,28 +117,6 @@ def test_an_imu_says_its_turn_drifts_and_takes_both_spans_with_it_when_it_hangs(
     assert 0.2 < np.degrees(np.cumsum(last)).std() < 1.0
     calm.hung.add(calm.at(STRING[3].ends_cm[1]))
     assert np.flatnonzero(calm.counts(bend, 100.0) == 0.0).tolist() == [3, 4]
-
-
-def test_accurate_sensors_take_no_lag_for_a_stronger_muscle() -> None:
-    """Small bends that a touch ends may be off by a lag, and that is no share of all bends."""
-    held = CONFIG.model_copy(deep=True)
-    for muscle in held.muscles:
-        for zone in muscle.maps:
-            zone.scale_se = 0.01
-    response = FreeResponse(held)
-    bends = np.linspace(0.0, 0.005, 60)
-    frames = [SweepFrame("left", n / 20, 2.5 + n / 40, g, 0.0) for n, g in enumerate(bends)]
-    rng = np.random.default_rng(0)
-    everyone = (1 << len(TABLE.healthy)) - 1
-    for _ in range(3):
-        scatter = rng.multivariate_normal(np.zeros(len(TABLE.noise)), TABLE.covariance, len(bends))
-        readings = 1.06 * bends[:, None] + scatter
-        response.learn(SweepResult(frames=frames, curvature=readings, sensors=everyone), "left", 0)
-    use = TABLE.usable("left", everyone)
-    free = response.expected("left", 0, 0.02, np.full(len(use), 0.02), use)
-    off = free.mean - 0.02
-    # What it may be off by holds what it is off by.
-    assert off.mean() < 1.2 * np.sqrt((free.shared_errors**2).sum(axis=1)).mean()
 
 
 def test_free_bends_tell_scale_zero_and_drift(tmp_path: Path) -> None:

@@ -6,9 +6,10 @@ import pytest
 
 from thigmo.config import FlexSensor, RobotConfig
 from thigmo.errors import ConfigError, DataError
-from thigmo.exploration.effort import EFFORTS, THESIS, chosen_effort, within
+from thigmo.exploration.effort import EFFORTS, THESIS, Plan, Planner, chosen_effort, within
 from thigmo.exploration.plan import growth_target, growth_zone, half_everted, stage_lengths
 from thigmo.exploration.states import TRANSITIONS, State
+from thigmo.field import expected_sweeps
 
 
 def test_the_thesis_robot_stops_at_whole_pitches_and_at_its_full_length() -> None:
@@ -17,7 +18,8 @@ def test_the_thesis_robot_stops_at_whole_pitches_and_at_its_full_length() -> Non
 
 def next_stage(config: RobotConfig, length: float, *, swept: bool) -> float | None:
     """The next stage of the thesis's protocol, which stops at every pitch."""
-    return next(iter(THESIS.stops_after(config, length, 0.0, swept=swept)), None)
+    plan = Planner(config, THESIS).plan(length, swept_cm=[length] if swept else [])
+    return next(iter(plan.stops), None)
 
 
 def _walk(config: RobotConfig, length: float) -> list[tuple[float, float]]:
@@ -80,43 +82,64 @@ def test_a_pitch_at_which_a_sensor_would_be_creased_is_left_out() -> None:
         stage_lengths(end)
 
 
-def test_an_effort_leaves_out_the_shortest_bodies_first() -> None:
+def test_an_effort_is_a_budget_and_careful_omits_nothing() -> None:
     config = RobotConfig()
-    assert EFFORTS["quick"].lengths(config) == [30, 40, 53]
-    assert EFFORTS["default"].lengths(config) == [30, 40, 50, 53]
-    assert EFFORTS["careful"].lengths(config) == stage_lengths(config)
-    assert "10, 20 cm" in EFFORTS["default"].skips(config)
-    assert "no wait until new sensors have settled" in EFFORTS["quick"].skips(config)
-    assert EFFORTS["careful"].skips(config) == ""
+    planners = {name: Planner(config, effort) for name, effort in EFFORTS.items()}
+    plans = {name: planner.plan() for name, planner in planners.items()}
+    assert plans["careful"].stops == tuple(stage_lengths(config))
+    assert set(plans["quick"].stops) <= set(plans["default"].stops) < set(plans["careful"].stops)
+    assert plans["default"].stops[-1] == 53
+    assert "10, 20" in planners["default"].skips()
+    assert planners["careful"].skips() == ""
 
 
 def test_more_time_buys_more_and_is_kept_to() -> None:
     config = RobotConfig()
-    bought = [within(time_s, config) for time_s in (60, 100, 150, 200, 300, 400)]
-    assert [e.stops for e in bought] == sorted(e.stops for e in bought)
-    assert bought[0].stops < bought[-1].stops == 6
-    for effort in bought:
-        stops = effort.stops_after(config, 0.0, 0.0, swept=False)
-        assert stops
-        assert effort.expected_s(config, stops) <= effort.time_s
+    planners = [Planner(config, within(t_s, config)) for t_s in (70, 100, 130, 170, 200, 300)]
+    plans = [planner.plan() for planner in planners]
+    sides = [expected_sweeps(config, "left", stage_lengths(config))]
+    worth = []
+    for planner, plan in zip(planners, plans, strict=True):
+        assert plan.stops
+        assert planner.expected_s(plan) <= planner.budget_s - 5.0
+        sweeps = [(1 + plan.measurements) * (cm in plan.stops) for cm in stage_lengths(config)]
+        worth.append(sum(sides[0].told_by(sweeps, 3.0 / 53)))
+    assert worth == sorted(worth)
+    assert worth[0] < worth[-1]
+    assert plans[-1] == Plan(tuple(stage_lengths(config)), 2)
 
 
-def test_a_budget_that_runs_out_keeps_the_longest_body_that_it_can() -> None:
-    config, effort = RobotConfig(), within(150.0, RobotConfig())
-    planned = effort.stops_after(config, 0.0, 0.0, swept=False)
-    late = effort.stops_after(config, 30.0, 105.0, swept=True)
-    assert late == [53] != [stop for stop in planned if stop > 30]
-    assert effort.stops_after(config, 30.0, 149.0, swept=True) == []
+def test_a_budget_that_no_sweep_can_use_up_says_so() -> None:
+    config = RobotConfig()
+    assert "of the budget are not planned" in Planner(config, within(150.0, config)).skips()
+    assert "of the budget" not in Planner(config, within(130.0, config)).skips()
+
+
+def test_a_budget_that_runs_out_on_the_way_keeps_what_tells_most() -> None:
+    config = RobotConfig()
+    planner = Planner(config, within(150.0, config))
+    planned = planner.plan()
+    late = planner.plan(40.0, 110.0, [40.0])
+    assert set(late.stops) <= set(planned.stops) - {40.0}
+    assert late.stops
+    assert planner.plan(40.0, 149.0, [40.0]).stops == ()
     # Too little for the full length, but not for a sweep.
-    assert 0.0 < within(60.0, config).stops_after(config, 0.0, 0.0, swept=False)[0] < 53
+    assert 0.0 < Planner(config, within(60.0, config)).plan().stops[-1] < 53
 
 
 def test_a_plan_made_on_the_way_waits_for_what_settles_yet() -> None:
-    config, effort = RobotConfig(), within(160.0, RobotConfig())
-    spent = 160.0 - effort.expected_s(config, [50, 53], 30.0) - 0.1
-    assert effort.stops_after(config, 30.0, spent, swept=True) == [50, 53]
+    config = RobotConfig()
+    planner = Planner(config, within(160.0, config))
+    both = Plan((50.0, 53.0), 2)
+    spent = 160.0 - planner.expected_s(both, 40.0) - 0.1
+    assert planner.plan(40.0, spent, [40.0]) == both
     settles = config.board.settle_s
-    assert effort.stops_after(config, 30.0, spent, swept=True, settles_s=settles) == [53]
+    later = planner.plan(40.0, spent, [40.0], settles)
+    assert (
+        planner.expected_s(later, 40.0, settles)
+        <= 160.0 - spent
+        < planner.expected_s(both, 40.0, settles)
+    )
 
 
 @pytest.mark.parametrize(
@@ -140,7 +163,8 @@ def test_a_budget_too_short_for_a_sweep_says_how_long_one_takes() -> None:
     with pytest.raises(DataError) as refused:
         within(20.0, RobotConfig())
     least = float(refused.value.next_step.split()[2])
-    assert len(within(least, RobotConfig()).stops_after(RobotConfig(), 0.0, 0.0, swept=False)) == 1
+    planner = Planner(RobotConfig(), within(least, RobotConfig()))
+    assert len(planner.plan().stops) == 1
 
 
 def test_every_state_is_reached_and_left() -> None:

@@ -16,7 +16,6 @@ from thigmo.exploration.workspace import (
     Bend,
     centreline,
     common_error,
-    excess_knots,
     measured_bend,
     place_contact,
     ramp_knots,
@@ -44,26 +43,11 @@ def test_excess_curvature_turns_the_body_and_a_fold_turns_all_of_it() -> None:
     assert curve.pose(50.0)[2] == pytest.approx(0.1 + 0.5 - 2e-4 * 800)
 
 
-def test_readings_are_extended_to_the_base_and_end_at_the_contact() -> None:
-    centers = np.array([5.0, 15.0, 25.0, 35.0])
-    ramp = -2e-4 * np.maximum(27.0 - centers, 0)
-    knots = excess_knots(centers, ramp + np.array([0, 0, 0, 5e-4]), 27.0)
-    assert knots == pytest.approx(
-        np.array([(0.0, -2e-4 * 27), (5.0, -2e-4 * 22), (15.0, -2e-4 * 12), (25.0, -4e-4), (27, 0)])
-    )
-    (base, _), (only, _), end = excess_knots(centers[:1], ramp[:1], 27.0)
-    assert (base, only, end) == (0.0, 5.0, (27.0, 0.0))
-    assert excess_knots(centers, ramp, 4.0) == ()
-
-
 @pytest.mark.parametrize("apart", [0.0, 0.1])
 def test_the_difference_of_two_sensors_at_one_place_bends_no_base(apart: float) -> None:
     centers, noise = np.array([5.0, 5.0 + apart, 15.0, 25.0]), 6e-4 * np.array([1.0, -1.0, 0, 0])
     one = centers[1:] - [apart / 2, 0.0, 0.0]
     ramp, plain = (-2e-4 * np.maximum(27.0 - at, 0) for at in (centers, one))
-    assert excess_knots(centers, ramp + noise, 27.0)[0] == pytest.approx(
-        excess_knots(one, plain, 27.0)[0]
-    )
     base = measured_bend(40.0, centers, ramp + noise).excess[0]
     assert base == pytest.approx(measured_bend(40.0, one, plain).excess[0])
 
@@ -71,9 +55,6 @@ def test_the_difference_of_two_sensors_at_one_place_bends_no_base(apart: float) 
 def test_the_shape_is_the_same_in_whichever_order_the_inputs_have_the_sensors() -> None:
     centers, readings = np.array([5.0, 15.0, 25.0, 35.0]), np.array([4e-3, 6e-3, 9e-3, 13e-3])
     other = np.array([2, 0, 3, 1])
-    assert excess_knots(centers[other], readings[other], 40.0) == excess_knots(
-        centers, readings, 40.0
-    )
     assert measured_bend(40.0, centers[other], readings[other]) == measured_bend(
         40.0, centers, readings
     )

@@ -286,7 +286,7 @@ def curvature_by_sensors(ohm: Array, sensors: Sequence[WiredSensor]) -> tuple[Ar
     independent.
     """
     share = np.array([wired.share for wired in sensors])
-    scale = [wired.sensor.scale_per_ohm for wired in sensors]
+    scale = [wired.sensor.raw_scale for wired in sensors]
     readings = ohm[:, [wired.number for wired in sensors]] * scale
     weight = np.isfinite(readings) / np.array([wired.sensor.reading_se for wired in sensors]) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -469,7 +469,7 @@ def bow_rows(bench: Bench) -> list[Row]:
 
 def _tip_reach_cm(bench: Bench) -> float:
     body = bench.config.body  # just short of the fold
-    return push_tip(0.85 * body.critical_curvature, body.length_cm).tip[1]
+    return push_tip(0.85 * body.push_curvature, body.length_cm).tip[1]
 
 
 def _tip_picture(bench: Bench) -> Row:

@@ -121,6 +121,10 @@ def fit_bending(
 def from_fold(config: RobotConfig) -> BendingResult:
     """EI from the critical curvature, the body pressure and the radius, without readings."""
     body = config.body
+    if not body.folds:
+        raise DataError(
+            "the base does not fold, so its fold tells no stiffness", "hang a weight (`--csv`)"
+        )
     slack = np.pi * body.critical_pressure_psi * _N_PER_CM2 * body.radius_cm**3
     stiffness = float(_FOLD * slack / body.critical_curvature)
     error = float(np.hypot(_FOLD_SE / _FOLD, body.critical_curvature_se / body.critical_curvature))

@@ -128,8 +128,8 @@ def _judge_rest(sensor: BoardSensor, zero: float, scatter: float) -> tuple[Mark,
         return "bad", "open circuit; check its wire or mark it unhealthy"
     if zero < 1_000:
         return "bad", "shorted; check its wire or mark it unhealthy"
-    drift = (zero - sensor.zero_ohm) * sensor.scale_per_ohm
-    loose = scatter * abs(sensor.scale_per_ohm)
+    drift = (zero - sensor.raw_zero) * sensor.raw_scale
+    loose = scatter * abs(sensor.raw_scale)
     if abs(drift) > 0.02:
         return "warning", f"its zero has drifted by {drift:+.3f} 1/cm: recalibrate"
     if loose > 8 * sensor.noise:
@@ -156,7 +156,7 @@ def _judge_bend(
     for (name, sensor), ohm in zip(sensors_of(config).items(), change.tolist(), strict=True):
         if not sensor.side or not sensor.healthy or not np.isfinite(ohm):
             continue
-        share = ohm * sensor.scale_per_ohm / target
+        share = ohm * sensor.raw_scale / target
         shares[sensor.side].append(share)
         if sensor.side != side and abs(share) < 0.15:
             yield (f"sensor {name}", "bad",

@@ -179,7 +179,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
     fits = []
     for number, (name, column, line) in enumerate(zip(sensors, columns, lines, strict=True)):
         # The usual slope of such a sensor, ohm cm.
-        nominal = 1 / abs(sensors[name].scale_per_ohm)
+        nominal = 1 / abs(sensors[name].raw_scale)
         reason, used = "not everted at this length", 0
         if rows.on_body[number]:
             reason, used = _fault(column, line, rows.expected_readings(number), nominal)

@@ -117,7 +117,7 @@ def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
     straight_y = readings.tip_cm[kinds == "straight", 1]
     straight_y = straight_y[np.isfinite(straight_y)]
     center_y = float(np.median(straight_y)) if len(straight_y) else 0.0
-    reach = push_tip(config.body.critical_curvature, length).tip[1]
+    reach = push_tip(config.body.push_curvature, length).tip[1]
     tip_se = TIP_SE * length
     per_cm = phi(length, centers, spans) * 3 / length**3
     model[kinds == "straight"] = 0.0

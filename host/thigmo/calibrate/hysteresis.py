@@ -83,7 +83,7 @@ def guided(bench: Bench) -> HysteresisResult:
                 # The sensor everted when the tip passed its end, a little before growth stopped.
                 elapsed_s = t + (length - end) / float(row["speed_cm_s"])
                 rest_ohm = float(np.nanmedian(ohm_of_sensor[-max(3, len(ohm_of_sensor) // 10) :]))
-                k = (ohm_of_sensor - rest_ohm) * sensor.scale_per_ohm
+                k = (ohm_of_sensor - rest_ohm) * sensor.raw_scale
                 records.append(CreepRecord(name, elapsed_s, k))
         previous_cm = length
     return fit_hysteresis(records, config)

@@ -83,7 +83,7 @@ def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] 
     later = _LATER_SCAN_S * (1 << robot.parameter("oversample_log2")[0])
     bends = [
         np.interp(t + (0.0 if wired.number in bases else later), t, ohm[:, n])
-        * wired.sensor.scale_per_ohm
+        * wired.sensor.raw_scale
         / wired.share
         for n, wired in enumerate(sensors)
         if wired.sound

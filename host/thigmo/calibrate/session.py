@@ -137,8 +137,9 @@ def blank(config: RobotConfig) -> RobotConfig:
         muscle.maps = [
             ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in blank_config.body.zones
         ]
-    blank_config.body.critical_curvature = defaults.body.critical_curvature
-    blank_config.body.critical_curvature_se = defaults.body.critical_curvature_se
+    if blank_config.body.folds:
+        blank_config.body.critical_curvature = defaults.body.critical_curvature
+        blank_config.body.critical_curvature_se = defaults.body.critical_curvature_se
     blank_config.body.stiffness_n_cm2 = None
     blank_config.spool.counts_per_cm = defaults.spool.counts_per_cm
     for zone in blank_config.body.zones:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from thigmo.calibrate import (
     actuator,
@@ -51,6 +51,17 @@ class Step:
     needed: bool = False
     thesis: Callable[..., StepResult] | None = None  # the thesis's fit of the same readings
     kind: str = ""  # kind of the sensors that it calibrates; empty for any
+    needs: tuple[Literal["growth", "muscles", "fold"], ...] = ()  # of the body
+
+    def lacking(self, config: RobotConfig) -> str:
+        """What a robot lacks that the step measures; empty if nothing."""
+        body = config.body
+        has = {"growth": body.grows, "muscles": bool(config.muscles), "fold": body.folds}
+        if missing := [need for need in self.needs if not has[need]]:
+            return f"no {missing[0]}"
+        if self.kind and self.kind not in {sensor.kind for sensor in config.sensors}:
+            return f"no {self.kind} sensors"
+        return ""
 
     def other_fit(self, method: str | None) -> tuple[Callable[..., StepResult], ...]:
         """The argument of `guided` and `of_csv` for another method; none for the step's own."""
@@ -60,16 +71,18 @@ class Step:
 _CURVATURES = "curvature_SENSOR of each sensor"
 STEPS = {
     "pressure": Step(
-        pressure.guided, pressure.of_csv, "NAME_count of each muscle", needed=True
+        pressure.guided, pressure.of_csv, "NAME_count of each muscle", needed=True,
+        needs=("muscles",),
     ),
     "encoder": Step(
-        encoder.guided, encoder.of_csv, "counts, length_cm", ("growth", "drive"), needed=True
+        encoder.guided, encoder.of_csv, "counts, length_cm", ("growth", "drive"), needed=True,
+        needs=("growth",),
     ),
     "actuator": Step(
         actuator.guided, actuator.of_csv,
         "muscle (or side), body_pressure_psi, pressure_psi, curvature "
         "[curvature_se, branch, trial]",
-        ("bends", "unseen_bends", "lag"), needed=True,
+        ("bends", "unseen_bends", "lag"), needed=True, needs=("muscles",),
     ),
     "flex": Step(
         flex.guided, flex.of_csv,
@@ -79,40 +92,38 @@ STEPS = {
     ),
     "heading": Step(
         heading.guided, heading.of_csv, "t_s, curvature, ohm_SENSOR of each sensor",
-        needed=True, kind="heading",
+        needed=True, kind="heading", needs=("muscles",),
     ),
     "fibre": Step(
         fibre.guided, fibre.of_csv, "t_s, curvature, strain_0 .. strain_N (microstrain)",
-        needed=True, kind="fibre",
+        needed=True, kind="fibre", needs=("muscles",),
     ),
     "hysteresis": Step(
-        hysteresis.guided, hysteresis.of_csv, "sensor, t_s, curvature [eversion]", ("growth",)
+        hysteresis.guided, hysteresis.of_csv, "sensor, t_s, curvature [eversion]", ("growth",),
+        needs=("growth",),
     ),
     "buckling": Step(
         buckling.guided, buckling.of_csv, f"{_CURVATURES} [body_pressure_psi, length_cm]",
-        ("pushes",), thesis=thesis.fit_buckling,
+        ("pushes",), thesis=thesis.fit_buckling, needs=("fold",),
     ),
     "stiffness": Step(
         stiffness.guided, stiffness.of_csv,
         f"picture, x_cm, y_cm, force_arc_cm; or {bending.COLUMNS}", ("bows",),
     ),
     "noise": Step(noise.guided, noise.of_csv, f"t_s, {_CURVATURES}", ("rest",)),
-    "check": Step(check.guided),
+    "check": Step(check.guided, needs=("muscles",)),
 }  # fmt: skip
 
 
 def steps_of(config: RobotConfig) -> list[str]:
-    """The names of the steps for the kinds of sensors that a robot has."""
-    kinds = {"", *(sensor.kind for sensor in config.sensors)}
-    return [name for name, step in STEPS.items() if step.kind in kinds]
+    """The names of the steps for what a robot has."""
+    return [name for name, step in STEPS.items() if not step.lacking(config)]
 
 
 def _require(step: str, config: RobotConfig) -> None:
-    """Raise DataError for a step of a kind of sensors that the robot does not have."""
-    if step not in (available := steps_of(config)):
-        raise DataError(
-            f"the robot has no {STEPS[step].kind} sensors", f"use {', '.join(available)}"
-        )
+    """Raise DataError for a step of what the robot does not have."""
+    if lacking := STEPS[step].lacking(config):
+        raise DataError(f"the robot has {lacking}", f"use {', '.join(steps_of(config))}")
 
 
 def run(bench: Bench, step: str, *, again: bool = False, method: str | None = None) -> StepResult:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -143,7 +144,7 @@ def calibrate(
                 f"{folder} is not a calibration folder",
                 "name one with --folder, or begin: `thigmo calibrate all --robot URL`",
             )
-        _status(Session(folder, start), as_json)
+        _show_steps(Session(folder, start), as_json=as_json)
         return
     if robot is None:
         raise DataError("no robot is named", "give --robot URL, or --csv FILE")
@@ -175,7 +176,7 @@ def calibrate(
         print_json({name: result.as_data() for name, result in results.items()})
     bad = [name for name, result in results.items() if not result.verdict.good]
     if step == "all" and not as_json:
-        _summary(session, results)
+        _show_steps(session, results, as_json=False)
     if bad:
         if step == "all":
             say(f"next: correct what is BAD, and run `thigmo calibrate {bad[0]} --robot {robot}`")
@@ -186,37 +187,24 @@ def calibrate(
         say(f"constants so far: {session.robot_file}")
 
 
-def _summary(session: Session, results: Mapping[str, StepResult]) -> None:
-    """A table of what each step has learnt: of this run, or of an earlier one."""
-    from rich.console import Console as RichConsole
-    from rich.table import Table
-    from rich.text import Text
-
-    from thigmo.calibrate.steps import steps_of
-
-    table = Table("step", "", "what was learnt", box=None)
-    for name in steps_of(session.config):
-        stored = session.good_result(name)
-        if name in results:
-            good, reason = results[name].verdict.good, results[name].verdict.reason
-            table.add_row(name, "good" if good else "BAD", Text(visible(reason)))
-        elif stored is not None:
-            table.add_row(name, "good", Text(visible(stored["verdict"]["reason"])))
-        else:
-            table.add_row(name, "not run", "")
-    RichConsole().print(table)
-
-
-def _status(session: Session, as_json: bool) -> None:
+def _show_steps(
+    session: Session, results: Mapping[str, StepResult] = MappingProxyType({}), *, as_json: bool
+) -> None:
+    """A line for what each step has learnt: by these results, or by those that the folder keeps."""
     from thigmo.calibrate.steps import STEPS, steps_of
 
-    facts, lines = {}, []
+    facts: dict[str, dict[str, object]] = {}
+    lines = []
     for name in steps_of(session.config):
-        rows = sum(len(session.rows(procedure)) for procedure in STEPS[name].rows)
-        done = session.good_result(name)
-        reason = done["verdict"]["reason"] if done else ""
-        facts[name] = {"done": done is not None, "readings": rows, "reason": reason}
-        lines.append(f"{name:12s} {'done' if done else f'{rows} readings':14s} {reason}".rstrip())
+        readings = sum(len(session.rows(procedure)) for procedure in STEPS[name].rows)
+        stored = session.good_result(name)
+        reason = stored["verdict"]["reason"] if stored else ""
+        state = "good" if stored else "not run"
+        if name in results:
+            verdict = results[name].verdict
+            state, reason = "good" if verdict.good else "BAD", verdict.reason
+        facts[name] = {"done": state == "good", "readings": readings, "reason": reason}
+        lines.append(f"{name:12s} {state:8s} {readings:5d} readings  {visible(reason)}".rstrip())
     show(as_json, facts, *lines)
 
 

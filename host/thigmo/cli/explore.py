@@ -54,7 +54,7 @@ def explore(
         float | None,
         typer.Option("--time", min=0, help="Budget of robot time, in seconds; replaces --effort."),
     ] = None,
-    method: Annotated[str | None, method_option("Default: posterior.", explores=True)] = None,
+    method: Annotated[str | None, method_option("Default: field.", explores=True)] = None,
     prior: Annotated[
         Path | None,
         typer.Option(
@@ -109,7 +109,7 @@ def explore(
             protocol=protocol,
             effort=effort,
             time_s=time_s,
-            method=method or "posterior",
+            method=method or "field",
             prior=prior,
             resume=resume,
             operator=console,

@@ -39,15 +39,12 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 def method_option(default: str, *, explores: bool = False) -> Any:
     """The option that names a localizer's method; `default` says what an omitted one means.
 
-    `explores`: the method may be that of whole explorations.
+    `explores`: the method is that of whole explorations.
     """
-    whole = (
-        "field: one fit to all sweeps of each side, with seconds of computing at each stage; it "
-        "knows pegs, and no walls. "
-    )
+    usual = "field (one fit to all sweeps of a side)" if explores else "posterior"
     return typer.Option(
-        help="How contacts are localized: posterior, or thesis (the thesis's alternating fit, "
-        f"without intervals). {whole if explores else ''}{default}",
+        help=f"How contacts are localized: {usual}, or thesis (the thesis's alternating fit, "
+        f"without intervals). {default}",
         show_default=False,
     )
 

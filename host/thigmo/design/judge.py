@@ -12,7 +12,7 @@ base folds.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import degrees, hypot, isinf, pi
+from math import degrees, hypot, pi
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +54,7 @@ _BUS_HZ, IMU_BITS = 400_000, 9 * (2 + 2 + 1 + 21) + 3 * 2
 _REPORTS_HZ = 50  # reports of each IMU
 _TRIGGER_SIGMAS = 5.0  # a trigger threshold below this many standard deviations fires by noise
 _STEPS = 200
+_PUSHED_RAD = 0.5  # turn of the tip, under a push that `feel` is asked about
 # Of the body, in percent: below this the answer "somewhere" is the rule. The thesis's robot has 34.
 _LOCALIZED_LEAST = 15.0
 _CURE_PLACES = 25  # where one more sensor is tried
@@ -87,6 +88,8 @@ def judge(config: RobotConfig) -> list[Finding]:
         findings.append(Finding("stages", "bad", str(error)))
     growth = _growth(config) if config.body.grows else ()
     findings += [*growth, *_bends(config, wiring), *_folds(config)]
+    if not config.muscles:
+        findings += _touches(config)
     if wiring:
         for side in config.sides:
             findings += _contacts(wiring, side)
@@ -197,7 +200,7 @@ def _bends(config: RobotConfig, wiring: Wiring | None) -> Iterator[Finding]:
 
 def _folds(config: RobotConfig) -> Iterator[Finding]:
     """Whether the base folds before a contact is felt."""
-    if isinf(config.body.critical_curvature):
+    if not config.body.folds:
         return
     for zone, moment in zip(config.body.zones, _fold_moments(config), strict=True):
         part = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
@@ -306,6 +309,25 @@ def _contacts(wiring: Wiring, side: Side) -> Iterator[Finding]:
         yield Finding(part, "ok", text)
         return
     yield Finding(part, "warning", f"{text}: {_cure(config, column, arcs, moment, muscle)}")
+
+
+def _touches(config: RobotConfig) -> Iterator[Finding]:
+    """Where `thigmo feel` localizes a contact that pushes a body without muscles aside."""
+    column = [sensor for sensor in config.sensors if sensor.usable and sensor.side]
+    if not column:
+        yield Finding("feel", "bad", "no healthy sensor reads bends in the plane: add one")
+        return
+    length_cm = config.body.length_cm
+    arcs = np.linspace(0.0, length_cm, _STEPS + 1)[1:]
+    # A force at the tip turns it by half of its moment at the base times the length.
+    moment = min(2 * _PUSHED_RAD / length_cm, *_fold_moments(config))
+    sensors = sorted(column, key=lambda sensor: sensor.center_cm)
+    felt = 100 * _localized(config, sensors, arcs, moment, 0.0, _CALIBRATED_GAIN).mean()
+    text = (
+        f"a push that turns the tip by {degrees(moment * length_cm / 2):.0f} degrees is localized "
+        f"to {WIDTH_SHARE * length_cm:.1f} cm on {felt:.0f} % of the body (`thigmo feel`)"
+    )
+    yield Finding("feel", "ok" if felt >= _LOCALIZED_LEAST else "warning", text)
 
 
 def _cure(

@@ -10,7 +10,7 @@ lies beyond is asked about; the bands are wide enough for every robot that was d
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import isinf, pi
+from math import pi
 
 from thigmo.config import RobotConfig
 from thigmo.design.finding import Finding
@@ -50,7 +50,7 @@ def _question(entry: str, value: float, says: str, unit: str) -> Finding:
 
 
 def _body(config: RobotConfig) -> Iterator[Finding]:
-    if not isinf(config.body.critical_curvature):
+    if config.body.folds:
         yield from _fold(config)
     body = config.body
     if body.grows and not body.radius_cm <= body.pitch_cm <= body.length_cm:

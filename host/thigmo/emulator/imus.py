@@ -41,7 +41,7 @@ class ImuString:
         self._start_cm = np.array([sensor.ends_cm[0] for sensor in sensors])
         self._span_cm = np.array([sensor.span_cm for sensor in sensors])
         self._scale = np.array([sensor.scale for sensor in sensors])
-        self._zero_ohm = np.array([sensor.zero_ohm for sensor in sensors])
+        self._zero_ohm = np.array([sensor.raw_zero for sensor in sensors])
         self._drift_rad_s = radians(parameters.drift_deg_min) / 60 * rng.standard_normal(count)
         self._drift = np.zeros(count)  # rad
         self._seat = np.zeros(count)  # rad, of this eversion

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import ceil, cos, exp, hypot, inf, isinf, isnan, nan, pi, radians, sin
+from math import ceil, cos, exp, hypot, inf, isnan, nan, pi, radians, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -246,7 +246,7 @@ class Plant:
 
     def _critical(self) -> float | None:
         body = self._robot.body
-        if not self.scene.body.fold or isinf(body.critical_curvature):
+        if not (self.scene.body.fold and body.folds):
             return None
         return critical_moment(body.critical_curvature, body.critical_pressure_psi, self.body_psi)
 

@@ -9,7 +9,7 @@ how far the host's robot.toml is off. Lengths in cm, pressures in psi, curvature
 
 from __future__ import annotations
 
-from math import hypot, isinf
+from math import hypot
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -388,7 +388,7 @@ class Scene(Model):
             grating.rescale(1 + spread.gain_spread * rng.standard_normal())
             grating.scale_se = spread.gain_spread
         body = config.body
-        if not isinf(body.critical_curvature):
+        if body.folds:
             body.critical_curvature_se = spread.critical_error * body.critical_curvature
             body.critical_curvature *= max(1 + spread.critical_error * rng.standard_normal(), 0.1)
         return config

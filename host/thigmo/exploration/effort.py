@@ -1,20 +1,25 @@
 """How much robot time a run spends, and on what: the dial between seconds and centimetres.
 
-Every run grows, settles, zeroes and sweeps. What can be chosen is at how many lengths it sweeps,
-whether a contact that was felt is measured by slower sweeps, and how long sensors that have just
-everted stand still before they count. An effort is one such choice, by name or for a budget of
-robot seconds. What a run leaves out, and what that costs, it says.
+Every run grows, settles, zeroes and sweeps. What can be chosen is at which lengths it sweeps, and
+how many slower sweeps measure a contact that was felt. A plan is such a choice. Of all plans that a
+budget of robot time allows, the run takes the one that most pegs are felt and placed by, as the
+mechanics and the robot's stated errors have it (`thigmo.field.expected`). An effort is a budget, by
+name or in robot seconds. What a run leaves out, and what that costs, it says.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
 from math import inf
+from typing import NamedTuple
 
 from thigmo.config import SAME_LENGTH_CM, SIDES, RobotConfig
 from thigmo.errors import DataError
 from thigmo.exploration.plan import stage_lengths
+from thigmo.field import ExpectedSweeps, expected_sweeps
 from thigmo.robot import rising_period_s
 from thigmo.wiring import Wiring
 
@@ -28,77 +33,119 @@ _VENTS_S = 1.5  # after a side
 _MEASURE_S = 6.6
 _REST_S = 6.0  # of young sensors, on average
 
+_MOST_MEASUREMENTS = 2
+_PLACED = 3.0 / 53  # of the body's length: a 95 % interval by which a peg counts as placed
+_SPARE_S = 10.0  # of a budget, about which a line is written
+_MOST_SUBSETS = 8  # stops of which every subset is a plan; of more, the longest ones
+
+
+class Plan(NamedTuple):
+    """Where to sweep from here on."""
+
+    stops: tuple[float, ...]  # everted lengths, cm, ascending; empty: the run is over
+    # slow sweeps that measure a contact at a stop; 0: the readings of the first sweep count
+    measurements: int
+
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """What a run does for its map."""
+    """A budget of robot time, and how it is spent."""
 
     name: str
-    stops: int  # lengths at which it sweeps, at most
-    # slow sweeps that measure a contact at a stop; 0: the readings of the first sweep count
-    measurements: int
+    share: float = 1.0  # of the robot time of a run that omits nothing
     # a young sensor counts once its rest is known to this multiple of its noise
     rest_noise: float = 1.0
     # whether every measurement may raise the body pressure, and not the full length's alone, after
     # which nothing lowers it again
     raises_often: bool = False
-    time_s: float = inf  # budget of robot time
+    measurements: int = _MOST_MEASUREMENTS  # of the plan, or the most that a plan may have
+    time_s: float = inf  # budget in robot seconds, in place of the share
 
-    def lengths(self, config: RobotConfig) -> list[float]:
-        """Everted lengths (cm) at which to sweep, ascending.
 
-        The longest bodies reach and feel most, so the shortest are omitted first. One less than
-        half a pitch behind the full length tells little that the full length does not.
-        """
-        *rest, full = stage_lengths(config)
-        near = [length for length in rest if full - length < config.body.pitch_cm / 2]
-        far = [length for length in rest if length not in near]
-        kept = [full, *far[-_FAR_FIRST:][::-1], *near, *far[:-_FAR_FIRST][::-1]]
-        return sorted(kept[: self.stops])
+class Planner:
+    """Plans of one robot's run, within its effort."""
 
-    def skips(self, config: RobotConfig) -> str:
-        """What this effort omits and what that costs, for the operator; empty if nothing."""
-        said = []
-        stops = self.stops_after(config, 0.0, _BEGINS_S, swept=False)
-        last = stops[-1]
-        if short := [each for each in stage_lengths(config) if each < last and each not in stops]:
-            where = ", ".join(f"{length:g}" for length in short)
-            said.append(f"no sweeps at {where} cm, so obstacles that only they reach are missed")
-        if last < config.body.length_cm - SAME_LENGTH_CM:
-            said.append(f"it ends at {last:g} cm, so obstacles farther out are not felt")
-        if self.measurements == 0:
-            said.append("no second, slower sweep of a contact, so its place is less certain")
-        elif self.rest_noise == inf:
-            said.append("no wait until new sensors have settled, so places are less certain")
-        said += [
-            f"no sweeps towards {muscle.name}, because no healthy sensor at the base responds to "
-            "them, so obstacles there are not felt"
-            for muscle in Wiring.of(config).unguarded_muscles
+    def __init__(self, config: RobotConfig, effort: Effort) -> None:
+        self.config, self.effort = config, effort
+        self._lengths = stage_lengths(config)
+
+    @cached_property
+    def _sides(self) -> list[ExpectedSweeps]:
+        """What sweeps towards each side would tell."""
+        blind = [muscle.name for muscle in Wiring.of(self.config).unguarded_muscles]
+        return [
+            expected_sweeps(self.config, muscle.side, self._lengths)
+            for muscle in self.config.muscles
+            if muscle.side and muscle.name not in blind
         ]
-        return "; ".join(said)
 
-    def expected_s(
+    @property
+    def budget_s(self) -> float:
+        """Robot seconds that a run may take; infinite if it omits nothing."""
+        if self.effort.share == 1.0 or self.effort.time_s < inf:
+            return self.effort.time_s
+        whole = Planner(self.config, EFFORTS["careful"])
+        needed_s = whole.expected_s(Plan(tuple(self._lengths), _MOST_MEASUREMENTS))
+        return self.effort.share * (_BEGINS_S + needed_s)
+
+    def plan(
         self,
-        config: RobotConfig,
-        stops: Sequence[float],
         length_cm: float = 0.0,
+        spent_s: float = _BEGINS_S,
+        swept_cm: Sequence[float] = (),
         settles_s: float = 0.0,
-    ) -> float:
-        """Robot time (s) that sweeps at these lengths take, grown to from another.
+    ) -> Plan:
+        """The plan from a length on by which most pegs are felt and placed.
+
+        `spent_s` of the budget went to sweeps at the lengths `swept_cm`. The sensors at the base
+        settle for `settles_s` yet.
+        """
+        stops = [
+            stop
+            for stop in self._lengths
+            if stop > length_cm - SAME_LENGTH_CM and not _among(swept_cm, stop)
+        ]
+        left_s = self.budget_s - spent_s
+        whole = Plan(tuple(stops), self.effort.measurements)
+        if not stops or self.expected_s(whole, length_cm, settles_s) <= left_s:
+            return whole
+        plans = [
+            Plan(subset, measurements)
+            for subset in _subsets(stops)
+            for measurements in range(self.effort.measurements + 1)
+        ]
+        plans = _without_parts(
+            [plan for plan in plans if self.expected_s(plan, length_cm, settles_s) <= left_s]
+        )
+        if len(plans) < 2:
+            return plans[0] if plans else Plan((), 0)
+        return max(plans, key=lambda plan: self._worth(plan, swept_cm))
+
+    def _worth(self, plan: Plan, swept_cm: Sequence[float]) -> float:
+        """Expected share of pegs that are felt, plus of those that are placed, over the sides."""
+        sweeps = [
+            _among(swept_cm, length) + (1 + plan.measurements) * (length in plan.stops)
+            for length in self._lengths
+        ]
+        return sum(sum(side.told_by(sweeps, _PLACED)) for side in self._sides)
+
+    def expected_s(self, plan: Plan, length_cm: float = 0.0, settles_s: float = 0.0) -> float:
+        """Robot time (s) that a plan takes from a length on.
 
         There the sensors at the base settle for `settles_s` yet. From half of the full length on a
         contact is expected at every other stop.
         """
+        config = self.config
         speed = config.spool.max_speed_cm_s
         columns = (config.column(side) for side in SIDES)
         base_cm = max((c[0].center_cm + c[0].span_cm / 2 for c in columns if c), default=0.0)
-        pitches = stage_lengths(config)
+        pitches = self._lengths
         boundaries = [zone.until_cm for zone in config.body.zones]
         spent, settled_s = 0.0, settles_s
         if length_cm < base_cm:
             spent = _PRESSURE_S
             settled_s = spent + (base_cm - length_cm) / speed + config.board.settle_s
-        for stop in stops:
+        for stop in plan.stops:
             passed = [
                 end for end in {*pitches, *boundaries} if length_cm + SAME_LENGTH_CM < end < stop
             ]
@@ -106,91 +153,103 @@ class Effort:
             spent += _PRESSURE_S * sum(end in boundaries for end in passed)
             look_s = 2 * (rising_period_s(config, config.body.zone_at(stop)) / 4 + _VENTS_S)
             spent = max(spent + _ZERO_S, settled_s + _ZERO_SETTLED_S) + look_s
-            if self.measurements and stop > config.body.length_cm / 2:
-                spent += self.measurement_s(config, stop) / 2
+            if plan.measurements and stop > config.body.length_cm / 2:
+                spent += self.measurement_s(stop, plan.measurements) / 2
             length_cm = stop
         return spent
 
-    def whole_run_s(self, config: RobotConfig) -> float:
+    def whole_run_s(self) -> float:
         """Robot time (s) that a run takes from its beginning."""
-        stops = self.stops_after(config, 0.0, _BEGINS_S, swept=False)
-        return _BEGINS_S + self.expected_s(config, stops)
+        return _BEGINS_S + self.expected_s(self.plan())
 
-    def raises(self, config: RobotConfig, length_cm: float) -> bool:
+    def raises(self, length_cm: float) -> bool:
         """Whether a measurement at a length may raise the body pressure."""
-        return self.raises_often or length_cm > config.body.length_cm - SAME_LENGTH_CM
+        return self.effort.raises_often or self._full(length_cm)
 
-    def measurement_s(self, config: RobotConfig, length_cm: float) -> float:
-        """Robot time (s) that the measurement of a contact at a length takes."""
-        full = length_cm > config.body.length_cm - SAME_LENGTH_CM
-        turns = (1 if full else 2) if self.raises(config, length_cm) else 0
-        rest_s = _REST_S / self.rest_noise
-        return rest_s + turns * _PRESSURE_S + self.measurements * _MEASURE_S
+    def measurement_s(self, length_cm: float, measurements: int) -> float:
+        """Robot time (s) that the measurements of a contact at a length take."""
+        turns = (1 if self._full(length_cm) else 2) if self.raises(length_cm) else 0
+        rest_s = _REST_S / self.effort.rest_noise
+        return rest_s + turns * _PRESSURE_S + measurements * _MEASURE_S
 
-    def stops_after(
-        self,
-        config: RobotConfig,
-        length_cm: float,
-        spent_s: float,
-        *,
-        swept: bool,
-        settles_s: float = 0.0,
-    ) -> list[float]:
-        """The lengths (cm) at which to sweep from here on; empty at the end.
+    def measures(self, plan: Plan, length_cm: float, spent_s: float) -> bool:
+        """Whether a contact at a length is measured: the budget leaves time for the plan's rest."""
+        after = Plan(tuple(s for s in plan.stops if s > length_cm + SAME_LENGTH_CM), 0)
+        needed_s = self.measurement_s(length_cm, plan.measurements)
+        needed_s += self.expected_s(after, length_cm)
+        return plan.measurements > 0 and spent_s + needed_s <= self.budget_s
 
-        The sensors at the base settle for `settles_s` yet. Of the stops that the budget has no time
-        for, the shortest are omitted; for the last, its contact's measurement is (`measures`).
-        Where the budget is too short for the full length as well, the run ends at the longest that
-        it allows.
-        """
-        reached_cm = length_cm + (SAME_LENGTH_CM if swept else -SAME_LENGTH_CM)
+    def _full(self, length_cm: float) -> bool:
+        return length_cm > self.config.body.length_cm - SAME_LENGTH_CM
 
-        def fits(effort: Effort, stops: list[float]) -> bool:
-            needed_s = effort.expected_s(config, stops, length_cm, settles_s)
-            return spent_s + needed_s <= self.time_s
-
-        stops = [stop for stop in self.lengths(config) if stop > reached_cm]
-        while len(stops) > 1 and not fits(self, stops):
-            stops = stops[1:]
-        if len(stops) > 1:
-            return stops
-        look = replace(self, measurements=0)
-        farther = [stop for stop in stage_lengths(config) if stop > reached_cm]
-        return [stop for stop in farther if fits(look, [stop])][-1:]
-
-    def measures(self, config: RobotConfig, length_cm: float, spent_s: float) -> bool:
-        """Whether a contact at a length is measured: a budget leaves time for the full length."""
-        full_cm = config.body.length_cm
-        after = [full_cm] if length_cm < full_cm - SAME_LENGTH_CM else []
-        look = replace(self, measurements=0)
-        needed_s = self.measurement_s(config, length_cm) + look.expected_s(config, after, length_cm)
-        return self.measurements > 0 and spent_s + needed_s <= self.time_s
+    def skips(self) -> str:
+        """What this effort omits and what that costs, for the operator; empty if nothing."""
+        omissions = []
+        plan = self.plan()
+        stops, measurements = plan
+        last = stops[-1]
+        if short := [cm for cm in self._lengths if cm < last and cm not in stops]:
+            where = ", ".join(f"{length:g}" for length in short)
+            omissions.append(
+                f"no sweeps at {where} cm, so obstacles that only they reach are missed"
+            )
+        if last < self.config.body.length_cm - SAME_LENGTH_CM:
+            omissions.append(f"it ends at {last:g} cm, so obstacles farther out are not felt")
+        if measurements == 0:
+            omissions.append("no second, slower sweep of a contact, so its place is less certain")
+        omissions += [
+            f"no sweeps towards {muscle.name}, because no healthy sensor at the base responds to "
+            "them, so obstacles there are not felt"
+            for muscle in Wiring.of(self.config).unguarded_muscles
+        ]
+        spare_s = self.budget_s - _BEGINS_S - self.expected_s(plan)
+        if _SPARE_S <= spare_s < inf:
+            omissions.append(
+                f"{spare_s:.0f} s of the budget are not planned, because no other "
+                "sweep or measurement takes so little"
+            )
+        return "; ".join(omissions)
 
 
-_FAR_FIRST = 2  # whole pitches that come before the one near the full length
+def _among(lengths_cm: Sequence[float], length_cm: float) -> bool:
+    return any(abs(cm - length_cm) <= SAME_LENGTH_CM for cm in lengths_cm)
+
+
+def _subsets(stops: Sequence[float]) -> list[tuple[float, ...]]:
+    """Subsets of the stops; of many stops, those of the longest ones and nested longer ones."""
+    far = stops[-_MOST_SUBSETS:]
+    subsets = [s for count in range(1, len(far) + 1) for s in combinations(far, count)]
+    near = len(stops) - len(far)
+    return subsets + [tuple(stops[first:]) for first in range(near)]
+
+
+def _without_parts(plans: Sequence[Plan]) -> list[Plan]:
+    """Plans that are no part of another one, which tells more."""
+    return [
+        plan
+        for plan in plans
+        if not any(
+            plan != other
+            and set(plan.stops) <= set(other.stops)
+            and plan.measurements <= other.measurements
+            for other in plans
+        )
+    ]
+
+
 EFFORTS = {
-    each.name: each
-    for each in (
-        Effort("quick", 3, 1, rest_noise=inf),
-        Effort("default", 4, 1),
-        Effort("careful", 6, 2, rest_noise=0.5, raises_often=True),
+    effort.name: effort
+    for effort in (
+        Effort("quick", share=0.5),
+        Effort("default", share=0.62),
+        Effort("careful", rest_noise=0.5, raises_often=True),
     )
 }
-THESIS = Effort("thesis", 99, 0)  # stops at every pitch
-# From the least to the most, for budgets.
-_LADDER = (
-    Effort("least", 1, 0),
-    Effort("less", 2, 0),
-    EFFORTS["quick"],
-    Effort("more than quick", 3, 1),
-    EFFORTS["default"],
-    Effort("more than default", 6, 1),
-    EFFORTS["careful"],
-)
+THESIS = Effort("thesis", measurements=0)  # stops at every pitch
 
 
 def chosen_effort(protocol: str, effort: str | None, time_s: float | None) -> Effort:
-    """The effort of a name, before the robot and its budget's share are known.
+    """The effort of a name, before the robot is known.
 
     Raises DataError for a name that there is not, or for a choice that contradicts another.
     """
@@ -208,19 +267,16 @@ def chosen_effort(protocol: str, effort: str | None, time_s: float | None) -> Ef
 
 
 def within(time_s: float, config: RobotConfig) -> Effort:
-    """The most careful effort that a budget of robot time (s) allows.
+    """The effort of a budget of robot time (s).
 
     Raises DataError if it is too short for any sweep.
     """
-    left_s = time_s - _BEGINS_S
-    fitting = [
-        each for each in _LADDER if each.expected_s(config, each.lengths(config)) <= left_s
-    ] or [_LADDER[0]]
-    effort = replace(fitting[-1], name=f"{time_s:g} s", time_s=time_s)
-    if not effort.stops_after(config, 0.0, _BEGINS_S, swept=False):
-        least = _BEGINS_S + effort.expected_s(config, stage_lengths(config)[:1])
+    effort = Effort(f"{time_s:g} s", time_s=time_s)
+    planner = Planner(config, effort)
+    if not planner.plan().stops:
+        looks = [planner.expected_s(Plan((stop,), 0)) for stop in stage_lengths(config)]
         raise DataError(
             f"{time_s:g} s of robot time is too little for a sweep",
-            f"give --time {least + 1:.0f} or more",
+            f"give --time {_BEGINS_S + min(looks) + 1:.0f} or more",
         )
     return effort

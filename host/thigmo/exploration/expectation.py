@@ -15,7 +15,7 @@ from importlib.resources import files
 from math import inf
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.effort import EFFORTS, Effort, within
+from thigmo.exploration.effort import EFFORTS, Effort, Planner, within
 
 ONE_PEG = "as calibrated"
 
@@ -78,9 +78,9 @@ def expectations(config: RobotConfig, time_s: float | None = None) -> list[Expec
 
 
 def _expected(config: RobotConfig, effort: Effort, rows: Sequence[Measured]) -> Expectation:
-    robot_time_s = effort.whole_run_s(config)
+    planner = Planner(config, effort)
     return Expectation(
-        effort.name, robot_time_s, effort.skips(config), tuple(rows), effort.name == "default"
+        effort.name, planner.whole_run_s(), planner.skips(), tuple(rows), effort.name == "default"
     )
 
 

@@ -15,8 +15,8 @@ from types import FrameType
 
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError, DataError, RunFolderError, StoppedByViewerError, ThigmoError
-from thigmo.exploration.effort import EFFORTS, chosen_effort, within
-from thigmo.exploration.fitted import check_exploration_method
+from thigmo.exploration.effort import EFFORTS, Planner, chosen_effort, within
+from thigmo.exploration.methods import FIELD, check_exploration_method
 from thigmo.exploration.prior import read_prior, within_reach
 from thigmo.exploration.result import ExplorationResult
 from thigmo.exploration.resume import interrupted
@@ -54,7 +54,7 @@ def explore(
     protocol: Protocol | None = None,
     effort: str | None = None,
     time_s: float | None = None,
-    method: str = "posterior",
+    method: str = FIELD,
     prior: str | os.PathLike[str] | None = None,
     resume: str | os.PathLike[str] | None = None,
     operator: Operator | None = None,
@@ -80,9 +80,10 @@ def explore(
             (docs/figures.md charts it). The protocol "thesis" has no such choice.
         time_s: in place of `effort`, a budget of robot time in seconds, within which the run does
             as much as it can. Time spent waiting for a person counts.
-        method: as for `thigmo.localize`. "thesis" gives no intervals, so every stage's place is
-            a contact of its own: nothing shows whether two are the same. Or "field":
-            `thigmo.field` places the contacts by all sweeps of a side.
+        method: "field" places contacts by one fit to every frame of all sweeps of a side
+            (`thigmo.field`). "thesis" takes each sweep's peak by the thesis's solver. It gives no
+            intervals, so every stage's place is a contact of its own: nothing shows whether two are
+            the same.
         prior: a map of the room: an earlier run's folder or obstacles.json, or a ROS map's YAML
             file. Readings can overrule it.
         resume: folder of a run that was cut short. The new run continues with what that one had
@@ -157,10 +158,11 @@ def explore(
             )
         if time_s is not None:
             chosen = within(time_s, used)
+        planner = Planner(used, chosen)
         document = replace(
             document,
             effort=chosen.name,
-            skips=chosen.skips(used),
+            skips=planner.skips(),
             muscles=NamedMuscle.all_of(used),
         )
         folder = RunFolder.create(out, label, started.astimezone())
@@ -207,7 +209,7 @@ def explore(
             robot.record_fibre(log.fibre)
             robot.while_waiting(log.check)
             run = Exploration(
-                robot, used, folder, log, document, tell, protocol, chosen, given, control,
+                robot, used, folder, log, document, tell, planner, protocol, given, control,
                 past.knows if past else None,
             )  # fmt: skip
             _walk(run)

@@ -1,67 +1,75 @@
-"""The method `field`: the map's contacts by one fit to all sweeps of a side (`thigmo.field`).
-
-Kept beside the map, live and in replays; what a frame felt still steers the sweeps.
-"""
+"""The contacts of each side, for the map: one fit to all frames of its sweeps (`thigmo.field`)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+from scipy.special import ndtr
 
-from thigmo.config import SIGN, RobotConfig, Side
-from thigmo.errors import DataError
+from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
+from thigmo.contact_status import SURE
 from thigmo.exploration.prior import boost, match
-from thigmo.exploration.sighting import LEVEL
 from thigmo.field import Atlas, FieldContact, Swept, contacts, read
-from thigmo.localization import METHODS, check_method
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle
-from thigmo.robot import SensorTable, SweepResult
+from thigmo.robot import SweepResult
 from thigmo.robot.curvature import Floats
-from thigmo.wiring import Wiring
 
-FIELD = "field"  # the method; its single frames are localized as by "posterior"
 _MAP_ERRS = 1.3  # bends of the atlas over the map's highest
+_CELL_CM = 0.5  # of the posterior along the body
+_SMOOTH_CM = 0.25  # one sigma by which a sample of the arc is spread over the cells
 
 
-def check_exploration_method(method: str) -> None:
-    """Raises DataError if explorations have no such method."""
-    if method == FIELD:
-        return
-    if method not in METHODS:
-        try:
-            check_method(method)
-        except DataError as error:
-            raise DataError(error.what, f"use one of {', '.join((*METHODS, FIELD))}") from None
+@lru_cache(maxsize=4)
+def _atlas(length_cm: float, most_bend: float) -> Atlas:
+    """An atlas that all runs of a robot and their replays share: making it takes two seconds."""
+    return Atlas(length_cm, most_bend)
 
 
-def frame_method(method: str) -> str:
-    """The method of `localize` for the single frames of an exploration."""
-    return METHODS[0] if method == FIELD else method
+@dataclass(frozen=True, slots=True)
+class FittedContact:
+    """A contact for the map, with the samples of its arc along the body."""
+
+    contact: MapContact
+    arcs: Floats  # (n,) cm
+    weights: Floats  # (n,) of sum one
+
+    def felt_at(self, length_cm: float) -> bool:
+        """Whether a sweep at an everted length touched it."""
+        lengths = [*self.contact.merged, self.contact.everted_length_cm]
+        return any(abs(length - length_cm) < SAME_LENGTH_CM for length in lengths)
+
+    def cells(self, length_cm: float) -> tuple[Floats, Floats]:
+        """Middles (n,) of cells along a body, cm, and the posterior mass (n,) of each."""
+        edges = np.linspace(0.0, length_cm, max(round(length_cm / _CELL_CM), 1) + 1)
+        below = ndtr((edges[:, None] - self.arcs) / _SMOOTH_CM) @ self.weights
+        below[0], below[-1] = 0.0, 1.0  # what bears on the end lies in the last cell
+        return 0.5 * (edges[1:] + edges[:-1]), np.diff(below)
 
 
-class FittedMap:
-    """Contacts of each side by all of its sweeps so far."""
+class SideFits:
+    """Fits to the sweeps of each side so far."""
 
     def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
         self._config, self._prior = config, prior
         self._sweeps: dict[Side, list[Swept]] = {side: [] for side in config.sides}
-        self._known: dict[Side, tuple[int, list[MapContact]]] = {}
+        self._known: dict[Side, tuple[int, list[FittedContact]]] = {}
         bend = max(
             zone.inflate.curvature(muscle.max_pressure_psi)
             for muscle in config.muscles
             for zone in muscle.maps
         )
-        self._atlas = Atlas(config.body.length_cm, _MAP_ERRS * bend)
+        self._atlas = _atlas(config.body.length_cm, _MAP_ERRS * bend)
 
-    def add(self, sweep: SweepResult, zone: int) -> None:
-        """Take a sweep, in a zone of body pressure, for each side that it bent the body to."""
-        for side in {peak.side for peak in sweep.peaks}:
+    def add(self, sweep: SweepResult, zone: int, sides: Collection[Side]) -> None:
+        """Take what a sweep, in a zone of body pressure, read on its way to these sides."""
+        for side in sides:
             self._sweeps[side].append(Swept(sweep, zone))
 
-    def contacts(self, side: Side) -> list[MapContact]:
+    def contacts(self, side: Side) -> list[FittedContact]:
         """What the sweeps of one side touched, in the workspace."""
         if side not in self._sweeps:
             return []
@@ -71,8 +79,9 @@ class FittedMap:
             self._known[side] = len(self._sweeps[side]), known
         return known
 
-    def _fit(self, side: Side) -> list[MapContact]:
-        prepared = read(self._sweeps[side], side, self._config)
+    def _fit(self, side: Side) -> list[FittedContact]:
+        sweeps = self._sweeps[side]
+        prepared = read(sweeps, side, self._config)
         if prepared is None:
             return []
         expected = None
@@ -83,20 +92,24 @@ class FittedMap:
                 return boost(self._prior, mirrored, self._config.body.length_cm)
 
         found = contacts(*prepared, self._atlas, expected=expected)
-        return [self._mapped(contact, side, len(found)) for contact in found]
+        model = f"by {len(sweeps)} sweep{'s' if len(sweeps) > 1 else ''}"
+        model += f"; one of {len(found)} on this side" if len(found) > 1 else ""
+        sensors = prepared[0].centers.size
+        return [
+            FittedContact(
+                self._mapped(contact, side, model, sensors), contact.arcs, contact.weights
+            )
+            for contact in found
+        ]
 
-    def _mapped(self, contact: FieldContact, side: Side, count: int) -> MapContact:
-        """One of so many contacts of a side, in the workspace."""
+    def _mapped(self, contact: FieldContact, side: Side, model: str, sensors: int) -> MapContact:
+        """The contact by so many sensors, in the workspace; `model` says by what sweeps."""
         sign = SIGN[side]
         mirror = np.diag([1.0, sign])
         (xx, xy), (yx, yy) = (mirror @ contact.covariance_cm2 @ mirror).tolist()
         sure = narrow(contact.interval_cm, self._config.body.length_cm)
-        localized = contact.places and sure and contact.probability >= LEVEL
-        sweeps = self._sweeps[side]
+        localized = contact.places and sure and contact.probability >= SURE
         force = -sign * contact.force_per_cm2
-        model = f"{contact.kind}, by {len(sweeps)} sweeps"
-        model += f"; one of {count} on this side" if count > 1 else ""
-        model += f"; {contact.doubt}" if contact.doubt else ""
         mapped = MapContact(
             arc_cm=contact.arc_cm,
             x_cm=contact.x_cm,
@@ -109,10 +122,8 @@ class FittedMap:
             normal_rad=sign * contact.normal_rad,
             covariance_cm2=((xx, xy), (yx, yy)),
             track=[(round(x, 4), round(sign * y, 4)) for x, y in contact.track.tolist()],
-            model=model,
-            readings=int(
-                SensorTable.of(Wiring.of(self._config)).usable(side, sweeps[-1].sweep.sensors).sum()
-            ),
+            model=f"{contact.kind}, {model}" + (f"; {contact.doubt}" if contact.doubt else ""),
+            readings=sensors,
             merged=[length for length in contact.felt_at_cm if length < contact.length_cm - 0.1],
             probability=round(contact.probability, 4),
             peg_probability=round(contact.probability, 4),

@@ -18,7 +18,7 @@ from contourpy import FillType, contour_generator
 from numpy.typing import NDArray
 
 from thigmo.config import SIDES
-from thigmo.exploration.sighting import LEVEL
+from thigmo.contact_status import SURE
 from thigmo.record import (
     OBSTACLES_FILE,
     Ellipse,
@@ -110,9 +110,9 @@ def _occupied_lines(obstacle: Obstacle) -> list[list[Point]]:
     lines: list[list[Point]] = []
     if obstacle.cell_cm:
         return lines
-    if obstacle.status == "localized" and obstacle.probability >= LEVEL:
+    if obstacle.status == "localized" and obstacle.probability >= SURE:
         lines.append(_core(obstacle) if obstacle.normal_rad is not None else obstacle.track)
-    if obstacle.probability * obstacle.wall_probability >= LEVEL:
+    if obstacle.probability * obstacle.wall_probability >= SURE:
         lines.append(obstacle.surface)
     return lines
 

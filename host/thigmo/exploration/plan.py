@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import count, takewhile
 
 from thigmo.config import SAME_LENGTH_CM, SIDES, RobotConfig
-from thigmo.errors import ConfigError
+from thigmo.errors import ConfigError, DataError
 
 FOLD_MARGIN_CM = 0.5  # keep-out around a sensor's ends for the tip's fold; the board's default
 
@@ -43,6 +43,21 @@ def stage_lengths(config: RobotConfig) -> list[float]:
     pitches = (number * config.body.pitch_cm for number in count(1))
     whole = takewhile(lambda length: length <= full - SAME_LENGTH_CM, pitches)
     return [*(length for length in whole if not half_everted(config, length)), full]
+
+
+def short_of(config: RobotConfig, length_cm: float) -> RobotConfig:
+    """The robot as it is planned for where it may not grow beyond a length (cm).
+
+    It ends at the last of its stages before that. Raises DataError if there is none.
+    """
+    stages = [stage for stage in stage_lengths(config) if stage <= length_cm]
+    if not stages:
+        raise DataError(
+            f"the map has an obstacle in the robot's path at {length_cm:.1f} cm, before any stage",
+            "correct the map, turn the robot, or leave --map out",
+        )
+    body = config.body.model_copy(update={"length_cm": stages[-1]})
+    return config.model_copy(update={"body": body})
 
 
 def growth_zone(config: RobotConfig, length_cm: float, target_cm: float) -> int:

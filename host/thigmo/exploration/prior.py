@@ -35,6 +35,7 @@ from thigmo.robot.curvature import Floats
 # the two runs' shapes err.
 _FLOOR_CM = 1.5
 _SAME_SIGMA = 3.0
+_SURE = 0.95
 
 
 def boost(prior: Sequence[Obstacle], points: Floats, length_cm: float) -> Floats:
@@ -112,6 +113,30 @@ def within_reach(prior: Sequence[Obstacle], body: Body) -> list[Obstacle]:
         elif reached.any():
             near.append(obstacle)
     return near
+
+
+def obstacle_ahead(prior: Sequence[Obstacle], radius_cm: float) -> tuple[float, float] | None:
+    """The nearest obstacle in the straight path of the tip of which a map is sure to 95 %.
+
+    Returns its x (cm), and the length (cm) up to which the body stays clear of it: two standard
+    deviations of its place shorter. None if there is none.
+    """
+    nearest: tuple[float, float] | None = None
+    for obstacle in prior:
+        if not obstacle.probability >= _SURE:  # NaN of a point estimate is not
+            continue
+        places = np.asarray(obstacle.track)
+        std_cm = _FLOOR_CM
+        if obstacle.normal_rad is not None:
+            places = np.array([[obstacle.x_cm, obstacle.y_cm]])
+            std_cm = float(np.hypot(_FLOOR_CM, np.sqrt(obstacle.covariance_cm2[0][0])))
+        in_path = places[(places[:, 0] > 0) & (np.abs(places[:, 1]) < radius_cm)]
+        if in_path.size:
+            x_cm = float(in_path[:, 0].min()) - obstacle.cell_cm / 2
+            clear_cm = x_cm - 2 * std_cm
+            if nearest is None or clear_cm < nearest[1]:
+                nearest = x_cm, clear_cm
+    return nearest
 
 
 def kept_prior(folder: RunFolder) -> list[Obstacle]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import RunFolderError
+from thigmo.exploration.methods import FIELD
 from thigmo.exploration.plan import trial_zone
 from thigmo.exploration.reducer import Reducer
 from thigmo.link import protocol as wire
@@ -193,7 +194,7 @@ class RecordedRun:
         logs: list[Log],
         config: RobotConfig,
         prior: Sequence[Obstacle] = (),
-        method: str = "posterior",
+        method: str = FIELD,
     ) -> None:
         self._config = config
         self.logs = logs

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from thigmo.config import SAME_LENGTH_CM, RobotConfig
-from thigmo.exploration.peak import PeakAnswer
-from thigmo.exploration.stage import Interpreter
+from thigmo.exploration.methods import FIELD
+from thigmo.exploration.stage import Interpreter, SideAnswer
 from thigmo.exploration.stall import Lean, Obstruction, lean, stall
 from thigmo.record import Obstacle, Stage, Stall
 from thigmo.robot import Profile, SensorTable, SweepResult
@@ -26,7 +26,7 @@ class Reducer:
     """Takes a run's steps in their order.
 
     Attributes:
-        found: what the sweeps have taught, and the map.
+        found: what the sweeps have shown, and the map.
         stages: those that were swept to their end.
         looked: the stage's sweep for contacts.
         measured: the sweeps that measured one; None without.
@@ -38,7 +38,7 @@ class Reducer:
     """
 
     def __init__(
-        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
+        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = FIELD
     ) -> None:
         self._table = SensorTable.of(Wiring.of(config))
         self._board = self._table.board  # its zeros last from stage to stage
@@ -47,7 +47,7 @@ class Reducer:
         self.stages: list[Stage] = []
         self.looked = SweepResult()
         self.measured: SweepResult | None = None
-        self.answers: list[PeakAnswer] = []
+        self.answers: list[SideAnswer] = []
         self.obstruction: Obstruction | None = None
         self.tried: Obstruction | None = None
         self.raised: int | None = None
@@ -118,14 +118,16 @@ class Reducer:
     def has_looked(self, sweep: SweepResult, zone: int) -> None:
         """A sweep for contacts has ended, in a zone of body pressure."""
         self.looked, self.measured, self.answers, self._zone = sweep, None, [], zone
+        self.found.take(sweep, zone)
 
     def has_measured(self, sweep: SweepResult, zone: int) -> None:
         """The sides with a contact were swept again, for the first time or once more, in a zone."""
+        self.found.take(sweep, zone)
         if self.measured:
             sweep = replace(SweepResult.joined([self.measured, sweep]), truth=sweep.truth)
         self.measured, self._measured_zone = sweep, zone
 
-    def localized(self) -> list[PeakAnswer]:
+    def localized(self) -> list[SideAnswer]:
         """Localize the stage's contacts."""
         self.answers = self.found.localize(
             self.looked, self.measured, self._zone, self._measured_zone

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from thigmo.errors import RunFolderError
-from thigmo.exploration.fitted import check_exploration_method
+from thigmo.exploration.methods import FIELD, check_exploration_method
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import kept_prior
 from thigmo.exploration.recorded import RecordedRun
@@ -68,7 +68,7 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
     known: RunDocument | None = None
     with suppress(RunFolderError):  # it was cut short before it knew anything
         known = folder.read_document()
-    used = method or (known.method if known else "posterior")
+    used = method or (known.method if known else FIELD)
     recorded, log = RecordedRun(folder, logs, config, prior, used), logs[-1]
     if known is None:
         url, started = (log.metadata.get(name, "") for name in ("url", "started"))

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
-from thigmo.exploration.effort import EFFORTS, THESIS, Effort
+from thigmo.exploration.effort import Plan, Planner
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import (
     held_now,
@@ -23,7 +23,8 @@ from thigmo.exploration.measuring import (
     pressing_zone,
 )
 from thigmo.exploration.obstacles import export_obstacles
-from thigmo.exploration.plan import growth_target, growth_zone, stage_lengths, trial_zone
+from thigmo.exploration.plan import growth_target, growth_zone, short_of, stage_lengths, trial_zone
+from thigmo.exploration.prior import obstacle_ahead
 from thigmo.exploration.reducer import Reducer
 from thigmo.exploration.run_control import Live, RunControl
 from thigmo.exploration.scoring import true_obstruction
@@ -68,8 +69,8 @@ class Exploration:
     # what is known at the start; kept up to date, and written after each stage
     document: RunDocument
     progress: Progress  # called at each state and while waiting
+    planner: Planner  # where it sweeps
     protocol: Protocol = "measure"  # how a contact is measured
-    effort: Effort = EFFORTS["default"]  # of the protocol "measure"
     prior: Sequence[Obstacle] = ()  # obstacles of a map of the room
     control: RunControl = field(default_factory=RunControl)  # whether viewers want it to wait
     knows: Reducer | None = None  # of the run that this one resumes
@@ -80,10 +81,12 @@ class Exploration:
     _zone: int = 0
     _measured_zone: int = 0  # of the body pressure at which the stage's contacts are measured
     _body_psi: float | None = None  # what the operator last set
-    _known: set[Side] = field(default_factory=set)  # of contacts that the first sweep has placed
+    # sides with a contact that the stage's first sweep has not placed well enough
+    _unplaced: set[Side] = field(default_factory=set)
     _growth: GrowthWatcher = field(default_factory=GrowthWatcher)
     _zero_tries: int = 0
     _measurements: int = 0  # sweeps that have measured the stage's contacts
+    _plan_ahead: Plan = field(default_factory=lambda: Plan((), 0))  # from the stage on
     _ends_s: float = 0.0  # robot time at which the run is expected to end; 0 before a plan
     _done: float = 0.0  # share of the run
 
@@ -93,9 +96,8 @@ class Exploration:
         self._found = self._knows.found
         self._wiring = Wiring.of(self.config)
         self._table = SensorTable.of(self._wiring)
-        if self.protocol == "thesis":
-            self.effort = THESIS
         self._base = sum(1 << number for number in self._wiring.base_inputs)
+        self.planner = Planner(self._short_of_the_map(), self.planner.effort)
 
     def run(self) -> None:
         """Walk the table to its end; each state has the method of its name.
@@ -145,6 +147,19 @@ class Exploration:
 
     # Before the first stage.
 
+    def _short_of_the_map(self) -> RobotConfig:
+        """The robot as it is planned for: it ends short of an obstacle that the map has ahead."""
+        ahead = obstacle_ahead(self.prior, self.config.body.radius_cm)
+        if ahead is None or not self.config.body.grows or ahead[1] >= self.config.body.length_cm:
+            return self.config
+        planned = short_of(self.config, ahead[1])
+        said = (
+            f"it ends at {planned.body.length_cm:.1f} cm, short of what the map has in its path at "
+            f"x {ahead[0]:.1f} cm, so obstacles farther out are not felt"
+        )
+        self._note(skips="; ".join(filter(None, [self.document.skips, said])))
+        return planned
+
     def _configure(self) -> str:
         if self.document.skips:
             self.live.tell(Log, "info", f"effort {self.document.effort}: {self.document.skips}")
@@ -166,21 +181,23 @@ class Exploration:
     # Each stage.
 
     def _plan(self) -> str:
-        swept, spent_s = self._knows.swept(self.length_cm), self.robot.elapsed_s
+        spent_s = self.robot.elapsed_s
         settles_s = self.robot.settles_s(self._base)
-        stops = self.effort.stops_after(
-            self.config, self.length_cm, spent_s, swept=swept, settles_s=settles_s
-        )
-        behind = [stage.everted_length_cm for stage in self._knows.stages]
-        pace = spent_s / self.effort.expected_s(self.config, behind) if behind else 1.0
-        self._ends_s = spent_s + pace * self.effort.expected_s(
-            self.config, stops, self.length_cm, settles_s
-        )
-        if not stops:
-            full = self.length_cm > self.config.body.length_cm - SAME_LENGTH_CM
+        behind = tuple(stage.everted_length_cm for stage in self._knows.stages)
+        plan = self.planner.plan(self.length_cm, spent_s, behind, settles_s)
+        expected_s = self.planner.expected_s(Plan(behind, plan.measurements))
+        pace = spent_s / expected_s if behind else 1.0
+        self._ends_s = spent_s + pace * self.planner.expected_s(plan, self.length_cm, settles_s)
+        self._plan_ahead = plan
+        if not plan.stops:
+            longest_cm = self.planner.config.body.length_cm
+            full = self.length_cm > longest_cm - SAME_LENGTH_CM
+            if full and longest_cm < self.config.body.length_cm:
+                self._note(outcome="peg ahead")
+                return "peg ahead"
             self._note(outcome="full length" if full else f"time is up at {self.length_cm:.1f} cm")
             return "fully deployed" if full else "time is up"
-        stage = stops[0]
+        stage = plan.stops[0]
         grows = stage > self.length_cm + 0.1
         if grows and peg_ahead(self.document.contacts, self.length_cm, self.config.body.radius_cm):
             self._note(outcome="peg ahead")
@@ -326,7 +343,7 @@ class Exploration:
     def _sweep(self) -> str:
         thesis = self.protocol == "thesis"
         period_s = sweep_period_s if thesis else rising_period_s
-        self._known, self._measurements = set(), 0
+        self._measurements = 0
         looked = self.robot.sweep(
             {
                 muscle.name: muscle.max_pressure_psi
@@ -343,34 +360,26 @@ class Exploration:
             return "no contact"
         if thesis:
             return "contact, thesis protocol"
-        measures = self.effort.measures(self.config, self._stage_cm, self.robot.elapsed_s)
-        return "contact" if fired - self._known and measures else "contact, and its place"
+        measures = self.planner.measures(self._plan_ahead, self._stage_cm, self.robot.elapsed_s)
+        self._unplaced = fired - self._found.placed_sides(self._knows.looked)
+        return "contact" if self._unplaced and measures else "contact, and its place"
 
     def _enough(self, so_far: SweepResult) -> bool:
-        """Whether a side's sweep can stop: its contact's place is known, or the base near its fold.
+        """Whether a side's sweep can stop, because the base is near its fold."""
+        held = held_now(so_far.frames, so_far.peaks[-1].side)
+        if held > TRIGGER_PER_CM:
+            self._show(so_far, self._zone)
+        return pressed_enough(held, self.config, self._zone)
 
-        The latter is measured again, slowly, with every sensor.
-        """
-        side = so_far.peaks[-1].side
-        held = held_now(so_far.frames, side)
-        if held <= TRIGGER_PER_CM:
-            return False
-        answer = self._found.so_far(so_far, self._zone)
-        if answer is not None and self.live.due:
-            self.live.posterior(self.length_cm, answer, sweeping=True)
-        if answer is None or not self._found.placed(answer):
-            return pressed_enough(held, self.config, self._zone)
-        self._known.add(side)
-        return True
-
-    def _measured_enough(self, so_far: SweepResult) -> bool:
-        """Whether a measurement at a raised body pressure can stop: the base is near its fold.
-
-        Publishes what it feels so far to viewers.
-        """
-        zone = self._measured_zone
+    def _show(self, so_far: SweepResult, zone: int) -> None:
+        """Publish what a sweep feels so far to viewers."""
         if self.live.due and (answer := self._found.so_far(so_far, zone)) is not None:
             self.live.posterior(self.length_cm, answer, sweeping=True)
+
+    def _measured_enough(self, so_far: SweepResult) -> bool:
+        """Whether a measurement at a raised body pressure can stop: the base is near its fold."""
+        zone = self._measured_zone
+        self._show(so_far, zone)
         held = held_now(so_far.frames, so_far.peaks[-1].side)
         return zone != self._zone and pressed_enough(held, self.config, zone)
 
@@ -381,7 +390,7 @@ class Exploration:
             return "every sensor known"
         self.robot.vent()
         noise, young = self._table.noise, in_mask(aside)
-        enough = self.effort.rest_noise * noise[young]
+        enough = self.planner.effort.rest_noise * noise[young]
         if (self.robot.young_noise()[young] <= enough).all():
             return "every sensor known"
         if aside & ~self.robot.status().settled:
@@ -396,8 +405,8 @@ class Exploration:
     def _press(self) -> str:
         """Raise the body pressure if contacts can be pressed harder with it."""
         self._measured_zone = self._zone
-        zone = pressing_zone(self._knows.looked.frames, self._unplaced(), self.config, self._zone)
-        if zone == self._zone or not self.effort.raises(self.config, self._stage_cm):
+        zone = pressing_zone(self._knows.looked.frames, self._unplaced, self.config, self._zone)
+        if zone == self._zone or not self.planner.raises(self._stage_cm):
             return "pressure as it is"
         self.robot.vent()
         try:
@@ -407,18 +416,14 @@ class Exploration:
         self._measured_zone = zone
         return "pressure set"
 
-    def _unplaced(self) -> set[Side]:
-        """Sides with a contact that the first sweep does not place well enough."""
-        return self._found.felt_sides(self._knows.looked) - self._known
-
     def _measure(self) -> str:
-        frames, zone, unplaced = self._knows.looked.frames, self._measured_zone, self._unplaced()
+        frames, zone = self._knows.looked.frames, self._measured_zone
         tops: dict[str | float, float] = {
             muscle.name: measuring_pressure(frames, muscle.side, self.config, zone)
             if zone == self._zone
             else muscle.max_pressure_psi
             for muscle in self.config.muscles
-            if muscle.side in unplaced
+            if muscle.side in self._unplaced
         }
         self.robot.vent()
         measured = self.robot.sweep(
@@ -429,7 +434,7 @@ class Exploration:
         )
         self._measurements += 1
         self._knows.has_measured(measured, zone)
-        again = self._measurements < self.effort.measurements
+        again = self._measurements < self._plan_ahead.measurements
         return "once more" if again else "measured"
 
     def _localize(self) -> str:
@@ -439,7 +444,7 @@ class Exploration:
         if not answers:
             nothing = "nothing was felt at this stage"
             self.live.tell(Posterior, "", self.length_cm, (), (), "no contact", "", nothing)
-        return "contact" if any(answer.sightings for answer in answers) else "none"
+        return "contact" if answers else "none"
 
     def _map(self) -> str:
         self._knows.mapped()

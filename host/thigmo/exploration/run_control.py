@@ -10,10 +10,9 @@ import queue
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from math import tanh
 
 from thigmo.errors import StoppedByViewerError
-from thigmo.exploration.peak import PeakAnswer
+from thigmo.exploration.stage import SideAnswer
 from thigmo.link import protocol as wire
 from thigmo.robot import Robot
 from thigmo.stream import Command, Message, Posterior, Question
@@ -39,20 +38,19 @@ class Live:
         """Whether it is time for another posterior of mid-sweep: there are ten a second."""
         return self._robot.now() - self._felt_s >= _SWEEPING_S
 
-    def posterior(self, length_cm: float, answer: PeakAnswer, *, sweeping: bool = False) -> None:
+    def posterior(self, length_cm: float, answer: SideAnswer, *, sweeping: bool = False) -> None:
         """What the sweep of one side showed; `sweeping` while it goes on."""
-        result = answer.result
         self._felt_s = self._robot.now()
         self.tell(
             Posterior,
-            answer.shape.side,
+            answer.side,
             length_cm,
-            tuple(result.places.tolist()),
-            tuple(result.mass.tolist()),
-            result.status,
-            result.hypothesis,
-            result.message,
-            (1.0 + tanh(result.log_odds / 2.0)) / 2.0,
+            tuple(answer.places.tolist()),
+            tuple(answer.mass.tolist()),
+            answer.status,
+            answer.hypothesis,
+            answer.message,
+            answer.probability,
             sweeping,
         )
 

@@ -1,166 +1,202 @@
-"""One stage of an exploration, from its sweep to its entry in contacts.json.
+"""One stage of an exploration, from its sweeps to its entry in contacts.json.
 
 Shared by the live run and the replay of a record, so that both say the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from copy import deepcopy
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
-from thigmo.exploration.fitted import FIELD, FittedMap, frame_method
+from thigmo.contact_status import LIKELY
+from thigmo.exploration.fitted import FittedContact
+from thigmo.exploration.frame import localize_frame, point_estimates
 from thigmo.exploration.map import ContactMap
-from thigmo.exploration.measuring import (
-    caught_sides,
-    held_back,
-    pressed_enough,
-)
-from thigmo.exploration.peak import PeakAnswer, localize_peak
-from thigmo.exploration.reference import FreeResponse, gain_errors
+from thigmo.exploration.measuring import caught_sides, held_back, pressed_enough
+from thigmo.exploration.methods import FIELD, THESIS
 from thigmo.exploration.scoring import judged
-from thigmo.exploration.sighting import (
-    LEVEL,
-    LIKELY,
-    bend_grid,
-    passed_before,
-    passed_freely,
-    touch_mass,
-)
-from thigmo.exploration.workspace import centreline, common_error, measured_bend
-from thigmo.record import Obstacle, RunDocument, Shape, Stage, Trigger
-from thigmo.robot import Peak, SensorTable, SweepResult, mean_peak
+from thigmo.exploration.workspace import Bend, centreline, common_error, measured_bend
+from thigmo.localization import METHODS
+from thigmo.record import MapContact, Obstacle, RunDocument, Shape, Stage, Trigger
+from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult, mean_peak
 from thigmo.robot.curvature import Floats
 from thigmo.wiring import Wiring
 
 _SHAPES_A_SIDE = 12
 _AVERAGED = 5  # frames behind a shape, a quarter of a second
-# A 95 % interval this narrow ends a sweep, in diameters of the tube. Contacts on the tip's end need
-# it: at 5 cm they were 0.8 cm farther off on a tube of 3.5 cm, for 7 s of robot time less.
+# Width of a 95 % interval, in diameters of the tube, below which a side is not measured again.
 ENOUGH = 3.0 / 3.5
-# Probability from which a contact counts although the base shows no touch.
-_CERTAIN = 0.99
 _CAUGHT = "the body was held bent before the muscle bent it: its tip is caught, place unknown"
-_NO_TOUCH = "the base was not held back as by an obstacle: noise, or a map that bends too much"
+_NO_TOUCH = "no obstacle explains these sweeps better than noise, or a map that bends too much"
+
+
+@dataclass(frozen=True, slots=True)
+class SideAnswer:
+    """What the sweeps of one side felt at a stage."""
+
+    side: Side
+    length_cm: float
+    shape: Shape  # of the body at the peak, by its readings
+    places: Floats  # (n,) middles of cells along the body, cm; empty without a contact
+    mass: Floats  # (n,) posterior of the contact's arc, of sum one
+    status: str  # "localized", "ambiguous", "no contact", or "point estimate"
+    hypothesis: str  # what explains the readings
+    message: str  # the answer in words
+    probability: float  # that there is a contact
+    points: tuple[MapContact, ...] = ()  # for the map, by a method without intervals
 
 
 class Interpreter:
-    """Reads a run's sweeps in their order, and learns from those without contact."""
+    """Reads a run's sweeps in their order.
+
+    Attributes:
+        map: the contacts so far.
+    """
 
     def __init__(
-        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = "posterior"
+        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = FIELD
     ) -> None:
         self._config = config
-        self._method = frame_method(method)
+        self._thesis = method == THESIS
         self._prior = prior
-        wiring = Wiring.of(config)
-        self._table = SensorTable.of(wiring)
-        self._base_noise = float(self._table.noise[[*wiring.base_inputs]].max(initial=0.0))
-        self._response = FreeResponse(config)
-        self._bends = bend_grid(config.body.length_cm)
-        fitted = FittedMap(config, prior) if method == FIELD else None
-        self.map = ContactMap(config, prior, fitted)  # contacts so far
+        self._table = SensorTable.of(Wiring.of(config))
+        self.map = ContactMap(config, prior)
+
+    def take(self, sweep: SweepResult, zone: int) -> None:
+        """Take a sweep, in a zone of body pressure."""
+        if not self._thesis:
+            self.map.add_sweep(sweep, zone, self._readable_sides(sweep))
+
+    def _readable_sides(self, sweep: SweepResult) -> list[Side]:
+        """Sides with a peak that sensors read, before which nothing held the body bent."""
+        caught = caught_sides(sweep)
+        readable = [peak.side for peak in sweep.peaks if self._use(peak).any()]
+        return [side for side in dict.fromkeys(readable) if side not in caught]
+
+    def _use(self, peak: Peak) -> NDArray[np.bool_]:
+        """Mask of the sensors that read a peak."""
+        return self._table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
 
     def felt_sides(self, sweep: SweepResult) -> set[Side]:
-        """Sides on which a sweep touched something, and whose body was not caught before."""
-        touched = {side for side in SIDES if np.ptp(self._touch(sweep, side)) > 0}
-        return touched - caught_sides(sweep)
+        """Sides on which a sweep that was taken touched something."""
+        sides = self._readable_sides(sweep)
+        if self._thesis:
+            held = {side: held_back(sweep.frames, side).max(initial=0.0) for side in sides}
+            return {side for side in sides if held[side] > TRIGGER_PER_CM}
+        return {side for side in sides if self._felt(side, sweep)}
 
-    def _touch(self, sweep: SweepResult, side: Side) -> Floats:
-        return touch_mass(sweep.frames, side, self._bends, self._base_noise)
+    def _felt(self, side: Side, sweep: SweepResult) -> list[FittedContact]:
+        """The likely contacts of a side that a sweep touched, by the fit to all sweeps."""
+        lengths = {peak.length_cm for peak in sweep.peaks if peak.side == side}
+        return [
+            fitted
+            for fitted in self.map.fitted(side)
+            if fitted.contact.probability > LIKELY and any(map(fitted.felt_at, lengths))
+        ]
+
+    def placed_sides(self, sweep: SweepResult) -> set[Side]:
+        """Sides whose one contact is placed so well that it needs no measurement."""
+        if self._thesis:
+            return set()
+        felt = {side: self._felt(side, sweep) for side in self._readable_sides(sweep)}
+        return {
+            side
+            for side, found in felt.items()
+            if len(found) == 1 and self._well_placed(found[0].contact)
+        }
+
+    def _well_placed(self, contact: MapContact) -> bool:
+        low, high = contact.interval_cm
+        narrow = high - low <= ENOUGH * self._config.body.diameter_cm
+        return contact.status == "localized" and narrow
 
     def localize(
         self, sweep: SweepResult, measuring: SweepResult | None, zone: int, measured_zone: int
-    ) -> list[PeakAnswer]:
-        """Contacts of a stage: where a touch was found, or the readings leave no doubt.
-
-        Of a side that was measured again, that peak counts.
-        """
-        self.map.add_sweep(sweep, zone)
-        if measuring:
-            self.map.add_sweep(measuring, measured_zone)
-        felt, caught = self.felt_sides(sweep), caught_sides(sweep)
-        if measuring:
-            caught |= caught_sides(measuring)
-        again = {
-            side: [peak for peak in measuring.peaks if peak.side == side] if measuring else []
-            for side in SIDES
-        }
+    ) -> list[SideAnswer]:
+        """What a stage felt; of a side that was measured again, at that peak."""
+        felt = self.felt_sides(sweep)
         answers = []
-        for peak in sweep.peaks:
-            side = peak.side
-            if side in caught or not self._table.usable(side, peak.sensors).any():
-                continue  # no sensor is everted and healthy
-            touch = self._touch(sweep, side)
-            if measuring and again[side] and np.ptp(slow := self._touch(measuring, side)) > 0:
-                touch = slow  # it swings less as it begins, and has more frames around its touch
-            self._learn(self._response, sweep, side, zone, touch)
-            if measuring:
-                self._learn(self._response, measuring, side, measured_zone, touch)
-            final = mean_peak(again[side] or [peak])
-            at = measured_zone if again[side] else zone
-            answer = self._localize(final, at, self._response, touch)
-            certain = any(sighting.contact.probability > _CERTAIN for sighting in answer.sightings)
-            if side in felt or certain:
-                answers.append(answer)
-            elif not any(sighting.contact.probability > LIKELY for sighting in answer.sightings):
-                self._response.learn(sweep, side, zone)
-            if side in felt:
-                self.map.add_passed(passed_before(touch, self._bends, peak))
-            elif answer.result.status == "no contact":
-                self.map.add_passed(passed_freely(self._bends, peak))
+        for side in self._readable_sides(sweep):
+            again = [peak for peak in measuring.peaks if peak.side == side] if measuring else []
+            peak = mean_peak(again or [peak for peak in sweep.peaks if peak.side == side])
+            if side not in felt or not self._use(peak).any():
+                continue
+            if self._thesis:
+                answers.append(self._by_frame(peak, measured_zone if again else zone, THESIS))
+            else:
+                answers.append(self._by_fit(peak, self._felt(side, sweep)))
         return answers
 
-    def so_far(self, so_far: SweepResult, zone: int) -> PeakAnswer | None:
-        """The answer so far, on the way up; None where no sensor is everted and healthy."""
+    def so_far(self, so_far: SweepResult, zone: int) -> SideAnswer | None:
+        """What the last frames of a sweep felt, for viewers; None where no sensor can be read."""
         peak = so_far.peaks[-1]
-        if not self._table.usable(peak.side, peak.sensors).any():
+        if not self._use(peak).any():
             return None
-        response = deepcopy(self._response)
-        touch = self._touch(so_far, peak.side)
-        self._learn(response, so_far, peak.side, zone, touch)
-        return self._localize(peak, zone, response, touch)
+        return self._by_frame(peak, zone, THESIS if self._thesis else METHODS[0])
 
-    def _learn(
-        self, response: FreeResponse, sweep: SweepResult, side: Side, zone: int, touch: Floats
-    ) -> None:
-        """Learn from a sweep what it read before its touch, if it has one."""
-        if np.ptp(touch) > 0:
-            surely = np.searchsorted(np.cumsum(touch), 1 - LEVEL)
-            response.learn(sweep, side, zone, float(self._bends[surely]))
-
-    def _localize(self, peak: Peak, zone: int, response: FreeResponse, touch: Floats) -> PeakAnswer:
-        return localize_peak(peak, self._config, zone, response, touch, self._prior, self._method)
-
-    def placed(self, answer: PeakAnswer) -> bool:
-        """Whether an answer has one contact whose place is known well enough."""
-        if len(answer.sightings) != 1:
-            return False
-        low, high = self.map.interval(answer.sightings[0])
-        return (
-            answer.sightings[0].probability >= LEVEL
-            and high - low <= ENOUGH * self._config.body.diameter_cm
+    def _by_fit(self, peak: Peak, felt: Sequence[FittedContact]) -> SideAnswer:
+        places, _ = felt[0].cells(peak.length_cm)
+        contacts = [fitted.contact for fitted in felt]
+        sure = all(contact.status == "localized" for contact in contacts)
+        return SideAnswer(
+            peak.side,
+            peak.length_cm,
+            self._shape(peak),
+            places,
+            np.mean([fitted.cells(peak.length_cm)[1] for fitted in felt], axis=0),
+            "localized" if sure else "ambiguous",
+            contacts[0].model,
+            "; ".join(_words(contact) for contact in contacts),
+            max(contact.probability for contact in contacts),
         )
 
-    def add(self, answers: Iterable[PeakAnswer]) -> None:
-        """Put what a stage felt on the map."""
+    def _by_frame(self, peak: Peak, zone: int, method: str) -> SideAnswer:
+        result = localize_frame(peak, self._config, zone, method)
+        return SideAnswer(
+            peak.side,
+            peak.length_cm,
+            self._shape(peak),
+            result.places,
+            result.mass,
+            result.status,
+            result.hypothesis,
+            result.message,
+            float(0.5 * (1.0 + np.tanh(0.5 * result.log_odds))),
+            tuple(
+                point_estimates(
+                    result, peak, self._bend(peak), int(self._use(peak).sum()),
+                    self._config.body.radius_cm,
+                )
+            ),
+        )  # fmt: skip
+
+    def _bend(self, peak: Peak) -> Bend:
+        """The body at a peak, as its sensors see it."""
+        use = self._use(peak)
+        return measured_bend(peak.length_cm, self._table.center_cm[use], peak.curvature[use])
+
+    def _shape(self, peak: Peak) -> Shape:
+        return Shape(peak.side, peak.pressure_psi, centreline(self._bend(peak)).poses(1.0))
+
+    def add(self, answers: Sequence[SideAnswer]) -> None:
+        """Put what a stage felt on the map; what is fitted is there already."""
         for answer in answers:
-            for sighting in answer.sightings:
-                self.map.add(sighting)
+            self.map.add_points(answer.points)
 
     def entry(
         self,
         t_s: float,
         length_cm: float,
         sweep: SweepResult,
-        answers: Sequence[PeakAnswer],
+        answers: Sequence[SideAnswer],
         zone: int,
     ) -> Stage:
         """The stage's entry in contacts.json."""
-        said = {each.shape.side: (each.result.status, each.result.message) for each in answers}
+        said = {answer.side: (answer.status, answer.message) for answer in answers}
         said |= {side: ("ambiguous", _CAUGHT) for side in caught_sides(sweep) if side not in said}
         shapes = _swept_shapes(length_cm, zone, sweep, self._config)
         return Stage(
@@ -189,6 +225,20 @@ class Interpreter:
         return judged(known, self._config, self._prior)
 
 
+def _words(contact: MapContact) -> str:
+    """A contact of the fit for the operator."""
+    low, high = contact.interval_cm
+    return (
+        f"{contact.model}, at {contact.arc_cm:.1f} cm along the body, 95 % {low:.1f} to {high:.1f}"
+    )
+
+
+def _gain_errors(config: RobotConfig) -> Floats:
+    """(n,) relative standard error of each sensor's scale today; 1 where there is no sensor."""
+    sensors = Wiring.of(config).read_sensors
+    return np.array([np.hypot(s.gain_error, s.drift_se) if s else 1.0 for s in sensors])
+
+
 def _swept_shapes(
     length_cm: float, zone: int, sweep: SweepResult, config: RobotConfig
 ) -> list[Shape]:
@@ -200,7 +250,7 @@ def _swept_shapes(
     """
     shapes = []
     table = SensorTable.of(Wiring.of(config))
-    gain = gain_errors(config)
+    gain = _gain_errors(config)
     for side in SIDES:
         frames, readings = sweep.half(side)
         # A record with a gap may lack a sensor's zero.

@@ -78,23 +78,6 @@ def centreline(bend: Bend) -> Curve:
     return Curve(arc, *traced(heading, step), heading)
 
 
-def excess_knots(
-    centers: Floats, excess: Floats, last_contact_cm: float
-) -> tuple[tuple[float, float], ...]:
-    """The excess curvature along the body from readings: extended to the base, zero at the contact.
-
-    Sensors at `centers` (cm, in any order) read `excess` (1/cm); beyond the last contact the body
-    is free.
-    """
-    along = np.argsort(centers)
-    before = along[centers[along] < last_contact_cm - 1.0]
-    x, y = centers[before], excess[before]
-    if not x.size:
-        return ()
-    inner = zip(x.tolist(), y.tolist(), strict=True)
-    return ((0.0, _at_base(x, y, (last_contact_cm, 0.0))), *inner, (last_contact_cm, 0.0))
-
-
 def _at_base(x: Floats, y: Floats, end: tuple[float, float]) -> float:
     """Curvature at the base, on the line through the first place with sensors and the next.
 

@@ -8,17 +8,20 @@ Called by the exploration for its map; docs/methods.md has the model.
 
 from thigmo.field.answer import FieldContact, contacts
 from thigmo.field.atlas import Atlas
+from thigmo.field.expected import ExpectedSweeps, expected_sweeps
 from thigmo.field.readings import Errors, Readings, Stage
 from thigmo.field.sweeps import Swept, fold_moment, read, stated
 
 __all__ = [
     "Atlas",
     "Errors",
+    "ExpectedSweeps",
     "FieldContact",
     "Readings",
     "Stage",
     "Swept",
     "contacts",
+    "expected_sweeps",
     "fold_moment",
     "read",
     "stated",

@@ -12,9 +12,9 @@ from scipy.special import chdtri
 from threadpoolctl import ThreadpoolController
 
 from thigmo.field.atlas import Atlas
-from thigmo.field.fit import ALIKE
-from thigmo.field.hypotheses import FRICTION, OBSTACLE_UNKNOWNS, RADIUS
-from thigmo.field.posterior import ENOUGH, Samples, Search
+from thigmo.field.fit import ALIKE, Mode
+from thigmo.field.hypotheses import BEND, FRICTION, OBSTACLE_UNKNOWNS, RADIUS, WALL_BEND
+from thigmo.field.posterior import ENOUGH, ROUNDS, Samples, Search
 from thigmo.field.readings import Errors, Floats, Readings
 
 # Log likelihood that a place must gain for a fit: with less, the prior odds of a place refuse it.
@@ -27,9 +27,15 @@ _SURELY, _NEAR = 3.0, 5.0
 # Everted length by the spool's encoder, and the side against the corner of the end, cm.
 _LENGTH_CM = 0.1
 _TRACK = 25  # points
+_FEW_ROUNDS = 3
 _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
 
+# Probability of a touch before the first bin, where no reading shows when it came, beyond which a
+# contact that one length alone has felt is not placed.
+_EARLY = 0.5
+
 UNEXPLAINED_WORDS = "the model does not explain these sweeps"
+EARLY_WORDS = "one length alone touched it, before the first readings that count"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +55,8 @@ class FieldContact:
     force_per_cm2: float  # across the body over EI, without sign
     force_interval_per_cm2: tuple[float, float]  # 95 %
     track: Floats  # (25, 2) the interval drawn along the skin
+    arcs: Floats  # (n,) samples of the arc, cm, widened as the interval is
+    weights: Floats  # (n,) of the samples, of sum one
     probability: float  # that something stands there
     places: bool  # whether its place is an answer: the model holds, and enough samples agree
     doubt: str  # why not, in words
@@ -100,7 +108,7 @@ def _contacts(
     for sought in (search.pairs, search.walls):
         modes = sought()
         if modes and max(map(search.laplace, modes)) > best.log_evidence - _NEAR:
-            samples = search.sample([modes], expected=expected)
+            samples = _sampled(search, [modes], expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
         best, *others = explanations
@@ -115,10 +123,22 @@ def _one_peg(search: Search, expected: Callable[[Floats], Floats] | None) -> Sam
     if not search.places or search.places[0].gain < LEAST_GAIN:
         return None
     chains = search.ridges()
-    samples = search.sample(chains, expected=expected) if chains else None
+    samples = _sampled(search, chains, expected) if chains else None
     if samples is None or _log_odds(search, samples) < np.log(_REFUSED):
         return None
     return samples
+
+
+def _sampled(
+    search: Search, chains: list[list[Mode]], expected: Callable[[Floats], Floats] | None
+) -> Samples | None:
+    """Samples around modes; few, for their evidence alone, if the likeliest leaves too much.
+
+    Where nothing explains the readings, samples that agree are hard to get, and place nothing.
+    """
+    left = search.misfit([mode for chain in chains for mode in chain]) * ALIKE
+    explains = left <= _most_misfit(search.readings)
+    return search.sample(chains, expected=expected, rounds=ROUNDS if explains else _FEW_ROUNDS)
 
 
 def _log_odds(search: Search, samples: Samples) -> float:
@@ -169,8 +189,8 @@ def _placed(
     leaves = samples.misfit * ALIKE
     wider = max(1.0, leaves)
     interval = (
-        max(mean[0] - wider * (mean[0] - low) - _LENGTH_CM, 0.0),
-        min(mean[0] + wider * (high - mean[0]) + _LENGTH_CM, length),
+        max(float(mean[0] - wider * (mean[0] - low)) - _LENGTH_CM, 0.0),
+        min(float(mean[0] + wider * (high - mean[0])) + _LENGTH_CM, length),
     )
     off = wider * (np.column_stack([arc, x, y]) - mean)
     covariance = (weight[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
@@ -179,6 +199,10 @@ def _placed(
     felt = sorted({round(readings.stages[s].length, 2) for s in reached})
     q = samples.q[on]
     is_peg = obstacle < samples.hypothesis.pegs
+    bends = q[:, OBSTACLE_UNKNOWNS * obstacle + (BEND if is_peg else WALL_BEND)]
+    before = bends < readings.bend[np.isin(readings.stage, reached)].min()
+    if not doubt and len(felt) == 1 and weight @ before > _EARLY:
+        doubt = EARLY_WORDS
     radii = readings.radius * np.exp(q[:, OBSTACLE_UNKNOWNS * obstacle + RADIUS])
     return FieldContact(
         length_cm=length,
@@ -190,6 +214,8 @@ def _placed(
         normal_rad=float(turn),
         force_per_cm2=float(weight @ np.abs(force)),
         force_interval_per_cm2=_quantiles(np.abs(force), weight, (0.025, 0.975)),
+        arcs=mean[0] + off[:, 0],
+        weights=weight,
         track=mean[1:] + along * covariance[0, 1:] / covariance[0, 0],
         probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
         places=not doubt,

@@ -42,7 +42,7 @@ class _Table(NamedTuple):
 
 
 class Atlas:
-    """Headings beside a peg of average size at each touch of a grid, for bodies of one robot.
+    """Headings beside a peg of average size at each touch of a grid, for bodies of one length.
 
     Grown as stages come: a table for each everted length and zone, which serves both sides, for
     what a sensor reads is the difference of two headings.
@@ -57,16 +57,16 @@ class Atlas:
         arcs = np.arange(_FIRST_ARC, 1 + _BEYOND, _ARC_STEP) * length_cm
         bends = np.arange(_TURN_STEP, most_bend * length_cm, _TURN_STEP) / length_cm
         self.touches = [(a, b) for a in arcs for b in bends if b < _MOST_TURN / a]
-        self._tables: dict[tuple[float, float], list[_Table | None]] = {}
+        # By radius, everted length and moment that folds the base.
+        self._tables: dict[tuple[float, float, float], list[_Table | None]] = {}
 
     def _stage(self, readings: Readings, s: int) -> list[_Table | None]:
         length, zone = readings.stages[s]
         moment = float(readings.fold_moment[zone])
-        if (length, moment) not in self._tables:
-            self._tables[length, moment] = [
-                self._table(readings.radius, length, moment, a, b) for a, b in self.touches
-            ]
-        return self._tables[length, moment]
+        body = readings.radius, length, moment
+        if body not in self._tables:
+            self._tables[body] = [self._table(*body, a, b) for a, b in self.touches]
+        return self._tables[body]
 
     def _table(
         self, radius: float, length: float, moment: float, arc: float, bend: float

@@ -76,7 +76,9 @@ class Prediction(NamedTuple):
     slope: Floats  # (n, m) over the bend
     effect: Floats  # (n, m, count) derivatives by the errors
     bend: Floats  # (n,) of the free body, 1/cm
-    by_q: Floats  # (n, m, unknowns) derivatives by what stands there
+    answer: Floats  # (n, m) derivatives over the true curvature
+    row: npt.NDArray[np.intp]  # (n,) of the tables below the bend, and
+    part: Floats  # (n,) its share of the way to the next
 
 
 class Departures(NamedTuple):
@@ -87,8 +89,7 @@ class Departures(NamedTuple):
     weight: Floats  # (n, m) of the whitening, for `whitened`
     along: Floats  # (n, m) bin's error of the bend, whitened
     volume: float  # logarithm of the noise's volume
-    value: Floats  # (n, m) prediction
-    by_q: Floats  # (n m, unknowns) its derivatives by what stands there, whitened
+    prediction: Prediction
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,11 @@ class FieldFit:
         self._zero = self._against + 1
         self._modelled = self._zero + self.on_zero.shape[2]
         self.count = self._modelled + (m if self.model else 0)
+        # Errors that each sweep has by itself: of the bend, and beyond a sensor's constant zero.
+        self.of_sweeps = np.zeros(self.count, dtype=bool)
+        first = 1 + 2 * zones.shape[1]
+        self.of_sweeps[first : first + 2 * sweeps.shape[1]] = True
+        self.of_sweeps[self._zero + m : self._modelled] = True
         self._unit = np.eye(self.count)
 
     def free(self) -> Floats:
@@ -251,12 +257,14 @@ class FieldFit:
             added = self.model * (true - bend[:, None])
             effect[:, sensors, self._modelled + sensors] = added
             value = value + added * xi[self._modelled :]
-        answers = (gain * answer)[..., None]
-        by_q = answers * (
-            tables.by_q[r.stage, k] * (1 - part[:, None, None])
-            + tables.by_q[r.stage, k + 1] * part[:, None, None]
-        )
-        return Prediction(value, slope, effect, bend, by_q)
+        return Prediction(value, slope, effect, bend, gain * answer, k, part)
+
+    def by_q(self, tables: Tables, at: Prediction) -> Floats:
+        """(n, m, unknowns) derivatives of a prediction by what stands there."""
+        stage, part = self.readings.stage, at.part[:, None, None]
+        below, above = tables.by_q[stage, at.row], tables.by_q[stage, at.row + 1]
+        slopes: Floats = at.answer[..., None] * (below * (1 - part) + above * part)
+        return slopes
 
     def departures(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Departures:
         """Departures from a prediction.
@@ -264,14 +272,14 @@ class FieldFit:
         The noise is white, plus the mechanics' error, plus each bin's error of the bend, which all
         of its sensors share (a rank-one update).
         """
-        value, slope, effect, bend, by_q = self.predict(tables, xi, spread)
-        added = self.model * (value - bend[:, None]) / self._sd
+        there = self.predict(tables, xi, spread)
+        added = self.model * (there.value - there.bend[:, None]) / self._sd
         weight = 1 / (self._sd * np.sqrt(1 + added**2))
-        along = weight * slope * self.errors.bend_bin
+        along = weight * there.slope * self.errors.bend_bin
         volume = float(np.log1p((along**2).sum(axis=1)).sum() + np.log1p(added**2).sum())
-        left = np.where(self.missing, 0.0, self.readings.curvature - value)
-        z, effect = whitened(left, weight, along), whitened(effect, weight, along)
-        return Departures(z, effect, weight, along, volume, value, whitened(by_q, weight, along))
+        left = np.where(self.missing, 0.0, self.readings.curvature - there.value)
+        z, effect = whitened(left, weight, along), whitened(there.effect, weight, along)
+        return Departures(z, effect, weight, along, volume, there)
 
     def evidence(
         self, tables: Tables, xi: Floats, *, spread: float = 1.0, passes: int = 2
@@ -337,7 +345,7 @@ class FieldFit:
         cost, tables, d = cost_at(q, xi)
         damping, hessian = _DAMPING, np.eye(q.size + self.count)
         for _ in range(passes):
-            by_q = d.by_q.copy()
+            by_q = whitened(self.by_q(tables, d.prediction), d.weight, d.along)
             by_q[:, list(held)] = 0.0
             jacobian = np.hstack([by_q, d.effect])
             hessian = jacobian.T @ jacobian + np.diag(precision)

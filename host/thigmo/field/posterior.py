@@ -225,6 +225,16 @@ class Search:
         modes = [self.fit.solve(hypothesis, mode.q, passes=6, held=held) for mode in first[:2]]
         return min(modes, key=lambda mode: mode.cost, default=None)
 
+    def misfit(self, modes: Sequence[Mode]) -> float:
+        """Sum of squares that the likeliest of modes leaves, over the number of readings."""
+        mode = min(modes, key=lambda mode: mode.cost)
+        least = np.inf
+        for level in self._levels:
+            xi = level.free()
+            xi[: mode.xi.size] = mode.xi
+            least = min(least, level.evidence(mode.tables, xi)[2])
+        return least / float(np.sum(~self.fit.missing))
+
     def laplace(self, mode: Mode) -> float:
         """Log evidence of a mode's hypothesis, were its posterior a bell."""
         log = self.fit.evidence(mode.tables, mode.xi)[0]
@@ -238,12 +248,13 @@ class Search:
         *,
         seed: int = 0,
         expected: Callable[[Floats], Floats] | None = None,
+        rounds: int = ROUNDS,
     ) -> Samples | None:
         """Importance samples, in rounds until enough of them count; None if no place is possible.
 
         The first round is drawn around the ridges, later ones mostly as the samples so far are
         spread; all are weighed by the mixture of all rounds. `expected`: density of a given map at
-        points (n, 2) of the touched skin, over that of a new obstacle.
+        points (n, 2) of the touched skin, over that of a new obstacle; `rounds`: at most so many.
         """
         rng, fit, hypothesis = np.random.default_rng(seed), self.fit, chains[0][0].hypothesis
         ridges, modes, chain_of = _ridges(chains) if hypothesis == PEG else _around(chains)
@@ -253,7 +264,7 @@ class Search:
         counts = np.zeros(ROUNDS * len(chains) + 1)
         drawn: list[_Draw] = []
         weight, round_shares = np.zeros(0), [1.0]
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             for n in rng.choice(len(round_shares), ROUND, p=round_shares):
                 at = len(proposals) - len(round_shares) + n if n else 0
                 counts[at] += 1

@@ -89,7 +89,7 @@ class MapContact:
     #: force across the body in newtons, and its 95 % interval; null and empty if EI is not known
     force_n: float | None = None
     force_interval_n: list[float] = field(default_factory=list)
-    #: of the method `field`, null of others: log odds that something stands there; squares that the
+    #: of a fit, null of other contacts: log odds that something stands there; squares that the
     #: fit leaves for each independent reading (1 if the model holds); effective samples
     fit_log_odds: float | None = None
     fit_misfit: float | None = None
@@ -303,7 +303,7 @@ class RunDocument:
     length_cm: float = 0.0  #: everted length at the end, which the robot keeps
     robot_time_s: float = 0.0  #: device time that the run took
     wall_time_s: float = 0.0  #: the operator's time that it took, from connecting on
-    method: str = "posterior"  #: of the localizer: `thigmo.localize`
+    method: str = "field"  #: by which contacts were localized, as for `thigmo.explore`
     #: "quick", "default", "careful", "thesis", or a budget such as "120 s"
     effort: str = ""
     skips: str = ""  #: parts of a full run that this effort omitted, and their cost; or empty

@@ -20,10 +20,11 @@ from thigmo.robot.state import (
     mean_peak,
 )
 from thigmo.robot.strains import Strains
-from thigmo.robot.sweep import TRIGGER_PER_CM, rising_period_s, sweep_period_s
+from thigmo.robot.sweep import FRAME_SPACING_S, TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.watchers import GrowthWatcher, Profile, SweepWatcher, peak_frame
 
 __all__ = [
+    "FRAME_SPACING_S",
     "JOG_CM",
     "TRIGGER_PER_CM",
     "VENTED_PSI",

@@ -14,9 +14,9 @@ from thigmo.link.inbox import TelemetryFrame
 from thigmo.mechanics.settling import Settling
 from thigmo.robot.curvature import Floats, SensorTable
 from thigmo.robot.idle_pressure import VENTED_CPSI
+from thigmo.robot.sweep import FRAME_SPACING_S
 from thigmo.wiring import Wiring
 
-_SPACING_S = 0.05
 _BIN_S = 0.25
 _STILL_S = 1.5  # after a motion or a bend the body swings for so long
 _FIRST_S = 0.5  # after eversion: the fold is still near
@@ -50,7 +50,7 @@ class CreepWatch:
     def telemetry(self, frame: TelemetryFrame) -> None:
         """Take a frame; one in fifty milliseconds is decoded."""
         t_s = frame.device_s
-        slot = int(t_s / _SPACING_S)
+        slot = int(t_s / FRAME_SPACING_S)
         if slot == self._slot:
             return
         self._slot = slot

@@ -134,7 +134,7 @@ class Fibre:
         scale = np.array([grating.raw_scale for grating in self._gratings])
         muscles = len(self._config.muscles)
         psi = np.mean([row.pressure_cpsi[:muscles] for *_, row in pairs], axis=0) / 100
-        bent = float(psi.max()) >= UNBENT_PSI
+        bent = float(psi.max(initial=0.0)) >= UNBENT_PSI
         return FibreReading(
             t_s=float(np.mean([t_s for t_s, *_ in pairs])),
             strain_ue=mean,

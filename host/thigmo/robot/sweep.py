@@ -21,6 +21,7 @@ RESIDUAL_LAG = 0.5
 ALLOWED_FRACTION = 0.25
 # Faster than this the pressure loop no longer follows 18 psi (0.15 s of transducer, 15 psi/s); a
 # lower pressure is reached as steeply in less time.
+FRAME_SPACING_S = 0.05  # between the frames of telemetry that a sweep keeps
 SHORTEST_PERIOD_S = 15.0
 
 # On the way up only, with the muscle's inflating lag alone, less of it is unknown.

@@ -20,8 +20,8 @@ from thigmo.robot.curvature import Floats, SensorTable, mask_of
 from thigmo.robot.idle_pressure import UNBENT_CPSI
 from thigmo.robot.state import ContactTrigger, Peak, SweepFrame, SweepResult
 from thigmo.robot.strains import Strains
+from thigmo.robot.sweep import FRAME_SPACING_S
 
-_FRAME_SPACING_S = 0.05
 _PEAK_READINGS = 10  # thesis: ten
 
 
@@ -48,7 +48,7 @@ class GrowthWatcher:
     def telemetry(self, frame: TelemetryFrame) -> None:
         """Take a frame; one in fifty milliseconds is decoded."""
         if frame.device_s >= self._next_s:
-            self._next_s = frame.device_s + _FRAME_SPACING_S
+            self._next_s = frame.device_s + FRAME_SPACING_S
             self.t_s.append(frame.device_s)
             self.length_cm.append(frame.message.length_um / 1e4)
             self.flex_sum.append(frame.message.flex_sum)
@@ -112,7 +112,7 @@ class SweepWatcher:
         t_s = frame.device_s
         if self.stopped or t_s < self._next_s:
             return
-        self._next_s = t_s + _FRAME_SPACING_S
+        self._next_s = t_s + FRAME_SPACING_S
         row = frame.message
         pressure = max(row.pressure_cpsi)
         if pressure >= UNBENT_CPSI:

@@ -49,12 +49,12 @@ class HeadingSensor(AnySensor):
         self.scale *= factor
 
     @property
-    def zero_ohm(self) -> float:
+    def raw_zero(self) -> float:
         """What the reader says of the straight body."""
         return self.straight_ohm + self.zero_rad / RAD_PER_OHM
 
     @property
-    def scale_per_ohm(self) -> float:
+    def raw_scale(self) -> float:
         """Curvature (1/cm) for each ohm that the reader says."""
         return self.scale * RAD_PER_OHM / self.span_cm
 
@@ -68,16 +68,6 @@ class HeadingSensor(AnySensor):
         """One sigma of an averaged reading, 1/cm: noise, and what its IMUs drift by."""
         imus = 1 if self.ends_cm[0] < SAME_IMU_CM else 2
         return hypot(self.noise, self.heading_se_rad * imus**0.5 / self.span_cm)
-
-    @property
-    def raw_scale(self) -> float:
-        """Curvature (1/cm) for each ohm that the reader says."""
-        return self.scale_per_ohm
-
-    @property
-    def raw_zero(self) -> float:
-        """What the reader says of the straight body, ohm."""
-        return self.zero_ohm
 
     @classmethod
     def shared_errors(cls, sensors: Sequence[Self]) -> Floats:

@@ -8,6 +8,7 @@ emulation (`emulator/`) build on it.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from math import hypot
 from typing import ClassVar, NamedTuple, Self
@@ -56,22 +57,22 @@ class AnySensor(Placed):
     healthy: bool = True  # false: dead, never used
 
     @property
+    @abstractmethod
     def raw_scale(self) -> float:
         """Curvature (1/cm) for each unit of a raw reading: an ohm, or a microstrain."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def raw_zero(self) -> float:
         """The raw reading of the straight body."""
-        raise NotImplementedError
 
     def reading(self, raw: float) -> float:
         """Curvature (1/cm) at a raw reading."""
         return self.raw_scale * (raw - self.raw_zero)
 
+    @abstractmethod
     def rescale(self, factor: float) -> None:
         """Let it stand for so much more curvature."""
-        raise NotImplementedError
 
     @property
     def usable(self) -> bool:

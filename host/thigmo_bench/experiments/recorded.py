@@ -18,7 +18,6 @@ import numpy as np
 from thigmo.calibrate.bench import READ_S, STEADY_S, grow_to, zero
 from thigmo.config import DEGREES, SIDES, SIGN, RobotConfig, Side
 from thigmo.errors import DataError
-from thigmo.exploration.reference import scale_errors
 from thigmo.record import LogWriter
 from thigmo.robot import Reading, Robot, SensorTable
 from thigmo.version import VERSION
@@ -141,7 +140,7 @@ def trials(folder: Folder) -> list[Trial]:
 
 def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
     """A line of the table as a trial with usable sensors only, and free curvature from the map."""
-    table, scale_se = SensorTable.of(Wiring.of(config)), scale_errors(config)
+    table, scale_se = SensorTable.of(Wiring.of(config)), _scale_errors(config)
     side: Side = row["side"]
     muscle, sign = config.muscle(side), SIGN[side]
     zone = muscle.maps[-1]
@@ -183,9 +182,15 @@ def _gains_at_touch(rows: Sequence[Row], config: RobotConfig, side: Side) -> Flo
     table, muscle = SensorTable.of(Wiring.of(config)), config.muscle(side)
     bent_rows = [row for row in rows if row["side"] == side and row["passed_psi"]]
     zone, sign = muscle.maps[-1], SIGN[side]
-    spread = np.maximum(np.hypot(scale_errors(config), zone.scale_se), _LEAST_GAIN_SE)
+    spread = np.maximum(np.hypot(_scale_errors(config), zone.scale_se), _LEAST_GAIN_SE)
     believed = np.mean([sign * zone.inflate.curvature(row["passed_psi"][0]) for row in bent_rows])
     departure = np.mean([row["passed_curvature"][0] for row in bent_rows], axis=0) - believed
     variance = table.noise**2 + muscle.offset_se**2
     precision = 1 / spread**2 + believed**2 / variance
     return np.asarray(1 + np.nan_to_num(believed * departure / variance / precision))
+
+
+def _scale_errors(config: RobotConfig) -> Floats:
+    """(n,) relative standard error of each sensor's scale; 0 where there is no sensor."""
+    sensors = Wiring.of(config).read_sensors
+    return np.array([sensor.gain_error if sensor else 0.0 for sensor in sensors])

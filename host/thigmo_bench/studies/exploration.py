@@ -31,8 +31,8 @@ from thigmo.emulator.reach import first_felt, random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError, ThigmoError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort, within
-from thigmo.exploration.fitted import check_exploration_method
 from thigmo.exploration.map import best_contact, of_stage
+from thigmo.exploration.methods import FIELD, check_exploration_method
 from thigmo.exploration.obstacles import occupancy
 from thigmo.exploration.scoring import felt_pegs, from_line
 from thigmo.mechanics import Peg
@@ -40,7 +40,7 @@ from thigmo.record import RunDocument, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
 from thigmo_bench.studies import charts
 from thigmo_bench.studies.engine import Claim, Context, Explorations, Outcome, Record, share
-from thigmo_bench.studies.rooms import DEFAULT_METHOD, explored_scene
+from thigmo_bench.studies.rooms import explored_scene
 from thigmo_bench.studies.scenes import RADIUS
 
 ROUNDS = 10  # parts of all rooms; the results so far are written after each
@@ -304,7 +304,7 @@ class Room(NamedTuple):
     kind: str
     seed: int
     setting: str = "default"  # an effort, a budget of robot time, or the thesis's protocol
-    method: str = DEFAULT_METHOD
+    method: str = FIELD
 
 
 def visit(room: Room) -> Run:
@@ -370,7 +370,7 @@ def rooms(context: Context) -> list[list[Room]]:
     Where settings are chosen, every room is explored with each of them.
     """
     choice = context.explorations
-    method = choice.method or DEFAULT_METHOD
+    method = choice.method or FIELD
     rounds: list[list[Room]] = [[] for _ in range(2 * ROUNDS)]
     for number, (name, kind) in enumerate(KINDS.items()):
         if choice.kinds and name not in choice.kinds:
@@ -547,6 +547,17 @@ def _error(found: list[Explored]) -> float:
     return sum(one.near * one.error_cm for one in found if one.near) / near if near else nan
 
 
+def _mean(numbers: Sequence[float]) -> float:
+    """Mean of what is known; NaN if nothing is."""
+    return float(np.nanmean(numbers)) if np.isfinite(numbers).any() else nan
+
+
+def _standard_error(numbers: Sequence[float]) -> float:
+    """Standard error of that mean; NaN of fewer than two numbers."""
+    known = np.array(numbers)[np.isfinite(numbers)]
+    return float(known.std(ddof=1)) / sqrt(known.size) if known.size > 1 else nan
+
+
 def _by_kind(found: list[Explored]) -> list[Record]:
     """A row for each kind and setting."""
     groups = [
@@ -567,6 +578,8 @@ def _by_kind(found: list[Explored]) -> list[Record]:
                              "contacts_wrong", "ellipses", "ellipses_missed")
             },
             "error_cm": _error(mine),
+            "best_cm": _mean([one.best_cm for one in mine]),
+            "best_se_cm": _standard_error([one.best_cm for one in mine]),
             "samples": _median([one.samples for one in mine]),
             "processor_s": float(np.mean([one.processor_s for one in mine])),
         }

@@ -15,14 +15,12 @@ from typing import Any
 from thigmo.config import RobotConfig
 from thigmo.emulator.scene import Scene
 from thigmo.exploration import ExplorationResult
-from thigmo.exploration.effort import EFFORTS, Effort
+from thigmo.exploration.effort import EFFORTS, THESIS, Effort, Planner
+from thigmo.exploration.methods import FIELD
 from thigmo.exploration.run import Exploration, Protocol
-from thigmo.localization import METHODS
 from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import connect
 from thigmo.version import VERSION
-
-DEFAULT_METHOD = METHODS[0]
 
 
 def explored(
@@ -33,7 +31,7 @@ def explored(
     config: RobotConfig | None = None,
     protocol: Protocol = "measure",
     effort: Effort = EFFORTS["default"],
-    method: str = DEFAULT_METHOD,
+    method: str = FIELD,
     frames: bool = False,
 ) -> ExplorationResult:
     """Explore an emulated room.
@@ -55,8 +53,16 @@ def explored(
         with folder.open_log(robot.identity, robot.epoch_s) as log:
             if frames:
                 robot.record_frames(log.frame)
+            planner = Planner(used, THESIS if protocol == "thesis" else effort)
             run = Exploration(
-                robot, used, folder, log, document, lambda doing, share: None, protocol, effort
+                robot,
+                used,
+                folder,
+                log,
+                document,
+                lambda doing, share: None,
+                planner,
+                protocol,
             )
             run.run()
         time = round(robot.elapsed_s, 3)

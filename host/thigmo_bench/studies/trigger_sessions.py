@@ -90,7 +90,7 @@ class TouchedBoard(VirtualBoard):
         super().__init__(seed, eeprom)
         self.touch = [0.0, 0.0]  # 1/cm, added to what the two base sensors read
         self._divider = robot.board.divider_ohm
-        self._scale = [robot.column(side)[0].scale_per_ohm for side in SIDES]
+        self._scale = [robot.column(side)[0].raw_scale for side in SIDES]
 
     def set_analog(self, counts: Floats) -> None:
         """Ideal counts as the plant says, and the touch on top."""

@@ -198,7 +198,8 @@ def test_derivatives_are_those_of_the_readings(
     fit = FieldFit(replace(_readings(rows), fold_moment=np.array([fold])), _errors())
     q = PEG.columns((34.0, 0.009, -0.6), 0.05, friction, 0.3, 0.03)
     xi = 0.1 * rng.standard_normal(fit.count)
-    there = fit.predict(fit.tables(PEG, q), xi)
+    tables = fit.tables(PEG, q)
+    by_q = fit.by_q(tables, fit.predict(tables, xi))
     steps = PEG.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3, 1e-4)
     for i in unknowns:
         ends = [
@@ -208,7 +209,7 @@ def test_derivatives_are_those_of_the_readings(
         differences = (ends[0] - ends[1]) / (2 * steps[i])
         size = np.nanmax(np.abs(differences))
         assert size > 0.0
-        off = np.abs(there.by_q[..., i] - differences)
+        off = np.abs(by_q[..., i] - differences)
         # The row in which the base folds is another one for a moved peg.
         assert np.nanquantile(off, 0.9) < share * size
 

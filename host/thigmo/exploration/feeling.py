@@ -1,0 +1,213 @@
+"""Contacts at this moment, of a robot that rests: by the sensors that the board reads, or a fibre.
+
+Any robot feels so, muscles or none, and growing or not. Bends out of the plane are localized in
+space where a sensor that counts lies out of it. `thigmo feel` is its command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import cos, hypot, radians
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from thigmo.config import Muscle, RobotConfig, Sensor
+from thigmo.errors import DataError
+from thigmo.localization import LocalizeResult, localize
+from thigmo.reading_errors import errors_of
+from thigmo.robot import Robot
+from thigmo.robot.curvature import Floats
+from thigmo.sensors import FlexSensor
+
+Ints = npt.NDArray[np.intp]
+
+READ_S = 0.5
+_SAME_SHARE = 1e-6
+# A fold is weighed in the plane only (`localization.Body`).
+_OF_THE_PLANE = ("critical_curvature", "critical_curvature_error", "base_fold_error")
+
+
+@dataclass(frozen=True, slots=True)
+class Feeling:
+    """What touches the body now.
+
+    Attributes:
+        t_s: host time at the middle of the reading.
+        length_cm: everted length.
+        sensors: the n sensors that count, base first.
+        curvature: (n,) their readings since the zeros, 1/cm.
+        free_curvature: (n,) what they would read without a contact, 1/cm.
+        result: where the body is touched.
+        lines: lines of strains that were averaged; 0 without a fibre.
+        zero_age_s: time since a fibre's zeros; 0 without a fibre.
+    """
+
+    t_s: float
+    length_cm: float
+    sensors: list[Sensor]
+    curvature: Floats
+    free_curvature: Floats
+    result: LocalizeResult
+    lines: int = 0
+    zero_age_s: float = 0.0
+
+
+def feel(robot: Robot, muscle: Muscle | None = None) -> Feeling:
+    """Read an armed and zeroed robot for half a second, and localize what touches it.
+
+    Args:
+        muscle: the one that is held under pressure meanwhile.
+
+    Raises:
+        DataError: no sensor counts.
+    """
+    config = robot.config
+    return _by_fibre(robot) if config.gratings else _by_board(robot, muscle)
+
+
+def _by_fibre(robot: Robot) -> Feeling:
+    config, reading = robot.config, robot.read_fibre()
+    known = np.flatnonzero(np.isfinite(reading.curvature))
+    if not known.size:
+        raise DataError("no healthy grating of the fibre has everted", "grow the robot first")
+    known = known[np.argsort([config.gratings[n].center_cm for n in known], kind="stable")]
+    sensors: list[Sensor] = []
+    for number in known:
+        grating = config.gratings[number]
+        # What temperature adds grows with the zero's age.
+        warmer = max(1.0, reading.zero_age_s / grating.warm_s)
+        sensors.append(
+            grating.model_copy(update={"temperature_se": warmer * grating.temperature_se})
+        )
+    zone = config.body.zone_at(reading.length_cm)
+    curvature = reading.curvature[known]
+    result = localize(
+        curvature,
+        [sensor.center_cm for sensor in sensors],
+        length=reading.length_cm,
+        span=[sensor.span_cm for sensor in sensors],
+        free_curvature=reading.free_curvature,
+        **errors_of(config, reading.side, zone, sensors).arguments(),
+    )
+    free = np.full(len(sensors), reading.free_curvature)
+    return Feeling(
+        reading.t_s, reading.length_cm, sensors, curvature, free, result,
+        reading.lines, reading.zero_age_s,
+    )  # fmt: skip
+
+
+def _by_board(robot: Robot, muscle: Muscle | None) -> Feeling:
+    config, reading = robot.config, robot.read(READ_S)
+    psi = 0.0 if muscle is None else reading.pressure_psi[config.muscles.index(muscle)]
+    zone = config.body.zone_at(reading.length_cm)
+    free_bend = 0.0 if muscle is None else muscle.maps[zone].inflate.curvature(psi)
+    sensors: list[Sensor] = []
+    curvatures, shares = [], []
+    for sensor, curvature in zip(robot.wiring.sensors, reading.curvature.tolist(), strict=True):
+        if sensor is None or not sensor.usable or not np.isfinite(curvature):
+            continue
+        share = 0.0 if muscle is None else _share(sensor, muscle)
+        if muscle is not None and sensor.wrinkles and _under(sensor, muscle):
+            continue
+        if isinstance(sensor, FlexSensor) and sensor.valid_direction * curvature < 0.0:
+            sensor = _against(sensor)
+            curvature /= sensor.against_gain
+        sensors.append(sensor)
+        curvatures.append(curvature)
+        shares.append(share)
+    if not sensors:
+        raise DataError(
+            "no healthy sensor has everted and is zeroed", "grow the robot, and zero it there"
+        )
+    order = np.argsort([sensor.center_cm for sensor in sensors], kind="stable")
+    sensors = [sensors[n] for n in order]
+    bend, free = np.array(curvatures)[order], free_bend * np.array(shares)[order]
+    return Feeling(
+        reading.t_s, reading.length_cm, sensors, bend, free,
+        _localized(config, muscle, zone, reading.length_cm, sensors, bend, free),
+    )  # fmt: skip
+
+
+def _localized(
+    config: RobotConfig, muscle: Muscle | None, zone: int, length_cm: float,
+    sensors: Sequence[Sensor], curvature: Floats, free: Floats,
+) -> LocalizeResult:  # fmt: skip
+    side = None if muscle is None else muscle.side
+    errors: dict[str, Any] = errors_of(config, side, zone, sensors).arguments()
+    if muscle is not None:
+        errors |= {"offset_error": muscle.offset_se, "map_error": muscle.maps[zone].scale_se}
+    whole = np.arange(len(sensors))
+    if all(sensor.side for sensor in sensors):
+        return _answer(length_cm, sensors, curvature, free, errors, whole)
+    least_fold = errors["critical_curvature"] * (1 - 2 * errors["critical_curvature_error"])
+    errors = {name: value for name, value in errors.items() if name not in _OF_THE_PLANE}
+    errors["direction"] = np.array([_positive_towards(sensor) for sensor in sensors])
+    result = _answer(length_cm, sensors, curvature, free, errors, whole)
+    if sum(abs(contact.force) * contact.arc for contact in result.contacts) < least_fold:
+        return result
+    # The base may have folded, which only the sensors beyond the fold do not read.
+    starts_cm = np.array([sensor.center_cm - sensor.span_cm / 2 for sensor in sensors])
+    beyond = np.flatnonzero(starts_cm >= config.body.diameter_cm)
+    if beyond.size:
+        again = _answer(length_cm, sensors, curvature, free, errors, beyond)
+        if again.contacts:
+            return again
+    return _somewhere(result, length_cm)
+
+
+def _somewhere(result: LocalizeResult, length_cm: float) -> LocalizeResult:
+    """The same contacts, of which nobody knows where they are."""
+    whole = (0.0, length_cm)
+    contacts = tuple(
+        replace(contact, status="ambiguous", interval=whole, intervals=(whole,))
+        for contact in result.contacts
+    )
+    message = (
+        "The base may have folded, and no sensor beyond its fold reads the contact, which is near "
+        "the base: push less."
+    )
+    return replace(result, status="ambiguous", contacts=contacts, message=message)
+
+
+def _answer(
+    length_cm: float, sensors: Sequence[Sensor], curvature: Floats, free: Floats,
+    errors: dict[str, Any], used: Ints,
+) -> LocalizeResult:  # fmt: skip
+    """Localize by some of the sensors, with the errors of all of them."""
+    count = len(sensors)
+    of_used = {
+        name: value[used] if isinstance(value, np.ndarray) and len(value) == count else value
+        for name, value in errors.items()
+    }
+    return localize(
+        curvature[used],
+        [sensors[n].center_cm for n in used],
+        length=length_cm,
+        span=[sensors[n].span_cm for n in used],
+        free_curvature=free[used],
+        **of_used,
+    )
+
+
+def _positive_towards(sensor: Sensor) -> float:
+    """Angle (rad) about the body towards which a bend reads positive: below 180 degrees."""
+    return radians(sensor.direction_deg % 180.0)
+
+
+def _share(sensor: Sensor, muscle: Muscle) -> float:
+    """Share of a muscle's bend that a sensor reads, with its sign."""
+    return cos(_positive_towards(sensor) - radians(muscle.direction_deg))
+
+
+def _under(sensor: Sensor, muscle: Muscle) -> bool:
+    """Whether a muscle wrinkles what lies at a sensor's direction."""
+    return cos(radians(sensor.direction_deg - muscle.direction_deg)) > _SAME_SHARE
+
+
+def _against(sensor: FlexSensor) -> FlexSensor:
+    """A sensor with the error of its gain in bends that it hardly answers to."""
+    relative = sensor.against_gain_se / sensor.against_gain
+    return sensor.model_copy(update={"scale_se": hypot(sensor.scale_se, relative)})

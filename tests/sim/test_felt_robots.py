@@ -1,0 +1,72 @@
+"""Robots that do not explore are felt at rest: without muscles, of fixed length, and in space."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command import Thigmo
+from emulated import armed, emulated, room_file
+
+from thigmo.config import RobotConfig
+from thigmo.emulator.reach import room_for
+from thigmo.errors import CommandRefusedError, ConfigError
+from thigmo.exploration import explore
+from thigmo_bench.studies.robots import CATHETER, FELT, GALLERY, push, visit
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize("name", FELT)
+def test_a_robot_at_rest_feels_where_it_is_pushed(name: str) -> None:
+    found = [push((name, seed)) for seed in (1, 2, 3)]
+    assert not [load.status for load in found if load.status.startswith("aborted")]
+    assert sum(not load.felt for load in found) <= 1
+    assert not any(load.wrong for load in found)
+
+
+@pytest.mark.ci
+def test_a_catheter_of_28_psi_explores() -> None:
+    found, empty = visit((CATHETER, 1, True)), visit((CATHETER, 3, False))
+    assert not found.status.startswith("aborted")
+    assert not found.missed
+    assert empty.status == "silent"
+
+
+@pytest.mark.parametrize("name", ["whisker", "tendon"])
+def test_explore_says_in_one_line_that_there_are_no_muscles(name: str, tmp_path: Path) -> None:
+    robot = RobotConfig.load(GALLERY / f"{name}.toml")
+    url = room_file(tmp_path, room_for(robot, 1, peg=False))
+    with pytest.raises(ConfigError, match="no muscles, so it cannot sweep"):
+        explore(url, out=tmp_path, seed=1)
+
+
+def test_a_robot_of_fixed_length_knows_its_length_and_refuses_to_grow_by_name() -> None:
+    finger = RobotConfig.load(GALLERY / "finger.toml")
+    robot, transport = emulated(room_for(finger, 1, peg=False))
+    robot.configure(transport.config)
+    robot.arm()
+    assert robot.known_length_cm() == pytest.approx(20.0)
+    with pytest.raises(CommandRefusedError) as caught:
+        robot.grow_to(20.0)
+    assert caught.value.reason == "does_not_grow"
+    assert "grows = false" in str(caught.value)
+
+
+def test_a_muscleless_vine_grows() -> None:
+    whisker = RobotConfig.load(GALLERY / "whisker.toml")
+    robot, transport = armed(room_for(whisker, 1, peg=False))
+    robot.pressurize(0)
+    assert robot.grow_to(20.0) == pytest.approx(20.0, abs=0.1)
+    assert transport.lockstep.plant.length_cm == pytest.approx(20.0, abs=0.3)
+    assert robot.retract_to(10.0) == pytest.approx(10.0, abs=0.1)
+
+
+def test_thigmo_feel_grows_a_muscleless_vine_and_answers(thigmo: Thigmo, tmp_path: Path) -> None:
+    whisker = RobotConfig.load(GALLERY / "whisker.toml")
+    whisker.board.settle_s = 0.2
+    url = room_file(tmp_path, room_for(whisker, 1, peg=False))
+    said = thigmo("feel", "--robot", url, "--grow-to", "20", "--count", "1", "--json")
+    (answer,) = json.loads(said.out)
+    assert answer["length_cm"] == pytest.approx(20.0, abs=0.1)
+    assert answer["status"] == "no contact"

@@ -1,0 +1,53 @@
+"""What an answer says of its own worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from thigmo.field import Readings, Stage
+from thigmo.field.answer import EARLY_WORDS, _placed
+from thigmo.field.hypotheses import PEG
+from thigmo.field.posterior import Samples
+
+STAGES = Stage(50.0, 2), Stage(53.0, 2)
+
+
+def _readings() -> Readings:
+    """Two sweeps, at two lengths, of which the first bins are bent by 0.006 1/cm."""
+    bend = np.tile(np.linspace(0.006, 0.03, 8), 2)
+    number = np.repeat([0, 1], 8)
+    return Readings(
+        curvature=np.zeros((16, 3)), noise=np.full((16, 3), 1e-3), bend=bend, rate=0.0 * bend,
+        stage=number, sweep=number, zeroing=number, stages=STAGES,
+        centers=np.array([5.0, 25.0, 45.0]), spans=np.full(3, 5.5),
+        fold_moment=np.full(3, 0.011), radius=1.75,
+    )  # fmt: skip
+
+
+def _samples(touch_bend: float, felt: tuple[bool, bool]) -> Samples:
+    """Samples of a peg at 45 cm that the free body touches at this bend."""
+    rng = np.random.default_rng(1)
+    arcs = 45.0 + 0.5 * rng.standard_normal(200)
+    q = np.array([PEG.columns((a, touch_bend, -0.8), 0.0, 0.1, 0.1, 0.0) for a in arcs])
+    place = np.column_stack([arcs, 0.8 * arcs, 0.2 * arcs, 1.2 + 0 * arcs, 2e-4 + 0 * arcs])
+    touch = np.stack([place if on else np.full_like(place, np.nan) for on in felt], axis=1)
+    even = np.full(200, 1 / 200)
+    return Samples(PEG, q, np.ones((200, 1)), touch[:, :, None], even, 0.0 * arcs, 0.5, -10.0)
+
+
+@pytest.mark.parametrize(
+    ("touch_bend", "felt", "places"),
+    [
+        (0.009, (True, False), True),
+        (0.003, (True, False), False),  # no reading shows when, and no other length
+        (0.003, (True, True), True),
+    ],
+)
+def test_a_touch_that_no_reading_shows_is_placed_by_two_lengths_and_not_by_one(
+    touch_bend: float, felt: tuple[bool, bool], places: bool
+) -> None:
+    contact = _placed(_readings(), _samples(touch_bend, felt), 0, 9.0, "")
+    assert contact is not None
+    assert contact.places == places
+    assert (contact.doubt == EARLY_WORDS) == (not places)
