@@ -191,8 +191,8 @@ def _grid_fit(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]:
     b = np.concatenate([white[..., p], np.zeros((len(white), p))], axis=1)
     normal = np.einsum("gnp,gnq->gpq", a, a)
     inverse = np.linalg.pinv(normal, hermitian=True)
-    rest = b - np.einsum("gnp,gpq,gmq,gm->gn", a, inverse, a, b, optimize=True)
-    squares = np.einsum("gn,gn->g", rest, rest)
+    residuals = b - np.einsum("gnp,gpq,gmq,gm->gn", a, inverse, a, b, optimize=True)
+    squares = np.einsum("gn,gn->g", residuals, residuals)
     freedom = max(n + int(small.sum()) - p, 1)
     evidence = (
         -np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
@@ -209,8 +209,8 @@ def _grid_fit(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]:
     spread = gain @ covariance @ gain.T + solved @ prior @ solved
     spread *= (squares / max(freedom - 2, 1))[:, None, None]
     coefficients = gain @ values
-    rest = column.ohm - design @ coefficients
-    return replace(fit, coefficients=coefficients, residuals=rest), evidence, spread
+    residuals = column.ohm - design @ coefficients
+    return replace(fit, coefficients=coefficients, residuals=residuals), evidence, spread
 
 
 def sweeps_of(

@@ -288,6 +288,6 @@ def columns_swapped(rows: Rows) -> bool:
             scatter = float(np.sqrt(np.nanmean(fit.residuals**2)))
             spread[rows.sides[column] == side].append(scatter / max(steep, 1e-9))
         if all(spread.values()):
-            active, other = (float(np.median(spread[which])) for which in (True, False))
-            ratios.append(other / max(active, 1e-9))
+            active, passive = (float(np.median(spread[is_active])) for is_active in (True, False))
+            ratios.append(passive / max(active, 1e-9))
     return len(ratios) > 0 and min(ratios) > 3.0

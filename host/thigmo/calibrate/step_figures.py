@@ -154,8 +154,8 @@ def _hysteresis(result: HysteresisResult, path: Path) -> None:
     with _panel(path, result.verdict, *labels, size=(8, 4.5)) as axes:
         for number, record in enumerate(result.records):
             color = CYCLE[number % len(CYCLE)]
-            rest = float(np.nanmedian(record.curvature[-max(3, len(record.curvature) // 8) :]))
-            axes.plot(record.t_s, record.curvature - rest, ".", ms=2, color=color)
+            resting = float(np.nanmedian(record.curvature[-max(3, len(record.curvature) // 8) :]))
+            axes.plot(record.t_s, record.curvature - resting, ".", ms=2, color=color)
         t = np.linspace(0, max(float(r.t_s.max()) for r in result.records), 200)
         for fit in result.sensors:
             axes.plot(t, fit.law.excess(t)[0], "-", lw=1, label=fit.name)

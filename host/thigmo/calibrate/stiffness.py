@@ -131,11 +131,11 @@ def _picture_ratio(picture: AxisPoints, fine: Array, gap: Array) -> tuple[float,
             lever = np.cumsum(lean[::-1])[::-1] * step
             k = x[2] * lever * (1 + x[3] * gap)
             heading = x[1] + heading_along(k, step)
-        along, across = traced(heading, step)
-        ahead, aside = np.interp(arc_cm, fine, along), np.interp(arc_cm, fine, x[0] + across)
+        x_cm, y_cm = traced(heading, step)
+        curve_x, curve_y = np.interp(arc_cm, fine, x_cm), np.interp(arc_cm, fine, x[0] + y_cm)
         turn = np.interp(arc_cm, fine, heading)
         return np.asarray(
-            np.cos(turn) * (points[:, 1] - aside) - np.sin(turn) * (points[:, 0] - ahead)
+            np.cos(turn) * (points[:, 1] - curve_y) - np.sin(turn) * (points[:, 0] - curve_x)
         )
 
     start = np.array([points[0, 1], 0.0, 3 * points[-1, 1] / arc**3, 0.0])

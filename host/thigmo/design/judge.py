@@ -264,37 +264,37 @@ def _contacts(wiring: Wiring, side: Side) -> Iterator[Finding]:
     """Where a sweep towards a side detects and localizes a contact, at the full length."""
     config = wiring.config
     muscle, body = config.muscle(side), config.body
-    what = f"sweep of {muscle.name}"
+    part = f"sweep of {muscle.name}"
     sign = SIGN[side]
     sensors = config.sensors_for(side)
     column = [s for s in sensors if s.healthy and s.valid_direction in (0, sign)]
     wired = any(isinstance(sensor, BoardSensor) for sensor in sensors)
     bases = wiring.trigger_sensors(muscle)
     if not column or (wired and not bases):
-        others = [m for m in config.muscles if m.side and wiring.trigger_sensors(m)]
+        guarded_muscles = [m for m in config.muscles if m.side and wiring.trigger_sensors(m)]
         text = (
             "feels nothing: the trigger works on a base sensor that this muscle does not wrinkle, "
             "and there is none that is healthy and answers to this bend"
         )
-        if others:
-            names = " and ".join(other.name for other in others)
+        if guarded_muscles:
+            names = " and ".join(guarded.name for guarded in guarded_muscles)
             text += f". `thigmo explore` sweeps {names} only, and finds what lies on that side"
-        yield Finding(what, "warning" if others else "bad", text)
+        yield Finding(part, "warning" if guarded_muscles else "bad", text)
         return
     free = muscle.maps[-1].inflate.curvature(muscle.max_pressure_psi)
     moment = min(_PROPPED * free, _fold_moments(config)[-1])
     arcs = np.linspace(0.0, body.length_cm, _STEPS + 1)[1:]
     base = bases[0].sensor if wired else column[0]
-    held_back = moment * phi(arcs, base.center_cm, base.span_cm) / arcs
-    felt = arcs[held_back > TRIGGER_PER_CM]
+    deficit = moment * phi(arcs, base.center_cm, base.span_cm) / arcs
+    detected = arcs[deficit > TRIGGER_PER_CM]
     if not wired:
         text = "the board refuses it: it sees no base sensor (no_base_sensor)"
-        yield Finding(what, "warning", text)
-    elif felt.size:
-        ends = f"{felt[0]:.1f} to {body.length_cm:g} cm"
-        yield Finding(what, "ok", f"feels contacts from {ends}; blind nearer to the base")
+        yield Finding(part, "warning", text)
+    elif detected.size:
+        ends = f"{detected[0]:.1f} to {body.length_cm:g} cm"
+        yield Finding(part, "ok", f"feels contacts from {ends}; blind nearer to the base")
     else:
-        yield Finding(what, "bad", f"feels nothing: contacts hold back {held_back.max():.4f} 1/cm")
+        yield Finding(part, "bad", f"feels nothing: contacts hold back {deficit.max():.4f} 1/cm")
         return
     width = f"{WIDTH_SHARE * body.length_cm:.1f} cm"
     stated, calibrated = (
@@ -306,9 +306,9 @@ def _contacts(wiring: Wiring, side: Side) -> Iterator[Finding]:
         f"{calibrated:.0f} % of the body once calibrated, on {stated:.0f} % before"
     )
     if calibrated >= _LOCALIZED_LEAST:
-        yield Finding(what, "ok", text)
+        yield Finding(part, "ok", text)
         return
-    yield Finding(what, "warning", f"{text}: {_cure(config, column, arcs, moment, muscle)}")
+    yield Finding(part, "warning", f"{text}: {_cure(config, column, arcs, moment, muscle)}")
 
 
 def _touches(config: RobotConfig) -> Iterator[Finding]:
