@@ -52,6 +52,7 @@ _DOF, _WIDER = 6, 1.3  # of the proposals
 _WIDEST = 6.0  # standard deviations over which an unknown direction is proposed
 _TEMPER = 0.35  # exponent of the modes' weights among the proposals
 _TEMPERED = 25.0  # effective samples from which later rounds learn
+_LEAST_TEMPER = 1e-3  # power of the weights: some samples are impossible, whatever the power
 _SPREAD = 1.15  # of their covariance
 _LEARNT = 0.75  # share of a later round that lies as earlier samples are spread
 _LEAST_SHARE = 0.02  # of a chain's weight, with less of which nothing is learnt of it
@@ -289,14 +290,13 @@ class Search:
                 skin = np.array([d.skin for d in drawn])
                 density_given = expected(skin.reshape(-1, 2)).reshape(len(drawn), -1)
                 logs += np.log(density_given).sum(axis=1)
-            weight = np.exp(logs - logs.max())
-            total = float(logs.max() + np.log(weight.sum() / counts.sum()))
-            weight /= weight.sum()
+            weight = _normalized(logs)
+            total = float(logs.max() + np.log(np.exp(logs - logs.max()).sum() / counts.sum()))
             if ENOUGH * np.sum(weight**2) < 1:
                 break
             shares = weight @ np.array([d.levels for d in drawn])
             levels = [n for n in levels if shares[n] > _NEGLIGIBLE]
-            bells, bell_shares = _bells(q, weight, chain_of[ridges.nearest(q)])
+            bells, bell_shares = _bells(q, logs, chain_of[ridges.nearest(q)])
             proposals += bells
             learnt = _LEARNT if bells else 0.0
             round_shares = [1 - learnt, *(learnt * bell_shares)]
@@ -513,12 +513,23 @@ def _mirrors(unknowns: int) -> Floats:
     return mirrors
 
 
-def _bells(q: Floats, weight: Floats, chain: npt.NDArray[np.intp]) -> tuple[list[_Bell], Floats]:
-    """What weighted samples of each chain are spread as, and the chains' shares of the weight."""
-    # Tempered until enough samples share the weight to give a covariance.
-    while weight.size > _TEMPERED and _TEMPERED * np.sum(weight**2) > 1:
-        weight = weight**0.8
-        weight = weight / weight.sum()
+def _normalized(logs: Floats) -> Floats:
+    """Weights of these logarithms, which sum to one."""
+    weight: Floats = np.exp(logs - logs.max())
+    return weight / weight.sum()
+
+
+def _bells(q: Floats, logs: Floats, chain: npt.NDArray[np.intp]) -> tuple[list[_Bell], Floats]:
+    """What samples of each chain are spread as, and the chains' shares of the weight.
+
+    `logs`: (k,) logarithms of the samples' weights.
+    """
+    # Tempered until enough samples share the weight to give a covariance. A weight may be below
+    # what a number can hold, so its logarithm is tempered.
+    temper, weight = 1.0, _normalized(logs)
+    while temper > _LEAST_TEMPER and _TEMPERED * np.sum(weight**2) > 1:
+        temper *= 0.8
+        weight = _normalized(temper * logs)
     bells, shares = [], []
     for number in np.unique(chain):
         on = (chain == number) & (weight > 0.0)
