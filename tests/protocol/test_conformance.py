@@ -308,7 +308,7 @@ def test_during_a_save_nothing_else_is_executed(host: RawHost) -> None:
 
 @pytest.mark.parametrize(
     "message_id",
-    [0x00, 0x1F, 0x7F, wire.Ack.ID, wire.Telemetry.ID, wire.Event.ID, wire.Pulse.ID, 0xFF],
+    [0x00, 0x2F, 0x7F, wire.Ack.ID, wire.Telemetry.ID, wire.Event.ID, wire.Pulse.ID, 0xFF],
 )
 def test_an_unknown_id_is_refused(host: RawHost, message_id: int) -> None:
     before = stats(host)

@@ -55,7 +55,7 @@ def test_the_peg_of_section_3_5_is_found_and_localized_within_3_cm(
     assert document.truth is not None
     (true,) = document.truth.contacts
     assert contact.interval_cm[0] <= true.arc_cm <= contact.interval_cm[1] + 0.1
-    assert [round(s.everted_length_cm) for s in document.stages] == [30, 40, 50, 53]
+    assert [round(s.everted_length_cm) for s in document.stages] == [40, 50, 53]
     assert document.missed == document.false == []
 
 
@@ -183,7 +183,7 @@ def test_a_replay_of_the_raw_frames_finds_the_same(
 ) -> None:
     notes = RunFolder(default.folder).read_log().notes
     measured = sum(note.facts["state"] == "MEASURE" for note in notes)
-    assert replayed.sweeps == 8 + measured  # two sides at four stages
+    assert replayed.sweeps == 6 + measured  # two sides at three stages
     assert replayed.bad_frames == 0
     assert replayed.document.contacts == default.document.contacts
     assert replayed.document.error_x_cm == default.document.error_x_cm

@@ -115,7 +115,7 @@ def test_an_imu_says_its_turn_drifts_and_takes_both_spans_with_it_when_it_hangs(
         last = _turns(drifting.counts(0 * bend, 100.0))
     # 0.5 degrees a minute of each IMU; what one adds to a span it takes from the next.
     assert 0.2 < np.degrees(np.cumsum(last)).std() < 1.0
-    calm.hung.add(calm.at(STRING[3].ends_cm[1]))
+    calm.hung.add(calm.imu_at(STRING[3].ends_cm[1]))
     assert np.flatnonzero(calm.counts(bend, 100.0) == 0.0).tolist() == [3, 4]
 
 

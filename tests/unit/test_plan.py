@@ -91,6 +91,8 @@ def test_an_effort_is_a_budget_and_careful_omits_nothing() -> None:
     assert plans["default"].stops[-1] == 53
     assert "10, 20" in planners["default"].skips()
     assert planners["careful"].skips() == ""
+    late = planners["default"].plan(50.0, 1000.0, [40.0, 50.0])
+    assert late == plans["default"]._replace(stops=(53.0,))  # it takes what time it needs
 
 
 def test_more_time_buys_more_and_is_kept_to() -> None:
@@ -101,7 +103,7 @@ def test_more_time_buys_more_and_is_kept_to() -> None:
     worth = []
     for planner, plan in zip(planners, plans, strict=True):
         assert plan.stops
-        assert planner.expected_s(plan) <= planner.budget_s - 5.0
+        assert planner.expected_s(plan) <= planner.effort.time_s - 5.0
         sweeps = [(1 + plan.measurements) * (cm in plan.stops) for cm in stage_lengths(config)]
         worth.append(sum(sides[0].told_by(sweeps, 3.0 / 53)))
     assert worth == sorted(worth)

@@ -138,8 +138,8 @@ enum class Reason : uint8_t {
            // one is everted, then check that it works, is enabled and is zeroed.
   kHostSilent = 21,    // No heartbeat has arrived lately; keep the host's program running and
                        // connected, then arm again.
-  kDoesNotGrow = 26,   // The robot has no spool, so it neither grows nor retracts (grows = false in
-                       // robot.toml).
+  kDoesNotGrow = 26,   // The robot has no spool, so it neither grows nor retracts; leave such
+                       // commands out, or remove grows = false from robot.toml.
   kOtherHost = 25,     // Another program has taken over the robot; close one of the two.
   kStoppedAgain = 24,  // The robot was stopped again after the stop that this command names; look
                        // at the robot, then clear the newer stop.

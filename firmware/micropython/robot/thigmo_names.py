@@ -65,7 +65,7 @@ REASONS = {
     23: "contradiction: Parameters contradict each other, so none of the new values is in use; correct the parameter that is named.",
     22: "no_base_sensor: No base sensor can feel a contact while a muscle is driven (trigger_when); grow until one is everted, then check that it works, is enabled and is zeroed.",
     21: "host_silent: No heartbeat has arrived lately; keep the host's program running and connected, then arm again.",
-    26: "does_not_grow: The robot has no spool, so it neither grows nor retracts (grows = false in robot.toml).",
+    26: "does_not_grow: The robot has no spool, so it neither grows nor retracts; leave such commands out, or remove grows = false from robot.toml.",
     25: "other_host: Another program has taken over the robot; close one of the two.",
     24: "stopped_again: The robot was stopped again after the stop that this command names; look at the robot, then clear the newer stop.",
 }

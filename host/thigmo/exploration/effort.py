@@ -79,14 +79,14 @@ class Planner:
             if muscle.side and muscle.name not in blind
         ]
 
-    @property
-    def budget_s(self) -> float:
-        """Robot seconds that a run may take; infinite if it omits nothing."""
-        if self.effort.share == 1.0 or self.effort.time_s < inf:
-            return self.effort.time_s
+    @cached_property
+    def _effort_plan(self) -> Plan:
+        """The plan of a named effort, from the beginning of a run."""
+        if self.effort.share == 1.0:
+            return Plan(tuple(self._lengths), self.effort.measurements)
         whole = Planner(self.config, EFFORTS["careful"])
         needed_s = whole.expected_s(Plan(tuple(self._lengths), _MOST_MEASUREMENTS))
-        return self.effort.share * (_BEGINS_S + needed_s)
+        return self._best(self._lengths, self.effort.share * (_BEGINS_S + needed_s) - _BEGINS_S)
 
     def plan(
         self,
@@ -97,15 +97,30 @@ class Planner:
     ) -> Plan:
         """The plan from a length on by which most pegs are felt and placed.
 
-        `spent_s` of the budget went to sweeps at the lengths `swept_cm`. The sensors at the base
-        settle for `settles_s` yet.
+        `spent_s` of a budget went to sweeps at the lengths `swept_cm`. The sensors at the base
+        settle for `settles_s` yet. A named effort is planned once, and then takes what time it
+        needs; a budget is planned anew at each stop.
         """
-        stops = [
-            stop
-            for stop in self._lengths
-            if stop > length_cm - SAME_LENGTH_CM and not _among(swept_cm, stop)
-        ]
-        left_s = self.budget_s - spent_s
+
+        def ahead(stops: Sequence[float]) -> list[float]:
+            reached_cm = length_cm - SAME_LENGTH_CM
+            return [cm for cm in stops if cm > reached_cm and not _among(swept_cm, cm)]
+
+        if self.effort.time_s == inf:
+            whole = self._effort_plan
+            return whole._replace(stops=tuple(ahead(whole.stops)))
+        left_s = self.effort.time_s - spent_s
+        return self._best(ahead(self._lengths), left_s, length_cm, swept_cm, settles_s)
+
+    def _best(
+        self,
+        stops: Sequence[float],
+        left_s: float,
+        length_cm: float = 0.0,
+        swept_cm: Sequence[float] = (),
+        settles_s: float = 0.0,
+    ) -> Plan:
+        """Of the plans with some of these stops that the time allows, the one that tells most."""
         whole = Plan(tuple(stops), self.effort.measurements)
         if not stops or self.expected_s(whole, length_cm, settles_s) <= left_s:
             return whole
@@ -177,7 +192,7 @@ class Planner:
         after = Plan(tuple(s for s in plan.stops if s > length_cm + SAME_LENGTH_CM), 0)
         needed_s = self.measurement_s(length_cm, plan.measurements)
         needed_s += self.expected_s(after, length_cm)
-        return plan.measurements > 0 and spent_s + needed_s <= self.budget_s
+        return plan.measurements > 0 and spent_s + needed_s <= self.effort.time_s
 
     def _full(self, length_cm: float) -> bool:
         return length_cm > self.config.body.length_cm - SAME_LENGTH_CM
@@ -202,7 +217,7 @@ class Planner:
             "them, so obstacles there are not felt"
             for muscle in Wiring.of(self.config).unguarded_muscles
         ]
-        spare_s = self.budget_s - _BEGINS_S - self.expected_s(plan)
+        spare_s = self.effort.time_s - _BEGINS_S - self.expected_s(plan)
         if _SPARE_S <= spare_s < inf:
             omissions.append(
                 f"{spare_s:.0f} s of the budget are not planned, because no other "

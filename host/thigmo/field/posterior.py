@@ -515,8 +515,9 @@ def _mirrors(unknowns: int) -> Floats:
 
 def _normalized(logs: Floats) -> Floats:
     """Weights of these logarithms, which sum to one."""
-    weight: Floats = np.exp(logs - logs.max())
-    return weight / weight.sum()
+    weight = np.exp(logs - logs.max())
+    normalized: Floats = weight / weight.sum()
+    return normalized
 
 
 def _bells(q: Floats, logs: Floats, chain: npt.NDArray[np.intp]) -> tuple[list[_Bell], Floats]:

@@ -106,8 +106,7 @@ class Reason(Documented):  # Why a command was refused. The text is what the ope
     CONTRADICTION = 23  # Parameters contradict each other, so none of the new values is in use
     NO_BASE_SENSOR = 22  # No base sensor can feel a contact while a muscle is driven (trigger_when)
     HOST_SILENT = 21  # No heartbeat has arrived lately
-    # The robot has no spool, so it neither grows nor retracts (grows = false in robot.toml).
-    DOES_NOT_GROW = 26
+    DOES_NOT_GROW = 26  # The robot has no spool, so it neither grows nor retracts
     OTHER_HOST = 25  # Another program has taken over the robot; close one of the two.
     STOPPED_AGAIN = 24  # The robot was stopped again after the stop that this command names
 

@@ -231,7 +231,8 @@ def test_derivatives_by_two_pegs_and_by_a_wall(
     there = np.array(q)
     assert hypothesis.possible(there, fit.body)
     xi = fit.free()
-    exact = fit.predict(fit.tables(hypothesis, there), xi).by_q
+    tables = fit.tables(hypothesis, there)
+    exact = fit.by_q(tables, fit.predict(tables, xi))
     steps = hypothesis.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3, 1e-4, (1e-6, 1e-3, 1e-3))
     felt = list[float]()
     for i in range(3 * hypothesis.obstacles):

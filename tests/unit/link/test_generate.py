@@ -70,7 +70,7 @@ def test_words_defaults_ranges_and_deadlines_do_not_change_the_hash(
 
 
 LAYOUT: dict[str, Callable[[dict[str, Any]], object]] = {
-    "a message's id": lambda tree: tree["messages"]["arm"].update(id=0x1F),
+    "a message's id": lambda tree: tree["messages"]["arm"].update(id=0x2F),
     "a message's kind": lambda tree: tree["messages"]["pulse"].update(kind="telemetry"),
     "a command's reply": lambda tree: tree["messages"]["arm"].update(reply="status_report"),
     "the order of fields": lambda tree: tree["messages"]["grow_to"]["fields"].reverse(),
