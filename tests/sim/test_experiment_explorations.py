@@ -77,7 +77,8 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
     results = evaluate(Folder(folder.path))
     assert len(results.claims) == 3
     ours, theirs = results.tables["trials"]
-    assert float(ours["error_x_cm"]) < 5.0  # two sensors feel it
+    # Only two sensors feel it: the answer is the middle of a wide interval.
+    assert float(ours["error_x_cm"]) < 8.0
     assert float(ours["robot_time_s"]) < float(theirs["robot_time_s"])
     # A lab does not know the point of contact, only where it measured the dowel.
     document = folder.path / kept(folder.path)[0]["run"] / "contacts.json"

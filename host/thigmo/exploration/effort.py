@@ -86,7 +86,10 @@ class Planner:
             return Plan(tuple(self._lengths), self.effort.measurements)
         whole = Planner(self.config, EFFORTS["careful"])
         needed_s = whole.expected_s(Plan(tuple(self._lengths), _MOST_MEASUREMENTS))
-        return self._best(self._lengths, self.effort.share * (_BEGINS_S + needed_s) - _BEGINS_S)
+        left_s = self.effort.share * (_BEGINS_S + needed_s) - _BEGINS_S
+        best = self._best(self._lengths, left_s)
+        # Of a robot with one stop, no share is enough.
+        return best if best.stops else Plan((self._lengths[-1],), 1)
 
     def plan(
         self,

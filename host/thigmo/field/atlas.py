@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.field.fit import FieldFit, Mode, whitened
+from thigmo.field.fit import MOST_CELL_CM, FieldFit, Mode, whitened
 from thigmo.field.hypotheses import RADIUS_MEAN, touched, untouched
 from thigmo.field.readings import Floats, Readings
 from thigmo.mechanics import Rod, Tube
@@ -81,7 +81,7 @@ class Atlas:
         middles: Floats = cell * (np.arange(count, dtype=np.float64) + 0.5)
         widths: Floats = np.full(count, cell)
         bends = self.bends[first:]
-        rod = Rod(Tube(2 * radius, moment), [peg], cell_cm=_MESH * length)
+        rod = Rod(Tube(2 * radius, moment), [peg], cell_cm=min(_MESH * length, MOST_CELL_CM))
         mean = rod.sweep(bends, length, middles, widths).readings
         heading: npt.NDArray[np.float32] = np.zeros((bends.size, count + 1), dtype=np.float32)
         heading[:, 1:] = np.cumsum((mean - bends[:, None]) * cell, axis=1)

@@ -36,6 +36,7 @@ from thigmo.mechanics import Obstacle, Rod, Tube
 # Rows of a table of the mechanics: turns (rad) of the whole body between them, and the share of a
 # sweep's highest bend up to which errors of the map may take it.
 ROW_TURN, BEYOND = 0.037, 1.15
+MOST_CELL_CM = 10.0  # that the mechanics allow
 CELL = 3.0 / 53  # of the length, of the elastica's mesh: an error below 1e-4 1/cm
 # Bins that count as one reading: swings and loops of hysteresis outlast a bin.
 ALIKE = 2.0
@@ -188,8 +189,9 @@ class FieldFit:
             if first < rows:
                 critical = float(r.fold_moment[zone] * np.exp(q[FOLD]))
                 base = abs(float(q[BASE])) * self.longest
+                cell_cm = min(CELL * self.longest, MOST_CELL_CM)
                 rod = Rod(
-                    Tube(2 * r.radius, critical, base), some, cell_cm=CELL * self.longest,
+                    Tube(2 * r.radius, critical, base), some, cell_cm=cell_cm,
                     friction=abs(float(q[FRICTION])),
                 )  # fmt: skip
                 sweep = rod.sweep(bends[first:], length, r.centers, r.spans)
@@ -200,7 +202,8 @@ class FieldFit:
                     by_q[s, on, :, own] = sweep.by_obstacle[:, :, p, :5] @ moves
                 yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
                 by_q[s, on, :, YIELD] = yields * np.sign(q[YIELD])
-                by_q[s, on, :, FOLD] = sweep.by_body[..., 0] * critical
+                if np.isfinite(critical):  # else the base does not fold
+                    by_q[s, on, :, FOLD] = sweep.by_body[..., 0] * critical
                 by_q[s, on, :, BASE] = sweep.by_body[..., 1] * self.longest * np.sign(q[BASE])
                 by_q[s, on, :, FRICTION] = sweep.by_body[..., 2] * np.sign(q[FRICTION])
                 for part in (mean, shift, by_q):
