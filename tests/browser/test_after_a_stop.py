@@ -72,7 +72,8 @@ def _reach(page: Page, moment: str, robot: ServedRobot) -> None:
         page.wait_for_function(SWEEPS)
 
 
-def _exploring(
+@pytest.fixture
+def exploring(
     looking: Looking,
     serve_page: ServePage,
     robot: ServedRobot,
@@ -90,14 +91,9 @@ def _exploring(
 
 
 def test_a_stopped_robot_is_cleared_retracted_and_started_again(
-    looking: Looking,
-    serve_page: ServePage,
-    robot: ServedRobot,
-    config: Path,
-    tmp_path: Path,
-    moment: str,
+    exploring: Page, robot: ServedRobot, tmp_path: Path
 ) -> None:
-    page = _exploring(looking, serve_page, robot, config, tmp_path, moment)
+    page = exploring
     page.evaluate(LISTEN)
     page.keyboard.press("Escape")
     doing, phase, banners = (page.locator(f"#{name}") for name in ("doing", "phase", "banners"))
@@ -141,14 +137,9 @@ def test_a_stopped_robot_is_cleared_retracted_and_started_again(
 
 @pytest.mark.parametrize("moment", ["in growth"], indirect=True)
 def test_an_open_page_sees_a_stop_cleared_from_a_terminal(
-    looking: Looking,
-    serve_page: ServePage,
-    robot: ServedRobot,
-    config: Path,
-    tmp_path: Path,
-    moment: str,
+    exploring: Page, robot: ServedRobot
 ) -> None:
-    page = _exploring(looking, serve_page, robot, config, tmp_path, moment)
+    page = exploring
     page.keyboard.press("Escape")
     expect(page.locator("#clear")).to_be_visible()
     expect(page.locator("#phase")).to_have_text("stopped")

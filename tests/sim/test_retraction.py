@@ -69,13 +69,19 @@ def test_a_wrong_encoder_is_noticed_or_the_tip_is_where_the_retraction_says(
     assert f"may be up to {end.farther_cm:.1f} cm farther out" in end.words
 
 
-def test_the_length_is_in_doubt_from_the_last_sensor_that_works() -> None:
-    """Two sensors of five are dead: nothing judges the last 25 cm."""
-    scene = scene_of("one-column", 50.0)
+def half_blind(start_cm: float, share: float) -> tuple[Robot, EmulatorTransport]:
+    """A robot of one column, of whose five sensors the two at the base are dead."""
+    scene = scene_of("one-column", start_cm)
     for sensor in scene.robot.column("right")[:2]:
         sensor.healthy = False
     robot, transport = armed(scene)
-    show_share(transport, 1.2)
+    show_share(transport, share)
+    return robot, transport
+
+
+def test_the_length_is_in_doubt_from_the_last_sensor_that_works() -> None:
+    """Two sensors of five are dead: nothing judges the last 25 cm."""
+    robot, transport = half_blind(50.0, 1.2)
     robot.retract_to(28.0)
     end = robot.retract_to(0.0)
     assert end.seen_by == "right 2"
@@ -85,11 +91,7 @@ def test_the_length_is_in_doubt_from_the_last_sensor_that_works() -> None:
 
 def test_a_sensor_that_was_late_is_for_the_operator_to_look_at() -> None:
     """It passed the tip alone, so the board accuses nobody."""
-    scene = scene_of("one-column", 30.0)
-    for sensor in scene.robot.column("right")[:2]:
-        sensor.healthy = False
-    robot, transport = armed(scene)
-    show_share(transport, 1.5)
+    robot, transport = half_blind(30.0, 1.5)
     end = robot.retract_to(0.0)
     assert end.late
     assert 4.0 < transport.lockstep.plant.length_cm <= end.farther_cm

@@ -17,8 +17,6 @@ from math import inf
 from thigmo.config import RobotConfig
 from thigmo.exploration.effort import EFFORTS, Effort, Planner, within
 
-ONE_PEG = "as calibrated"
-
 
 @dataclass(frozen=True, slots=True)
 class Measured:

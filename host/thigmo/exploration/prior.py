@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from thigmo.config import Body
-from thigmo.contact_status import POINT_ESTIMATE
+from thigmo.contact_status import POINT_ESTIMATE, SURE
 from thigmo.errors import RunFolderError
 from thigmo.record import (
     OBSTACLES_FILE,
@@ -35,7 +35,6 @@ from thigmo.robot.curvature import Floats
 # the two runs' shapes err.
 _FLOOR_CM = 1.5
 _SAME_SIGMA = 3.0
-_SURE = 0.95
 
 
 def boost(prior: Sequence[Obstacle], points: Floats, length_cm: float) -> Floats:
@@ -123,7 +122,7 @@ def obstacle_ahead(prior: Sequence[Obstacle], radius_cm: float) -> tuple[float, 
     """
     nearest: tuple[float, float] | None = None
     for obstacle in prior:
-        if not obstacle.probability >= _SURE:  # NaN of a point estimate is not
+        if not obstacle.probability >= SURE:  # NaN of a point estimate is not
             continue
         places = np.asarray(obstacle.track)
         std_cm = _FLOOR_CM

@@ -176,7 +176,7 @@ class FieldFit:
     def tables(self, hypothesis: Hypothesis, q: Floats) -> Tables:
         """The mechanics of q; most of the time goes here."""
         r, m = self.readings, self.readings.centers.size
-        some = hypothesis.place(q, self.body)
+        obstacles = hypothesis.place(q, self.body)
         mean = np.tile(self.bends[:, None], (len(r.stages), 1, m))
         shift = np.zeros(mean.shape)
         by_q = np.zeros((*mean.shape, hypothesis.unknowns))
@@ -185,13 +185,13 @@ class FieldFit:
         for s, (length, zone) in enumerate(r.stages):
             rows, touch = self._rows[s], None
             bends = self.bends[:rows]
-            first = min((untouched(p, length, r.radius, bends) for p in some), default=rows)
+            first = min((untouched(p, length, r.radius, bends) for p in obstacles), default=rows)
             if first < rows:
                 critical = float(r.fold_moment[zone] * np.exp(q[FOLD]))
                 base = abs(float(q[BASE])) * self.longest
                 cell_cm = min(CELL * self.longest, MOST_CELL_CM)
                 rod = Rod(
-                    Tube(2 * r.radius, critical, base), some, cell_cm=cell_cm,
+                    Tube(2 * r.radius, critical, base), obstacles, cell_cm=cell_cm,
                     friction=abs(float(q[FRICTION])),
                 )  # fmt: skip
                 sweep = rod.sweep(bends[first:], length, r.centers, r.spans)
@@ -208,15 +208,15 @@ class FieldFit:
                 by_q[s, on, :, FRICTION] = sweep.by_body[..., 2] * np.sign(q[FRICTION])
                 for part in (mean, shift, by_q):
                     part[s, rows:] = part[s, rows - 1]
-                touch = self._touch(some, sweep.contacts, first, rows)
+                touch = self._touch(obstacles, sweep.contacts, first, rows)
             touches.append(touch)
         return Tables(mean, shift, by_q, tuple(touches))
 
     @staticmethod
-    def _touch(some: list[Obstacle], contacts: Floats, first: int, rows: int) -> Touch:
-        where = np.full((5, rows, len(some)), np.nan)
+    def _touch(obstacles: list[Obstacle], contacts: Floats, first: int, rows: int) -> Touch:
+        where = np.full((5, rows, len(obstacles)), np.nan)
         arc, x, y, force = np.moveaxis(contacts, 2, 0)
-        for p, obstacle in enumerate(some):
+        for p, obstacle in enumerate(obstacles):
             near_x, near_y = nearest_on(obstacle, x[:, p], y[:, p])
             where[3, first:, p] = np.arctan2(near_y - y[:, p], near_x - x[:, p])
         where[:3, first:], where[4, first:] = (arc, x, y), force

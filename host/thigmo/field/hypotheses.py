@@ -156,14 +156,14 @@ class Hypothesis:
             ):
                 return False
         room = body.radius * (1 - _CLEAR)
-        some = self.place(q, body)
-        pegs = [each for each in some if isinstance(each, Peg)]
+        obstacles = self.place(q, body)
+        pegs = [each for each in obstacles if isinstance(each, Peg)]
         beside = (np.hypot(p.x - np.clip(p.x, 0.0, body.longest), p.y) > p.radius + room
                   for p in pegs)  # fmt: skip
         apart = (np.hypot(p.x - o.x, p.y - o.y) > p.radius + o.radius
                  for n, p in enumerate(pegs) for o in pegs[:n])  # fmt: skip
         clear = (_clear_of_straight(w, body.longest) > w.radius + room
-                 for w in some if isinstance(w, Wall))  # fmt: skip
+                 for w in obstacles if isinstance(w, Wall))  # fmt: skip
         return all(beside) and all(apart) and all(clear)
 
     def bells(self, body: Body) -> tuple[Floats, Floats]:

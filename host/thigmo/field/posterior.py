@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaln
+from scipy.special import gammaln, logsumexp, softmax
 
 from thigmo.field.atlas import Atlas
 from thigmo.field.fit import MOST_EVIDENCE_PASSES, SPREAD_STD, FieldFit, Mode
@@ -290,8 +290,8 @@ class Search:
                 skin = np.array([d.skin for d in drawn])
                 density_given = expected(skin.reshape(-1, 2)).reshape(len(drawn), -1)
                 logs += np.log(density_given).sum(axis=1)
-            weight = _normalized(logs)
-            total = float(logs.max() + np.log(np.exp(logs - logs.max()).sum() / counts.sum()))
+            weight = softmax(logs)
+            total = float(logsumexp(logs) - np.log(counts.sum()))
             if ENOUGH * np.sum(weight**2) < 1:
                 break
             shares = weight @ np.array([d.levels for d in drawn])
@@ -330,9 +330,9 @@ class Search:
             ]
         )
         logs -= 0.5 * z**2
-        weight = np.exp(logs - logs.max())
-        mean = float(weight @ z / weight.sum())
-        std = float(np.sqrt(weight @ (z - mean) ** 2 / weight.sum()))
+        weight = softmax(logs)
+        mean = float(weight @ z)
+        std = float(np.sqrt(weight @ (z - mean) ** 2))
         return _Drifts(mean, _WIDER * max(std, 0.2))
 
     def _drawn(self, q: Floats, mode: Mode, levels: Sequence[int], drift: float) -> _Draw:
@@ -513,13 +513,6 @@ def _mirrors(unknowns: int) -> Floats:
     return mirrors
 
 
-def _normalized(logs: Floats) -> Floats:
-    """Weights of these logarithms, which sum to one."""
-    weight = np.exp(logs - logs.max())
-    normalized: Floats = weight / weight.sum()
-    return normalized
-
-
 def _bells(q: Floats, logs: Floats, chain: npt.NDArray[np.intp]) -> tuple[list[_Bell], Floats]:
     """What samples of each chain are spread as, and the chains' shares of the weight.
 
@@ -527,10 +520,10 @@ def _bells(q: Floats, logs: Floats, chain: npt.NDArray[np.intp]) -> tuple[list[_
     """
     # Tempered until enough samples share the weight to give a covariance. A weight may be below
     # what a number can hold, so its logarithm is tempered.
-    temper, weight = 1.0, _normalized(logs)
+    temper, weight = 1.0, softmax(logs)
     while temper > _LEAST_TEMPER and _TEMPERED * np.sum(weight**2) > 1:
         temper *= 0.8
-        weight = _normalized(temper * logs)
+        weight = softmax(temper * logs)
     bells, shares = [], []
     for number in np.unique(chain):
         on = (chain == number) & (weight > 0.0)

@@ -88,7 +88,7 @@ def read(
     if not rows:
         return None
     curvature = np.array([row.curvature for row in rows])
-    some = np.asarray(np.isfinite(curvature).any(axis=0))
+    has_reading = np.asarray(np.isfinite(curvature).any(axis=0))
     white = _white(np.array(scatter).reshape(-1, curvature.shape[1]), table.white)
     count = np.array([row.frames for row in rows])[:, None]
     beside = np.nan_to_num(np.array([row.added for row in rows]))
@@ -96,20 +96,20 @@ def read(
     stages = tuple(sorted({row.stage for row in rows}))
     lengths = np.array([round(row.stage.length) for row in rows])
     readings = Readings(
-        curvature=sign * curvature[:, some],
-        noise=noise[:, some],
+        curvature=sign * curvature[:, has_reading],
+        noise=noise[:, has_reading],
         bend=sign * np.array([row.bend for row in rows]),
         rate=sign * np.array([row.rate for row in rows]),
         stage=np.array([stages.index(row.stage) for row in rows], dtype=np.intp),
         sweep=np.unique([row.sweep for row in rows], return_inverse=True)[1],
         zeroing=np.unique(lengths, return_inverse=True)[1],
         stages=stages,
-        centers=table.center_cm[some],
-        spans=table.span_cm[some],
+        centers=table.center_cm[has_reading],
+        spans=table.span_cm[has_reading],
         fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.zones))]),
         radius=config.body.radius_cm,
     )
-    return readings, stated(config, side, some)
+    return readings, stated(config, side, has_reading)
 
 
 class _Rise(NamedTuple):

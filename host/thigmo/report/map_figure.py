@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.config import SIDES
-from thigmo.contact_status import POINT_ESTIMATE
+from thigmo.contact_status import POINT_ESTIMATE, SURE
 from thigmo.display.axes import INK, MUTED, new_axes, plain, titled
 from thigmo.display.bars import COLORS, OTHER_COLOR
 from thigmo.errors import RunFolderError
@@ -221,7 +221,7 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
         )  # fmt: skip
     if contact.surface:
         # Dashed while it may be something else: then it is drawn, and not occupied.
-        sure = contact.wall_probability >= 0.95
+        sure = contact.wall_probability >= SURE
         axes.plot(
             *np.asarray(contact.surface).T, color=INK, lw=2.2, zorder=6, marker="s", ms=3.5,
             ls="-" if sure else (0, (3, 2)), label="wall" if sure else "wall, likely",
