@@ -68,10 +68,10 @@ class Serial0 {
     const bool wraps = before_end != 0 && count > before_end;
     const uint8_t* const end = bytes + count;
     const uint8_t* const turn = wraps ? bytes + before_end : end;
-    uint8_t* ring = rings_.tx + in;
-    while (bytes != turn) *ring++ = *bytes++;
-    ring = rings_.tx;
-    while (bytes != end) *ring++ = *bytes++;
+    uint8_t* to = rings_.tx + in;
+    while (bytes != turn) *to++ = *bytes++;
+    to = rings_.tx;
+    while (bytes != end) *to++ = *bytes++;
     const uint8_t after = static_cast<uint8_t>(in + count);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
       tx_in_ = after;

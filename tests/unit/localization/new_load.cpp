@@ -12,7 +12,7 @@ int main() {
   Options options{};
   Priors& priors = options.priors;
   priors.moments = {0.15, 0.6, 2.4}, priors.least_lever = 0.02, priors.straight = 0.25;
-  priors.felt = 3.0;
+  priors.detected = 3.0;
   options.critical = INFINITY, options.critical_error = 0.1;
   options.length = 1.0, options.radius = 0.03;
   Readings readings;
