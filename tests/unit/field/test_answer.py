@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from thigmo.field import Readings, Stage
-from thigmo.field.answer import EARLY_WORDS, _placed
-from thigmo.field.hypotheses import PEG
+from thigmo.field.answer import EARLY_WORDS, _face, _placed
+from thigmo.field.hypotheses import PEG, WALL, Body, faced
 from thigmo.field.posterior import Samples
 
 STAGES = Stage(50.0, 2), Stage(53.0, 2)
@@ -47,7 +47,27 @@ def _samples(touch_bend: float, felt: tuple[bool, bool]) -> Samples:
 def test_a_touch_that_no_reading_shows_is_placed_by_two_lengths_and_not_by_one(
     touch_bend: float, felt: tuple[bool, bool], places: bool
 ) -> None:
-    contact = _placed(_readings(), _samples(touch_bend, felt), 0, 9.0, "")
+    contact = _placed(
+        _readings(), _samples(touch_bend, felt), 0, 9.0, "",
+        face=np.zeros((0, 2)), explanations={"peg": 1.0},
+    )  # fmt: skip
     assert contact is not None
     assert contact.places == places
     assert (contact.doubt == EARLY_WORDS) == (not places)
+
+
+def test_the_face_of_a_wall_reaches_from_the_first_touch_to_the_last() -> None:
+    body = Body(radius=1.75, longest=53.0, most_bend=0.03, fold_error=0.1, yield_unit=1.0)
+    q = np.array([[0.012, 0.4 + off, -0.8, 0.0, 0.1, 0.1, 0.0] for off in (-0.02, 0.0, 0.02)])
+    wall = faced(q[1, :3], body)
+    way = np.array([wall.end_x - wall.x, wall.end_y - wall.y])
+    way /= np.hypot(*way)
+    first = WALL.skin(q[1], body)[0]
+    last = first + 6.0 * way
+    touch = np.full((3, 2, 1, 5), np.nan)
+    touch[:, 1, 0] = [53.0, *last, 1.2, 2e-4]
+    even = np.full(3, 1 / 3)
+    samples = Samples(WALL, q, np.ones((3, 1)), touch, even, 0.0 * even, 0.5, -10.0)
+    assert _face(samples, 0, body) == pytest.approx(np.array([first, last]), abs=1e-9)
+    pegs = Samples(PEG, q, np.ones((3, 1)), touch, even, 0.0 * even, 0.5, -10.0)
+    assert _face(pegs, 0, body).shape == (0, 2)
