@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import nan
@@ -185,13 +185,10 @@ def _most_misfit(readings: Readings) -> float:
 def _answer(search: Search, explanations: list[Samples], doubt: str) -> list[FieldContact]:
     """The contacts of the likeliest explanation, the first."""
     best = explanations[0]
-    names = [_NAMES[samples.hypothesis] for samples in explanations]
-    shares = softmax([samples.log_evidence for samples in explanations]).tolist()
-    weighed = dict(zip(names, shares, strict=True))
     placed = (
         _placed(
-            search.readings, best, n, _log_odds(search, best), doubt,
-            face=_face(best, n, search.fit.body), explanations=weighed,
+            search.readings, explanations, n, _log_odds(search, best), doubt,
+            face=_face(best, n, search.fit.body),
         )
         for n in range(best.hypothesis.obstacles)
     )  # fmt: skip
@@ -223,15 +220,18 @@ def _face(samples: Samples, obstacle: int, body: Body) -> Floats:
 
 def _placed(
     readings: Readings,
-    samples: Samples,
+    explanations: Sequence[Samples],
     obstacle: int,
     log_odds: float,
     doubt: str,
     *,
     face: Floats,
-    explanations: dict[str, float],
 ) -> FieldContact | None:
-    """One of the obstacles where the last sweep that reached it touched it."""
+    """One of the likeliest explanation's obstacles where the last sweep that reached it touched it.
+
+    The errors of its place include what the other explanations have there, by their probabilities.
+    """
+    samples, *others = explanations
     touch = samples.touch[:, :, obstacle]
     touches = np.isfinite(touch[:, :, 0])  # (n, stages)
     shares = samples.weight @ touches
@@ -243,18 +243,28 @@ def _placed(
     weight = _widened(np.where(touches[:, stage], samples.weight, 0.0))
     on = weight > 0.0
     weight = weight[on] / weight[on].sum()
-    arc, x, y, normal, force = touch[on, stage].T
+    normal, force = touch[on, stage, 3:].T
     length = readings.stages[stage].length
-    low, high = _quantiles(arc, weight, (0.025, 0.975))
-    mean = weight @ np.column_stack([arc, x, y])
+    mean = weight @ touch[on, stage, :3]
+    probabilities = softmax([one.log_evidence for one in explanations])
+    places, masses = [touch[on, stage, :3]], [probabilities[0] * weight]
+    for other, probability in zip(others, probabilities[1:], strict=True):
+        touched, weights = _nearest(other, stage, mean)
+        places.append(touched)
+        masses.append(probability * weights)
+    place, mass = np.concatenate(places), np.concatenate(masses)
+    mass /= mass.sum()
+    low, high = _quantiles(place[:, 0], mass, (0.025, 0.975))
     leaves = samples.misfit * ALIKE
-    wider = max(1.0, leaves)
+    # What the model leaves is taken for more noise; and few samples that agree are as much too
+    # narrow as they are too few.
+    wider = max(1.0, leaves) * max(1.0, ENOUGH / samples.effective) ** 0.5
     interval = (
         max(float(mean[0] - wider * (mean[0] - low)) - _LENGTH_CM, 0.0),
         min(float(mean[0] + wider * (high - mean[0])) + _LENGTH_CM, length),
     )
-    off = wider * (np.column_stack([arc, x, y]) - mean)
-    covariance = (weight[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
+    off = wider * (place - mean)
+    covariance = (mass[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
     felt = sorted({round(readings.stages[s].length, 2) for s in reached})
@@ -276,7 +286,7 @@ def _placed(
         force_per_cm2=float(weight @ np.abs(force)),
         force_interval_per_cm2=_quantiles(np.abs(force), weight, (0.025, 0.975)),
         arcs=mean[0] + off[:, 0],
-        weights=weight,
+        weights=mass,
         track=mean[1:] + along * covariance[0, 1:] / covariance[0, 0],
         probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
         places=not doubt,
@@ -288,11 +298,32 @@ def _placed(
         effective=samples.effective,
         kind="peg" if is_peg else "wall",
         face=face,
-        explanations=explanations,
+        explanations={
+            _NAMES[one.hypothesis]: float(probability)
+            for one, probability in zip(explanations, probabilities, strict=True)
+        },
         peg_radius_cm=_quantiles(radii, weight, (0.5, 0.5))[0] if is_peg else nan,
         friction=float(weight @ np.abs(q[:, FRICTION])),
         yield_cm=float(weight @ (samples.compliance[on] * np.abs(force))),
     )
+
+
+def _nearest(samples: Samples, stage: int, mean: Floats) -> tuple[Floats, Floats]:
+    """Arcs and places (n, 3) at which an explanation's samples touch at a stage, and weights (n,).
+
+    Of the obstacle that is nearest to `mean` (3,); empty if none is touched.
+    """
+    nearest = np.zeros((0, 3)), np.zeros(0)
+    least = np.inf
+    for touch in np.moveaxis(samples.touch[:, stage, :, :3], 1, 0):
+        on = np.isfinite(touch[:, 0])
+        weight = samples.weight[on]
+        if weight.sum() < 0.5:
+            continue
+        away = float(np.hypot(*(np.average(touch[on], axis=0, weights=weight) - mean)[1:]))
+        if away < least:
+            least, nearest = away, (touch[on], weight)
+    return nearest
 
 
 def _widened(weight: Floats) -> Floats:
