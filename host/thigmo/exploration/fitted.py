@@ -91,15 +91,15 @@ class SideFits:
                 mirrored = points * [1.0, SIGN[side]]
                 return boost(self._prior, mirrored, self._config.body.length_cm)
 
-        found = contacts(*prepared, self._atlas, expected=expected)
+        side_contacts = contacts(*prepared, self._atlas, expected=expected)
         model = f"by {len(sweeps)} sweep{'s' if len(sweeps) > 1 else ''}"
-        model += f"; one of {len(found)} on this side" if len(found) > 1 else ""
+        model += f"; one of {len(side_contacts)} on this side" if len(side_contacts) > 1 else ""
         sensors = prepared[0].centers.size
         return [
             FittedContact(
                 self._mapped(contact, side, model, sensors), contact.arcs, contact.weights
             )
-            for contact in found
+            for contact in side_contacts
         ]
 
     def _mapped(self, contact: FieldContact, side: Side, model: str, sensors: int) -> MapContact:

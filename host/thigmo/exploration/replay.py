@@ -89,12 +89,12 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
     folder.write_document(document, "replay.json")
     export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")
     draw_map(document, folder.path / "replay.png", radius_cm=radius, prior=prior)
-    gaps = sum(each.gaps for each in logs)
+    gaps = sum(record.gaps for record in logs)
     return ReplayResult(
         document,
         len(recorded.sweeps),
         recorded.bad,
         log.truncated,
         gaps,
-        "; ".join(each.missing for each in logs if each.missing),
+        "; ".join(record.missing for record in logs if record.missing),
     )
