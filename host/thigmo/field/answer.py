@@ -37,6 +37,9 @@ FALSE_ALARMS = 0.05
 _SURELY, _NEAR = 3.0, 5.0
 # Everted length by the spool's encoder, and the side against the corner of the end, cm.
 _LENGTH_CM = 0.1
+# Sum of squares over the number of independent readings that a model which holds leaves on average.
+# Where one peg leaves more, though possible, it is weighed against two and a wall.
+_USUAL = 1.0
 _TRACK = 25  # points
 _FEW_ROUNDS = 3
 _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
@@ -120,14 +123,14 @@ def _contacts(
 ) -> list[FieldContact]:
     search = Search(readings, errors, atlas)
     peg = _one_peg(search, expected)
-    if peg is not None and _explains(peg, readings):
+    if peg is not None and _explains(peg, readings) and peg.misfit * ALIKE <= _USUAL:
         return _answer(search, [peg], "")
     gone = _gave_way(search, errors, atlas, expected)
     explanations = [samples for samples in (peg, gone) if samples is not None]
     if not explanations:
         return []
     explanations.sort(key=lambda samples: -samples.log_evidence)
-    if not (doubt := _doubt(explanations, readings)):
+    if explanations[0] is gone and not _doubt(explanations, readings):
         return _answer(search, explanations, "")
     for sought in (search.pairs, search.walls):
         modes = sought()
@@ -135,9 +138,7 @@ def _contacts(
             samples = _sampled(search, [modes], expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
-        if not (doubt := _doubt(explanations, readings)):
-            break
-    return _answer(search, explanations, doubt)
+    return _answer(search, explanations, _doubt(explanations, readings))
 
 
 def _doubt(explanations: list[Samples], readings: Readings) -> str:
@@ -194,8 +195,13 @@ def _log_odds(search: Search, samples: Samples) -> float:
 
 
 def _explains(samples: Samples, readings: Readings) -> bool:
-    """Whether samples leave no more than a model that holds, and enough of them agree."""
-    return samples.misfit * ALIKE <= _most_misfit(readings) and samples.effective >= ENOUGH
+    """Whether samples leave no more than a model that holds, and enough of them agree.
+
+    Where one peg does not explain the readings, much may stand there that is no hypothesis: a row
+    of dowels, a corner, a third peg. So other explanations must leave no more than is usual.
+    """
+    most = _most_misfit(readings) if samples.hypothesis == PEG else _USUAL
+    return samples.misfit * ALIKE <= most and samples.effective >= ENOUGH
 
 
 def _most_misfit(readings: Readings) -> float:
