@@ -196,7 +196,7 @@ class Body(Model):
     def _without_what_it_lacks(self, dumped: SerializerFunctionWrapHandler) -> dict[str, Any]:
         entries: dict[str, Any] = dumped(self)
         if not self.rest_curvature:
-            del entries["rest_curvature"]
+            entries.pop("rest_curvature", None)
         if not self.grows:
             for name in _OF_GROWTH:
                 entries.pop(name, None)
