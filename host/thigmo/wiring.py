@@ -246,6 +246,11 @@ class Wiring:
                 "press its muscles by name and feel in space (`thigmo feel`), or localize its "
                 "readings with a column `direction` (`thigmo localize`)",
             )
+        if config.body.rest_curvature:
+            return Limitation(
+                "the body is curved at rest, and explorations map with a body that is straight",
+                "feel what touches it: `thigmo feel`",
+            )
         if not config.muscles:
             return Limitation(
                 "the robot has no muscles, so it cannot sweep",

@@ -64,12 +64,12 @@ double Centreline::heading_in(int cell, double s) const {
   const Node& b = nodes[cell + 1];
   const double width = b.s - a.s;
   if (width <= 0.0) return a.heading;
-  // Hermite's polynomial; the fold's turn is linear and is added apart.
-  const double from = a.heading - fold.turn(a.s);
-  const double to = b.heading - fold.turn(b.s);
+  // Hermite's polynomial; the turns of fold and rest shape are added apart, for they have kinks.
+  const double from = a.heading - imposed_turn(a.s);
+  const double to = b.heading - imposed_turn(b.s);
   const double u = (s - a.s) / width;
   const double v = 1.0 - u;
-  return fold.turn(s) + from * (1.0 + 2.0 * u) * v * v + to * (1.0 + 2.0 * v) * u * u +
+  return imposed_turn(s) + from * (1.0 + 2.0 * u) * v * v + to * (1.0 + 2.0 * v) * u * u +
          width * u * v * (a.curvature * v - b.curvature * u);
 }
 
@@ -99,7 +99,7 @@ double Centreline::curvature(double s) const {
   const Node& b = nodes[cell + 1];
   const double u = b.s > a.s ? (s - a.s) / (b.s - a.s) : 0.0;
   const double folded = s < fold.width && fold.angle != 0.0 ? fold.angle / fold.width : 0.0;
-  return a.curvature + u * (b.curvature - a.curvature) + folded;
+  return a.curvature + u * (b.curvature - a.curvature) + folded + rest.curvature(s);
 }
 
 bool Centreline::cut(double center, double span, double& low, double& high) const {

@@ -435,8 +435,9 @@ std::vector<double> Rod::sensitivity() const {
   return total;
 }
 
-// Integrates from the tip to the base, on an even grid plus the places of the contacts and the
-// fold's end, each in the frame of the distal end; then lays the nodes into the room.
+// Integrates from the tip to the base, on an even grid plus the places of the contacts and the ends
+// of the fold and of the rest shape's pieces, each in the frame of the distal end; then lays the
+// nodes into the room.
 void Rod::shoot(const Reactions& reactions) {
   struct Event {
     Skin on;
@@ -472,7 +473,10 @@ void Rod::shoot(const Reactions& reactions) {
   Section at = Section::at_origin(0.0);
   const double h = room_.length / room_.cells;
   double s = room_.length;
-  double turned = room_.natural * s + fold.turn(s);
+  const auto turn_at = [&](double arc) {
+    return room_.natural * arc + fold.turn(arc) + room_.rest.turn(arc);
+  };
+  double turned = turn_at(s);
   int k = static_cast<int>(std::ceil(s / h - kTiny)) - 1;
   auto event = events.begin();
 
@@ -512,7 +516,8 @@ void Rod::shoot(const Reactions& reactions) {
         t.moment -= step * (c * at.n_y - d * at.n_x);
         Tangent& frame = shot_.at_by[event->contact * directions + i];
         frame = t;
-        frame.heading += step * (room_.natural + (s < fold.width ? fold.angle / fold.width : 0.0));
+        frame.heading += step * (room_.natural + room_.rest.curvature(s) +
+                                 (s < fold.width ? fold.angle / fold.width : 0.0));
         const Push pushed = push_by(contact, event->contact, event->unknown, i, directions);
         t.moment += on.ahead * pushed.normal - on.offset * pushed.tangential;
         if (moves) t.moment += slope.ahead * push.normal - slope.offset * push.tangential;
@@ -541,10 +546,13 @@ void Rod::shoot(const Reactions& reactions) {
     };
     if (event != events.end()) stop_at(event->on.arc);
     if (fold.angle != 0.0 && fold.width < s - kTiny) stop_at(fold.width);
+    for (const RestShape::Piece& piece : room_.rest.pieces()) {
+      if (piece.until < s - kTiny) stop_at(piece.until);
+    }
     if (on_grid) --k;
     const double middle = 0.5 * (s + to);
-    const double turned_middle = room_.natural * middle + fold.turn(middle);
-    const double turned_end = room_.natural * to + fold.turn(to);
+    const double turned_middle = turn_at(middle);
+    const double turned_end = turn_at(to);
     if (!by.empty()) {
       for (int i = fold_direction; i <= natural_direction; ++i) {
         by[i].half = turn_by(i, s) - turn_by(i, middle);

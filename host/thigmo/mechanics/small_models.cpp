@@ -30,9 +30,33 @@ struct Stop {
   double force;  // signed: positive bends left
 };
 
+// An even grid, and a node at the end of each piece of the rest shape.
+std::vector<Node> chained_arcs(double curvature, double length, int cells, const RestShape& rest) {
+  std::vector<Node> nodes{{0.0, 0.0, curvature, 0.0, 0.0}};
+  const auto go_to = [&](double s) {
+    const Node from = nodes.back();
+    const double way = s - from.s;
+    if (way < 1e-9) return;
+    const double half = 0.5 * (curvature + rest.curvature(s)) * way;
+    const double chord =
+        std::fabs(half) < 1e-4 ? way * (1.0 - half * half / 6.0) : way * std::sin(half) / half;
+    nodes.push_back({s, from.heading + 2.0 * half, curvature,
+                     from.x + chord * std::cos(from.heading + half),
+                     from.y + chord * std::sin(from.heading + half)});
+  };
+  auto piece = rest.pieces().begin();
+  for (int i = 1; i <= cells; ++i) {
+    const double s = length * i / cells;
+    for (; piece != rest.pieces().end() && piece->until < s; ++piece) go_to(piece->until);
+    go_to(s);
+  }
+  return nodes;
+}
+
 }  // namespace
 
-std::vector<Node> arc_nodes(double curvature, double length, int cells) {
+std::vector<Node> arc_nodes(double curvature, double length, int cells, const RestShape& rest) {
+  if (!rest.straight()) return chained_arcs(curvature, length, cells, rest);
   std::vector<Node> nodes(cells + 1);
   for (int i = 0; i <= cells; ++i) {
     const double s = length * i / cells;
