@@ -446,8 +446,8 @@ class RobotConfig(Model):
     @property
     def sides(self) -> tuple[Side, ...]:
         """The sides of the plane towards which a muscle bends the body."""
-        there = {muscle.side for muscle in self.muscles}
-        return tuple(side for side in SIDES if side in there)
+        muscle_sides = {muscle.side for muscle in self.muscles}
+        return tuple(side for side in SIDES if side in muscle_sides)
 
     @property
     def muscle_sides(self) -> tuple[Side, ...]:

@@ -142,9 +142,9 @@ class Wiring:
         half = size.sensors // 2
         free = [number for number, sensor in enumerate(sensors) if sensor is None]
         free.sort(key=lambda number: number % half > 0)
-        others = [sensor for sensor in config.board_sensors if sensor.side is None]
-        others.sort(key=lambda sensor: not _is_base(config, sensor))
-        for number, sensor in zip(free, others, strict=False):
+        off_plane = [sensor for sensor in config.board_sensors if sensor.side is None]
+        off_plane.sort(key=lambda sensor: not _is_base(config, sensor))
+        for number, sensor in zip(free, off_plane, strict=False):
             sensors[number] = sensor
         return cls(config, size, tuple(sensors), inputs)
 

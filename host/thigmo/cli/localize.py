@@ -325,7 +325,7 @@ def _answer_rows(
         when = table.lines if table.time_s is None else table.time_s.tolist()
         label = "line of the file" if table.time_s is None else "time (s)"
         bars = [
-            [Bar(each.arc, each.intervals, each.status, "") for each in result.contacts]
+            [Bar(contact.arc, contact.intervals, contact.status, "") for contact in result.contacts]
             if result
             else []
             for result in results

@@ -71,8 +71,8 @@ def new(
             room.save(out / "grown.toml")
             written.append(str(out / "grown.toml"))
             press = pressed(config, room.peg_list())
-            at = f"emulator://{out / 'grown.toml'}"
-            said.append(f"feel its peg, grown: thigmo feel --robot {at} --press {press}")
+            url = f"emulator://{out / 'grown.toml'}"
+            said.append(f"feel its peg, grown: thigmo feel --robot {url} --press {press}")
     if not beyond:
         room_for(config, seed, peg=False).save(out / "empty.toml")
         written.append(str(out / "empty.toml"))

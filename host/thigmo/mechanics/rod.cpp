@@ -16,12 +16,12 @@ constexpr double kPieceCm = 1.0;  // the free tip's way in a piece of a step
 
 // Linear interpolation at x of values at nodes first, first + step, ...; the ends go on.
 double interpolated(const std::vector<double>& values, double first, double step, double x) {
-  const double at = (x - first) / step;
+  const double position = (x - first) / step;
   const double last = static_cast<double>(values.size() - 1);
-  if (at <= 0.0) return values.front();
-  if (at >= last) return values.back();
-  const auto i = static_cast<std::size_t>(at);
-  return values[i] + (at - static_cast<double>(i)) * (values[i + 1] - values[i]);
+  if (position <= 0.0) return values.front();
+  if (position >= last) return values.back();
+  const auto i = static_cast<std::size_t>(position);
+  return values[i] + (position - static_cast<double>(i)) * (values[i + 1] - values[i]);
 }
 
 void check(double natural, double length) {
@@ -282,11 +282,12 @@ void Rod::press(std::vector<Contact> contacts, double fold_angle, double natural
 void Rod::solve(double travel) {
   const double fold_before = reactions_.fold_angle;
   const std::optional<Node> tip_before = tip_;
-  bool found = find_reactions();
+  bool converged = find_reactions();
   // A solution much farther away than the tip may move is checked by relaxation.
-  if (found && tip_before && apart(nodes_.back(), *tip_before) > 5.0 * travel + 0.3) found = false;
+  if (converged && tip_before && apart(nodes_.back(), *tip_before) > 5.0 * travel + 0.3)
+    converged = false;
   status_ = Status::kConverged;
-  if (!found) {
+  if (!converged) {
     status_ = Status::kRelaxed;
     Relaxed relaxed = relax(room_, bend_, fold_before);
     nodes_ = relaxed.nodes;
@@ -298,8 +299,8 @@ void Rod::solve(double travel) {
     }
     forget_equations();
     reactions_ = near;
-    found = find_reactions() && apart(nodes_.back(), relaxed.nodes.back()) <= 1.0;
-    if (!found) {
+    converged = find_reactions() && apart(nodes_.back(), relaxed.nodes.back()) <= 1.0;
+    if (!converged) {
       // The relaxed shape is an equilibrium to the accuracy of penalties.
       status_ = Status::kApproximate;
       forget_equations();
@@ -350,11 +351,12 @@ std::vector<ContactReport> Rod::contacts() const {
     const Pose pose = centreline().pose(on.arc);
     const double c = std::cos(pose.heading);
     const double d = std::sin(pose.heading);
-    const Push by = push(contact);
-    reports.push_back({contact.peg, on.arc + on.ahead, on.kind, by.normal, by.tangential,
-                       on.ahead * by.normal - on.offset * by.tangential,
+    const Push pushed = push(contact);
+    reports.push_back({contact.peg, on.arc + on.ahead, on.kind, pushed.normal, pushed.tangential,
+                       on.ahead * pushed.normal - on.offset * pushed.tangential,
                        pose.x + on.ahead * c - on.offset * d, pose.y + on.ahead * d + on.offset * c,
-                       by.tangential * c - by.normal * d, by.tangential * d + by.normal * c});
+                       pushed.tangential * c - pushed.normal * d,
+                       pushed.tangential * d + pushed.normal * c});
   }
   std::stable_sort(reports.begin(), reports.end(),
                    [](const auto& a, const auto& b) { return a.arc < b.arc; });
