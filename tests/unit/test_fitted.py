@@ -198,3 +198,9 @@ def test_a_wall_that_was_touched_and_leads_into_the_path_is_the_likelier_cause_o
     room.add_obstruction(Obstruction(45.5, 45.0, (44.0, 46.0), 3, 0.0))
     assert room.stall is not None
     assert (room.stall.wall > room.stall.obstacle) == likelier
+
+
+def test_what_gave_way_is_said_with_its_kind(fits: Fits) -> None:
+    (contact,) = _mapped(fits, replace(a_fit(45.0), gave_way_at=0.012)).contacts
+    assert contact.certainty_text == "localized, > 99 %; peg that gave way"
+    assert contact.gave_way_per_cm == 0.012

@@ -285,7 +285,7 @@ function label(contact, words, place) {
   const leader = make("path", { fill: "none", stroke: "var(--contact)", "stroke-width": 1 }, group);
   const halo = { stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke", "stroke-linejoin": "round" };
   const lines = [
-    text(group, 0, 0, `${contact.kind}, ${minus(words.along)}`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo }),
+    text(group, 0, 0, `${words.kind}, ${minus(words.along)}`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo }),
     text(group, 0, 0, range, { fill: "var(--contact)", ...halo }),
   ];
   return {
