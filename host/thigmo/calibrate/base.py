@@ -35,13 +35,14 @@ _TURN_SE = 5e-4  # rad, least error of one turn
 _MOST_TURN, _MOST_ASIDE = 2.0, 0.75  # moment times arc over EI; share of the reach
 _LEAST_MOMENT = 0.25  # between the smallest and the largest push, of the moment that folds the base
 _FOLDED = 0.95  # of that moment: beyond it, the fold may begin
-# Rad at the moment that folds the base. Explorations of a base that is taken for rigid err more
-# from 0.01 rad on, so half of that is known well enough.
-_GOOD_RAD = 0.005
-_GOOD_SHARE = 0.1  # or this share of the turn
+# Error of the tip's way aside by the base's turn, over that by the body's own bend. Explorations
+# of a base that is taken for rigid err more from 0.05 on, so half of that is good enough; or a
+# tenth of the compliance.
+_GOOD_BEND, _GOOD_SHARE = 0.025, 0.1
 _TWO_SIZES = 0.2  # least difference of two sizes of push, of the larger one
 _DOUBT = 3.0  # standard errors beyond which a number has the wrong sign, or a line is bent
-_BENT_SHARE = 0.2  # of the turn at the largest push, by which a line must be bent to count
+# Share of the turn, and rad, by which a line must be bent at the largest push to count.
+_BENT_SHARE, _BENT_RAD = 0.2, 0.01
 # Stiffness at the base over that at the tip, relative: no step measures it.
 _TAPER_SE = 0.1
 _LOAD_SE = 0.05  # of forces and moments whose file states none, relative
@@ -223,7 +224,8 @@ def _fit(
             "nothing shows that the turn is proportional to the moment: push five times or more, "
             "by two amounts"
         )
-    good, reason = _judged(compliance, error, second_order, fold)
+    limit_cm = max(_GOOD_BEND * body.length_cm / 3, _GOOD_SHARE * compliance)
+    good, reason = _judged(compliance, error, second_order, fold, limit_cm)
     return BaseResult(
         max(compliance, 0.0), error, taken.moment, taken.turn - zero,
         Verdict(good, reason, tuple(notes)), used,
@@ -231,7 +233,11 @@ def _fit(
 
 
 def _judged(
-    compliance: float, error: float, second_order: tuple[float, float], fold: float
+    compliance: float,
+    error: float,
+    second_order: tuple[float, float],
+    fold: float,
+    limit_cm: float,
 ) -> tuple[bool, str]:
     """Whether the compliance may be used, and why; `second_order` is in rad at the largest push."""
     turn, turn_se = compliance * fold, error * fold
@@ -242,15 +248,15 @@ def _judged(
             f"{measured}, against the push: check signs, and the arc at which the force acts"
         )
     bend, bend_se = second_order
-    if abs(bend) > max(_DOUBT * bend_se, _BENT_SHARE * abs(turn), 2 * _GOOD_RAD):
+    if abs(bend) > max(_DOUBT * bend_se, _BENT_SHARE * abs(turn), _BENT_RAD):
         return False, (
             f"the base's turn is not proportional to the moment ({bend:+.3f} rad off at the "
             "largest): it slips, or folds; clamp it, or push less, and take the pushes again"
         )
-    if turn_se > max(_GOOD_RAD, _GOOD_SHARE * turn):
+    if error > limit_cm:
         return False, (
-            f"{measured}: more uncertain than {_GOOD_RAD:g} rad; take more pushes, or measure the "
-            "base's turn by pictures"
+            f"{measured}: more uncertain than {limit_cm * fold:.4f} rad; take more pushes, or "
+            "measure the base's turn by pictures"
         )
     return True, f"{measured}, {max(compliance, 0.0):.2f} +- {error:.2f} cm"
 
