@@ -171,9 +171,9 @@ class Bench:
 
     def ohm(self, read: Reading | Recording) -> Array:
         """Resistances (..., m) of the robot's sensors, without unused inputs of the board."""
-        every = np.asarray(read.resistance)
+        resistance = np.asarray(read.resistance)
         inputs = self.wiring.inputs
-        return every[..., [inputs[place] for place in places_of(self.config)]]
+        return resistance[..., [inputs[place] for place in places_of(self.config)]]
 
     def mean_ohm(self, record: Recording) -> Array:
         """Mean resistances (m,) of a recording; NaN for a sensor that was never read."""

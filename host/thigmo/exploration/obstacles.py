@@ -98,7 +98,7 @@ def occupancy(
         for line in [] if obstacle.cell_cm else [obstacle.track, obstacle.surface]:
             grid.cells[_near_line(grid, obstacle, line, max(sigmas, _SIGMA_95))] = UNKNOWN
     for obstacle in there:
-        for line in _occupied_lines(obstacle):
+        for line in [] if obstacle.gave_way else _occupied_lines(obstacle):
             grid.cells[_near_line(grid, obstacle, line, 1.0)] = OCCUPIED
     cells = [obstacle.cell_corners() for obstacle in there if obstacle.cell_cm]
     grid.cells[_within(grid, cells)] = OCCUPIED
@@ -147,6 +147,7 @@ def _obstacle(contact: MapContact) -> Obstacle:
         kind=contact.kind,
         probability=contact.probability,
         surface=contact.surface,
+        gave_way=contact.gave_way_per_cm is not None,
     )
 
 

@@ -108,6 +108,8 @@ class MapContact:
     fit_radius_cm: float | None = None
     fit_friction: float | None = None
     fit_yield_cm: float | None = None
+    #: bend of the free body (1/cm, signed) up to which it stood: then it gave way; null: it stands
+    gave_way_per_cm: float | None = None
 
     @property
     def force_text(self) -> str:

@@ -234,8 +234,8 @@ function along(poses, arc) {
 function drawPosterior(posterior, poses, moves) {
   const { places_cm: places, side } = posterior, dense = density(posterior), most = Math.max(...dense);
   const radius = store.last.shape?.radius_cm ?? 2.4;
-  const turned = poses.at(-1)[2] - poses[0][2];
-  const sign = Math.abs(turned) > .02 ? Math.sign(turned) : side === "left" ? 1 : -1;
+  // Where no muscle bends the body, the contact does.
+  const sign = { left: 1, right: -1 }[side] ?? Math.sign(poses.at(-1)[2] - poses[0][2]);
   const skin = [], top = [];
   places.forEach((arc, n) => {
     const pose = along(poses, arc);
