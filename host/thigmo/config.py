@@ -138,7 +138,8 @@ class Body(Model):
     critical_curvature: Annotated[float, Field(gt=0)] = Field(default_factory=_default_fold)
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49  # body pressure at which it was measured
-    # Angle (rad) by which the base turns for each 1/cm of contact moment over EI there, so cm.
+    # Angle (rad) by which the base turns for each 1/cm of contact moment over EI there, so cm;
+    # `thigmo calibrate base` measures it.
     base_compliance_cm: NonNegative = 0.0
     # One sigma of it, cm. Default: not measured; bases turn by up to 0.05 rad before they fold.
     base_compliance_se_cm: NonNegative = 2.5

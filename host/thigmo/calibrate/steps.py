@@ -1,8 +1,9 @@
 """The steps of the calibration, from readings of bench or CSV to verdicts and robot.toml.
 
     growth   -> encoder, hysteresis        bends -> actuator, and free bends for flex
-    tips     -> flex; stiffness with bows  pushes -> buckling
-    rest     -> noise                      pressure, check
+    leans    -> base                       pushes -> buckling
+    tips     -> flex; stiffness with bows  rest   -> noise
+    pressure, check
 
 Each is a module with `guided`, which takes the readings that are missing and fits them, `of_csv`
 for readings that a lab already has, and the fit. Order on a new robot: that of `STEPS`.
@@ -17,6 +18,7 @@ from typing import Any, Final, Literal, cast
 
 from thigmo.calibrate import (
     actuator,
+    base,
     bending,
     buckling,
     check,
@@ -92,6 +94,7 @@ STEPS = {
         "[curvature_se, branch, trial]",
         ("bends", "unseen_bends", "lag"), needed=True, needs=("muscles", _STRAIGHT),
     ),
+    "base": Step(base.guided, base.of_csv, base.COLUMNS, ("leans",), needs=(_STRAIGHT,)),
     "flex": Step(
         flex.guided, flex.of_csv,
         "kind (straight, tip, bend), tip_x_cm, tip_y_cm, curvature, ohm_SENSOR of each sensor "
@@ -117,7 +120,7 @@ STEPS = {
     ),
     "stiffness": Step(
         stiffness.guided, stiffness.of_csv,
-        f"picture, x_cm, y_cm, force_arc_cm; or {bending.COLUMNS}", ("bows",),
+        f"picture, x_cm, y_cm [force_arc_cm]; or {bending.COLUMNS}", ("bows",),
         needs=(_STRAIGHT,),
     ),
     "noise": Step(noise.guided, noise.of_csv, f"t_s, {_CURVATURES}", ("rest",)),
