@@ -95,15 +95,30 @@ class Serial0 {
   static volatile uint16_t overruns_;
 
  private:
-  // Four bytes a turn: that takes two thirds of the library's time for one.
+  // Four bytes a turn: 4.75 cycles a byte, where the compiler's loops take 7 or 8.
   static void copy(uint8_t* to, const uint8_t* from, uint8_t count) {
-    for (; count >= 4; count = static_cast<uint8_t>(count - 4)) {
-      *to++ = *from++;
-      *to++ = *from++;
-      *to++ = *from++;
-      *to++ = *from++;
-    }
-    for (; count != 0; --count) *to++ = *from++;
+    __asm__ volatile(
+        "rjmp 2f               \n\t"
+        "1: ld r0, %a[from]+   \n\t"
+        "st   %a[to]+, r0      \n\t"
+        "ld   r0, %a[from]+    \n\t"
+        "st   %a[to]+, r0      \n\t"
+        "ld   r0, %a[from]+    \n\t"
+        "st   %a[to]+, r0      \n\t"
+        "ld   r0, %a[from]+    \n\t"
+        "st   %a[to]+, r0      \n\t"
+        "2: subi %[count], 4   \n\t"
+        "brcc 1b               \n\t"
+        "subi %[count], -4     \n\t"
+        "breq 4f               \n\t"
+        "3: ld r0, %a[from]+   \n\t"
+        "st   %a[to]+, r0      \n\t"
+        "dec  %[count]         \n\t"
+        "brne 3b               \n\t"
+        "4:                    \n\t"
+        : [to] "+e"(to), [from] "+e"(from), [count] "+d"(count)
+        :
+        : "memory");
   }
 
   // Lasts 280 us at 250 kbaud: time to hand over the next frame.
