@@ -20,6 +20,7 @@ def a_fit(
     peg_radius_cm: float = 1.0,
     probability: float = 1.0,
     doubt: str = "",
+    explanations: dict[str, float] | None = None,
 ) -> FieldContact:
     """A contact with a 95 % interval so wide, at a place in the side's plane."""
     arcs: Floats = arc_cm + width_cm / 3.92 * np.linspace(-2.0, 2.0, 41)
@@ -46,6 +47,8 @@ def a_fit(
         misfit=1.0,
         effective=80.0,
         kind=kind,
+        face=np.array([[30.0, 18.0], [38.0, 19.0]]) if kind == "wall" else np.zeros((0, 2)),
+        explanations=explanations or {kind: 1.0},
         peg_radius_cm=peg_radius_cm,
         friction=0.1,
         yield_cm=0.0,

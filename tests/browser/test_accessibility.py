@@ -15,6 +15,7 @@ from playwright.sync_api import Page, expect
 from scripted import ScriptedRun
 
 from thigmo.cli.watch import expected_efforts, parameters
+from thigmo.record import Explanation
 from thigmo.stream import Contacts
 
 ServePage = Callable[..., Served]
@@ -28,11 +29,11 @@ SCREENS = [
 WALL = replace(
     CONTACT,
     kind="wall",
-    wall_probability=0.97,
-    peg_probability=0.02,
-    surface=[(20.0, 11.0), (27.5, 11.6), (33.0, 12.4)],
+    explanations=[Explanation("wall", 0.97), Explanation("two pegs", 0.03)],
+    surface=[(20.0, 11.0), (33.0, 12.4)],
     x_cm=-2.5,
 )
+GUESS = replace(WALL, status="ambiguous", doubt="the model does not explain these sweeps")
 
 
 def _findings(page: Page) -> list[str]:
@@ -60,7 +61,7 @@ def test_axe_finds_nothing_before_a_run_in_it_and_after_it(
         run.state()
         run.feel()
         run.believe(sweeping=False)
-        run.hub.publish(Contacts(0.0, 0.0, (CONTACT, WALL, replace(CONTACT, status="ambiguous"))))
+        run.hub.publish(Contacts(0.0, 0.0, (CONTACT, WALL, GUESS)))
         run.event("flex_open", "fault", "Left sensor 2 is open.", "Look at its plug.")
         run.event("contact", "warning", "contact")
         run.ask("How many cm?", "cm")
@@ -73,12 +74,15 @@ def test_axe_finds_nothing_before_a_run_in_it_and_after_it(
     assert _findings(page) == []
 
 
-def test_a_wall_is_drawn_as_a_line_and_named_with_its_probabilities(
+def test_a_wall_is_drawn_as_a_line_and_a_guess_says_why_it_is_one(
     page: Page, run: ScriptedRun
 ) -> None:
     run.feel()
-    run.hub.publish(Contacts(0.0, 0.0, (WALL, replace(WALL, wall_probability=0.6))))
-    expect(page.locator("#contact-rows tr").first).to_contain_text("wall 97 %, peg 2 %")
+    run.hub.publish(Contacts(0.0, 0.0, (WALL, GUESS)))
+    rows = page.locator("#contact-rows tr")
+    expect(rows.first).to_contain_text("wall 97 %, two pegs 3 %")
+    expect(rows.nth(1)).to_contain_text(GUESS.doubt)
+    expect(page.locator('#room [data-layer="contacts"] ellipse')).to_have_count(2)
     lines = page.locator('#room [data-layer="contacts"] path[stroke-width="3"]')
     expect(lines).to_have_count(2)
     assert [lines.nth(n).get_attribute("stroke-dasharray") for n in range(2)] == [None, "7 5"]

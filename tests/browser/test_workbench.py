@@ -202,6 +202,33 @@ def test_wheel_and_drag_move_the_room(page: Page, run: ScriptedRun) -> None:
     assert back["x"] == pytest.approx(before["x"], abs=0.5)
 
 
+def test_wheel_and_drag_move_along_the_body(page: Page, run: ScriptedRun) -> None:
+    run.feel()
+    contact = page.locator('#body circle[r="4"]')
+    expect(contact).to_have_count(1)
+
+    def where() -> float:
+        box = contact.bounding_box()
+        assert box is not None
+        return box["x"] + box["width"] / 2
+
+    chart = page.locator("#body").bounding_box()
+    assert chart is not None
+    before, y = where(), chart["y"] + 60
+    written = page.locator("#body text").all_text_contents()
+    page.mouse.move(before, y)
+    page.mouse.wheel(0, -240)
+    assert page.locator("#body text").all_text_contents() != written
+    assert where() == pytest.approx(before, abs=1.0)  # under the pointer, it stays
+    page.mouse.down()
+    page.mouse.move(before + 40, y)
+    page.mouse.up()
+    assert where() == pytest.approx(before + 40, abs=1.0)
+    page.mouse.dblclick(before, y)
+    assert where() == pytest.approx(before, abs=0.5)
+    assert page.locator("#body text").all_text_contents() == written
+
+
 def test_events_are_an_operators_until_technical_ones_are_asked_for(
     page: Page, run: ScriptedRun
 ) -> None:

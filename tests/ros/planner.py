@@ -62,14 +62,18 @@ def on_contact(contact: PoseWithCovarianceStamped) -> None:
     tell("contact", **head(contact), pose=pose(inner.pose), covariance=list(inner.covariance))
 
 
-def on_walls(walls: MarkerArray) -> None:
-    lines = [each for each in walls.markers if each.action == Marker.ADD]
+def on_contact_markers(array: MarkerArray) -> None:
+    added = [marker for marker in array.markers if marker.action == Marker.ADD]
     tell(
-        "walls",
-        removed=sum(each.action == Marker.DELETEALL for each in walls.markers),
-        lines=[[[p.x, p.y, p.z] for p in each.points] for each in lines],
-        kinds=[each.type for each in lines], texts=[each.text for each in lines],
-        solid=[each.color.a for each in lines],
+        "contact_markers",
+        removed=sum(marker.action == Marker.DELETEALL for marker in array.markers),
+        markers={
+            marker.ns: {
+                "kind": marker.type, "points": [[p.x, p.y, p.z] for p in marker.points],
+                "at": pose(marker.pose), "text": marker.text, "alpha": marker.color.a,
+            }
+            for marker in added
+        },
     )  # fmt: skip
 
 
@@ -105,7 +109,7 @@ def main() -> None:
     subscribe = node.create_subscription
     subscribe(OccupancyGrid, f"/{namespace}/map", on_map, latched(1))
     subscribe(PoseWithCovarianceStamped, f"/{namespace}/contacts", on_contact, latched(100))
-    subscribe(MarkerArray, f"/{namespace}/walls", on_walls, latched(1))
+    subscribe(MarkerArray, f"/{namespace}/contact_markers", on_contact_markers, latched(1))
     subscribe(Path, f"/{namespace}/body", on_body, latched(1))
     subscribe(JointState, f"/{namespace}/joint_states", on_joints, qos_profile_sensor_data)
     subscribe(DiagnosticArray, "/diagnostics", on_diagnostics, 10)

@@ -22,7 +22,7 @@ from served import LIVE, comes, ready_to_sweep
 
 import thigmo
 from thigmo.errors import RobotFaultError, StoppedByViewerError
-from thigmo.record import RunFolder
+from thigmo.record import Explanation, RunFolder
 from thigmo.stream import Hello, Hub, Server
 
 # A run hears of a stop from its viewer and from its board, whichever is first.
@@ -209,18 +209,25 @@ def test_planner_that_comes_later_gets_a_finished_run_s_map(
     _contacts_are_the_run_s(planner, run)
 
 
-def test_planner_receives_walls_as_lines_with_their_probability(ros: Any, tmp_path: Path) -> None:
+def test_viewer_receives_a_wall_s_face_its_ellipse_and_the_doubt(ros: Any, tmp_path: Path) -> None:
     run = thigmo.explore(room_file(tmp_path, scene_at(51.0, "empty")), seed=1, out=tmp_path)
-    line = [(12.0, 9.0), (20.0, 9.5), (31.0, 10.0), (33.0, 10.1)]
-    wall = replace(CONTACT, kind="wall", surface=line, wall_probability=0.8)
+    wall = replace(
+        CONTACT, kind="wall", surface=[(12.0, 9.0), (33.0, 10.1)], status="ambiguous",
+        explanations=[Explanation("wall", 0.8), Explanation("two pegs", 0.2)], doubt="a guess",
+    )  # fmt: skip
     RunFolder(run.folder).write_document(replace(run.document, contacts=[wall]))
     ros.bridge(run.folder)
-    said = ros.planner().hears(lambda said: said["topic"] == "walls" and said["lines"])
+    said = ros.planner().hears(lambda said: said["topic"] == "contact_markers" and said["markers"])
     assert said["removed"] == 1
-    assert said["kinds"] == [4]  # a line strip
-    assert np.allclose(said["lines"], [[[x / 100, y / 100, 0.0] for x, y in wall.surface]])
-    assert said["solid"] == pytest.approx([wall.wall_probability])
-    assert said["texts"] == [f"wall, probability {wall.wall_probability:.2f}"]
+    shown = said["markers"]
+    assert shown.keys() == {"walls", "ellipses", "words"}
+    assert [shown[name]["kind"] for name in ("walls", "ellipses", "words")] == [4, 4, 9]
+    assert np.allclose(shown["walls"]["points"], [[0.12, 0.09, 0.0], [0.33, 0.101, 0.0]])
+    off = np.array(shown["ellipses"]["points"])[:, :2] * 100 - [wall.x_cm, wall.y_cm]
+    squares = np.einsum("ni,in->n", off, np.linalg.solve(np.array(wall.covariance_cm2), off.T))
+    assert np.allclose(squares, 5.99, atol=0.01)
+    assert shown["words"]["text"].endswith("wall 80 %, two pegs 20 %\n" + wall.doubt)
+    assert all(marker["alpha"] < 0.5 for marker in shown.values())
 
 
 @pytest.mark.realtime

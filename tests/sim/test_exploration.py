@@ -90,7 +90,7 @@ def test_the_terminal_shows_a_contact_on_one_line_of_80_columns(
 def test_a_terminal_too_narrow_for_a_contact_breaks_its_status_between_its_parts(
     default: ExplorationResult, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "72")
+    monkeypatch.setenv("COLUMNS", "68")
     Console(quiet=True).result(default)
     _, row, rest = capsys.readouterr().out.splitlines()[:3]
     status, kinds = default.contacts[0].certainty_text.split("; ")

@@ -90,7 +90,7 @@ def test_a_robot_with_a_fibre_explores_and_its_record_says_the_same(
     assert again.document.contacts == run.document.contacts
     assert again.document.stages == run.document.stages
     (sweep, *_) = recorded_sweeps(run.folder)
-    assert bin(sweep.sensors >> 10).count("1") == 12  # in the plane, out at 30 cm
+    assert bin(sweep.sensors >> 10).count("1") == 16  # in the plane, out at 40 cm
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
+import numpy as np
 import pytest
 from contacts import CONTACT
 
@@ -21,6 +22,7 @@ import thigmo
 from thigmo.errors import PortError, RobotFaultError, StoppedByViewerError
 from thigmo.live.foxglove import FoxgloveServer
 from thigmo.live.relay import Relay, Watched
+from thigmo.record import Explanation
 from thigmo.stream import Contacts, Grid, Telemetry
 from thigmo.stream.foxglove import VIEWS
 from thigmo.stream.protobuf import from_protobuf, schema
@@ -138,30 +140,32 @@ def test_foxglove_sees_a_run_and_late_comers_its_map(late_url: str, tmp_path: Pa
 
 
 @pytest.mark.usefixtures("own_sockets")
-def test_foxglove_draws_walls_as_lines_with_their_probability() -> None:
-    line = [(12.0, 9.0), (20.0, 9.5), (31.0, 10.0), (33.0, 10.1)]
-    wall = replace(CONTACT, kind="wall", surface=line, wall_probability=0.8)
+def test_foxglove_draws_a_wall_s_face_and_its_ellipse_and_says_the_doubt() -> None:
+    wall = replace(
+        CONTACT, kind="wall", surface=[(12.0, 9.0), (33.0, 10.1)], status="ambiguous",
+        explanations=[Explanation("wall", 0.8), Explanation("two pegs", 0.2)], doubt="a guess",
+    )  # fmt: skip
 
     async def look(address: str) -> None:
         async with aiohttp.ClientSession() as session:
             client = await connected(session, address)
             await client.subscribe("/foxglove/scene")
-            lines: list[Any] = []
-            while not lines:
+            entities: list[Any] = []
+            while not entities:
                 _, _, data = await client.message()
                 scene: Any = VIEWS["/foxglove/scene"].FromString(data)
-                lines = [
-                    (line, {each.key: each.value for each in entity.metadata})
-                    for entity in scene.entities
-                    for line in entity.lines
-                    if len(line.points) == len(wall.surface)
-                ]
-            (drawn, said) = lines[0]
-            points = [(100 * point.x, 100 * point.y) for point in drawn.points]
-            assert points == [pytest.approx(point) for point in wall.surface]
-            assert drawn.color.a == pytest.approx(wall.wall_probability)
+                entities = [entity for entity in scene.entities if entity.id == "contact 0"]
+            lines = [[(100 * p.x, 100 * p.y) for p in line.points] for line in entities[0].lines]
+            track, ellipse, face = lines
+            assert track == [pytest.approx(point) for point in wall.track]
+            assert face == [pytest.approx(point) for point in wall.surface]
+            off = np.array(ellipse) - [wall.x_cm, wall.y_cm]
+            squares = np.sum(off.T * np.linalg.solve(wall.covariance_cm2, off.T), axis=0)
+            assert squares == pytest.approx(5.99, abs=0.01)  # 95 % of chi-squared of two numbers
+            said = {pair.key: pair.value for pair in entities[0].metadata}
             assert said["kind"] == "wall"
-            assert said["wall_probability"] == f"{wall.wall_probability:.2f}"
+            assert said["explanations"] == "wall 80 %, two pegs 20 %"
+            assert said["doubt"] == wall.doubt
 
     with FoxgloveServer(lambda: "", port=0) as server:
         server.publish(Contacts(0.0, time.time(), (wall,)))

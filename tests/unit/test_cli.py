@@ -11,6 +11,7 @@ import pytest
 from command import Thigmo, run_python
 from typer.main import get_command
 
+from thigmo import localize as thigmo_localize
 from thigmo.cli.main import app
 from thigmo.config import RobotConfig
 from thigmo.link import protocol as wire
@@ -88,13 +89,12 @@ def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(
     stated = ["localize", tmp_path / "r.csv", "--length", 53, "--span", 5.5, "--json"]
     stated += ["--free-curvature", 0.03]
     known = json.loads(thigmo(*stated, "--config", tmp_path / "robot.toml", "--side", "left").out)
-    spelt = json.loads(
-        thigmo(
-            *stated, "--noise", 6e-4, "--gain-error", 0.03, "--offset-error", 2e-4, "--map-error",
-            0.01, "--critical-curvature", 0.01108, "--tube-radius", 1.75, "--base-fold-error", 0,
-            "--noise-correlation", 0, "--largest-noise-factor", 2.4, "--contact-couple-odds", 0,
-        ).out
-    )  # fmt: skip
+    spelt = thigmo_localize(
+        [0.021, 0.0223, 0.0244, 0.0268, 0.0285], [5.0, 15.0, 25.0, 35.0, 45.0], length=53.0,
+        span=5.5, free_curvature=0.03, noise=6e-4, gain_error=0.03, offset_error=2e-4,
+        map_error=0.01, critical_curvature=0.01108, tube_radius=1.75, base_fold_error=0.0,
+        noise_correlation=0.0, largest_noise_factor=2.4, contact_couple_odds=0.0,
+    ).to_dict()  # fmt: skip
     assert known["status"] != "no contact"
     assert known["contacts"][0]["interval"] == pytest.approx(spelt["contacts"][0]["interval"])
     assert known["noise"] == pytest.approx(6e-4)
@@ -169,7 +169,6 @@ def test_a_bad_csv_is_one_line_and_status_1(
         (["localize", "r.csv", "--length", "53", "--offset-error", "nan"], "offset_error"),
         (["localize", "r.csv", "--length", "53", "--map-error", "-1"], "map_error"),
         (["localize", "r.csv", "--length", "53", "--tube-radius", "-1"], "tube_radius"),
-        (["localize", "r.csv", "--length", "53", "--bad-reading-odds", "-1"], "bad_reading_odds"),
         (["localize", "r.csv", "--length", "53", "--config", "none.toml"], "none.toml"),
         (["explore", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),
         (["explore", "--robot", "nonsense://x"], "nonsense"),
@@ -373,9 +372,7 @@ def test_columns_with_directions_are_localized_in_space(tmp_path: Path, thigmo: 
     assert "three numbers" in heavy.err
 
 
-def test_what_holds_the_end_the_levels_and_the_stiffness_are_flags(
-    tmp_path: Path, thigmo: Thigmo
-) -> None:
+def test_a_held_end_and_the_stiffness_are_flags(tmp_path: Path, thigmo: Thigmo) -> None:
     stated = ["localize", "example", "--length", 53, "--span", 5.5, "--noise", 6e-4]
     plain = json.loads(thigmo(*stated, "--json").out)
     assert plain["contacts"][0]["newtons"] is None
@@ -383,11 +380,8 @@ def test_what_holds_the_end_the_levels_and_the_stiffness_are_flags(
     low, high = known["contacts"][0]["newtons"]["across"]["interval"]
     assert low < 400 * plain["contacts"][0]["force"] < high
     assert " N " in thigmo(*stated, "--stiffness", "400,0.1").out
-    strict = json.loads(thigmo(*stated, "--number-level", 0.999, "--json").out)
-    narrow = json.loads(thigmo(*stated, "--width-limit", 1, "--json").out)
-    assert (strict["status"], narrow["status"]) == ("ambiguous", "ambiguous")
     held = json.loads(thigmo(*stated, "--held-end", "yes", "--json").out)
-    free = json.loads(thigmo(*stated, "--held-end", "no", "--end-face-odds", 0, "--json").out)
+    free = json.loads(thigmo(*stated, "--held-end", "no", "--json").out)
     assert not any("end wrench" in name for name in free["hypotheses"])
     assert any("end wrench" in name for name in held["hypotheses"])
     assert "--held-end is 'maybe'" in thigmo(*stated, "--held-end", "maybe").err

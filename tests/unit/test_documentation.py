@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -20,14 +21,17 @@ PAGES = sorted(page for page in DOCS.rglob("*.md") if "_made" not in page.parts)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
-def commands(command: object, name: str = "thigmo") -> Iterator[str]:
-    """Full names of all commands."""
-    inner = getattr(command, "commands", None)
-    if inner:
-        for part, one in inner.items():
-            yield from commands(one, f"{name} {part}")
+def commands(group: Any, name: str = "thigmo") -> Iterator[tuple[str, Any]]:
+    """All commands with their full names."""
+    members = getattr(group, "commands", None)
+    if members:
+        for part, command in members.items():
+            yield from commands(command, f"{name} {part}")
     else:
-        yield name
+        yield name, group
+
+
+COMMANDS = dict(sorted(commands(typer.main.get_command(app))))
 
 
 def anchor(heading: str) -> str:
@@ -49,9 +53,25 @@ def outside_code(page: Path) -> str:
     return re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.parametrize("name", sorted(commands(typer.main.get_command(app))))
+@pytest.mark.parametrize("name", COMMANDS)
 def test_command_is_on_a_page(name: str) -> None:
     assert any(re.search(rf"\b{name}\b", page.read_text()) for page in PAGES)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_is_on_a_page(name: str) -> None:
+    documents = [
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+        *PAGES,
+        *ROOT.glob("firmware/*/*.md"),
+    ]
+    text = "\n".join(document.read_text() for document in documents)
+    for option in COMMANDS[name].params:
+        if option.param_type_name != "option" or option.hidden or option.name == "help":
+            continue
+        flags = [*option.opts, *option.secondary_opts]
+        assert any(re.search(rf"{flag}(?![\w-])", text) for flag in flags), flags
 
 
 @pytest.mark.parametrize(

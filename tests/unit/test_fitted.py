@@ -94,7 +94,8 @@ def test_only_a_sure_and_narrow_place_that_the_model_explains_is_localized(
 ) -> None:
     (contact,) = _mapped(fits, fit).contacts
     assert contact.status == status
-    assert contact.model == "peg, by 1 sweep" + (f"; {fit.doubt}" if fit.doubt else "")
+    assert contact.model == "peg, by 1 sweep"
+    assert contact.doubt == fit.doubt
 
 
 def test_what_is_likely_nothing_is_on_no_map(fits: Fits) -> None:
@@ -155,8 +156,19 @@ def test_a_stage_says_what_it_felt_and_how_well(fits: Fits) -> None:
     assert (answer.side, answer.status, answer.probability) == ("left", "localized", 1.0)
     assert "at 45.0 cm along the body, 95 % 44.0 to 46.0" in answer.message
     assert answer.mass.sum() == pytest.approx(1.0)
+    assert not answer.message.endswith(UNEXPLAINED_WORDS)
     entry = found.entry(1.0, 53.0, sweep, [answer], 2)
     assert entry.shapes[-1].side == "left"
+
+
+def test_a_stage_says_why_its_place_is_a_guess(fits: Fits) -> None:
+    fits.answers = [a_fit(45.0, doubt=UNEXPLAINED_WORDS)]
+    found = Interpreter(CONFIG)
+    sweep = _sweep()
+    found.take(sweep, 2)
+    (answer,) = found.localize(sweep, None, 2, 2)
+    assert answer.status == "ambiguous"
+    assert answer.message.endswith(UNEXPLAINED_WORDS)
 
 
 def test_two_pegs_of_a_side_are_one_of_two_each(fits: Fits) -> None:
@@ -166,7 +178,10 @@ def test_two_pegs_of_a_side_are_one_of_two_each(fits: Fits) -> None:
     assert [near.everted_length_cm, far.everted_length_cm] == [40.0, 53.0]
 
 
-def test_a_wall_has_no_radius(fits: Fits) -> None:
-    (contact,) = _mapped(fits, a_fit(53.0, kind="wall", peg_radius_cm=nan)).contacts
+def test_a_wall_has_a_face_in_the_room_and_no_radius(fits: Fits) -> None:
+    fit = a_fit(53.0, kind="wall", peg_radius_cm=nan, explanations={"wall": 0.97, "two pegs": 0.03})
+    (contact,) = _mapped(fits, fit, side="right").contacts
+    assert contact.kind == "wall"
     assert contact.fit_radius_cm is None
-    assert contact.model.startswith("wall")
+    assert contact.surface == [(x, -y) for x, y in fit.face.tolist()]
+    assert contact.certainty_text == "localized, > 99 %; wall 97 %, two pegs 3 %"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from datetime import datetime
 from math import pi
@@ -441,20 +440,17 @@ def test_a_peg_that_was_taken_for_another_one_is_named_so() -> None:
     assert "taken for the peg that other stages felt" in missed.reason
 
 
-def test_between_a_walls_points_it_is_occupied_only_where_it_is_sure(folder: RunFolder) -> None:
-    """Unknown while the wall may be two pegs, and free in neither case."""
-    line = [(20.0, 8.0), (30.0, 8.0), (40.0, 8.0)]
-    wall = replace(
-        _contact(), kind="wall", surface=line, peg_probability=0.0, status="ambiguous",
-        normal_rad=pi / 2,
-    )  # fmt: skip
-    for probability, grey in ((0.97, OCCUPIED), (0.8, UNKNOWN)):
-        known = _document(replace(wall, wall_probability=probability))
-        export_obstacles(folder, known, radius_cm=RADIUS)
+def test_a_walls_face_is_occupied_where_it_is_localized_and_else_unknown(
+    folder: RunFolder,
+) -> None:
+    face = [(20.0, 8.0), (40.0, 8.0)]
+    wall = replace(_contact(), kind="wall", surface=face, normal_rad=pi / 2)
+    for status, grey in (("localized", OCCUPIED), ("ambiguous", UNKNOWN)):
+        export_obstacles(folder, _document(replace(wall, status=status)), radius_cm=RADIUS)
         assert _grey(folder, 25.0, 8.0) == grey
         assert _grey(folder, 35.0, 8.0) == grey
         (obstacle,) = read_obstacles(folder.path / "obstacles.json").obstacles
-        assert (obstacle.kind, obstacle.surface) == ("wall", line)
+        assert (obstacle.kind, obstacle.surface) == ("wall", face)
 
 
 def test_what_is_ambiguous_or_unlikely_is_unknown_and_never_free(folder: RunFolder) -> None:
@@ -462,29 +458,3 @@ def test_what_is_ambiguous_or_unlikely_is_unknown_and_never_free(folder: RunFold
     for doubtful in (replace(contact, status="ambiguous"), replace(contact, probability=0.9)):
         export_obstacles(folder, _document(doubtful), radius_cm=RADIUS)
         assert _grey(folder, contact.x_cm, contact.y_cm) == UNKNOWN
-
-
-def test_files_of_before_walls_and_stalls_are_read(folder: RunFolder) -> None:
-    """contacts.json and obstacles.json without the entries that came with the room's posterior."""
-    contact = _contact()
-    export_obstacles(folder, _document(contact), radius_cm=RADIUS)
-    folder.write_document(_document(contact))
-    added = {
-        "contacts.json": {
-            "kind", "probability", "peg_probability", "wall_probability", "surface", "stall",
-        },
-        "obstacles.json": {"kind", "probability", "wall_probability", "surface"},
-    }  # fmt: skip
-    for name, entries in added.items():
-        file = folder.path / name
-        text = json.loads(file.read_text())
-        text.pop("stall", None)
-        old = text["contacts" if name == "contacts.json" else "obstacles"][0]
-        assert entries - {"stall"} <= old.keys()
-        for entry in entries:
-            old.pop(entry, None)
-        file.write_text(json.dumps(text))
-    (read,) = folder.read_document().contacts
-    assert read == contact
-    (obstacle,) = read_obstacles(folder.path / "obstacles.json").obstacles
-    assert (obstacle.kind, obstacle.surface, obstacle.probability) == ("peg", [], 1.0)

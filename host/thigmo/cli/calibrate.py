@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOption
+from thigmo.cli.camera import CAMERA_FILE, load_sheet
 from thigmo.cli.console import Console
 from thigmo.cli.output import AnyRobotOption, JsonOption, print_json, show, visible
 from thigmo.errors import DataError
@@ -41,8 +41,6 @@ def calibrate(
         str,
         typer.Option(help="camera:0, a video or a folder of pictures; not on the emulator."),
     ] = "camera:0",
-    sheet_file: SheetOption = SHEET_FILE,
-    camera_file: CameraFileOption = CAMERA_FILE,
     trials: Annotated[int, typer.Option(help="Trials of the free bends.", min=1)] = 3,
     step_psi: Annotated[float, typer.Option(help="Pressure step of free bends.", min=0.5)] = 2.0,
     places: Annotated[int, typer.Option(help="Tip places of the flex step.", min=4)] = 10,
@@ -162,7 +160,7 @@ def calibrate(
         steps = steps_of(session.config) if step == "all" else [step]
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
-        overhead = _overhead_camera(machine, session, camera, sheet_file, camera_file, seed)
+        overhead = _overhead_camera(machine, session, camera, seed)
         bench = Bench(machine, overhead, session, plan, say)
         results: dict[str, StepResult] = {}
         for name in steps:
@@ -208,20 +206,17 @@ def _show_steps(
     show(as_json, facts, *lines)
 
 
-def _overhead_camera(
-    machine: Robot, session: Session, camera: str, sheet_file: Path, camera_file: Path, seed: int
-) -> OverheadCamera:
+def _overhead_camera(machine: Robot, session: Session, camera: str, seed: int) -> OverheadCamera:
     """The camera: painted over an emulated robot, opened and located on a real one."""
     from thigmo.calibrate.overhead import OverheadCamera
     from thigmo.camera import CameraModel, locate, open_source
-    from thigmo.cli.camera import load_sheet
 
     body = session.config.body
-    sheet = load_sheet(sheet_file, body.length_cm)
+    sheet = load_sheet(body.length_cm)
     if (painted := machine.overhead_pictures(sheet, seed)) is not None:
         source, height = painted
         measured = sheet.model_copy(update={"camera_height_cm": height})
         model = locate(source.read(), measured)
         model.save(session.folder / "camera.json")
         return OverheadCamera(source, model, measured, body)
-    return OverheadCamera(open_source(camera), CameraModel.load(camera_file), sheet, body)
+    return OverheadCamera(open_source(camera), CameraModel.load(CAMERA_FILE), sheet, body)

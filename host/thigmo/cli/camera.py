@@ -35,16 +35,8 @@ SourceArgument = Annotated[
     str, typer.Argument(help="camera:0, a video, a picture, or a folder of pictures.")
 ]
 _MOST_PICTURES = 200  # of a video or folder, for the lens
+# In the folder in which the commands are run: where the cards lie, the lens, the camera's place.
 SHEET_FILE, LENS_FILE, CAMERA_FILE = Path("sheet.toml"), Path("lens.json"), Path("camera.json")
-SheetOption = Annotated[
-    Path, typer.Option("--sheet", help="Sheet file: where the cards lie (TOML).")
-]
-CameraOption = Annotated[
-    Path, typer.Option("--camera", help="Camera file written by `thigmo camera locate`.")
-]
-CameraFileOption = Annotated[
-    Path, typer.Option("--camera-file", help="Camera file of `thigmo camera locate`.")
-]
 
 
 @group.callback()
@@ -54,12 +46,11 @@ def _needs_camera() -> None:
     require("camera", "the camera")
 
 
-def load_sheet(path: Path, length_cm: float = 53.0) -> Sheet:
-    """The sheet file; where none was made or named, that of a robot of a length."""
+def load_sheet(length_cm: float = 53.0) -> Sheet:
+    """The sheet file; where none was made, the sheet of a robot of a length."""
     from thigmo.camera import Sheet
 
-    missing = path == SHEET_FILE and not path.exists()
-    return Sheet.of_length(length_cm) if missing else Sheet.load(path)
+    return Sheet.load(SHEET_FILE) if SHEET_FILE.exists() else Sheet.of_length(length_cm)
 
 
 @group.command()
@@ -67,23 +58,22 @@ def sheet(
     out: Annotated[Path, typer.Option(help="PDF, or PNG (a file for each page).")] = Path(
         "sheet.pdf"
     ),
-    sheet_file: SheetOption = SHEET_FILE,
     length: Annotated[
         float, typer.Option(help="Length of the robot, cm: the cards lie around its reach.", min=1)
     ] = 53.0,
 ) -> None:
     """Print the workspace cards, tip markers and lens board at true scale."""
-    from thigmo.camera import Sheet, print_sheet
+    from thigmo.camera import print_sheet
 
-    made = Sheet.load(sheet_file) if sheet_file.exists() else Sheet.of_length(length)
+    made = load_sheet(length)
     written = print_sheet(made, out)
-    if not sheet_file.exists():
-        made.save(sheet_file)
+    if not SHEET_FILE.exists():
+        made.save(SHEET_FILE)
     for path in written:
         typer.echo(f"wrote {path}")
     next_steps = (
         "Print at 100 % and measure the 10 cm bar: its length over 10 is print_scale in "
-        f"{sheet_file}. Lay the cards' crosses where that file says (origin: the robot's base, "
+        f"{SHEET_FILE}. Lay the cards' crosses where that file says (origin: the robot's base, "
         "x along the straight robot), or write where they lie. Then show the lens board "
         "(`thigmo camera lens`), or write the lens's height above the table (camera_height_cm), or "
         "stand one card on a box (its z_cm); then `thigmo camera locate`."
@@ -107,8 +97,6 @@ def _keep_old(path: Path) -> None:
 @group.command()
 def lens(
     source: SourceArgument,
-    sheet_file: SheetOption = SHEET_FILE,
-    out: Annotated[Path, typer.Option(help="Lens file.")] = LENS_FILE,
     count: Annotated[int, typer.Option(help="Pictures taken from a live camera.")] = 12,
     as_json: JsonOption = False,
 ) -> None:
@@ -129,21 +117,16 @@ def lens(
             with suppress(PictureError):
                 while len(shots) < _MOST_PICTURES:
                     shots.append(opened.read())
-    lens = calibrate_lens(shots, load_sheet(sheet_file))
-    _keep_old(out)
-    lens.save(out)
-    facts = {"rms_px": lens.rms_px, "focal_px": lens.matrix[0][0], "file": str(out)}
-    show(as_json, facts, f"lens good: {lens.rms_px:.2f} px remain; wrote {out}")
+    lens = calibrate_lens(shots, load_sheet())
+    _keep_old(LENS_FILE)
+    lens.save(LENS_FILE)
+    facts = {"rms_px": lens.rms_px, "focal_px": lens.matrix[0][0], "file": str(LENS_FILE)}
+    show(as_json, facts, f"lens good: {lens.rms_px:.2f} px remain; wrote {LENS_FILE}")
 
 
 @group.command()
 def locate(
     source: SourceArgument,
-    sheet_file: SheetOption = SHEET_FILE,
-    lens_file: Annotated[
-        Path, typer.Option("--lens", help="Lens file; fitted to the cards if there is none.")
-    ] = LENS_FILE,
-    out: Annotated[Path, typer.Option(help="Camera file.")] = CAMERA_FILE,
     as_json: JsonOption = False,
 ) -> None:
     """Find where the camera stands, from the workspace cards."""
@@ -152,16 +135,16 @@ def locate(
     from thigmo.camera.pose import GOOD_CM, what_helps
 
     picture = _one_picture(source)
-    known = Lens.load(lens_file) if lens_file.exists() or lens_file != LENS_FILE else None
-    used = load_sheet(sheet_file)
+    known = Lens.load(LENS_FILE) if LENS_FILE.exists() else None
+    used = load_sheet()
     model = find(picture, used, known)
-    _keep_old(out)
-    model.save(out)
+    _keep_old(CAMERA_FILE)
+    model.save(CAMERA_FILE)
     advice = what_helps(model, used, known is not None)
     lines = [
         f"camera {model.eye_cm[2]:.1f} cm above the table; cards fit to {model.rms_px:.2f} px, "
         f"places to {model.accuracy_cm:.2f} cm (one sigma): {'poor' if advice else 'good'}; "
-        f"wrote {out}"
+        f"wrote {CAMERA_FILE}"
     ]
     if advice:
         lines.append(f"for {GOOD_CM} cm or better: {advice}; then locate again")
@@ -170,7 +153,7 @@ def locate(
     facts = {
         "rms_px": model.rms_px, "accuracy_cm": model.accuracy_cm,
         "height_cm": float(model.eye_cm[2]), "hidden": list(model.hidden),
-        "good": not advice, "advice": advice, "file": str(out),
+        "good": not advice, "advice": advice, "file": str(CAMERA_FILE),
     }  # fmt: skip
     show(as_json, facts, *lines)
 
@@ -178,8 +161,6 @@ def locate(
 @group.command()
 def check(
     source: SourceArgument,
-    sheet_file: SheetOption = SHEET_FILE,
-    camera_file: CameraOption = CAMERA_FILE,
     out: Annotated[
         Path, typer.Option(help="File for the picture with what was seen drawn on it.")
     ] = Path("check.png"),
@@ -199,13 +180,13 @@ def check(
     from thigmo.camera.detection import write_picture
 
     picture = _one_picture(source)
-    used = load_sheet(sheet_file)
-    if camera_file.exists() or camera_file != CAMERA_FILE:
-        model = CameraModel.load(camera_file)
+    used = load_sheet()
+    if CAMERA_FILE.exists():
+        model = CameraModel.load(CAMERA_FILE)
     else:
         model = find(picture, used)
         if not as_json:
-            typer.echo(f"no {camera_file}: the camera is located from this very picture")
+            typer.echo(f"no {CAMERA_FILE}: the camera is located from this very picture")
     wanted = DetectionRequest(diameter, length_cm=length)
     empty = None if background is None else _one_picture(background)
     seen = detect(picture, model, used, wanted, background=empty)

@@ -61,30 +61,15 @@ def localize(
     noise_correlation: Annotated[
         float | None, typer.Option(help="Correlation of neighbouring sensors' noise.")
     ] = None,
-    largest_noise_factor: Annotated[
-        float | None,
-        typer.Option(help="Factor by which the noise may at most exceed --noise; 1 if certain."),
-    ] = None,
     critical_curvature: Annotated[
         float | None, typer.Option(help="Contact moment over EI at which the base folds.")
     ] = None,
     tube_radius: Annotated[
         float | None, typer.Option(help="Radius of the body; 1.75/53 of the length if omitted.")
     ] = None,
-    bad_reading_odds: Annotated[
-        float | None, typer.Option(help="Prior odds that a given reading is bad.")
-    ] = None,
     held_end: Annotated[
         str | None,
         typer.Option(help="Whether something holds the end: yes, no, or the prior odds of that."),
-    ] = None,
-    end_face_odds: Annotated[
-        float | None,
-        typer.Option(help="Prior odds of a contact on the end's face; 0 rules it out."),
-    ] = None,
-    contact_couple_odds: Annotated[
-        float | None,
-        typer.Option(help="Prior odds of a contact that bears a couple; 0 rules it out."),
     ] = None,
     stiffness: Annotated[
         str | None,
@@ -102,13 +87,6 @@ def localize(
             help="In space: weight per length over EI, along the base, towards direction 0 and "
             "towards 90: 0,-0.5,0."
         ),
-    ] = None,
-    width_limit: Annotated[
-        float | None, typer.Option(help="Widest 95 % interval that counts as localized.")
-    ] = None,
-    number_level: Annotated[
-        float | None,
-        typer.Option(help="Probability that the number of contacts must have to localize any."),
     ] = None,
     config: Annotated[
         Path | None,
@@ -181,19 +159,13 @@ def localize(
         "map_error": map_error,
         "base_fold_error": base_fold_error,
         "noise_correlation": noise_correlation,
-        "largest_noise_factor": largest_noise_factor,
-        "contact_couple_odds": contact_couple_odds,
         "critical_curvature": critical_curvature,
         "tube_radius": tube_radius,
-        "bad_reading_odds": bad_reading_odds,
         "held_end": _held(held_end),
-        "end_face_odds": end_face_odds,
         "stiffness": _numbers(stiffness, "--stiffness", "EI,ERROR such as 500,0.1"),
         "twist": twist,
         "weight": _numbers(weight, "--weight", "three numbers, such as 0,-0.5,0"),
         "direction": table.direction,
-        "width_limit": width_limit,
-        "number_level": number_level,
     }
     stated |= {name: value for name, value in flags.items() if value is not None}
     if noise is not None:

@@ -14,7 +14,7 @@ from thigmo.contact_status import SURE
 from thigmo.exploration.prior import boost, match
 from thigmo.field import Atlas, FieldContact, Swept, contacts, read
 from thigmo.localization.priors import narrow
-from thigmo.record import MapContact, Obstacle
+from thigmo.record import Explanation, MapContact, Obstacle
 from thigmo.robot import SweepResult
 from thigmo.robot.curvature import Floats
 
@@ -122,11 +122,14 @@ class SideFits:
             normal_rad=sign * contact.normal_rad,
             covariance_cm2=((xx, xy), (yx, yy)),
             track=[(round(x, 4), round(sign * y, 4)) for x, y in contact.track.tolist()],
-            model=f"{contact.kind}, {model}" + (f"; {contact.doubt}" if contact.doubt else ""),
+            kind=contact.kind,
+            model=f"{contact.kind}, {model}",
+            doubt=contact.doubt,
+            explanations=[Explanation(n, round(p, 4)) for n, p in contact.explanations.items()],
+            surface=[(round(x, 4), round(sign * y, 4)) for x, y in contact.face.tolist()],
             readings=sensors,
             merged=[length for length in contact.felt_at_cm if length < contact.length_cm - 0.1],
             probability=round(contact.probability, 4),
-            peg_probability=round(contact.probability, 4),
             fit_log_odds=round(contact.log_odds, 2),
             fit_misfit=round(contact.misfit, 3),
             fit_samples=round(contact.effective, 1),

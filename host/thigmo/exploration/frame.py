@@ -82,8 +82,6 @@ def point_estimates(
                 model=result.hypothesis,
                 readings=readings,
                 probability=nan,
-                peg_probability=nan,
-                wall_probability=nan,
             )
         )
     return contacts

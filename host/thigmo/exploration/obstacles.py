@@ -112,7 +112,6 @@ def _occupied_lines(obstacle: Obstacle) -> list[list[Point]]:
         return lines
     if obstacle.status == "localized" and obstacle.probability >= SURE:
         lines.append(_core(obstacle) if obstacle.normal_rad is not None else obstacle.track)
-    if obstacle.probability * obstacle.wall_probability >= SURE:
         lines.append(obstacle.surface)
     return lines
 
@@ -147,7 +146,6 @@ def _obstacle(contact: MapContact) -> Obstacle:
         force_interval_n=contact.force_interval_n,
         kind=contact.kind,
         probability=contact.probability,
-        wall_probability=contact.wall_probability,
         surface=contact.surface,
     )
 

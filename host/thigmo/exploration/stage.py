@@ -228,9 +228,8 @@ class Interpreter:
 def _words(contact: MapContact) -> str:
     """A contact of the fit for the operator."""
     low, high = contact.interval_cm
-    return (
-        f"{contact.model}, at {contact.arc_cm:.1f} cm along the body, 95 % {low:.1f} to {high:.1f}"
-    )
+    place = f"at {contact.arc_cm:.1f} cm along the body, 95 % {low:.1f} to {high:.1f}"
+    return f"{contact.model}, {place}" + (f"; {contact.doubt}" if contact.doubt else "")
 
 
 def _gain_errors(config: RobotConfig) -> Floats:

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import nan
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, softmax
 from threadpoolctl import ThreadpoolController
 
 from thigmo.field.atlas import Atlas
 from thigmo.field.fit import ALIKE, Mode
-from thigmo.field.hypotheses import BEND, FRICTION, OBSTACLE_UNKNOWNS, RADIUS, WALL_BEND
+from thigmo.field.hypotheses import (
+    BEND,
+    FRICTION,
+    OBSTACLE_UNKNOWNS,
+    PEG,
+    PEGS,
+    RADIUS,
+    TILT,
+    WALL,
+    WALL_BEND,
+    Body,
+)
 from thigmo.field.posterior import ENOUGH, ROUNDS, Samples, Search
 from thigmo.field.readings import Errors, Floats, Readings
 
@@ -34,7 +45,9 @@ _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
 # contact that one length alone has felt is not placed.
 _EARLY = 0.5
 
+_NAMES = {PEG: "peg", PEGS: "two pegs", WALL: "wall"}
 UNEXPLAINED_WORDS = "the model does not explain these sweeps"
+RIVAL_WORDS = "another explanation is nearly as likely"
 EARLY_WORDS = "one length alone touched it, before the first readings that count"
 
 
@@ -66,6 +79,9 @@ class FieldContact:
     misfit: float  # sum of squares over the number of independent readings: 1 if the model holds
     effective: float  # samples
     kind: str  # "peg" or "wall"
+    face: Floats  # (2, 2) ends of the part of a wall's face that was touched; (0, 2) for a peg
+    # "peg", "two pegs" or "wall", with probabilities of sum one, likeliest first
+    explanations: dict[str, float]
     peg_radius_cm: float  # posterior median; NaN for a wall
     friction: float  # posterior mean
     yield_cm: float  # posterior mean, of the obstacle under its force
@@ -103,19 +119,26 @@ def _contacts(
     if peg is None:
         return []
     if _explains(peg, readings):
-        return _answer(search, peg, "")
-    explanations, best = [peg], peg
+        return _answer(search, [peg], "")
+    explanations = [peg]
     for sought in (search.pairs, search.walls):
         modes = sought()
-        if modes and max(map(search.laplace, modes)) > best.log_evidence - _NEAR:
+        if modes and max(map(search.laplace, modes)) > explanations[0].log_evidence - _NEAR:
             samples = _sampled(search, [modes], expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
-        best, *others = explanations
-        rivalled = any(one.log_evidence > best.log_evidence - _SURELY for one in others)
-        if _explains(best, readings) and not rivalled:
-            return _answer(search, best, "")
-    return _answer(search, best, UNEXPLAINED_WORDS)
+        if not (doubt := _doubt(explanations, readings)):
+            break
+    return _answer(search, explanations, doubt)
+
+
+def _doubt(explanations: list[Samples], readings: Readings) -> str:
+    """Why the likeliest explanation, the first, is no answer; empty if it is."""
+    best, *others = explanations
+    if not _explains(best, readings):
+        return UNEXPLAINED_WORDS
+    rivalled = any(other.log_evidence > best.log_evidence - _SURELY for other in others)
+    return RIVAL_WORDS if rivalled else ""
 
 
 def _one_peg(search: Search, expected: Callable[[Floats], Floats] | None) -> Samples | None:
@@ -159,18 +182,56 @@ def _most_misfit(readings: Readings) -> float:
     return float(chdtri(independent, FALSE_ALARMS)) / independent
 
 
-def _answer(search: Search, samples: Samples, doubt: str) -> list[FieldContact]:
+def _answer(search: Search, explanations: list[Samples], doubt: str) -> list[FieldContact]:
+    """The contacts of the likeliest explanation, the first."""
+    best = explanations[0]
     placed = (
-        _placed(search.readings, samples, n, _log_odds(search, samples), doubt)
-        for n in range(samples.hypothesis.obstacles)
-    )
+        _placed(
+            search.readings, explanations, n, _log_odds(search, best), doubt,
+            face=_face(best, n, search.fit.body),
+        )
+        for n in range(best.hypothesis.obstacles)
+    )  # fmt: skip
     return [contact for contact in placed if contact is not None]
 
 
+def _face(samples: Samples, obstacle: int, body: Body) -> Floats:
+    """Ends (2, 2) of the part of a wall's face that was touched; (0, 2) for a peg.
+
+    It reaches from the first touch of the longest body to the last touches at each length.
+    """
+    if obstacle < samples.hypothesis.pegs:
+        return np.zeros((0, 2))
+    start = OBSTACLE_UNKNOWNS * obstacle
+    turn = body.longest * samples.q[:, start + WALL_BEND] - samples.q[:, start + TILT]
+    heading = np.angle(samples.weight @ np.exp(1j * turn))
+    first = samples.weight @ [samples.hypothesis.skin(q, body)[obstacle] for q in samples.q]
+    points = [first]
+    for touch in np.moveaxis(samples.touch[:, :, obstacle, 1:3], 1, 0):
+        touches = np.isfinite(touch).all(axis=1)
+        if samples.weight @ touches > 0.5:
+            points.append(np.average(touch[touches], axis=0, weights=samples.weight[touches]))
+    middle = np.mean(points, axis=0)
+    way = np.array([np.cos(heading), np.sin(heading)])
+    along = (np.array(points) - middle) @ way
+    ends: Floats = middle + np.outer([along.min(), along.max()], way)
+    return ends
+
+
 def _placed(
-    readings: Readings, samples: Samples, obstacle: int, log_odds: float, doubt: str
+    readings: Readings,
+    explanations: Sequence[Samples],
+    obstacle: int,
+    log_odds: float,
+    doubt: str,
+    *,
+    face: Floats,
 ) -> FieldContact | None:
-    """One of the obstacles where the last sweep that reached it touched it."""
+    """One of the likeliest explanation's obstacles where the last sweep that reached it touched it.
+
+    The errors of its place include what the other explanations have there, by their probabilities.
+    """
+    samples, *others = explanations
     touch = samples.touch[:, :, obstacle]
     touches = np.isfinite(touch[:, :, 0])  # (n, stages)
     shares = samples.weight @ touches
@@ -182,18 +243,28 @@ def _placed(
     weight = _widened(np.where(touches[:, stage], samples.weight, 0.0))
     on = weight > 0.0
     weight = weight[on] / weight[on].sum()
-    arc, x, y, normal, force = touch[on, stage].T
+    normal, force = touch[on, stage, 3:].T
     length = readings.stages[stage].length
-    low, high = _quantiles(arc, weight, (0.025, 0.975))
-    mean = weight @ np.column_stack([arc, x, y])
+    mean = weight @ touch[on, stage, :3]
+    probabilities = softmax([one.log_evidence for one in explanations])
+    places, masses = [touch[on, stage, :3]], [probabilities[0] * weight]
+    for other, probability in zip(others, probabilities[1:], strict=True):
+        touched, weights = _nearest(other, stage, mean)
+        places.append(touched)
+        masses.append(probability * weights)
+    place, mass = np.concatenate(places), np.concatenate(masses)
+    mass /= mass.sum()
+    low, high = _quantiles(place[:, 0], mass, (0.025, 0.975))
     leaves = samples.misfit * ALIKE
-    wider = max(1.0, leaves)
+    # What the model leaves is taken for more noise; and few samples that agree are as much too
+    # narrow as they are too few.
+    wider = max(1.0, leaves) * max(1.0, ENOUGH / samples.effective) ** 0.5
     interval = (
         max(float(mean[0] - wider * (mean[0] - low)) - _LENGTH_CM, 0.0),
         min(float(mean[0] + wider * (high - mean[0])) + _LENGTH_CM, length),
     )
-    off = wider * (np.column_stack([arc, x, y]) - mean)
-    covariance = (weight[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
+    off = wider * (place - mean)
+    covariance = (mass[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
     felt = sorted({round(readings.stages[s].length, 2) for s in reached})
@@ -215,7 +286,7 @@ def _placed(
         force_per_cm2=float(weight @ np.abs(force)),
         force_interval_per_cm2=_quantiles(np.abs(force), weight, (0.025, 0.975)),
         arcs=mean[0] + off[:, 0],
-        weights=weight,
+        weights=mass,
         track=mean[1:] + along * covariance[0, 1:] / covariance[0, 0],
         probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
         places=not doubt,
@@ -226,10 +297,33 @@ def _placed(
         misfit=leaves,
         effective=samples.effective,
         kind="peg" if is_peg else "wall",
+        face=face,
+        explanations={
+            _NAMES[one.hypothesis]: float(probability)
+            for one, probability in zip(explanations, probabilities, strict=True)
+        },
         peg_radius_cm=_quantiles(radii, weight, (0.5, 0.5))[0] if is_peg else nan,
         friction=float(weight @ np.abs(q[:, FRICTION])),
         yield_cm=float(weight @ (samples.compliance[on] * np.abs(force))),
     )
+
+
+def _nearest(samples: Samples, stage: int, mean: Floats) -> tuple[Floats, Floats]:
+    """Arcs and places (n, 3) at which an explanation's samples touch at a stage, and weights (n,).
+
+    Of the obstacle that is nearest to `mean` (3,); empty if none is touched.
+    """
+    nearest = np.zeros((0, 3)), np.zeros(0)
+    least = np.inf
+    for touch in np.moveaxis(samples.touch[:, stage, :, :3], 1, 0):
+        on = np.isfinite(touch[:, 0])
+        weight = samples.weight[on]
+        if weight.sum() < 0.5:
+            continue
+        away = float(np.hypot(*(np.average(touch[on], axis=0, weights=weight) - mean)[1:]))
+        if away < least:
+            least, nearest = away, (touch[on], weight)
+    return nearest
 
 
 def _widened(weight: Floats) -> Floats:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.field.fit import MOST_CELL_CM, FieldFit, Mode, whitened
+from thigmo.field.fit import MOST_CELL_CM, FieldFit, Mode
 from thigmo.field.hypotheses import RADIUS_MEAN, touched, untouched
 from thigmo.field.readings import Floats, Readings
 from thigmo.mechanics import Rod, Tube
@@ -95,8 +95,9 @@ class Atlas:
         """
         right = fit.free()
         d = fit.departures(nothing.tables, right)
-        factor = np.linalg.cholesky(d.effect.T @ d.effect + np.eye(fit.count))
-        shared = np.linalg.solve(factor, d.effect.T)
+        z, effect = d.noise.whitened(d.left), d.noise.whitened(d.prediction.effect.dense())
+        factor = np.linalg.cholesky(effect.T @ effect + np.eye(fit.count))
+        shared = np.linalg.solve(factor, effect.T)
         whole, part = np.divmod(fit.bend(right) / self.step, 1)
         rows, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[:, None]
         r = fit.readings
@@ -115,9 +116,8 @@ class Atlas:
         if not shows.size:
             return []
         # Of departures z - c the errors' best fit takes |shared (z - c)|^2 off.
-        white = whitened(np.moveaxis(changes[shows], 0, -1), d.weight, d.along)
-        left = d.z[:, None] - white
-        before = d.z @ d.z - np.sum((shared @ d.z) ** 2)
+        left = z[:, None] - d.noise.whitened(np.moveaxis(changes[shows], 0, -1))
+        before = z @ z - np.sum((shared @ z) ** 2)
         after = np.sum(left**2, axis=0) - np.sum((shared @ left) ** 2, axis=0)
         gains = 0.5 * (before - after)
         best: list[Place] = []

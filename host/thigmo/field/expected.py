@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from thigmo.config import RobotConfig, Side
-from thigmo.field.fit import FieldFit, whitened
+from thigmo.field.fit import FieldFit
 from thigmo.field.hypotheses import ARC, BEND, PEG, RADIUS_MEAN
 from thigmo.field.readings import Errors, Floats, Readings, Stage
 from thigmo.field.sweeps import fold_moment, stated
@@ -127,7 +127,8 @@ def _expected(question: _Question) -> ExpectedSweeps:
     unknowns = [q for q in unknowns if PEG.possible(q, fit.body)]
     log_prior = np.array([PEG.log_prior(q, fit.body) for q in unknowns])
     nothing = fit.departures(fit.nothing().tables, fit.free())
-    precision = np.array([_information(fit, q, nothing.z) for q in unknowns])
+    without = nothing.noise.whitened(nothing.left)
+    precision = np.array([_information(fit, q, without) for q in unknowns])
     share = np.exp(log_prior - log_prior.max())
     _, spread = PEG.bells(fit.body)
     spread[ARC], spread[BEND] = fit.longest, fit.body.most_bend  # somewhere within reach
@@ -142,17 +143,18 @@ def _information(fit: FieldFit, q: Floats, without: Floats) -> Floats:
     """
     tables = fit.tables(PEG, q)
     departures = fit.departures(tables, fit.free())
-    by_q = fit.by_q(tables, departures.prediction)
-    by_q = whitened(by_q, departures.weight, departures.along)
-    columns = [by_q, departures.effect[:, ~fit.of_sweeps]]
-    shared = np.column_stack([*columns, departures.z - without])
-    sweeps = departures.effect[:, fit.of_sweeps]
+    noise, prediction = departures.noise, departures.prediction
+    by_q = noise.whitened(fit.by_q(tables, prediction))
+    effect = noise.whitened(prediction.effect.dense())
+    moved = noise.whitened(departures.left) - without
+    shared = np.column_stack([by_q, effect[:, ~fit.of_sweeps], moved])
+    sweeps = effect[:, fit.of_sweeps]
     stage = np.repeat(fit.readings.stage, fit.readings.centers.size)
     parts = []
     for s in range(len(fit.readings.stages)):
         rows = stage == s
-        moved = sweeps[rows][:, np.any(sweeps[rows], axis=0)]
-        cross = moved.T @ shared[rows]
-        taken = np.linalg.solve(moved.T @ moved + np.eye(moved.shape[1]), cross)
+        own = sweeps[rows][:, np.any(sweeps[rows], axis=0)]
+        cross = own.T @ shared[rows]
+        taken = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), cross)
         parts.append(shared[rows].T @ shared[rows] - cross.T @ taken)
     return np.array(parts)

@@ -70,25 +70,99 @@ class Tables(NamedTuple):
     touch: tuple[Touch | None, ...]  # of each stage; None: it reaches nothing
 
 
+class Effect(NamedTuple):
+    """Derivatives of n bins of m sensors: by c unknowns of all sensors, then by k of each sensor.
+
+    Unknowns are numbered so: c, then the first of each sensor, the second of each, and so on.
+    """
+
+    common: Floats  # (n, m, c)
+    separate: Floats  # (n, m, k)
+
+    def dense(self) -> Floats:
+        """(n, m, c + k m)"""
+        n, m, k = self.separate.shape
+        whole = np.zeros((n, m, k, m))
+        sensors = np.arange(m)
+        whole[:, sensors, :, sensors] = np.moveaxis(self.separate, 1, 0)
+        dense: Floats = np.concatenate([self.common, whole.reshape(n, m, k * m)], axis=2)
+        return dense
+
+
 class Prediction(NamedTuple):
     """Readings of n bins by m sensors, 1/cm."""
 
     value: Floats  # (n, m)
     slope: Floats  # (n, m) over the bend
-    effect: Floats  # (n, m, count) derivatives by the errors
+    effect: Effect  # by the errors
     bend: Floats  # (n,) of the free body, 1/cm
     answer: Floats  # (n, m) derivatives over the true curvature
     row: npt.NDArray[np.intp]  # (n,) of the tables below the bend, and
     part: Floats  # (n,) its share of the way to the next
 
 
-class Departures(NamedTuple):
-    """Whitened departures of the readings from a prediction."""
+class Noise(NamedTuple):
+    """White noise of each reading, and the error of a bin's bend, which its sensors share."""
 
-    z: Floats  # (n m,)
-    effect: Floats  # (n m, count) derivatives of the prediction by the errors, whitened
-    weight: Floats  # (n, m) of the whitening, for `whitened`
-    along: Floats  # (n, m) bin's error of the bend, whitened
+    weight: Floats  # (n, m) one over the white noise, 1/cm; 0 where there is no reading
+    along: Floats  # (n, m) bin's error of the bend over the white noise
+
+    def whitened(self, x: Floats) -> Floats:
+        """x (n, m, ...) made white; (n m, ...)."""
+        squared = np.sum(self.along**2, axis=1)
+        share = (1 - 1 / np.sqrt(1 + squared)) / np.maximum(squared, 1e-30)
+        z = x * self.weight.reshape(*self.weight.shape, *[1] * (x.ndim - 2))
+        common = np.einsum("n,nm,nm...->n...", share, self.along, z)
+        z = z - np.einsum("nm,n...->nm...", self.along, common)
+        white: Floats = z.reshape(x.shape[0] * x.shape[1], *x.shape[2:])
+        return white
+
+    def _outwards(self) -> Floats:
+        """(n, m) u of a bin's precision diag(weight^2) - u u^T."""
+        squared = np.sum(self.along**2, axis=1, keepdims=True)
+        outwards: Floats = self.weight * self.along / np.sqrt(1 + squared)
+        return outwards
+
+    def normal(self, effect: Effect, left: Floats) -> tuple[Floats, Floats]:
+        """Normal equations of departures `left` (n, m): the matrix and the right-hand side.
+
+        Most unknowns belong to one sensor each, so a bin's sensors meet in the rank-one part alone.
+        """
+        common, separate = effect
+        n, m, k = separate.shape
+        c = common.shape[2]
+        weight, u = self.weight[..., None], self._outwards()
+        white = (weight * common).reshape(n * m, c)
+        apart = np.moveaxis(weight * separate, 1, 0)  # (m, n, k)
+        by_sensor = np.swapaxes(apart, 1, 2)  # (m, k, n)
+        u_common = np.matmul(u[:, None], common)[:, 0]
+        u_separate = np.swapaxes(u[..., None] * separate, 1, 2).reshape(n, k * m)
+        matrix = np.empty((c + k * m, c + k * m))
+        matrix[:c, :c] = white.T @ white - u_common.T @ u_common
+        cross = by_sensor @ np.moveaxis(weight * common, 1, 0)  # (m, k, c)
+        matrix[c:, :c] = np.swapaxes(cross, 0, 1).reshape(k * m, c) - u_separate.T @ u_common
+        matrix[:c, c:] = matrix[c:, :c].T
+        inner = -u_separate.T @ u_separate
+        sensors = np.arange(m)
+        inner.reshape(k, m, k, m)[:, sensors, :, sensors] += by_sensor @ apart
+        matrix[c:, c:] = inner
+        z, u_left = self.weight * left, np.sum(u * left, axis=1)
+        right = np.empty(c + k * m)
+        right[:c] = white.T @ z.reshape(n * m) - u_common.T @ u_left
+        right[c:] = (by_sensor @ z.T[..., None])[..., 0].T.reshape(k * m) - u_separate.T @ u_left
+        return matrix, right
+
+    def squares(self, left: Floats) -> float:
+        """Sum of squares of whitened departures (n, m)."""
+        z = self.weight * left
+        return float(np.sum(z**2) - np.sum(np.sum(self._outwards() * left, axis=1) ** 2))
+
+
+class Departures(NamedTuple):
+    """Departures of the readings from a prediction."""
+
+    left: Floats  # (n, m) 1/cm; 0 where there is no reading
+    noise: Noise
     volume: float  # logarithm of the noise's volume
     prediction: Prediction
 
@@ -142,31 +216,35 @@ class FieldFit:
         on_bend = [e.map * g, e.map_zone[used] * g * zones, e.map_offset * zones]
         on_bend += [e.sweep * g * sweeps, e.sweep_offset * sweeps, e.lag_s * r.rate[:, None]]
         self.on_bend = np.hstack(on_bend)
-        zeros = [(np.ones((n, 1)), e.zero)]
+        zeros = [np.ones((n, 1, 1)) * e.zero[:, None]]
         if r.zeroing.max() == r.sweep.max():  # one sweep a zeroing: the two are one error
-            zeros += [(sweeps, np.hypot(e.zero_zeroing, e.zero_sweep))]
+            zeros += [sweeps[:, None] * np.hypot(e.zero_zeroing, e.zero_sweep)[:, None]]
         else:
-            zeros += [(np.eye(r.zeroing.max() + 1)[r.zeroing], e.zero_zeroing)]
-            zeros += [(sweeps, e.zero_sweep)]
-        parts = [
-            np.einsum("nc,m,mj->nmcj", times, sd, np.eye(m)).reshape(n, m, -1)
-            for times, sd in zeros
-        ]
+            zeros += [np.eye(r.zeroing.max() + 1)[r.zeroing][:, None] * e.zero_zeroing[:, None]]
+            zeros += [sweeps[:, None] * e.zero_sweep[:, None]]
+        self._zeros = np.concatenate(zeros, axis=2)
+        self._shared = np.zeros((n, m, 0))
         if e.shared.size:
-            parts.append(np.einsum("nc,mj->nmcj", sweeps, e.shared).reshape(n, m, -1))
-        self.on_zero = np.concatenate(parts, axis=2)
+            self._shared = np.einsum("nc,mj->nmcj", sweeps, e.shared).reshape(n, m, -1)
         self._drifts = np.zeros(self.on_bend.shape[1], dtype=bool)
         self._drifts[: 1 + zones.shape[1]] = True  # the map's scales
-        self._gain = self.on_bend.shape[1]
-        self._place, self._against = self._gain + m, self._gain + 2 * m
-        self._zero = self._against + 1
-        self._modelled = self._zero + self.on_zero.shape[2]
+        # Numbers of the errors, first those of all sensors: of the bend, of the gain against a
+        # valid direction, and shared ones; then each sensor's gain, place, zeros and mechanics.
+        self._against = self.on_bend.shape[1]
+        self._gain = self._against + 1 + self._shared.shape[2]
+        self._place, self._zero = self._gain + m, self._gain + 2 * m
+        self._modelled = self._zero + self._zeros.shape[2] * m
         self.count = self._modelled + (m if self.model else 0)
         # Errors that each sweep has by itself: of the bend, and beyond a sensor's constant zero.
         self.of_sweeps = np.zeros(self.count, dtype=bool)
         first = 1 + 2 * zones.shape[1]
         self.of_sweeps[first : first + 2 * sweeps.shape[1]] = True
+        self.of_sweeps[self._against + 1 : self._gain] = True
         self.of_sweeps[self._zero + m : self._modelled] = True
+        # Errors that drift: of maps and gains.
+        self.drifting = np.zeros(self.count, dtype=bool)
+        self.drifting[: self._against] = self._drifts
+        self.drifting[self._gain : self._place] = True
         self._unit = np.eye(self.count)
 
     def free(self) -> Floats:
@@ -201,11 +279,11 @@ class FieldFit:
                     own = slice(OBSTACLE_UNKNOWNS * p, OBSTACLE_UNKNOWNS * (p + 1))
                     by_q[s, on, :, own] = sweep.by_obstacle[:, :, p, :5] @ moves
                 yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
-                by_q[s, on, :, YIELD] = yields * np.sign(q[YIELD])
+                by_q[s, on, :, YIELD] = yields
                 if np.isfinite(critical):  # else the base does not fold
                     by_q[s, on, :, FOLD] = sweep.by_body[..., 0] * critical
-                by_q[s, on, :, BASE] = sweep.by_body[..., 1] * self.longest * np.sign(q[BASE])
-                by_q[s, on, :, FRICTION] = sweep.by_body[..., 2] * np.sign(q[FRICTION])
+                by_q[s, on, :, BASE] = sweep.by_body[..., 1] * self.longest
+                by_q[s, on, :, FRICTION] = sweep.by_body[..., 2]
                 for part in (mean, shift, by_q):
                     part[s, rows:] = part[s, rows - 1]
                 touch = self._touch(obstacles, sweep.contacts, first, rows)
@@ -224,7 +302,7 @@ class FieldFit:
 
     def bend(self, xi: Floats, spread: float = 1.0) -> Floats:
         """(n,) bends of the free body as the errors have it; `spread` scales drifts."""
-        along = xi[: self._gain] * np.where(self._drifts, spread, 1.0)
+        along = xi[: self._against] * np.where(self._drifts, spread, 1.0)
         bend: Floats = np.clip(self.readings.bend + self.on_bend @ along, 0.0, self.bends[-2])
         return bend
 
@@ -234,8 +312,8 @@ class FieldFit:
         `xi` are the errors in their standard deviations: each is N(0, 1) beforehand.
         """
         e, r, m = self.errors, self.readings, self.readings.centers.size
-        j, p, b, o = self._gain, self._place, self._against, self._zero
-        gain, place = 1 + spread * e.gain * xi[j:p], e.place * xi[p:b]
+        b, j, p, o = self._against, self._gain, self._place, self._zero
+        gain, place = 1 + spread * e.gain * xi[j:p], e.place * xi[p:o]
         bend = self.bend(xi, spread)
         whole, part = np.divmod(bend / self.step, 1)
         k, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[:, None]
@@ -247,19 +325,25 @@ class FieldFit:
         unsure = np.zeros(m) if e.against_error is None else e.against_error
         answer = np.where(back, against + unsure * xi[b], 1.0)
         slope = gain * answer * (high - low) / self.step
-        effect = np.zeros((*true.shape, self.count))
-        along = self.on_bend * np.where(self._drifts, spread, 1.0)
-        effect[..., :j] = slope[..., None] * along[:, None]
-        sensors = np.arange(m)
-        effect[:, sensors, j + sensors] = spread * e.gain * answer * true
-        effect[:, sensors, p + sensors] = e.place * gain * answer * shift
-        effect[..., b] = unsure * gain * true * back
-        effect[..., o : self._modelled] = self.on_zero
-        value = gain * answer * true + self.on_zero @ xi[o : self._modelled]
+        on_bend = self.on_bend * np.where(self._drifts, spread, 1.0)
+        common = np.concatenate(
+            [
+                slope[..., None] * on_bend[:, None],
+                (unsure * gain * true * back)[..., None],
+                self._shared,
+            ],
+            axis=2,
+        )
+        by_gain, by_place = spread * e.gain * answer * true, e.place * gain * answer * shift
+        separate = [by_gain[..., None], by_place[..., None], self._zeros]
+        zeros = xi[o : self._modelled].reshape(-1, m)
+        value = gain * answer * true + np.einsum("nmk,km->nm", self._zeros, zeros)
+        value = value + self._shared @ xi[b + 1 : j]
         if self.model:
             added = self.model * (true - bend[:, None])
-            effect[:, sensors, self._modelled + sensors] = added
+            separate.append(added[..., None])
             value = value + added * xi[self._modelled :]
+        effect = Effect(common, np.concatenate(separate, axis=2))
         return Prediction(value, slope, effect, bend, gain * answer, k, part)
 
     def by_q(self, tables: Tables, at: Prediction) -> Floats:
@@ -281,8 +365,7 @@ class FieldFit:
         along = weight * there.slope * self.errors.bend_bin
         volume = float(np.log1p((along**2).sum(axis=1)).sum() + np.log1p(added**2).sum())
         left = np.where(self.missing, 0.0, self.readings.curvature - there.value)
-        z, effect = whitened(left, weight, along), whitened(there.effect, weight, along)
-        return Departures(z, effect, weight, along, volume, there)
+        return Departures(left, Noise(weight, along), volume, there)
 
     def evidence(
         self, tables: Tables, xi: Floats, *, spread: float = 1.0, passes: int = 2
@@ -294,16 +377,16 @@ class FieldFit:
         """
         for left in range(passes, -1, -1):
             d = self.departures(tables, xi, spread)
-            z, effect = d.z, d.effect
-            factor = cho_factor(effect.T @ effect + self._unit, check_finite=False)
-            slope = effect.T @ z - xi
+            matrix, slope = d.noise.normal(d.prediction.effect, d.left)
+            factor = cho_factor(matrix + self._unit, check_finite=False)
+            slope = slope - xi
             step = cho_solve(factor, slope, check_finite=False)
             gain = 0.5 * float(slope @ step)  # of a further pass, were the readings linear
             if not left or gain < _MET:
                 break
             xi = xi + step
         inside = 2 * float(np.log(np.diag(factor[0])).sum())
-        misfit = float(z @ z + xi @ xi) - 2 * gain
+        misfit = d.noise.squares(d.left) + float(xi @ xi) - 2 * gain
         return -0.5 * (misfit + inside + d.volume), xi + step, misfit
 
     def nothing(self) -> Mode:
@@ -330,9 +413,13 @@ class FieldFit:
         passes: int = MOST_PASSES,
         held: tuple[int, ...] = (),
     ) -> Mode:
-        """The most probable q and errors near a start: Gauss-Newton, damped. q[held] stay."""
+        """The most probable q and errors near a start: Gauss-Newton, damped. q[held] stay.
+
+        What cannot be negative stays at 0 while a lower value would be likelier (active set).
+        """
         q = np.array(q, dtype=float)
         xi = self.free() if xi is None or xi.size != self.count else xi
+        k, bounded = q.size, np.array(UNSIGNED) % q.size
         unit = self.longest
         turn = _LARGEST_TURN / unit
         most = hypothesis.columns((0.06 * unit, turn, 0.6), 0.15, 0.3, 0.5, 0.05, (turn, 0.2, 0.6))
@@ -343,53 +430,48 @@ class FieldFit:
             tables = self.tables(hypothesis, q)
             d = self.departures(tables, xi)
             prior = -2 * hypothesis.log_prior(q, self.body)
-            return float(d.z @ d.z + xi @ xi + d.volume + prior), tables, d
+            return d.noise.squares(d.left) + float(xi @ xi) + d.volume + prior, tables, d
+
+        def linearised(tables: Tables, d: Departures) -> tuple[Floats, Floats]:
+            """Precision of q and errors, and the slope of the log posterior."""
+            errors = d.prediction.effect
+            common = np.concatenate([self.by_q(tables, d.prediction), errors.common], axis=2)
+            matrix, right = d.noise.normal(Effect(common, errors.separate), d.left)
+            slope = right - np.concatenate([(q - mean) / spread**2, xi])
+            return matrix + np.diag(precision), slope
 
         cost, tables, d = cost_at(q, xi)
-        damping, hessian = _DAMPING, np.eye(q.size + self.count)
+        hessian, slope = linearised(tables, d)
+        damping = _DAMPING
         for _ in range(passes):
-            by_q = whitened(self.by_q(tables, d.prediction), d.weight, d.along)
-            by_q[:, list(held)] = 0.0
-            jacobian = np.hstack([by_q, d.effect])
-            hessian = jacobian.T @ jacobian + np.diag(precision)
-            slope = jacobian.T @ d.z - np.concatenate([(q - mean) / spread**2, xi])
-            slope[list(held)] = 0.0
+            free = np.ones(slope.size, dtype=bool)
+            free[list(held)] = False
+            free[bounded[(q[bounded] <= 0.0) & (slope[bounded] <= 0.0)]] = False
+            inner = hessian[np.ix_(free, free)]
             ahead = None
             for _ in range(_TRIES):
-                damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
-                by = np.linalg.solve(damped, slope)
-                by[: q.size] /= max(1.0, float(np.max(np.abs(by[: q.size]) / most)))
-                by[list(held)] = 0.0
-                trial = q + by[: q.size]
+                by = np.zeros(slope.size)
+                damped = inner + damping * np.diag(np.diag(inner) + 1e-9)
+                by[free] = np.linalg.solve(damped, slope[free])
+                by[:k] /= max(1.0, float(np.max(np.abs(by[:k]) / most)))
+                trial = q + by[:k]
+                trial[bounded] = np.maximum(trial[bounded], 0.0)
                 if hypothesis.possible(trial, self.body):
-                    better = cost_at(trial, xi + by[q.size :])
+                    better = cost_at(trial, xi + by[k:])
                     if better[0] < cost:
-                        ahead = trial, xi + by[q.size :]
+                        ahead = trial, xi + by[k:]
                         break
                 damping *= _RAISED
             if ahead is None:
                 break
             gained, damping = cost - better[0], max(damping / _RAISED, _LEAST_DAMPING)
             (q, xi), (cost, tables, d) = ahead, better
+            hessian, slope = linearised(tables, d)
             if gained < _GAIN:
                 break
-        k = q.size
-        follow = -np.linalg.solve(hessian[k:, k:], hessian[k:, :k])
-        inner = hessian[:k, :k] + hessian[:k, k:] @ follow
-        sign = np.ones(k)
-        sign[list(UNSIGNED)] = np.where(q[list(UNSIGNED)] < 0.0, -1.0, 1.0)
-        return Mode(
-            hypothesis, sign * q, xi, tables, cost, inner * np.outer(sign, sign), precision[:k],
-            follow * sign,
-        )  # fmt: skip
-
-
-def whitened(x: npt.NDArray[np.float64], weight: Floats, along: Floats) -> Floats:
-    """Whiten x (n, m, ...) by weights (n, m) and a rank-one part of each bin; (n m, ...)."""
-    squared = np.sum(along**2, axis=1)
-    share = (1 - 1 / np.sqrt(1 + squared)) / np.maximum(squared, 1e-30)
-    z = x * weight.reshape(*weight.shape, *[1] * (x.ndim - 2))
-    common = np.einsum("n,nm,nm...->n...", share, along, z)
-    z = z - np.einsum("nm,n...->nm...", along, common)
-    white: Floats = z.reshape(x.shape[0] * x.shape[1], *x.shape[2:])
-    return white
+        # Where the posterior falls from a bound on, a bell of this precision is about as wide.
+        fall = np.minimum(slope[bounded], 0.0)
+        hessian[bounded, bounded] += np.where(q[bounded] <= 0.0, 0.5 * fall**2, 0.0)
+        follow = -np.asarray(np.linalg.solve(hessian[k:, k:], hessian[k:, :k]))
+        inside = hessian[:k, :k] + hessian[:k, k:] @ follow
+        return Mode(hypothesis, q, xi, tables, cost, inside, precision[:k], follow)

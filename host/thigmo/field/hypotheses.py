@@ -25,7 +25,7 @@ ARC, BEND, RADIUS = range(3)
 WALL_BEND, TILT, REACH = range(3)
 OBSTACLE_UNKNOWNS, SHARED_UNKNOWNS = 3, 4
 FOLD, FRICTION, YIELD, BASE = -4, -3, -2, -1
-UNSIGNED = FRICTION, YIELD, BASE  # whose signs mean nothing
+UNSIGNED = FRICTION, YIELD, BASE  # not negative
 
 # Friction of fabric and plastic film on what stands in a room is 0 to 0.6: two sigma.
 FRICTION_STD = 0.3
@@ -75,8 +75,7 @@ class Hypothesis:
     Unknowns q (3 obstacles + 4): of each peg the arc and the bend of its touch and the logarithm of
     its radius over the tube's; of a wall `WALL_BEND`, `TILT` and `REACH`; then, shared, the
     logarithm of the fold's moment over the stated one; friction; what obstacles yield, over
-    `Body.yield_unit`; compliance of the base over `Body.longest`. The signs of the last three mean
-    nothing.
+    `Body.yield_unit`; compliance of the base over `Body.longest`. The last three are not negative.
     """
 
     pegs: int = 0

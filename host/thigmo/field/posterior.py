@@ -50,6 +50,7 @@ _FALLEN = 25.0  # one beyond which the ridge is not followed
 _PROPOSED = 14.0  # and beyond which a node proposes no samples
 _DOF, _WIDER = 6, 1.3  # of the proposals
 _WIDEST = 6.0  # standard deviations over which an unknown direction is proposed
+_DRAWS, _LEAST_DRAWS = 8000, 60  # of a bell, for its part where nothing unsigned is negative
 _TEMPER = 0.35  # exponent of the modes' weights among the proposals
 _TEMPERED = 25.0  # effective samples from which later rounds learn
 _LEAST_TEMPER = 1e-3  # power of the weights: some samples are impossible, whatever the power
@@ -242,7 +243,7 @@ class Search:
         log = self.fit.evidence(mode.tables, mode.xi)[0]
         prior = mode.hypothesis.log_prior(mode.q, self.fit.body)
         volume = float(np.linalg.slogdet(mode.precision / (2 * np.pi))[1])
-        return log + prior - 0.5 * volume
+        return log + prior - 0.5 * volume + float(np.log(_bounded(mode.q, mode.precision)[2]))
 
     def sample(
         self,
@@ -344,6 +345,7 @@ class Search:
             level = self._levels[n]
             xi = level.free()
             xi[: mode.xi.size] = mode.xi + mode.follow @ (q - mode.q)
+            xi[level.drifting] /= spread  # what they add stays
             log, fitted, misfit = level.evidence(
                 tables, xi, spread=spread, passes=MOST_EVIDENCE_PASSES
             )
@@ -539,6 +541,25 @@ def _bells(q: Floats, logs: Floats, chain: npt.NDArray[np.intp]) -> tuple[list[_
     return bells, np.array(shares) / max(sum(shares), 1e-300)
 
 
+def _bounded(center: Floats, precision: Floats) -> tuple[Floats, Floats, float]:
+    """Mean, covariance and share of that part of a bell where nothing unsigned is negative.
+
+    Along an even direction the bell is `_WIDEST` wide. Base, yield and friction explain much the
+    same, so a bell that reaches far below 0 in one and above in another has a small such part.
+    """
+    d = center.size
+    w, v = np.linalg.eigh(precision)
+    wide = v * np.minimum(1 / np.sqrt(np.maximum(w, 1e-9)), _WIDEST)
+    draws = center + np.random.default_rng(d).standard_normal((_DRAWS, d)) @ wide.T
+    inside = draws[(draws[:, list(UNSIGNED)] >= 0.0).all(axis=1)]
+    share = len(inside) / _DRAWS
+    if len(inside) < _LEAST_DRAWS:
+        inside = draws
+        inside[:, list(UNSIGNED)] = np.abs(inside[:, list(UNSIGNED)])
+    covariance: Floats = np.cov(inside, rowvar=False)
+    return inside.mean(axis=0), covariance, max(share, 1 / _DRAWS)
+
+
 def _unfolded(mode: Mode) -> Floats:
     """A mode's precision as if readings said nothing of the fold's moment and the base.
 
@@ -563,9 +584,8 @@ def _around(
     share = np.exp([-_TEMPER * (mode.cost - best) for mode in near])
     bells = []
     for mode in near:
-        w, v = np.linalg.eigh(mode.precision)
-        wide = v * np.minimum(1 / np.sqrt(np.maximum(w, 1e-9)), _WIDEST)
-        bells.append(_Bell(mode.q, _WIDER**2 * wide @ wide.T))
+        center, covariance, _ = _bounded(mode.q, mode.precision)
+        bells.append(_Bell(center, _WIDER**2 * covariance))
     numbers = np.array([n for n, _ in numbered], dtype=np.intp)
     return _Bells(bells, share / share.sum()), near, numbers
 
@@ -576,7 +596,7 @@ def _ridges(
     """Proposals around the nodes of ridges, the nodes, and the numbers of their chains."""
     best = min(mode.cost for chain in chains for mode in chain)
     modes: list[Mode] = []
-    slopes, factors = [], []
+    centers, slopes, factors = [], [], []
     numbers = []
     for number, chain in enumerate(chains):
         q = np.array([mode.q for mode in chain])
@@ -585,15 +605,18 @@ def _ridges(
         for mode, along in zip(chain, slope, strict=True):
             if mode.cost < best + _PROPOSED:
                 for precision in (mode.precision, _unfolded(mode)):
-                    w, v = np.linalg.eigh(precision[np.ix_(_KEPT, _KEPT)])
+                    kept = precision[np.ix_(_KEPT, _KEPT)]
+                    center = mode.q.copy()
+                    center[_KEPT], covariance, _ = _bounded(mode.q[_KEPT], kept)
                     modes.append(mode)
                     numbers.append(number)
+                    centers.append(center)
                     slopes.append(along)
-                    wide = np.minimum(1 / np.sqrt(np.maximum(w, 1e-9)), _WIDEST)
-                    factors.append(_WIDER * v * wide)
+                    factors.append(_WIDER * np.linalg.cholesky(covariance))
     share = np.exp([-_TEMPER * (mode.cost - best) for mode in modes])
     share[1::2] *= _UNFOLDED
     step = 0.75 * (RADII[1] - RADII[0])
-    centers = np.array([mode.q for mode in modes])
-    mixture = _Mixture(centers, np.array(slopes), np.array(factors), share / share.sum(), step)
+    mixture = _Mixture(
+        np.array(centers), np.array(slopes), np.array(factors), share / share.sum(), step
+    )
     return mixture, modes, np.array(numbers, dtype=np.intp)

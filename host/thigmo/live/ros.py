@@ -36,7 +36,7 @@ _DEPTH = 100  # contacts that a late listener gets, and transforms under way
 _TOPICS = {
     "map": (ros.OccupancyGrid, 1, True),
     "contacts": (ros.PoseWithCovarianceStamped, _DEPTH, True),
-    "walls": (ros.MarkerArray, 1, True),
+    "contact_markers": (ros.MarkerArray, 1, True),
     "body": (ros.Path, 1, True),
     "robot_description": (ros.String, 1, True),
     "joint_states": (ros.JointState, 10, False),
@@ -97,7 +97,8 @@ class RosNode(Closing):
             case Contacts():
                 for pose in made.contact_poses(message, self._frame):
                     self._writers["contacts"].write(pose)
-                self._writers["walls"].write(made.walls(message, self._frame))
+                markers = made.contact_markers(message, self._frame)
+                self._writers["contact_markers"].write(markers)
             case BodyShape() if len(message.poses) > 1:
                 if not self._described:
                     self._described = True

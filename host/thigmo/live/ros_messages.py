@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.live import ros_types as ros
 from thigmo.live.relay import Facts
 from thigmo.reading_errors import Floats
-from thigmo.record import MapContact, Pose
+from thigmo.record import Ellipse, MapContact, Pose
 from thigmo.stream import BodyShape, Contacts, Grid, Telemetry
 from thigmo.stream.recorded import config_in
 
@@ -24,8 +25,10 @@ _PA_PER_PSI = 6894.757
 TENTHS = 10  # of the body, each of which is a link
 _LONGEST_CHORD_M = 0.3  # of the longest robot, 300 cm
 _SIGMAS_95 = 2 * 1.96  # standard deviations in a 95 % interval
-_LINE_STRIP, _ADD, _REMOVE_ALL = 4, 0, 3  # a marker's type and actions
-_LINE_M = 0.01  # a wall's width on the screen
+_LINE_STRIP, _TEXT = 4, 9  # types of a marker
+_ADD, _REMOVE_ALL = 0, 3  # its actions
+_LINE_M, _TEXT_M = 0.005, 0.02  # width of a line and height of a letter
+_SOLID, _PALE = 1.0, 0.4  # opacity of a contact that is localized, and of another
 _OK, _ERROR, _STALE = 0, 2, 3  # levels of a diagnostic status
 
 
@@ -57,29 +60,45 @@ def contact_poses(contacts: Contacts, frame: str) -> list[Any]:
     return made
 
 
-def walls(contacts: Contacts, frame: str) -> Any:
-    """The walls' lines, as solid as they are probable; earlier ones are removed."""
+def contact_markers(contacts: Contacts, frame: str) -> Any:
+    """For a viewer: words at each contact, its 95 % ellipse, and the face of a wall.
+
+    They are solid where the contact is localized, else pale, and replace earlier ones.
+    """
     head = header(contacts.epoch_s, frame)
-    known = [contact for contact in contacts.contacts if contact.surface]
-    return ros.MarkerArray([
-        _marker(head, 0, _REMOVE_ALL, [], 0.0),
-        *(
-            _marker(head, n, _ADD, contact.surface, contact.wall_probability)
-            for n, contact in enumerate(known)
-        ),
-    ])  # fmt: skip
+    markers = [_marker(head, "", 0, _LINE_STRIP, action=_REMOVE_ALL)]
+    for n, contact in enumerate(contacts.contacts):
+        place = contact.x_cm, contact.y_cm
+        alpha = _SOLID if contact.status == "localized" else _PALE
+        words = "\n".join(filter(None, (contact.certainty_text, contact.doubt)))
+        markers.append(_marker(head, "words", n, _TEXT, alpha, place=place, text=words))
+        if contact.status != POINT_ESTIMATE:
+            ellipse = Ellipse.of(contact.covariance_cm2).outline(*place)
+            markers.append(_marker(head, "ellipses", n, _LINE_STRIP, alpha, line=ellipse))
+        if contact.surface:
+            markers.append(_marker(head, "walls", n, _LINE_STRIP, alpha, line=contact.surface))
+    return ros.MarkerArray(markers)
 
 
 def _marker(
-    head: Any, number: int, action: int, line: Sequence[tuple[float, float]], probability: float
+    head: Any,
+    namespace: str,
+    number: int,
+    kind: int,
+    alpha: float = 0.0,
+    *,
+    action: int = _ADD,
+    line: Sequence[tuple[float, float]] = (),
+    place: tuple[float, float] = (0.0, 0.0),
+    text: str = "",
 ) -> Any:
     nothing = ros.CompressedImage(head, "", [])
     points = [ros.Point(x * _M_PER_CM, y * _M_PER_CM, 0.0) for x, y in line]
     return ros.Marker(
-        head, "walls", number, _LINE_STRIP, action, _pose((0.0, 0.0, 0.0)),
-        ros.Vector3(_LINE_M, 0.0, 0.0), ros.ColorRGBA(0.85, 0.15, 0.10, probability),
-        ros.Duration(0, 0), False, points, [], "", nothing, [],
-        f"wall, probability {probability:.2f}", ros.MeshFile("", []), "", False,
+        head, namespace, number, kind, action, _pose((*place, 0.0)),
+        ros.Vector3(_LINE_M, 0.0, _TEXT_M), ros.ColorRGBA(0.85, 0.15, 0.10, alpha),
+        ros.Duration(0, 0), False, points, [], "", nothing, [], text, ros.MeshFile("", []), "",
+        False,
     )  # fmt: skip
 
 

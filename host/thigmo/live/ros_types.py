@@ -56,7 +56,7 @@ OccupancyGrid = _message(
 )
 Path = _message("nav_msgs/Path", header=Header, poses=sequence[PoseStamped])
 
-# Of markers in use here: lines, and what removes earlier ones. The rest stays empty.
+# Of markers in use here: lines, words, and what removes earlier ones. The rest stays empty.
 ColorRGBA = _message("std_msgs/ColorRGBA", r=float32, g=float32, b=float32, a=float32)
 Duration = _message("builtin_interfaces/Duration", sec=int32, nanosec=uint32)
 CompressedImage = _message(

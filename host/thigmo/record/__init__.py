@@ -8,6 +8,7 @@ readable when the run is cut short.
 
 from thigmo.record.document import (
     RUNNING,
+    Explanation,
     FalseContact,
     MapContact,
     MissedContact,
@@ -44,6 +45,7 @@ __all__ = [
     "RUNNING",
     "Ellipse",
     "Entry",
+    "Explanation",
     "FalseContact",
     "FibreLine",
     "FramesTable",

@@ -24,7 +24,7 @@ Number = Annotated[float, BeforeValidator(lambda value: nan if value is None els
 Pose = tuple[float, float, float]  # x, y in cm; heading in rad from the x axis
 
 
-_WORTH_SAYING = 0.01  # share of a contact's kind
+_WORTH_SAYING = 0.01  # probability of an explanation
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +56,14 @@ def _percent(share: float) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class Explanation:
+    """What may have stood in the way of a side's sweeps."""
+
+    name: str  #: "peg", "two pegs" or "wall"
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
 class MapContact:
     """A contact in the room; lengths in cm, x along the straight robot, y to its left."""
 
@@ -79,12 +87,13 @@ class MapContact:
     merged: list[float] = field(default_factory=list)  #: earlier stages whose contact is this one
     #: index of the prior map's obstacle (prior.json) that this is; null if it is new or none given
     known: int | None = None
-    kind: str = "peg"  #: "peg", or "wall": a surface along which the tip slid from stage to stage
-    probability: Number = 1.0  #: that it is real; null of a point estimate, also below
-    #: that just these stages felt one peg, and one wall; the rest is that they did not
-    peg_probability: Number = 1.0
-    wall_probability: Number = 0.0
-    #: of a wall: points of its surface, one for each stage, in the order of `merged`
+    kind: str = "peg"  #: "peg", or "wall": a straight one, along which the tip slid
+    probability: Number = 1.0  #: that it is real; null of a point estimate
+    #: what explains the sweeps, likeliest first, as far as it was weighed; empty of what growth met
+    #: and of point estimates
+    explanations: list[Explanation] = field(default_factory=list)
+    doubt: str = ""  #: why its place is only a guess, for people; empty if it is not
+    #: of a wall: the ends of the part of its face that was touched
     surface: list[tuple[float, float]] = field(default_factory=list)
     #: force across the body in newtons, and its 95 % interval; null and empty if EI is not known
     force_n: float | None = None
@@ -122,8 +131,8 @@ class MapContact:
 
         Returns:
             The fields by their names, with the unit in each; intervals and the covariance as one
-            column for each number, and `muscle` in place of `side`. The outlines (`track`,
-            `surface`) are left out.
+            column for each number, explanations as words, and `muscle` in place of `side`. The
+            outlines (`track`, `surface`) are left out.
         """
         row = asdict(self)
         del row["track"], row["surface"]
@@ -134,6 +143,7 @@ class MapContact:
         (row["variance_x_cm2"], row["covariance_xy_cm2"]), (_, row["variance_y_cm2"]) = row.pop(
             "covariance_cm2"
         )
+        row["explanations"] = self.explanation_text
         row["merged_cm"] = " ".join(f"{length:g}" for length in row.pop("merged"))
         return row
 
@@ -151,12 +161,18 @@ class MapContact:
 
     @property
     def certainty_text(self) -> str:
-        """What it is, and how certain that is, for people: "wall 97 %, peg 2 %"."""
+        """How certain it is, and what it is, for people: "localized, > 99 %; peg"."""
         if self.status == POINT_ESTIMATE:
             return self.status
-        shares = {"wall": self.wall_probability, "peg": self.peg_probability}
-        kinds = [f"{kind} {_percent(p)}" for kind, p in shares.items() if p >= _WORTH_SAYING]
-        return f"{self.status}, {_percent(self.probability)}; {', '.join(kinds)}"
+        return f"{self.status}, {_percent(self.probability)}; {self.explanation_text}"
+
+    @property
+    def explanation_text(self) -> str:
+        """What explains the sweeps, for people: "wall 97 %, two pegs 3 %", or only "peg"."""
+        likely = [e for e in self.explanations if e.probability >= _WORTH_SAYING]
+        if len(likely) < 2:
+            return self.kind
+        return ", ".join(f"{e.name} {_percent(e.probability)}" for e in likely)
 
     @property
     def interval_text(self) -> str:

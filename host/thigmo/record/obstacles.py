@@ -22,6 +22,7 @@ OBSTACLES_FILE = "obstacles.json"
 PRIOR_FILE = "prior.json"  # the map that an exploration was given, in its run folder
 _FRAME = "origin at the robot's base, x along the straight robot, y to its left"
 _SIGMA_95 = 2.4477  # radius of the 95 % ellipse of a normal law in the plane
+_ELLIPSE_POINTS = 49
 
 Point = tuple[float, float]
 Covariance = tuple[tuple[float, float], tuple[float, float]]
@@ -41,6 +42,14 @@ class Ellipse:
         values, vectors = np.linalg.eigh(np.asarray(covariance_cm2))
         minor, major = _SIGMA_95 * np.sqrt(np.maximum(values, 0.0))
         return cls(float(major), float(minor), float(np.arctan2(vectors[1, 1], vectors[0, 1])))
+
+    def outline(self, x_cm: float, y_cm: float) -> list[Point]:
+        """The points of its edge around a place, counter-clockwise, the first again at the end."""
+        turn = np.linspace(0.0, 2 * np.pi, _ELLIPSE_POINTS)
+        along, across = self.semi_major_cm * np.cos(turn), self.semi_minor_cm * np.sin(turn)
+        cosine, sine = np.cos(self.angle_rad), np.sin(self.angle_rad)
+        x, y = x_cm + cosine * along - sine * across, y_cm + sine * along + cosine * across
+        return list(zip(x.tolist(), y.tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +80,8 @@ class Obstacle:
     force_n: float | None = None  # the same in newtons; null if EI is not known
     force_interval_n: list[float] = field(default_factory=list)  # its 95 % interval
     kind: str = "peg"  # or "wall"
-    probability: Number = 1.0  # that it is real; null of a point estimate, also below
-    wall_probability: Number = 0.0  # that all its stages felt one wall
-    # of a wall: points of its surface; between them it is drawn straight
+    probability: Number = 1.0  # that it is real; null of a point estimate
+    # of a wall: the ends of the part of its face that was touched
     surface: list[Point] = field(default_factory=list)
     # of a ROS map's obstacle: side of its square cells, and their turn from x; 0 for a contact
     cell_cm: float = 0.0

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.config import SIDES
-from thigmo.contact_status import POINT_ESTIMATE, SURE
+from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.display.axes import INK, MUTED, new_axes, plain, titled
 from thigmo.display.bars import COLORS, OTHER_COLOR
 from thigmo.errors import RunFolderError
@@ -221,12 +221,12 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
         )  # fmt: skip
     if contact.surface:
         # Dashed while it may be something else: then it is drawn, and not occupied.
-        sure = contact.wall_probability >= SURE
+        sure = contact.status == "localized"
         axes.plot(
-            *np.asarray(contact.surface).T, color=INK, lw=2.2, zorder=6, marker="s", ms=3.5,
-            ls="-" if sure else (0, (3, 2)), label="wall" if sure else "wall, likely",
+            *np.asarray(contact.surface).T, color=INK, lw=2.2, zorder=6,
+            ls="-" if sure else (0, (3, 2)), label="wall" if sure else "wall, its place a guess",
         )  # fmt: skip
-    if contact.status == "localized":  # a wider set is no ellipse
+    if placed:
         around = Spread.of(contact.covariance_cm2)
         axes.add_patch(
             Ellipse(

@@ -6,6 +6,7 @@ a log. Those schemas are SI: metres and radians, in frame "room", which is the r
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from math import cos, sin
 from typing import Any
@@ -30,7 +31,7 @@ from google.protobuf.message import Message as Proto
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from thigmo.contact_status import POINT_ESTIMATE
-from thigmo.record import MapContact
+from thigmo.record import Ellipse, MapContact
 from thigmo.stream.messages import BodyShape, Contacts, Event, Grid, Log, Message
 
 SCENE, TRANSFORM, GRID, LOG = "/foxglove/scene", "/foxglove/tf", "/foxglove/grid", "/foxglove/log"
@@ -114,15 +115,20 @@ def _contact(name: str, contact: MapContact, stamp: Timestamp) -> SceneEntity:
     entity.spheres.append(SpherePrimitive(pose=place, size=size, color=color))
     if contact.status != POINT_ESTIMATE:
         entity.lines.append(_line(contact.track, _CONTACT_M / 3, color))
+        ellipse = Ellipse.of(contact.covariance_cm2).outline(contact.x_cm, contact.y_cm)
+        entity.lines.append(_line(ellipse, _CONTACT_M / 6, color))
     if contact.surface:
-        solid = Color(r=color.r, g=color.g, b=color.b, a=contact.wall_probability)
-        entity.lines.append(_line(contact.surface, _CONTACT_M, solid))
-        entity.metadata.add(key="wall_probability", value=f"{contact.wall_probability:.2f}")
+        entity.lines.append(_line(contact.surface, _CONTACT_M, color))
     for key, value in {
         "kind": contact.kind,
         "status": contact.status,
+        "probability": f"{contact.probability:.4f}",
+        "explanations": contact.explanation_text,
+        "doubt": contact.doubt,
         "arc_cm": f"{contact.arc_cm:.2f}",
         "interval_cm": contact.interval_text,
+        "covariance_cm2": json.dumps(contact.covariance_cm2),
+        "force": contact.force_text,
     }.items():
         entity.metadata.add(key=key, value=value)
     return entity

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thigmo.cli.camera import CAMERA_FILE, SHEET_FILE, CameraFileOption, SheetOption
+from thigmo.cli.camera import CAMERA_FILE, load_sheet
 from thigmo.cli.output import JsonOption, KnownConfigOption, print_json, robot_option
 from thigmo.errors import DataError
 from thigmo.files import write_whole
@@ -54,8 +54,6 @@ def experiment(
             "you type their places in."
         ),
     ] = None,
-    sheet_file: SheetOption = SHEET_FILE,
-    camera_file: CameraFileOption = CAMERA_FILE,
     rehearse: Annotated[
         bool,
         typer.Option(
@@ -99,7 +97,7 @@ def experiment(
             )
         folder = recorded or out / name
         if robot is not None:
-            look = None if camera is None else _look(camera, sheet_file, camera_file)
+            look = None if camera is None else _look(camera)
             _take(name, robot, folder, trials, seed, config, look, rehearse, as_json)
         result = report(name, _evaluated(name, folder, jobs), folder, as_json)
         if as_json:
@@ -126,15 +124,14 @@ def _fit(seed: int, out: Path) -> None:
     typer.echo(text)
 
 
-def _look(camera: str, sheet_file: Path, camera_file: Path) -> Callable[[float], list[Place]]:
+def _look(camera: str) -> Callable[[float], list[Place]]:
     """A function of the body's diameter (cm) that measures the centres of the dowels beside it."""
     from thigmo.calibrate.overhead import OverheadCamera
     from thigmo.camera import CameraModel, open_source
-    from thigmo.cli.camera import load_sheet
     from thigmo.config import Body
     from thigmo_bench.experiments import thesis
 
-    located = open_source(camera), CameraModel.load(camera_file), load_sheet(sheet_file)
+    located = open_source(camera), CameraModel.load(CAMERA_FILE), load_sheet()
 
     def look(diameter_cm: float) -> list[Place]:
         detection = (

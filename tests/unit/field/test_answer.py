@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from thigmo.field import Readings, Stage
-from thigmo.field.answer import EARLY_WORDS, _placed
-from thigmo.field.hypotheses import PEG
+from thigmo.field.answer import EARLY_WORDS, _face, _placed
+from thigmo.field.hypotheses import PEG, PEGS, WALL, Body, faced
 from thigmo.field.posterior import Samples
 
 STAGES = Stage(50.0, 2), Stage(53.0, 2)
@@ -47,7 +49,57 @@ def _samples(touch_bend: float, felt: tuple[bool, bool]) -> Samples:
 def test_a_touch_that_no_reading_shows_is_placed_by_two_lengths_and_not_by_one(
     touch_bend: float, felt: tuple[bool, bool], places: bool
 ) -> None:
-    contact = _placed(_readings(), _samples(touch_bend, felt), 0, 9.0, "")
+    contact = _placed(
+        _readings(), [_samples(touch_bend, felt)], 0, 9.0, "", face=np.zeros((0, 2)),
+    )  # fmt: skip
     assert contact is not None
     assert contact.places == places
     assert (contact.doubt == EARLY_WORDS) == (not places)
+
+
+def test_the_face_of_a_wall_reaches_from_the_first_touch_to_the_last() -> None:
+    body = Body(radius=1.75, longest=53.0, most_bend=0.03, fold_error=0.1, yield_unit=1.0)
+    q = np.array([[0.012, 0.4 + off, -0.8, 0.0, 0.1, 0.1, 0.0] for off in (-0.02, 0.0, 0.02)])
+    wall = faced(q[1, :3], body)
+    way = np.array([wall.end_x - wall.x, wall.end_y - wall.y])
+    way /= np.hypot(*way)
+    first = WALL.skin(q[1], body)[0]
+    last = first + 6.0 * way
+    touch = np.full((3, 2, 1, 5), np.nan)
+    touch[:, 1, 0] = [53.0, *last, 1.2, 2e-4]
+    even = np.full(3, 1 / 3)
+    samples = Samples(WALL, q, np.ones((3, 1)), touch, even, 0.0 * even, 0.5, -10.0)
+    assert _face(samples, 0, body) == pytest.approx(np.array([first, last]), abs=1e-9)
+    pegs = Samples(PEG, q, np.ones((3, 1)), touch, even, 0.0 * even, 0.5, -10.0)
+    assert _face(pegs, 0, body).shape == (0, 2)
+
+
+def _spread(explanations: list[Samples]) -> np.ndarray:
+    """Standard deviations of the place that explanations give, in x and y."""
+    contact = _placed(_readings(), explanations, 0, 9.0, "", face=np.zeros((0, 2)))
+    assert contact is not None
+    return np.sqrt(np.diag(contact.covariance_cm2) - 0.01)  # but for the everted length's error
+
+
+def test_samples_that_are_a_quarter_of_enough_place_half_as_well() -> None:
+    many = _samples(0.009, (True, True))
+    even = np.zeros(200)
+    even[:12] = 1 / 12
+    few = replace(many, weight=even)
+    known = np.cov(few.touch[:12, 1, 0, 1:3].T, bias=True)
+    assert _spread([few]) == pytest.approx(np.sqrt(50 / 12 * np.diag(known)))
+    assert _spread([many]) == pytest.approx(many.touch[:, 1, 0, 1:3].std(axis=0))
+
+
+def test_an_explanation_that_is_as_likely_counts_with_its_own_place() -> None:
+    peg = _samples(0.009, (True, True))
+    apart = peg.touch + np.array([0.0, 3.0, 0.0, 0.0, 0.0])
+    far = peg.touch + 20.0
+    pegs = replace(
+        peg, hypothesis=PEGS, q=np.zeros((200, PEGS.unknowns)),
+        touch=np.concatenate([far, apart], axis=2),
+    )  # fmt: skip
+    x, y = peg.touch[:, 1, 0, 1:3].std(axis=0)
+    assert _spread([peg, pegs]) == pytest.approx(np.sqrt([x**2 + 9.0 / 2, y**2]))
+    unlikely = replace(pegs, log_evidence=peg.log_evidence - 20.0)
+    assert _spread([peg, unlikely]) == pytest.approx([x, y], rel=1e-3)

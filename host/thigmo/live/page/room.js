@@ -261,8 +261,8 @@ function drawContacts({ contacts, words }) {
     }
     const [[a, b], [, d]] = contact.covariance_cm2;
     const middle = (a + d) / 2, spread = Math.hypot((a - d) / 2, b);
-    if (sure) make("ellipse", { // a wider set is no ellipse
-      cx: x, cy: y, fill: "var(--contact-wash)", stroke: "var(--contact)", "stroke-width": 1.2, "stroke-dasharray": "5 3",
+    if (!pointEstimate(contact)) make("ellipse", {
+      cx: x, cy: y, fill: sure ? "var(--contact-wash)" : "none", stroke: "var(--contact)", "stroke-width": 1.2, "stroke-dasharray": "5 3",
       rx: SIGMA_95 * Math.sqrt(Math.max(middle + spread, 0)) * scale,
       ry: SIGMA_95 * Math.sqrt(Math.max(middle - spread, 0)) * scale,
       transform: `rotate(${(-Math.atan2(2 * b, a - d) / 2 * 180 / Math.PI).toFixed(2)} ${x} ${y})`,
@@ -272,11 +272,10 @@ function drawContacts({ contacts, words }) {
   labels = contacts.map((contact, n) => label(contact, words[n], before[n]?.place));
 }
 
-// The surface that the tip slid along: whole where it is a wall to 95 %, else in dashes.
-function drawWall(layer, { surface, wall_probability: wall }) {
+// The part of a wall's face that was touched; in dashes while its place is only a guess.
+function drawWall(layer, { surface, status }) {
   const points = surface.map(([x, y]) => [X(x), Y(y)]);
-  make("path", { d: line(points), fill: "none", stroke: "var(--ink)", "stroke-width": 3, ...wall < .95 && { "stroke-dasharray": "7 5" } }, layer);
-  for (const [x, y] of points) make("rect", { x: x - 2.5, y: y - 2.5, width: 5, height: 5, fill: "var(--ink)" }, layer);
+  make("path", { d: line(points), fill: "none", stroke: "var(--ink)", "stroke-width": 3, ...status !== "localized" && { "stroke-dasharray": "7 5" } }, layer);
 }
 
 // Where a contact is along the body, in two lines, which `drawLabels` puts beside the contact.
@@ -329,7 +328,7 @@ $("room-legend").innerHTML = `
   <span><i class="area" style="background:var(--trail);opacity:.35"></i>swept at this stage</span>
   <span><i class="area" style="background:var(--contact);opacity:.45"></i>where a contact may be</span>
   <span><i class="dot" style="background:var(--contact)"></i>contact</span>
-  <span><i style="border-top-width:3px;color:var(--ink)"></i>wall, dashed: likely</span>
+  <span><i style="border-top-width:3px;color:var(--ink)"></i>wall, dashed: a guess</span>
   <span style="color:var(--contact)"><i class="ring"></i><span class="muted">95 % in the plane</span></span>
   <span id="overlay-legend" style="color:var(--overlay)" hidden><i class="area" style="width:10px;background:currentColor"></i><span class="muted" id="overlay-name"></span></span>
   <span id="truth-legend" style="color:var(--truth)" hidden><i class="ring" style="border-style:solid"></i><span class="muted">peg (the emulator’s truth)</span></span>`;

@@ -131,7 +131,7 @@ function drawContactRows() {
       element("td", {}, element("b", {}, minus(place))),
       element("td", {}, element("b", {}, minus(along)), " ", element("span", { class: "muted" }, minus(interval))),
       element("td", {}, unbroken(force)),
-      element("td", {}, chip));
+      element("td", {}, chip, ...(contact.doubt ? [element("span", { class: "muted doubt" }, contact.doubt)] : [])));
   }));
   drawWhy();
 }
