@@ -97,6 +97,7 @@ soak: install
 
 figures: install
 	$(BIN)/python tools/figures.py
+	$(BIN)/python tools/fit_picture.py
 
 # Every command and code cell on the pages is executed by one target, and kept; the other builds the
 # site from what was kept. A page that fails or is slow is named, and the rest is built.

@@ -52,4 +52,5 @@ def a_fit(
         peg_radius_cm=peg_radius_cm,
         friction=0.1,
         yield_cm=0.0,
+        gave_way_at=None,
     )

@@ -145,9 +145,11 @@ def _claims(found: list[dict[str, Any]]) -> list[Row]:
 
 
 def _value(claim: dict[str, Any]) -> str:
-    """A claim's value, with one more digit where a miss would look like a hit."""
+    """A claim's value and its standard error, with one more digit if a miss looks like a hit."""
     shown = _number(claim["value"])
-    return shown if claim["holds"] or shown != _number(claim["limit"]) else f"{claim['value']:.4g}"
+    if not claim["holds"] and shown == _number(claim["limit"]):
+        shown = f"{claim['value']:.4g}"
+    return f"{shown} ± {claim['standard_error']:.2g}" if "standard_error" in claim else shown
 
 
 def _explorations(found: list[dict[str, Any]]) -> list[Row]:

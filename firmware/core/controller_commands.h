@@ -319,10 +319,10 @@ inline Outcome Controller::zero_sensors(uint16_t wanted) {
   if (allowed.reason != Reason::kNone) return allowed;
   if (wanted == 0 || static_cast<uint32_t>(wanted) >> kSensors != 0) return {Reason::kBadValue, 0};
   for (uint8_t i = 0; i < kSensors; ++i) {
-    const uint16_t one = static_cast<uint16_t>(1u << i);
-    if ((wanted & one) == 0) continue;
+    const uint16_t sensor_bit = static_cast<uint16_t>(1u << i);
+    if ((wanted & sensor_bit) == 0) continue;
     if (!enabled(i)) return {Reason::kBadValue, i};
-    if ((eversion_.settled_mask() & one) == 0) return {Reason::kNotSettled, i};
+    if ((eversion_.settled_mask() & sensor_bit) == 0) return {Reason::kNotSettled, i};
   }
   zeros_.begin(wanted);
   averaging_ = false;

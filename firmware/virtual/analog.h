@@ -47,13 +47,13 @@ class Analog {
   const std::vector<std::array<int64_t, 3>>& recorded() const { return recorded_; }
 
   // The conversions of a tick that begins at a share of the step and lasts another.
-  AdcFrame frame(uint32_t tick, double from, double each) {
+  AdcFrame frame(uint32_t tick, double start, double duration) {
     AdcFrame frame;
     frame.tick = tick;
     for (uint8_t slot = 0; slot < kAdcSlots; ++slot) {
       const uint8_t channel = adc_channel((tick & 1) != 0, slot);
       frame.count[slot] =
-          conversion(tick, channel, from + each * 1e-3 * (slot * conversion_us_ + kSampleUs));
+          conversion(tick, channel, start + duration * 1e-3 * (slot * conversion_us_ + kSampleUs));
       if (recording_) recorded_.push_back({tick, channel, frame.count[slot]});
     }
     return frame;
@@ -68,8 +68,8 @@ class Analog {
 
   uint16_t conversion(uint32_t tick, uint8_t channel, double share) const {
     if (!fed_.empty()) {
-      const auto found = fed_.find(key(tick, channel));
-      if (found != fed_.end()) return found->second;
+      const auto sample = fed_.find(key(tick, channel));
+      if (sample != fed_.end()) return sample->second;
     }
     double ideal = level_[channel][0] + (level_[channel][1] - level_[channel][0]) * share;
     if (noise_[channel] > 0.0) ideal += noise_[channel] * adc_noise(seed_, tick, channel);

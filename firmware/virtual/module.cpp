@@ -64,10 +64,11 @@ NB_MODULE(THIGMO_MODULE, m) {
           nb::arg("rows"))
       .def(
           "frames",
-          [](Analog& self, uint32_t tick, uint32_t ticks, uint32_t begun, double each) {
+          [](Analog& self, uint32_t tick, uint32_t ticks, uint32_t begun, double tick_share) {
             auto* counts = new std::vector<uint16_t>;
             for (uint32_t i = 0; i < ticks; ++i) {
-              const thigmo::AdcFrame frame = self.frame(tick + i, (begun + i) * each, each);
+              const thigmo::AdcFrame frame =
+                  self.frame(tick + i, (begun + i) * tick_share, tick_share);
               counts->insert(counts->end(), frame.count, frame.count + thigmo::kAdcSlots);
             }
             nb::capsule owner(
@@ -75,7 +76,7 @@ NB_MODULE(THIGMO_MODULE, m) {
             return nb::ndarray<nb::numpy, uint16_t, nb::ndim<2>>(counts->data(),
                                                                  {ticks, thigmo::kAdcSlots}, owner);
           },
-          nb::arg("tick"), nb::arg("ticks"), nb::arg("begun"), nb::arg("each"));
+          nb::arg("tick"), nb::arg("ticks"), nb::arg("begun"), nb::arg("tick_share"));
   nb::class_<VirtualBoard>(m, "VirtualBoard")
       .def(
           "__init__",

@@ -58,13 +58,13 @@ class VirtualBoard {
   // Advances virtual time by whole milliseconds; analog inputs and the encoder move linearly from
   // their start to their end over the step, and then stay.
   void step(uint32_t ticks) {
-    const double each = ticks > 0 ? 1.0 / ticks : 0.0;
+    const double tick_share = ticks > 0 ? 1.0 / ticks : 0.0;
     for (uint32_t i = 0; i < ticks; ++i) {
       const uint64_t tick_us = now_us_;
-      for (const uint64_t at : pass_us_) {
-        now_us_ = tick_us + at;
-        share_ = (i + static_cast<double>(at) * 1e-3) * each;
-        if (at == frame_us_ && running_) convert(i * each, each);
+      for (const uint64_t pass_us : pass_us_) {
+        now_us_ = tick_us + pass_us;
+        share_ = (i + static_cast<double>(pass_us) * 1e-3) * tick_share;
+        if (pass_us == frame_us_ && running_) convert(i * tick_share, tick_share);
         pass();
       }
       now_us_ = tick_us + 1000;
@@ -138,9 +138,9 @@ class VirtualBoard {
   bool braked() const { return motor_ == 0; }
   int direction() const { return direction_; }
   // Whether an enable (0 muscles, 1 body, 2 motor, 3 brake) is held by the edges of its pin.
-  bool enabled(uint8_t which) const {
-    const uint64_t hold_us = which < 2 ? kAirHoldUs : kMotorHoldUs;
-    return enabled_us_[which] != 0 && now_us_ < enabled_us_[which] + hold_us;
+  bool enabled(uint8_t output) const {
+    const uint64_t hold_us = output < 2 ? kAirHoldUs : kMotorHoldUs;
+    return enabled_us_[output] != 0 && now_us_ < enabled_us_[output] + hold_us;
   }
   bool powered() const { return powered_; }
   bool running() const { return running_; }
@@ -174,9 +174,9 @@ class VirtualBoard {
   }
   void brake() { motor_ = 0; }
   void enable(Enables wanted) {
-    const bool each[] = {wanted.muscles, wanted.body, wanted.motor, wanted.brake};
+    const bool kicked[] = {wanted.muscles, wanted.body, wanted.motor, wanted.brake};
     for (size_t i = 0; i < enabled_us_.size(); ++i) {
-      if (each[i]) enabled_us_[i] = now_us_;
+      if (kicked[i]) enabled_us_[i] = now_us_;
     }
   }
 
@@ -222,10 +222,10 @@ class VirtualBoard {
   void task(uint8_t) {}
 
  private:
-  void convert(double from, double each) {
+  void convert(double start, double duration) {
     if (frames_.size() >= kAdcFrames) return;
     frames_.push_back(
-        analog_.frame(static_cast<uint32_t>((now_us_ - start_us_) / 1000), from, each));
+        analog_.frame(static_cast<uint32_t>((now_us_ - start_us_) / 1000), start, duration));
     narrowing_.apply(&frames_.back());
   }
 

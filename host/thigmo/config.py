@@ -66,6 +66,7 @@ __all__ = [
     "FlexSensor",
     "HeadingSensor",
     "Muscle",
+    "RestCurvature",
     "RobotConfig",
     "Sensor",
     "Side",
@@ -98,6 +99,15 @@ class BodyPressure(Model):
     pull_duty: Finite = 0.0  # of 800, that the motor needs less in growth than its data say
 
 
+class RestCurvature(Model):
+    """A preformed bend: a stretch of the body that is curved where neither muscles nor contacts
+    bend it. It begins where the one before ends; beyond the last, the body is straight.
+    """
+
+    until_cm: Positive  # arc, from the base, at which it ends
+    curvature: Finite  # 1/cm, in the plane, positive to the left; 0: straight
+
+
 # Entries of a growing body, which a body of fixed length does not have.
 _OF_GROWTH = ("pitch_cm", "growth_psi", "growth_psi_per_cm")
 
@@ -128,10 +138,13 @@ class Body(Model):
     critical_curvature: Annotated[float, Field(gt=0)] = Field(default_factory=_default_fold)
     critical_curvature_se: NonNegative = 0.002  # 1/cm; uncalibrated: 18 %
     critical_pressure_psi: Positive = 0.49  # body pressure at which it was measured
-    # Angle (rad) by which the base turns for each 1/cm of contact moment over EI there, so cm.
+    # Angle (rad) by which the base turns for each 1/cm of contact moment over EI there, so cm;
+    # `thigmo calibrate base` measures it.
     base_compliance_cm: NonNegative = 0.0
     # One sigma of it, cm. Default: not measured; bases turn by up to 0.05 rad before they fold.
     base_compliance_se_cm: NonNegative = 2.5
+    # Preformed bends, base first. Sensors are zeroed at rest, so that they read what is added.
+    rest_curvature: list[RestCurvature] = Field(default_factory=list)
     # Bending stiffness EI and its standard error; without them forces are given over EI only.
     stiffness_n_cm2: Positive | None = None
     stiffness_se_n_cm2: NonNegative = 0.0  # one sigma of it, N cm^2
@@ -144,6 +157,24 @@ class Body(Model):
         validation_alias="pressure",
         serialization_alias="pressure",
     )
+
+    @model_validator(mode="after")
+    def _preformed_bends_fit(self) -> Self:
+        ends = [piece.until_cm for piece in self.rest_curvature]
+        if ends != sorted(set(ends)):
+            raise ValueError("body.rest_curvature: until_cm must ascend")
+        if ends and ends[-1] > self.length_cm:
+            raise ValueError(
+                f"body.rest_curvature: until_cm = {ends[-1]:g} lies beyond body.length_cm = "
+                f"{self.length_cm:g}"
+            )
+        tightest = max((abs(piece.curvature) for piece in self.rest_curvature), default=0.0)
+        if tightest * self.radius_cm >= 1.0:
+            raise ValueError(
+                f"body.rest_curvature: a tube of {self.diameter_cm:g} cm cannot be curved by "
+                f"{tightest:g} 1/cm, around a circle that is smaller than itself"
+            )
+        return self
 
     @model_validator(mode="after")
     def _zones_ascend(self) -> Self:
@@ -163,12 +194,22 @@ class Body(Model):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_growth(self, dumped: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_what_it_lacks(self, dumped: SerializerFunctionWrapHandler) -> dict[str, Any]:
         entries: dict[str, Any] = dumped(self)
+        if not self.rest_curvature:
+            entries.pop("rest_curvature", None)
         if not self.grows:
             for name in _OF_GROWTH:
                 entries.pop(name, None)
         return entries
+
+    @property
+    def rest_pieces(self) -> tuple[tuple[float, float], ...]:
+        """End (cm) and curvature (1/cm) of each preformed bend, as `thigmo.mechanics` takes them.
+
+        Empty for a body that is straight at rest.
+        """
+        return tuple((piece.until_cm, piece.curvature) for piece in self.rest_curvature)
 
     @property
     def folds(self) -> bool:
@@ -406,8 +447,8 @@ class RobotConfig(Model):
     @property
     def sides(self) -> tuple[Side, ...]:
         """The sides of the plane towards which a muscle bends the body."""
-        there = {muscle.side for muscle in self.muscles}
-        return tuple(side for side in SIDES if side in there)
+        muscle_sides = {muscle.side for muscle in self.muscles}
+        return tuple(side for side in SIDES if side in muscle_sides)
 
     @property
     def muscle_sides(self) -> tuple[Side, ...]:

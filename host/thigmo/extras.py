@@ -30,12 +30,12 @@ class NotInstalledError(ThigmoError):
     """What is asked for is not part of this installation."""
 
 
-def require(extra: str, what: str) -> None:
-    """Raise NotInstalledError if `what` lacks a package of the extra: plot, camera, live ..."""
+def require(extra: str, subject: str) -> None:
+    """Raise NotInstalledError if `subject` lacks a package of the extra: plot, camera, live ..."""
     for module in _MODULES[extra]:
         if find_spec(module) is None:
             raise NotInstalledError(
-                f"{what} needs {module}, which is not installed",
+                f"{subject} needs {module}, which is not installed",
                 f"run `pip install 'thigmo[{extra}]'`",
             )
 
@@ -48,10 +48,10 @@ def data_frame(content: Sequence[Mapping[str, Any]] | Mapping[str, Any]) -> Data
     return DataFrame(content)
 
 
-def require_sources(module: str, what: str) -> None:
-    """Raise NotInstalledError if `what` needs a module that wheels leave out."""
+def require_sources(module: str, subject: str) -> None:
+    """Raise NotInstalledError if `subject` needs a module that wheels leave out."""
     if find_spec(module) is None:
         raise NotInstalledError(
-            f"{what} comes with the sources of thigmo, not with its wheel",
+            f"{subject} comes with the sources of thigmo, not with its wheel",
             "get them (the sdist, or a clone) and run `make install` there",
         )

@@ -142,9 +142,9 @@ class Wiring:
         half = size.sensors // 2
         free = [number for number, sensor in enumerate(sensors) if sensor is None]
         free.sort(key=lambda number: number % half > 0)
-        others = [sensor for sensor in config.board_sensors if sensor.side is None]
-        others.sort(key=lambda sensor: not _is_base(config, sensor))
-        for number, sensor in zip(free, others, strict=False):
+        off_plane = [sensor for sensor in config.board_sensors if sensor.side is None]
+        off_plane.sort(key=lambda sensor: not _is_base(config, sensor))
+        for number, sensor in zip(free, off_plane, strict=False):
             sensors[number] = sensor
         return cls(config, size, tuple(sensors), inputs)
 
@@ -245,6 +245,11 @@ class Wiring:
                 f"{' and '.join(names)} out of the plane, which is 90 and 270 degrees",
                 "press its muscles by name and feel in space (`thigmo feel`), or localize its "
                 "readings with a column `direction` (`thigmo localize`)",
+            )
+        if config.body.rest_curvature:
+            return Limitation(
+                "the body is curved at rest, and explorations map with a body that is straight",
+                "feel what touches it: `thigmo feel`",
             )
         if not config.muscles:
             return Limitation(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from thigmo_bench.studies import accuracy
-from thigmo_bench.studies.accuracy import BAD, ERRORS, Case, Frame, judge, score
-from thigmo_bench.studies.contact_scenes import GROUPS, TOUCHED, one_contact
+from thigmo_bench.studies.accuracy import ERRORS, Case, Frame, judge, score
+from thigmo_bench.studies.contact_scenes import GROUPS, one_contact
 from thigmo_bench.studies.engine import Context
 from thigmo_bench.studies.scenes import COLUMN, CRITICAL, LENGTH, RADIUS, SIGMA, SPAN
 
@@ -86,8 +86,14 @@ def test_the_study_makes_its_tables_claims_and_figures(monkeypatch: pytest.Monke
     monkeypatch.setattr(accuracy, "BATCH", 2)
     outcome = accuracy.run(Context(scale="quick"))
     errors, odds = outcome.tables["rows"], outcome.tables["odds"]
-    groups = sum(len(e.groups) * (2 if e.tell else 1) for e in ERRORS.values())
-    assert len(errors) == groups
-    assert len(odds) == len(accuracy.ODDS) * len(TOUCHED) * (1 + len(BAD))
+    # Each error in each of its groups; what can be stated, stated and not; no case twice.
+    cases = [(row["error"], row["group"], row["stated"]) for row in errors]
+    assert len(set(cases)) == len(cases)
+    assert {(name, group) for name, error in ERRORS.items() for group in error.groups} == {
+        (name, group) for name, group, _ in cases
+    }
+    statements = {(name, stated) for name, _, stated in cases}
+    assert all((name, False) in statements for name, error in ERRORS.items() if error.tell)
+    assert {row["odds"] for row in odds} == set(accuracy.ODDS)
+    assert outcome.claims
     assert set(outcome.figures) == {"stated", "odds"}
-    assert len(outcome.claims) == 12

@@ -19,7 +19,8 @@ CONTACT = FieldContact(
     force_interval_per_cm2=(5e-4, 2e-3), track=np.zeros((25, 2)), probability=0.99, places=True,
     doubt="", felt_at_cm=(53.0,), log_odds=50.0, log_evidence=-40.0, misfit=1.0,
     effective=60.0, kind="peg", peg_radius_cm=1.0, friction=0.1, yield_cm=0.0,
-    arcs=np.array([25.2]), weights=np.ones(1),
+    gave_way_at=None,
+    arcs=np.array([25.2]), weights=np.ones(1), face=np.zeros((0, 2)), explanations={"peg": 1.0},
 )  # fmt: skip
 
 

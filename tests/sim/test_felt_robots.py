@@ -33,11 +33,18 @@ def test_a_catheter_of_28_psi_explores() -> None:
     assert empty.status == "silent"
 
 
-@pytest.mark.parametrize("name", ["whisker", "tendon"])
-def test_explore_says_in_one_line_that_there_are_no_muscles(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("whisker", "no muscles, so it cannot sweep"),
+        ("tendon", "no muscles, so it cannot sweep"),
+        ("preformed", "curved at rest"),
+    ],
+)
+def test_explore_says_in_one_line_why_it_cannot(name: str, why: str, tmp_path: Path) -> None:
     robot = RobotConfig.load(GALLERY / f"{name}.toml")
     url = room_file(tmp_path, room_for(robot, 1, peg=False))
-    with pytest.raises(ConfigError, match="no muscles, so it cannot sweep"):
+    with pytest.raises(ConfigError, match=why):
         explore(url, out=tmp_path, seed=1)
 
 

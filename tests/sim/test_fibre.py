@@ -102,7 +102,7 @@ def test_an_exploration_ends_safely_when_its_fibre_is_not_read(
 ) -> None:
     room, whole = explored
     zeroed = [
-        n.t_s for n in read_log(whole.folder / "run.mcap").notes if n.facts["state"] == "ZERO"
+        n.t_s for n in read_log(whole.folder / "run.mcap").notes if n.facts.get("state") == "ZERO"
     ]
     scene = Scene.load(room)
     scene.faults = [FaultTable.model_validate(

@@ -91,7 +91,7 @@ def test_it_goes_on_from_what_was_swept_and_felt(
     lengths = [stage.everted_length_cm for stage in now.stages]
     assert lengths == pytest.approx([s.everted_length_cm for s in whole.document.stages], abs=0.3)
     again = [note.facts for note in RunFolder(resumed.folder).read_log().notes]
-    assert sum(note["state"] == "SWEEP" for note in again) == len(lengths) - len(before.stages)
+    assert sum(note.get("state") == "SWEEP" for note in again) == len(lengths) - len(before.stages)
     for mine, theirs in zip(now.contacts, whole.document.contacts, strict=True):
         assert (mine.x_cm, mine.y_cm) == pytest.approx((theirs.x_cm, theirs.y_cm), abs=1.0)
 

@@ -24,7 +24,7 @@ def _bad(found: list[Finding]) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("length", "sensors", "muscles"), [(53, 5, 2), (120, 5, 2), (30, 3, 1), (200, 9, 1)]
+    ("length", "sensors", "muscles"), [(53, 5, 2), (120, 5, 2), (30, 3, 1), (200, 9, 1), (53, 5, 0)]
 )
 def test_a_draft_is_valid_and_does_what_it_must(length: float, sensors: int, muscles: int) -> None:
     config = draft(length, sensors, muscles)
@@ -309,19 +309,34 @@ def test_a_robot_of_more_than_two_muscles_has_a_column_opposite_each(
     assert halved == ([] if unguarded else ["muscle 210deg", "muscle 330deg"])
 
 
+@pytest.mark.parametrize(("kind", "columns"), [("flex", 2), ("heading", 1), ("fibre", 0)])
+def test_a_robot_without_muscles_has_sensors_to_feel_with(kind: Kind, columns: int) -> None:
+    config = draft(53, 5, 0, kind=kind)
+    assert len({sensor.direction_deg for sensor in config.board_sensors}) == columns
+    assert len(config.gratings) == (10 if kind == "fibre" else 0)
+    findings = {finding.part: finding for finding in judge(config)}
+    assert _bad(judge(config)) == []
+    assert "no muscles" in findings["explore"].text
+    assert findings["feel"].mark == "ok"
+
+
 @pytest.mark.parametrize("kind", ["heading", "fibre"])
 def test_more_than_two_muscles_take_flex_sensors(kind: Kind) -> None:
     with pytest.raises(ConfigError, match=f"3 muscles with sensors of kind {kind}: "):
         draft(53, 5, 3, kind=kind)
 
 
+@pytest.mark.parametrize(
+    ("muscles", "why"),
+    [(4, "muscle 180deg (180 degrees)"), (0, "the robot has no muscles, so it cannot sweep")],
+)
 def test_a_new_robot_that_does_not_explore_is_told_what_works(
-    thigmo: Thigmo, tmp_path: Path
+    thigmo: Thigmo, tmp_path: Path, muscles: int, why: str
 ) -> None:
     folder = tmp_path / "around"
-    ran = thigmo("robot", "new", "--muscles", 4, "--out", folder)
+    ran = thigmo("robot", "new", "--muscles", muscles, "--out", folder)
     assert ran.code == 0, ran.err
     assert sorted(path.name for path in folder.iterdir()) == ["empty.toml", "robot.toml"]
     assert "thigmo explore --scene" not in ran.out
-    assert "explore does not work with it: muscle 180deg (180 degrees)" in ran.out
+    assert f"explore does not work with it: {why}" in ran.out
     assert f"thigmo calibrate all --robot emulator://{folder / 'empty.toml'}" in ran.out

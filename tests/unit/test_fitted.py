@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import nan
 from typing import Any
 
@@ -13,6 +13,7 @@ from fits import a_fit
 from thigmo.config import RobotConfig, Side
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.stage import Interpreter
+from thigmo.exploration.stall import Obstruction
 from thigmo.field import FieldContact
 from thigmo.field.answer import UNEXPLAINED_WORDS
 from thigmo.robot import Peak, SweepFrame, SweepResult
@@ -185,3 +186,21 @@ def test_a_wall_has_a_face_in_the_room_and_no_radius(fits: Fits) -> None:
     assert contact.fit_radius_cm is None
     assert contact.surface == [(x, -y) for x, y in fit.face.tolist()]
     assert contact.certainty_text == "localized, > 99 %; wall 97 %, two pegs 3 %"
+
+
+@pytest.mark.parametrize(("end_x", "likelier"), [(44.0, True), (60.0, False)])
+def test_a_wall_that_was_touched_and_leads_into_the_path_is_the_likelier_cause_of_a_stall(
+    fits: Fits, end_x: float, likelier: bool
+) -> None:
+    wall = a_fit(53.0, kind="wall", peg_radius_cm=nan)
+    face = np.array([[40.0, 8.0], [end_x, 2.0]])  # the path is crossed at 45.3 cm, or beyond
+    room = _mapped(fits, replace(wall, face=face))
+    room.add_obstruction(Obstruction(45.5, 45.0, (44.0, 46.0), 3, 0.0))
+    assert room.stall is not None
+    assert (room.stall.wall > room.stall.obstacle) == likelier
+
+
+def test_what_gave_way_is_said_with_its_kind(fits: Fits) -> None:
+    (contact,) = _mapped(fits, replace(a_fit(45.0), gave_way_at=0.012)).contacts
+    assert contact.certainty_text == "localized, > 99 %; peg that gave way"
+    assert contact.gave_way_per_cm == 0.012

@@ -39,10 +39,10 @@ struct Configuration {
   }
 
   static protocol::ParamRow row(uint16_t index) {
-    const protocol::ParamRow* at = protocol::kParamRows.row + index;
-    return {static_cast<int32_t>(THIGMO_FLASH_U32(&at->low)),
-            static_cast<int32_t>(THIGMO_FLASH_U32(&at->high)),
-            static_cast<int32_t>(THIGMO_FLASH_U32(&at->initial))};
+    const protocol::ParamRow* limits = protocol::kParamRows.row + index;
+    return {static_cast<int32_t>(THIGMO_FLASH_U32(&limits->low)),
+            static_cast<int32_t>(THIGMO_FLASH_U32(&limits->high)),
+            static_cast<int32_t>(THIGMO_FLASH_U32(&limits->initial))};
   }
 
   // Whether there is such a parameter and the value lies within its limits.
@@ -70,9 +70,9 @@ struct Configuration {
       value[item] = initial;
       return differs;
     }
-    const uint8_t which = static_cast<uint8_t>(item - protocol::kParamCount);
-    const uint8_t muscle = static_cast<uint8_t>(which / kBranches % kMuscles);
-    int16_t* const points = map[which / (kBranches * kMuscles)][muscle][which % kBranches];
+    const uint8_t map_index = static_cast<uint8_t>(item - protocol::kParamCount);
+    const uint8_t muscle = static_cast<uint8_t>(map_index / kBranches % kMuscles);
+    int16_t* const points = map[map_index / (kBranches * kMuscles)][muscle][map_index % kBranches];
     bool differs = false;
     for (uint8_t i = 0; i < protocol::kMapPoints; ++i) {
       const int16_t guess = static_cast<int16_t>(THIGMO_FLASH_U16(kGuessedMap + i));
@@ -110,22 +110,23 @@ struct Configuration {
 
   // The same of parameters that are got by a function of their name.
   template <typename Get>
-  static int16_t conflict_of(const Get& of) {
+  static int16_t conflict_of(const Get& value_of) {
     // The transducer's span divides the feed-forward; from 13 psi on its slope fits 16 bits.
-    if (of(Param::kDrive20maCpsi) < of(Param::kDrive4maCpsi) + 1300) {
+    if (value_of(Param::kDrive20maCpsi) < value_of(Param::kDrive4maCpsi) + 1300) {
       return static_cast<int16_t>(Param::kDrive20maCpsi);
     }
     // Set points must stay clear of the fault, or overshoot would be one.
-    if (of(Param::kOverPressureCpsi) <= of(Param::kMaxPressureCpsi)) {
+    if (value_of(Param::kOverPressureCpsi) <= value_of(Param::kMaxPressureCpsi)) {
       return static_cast<int16_t>(Param::kOverPressureCpsi);
     }
     // A sensor shows nothing beyond its range.
-    if (of(Param::kOverPressureCpsi) > of(Param::kPressureFullCpsi)) {
+    if (value_of(Param::kOverPressureCpsi) > value_of(Param::kPressureFullCpsi)) {
       return static_cast<int16_t>(Param::kPressureFullCpsi);
     }
-    const int32_t fastest = top_speed_um_s(of(Param::kHeartbeatMs));
-    if (of(Param::kSpoolSpeedUmS) > fastest) return static_cast<int16_t>(Param::kSpoolSpeedUmS);
-    if (of(Param::kHomeSpeedUmS) > fastest) return static_cast<int16_t>(Param::kHomeSpeedUmS);
+    const int32_t fastest = top_speed_um_s(value_of(Param::kHeartbeatMs));
+    if (value_of(Param::kSpoolSpeedUmS) > fastest)
+      return static_cast<int16_t>(Param::kSpoolSpeedUmS);
+    if (value_of(Param::kHomeSpeedUmS) > fastest) return static_cast<int16_t>(Param::kHomeSpeedUmS);
     return -1;
   }
 };

@@ -68,8 +68,8 @@ struct IdList {
   uint8_t count = 0;
   uint8_t id[8] = {};
 
-  void add(uint8_t one) {
-    if (count < sizeof(id)) id[count] = one;
+  void add(uint8_t entry) {
+    if (count < sizeof(id)) id[count] = entry;
     ++count;
   }
 };
@@ -130,7 +130,7 @@ class ConfigStore {
   void save() {
     next_ = 0;
     entry_ = 0;
-    entry_at_ = 0;
+    entry_offset_ = 0;
     values_ = 0;
     crc_ = Crc{};
     saving_ = true;
@@ -200,8 +200,8 @@ class ConfigStore {
   static constexpr uint8_t kCounterDone = 6;
   static constexpr uint8_t kTries = 3;  // to write a cell
 
-  static constexpr uint16_t counter_at(uint8_t which) {
-    return static_cast<uint16_t>(kCounterAt + 4 * which);
+  static constexpr uint16_t counter_at(uint8_t counter) {
+    return static_cast<uint16_t>(kCounterAt + 4 * counter);
   }
 
   template <typename Board>
@@ -222,19 +222,19 @@ class ConfigStore {
 
   template <typename Board>
   static LoadResult check(Board& board, uint8_t slot) {
-    const uint16_t at = kSlotAt[slot];
-    const uint8_t commit = board.eeprom_read(at);
+    const uint16_t start = kSlotAt[slot];
+    const uint8_t commit = board.eeprom_read(start);
     if (commit == kNeverWritten) return LoadResult::kBlank;
     if (commit == kSpoiled) return LoadResult::kInterrupted;
     if (commit != kCommitted) return LoadResult::kDamaged;
-    const uint16_t length = read16(board, at + 5u);
+    const uint16_t length = read16(board, start + 5u);
     if (length > kSlotMost) return LoadResult::kDamaged;
-    const uint16_t end = static_cast<uint16_t>(at + kSlotHeader + length);
+    const uint16_t end = static_cast<uint16_t>(start + kSlotHeader + length);
     Crc crc;
-    for (uint16_t i = static_cast<uint16_t>(at + 1); i < end; ++i) crc.add(board.eeprom_read(i));
+    for (uint16_t i = static_cast<uint16_t>(start + 1); i < end; ++i) crc.add(board.eeprom_read(i));
     if (board.eeprom_read(end) != crc.low ||
         board.eeprom_read(static_cast<uint16_t>(end + 1)) != crc.high ||
-        read32(board, at + 1u) == 0) {
+        read32(board, start + 1u) == 0) {
       return LoadResult::kDamaged;
     }
     return LoadResult::kLoaded;
@@ -251,8 +251,8 @@ class ConfigStore {
 
   static Kind kind(uint8_t index) {
     if (index == protocol::kParamKeys) return {protocol::kMapId, kMapWidth, kMapCount};
-    const protocol::ParamKey* const at = protocol::kParamKeyTable + index;
-    return {THIGMO_FLASH_U8(&at->id), 4, THIGMO_FLASH_U8(&at->count)};
+    const protocol::ParamKey* const key = protocol::kParamKeyTable + index;
+    return {THIGMO_FLASH_U8(&key->id), 4, THIGMO_FLASH_U8(&key->count)};
   }
 
   // Takes over the entries of the newest slot; false if they do not add up to its length.
@@ -261,13 +261,14 @@ class ConfigStore {
     uint8_t* const image = reinterpret_cast<uint8_t*>(configuration);
     uint8_t seen[(protocol::kParamKeys + 8) / 8] = {};
     report_ = StoredReport{};
-    uint16_t at = static_cast<uint16_t>(kSlotAt[slot_] + kSlotHeader);
-    const uint16_t end = static_cast<uint16_t>(at + read16(board, at - 2u));
-    while (at != end) {
-      const Kind stored = {board.eeprom_read(at), board.eeprom_read(static_cast<uint16_t>(at + 1)),
-                           board.eeprom_read(static_cast<uint16_t>(at + 2))};
-      at = static_cast<uint16_t>(at + kEntryHeader);
-      if (at > end || end - at < stored.size()) return false;
+    uint16_t address = static_cast<uint16_t>(kSlotAt[slot_] + kSlotHeader);
+    const uint16_t end = static_cast<uint16_t>(address + read16(board, address - 2u));
+    while (address != end) {
+      const Kind stored = {board.eeprom_read(address),
+                           board.eeprom_read(static_cast<uint16_t>(address + 1)),
+                           board.eeprom_read(static_cast<uint16_t>(address + 2))};
+      address = static_cast<uint16_t>(address + kEntryHeader);
+      if (address > end || end - address < stored.size()) return false;
       uint16_t place = 0;
       uint8_t index = 0;
       Kind known = kind(0);
@@ -277,14 +278,14 @@ class ConfigStore {
       }
       if (known.id == stored.id && known.width == stored.width && known.count == stored.count) {
         for (uint16_t i = 0; i < stored.size(); ++i) {
-          image[place + i] = board.eeprom_read(static_cast<uint16_t>(at + i));
+          image[place + i] = board.eeprom_read(static_cast<uint16_t>(address + i));
         }
         seen[index / 8] = static_cast<uint8_t>(seen[index / 8] | 1u << index % 8);
         ++report_.kept;
       } else {
         report_.unknown.add(stored.id);
       }
-      at = static_cast<uint16_t>(at + stored.size());
+      address = static_cast<uint16_t>(address + stored.size());
     }
     for (uint8_t i = 0; i <= protocol::kParamKeys; ++i) {
       if ((seen[i / 8] >> i % 8 & 1) == 0) report_.fresh.add(kind(i).id);
@@ -313,13 +314,13 @@ class ConfigStore {
 
   uint8_t entry_byte(const Configuration& configuration) {
     const Kind now = kind(entry_);
-    const uint16_t at = entry_at_++;
-    if (at == 0) return now.id;
-    if (at == 1) return now.width;
-    if (at == 2) return now.count;
-    if (entry_at_ == kEntryHeader + now.size()) {
+    const uint16_t offset = entry_offset_++;
+    if (offset == 0) return now.id;
+    if (offset == 1) return now.width;
+    if (offset == 2) return now.count;
+    if (entry_offset_ == kEntryHeader + now.size()) {
       ++entry_;
-      entry_at_ = 0;
+      entry_offset_ = 0;
     }
     return reinterpret_cast<const uint8_t*>(&configuration)[values_++];
   }
@@ -354,8 +355,8 @@ class ConfigStore {
   uint32_t generation_ = 0;
   StoredReport report_;
   uint16_t next_ = 0;
-  uint16_t entry_at_ = 0;  // byte of the entry in work
-  uint16_t values_ = 0;    // bytes of the configuration written
+  uint16_t entry_offset_ = 0;  // byte of the entry in work
+  uint16_t values_ = 0;        // bytes of the configuration written
   uint8_t entry_ = 0;
   Crc crc_;
   uint16_t address_ = 0;

@@ -39,16 +39,16 @@ class EventQueue {
   const protocol::Event* take_due(uint32_t tick) {
     // Between a repeat and the next there is nothing to look for.
     if (count_ == 0 || (!waiting_ && tick - looked_tick_ < kLookMs)) return nullptr;
-    uint8_t at = first_;
+    uint8_t index = first_;
     for (uint8_t i = 0; i < count_; ++i) {
-      Place& place = places_[at];
+      Place& place = places_[index];
       if (!place.sent || tick - place.sent_tick >= kRepeatMs) {
         place.sent = true;
         place.sent_tick = tick;
         waiting_ = true;  // there may be more
         return &place.event;
       }
-      at = wrapped(static_cast<uint8_t>(at + 1));
+      index = wrapped(static_cast<uint8_t>(index + 1));
     }
     waiting_ = false;
     looked_tick_ = tick;

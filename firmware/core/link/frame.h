@@ -93,9 +93,9 @@ THIGMO_NOINLINE inline uint8_t encode(const Frame& frame, uint8_t* wire) {
     }
     ++next;
   };
-  const uint8_t* at = frame.bytes;
+  const uint8_t* payload = frame.bytes;
   for (uint8_t left = frame.size; left != 0; --left) {
-    const uint8_t byte = *at++;
+    const uint8_t byte = *payload++;
     crc.add(byte);
     put(byte);
   }
@@ -115,7 +115,7 @@ class FrameDecoder {
   // AVR would take six times as long.
   THIGMO_NOINLINE Result push(const uint8_t* bytes, uint8_t count, uint8_t* taken) {
     const uint8_t* const top = frame_.bytes + protocol::kMaxFrame;
-    uint8_t* to = frame_.bytes + count_;
+    uint8_t* output = frame_.bytes + count_;
     uint8_t left = left_;
     uint8_t unread = count;
     while (unread != 0) {
@@ -123,7 +123,7 @@ class FrameDecoder {
       uint8_t byte = *bytes++;
       if (byte == 0) {
         *taken = static_cast<uint8_t>(count - unread);
-        return finish(static_cast<uint8_t>(to - frame_.bytes), left == 0);
+        return finish(static_cast<uint8_t>(output - frame_.bytes), left == 0);
       }
       if (left == 0) {
         // A code byte: so many bytes to the next zero, which the code before it stood for (the code
@@ -137,13 +137,13 @@ class FrameDecoder {
       } else {
         --left;
       }
-      if (to == top) {
+      if (output == top) {
         overlong_ = true;
       } else {
-        *to++ = byte;
+        *output++ = byte;
       }
     }
-    count_ = static_cast<uint8_t>(to - frame_.bytes);
+    count_ = static_cast<uint8_t>(output - frame_.bytes);
     left_ = left;
     *taken = count;
     return Result::kMore;

@@ -35,11 +35,12 @@ static uint8_t selected(const adc* a) {
   return mux < 8 || mux == kBandgap ? mux : kGround;  // differential channels: not modelled
 }
 
-static double level(const adc* a, int channel, cycles at) {
-  const analog_window* w = at < a->now.from ? &a->before : &a->now;
-  if (at <= w->from || w->to <= w->from) return at <= w->from ? w->start[channel] : w->end[channel];
-  if (at >= w->to) return w->end[channel];
-  const double part = (double)(at - w->from) / (double)(w->to - w->from);
+static double level(const adc* a, int channel, cycles cycle) {
+  const analog_window* w = cycle < a->now.from ? &a->before : &a->now;
+  if (cycle <= w->from || w->to <= w->from)
+    return cycle <= w->from ? w->start[channel] : w->end[channel];
+  if (cycle >= w->to) return w->end[channel];
+  const double part = (double)(cycle - w->from) / (double)(w->to - w->from);
   return w->start[channel] + (w->end[channel] - w->start[channel]) * part;
 }
 

@@ -139,7 +139,7 @@ static avr_cycle_count_t run_edges(avr_t* avr, avr_cycle_count_t when, void* par
   chip* c = param;
   while (c->edge_read != c->edge_write) {
     const edge* e = &c->edges[c->edge_read % EDGE_ROOM];
-    if (e->at > avr->cycle) return e->at;
+    if (e->cycle > avr->cycle) return e->cycle;
     c->edge_read++;
     bridge_pin(c, e->port, e->bit, e->level);
   }
@@ -226,8 +226,8 @@ static void after_reset(chip* c, int cause) {
     if (cause == 1 << bit) c->resets[bit]++;
   if (c->edge_read != c->edge_write)
     avr_cycle_timer_register(avr,
-                             c->edges[c->edge_read % EDGE_ROOM].at > avr->cycle
-                                 ? c->edges[c->edge_read % EDGE_ROOM].at - avr->cycle
+                             c->edges[c->edge_read % EDGE_ROOM].cycle > avr->cycle
+                                 ? c->edges[c->edge_read % EDGE_ROOM].cycle - avr->cycle
                                  : 1,
                              run_edges, c);
 }
@@ -328,13 +328,14 @@ void bridge_pin(chip* c, char port, int bit, int level) {
   drive(c, n, bit, level, false);
 }
 
-int bridge_pin_at(chip* c, uint64_t at, char port, int bit, int level) {
+int bridge_pin_at(chip* c, uint64_t cycle, char port, int bit, int level) {
   if (c->edge_write - c->edge_read == EDGE_ROOM) return -1;
   const bool idle = c->edge_read == c->edge_write;
   c->edges[c->edge_write++ % EDGE_ROOM] =
-      (edge){.at = at, .port = port, .bit = (uint8_t)bit, .level = (uint8_t)level};
+      (edge){.cycle = cycle, .port = port, .bit = (uint8_t)bit, .level = (uint8_t)level};
   if (idle)
-    avr_cycle_timer_register(c->avr, at > c->avr->cycle ? at - c->avr->cycle : 1, run_edges, c);
+    avr_cycle_timer_register(c->avr, cycle > c->avr->cycle ? cycle - c->avr->cycle : 1, run_edges,
+                             c);
   return 0;
 }
 
@@ -345,12 +346,12 @@ int bridge_port(chip* c, char port) {
 }
 
 // Channels follow the Gray code of the count's low two bits, A leading when the count rises.
-static void encoder_edge(chip* c, char port, int a, int b, int64_t from, int64_t to, cycles at) {
+static void encoder_edge(chip* c, char port, int a, int b, int64_t from, int64_t to, cycles cycle) {
   const int was = (int)(from & 3), is = (int)(to & 3);
   const int was_a = was == 1 || was == 2, is_a = is == 1 || is == 2;
   const int was_b = was >= 2, is_b = is >= 2;
-  if (was_a != is_a) bridge_pin_at(c, at, port, a, is_a);
-  if (was_b != is_b) bridge_pin_at(c, at, port, b, is_b);
+  if (was_a != is_a) bridge_pin_at(c, cycle, port, a, is_a);
+  if (was_b != is_b) bridge_pin_at(c, cycle, port, b, is_b);
 }
 
 void bridge_encoder(chip* c, char port, int bit_a, int bit_b, double start, double end,
@@ -362,9 +363,9 @@ void bridge_encoder(chip* c, char port, int bit_a, int bit_b, double start, doub
   while (count != last) {
     const int64_t next = end > start ? count + 1 : count - 1;
     const double crossing = end > start ? (double)next : (double)count;
-    cycles at = from + (cycles)((crossing - start) / per_cycle);
-    if (at > to) at = to;
-    encoder_edge(c, port, bit_a, bit_b, count, next, at);
+    cycles cycle = from + (cycles)((crossing - start) / per_cycle);
+    if (cycle > to) cycle = to;
+    encoder_edge(c, port, bit_a, bit_b, count, next, cycle);
     count = next;
   }
 }

@@ -101,7 +101,7 @@ typedef struct {
 } interrupt_watch;
 
 typedef struct {
-  cycles at;
+  cycles cycle;
   char port;
   uint8_t bit, level;
 } edge;

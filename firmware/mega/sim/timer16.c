@@ -70,8 +70,8 @@ static cycles next_match(const timer16* t, int event, cycles after) {
   for (uint32_t i = 0; i < places; i++) {
     const cycles offset = (cycles)(place[i] % round) * t->prescale;
     for (cycles base = start; base <= start + length; base += length) {
-      const cycles at = base + offset;
-      if (at > after && at > t->zero && at < best) best = at;
+      const cycles match = base + offset;
+      if (match > after && match > t->zero && match < best) best = match;
     }
   }
   return best;
@@ -94,19 +94,19 @@ static cycles next_event(const timer16* t, cycles after) {
   cycles best = NEVER;
   for (int e = 0; e < TIMER_EVENTS; e++)
     if (masked_in(t, e) || triggers_adc(t, e)) {
-      const cycles at = next_match(t, e, after);
-      if (at < best) best = at;
+      const cycles match = next_match(t, e, after);
+      if (match < best) best = match;
     }
   return best;
 }
 
 static void schedule(timer16* t) {
   avr_t* avr = t->c->avr;
-  const cycles at = next_event(t, avr->cycle);
-  if (at == NEVER)
+  const cycles match = next_event(t, avr->cycle);
+  if (match == NEVER)
     avr_cycle_timer_cancel(avr, on_match, t);
   else
-    avr_cycle_timer_register(avr, at - avr->cycle, on_match, t);
+    avr_cycle_timer_register(avr, match - avr->cycle, on_match, t);
 }
 
 static avr_cycle_count_t on_match(avr_t* avr, avr_cycle_count_t when, void* param) {
@@ -162,10 +162,10 @@ static void write_control(avr_t* avr, avr_io_addr_t address, uint8_t value, void
   timer16* t = param;
   static const uint16_t kPrescale[8] = {0, 1, 8, 64, 256, 1024, 0, 0};
   settle(t);
-  const uint16_t at = count(t);
+  const uint16_t counter = count(t);
   avr->data[address] = value;
   t->prescale = kPrescale[avr->data[t->base + CR_B] & 7];
-  set_count(t, at);
+  set_count(t, counter);
   schedule(t);
 }
 
@@ -202,10 +202,10 @@ static void write_compare(avr_t* avr, avr_io_addr_t address, uint8_t value, void
   (void)avr;
   timer16* t = param;
   settle(t);
-  const uint16_t at = count(t);
+  const uint16_t counter = count(t);
   const uint32_t before = top(t);
   *compare_or_capture(t, address) = (uint16_t)(t->high << 8 | value);
-  if (top(t) != before && t->prescale) set_count(t, at);
+  if (top(t) != before && t->prescale) set_count(t, counter);
   schedule(t);
 }
 static uint8_t read_compare_low(avr_t* avr, avr_io_addr_t address, void* param) {

@@ -24,16 +24,16 @@ static double host_bit(const usart* u) {
   return u->host_baud ? (double)BRIDGE_HZ / u->host_baud : (double)bit_cycles(u);
 }
 
-// What a receiver sampling with `there` cycles a bit reads of a byte sent with `here` cycles a bit
-// (8N1, line idle afterwards). *bad: no stop bit where it should be.
-static uint8_t resample(uint8_t byte, double here, double there, bool* bad) {
+// What a receiver sampling with `receiver_bit` cycles a bit reads of a byte sent with `sender_bit`
+// cycles a bit (8N1, line idle afterwards). *bad: no stop bit where it should be.
+static uint8_t resample(uint8_t byte, double sender_bit, double receiver_bit, bool* bad) {
   const uint32_t sent = 0xFFFFFE00u | (uint32_t)byte << 1;  // start bit 0, data, stop and idle 1
   uint8_t value = 0;
   for (int i = 0; i < 8; i++) {
-    const double bit = (1.5 + i) * there / here;
+    const double bit = (1.5 + i) * receiver_bit / sender_bit;
     if (bit >= 31 || sent >> (int)bit & 1) value |= (uint8_t)(1 << i);
   }
-  const double stop = 9.5 * there / here;
+  const double stop = 9.5 * receiver_bit / sender_bit;
   *bad = stop < 31 && !(sent >> (int)stop & 1);
   return value;
 }
@@ -68,9 +68,10 @@ static void start_sending(usart* u, uint8_t byte) {
 static avr_cycle_count_t sent_frame(avr_t* avr, avr_cycle_count_t when, void* param) {
   usart* u = param;
   bool bad;
-  const double here = bit_cycles(u), there = host_bit(u);
-  const uint8_t byte =
-      here == there ? u->sending_byte : resample(u->sending_byte, here, there, &bad);
+  const double sender_bit = bit_cycles(u), receiver_bit = host_bit(u);
+  const uint8_t byte = sender_bit == receiver_bit
+                           ? u->sending_byte
+                           : resample(u->sending_byte, sender_bit, receiver_bit, &bad);
   if (u->out_write - u->out_read < LINE_ROOM) {
     u->out[u->out_write % LINE_ROOM] = byte;
     u->out_cycle[u->out_write++ % LINE_ROOM] = when;
@@ -104,11 +105,11 @@ static void begin_frame(usart* u) {
     u->overruns++;
     update_flags(u);
   }
-  const double here = host_bit(u), there = bit_cycles(u);
+  const double sender_bit = host_bit(u), receiver_bit = bit_cycles(u);
   u->frame_bad = false;
   u->frame_byte = u->in[u->in_read++ % LINE_ROOM];
-  if (here > there * 1.04 || here < there * 0.96)
-    u->frame_byte = resample(u->frame_byte, here, there, &u->frame_bad);
+  if (sender_bit > receiver_bit * 1.04 || sender_bit < receiver_bit * 0.96)
+    u->frame_byte = resample(u->frame_byte, sender_bit, receiver_bit, &u->frame_bad);
   u->frame_running = true;
 }
 

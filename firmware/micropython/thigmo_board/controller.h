@@ -65,7 +65,7 @@ typedef enum {
   THIGMO_NOT_SO,  // no such command, or not with so many bytes
 } thigmo_outcome_t;
 typedef struct {
-  uint8_t what, outcome, id, size;
+  uint8_t kind, outcome, id, size;
   uint8_t bytes[96];
 } thigmo_request_t;
 // Has the controller answer, between two passes of its main loop. False if none runs.

@@ -44,7 +44,7 @@ class FlashStore {
     for (uint8_t sector = 0; sector < 2; ++sector) {
       for (const uint16_t place : kHeaderAt) {
         Header header;
-        memcpy(&header, at(sector) + place, sizeof header);
+        memcpy(&header, sector_bytes(sector) + place, sizeof header);
         if (header.check != check(header)) continue;
         if (generation_ != 0 && static_cast<int32_t>(header.generation - generation_) <= 0) {
           continue;
@@ -55,10 +55,10 @@ class FlashStore {
     }
     clean();
     if (generation_ == 0) return;
-    memcpy(image_, at(sector_) + kImageAt, sizeof image_);
+    memcpy(image_, sector_bytes(sector_) + kImageAt, sizeof image_);
     for (next_entry_ = 0; next_entry_ < kEntries; ++next_entry_) {
       Entry entry;
-      memcpy(&entry, at(sector_) + kJournalAt + next_entry_ * sizeof entry, sizeof entry);
+      memcpy(&entry, sector_bytes(sector_) + kJournalAt + next_entry_ * sizeof entry, sizeof entry);
       if (blank(entry)) break;
       if (entry.check != check(entry) || entry.count > sizeof entry.data ||
           entry.address + entry.count > kEepromUsed) {
@@ -108,7 +108,9 @@ class FlashStore {
   static constexpr uint16_t kEntries = (kFlashSector - kJournalAt) / sizeof(Entry);
   static_assert(kFlashPage % sizeof(Entry) == 0, "an entry lies in one page");
 
-  const uint8_t* at(uint8_t sector) const { return flash_.data() + sector * kFlashSector; }
+  const uint8_t* sector_bytes(uint8_t sector) const {
+    return flash_.data() + sector * kFlashSector;
+  }
 
   template <typename Record>
   static uint16_t check(const Record& record) {

@@ -68,17 +68,17 @@ Program<InjectedBoard>& program() {
 }
 
 template <typename T>
-T take(const uint8_t*& at) {
+T take(const uint8_t*& cursor) {
   T value;
-  memcpy(&value, at, sizeof value);
-  at += sizeof value;
+  memcpy(&value, cursor, sizeof value);
+  cursor += sizeof value;
   return value;
 }
 
 template <typename T>
-void put(uint8_t*& at, T value) {
-  memcpy(at, &value, sizeof value);
-  at += sizeof value;
+void put(uint8_t*& cursor, T value) {
+  memcpy(cursor, &value, sizeof value);
+  cursor += sizeof value;
 }
 
 void end() {
@@ -86,28 +86,28 @@ void end() {
 }
 
 // Instants of the main loop's passes in a tick, one of them when the conversions are complete.
-void pass_times(uint16_t* at) {
-  const uint16_t others[] = {250, 500, 990};
+void pass_times(uint16_t* passes_us) {
+  const uint16_t fixed_us[] = {250, 500, 990};
   uint8_t i = 0;
   bool placed = false;
-  for (const uint16_t other : others) {
-    if (!placed && machine.frame_us < other) {
-      at[i++] = machine.frame_us;
+  for (const uint16_t pass_us : fixed_us) {
+    if (!placed && machine.frame_us < pass_us) {
+      passes_us[i++] = machine.frame_us;
       placed = true;
     }
-    at[i++] = other;
+    passes_us[i++] = pass_us;
   }
-  if (!placed) at[i] = machine.frame_us;
+  if (!placed) passes_us[i] = machine.frame_us;
 }
 
-void step(const uint8_t* at) {
-  const uint8_t ticks = take<uint8_t>(at);
-  const uint8_t flags = take<uint8_t>(at);
-  const uint16_t supply_mv = take<uint16_t>(at);
-  const uint16_t encoder_errors = take<uint16_t>(at);
-  const uint16_t count = take<uint16_t>(at);
-  const uint8_t* const line = at;
-  at += count;
+void step(const uint8_t* message) {
+  const uint8_t ticks = take<uint8_t>(message);
+  const uint8_t flags = take<uint8_t>(message);
+  const uint16_t supply_mv = take<uint16_t>(message);
+  const uint16_t encoder_errors = take<uint16_t>(message);
+  const uint16_t count = take<uint16_t>(message);
+  const uint8_t* const line = message;
+  message += count;
   uint16_t instants[kPasses];
   pass_times(instants);
   bool bites = false;
@@ -117,17 +117,17 @@ void step(const uint8_t* at) {
   }
   for (uint8_t i = 0; i < ticks && machine.alive; ++i) {
     uint16_t counts[kAdcSlots];
-    memcpy(counts, at, sizeof counts);
-    at += sizeof counts;
+    memcpy(counts, message, sizeof counts);
+    message += sizeof counts;
     const uint32_t begun = machine.tick * 1000;
     int32_t encoder = 0;
     for (uint8_t pass = 0; pass < kPasses && machine.alive; ++pass) {
-      encoder = take<int32_t>(at);
+      encoder = take<int32_t>(message);
       if (machine.halted != nullptr) {
         end();
         break;
       }
-      board().at(begun + instants[pass], encoder);
+      board().set_time(begun + instants[pass], encoder);
       const Configuration& c = robot().controller().configuration();
 #if THIGMO_IMUS
       board().poll_imus(c);
@@ -142,7 +142,7 @@ void step(const uint8_t* at) {
     }
     if (!machine.alive) break;
     ++machine.tick;
-    board().at(machine.tick * 1000, encoder);
+    board().set_time(machine.tick * 1000, encoder);
     if (board().watchdog_bites()) {
       bites = true;
       end();
@@ -173,16 +173,16 @@ void step(const uint8_t* at) {
   stream_send(machine.answer, static_cast<uint32_t>(out - machine.answer));
 }
 
-void describe(const uint8_t* at) {
-  machine.cause = static_cast<protocol::ResetCause>(take<uint8_t>(at));
+void describe(const uint8_t* message) {
+  machine.cause = static_cast<protocol::ResetCause>(take<uint8_t>(message));
   Latches latches;
-  latches.stop.latched = take<uint8_t>(at) != 0;
-  latches.stop.nonce = take<uint32_t>(at);
-  latches.faults = take<uint16_t>(at);
+  latches.stop.latched = take<uint8_t>(message) != 0;
+  latches.stop.nonce = take<uint32_t>(message);
+  latches.faults = take<uint16_t>(message);
   machine.latches.keep(latches);
-  machine.adc_bits = take<uint8_t>(at);
-  machine.frame_us = take<uint16_t>(at);
-  memcpy(machine.flash.cells, at, kFlashSize);
+  machine.adc_bits = take<uint8_t>(message);
+  machine.frame_us = take<uint16_t>(message);
+  memcpy(machine.flash.cells, message, kFlashSize);
   machine.flash.cut_after = UINT32_MAX;
   machine.flash.powered = true;
   new (board_storage)
@@ -205,15 +205,15 @@ void give() {
 }
 
 // Bytes of the message that begins with these, as far as they tell.
-uint32_t message_size(const uint8_t* at, uint32_t filled) {
-  switch (at[0]) {
+uint32_t message_size(const uint8_t* message, uint32_t filled) {
+  switch (message[0]) {
     case 'I':
       return 12 + kFlashSize;
     case 'S': {
       if (filled < kStepHeader) return kStepHeader;
       uint16_t count;
-      memcpy(&count, at + 7, sizeof count);
-      return kStepHeader + count + static_cast<uint32_t>(at[1]) * kTickBytes;
+      memcpy(&count, message + 7, sizeof count);
+      return kStepHeader + count + static_cast<uint32_t>(message[1]) * kTickBytes;
     }
     case 'C':
       return 5;
@@ -240,16 +240,16 @@ void injected_receive(const uint8_t* bytes, uint32_t count) {
     count -= taken;
     if (machine.filled < message_size(machine.received, machine.filled)) continue;
     machine.filled = 0;
-    const uint8_t* at = machine.received + 1;
+    const uint8_t* message = machine.received + 1;
     switch (machine.received[0]) {
       case 'I':
-        describe(at);
+        describe(message);
         break;
       case 'S':
-        if (machine.known) step(at);
+        if (machine.known) step(message);
         break;
       case 'C':
-        machine.flash.cut_after = take<uint32_t>(at);
+        machine.flash.cut_after = take<uint32_t>(message);
         break;
       case 'G':
         give();

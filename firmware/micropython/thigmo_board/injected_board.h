@@ -32,7 +32,7 @@ class InjectedBus {
  public:
   static constexpr uint32_t kBitsMs = 400;  // fast mode
 
-  void at(uint32_t now_us) { now_us_ = now_us; }
+  void set_time(uint32_t now_us) { now_us_ = now_us; }
 
   void begin(const I2cTransfer& transfer) {
     uint8_t sent[8 + kI2cMost] = {'B'};
@@ -84,7 +84,7 @@ class InjectedBoard {
 
   // --- what the stream says --------------------------------------------------------------------
   // A pass of the main loop follows, at this time since the start; `from_host` has what was sent.
-  void at(uint32_t now_us, int32_t encoder) {
+  void set_time(uint32_t now_us, int32_t encoder) {
     now_us_ = now_us;
     encoder_ = encoder;
     move_lines();
@@ -114,7 +114,7 @@ class InjectedBoard {
 #if THIGMO_IMUS
   // What the bus does meanwhile.
   void poll_imus(const Configuration& c) {
-    bus_.at(now_us_);
+    bus_.set_time(now_us_);
     imus_.pass(now_us_, c);
   }
 #endif
@@ -128,9 +128,9 @@ class InjectedBoard {
   int16_t motor_duty() const { return motor_; }
   bool pays_out() const { return pays_out_; }
   // Of muscles, body, motor, brake.
-  bool enabled(uint8_t which) const {
-    const uint32_t hold_us = which < 2 ? kAirHoldUs : kMotorHoldUs;
-    return enabled_us_[which] != kNever && now_us_ - enabled_us_[which] < hold_us;
+  bool enabled(uint8_t output) const {
+    const uint32_t hold_us = output < 2 ? kAirHoldUs : kMotorHoldUs;
+    return enabled_us_[output] != kNever && now_us_ - enabled_us_[output] < hold_us;
   }
   bool watchdog_bites() const { return now_us_ - kicked_us_ > 1000ul * kWatchdogMs; }
 

@@ -29,11 +29,11 @@ static void take_pins(mp_obj_t given, int8_t* pins) {
     mp_raise_TypeError(MP_ERROR_TEXT("pins is a dictionary: name -> number"));
   }
   for (size_t i = 0; i < THIGMO_PINS; ++i) {
-    mp_map_elem_t* found = mp_map_lookup(&dict->map, MP_OBJ_NEW_QSTR(pin_names[i]), MP_MAP_LOOKUP);
-    if (found == NULL) {
+    mp_map_elem_t* entry = mp_map_lookup(&dict->map, MP_OBJ_NEW_QSTR(pin_names[i]), MP_MAP_LOOKUP);
+    if (entry == NULL) {
       mp_raise_msg_varg(&mp_type_ValueError, MP_ERROR_TEXT("pins lacks '%q'"), pin_names[i]);
     }
-    mp_int_t number = mp_obj_get_int(found->value);
+    mp_int_t number = mp_obj_get_int(entry->value);
     if (number < 0 || number > 29) {
       mp_raise_msg_varg(&mp_type_ValueError, MP_ERROR_TEXT("pin '%q' is not 0 to 29"),
                         pin_names[i]);
@@ -155,7 +155,7 @@ static MP_DEFINE_CONST_FUN_OBJ_1(notify_obj, notify);
 // ask(what, id=0, payload=b""): the answer's bytes.
 static mp_obj_t ask(size_t count, const mp_obj_t* args) {
   thigmo_request_t request = {0};
-  request.what = (uint8_t)mp_obj_get_int(args[0]);
+  request.kind = (uint8_t)mp_obj_get_int(args[0]);
   if (count > 1) request.id = (uint8_t)mp_obj_get_int(args[1]);
   if (count > 2) {
     mp_buffer_info_t given;

@@ -277,8 +277,8 @@ class PicoBoard {
 
   void take_count() {
     uint32_t byte[3] = {0, 0, 0};
-    for (uint32_t& one : byte) {
-      if ((spi_->sr & SPI_SSPSR_RNE_BITS) != 0) one = spi_->dr;
+    for (uint32_t& word : byte) {
+      if ((spi_->sr & SPI_SSPSR_RNE_BITS) != 0) word = spi_->dr;
     }
     sio_hw->gpio_set = select_;
     const bool full = static_cast<uint8_t>(frames_in_ - frames_out_) == kAdcFrames;

@@ -39,7 +39,7 @@ class Program {
 
   void answer(thigmo_request_t* request) {
     request->outcome = THIGMO_DONE;
-    switch (request->what) {
+    switch (request->kind) {
       case THIGMO_TAKE:
         return take(request);
       case THIGMO_BEAT:

@@ -18,7 +18,7 @@ class InjectedBoard : public SkeletonBoard<InjectedFlash> {
     registers_.idle = true;
   }
 
-  void at(uint32_t now_us, int32_t encoder) {
+  void set_time(uint32_t now_us, int32_t encoder) {
     registers_.micros = now_us;
     if (!placed_) encoder_ = encoder;
     placed_ = true;
@@ -58,9 +58,9 @@ class InjectedBoard : public SkeletonBoard<InjectedFlash> {
   }
   bool pays_out() const { return registers_.output[chip::kDirection]; }
   // Of muscles, body, motor, brake: by the last edge of its pin.
-  bool enabled(uint8_t which) const {
-    const uint32_t hold_us = which < 2 ? 60000 : 30000;
-    return moved_[which] && registers_.micros - moved_us_[which] < hold_us;
+  bool enabled(uint8_t output) const {
+    const uint32_t hold_us = output < 2 ? 60000 : 30000;
+    return moved_[output] && registers_.micros - moved_us_[output] < hold_us;
   }
   bool watchdog_bites() const {
     return registers_.micros - registers_.kicked_us > 1000ul * kWatchdogMs;

@@ -1,8 +1,8 @@
 """A robot on the calibration bench: brings it to a state, reads it, and stores the readings.
 
-`growth_rows`, `bend_rows`, `tip_rows` and `bow_rows` take the rows that the steps are fitted to.
-Each plans its rows, skips those that the folder already holds, and stores each row at once, so that
-a command that was stopped continues where it was.
+`growth_rows`, `bend_rows`, `lean_rows`, `tip_rows` and `bow_rows` take the rows that the steps are
+fitted to. Each plans its rows, skips those that the folder already holds, and stores each row at
+once, so that a command that was stopped continues where it was.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ _REPORT_EVERY = 10  # of the rows of a procedure, so that the messages between t
 _QUIET_S = 5.0  # after venting, before zeros are taken
 _UNSEEN: Row = {"unseen": True}
 _PUSHES = 3  # attempts at one place if the tip goes to the other side
+# Moments of the pushes of the base step, over that which folds the base.
+DEEPEST_LEAN, _LESSER_LEAN = 0.85, 0.45
 _ASIDE_CM = 1.0  # a tip nearer to the straight robot is on neither side
 # Slow, because an overshoot would switch the muscle to its other branch.
 _RAMP_PSI_S = 1.0
@@ -53,6 +55,7 @@ class Plan:
     # pictures of the tip pushed far aside, for the stiffness step. By camera, one determines the
     # ratio to 0.15..0.35; with the flex step's ten places, these determine it to 0.05..0.1.
     pictures: int = 12
+    leans: int = 8  # pushes of the base step
     straight: int = 3  # straight rows of the flex step
     trials: int = 3  # trials of free bends
     step_psi: float = 2.0  # step of the muscle pressure
@@ -168,9 +171,9 @@ class Bench:
 
     def ohm(self, read: Reading | Recording) -> Array:
         """Resistances (..., m) of the robot's sensors, without unused inputs of the board."""
-        every = np.asarray(read.resistance)
+        resistance = np.asarray(read.resistance)
         inputs = self.wiring.inputs
-        return every[..., [inputs[place] for place in places_of(self.config)]]
+        return resistance[..., [inputs[place] for place in places_of(self.config)]]
 
     def mean_ohm(self, record: Recording) -> Array:
         """Mean resistances (m,) of a recording; NaN for a sensor that was never read."""
@@ -448,6 +451,34 @@ def tip_rows(bench: Bench) -> list[Row]:
         }  # fmt: skip
 
     rows = bench.rows("tips", planned, take)
+    bench.hand.push_tip(None)
+    return rows
+
+
+def lean_rows(bench: Bench) -> list[Row]:
+    """Pictures of the vented body with its tip pushed aside by two amounts, on alternating sides.
+
+    No sensor is read, so none needs to settle.
+    """
+    body = bench.config.body
+    offsets_cm = [
+        sign * push_tip(share * body.push_curvature, body.length_cm).tip[1]
+        for share in (_LESSER_LEAN, DEEPEST_LEAN)
+        for sign in (1, -1)
+    ]
+
+    def prepare() -> None:
+        bench.bring_to(body.length_cm)
+        bench.set_zone(len(body.zones) - 1)
+        bench.robot.vent()
+
+    def take(key: str, y_cm: float) -> Row:
+        bench.hand.push_tip(y_cm)
+        bench.robot.wait(STEADY_S)
+        return {"asked": y_cm, **_tip_picture(bench)}
+
+    planned = {f"lean {n}": offsets_cm[n % len(offsets_cm)] for n in range(bench.plan.leans)}
+    rows = bench.rows("leans", planned, take, prepare)
     bench.hand.push_tip(None)
     return rows
 

@@ -24,7 +24,7 @@ from thigmo.calibrate.regression import Array, LinearFit, Mask, fit_linear
 from thigmo.calibrate.verdict import listed
 from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.errors import DataError
-from thigmo.mechanics import phi, push, push_tip
+from thigmo.mechanics import Tube, phi, push, push_tip
 
 _OHM_RANGE = (1_000.0, 300_000.0)  # outside, a sensor is shorted or open
 _WRONG_SIDE = -0.3
@@ -83,7 +83,9 @@ class Rows:
             self.notes.append(f"omitted {names}: {problem}; {cure} to take it again")
 
 
-def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) -> Array:
+def tip_curvature(
+    y_tip: float, length_cm: float, centers: Array, spans: Array, tube: Tube | None = None
+) -> Array:
     """Mean curvature (m,) under each sensor, 1/cm, if a force normal to the tip holds it at y_tip.
 
     The limit for small deflections is the thesis's (2.12) and (2.9). Raises DataError if the tip
@@ -98,12 +100,12 @@ def tip_curvature(y_tip: float, length_cm: float, centers: Array, spans: Array) 
         return np.zeros(len(centers))
 
     def miss(force: float) -> float:
-        bent = push(force, length_cm, free_curvature=0.0, length=length_cm)
+        bent = push(force, length_cm, free_curvature=0.0, length=length_cm, tube=tube)
         return bent.pose(length_cm)[1] - abs(y_tip)
 
     first = 3 * abs(y_tip) / length_cm**3
     force = float(brentq(miss, 0.0, 4 * first + 1e-9, xtol=1e-12, rtol=1e-6))
-    bent = push(force, length_cm, free_curvature=0.0, length=length_cm)
+    bent = push(force, length_cm, free_curvature=0.0, length=length_cm, tube=tube)
     return np.asarray(np.sign(y_tip) * bent.averages(centers, spans), float)
 
 
@@ -118,6 +120,10 @@ def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
     straight_y = straight_y[np.isfinite(straight_y)]
     center_y = float(np.median(straight_y)) if len(straight_y) else 0.0
     reach = push_tip(config.body.push_curvature, length).tip[1]
+    # A base that turns carries the tip aside without bending the body.
+    compliance = config.body.base_compliance_cm
+    tube = Tube(config.body.diameter_cm, base_compliance_cm=compliance)
+    reach += length * compliance * config.body.push_curvature
     tip_se = TIP_SE * length
     per_cm = phi(length, centers, spans) * 3 / length**3
     model[kinds == "straight"] = 0.0
@@ -137,7 +143,7 @@ def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
         elif abs(y) > 1.02 * reach:
             folded.append(row)
         else:
-            model[row] = tip_curvature(y, length, centers, spans)
+            model[row] = tip_curvature(y, length, centers, spans, tube)
             error[row] = per_cm * tip_se
     unseen += np.flatnonzero((kinds == "bend") & ~np.isfinite(readings.curvature)).tolist()
     in_range = (readings.ohm > _OHM_RANGE[0]) & (readings.ohm < _OHM_RANGE[1])

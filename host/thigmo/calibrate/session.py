@@ -140,6 +140,8 @@ def blank(config: RobotConfig) -> RobotConfig:
     if blank_config.body.folds:
         blank_config.body.critical_curvature = defaults.body.critical_curvature
         blank_config.body.critical_curvature_se = defaults.body.critical_curvature_se
+    blank_config.body.base_compliance_cm = defaults.body.base_compliance_cm
+    blank_config.body.base_compliance_se_cm = defaults.body.base_compliance_se_cm
     blank_config.body.stiffness_n_cm2 = None
     blank_config.spool.counts_per_cm = defaults.spool.counts_per_cm
     for zone in blank_config.body.zones:

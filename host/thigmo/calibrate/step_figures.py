@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from thigmo.calibrate.actuator import ActuatorResult, ActuatorResults
+from thigmo.calibrate.base import BaseResult
 from thigmo.calibrate.bending import BendingResult
 from thigmo.calibrate.buckling import BucklingResult
 from thigmo.calibrate.columns import Array
@@ -128,6 +129,19 @@ def _actuators(results: ActuatorResults, path: Path) -> None:
         muscle = "".join(letter if letter.isalnum() else "_" for letter in r.muscle)
         name = f"{path.stem}-{muscle}-{r.body_pressure_psi:g}psi.png"
         _actuator(result, path.with_name(name))
+
+
+@draw.register
+def _base(result: BaseResult, path: Path) -> None:
+    labels = "moment at the base over EI (1/cm)", "turn of the base (rad)"
+    with _panel(path, result.verdict, *labels) as axes:
+        for pick, mark, color, label in (
+            (result.used, "o", BLUE, "push"), (~result.used, "x", RED, "omitted"),
+        ):  # fmt: skip
+            axes.plot(result.moment[pick], result.turn_rad[pick], mark, color=color, label=label)
+        low, high = float(result.moment.min()), float(result.moment.max())
+        line = np.array([low, high])
+        axes.plot(line, result.compliance_cm * line, "k-", lw=1, label="compliance")
 
 
 @draw.register

@@ -1,8 +1,9 @@
 """The steps of the calibration, from readings of bench or CSV to verdicts and robot.toml.
 
     growth   -> encoder, hysteresis        bends -> actuator, and free bends for flex
-    tips     -> flex; stiffness with bows  pushes -> buckling
-    rest     -> noise                      pressure, check
+    leans    -> base                       pushes -> buckling
+    tips     -> flex; stiffness with bows  rest   -> noise
+    pressure, check
 
 Each is a module with `guided`, which takes the readings that are missing and fits them, `of_csv`
 for readings that a lab already has, and the fit. Order on a new robot: that of `STEPS`.
@@ -13,10 +14,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast
+from typing import Any, Final, Literal, cast
 
 from thigmo.calibrate import (
     actuator,
+    base,
     bending,
     buckling,
     check,
@@ -38,6 +40,8 @@ from thigmo.errors import DataError
 from thigmo.record.table import MissingColumnError, Table
 from thigmo.wiring import table_key
 
+_STRAIGHT: Final = "straight shape at rest"
+
 
 @dataclass(frozen=True)
 class Step:
@@ -51,12 +55,18 @@ class Step:
     needed: bool = False
     thesis: Callable[..., StepResult] | None = None  # the thesis's fit of the same readings
     kind: str = ""  # kind of the sensors that it calibrates; empty for any
-    needs: tuple[Literal["growth", "muscles", "fold"], ...] = ()  # of the body
+    # Of the body. The camera's steps fit bends from a body that is straight at rest.
+    needs: tuple[Literal["growth", "muscles", "fold", "straight shape at rest"], ...] = ()
 
     def lacking(self, config: RobotConfig) -> str:
         """What a robot lacks that the step measures; empty if nothing."""
         body = config.body
-        has = {"growth": body.grows, "muscles": bool(config.muscles), "fold": body.folds}
+        has = {
+            "growth": body.grows,
+            "muscles": bool(config.muscles),
+            "fold": body.folds,
+            _STRAIGHT: not body.rest_curvature,
+        }
         if missing := [need for need in self.needs if not has[need]]:
             return f"no {missing[0]}"
         if self.kind and self.kind not in {sensor.kind for sensor in config.sensors}:
@@ -76,27 +86,29 @@ STEPS = {
     ),
     "encoder": Step(
         encoder.guided, encoder.of_csv, "counts, length_cm", ("growth", "drive"), needed=True,
-        needs=("growth",),
+        needs=("growth", _STRAIGHT),
     ),
     "actuator": Step(
         actuator.guided, actuator.of_csv,
         "muscle (or side), body_pressure_psi, pressure_psi, curvature "
         "[curvature_se, branch, trial]",
-        ("bends", "unseen_bends", "lag"), needed=True, needs=("muscles",),
+        ("bends", "unseen_bends", "lag"), needed=True, needs=("muscles", _STRAIGHT),
     ),
+    "base": Step(base.guided, base.of_csv, base.COLUMNS, ("leans",), needs=(_STRAIGHT,)),
     "flex": Step(
         flex.guided, flex.of_csv,
         "kind (straight, tip, bend), tip_x_cm, tip_y_cm, curvature, ohm_SENSOR of each sensor "
         "[t_s, curvature_se, active, length_cm, intended_y_cm, block, name]",
         ("tips",), needed=True, thesis=thesis.fit_flex, kind="flex",
+        needs=(_STRAIGHT,),
     ),
     "heading": Step(
         heading.guided, heading.of_csv, "t_s, curvature, ohm_SENSOR of each sensor",
-        needed=True, kind="heading", needs=("muscles",),
+        needed=True, kind="heading", needs=("muscles", _STRAIGHT),
     ),
     "fibre": Step(
         fibre.guided, fibre.of_csv, "t_s, curvature, strain_0 .. strain_N (microstrain)",
-        needed=True, kind="fibre", needs=("muscles",),
+        needed=True, kind="fibre", needs=("muscles", _STRAIGHT),
     ),
     "hysteresis": Step(
         hysteresis.guided, hysteresis.of_csv, "sensor, t_s, curvature [eversion]", ("growth",),
@@ -104,11 +116,12 @@ STEPS = {
     ),
     "buckling": Step(
         buckling.guided, buckling.of_csv, f"{_CURVATURES} [body_pressure_psi, length_cm]",
-        ("pushes",), thesis=thesis.fit_buckling, needs=("fold",),
+        ("pushes",), thesis=thesis.fit_buckling, needs=("fold", _STRAIGHT),
     ),
     "stiffness": Step(
         stiffness.guided, stiffness.of_csv,
-        f"picture, x_cm, y_cm, force_arc_cm; or {bending.COLUMNS}", ("bows",),
+        f"picture, x_cm, y_cm [force_arc_cm]; or {bending.COLUMNS}", ("bows",),
+        needs=(_STRAIGHT,),
     ),
     "noise": Step(noise.guided, noise.of_csv, f"t_s, {_CURVATURES}", ("rest",)),
     "check": Step(check.guided, needs=("muscles",)),

@@ -103,7 +103,7 @@ def params(
             machine.save()
         rows = machine.parameters
         names = [name] if name is not None else list(rows)
-        values = {each: machine.parameter(each) for each in names}
+        values = {parameter_name: machine.parameter(parameter_name) for parameter_name in names}
         stored = machine.stored_configuration()
     if stored.generation and stored.remark:
         cure = f"`thigmo params --robot {robot} --save` stores all"
@@ -113,9 +113,9 @@ def params(
         typer.echo(note, err=True)
     if as_json:
         facts = {}
-        for each, held in values.items():
-            entry = rows[each]
-            facts[each] = {
+        for parameter_name, held in values.items():
+            entry = rows[parameter_name]
+            facts[parameter_name] = {
                 "value": held if entry.count > 1 else held[0],
                 "unit": entry.unit,
                 "range": [entry.low, entry.high],
@@ -133,11 +133,11 @@ def params(
     table.add_column("value", max_width=15)
     table.add_column("range", max_width=14)
     table.add_column("meaning")
-    for each, held in values.items():
-        entry = rows[each]
+    for parameter_name, held in values.items():
+        entry = rows[parameter_name]
         same = held[:1] if len(set(held)) == 1 and len(held) > 1 else held
         shown = " ".join(map(str, same)) + (f" (x{len(held)})" if same is not held else "")
-        table.add_row(each, shown, f"{entry.low}.. {entry.high} {entry.unit}", entry.doc)
+        table.add_row(parameter_name, shown, f"{entry.low}.. {entry.high} {entry.unit}", entry.doc)
     Console().print(table)
 
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from thigmo.robot import Robot
 
 _STEPS = (
-    "pressure, encoder, actuator, flex, heading, fibre, hysteresis, buckling, stiffness, noise, "
-    "check"
+    "pressure, encoder, actuator, base, flex, heading, fibre, hysteresis, buckling, stiffness, "
+    "noise, check"
 )
 
 
@@ -83,6 +83,10 @@ def calibrate(
 
     actuator: free bends of every muscle at every body pressure; maps, and the lag. Bends out of
     the plane are measured by the sensors that read them.
+
+    base: the tip is pushed aside by hand, by two amounts to either side; the angle by which the
+    base turns under load. With `--csv` of pushes whose moment or force is known: by that turn
+    (`turn_deg`), or the tip's place (`tip_y_cm`).
 
     flex: the tip is pushed aside by hand to ten places; every sensor's scale, zero and noise.
 

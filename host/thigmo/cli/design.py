@@ -55,7 +55,7 @@ def design(
         offset_error=offset,
         separations=[gap / 2 for gap in range(10, int(1.7 * length))],
     )
-    one = [
+    contact_rows = [
         {
             "arc": arc,
             "moment": moment,
@@ -72,14 +72,14 @@ def design(
         for moment, bounds in zip(layout.moment.tolist(), layout.pair_bound.tolist(), strict=True)
         for gap, (near, far) in zip(layout.separation.tolist(), bounds, strict=True)
     ]
-    tables = {"one-contact": one, "two-contacts": two}
+    tables = {"one-contact": contact_rows, "two-contacts": two}
     figures = {"bounds": draw_design(layout, position, span)}
     paths = write_files("design", out, tables, figures)
     localizes = len(position) >= FEWEST_READINGS
     if as_json:
         print_json(
             {
-                "one_contact": one,
+                "one_contact": contact_rows,
                 "two_contacts": two,
                 "localizes": localizes,
                 "files": [str(p) for p in paths],

@@ -107,7 +107,7 @@ def _opposite_columns(curvature: Array, position: Array, noise: float | None) ->
     ]
     if not pairs:
         return ""
-    first, other = np.array([both for _, both in pairs]).T
+    first, other = np.array([pair for _, pair in pairs]).T
     if noise is None:
         noise = float(np.sqrt(np.square(first + other).mean() / 2.0))
     return ", ".join(f"{place:g}" for place, _ in pairs) if _mirrored(first, -other, noise) else ""

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from thigmo.localization import LocalizeResult
+    from thigmo.mechanics.elastica import Floats
     from thigmo.record import FramesTable, ReadingsTable
 
 # Readings to try the command on.
@@ -151,7 +152,9 @@ def localize(
         raise DataError("the readings are strains", "give the robot's file: --config robot.toml")
     stated: dict[str, Any] = {}
     if config is not None:
-        stated, table = _calibrated(config, muscle, table, length)
+        stated, table, rest = _calibrated(config, muscle, table, length)
+        if rest.any():  # the readings are those since the zeros, at rest
+            stated["body_curvature"] = rest + (free_curvature or 0.0)
     flags = {
         "noise": noise,
         "gain_error": gain_error,
@@ -220,15 +223,17 @@ def _numbers(text: str | None, option: str, such_as: str) -> tuple[float, ...] |
 
 def _calibrated(
     path: Path, muscle: str | None, table: ReadingsTable, length_cm: float
-) -> tuple[dict[str, Any], ReadingsTable]:
+) -> tuple[dict[str, Any], ReadingsTable, Floats]:
     """The errors of robot.toml, reading by reading: each is that of the sensor at its place.
 
-    With them the table, in which a fibre's strains are curvatures.
+    With them the table, in which a fibre's strains are curvatures, and the curvature (n,) of the
+    body at rest at each reading.
     """
     import numpy as np
 
     from thigmo.config import FibreSensor, RobotConfig, Sensor
     from thigmo.errors import DataError
+    from thigmo.mechanics import rest_mean
     from thigmo.reading_errors import errors_of
 
     robot = RobotConfig.load(path)
@@ -258,7 +263,8 @@ def _calibrated(
         pairs = zip(sensors, table.strain.tolist(), strict=True)
         bends = [sensor.reading(strain_ue) for sensor, strain_ue in pairs]
         table = replace(table, curvature=np.array(bends))
-    return errors_of(robot, inflated, zone, sensors).arguments(), table
+    rest = rest_mean(robot.body.rest_pieces, table.position, [sensor.span_cm for sensor in sensors])
+    return errors_of(robot, inflated, zone, sensors).arguments(), table, rest
 
 
 def _facts(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:
@@ -298,13 +304,17 @@ def _answer_rows(
     import thigmo
     from thigmo.errors import DataError
 
-    free = options.pop("free_curvature")
+    free, shape = options.pop("free_curvature"), options.pop("body_curvature", None)
     localizer = thigmo.Localizer.of(position=table.position, length=length, **options)
     results: list[LocalizeResult | None] = []  # None: no sensor was read
     for line, row in zip(table.lines, table.curvature, strict=True):
         try:
             unread = np.isnan(row).all()
-            results.append(None if unread else localizer.localize(row, free_curvature=free))
+            results.append(
+                None
+                if unread
+                else localizer.localize(row, free_curvature=free, body_curvature=shape)
+            )
         except DataError as error:
             raise DataError(f"line {line}: {error.what}", error.next_step) from error
     times = table.time_s.tolist() if table.time_s is not None else [None] * len(results)
@@ -315,7 +325,7 @@ def _answer_rows(
         when = table.lines if table.time_s is None else table.time_s.tolist()
         label = "line of the file" if table.time_s is None else "time (s)"
         bars = [
-            [Bar(each.arc, each.intervals, each.status, "") for each in result.contacts]
+            [Bar(contact.arc, contact.intervals, contact.status, "") for contact in result.contacts]
             if result
             else []
             for result in results

@@ -25,7 +25,7 @@ def new(
     muscles: Annotated[
         int,
         typer.Option(
-            help="1 or 2 in the plane, or 3 or 4 around the body, each with a column opposite."
+            help="0, 1 or 2 in the plane, or 3 or 4 around the body, each with a column opposite."
         ),
     ] = 2,
     kind: Annotated[
@@ -42,7 +42,8 @@ def new(
     """Draft a robot: its robot.toml, a scene with a peg that it feels, and an empty one.
 
     It explores on the first and is calibrated on the other, where nothing stops its free bends. A
-    robot of 3 or 4 muscles bends out of the plane: it does not explore, and gets the empty one.
+    robot of 3 or 4 muscles bends out of the plane, and one without muscles cannot sweep: they do
+    not explore, and get the empty one.
     """
     from thigmo.design import draft
     from thigmo.emulator.reach import pressed, room_for
@@ -70,8 +71,8 @@ def new(
             room.save(out / "grown.toml")
             written.append(str(out / "grown.toml"))
             press = pressed(config, room.peg_list())
-            at = f"emulator://{out / 'grown.toml'}"
-            said.append(f"feel its peg, grown: thigmo feel --robot {at} --press {press}")
+            url = f"emulator://{out / 'grown.toml'}"
+            said.append(f"feel its peg, grown: thigmo feel --robot {url} --press {press}")
     if not beyond:
         room_for(config, seed, peg=False).save(out / "empty.toml")
         written.append(str(out / "empty.toml"))

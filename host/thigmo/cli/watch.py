@@ -130,7 +130,7 @@ def parameters() -> tuple[Parameter, ...]:
         # typer has a first flag where a default would be.
         flag = option.default if isinstance(option.default, str) else f"--{name}"
         kinds = get_args(kind)
-        choices = tuple(choice for of in kinds for choice in get_args(of))
+        choices = tuple(choice for value_kind in kinds for choice in get_args(value_kind))
         number = bool({int, float} & {*kinds})
         kinds_found.append(Parameter(flag, label, option.help or "", choices, number))
     return tuple(kinds_found)

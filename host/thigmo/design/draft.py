@@ -47,6 +47,7 @@ _POUCH_CM = 10.0
 _INTERROGATOR = "127.0.0.1:7400"
 # Of muscles, around the body: one or two bend it in the plane, more out of it.
 _MUSCLES_DEG: dict[int, tuple[float, ...]] = {
+    0: (),
     1: (90.0,),
     2: (90.0, 270.0),
     3: (90.0, 210.0, 330.0),
@@ -69,10 +70,11 @@ def draft(
         length_cm: full length, 30 to 300.
         sensors: number of sensors in each column; None for 5, or 4 with four muscles, as many as a
             Mega has inputs for. Each muscle has a column of flex sensors on the opposite side,
-            which it does not wrinkle. One string of IMUs, or one fibre with two readings at each
-            grating, serves all muscles. A fibre has flex sensors beside it at the base, for the
-            board's contact trigger.
-        muscles: number of muscles: 1 or 2 in the plane, or 3 or 4 around the body, with flex
+            which it does not wrinkle; a robot without muscles has one on either side. One string of
+            IMUs, or one fibre with two readings at each grating, serves all muscles. A fibre has
+            flex sensors beside it at the base, for the board's contact trigger, if there are
+            muscles.
+        muscles: number of muscles: none, 1 or 2 in the plane, or 3 or 4 around the body, with flex
             sensors. Of three, the two out of the plane are guarded by a base sensor at 90 degrees,
             because the board's trigger has two inputs.
         diameter_cm: diameter of the tube.
@@ -87,12 +89,14 @@ def draft(
             f"a length of {length_cm:g} cm", f"give {SHORTEST_CM:g} to {LONGEST_CM:g}"
         )
     if muscles not in _MUSCLES_DEG:
-        raise ConfigError(f"{muscles} muscles", "give 1 or 2 in a plane, or 3 or 4 around the body")
+        raise ConfigError(
+            f"{muscles} muscles", "give 0, 1 or 2 in a plane, or 3 or 4 around the body"
+        )
     layout = _LAYOUTS[kind]
     if muscles > 2 and layout.plane_only:
         raise ConfigError(
             f"{muscles} muscles with sensors of kind {kind}: {layout.plane_only}",
-            "give 1 or 2 muscles, or flex sensors",
+            "give 0, 1 or 2 muscles, or flex sensors",
         )
     if sensors is None:
         sensors = 4 if muscles == 4 else 5
@@ -109,10 +113,10 @@ def draft(
     pouch_cm = _POUCH_CM if layout.flex_bases else float(pitch)
     body = _body(length_cm, diameter_cm, pouch_cm)
     bends = _MUSCLES_DEG[muscles]
-    opposite = [(towards + 180.0) % 360.0 for towards in bends]
+    opposite = [(towards + 180.0) % 360.0 for towards in bends or _MUSCLES_DEG[2]]
     columns = opposite[:1] if layout.one_column else sorted(opposite)
     # Base sensors alone, for the board's trigger.
-    bases = sorted(opposite) if layout.flex_bases else [90.0] if muscles == 3 else []
+    bases = sorted(opposite) if layout.flex_bases and bends else [90.0] if muscles == 3 else []
     return RobotConfig(
         name=name or f"vine-{length_cm:g}",
         interrogator=layout.interrogator,

@@ -21,6 +21,7 @@ from thigmo.config import (
     SAME_PRESSURE,
     SIGN,
     BoardSensor,
+    Body,
     FlexSensor,
     HeadingSensor,
     Muscle,
@@ -36,7 +37,7 @@ from thigmo.errors import ConfigError
 from thigmo.exploration.plan import stage_lengths
 from thigmo.link.protocol import PARAMETERS, parameters
 from thigmo.localization.priors import WIDTH_SHARE
-from thigmo.mechanics import critical_moment, phi
+from thigmo.mechanics import critical_moment, phi, rest_turn, traced
 from thigmo.robot import TRIGGER_PER_CM
 from thigmo.robot.configuration import out_of_range, parameter_settings
 from thigmo.wiring import Wiring, beyond_board
@@ -88,10 +89,12 @@ def judge(config: RobotConfig) -> list[Finding]:
         findings.append(Finding("stages", "bad", str(error)))
     growth = _growth(config) if config.body.grows else ()
     findings += [*growth, *_bends(config, wiring), *_folds(config)]
-    if not config.muscles:
+    findings += _preformed(config)
+    explores = bool(config.muscles) and not config.body.rest_curvature
+    if not explores:
         findings += _touches(config)
     if wiring:
-        for side in config.sides:
+        for side in config.sides if explores else ():
             findings += _contacts(wiring, side)
         findings += _inputs(wiring)
     findings += [*_resolution(config), *_signs(config), *unit_questions(config)]
@@ -179,7 +182,7 @@ def _bends(config: RobotConfig, wiring: Wiring | None) -> Iterator[Finding]:
     body = config.body
     for muscle in config.muscles:
         top = max(m.inflate.curvature(muscle.max_pressure_psi) for m in muscle.maps)
-        angle = top * body.length_cm
+        angle = _most_turned(body, top * (SIGN[muscle.side] if muscle.side else 0.0))
         text = f"bends the whole body by {degrees(angle):.0f} degrees at {top:.4f} 1/cm"
         if not all(muscle_map.calibrated for muscle_map in muscle.maps):
             text += " (not calibrated)"
@@ -196,6 +199,31 @@ def _bends(config: RobotConfig, wiring: Wiring | None) -> Iterator[Finding]:
         yield from _maps(config, muscle)
         if muscle.side is None and wiring:
             yield from _out_of_plane(wiring, muscle)
+
+
+def _most_turned(body: Body, free: float) -> float:
+    """Largest angle (rad) between two places of the body at rest or at a free curvature, 1/cm."""
+    arcs = np.linspace(0.0, body.length_cm, _STEPS + 1)
+    return float(np.ptp(rest_turn(body.rest_pieces, arcs) + free * arcs))
+
+
+def _preformed(config: RobotConfig) -> Iterator[Finding]:
+    """Where the tip lies at rest, of a body that is curved there."""
+    body = config.body
+    if not body.rest_curvature:
+        return
+    arcs = np.linspace(0.0, body.length_cm, _STEPS + 1)
+    heading = rest_turn(body.rest_pieces, arcs)
+    x, y = traced(heading, arcs[1])
+    side = "left" if heading[-1] >= 0.0 else "right"
+    text = (
+        f"curved at rest: the tip lies at x = {x[-1]:.1f}, y = {y[-1]:.1f} cm and points "
+        f"{abs(degrees(heading[-1])):.0f} degrees to the {side}"
+    )
+    if np.ptp(heading) < _CLOSED_RAD:
+        yield Finding("body", "ok", text)
+    else:
+        yield Finding("body", "bad", f"{text}; it runs into itself: is rest_curvature in 1/cm?")
 
 
 def _folds(config: RobotConfig) -> Iterator[Finding]:
@@ -313,7 +341,7 @@ def _contacts(wiring: Wiring, side: Side) -> Iterator[Finding]:
 
 
 def _touches(config: RobotConfig) -> Iterator[Finding]:
-    """Where `thigmo feel` localizes a contact that pushes a body without muscles aside."""
+    """Where `thigmo feel` localizes a contact that pushes a body aside at rest."""
     column = [sensor for sensor in config.sensors if sensor.usable and sensor.side]
     if not column:
         yield Finding("feel", "bad", "no healthy sensor reads bends in the plane: add one")

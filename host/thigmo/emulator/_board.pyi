@@ -30,10 +30,10 @@ class Analog:
     def feed(self, rows: NDArray[np.int64]) -> None:
         """Replace conversions by recorded ones, shape (n, 3): tick, channel, count."""
 
-    def frames(self, tick: int, ticks: int, begun: int, each: float) -> NDArray[np.uint16]:
+    def frames(self, tick: int, ticks: int, begun: int, tick_share: float) -> NDArray[np.uint16]:
         """Conversions of ticks from one on, the `begun`-th of a step and those after it.
 
-        A tick lasts the share `each` of the step. Shape (ticks, 8), as the schedule has them.
+        A tick lasts the share `tick_share` of the step. Shape (ticks, 8), as the schedule has them.
         """
 
 class VirtualBoard:

@@ -67,7 +67,8 @@ class Truth:
     pegs: tuple[Peg, ...]
     length_cm: float  # everted length
     contacts: tuple[PegContact, ...]  # touching pegs, base first
-    centreline: Floats  # columns s, heading, curvature without fold, x, y; shape (n, 5)
+    # `curvature` is without the fold and the rest shape
+    centreline: Floats  # columns s, heading, curvature, x, y; shape (n, 5)
 
 
 class _Switch:
@@ -203,6 +204,7 @@ class Plant:
                 self._critical(),
                 scene.body.base_compliance_cm,
                 scene.body.tip_rounding_cm,
+                robot.body.rest_pieces,
             ),
             self._obstacles,
             friction=scene.body.friction,

@@ -14,7 +14,7 @@ import numpy as np
 
 from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.emulator.scene import PegTable, Scene
-from thigmo.mechanics import Peg, PegContact, Rod, Tube, critical_moment
+from thigmo.mechanics import Peg, PegContact, Rod, Tube, critical_moment, rest_mean
 
 TRIGGER = 0.005  # 1/cm
 _STEP_PSI = 0.25
@@ -77,12 +77,14 @@ def sweep_once(
     crit = critical_moment(
         body.critical_curvature, body.critical_pressure_psi, body.zones[zone].pressure_psi
     )
-    model = Rod(Tube(body.diameter_cm, crit), pegs, model="auto")
+    tube = Tube(body.diameter_cm, crit, rest_curvature=body.rest_pieces)
+    model = Rod(tube, pegs, model="auto")
     model.step(0.0, length_cm)
     if not (sensors := robot.sensors_for(side)):
         return None
     base = sensors[0]
     center, span, mean = np.array([base.center_cm]), np.array([base.span_cm]), np.zeros(1)
+    at_rest = rest_mean(body.rest_pieces, center, span)
     sign = SIGN[side]
     touches: list[tuple[float, float]] = []  # pressure and base contact curvature while it touches
     top = muscle.max_pressure_psi
@@ -91,7 +93,7 @@ def sweep_once(
         model.step(g, length_cm)
         if model.touching:
             model.averages_into(center, span, mean)
-            touches.append((pressure, abs(float(mean[0]) - g)))
+            touches.append((pressure, abs(float(mean[0] - at_rest[0]) - g)))
     if not touches:
         return None
     trigger_psi = next((pressure for pressure, excess in touches if excess >= TRIGGER), 0.0)

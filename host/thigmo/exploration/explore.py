@@ -131,8 +131,8 @@ def explore(
     )
     if past is not None:
         document = replace(
-            past.knows.found.judged(document),
-            stages=list(past.knows.stages),
+            past.knowledge.interpreter.judged(document),
+            stages=list(past.knowledge.stages),
             truth=past.document.truth,
             resumes=str(past.folder.path),
         )
@@ -210,7 +210,7 @@ def explore(
             robot.while_waiting(log.check)
             run = Exploration(
                 robot, used, folder, log, document, tell, planner, protocol, given, control,
-                past.knows if past else None,
+                past.knowledge if past else None,
             )  # fmt: skip
             _walk(run)
     return ExplorationResult(run.document, folder.path)

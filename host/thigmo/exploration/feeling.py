@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import Muscle, RobotConfig, Sensor
+from thigmo.config import DEGREES, Muscle, RobotConfig, Sensor
 from thigmo.errors import DataError
 from thigmo.localization import LocalizeResult, localize
+from thigmo.mechanics import rest_mean
 from thigmo.reading_errors import errors_of
 from thigmo.robot import Robot
 from thigmo.robot.curvature import Floats
@@ -84,15 +85,16 @@ def _by_fibre(robot: Robot) -> Feeling:
         )
     zone = config.body.zone_at(reading.length_cm)
     curvature = reading.curvature[known]
+    free = np.full(len(sensors), reading.free_curvature)
     result = localize(
         curvature,
         [sensor.center_cm for sensor in sensors],
         length=reading.length_cm,
         span=[sensor.span_cm for sensor in sensors],
         free_curvature=reading.free_curvature,
+        body_curvature=_shape(config, sensors, free),
         **errors_of(config, reading.side, zone, sensors).arguments(),
     )
-    free = np.full(len(sensors), reading.free_curvature)
     return Feeling(
         reading.t_s, reading.length_cm, sensors, curvature, free, result,
         reading.lines, reading.zero_age_s,
@@ -112,9 +114,8 @@ def _by_board(robot: Robot, muscle: Muscle | None) -> Feeling:
         share = 0.0 if muscle is None else _share(sensor, muscle)
         if muscle is not None and sensor.wrinkles and _under(sensor, muscle):
             continue
-        if isinstance(sensor, FlexSensor) and sensor.valid_direction * curvature < 0.0:
-            sensor = _against(sensor)
-            curvature /= sensor.against_gain
+        if isinstance(sensor, FlexSensor):
+            sensor, curvature = _straightened(sensor, curvature, _at_rest(config, sensor))
         sensors.append(sensor)
         curvatures.append(curvature)
         shares.append(share)
@@ -139,20 +140,21 @@ def _localized(
     errors: dict[str, Any] = errors_of(config, side, zone, sensors).arguments()
     if muscle is not None:
         errors |= {"offset_error": muscle.offset_se, "map_error": muscle.maps[zone].scale_se}
+    shape = _shape(config, sensors, free)
     whole = np.arange(len(sensors))
     if all(sensor.side for sensor in sensors):
-        return _answer(length_cm, sensors, curvature, free, errors, whole)
+        return _answer(length_cm, sensors, curvature, free, shape, errors, whole)
     least_fold = errors["critical_curvature"] * (1 - 2 * errors["critical_curvature_error"])
     errors = {name: value for name, value in errors.items() if name not in _OF_THE_PLANE}
     errors["direction"] = np.array([_positive_towards(sensor) for sensor in sensors])
-    result = _answer(length_cm, sensors, curvature, free, errors, whole)
+    result = _answer(length_cm, sensors, curvature, free, shape, errors, whole)
     if sum(abs(contact.force) * contact.arc for contact in result.contacts) < least_fold:
         return result
     # The base may have folded, which only the sensors beyond the fold do not read.
     starts_cm = np.array([sensor.center_cm - sensor.span_cm / 2 for sensor in sensors])
     beyond = np.flatnonzero(starts_cm >= config.body.diameter_cm)
     if beyond.size:
-        again = _answer(length_cm, sensors, curvature, free, errors, beyond)
+        again = _answer(length_cm, sensors, curvature, free, shape, errors, beyond)
         if again.contacts:
             return again
     return _somewhere(result, length_cm)
@@ -174,7 +176,7 @@ def _somewhere(result: LocalizeResult, length_cm: float) -> LocalizeResult:
 
 def _answer(
     length_cm: float, sensors: Sequence[Sensor], curvature: Floats, free: Floats,
-    errors: dict[str, Any], used: Ints,
+    shape: Floats | None, errors: dict[str, Any], used: Ints,
 ) -> LocalizeResult:  # fmt: skip
     """Localize by some of the sensors, with the errors of all of them."""
     count = len(sensors)
@@ -188,6 +190,7 @@ def _answer(
         length=length_cm,
         span=[sensors[n].span_cm for n in used],
         free_curvature=free[used],
+        body_curvature=None if shape is None else shape[used],
         **of_used,
     )
 
@@ -205,6 +208,36 @@ def _share(sensor: Sensor, muscle: Muscle) -> float:
 def _under(sensor: Sensor, muscle: Muscle) -> bool:
     """Whether a muscle wrinkles what lies at a sensor's direction."""
     return cos(radians(sensor.direction_deg - muscle.direction_deg)) > _SAME_SHARE
+
+
+def _at_rest(config: RobotConfig, sensor: Sensor) -> float:
+    """Mean curvature (1/cm) that a preformed bend has at a sensor, in its direction."""
+    bend = rest_mean(config.body.rest_pieces, [sensor.center_cm], [sensor.span_cm])
+    return float(bend[0]) * cos(_positive_towards(sensor) - radians(DEGREES["left"]))
+
+
+def _shape(config: RobotConfig, sensors: Sequence[Sensor], free: Floats) -> Floats | None:
+    """Curvature (n,) of the free body at the sensors, if it differs from what they then read.
+
+    They are zeroed at rest, and so do not read a preformed bend.
+    """
+    if not config.body.rest_curvature:
+        return None
+    return np.asarray(free + [_at_rest(config, sensor) for sensor in sensors])
+
+
+def _straightened(sensor: FlexSensor, reading: float, at_rest: float) -> tuple[FlexSensor, float]:
+    """The curvature that a flex sensor reads since its zero, with the sensor's own errors there.
+
+    A sensor answers weakly to bends against its direction. Which it is follows from the whole bend,
+    that at rest included: a body that is pushed straight still bends with its direction.
+    """
+    weak_at_rest = sensor.valid_direction * at_rest < 0.0
+    answer = reading + (sensor.against_gain * at_rest if weak_at_rest else at_rest)
+    if sensor.valid_direction * answer >= 0.0:
+        return sensor, answer - at_rest
+    against = _against(sensor)
+    return against, answer / against.against_gain - at_rest
 
 
 def _against(sensor: FlexSensor) -> FlexSensor:

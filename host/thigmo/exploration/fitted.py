@@ -91,15 +91,15 @@ class SideFits:
                 mirrored = points * [1.0, SIGN[side]]
                 return boost(self._prior, mirrored, self._config.body.length_cm)
 
-        found = contacts(*prepared, self._atlas, expected=expected)
+        side_contacts = contacts(*prepared, self._atlas, expected=expected)
         model = f"by {len(sweeps)} sweep{'s' if len(sweeps) > 1 else ''}"
-        model += f"; one of {len(found)} on this side" if len(found) > 1 else ""
+        model += f"; one of {len(side_contacts)} on this side" if len(side_contacts) > 1 else ""
         sensors = prepared[0].centers.size
         return [
             FittedContact(
                 self._mapped(contact, side, model, sensors), contact.arcs, contact.weights
             )
-            for contact in found
+            for contact in side_contacts
         ]
 
     def _mapped(self, contact: FieldContact, side: Side, model: str, sensors: int) -> MapContact:
@@ -110,6 +110,9 @@ class SideFits:
         sure = narrow(contact.interval_cm, self._config.body.length_cm)
         localized = contact.places and sure and contact.probability >= SURE
         force = -sign * contact.force_per_cm2
+        gave_way = ""
+        if contact.gave_way_at is not None:
+            gave_way = f" that gave way at {contact.gave_way_at:.4f} 1/cm"
         mapped = MapContact(
             arc_cm=contact.arc_cm,
             x_cm=contact.x_cm,
@@ -123,7 +126,7 @@ class SideFits:
             covariance_cm2=((xx, xy), (yx, yy)),
             track=[(round(x, 4), round(sign * y, 4)) for x, y in contact.track.tolist()],
             kind=contact.kind,
-            model=f"{contact.kind}, {model}",
+            model=f"{contact.kind}{gave_way}, {model}",
             doubt=contact.doubt,
             explanations=[Explanation(n, round(p, 4)) for n, p in contact.explanations.items()],
             surface=[(round(x, 4), round(sign * y, 4)) for x, y in contact.face.tolist()],
@@ -136,6 +139,7 @@ class SideFits:
             fit_radius_cm=round(contact.peg_radius_cm, 2) if contact.kind == "peg" else None,
             fit_friction=round(contact.friction, 3),
             fit_yield_cm=round(contact.yield_cm, 3),
+            gave_way_per_cm=None if contact.gave_way_at is None else sign * contact.gave_way_at,
         )
         if (newtons := self._newtons(force, contact)) is not None:
             mapped = replace(mapped, force_n=newtons[0], force_interval_n=newtons[1])

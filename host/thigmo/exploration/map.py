@@ -67,11 +67,11 @@ class ContactMap:
 
     def _explained(self) -> list[MapContact]:
         felt = [fitted.contact for side in SIDES for fitted in self._fits.contacts(side)]
-        found = [contact for contact in felt if contact.probability > LIKELY]
-        found.sort(key=lambda contact: min([*contact.merged, contact.everted_length_cm]))
+        likely = [contact for contact in felt if contact.probability > LIKELY]
+        likely.sort(key=lambda contact: min([*contact.merged, contact.everted_length_cm]))
         known: list[MapContact] = []
         reach_cm2 = _REACH * self._config.body.length_cm**2
-        for contact in [*found, *self._obstructions]:
+        for contact in [*likely, *self._obstructions]:
             same = next(
                 (n for n, other in enumerate(known) if _one_place(other, contact, reach_cm2)), None
             )
@@ -152,8 +152,8 @@ class ContactMap:
 
     def _contact(self, placed: PlacedContact, **facts: Any) -> MapContact:
         """A contact at its place, with the obstacle of the map that was given that it is."""
-        found = MapContact(**facts, **placed._asdict())
-        return replace(found, known=match(self._prior, found))
+        contact = MapContact(**facts, **placed._asdict())
+        return replace(contact, known=match(self._prior, contact))
 
 
 def _one_place(a: MapContact, b: MapContact, reach_cm2: float) -> bool:

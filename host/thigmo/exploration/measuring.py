@@ -94,17 +94,19 @@ def pressing_zone(
     ):
         return zone  # the muscle or a slip limits the moment, and not the fold
 
-    def pressed(each: int) -> float:
+    def pressed(candidate: int) -> float:
         """What the base can be held back by, 1/cm."""
         further = [
-            config.muscle(side).maps[each].inflate.curvature(config.muscle(side).max_pressure_psi)
+            config.muscle(side)
+            .maps[candidate]
+            .inflate.curvature(config.muscle(side).max_pressure_psi)
             - abs(touch_curvature(frames, side) or 0.0)
             for side in sides
         ]
-        return min(TRIGGER_PER_CM + min(further), _SHARE * fold_moment(config, each))
+        return min(TRIGGER_PER_CM + min(further), _SHARE * fold_moment(config, candidate))
 
-    psi = [each.pressure_psi for each in config.body.zones]
-    best = max((each for each in range(len(psi)) if psi[each] >= psi[zone]), key=pressed)
+    psi = [body_zone.pressure_psi for body_zone in config.body.zones]
+    best = max((number for number in range(len(psi)) if psi[number] >= psi[zone]), key=pressed)
     return best if pressed(best) > _WORTH * pressed(zone) else zone
 
 
@@ -123,5 +125,5 @@ def measuring_pressure(
     pressure = np.array([frame.pressure_psi for frame in mine])
     held = held_back(frames, side)
     reached = np.flatnonzero(held >= _SHARE * fold_moment(config, zone))
-    at = reached[0] if reached.size else int(held.argmax())
-    return float(min(max(pressure[at], _LOWEST_PSI), highest))
+    frame = reached[0] if reached.size else int(held.argmax())
+    return float(min(max(pressure[frame], _LOWEST_PSI), highest))

@@ -84,23 +84,23 @@ def occupancy(
     Free cells keep `sigmas` standard errors from what is not.
     """
     felt = [_obstacle(contact) for contact in document.contacts]
-    found = {contact.known for contact in document.contacts}
+    known = {contact.known for contact in document.contacts}
     grid = _empty_grid(document, radius_cm, [*felt, *prior])
     free = _free(grid, document, radius_cm, sigmas)
     rest = [
         replace(obstacle, source=GONE if _swept_through(obstacle, grid, free) else "prior")
         for index, obstacle in enumerate(prior)
-        if index not in found
+        if index not in known
     ]
     grid.cells[free] = FREE
-    there = [*felt, *(obstacle for obstacle in rest if obstacle.source != GONE)]
-    for obstacle in there:
+    standing = [*felt, *(obstacle for obstacle in rest if obstacle.source != GONE)]
+    for obstacle in standing:
         for line in [] if obstacle.cell_cm else [obstacle.track, obstacle.surface]:
             grid.cells[_near_line(grid, obstacle, line, max(sigmas, _SIGMA_95))] = UNKNOWN
-    for obstacle in there:
-        for line in _occupied_lines(obstacle):
+    for obstacle in standing:
+        for line in [] if obstacle.gave_way else _occupied_lines(obstacle):
             grid.cells[_near_line(grid, obstacle, line, 1.0)] = OCCUPIED
-    cells = [obstacle.cell_corners() for obstacle in there if obstacle.cell_cm]
+    cells = [obstacle.cell_corners() for obstacle in standing if obstacle.cell_cm]
     grid.cells[_within(grid, cells)] = OCCUPIED
     return grid, felt + rest
 
@@ -147,6 +147,7 @@ def _obstacle(contact: MapContact) -> Obstacle:
         kind=contact.kind,
         probability=contact.probability,
         surface=contact.surface,
+        gave_way=contact.gave_way_per_cm is not None,
     )
 
 
@@ -164,10 +165,10 @@ def _empty_grid(
         around = track if obstacle.cell_cm else point
         points += [track, around - reach, around + reach]
         points += [np.asarray(obstacle.surface)] if obstacle.surface else []
-    every = np.vstack(points)
+    points_cm = np.vstack(points)
     margin = radius_cm + _MARGIN_CM
-    low = np.floor((every.min(axis=0) - margin) / _RESOLUTION_CM) * _RESOLUTION_CM
-    columns, rows = np.ceil((every.max(axis=0) + margin - low) / _RESOLUTION_CM).astype(int)
+    low = np.floor((points_cm.min(axis=0) - margin) / _RESOLUTION_CM) * _RESOLUTION_CM
+    columns, rows = np.ceil((points_cm.max(axis=0) + margin - low) / _RESOLUTION_CM).astype(int)
     cells = np.full((rows, columns), UNKNOWN, dtype=np.int8)
     return OccupancyGrid(cells, _RESOLUTION_CM, (float(low[0]), float(low[1]), 0.0))
 

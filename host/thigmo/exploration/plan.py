@@ -91,5 +91,7 @@ def trial_zone(config: RobotConfig, zone: int) -> int | None:
     None: the robot has no higher one with maps.
     """
     zones = config.body.zones
-    above = [n for n, each in enumerate(zones) if each.pressure_psi > zones[zone].pressure_psi]
+    above = [
+        n for n, body_zone in enumerate(zones) if body_zone.pressure_psi > zones[zone].pressure_psi
+    ]
     return min(above, key=lambda n: zones[n].pressure_psi, default=None)

@@ -77,8 +77,8 @@ def _squared(obstacle: Obstacle, points: Floats, covariance: Floats) -> Floats:
 def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:
     """Obstacles of a map: a run folder, its obstacles.json, or a ROS map's YAML file.
 
-    Those that the map had itself found gone are omitted, and places of unknown error. Raises
-    RunFolderError: it is neither, or cannot be read.
+    Those that the map had itself found gone or seen give way are omitted, and places of unknown
+    error. Raises RunFolderError: it is neither, or cannot be read.
     """
     file = Path(path)
     if file.is_dir():
@@ -87,7 +87,7 @@ def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:
         return [
             o
             for o in read_obstacles(file).obstacles
-            if o.source != "prior, not felt" and o.status != POINT_ESTIMATE
+            if o.source != "prior, not felt" and o.status != POINT_ESTIMATE and not o.gave_way
         ]
     if file.suffix in (".yaml", ".yml"):
         return _grid_obstacles(read_ros_map(file))

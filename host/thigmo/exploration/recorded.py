@@ -1,7 +1,8 @@
 """Reads a run's steps and readings off its record, for the replay and for a run that is resumed.
 
-The notes say what the run did, and when; the frames that crossed the link hold what it read: zeros,
-lengths, peaks and triggers, by the same watchers as live. Nothing is taken from contacts.json.
+The notes are the run's steps (`run_knowledge`), with their numbers; the frames that crossed the
+link hold what the run read: zeros, lengths, peaks and triggers, by the same watchers as live.
+Nothing is taken from contacts.json.
 """
 
 from __future__ import annotations
@@ -13,8 +14,7 @@ from dataclasses import dataclass, replace
 from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import RunFolderError
 from thigmo.exploration.methods import FIELD
-from thigmo.exploration.plan import trial_zone
-from thigmo.exploration.reducer import Reducer
+from thigmo.exploration.run_knowledge import STEPS, RunKnowledge
 from thigmo.link import protocol as wire
 from thigmo.link.clock import DeviceClock
 from thigmo.link.framing import FrameError, decode
@@ -181,7 +181,7 @@ class RecordedRun:
 
     Attributes:
         logs: its records (`RunFolder.read_logs`), oldest first.
-        known: what the run knew at the end of its record.
+        knowledge: what the run knew at the end of its record.
         sweeps: of all records.
         bad: frames that could not be decoded.
 
@@ -196,16 +196,15 @@ class RecordedRun:
         prior: Sequence[Obstacle] = (),
         method: str = FIELD,
     ) -> None:
-        self._config = config
         self.logs = logs
-        self.known = Reducer(config, prior, method)
+        self.knowledge = RunKnowledge(config, prior, method)
         self.sweeps: list[RecordedSweep] = []
         self.bad = 0
         for log in self.logs:
             _check(folder, log)
             frames = _Frames(config)
             self._read(log, frames)
-            if frames.sweeps and all(note.facts["topic"] != "state" for note in log.notes):
+            if frames.sweeps and all(note.facts["topic"] != "step" for note in log.notes):
                 raise RunFolderError(
                     f"the record of {folder.path} has sweeps, but none of the run's steps",
                     "read its sweeps with thigmo.exploration.recorded.recorded_sweeps",
@@ -218,53 +217,41 @@ class RecordedRun:
                 frames.take(item)
             elif isinstance(item, FibreLine):
                 frames.strained(item)
-            elif item.facts["topic"] == "state":
-                frames.growing = False  # the run took what came with the end of a growth, too
+            else:
+                frames.growing = False  # a run that notes something has ended its growth
                 new = _last_length(frames.sweeps[taken:])
                 taken = len(frames.sweeps) if self._step(item, frames, new) else taken
         self.sweeps += frames.sweeps
         self.bad += frames.bad
 
     def _step(self, note: Note, frames: _Frames, new: list[RecordedSweep]) -> bool:
-        """Take a step of the run; whether it has used the sweeps that are new since the last."""
-        known = self.known
-        match note.facts["state"], note.facts["outcome"]:
-            case "PLAN", _:
-                frames.grows()
-            case "GROW", "no eversion":
-                known.grown(frames.profile())
-            case "ZERO", "held bent":
-                known.zeroed(frames.profile(), frames.zeros())
-            case "ZERO", "as before: the zeros moved" if known.obstruction:
-                known.let_go(frames.zeros())
-            case "GROW", "whole pitch":
-                known.moved_on()
-            case "BACK_OFF", "stalled: more pressure":
-                higher = trial_zone(self._config, frames.zone)
-                known.tries_more_pressure(frames.zone if higher is None else higher)
-                frames.grows()
-            case "PRESSURIZE", "stalled, nobody to ask":
-                known.gives_up_trial()
-                known.ended_at_obstruction()
-            case ("BACK_OFF", "stalled" | "peg ahead") | ("ZERO", "straight again: peg ahead"):
-                known.ended_at_obstruction()
-            case "SWEEP", _ if new:
-                known.has_looked(_joined(new), new[-1].zone)
-                return True
-            case "MEASURE", _ if new:
-                known.has_measured(_joined(new), new[-1].zone)
-                return True
-            case "LOCALIZE", _ if known.looked.peaks:
-                known.localized()
-            case "MAP", _:
-                known.mapped()
-            case "VENT", _ if known.looked.peaks:
-                known.ended(note.t_s, frames.sweeps[-1].watcher.length_cm)
-        return False
+        """Take a step of the run; whether it has used the sweeps that are new since the last.
+
+        A step whose note is damaged, or whose sweeps the record has lost, is left out.
+        """
+        name, numbers = str(note.facts.get("step")), note.facts.get("numbers")
+        step = STEPS.get(name)
+        if step is None or not isinstance(numbers, dict) or set(numbers) != set(step.numbers):
+            return False
+        if name == RunKnowledge.growth_begins.__name__:
+            frames.grows()
+        readings: list[object] = []
+        for reading in step.readings:
+            match reading:
+                case "profile":
+                    readings.append(frames.profile())
+                case "zeros":
+                    readings.append(frames.zeros())
+                case "sweep" if new:
+                    readings.append(_joined(new))
+                case _:
+                    return False
+        getattr(self.knowledge, name)(*readings, **numbers)
+        return "sweep" in step.readings
 
 
 def _joined(sweeps: list[RecordedSweep]) -> SweepResult:
-    return SweepResult.joined([each.watcher.result() for each in sweeps])
+    return SweepResult.joined([sweep.watcher.result() for sweep in sweeps])
 
 
 def _last_length(sweeps: list[RecordedSweep]) -> list[RecordedSweep]:
@@ -272,7 +259,7 @@ def _last_length(sweeps: list[RecordedSweep]) -> list[RecordedSweep]:
     if not sweeps:
         return []
     length_cm = sweeps[-1].watcher.length_cm
-    return [each for each in sweeps if abs(each.watcher.length_cm - length_cm) < SAME_LENGTH_CM]
+    return [sweep for sweep in sweeps if abs(sweep.watcher.length_cm - length_cm) < SAME_LENGTH_CM]
 
 
 def _check(folder: RunFolder, log: Log) -> None:

@@ -1,8 +1,8 @@
 """The localizer again over a run's raw record, from the frames that crossed the link.
 
-Nothing is taken from contacts.json: the steps of the run and its readings are read off the record
-(`recorded`), and the live run's own reducer localizes and maps. So a newer localizer can be tried
-on an old run, and a doubtful result can be checked.
+Nothing is taken from contacts.json: the run's steps and its readings are read off the record
+(`recorded`), and what the live run knew is built up from them again (`run_knowledge`). So a newer
+localizer can be tried on an old run, and a doubtful result can be checked.
 """
 
 from __future__ import annotations
@@ -77,24 +77,24 @@ def replay(run: str | os.PathLike[str], *, method: str | None = None) -> ReplayR
         known,
         thigmo=VERSION,
         outcome=f"replayed; {known.outcome}",
-        stages=recorded.known.stages,
+        stages=recorded.knowledge.stages,
         robot_time_s=log.entries[-1].t_s - log.entries[0].t_s if log.entries else 0.0,
         wall_time_s=0.0,
         method=used,
         muscles=NamedMuscle.all_of(config),
         version=2,
     )
-    document = recorded.known.found.judged(document)
+    document = recorded.knowledge.interpreter.judged(document)
     radius = config.body.radius_cm
     folder.write_document(document, "replay.json")
     export_obstacles(folder, document, radius_cm=radius, prior=prior, prefix="replay-")
     draw_map(document, folder.path / "replay.png", radius_cm=radius, prior=prior)
-    gaps = sum(each.gaps for each in logs)
+    gaps = sum(record.gaps for record in logs)
     return ReplayResult(
         document,
         len(recorded.sweeps),
         recorded.bad,
         log.truncated,
         gaps,
-        "; ".join(each.missing for each in logs if each.missing),
+        "; ".join(record.missing for record in logs if record.missing),
     )

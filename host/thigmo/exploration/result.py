@@ -59,11 +59,12 @@ class ExplorationResult:
         return html_card(self.document.name, f"{self._said()}; {self.folder}", table)
 
     def _said(self) -> str:
-        found = self.document
-        error = found.error_cm
+        document = self.document
+        error = document.error_cm
         return (
-            f"{found.outcome}; {_counted(len(found.contacts), 'contact')}, "
-            f"{_counted(len(found.stages), 'stage')}, {found.robot_time_s:.0f} s of robot time"
+            f"{document.outcome}; {_counted(len(document.contacts), 'contact')}, "
+            f"{_counted(len(document.stages), 'stage')}, "
+            f"{document.robot_time_s:.0f} s of robot time"
             + ("" if error is None else f"; error in the plane {error:.2f} cm")
         )
 

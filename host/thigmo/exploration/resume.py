@@ -9,7 +9,7 @@ from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.exploration.prior import kept_prior
 from thigmo.exploration.recorded import RecordedRun
-from thigmo.exploration.reducer import Reducer
+from thigmo.exploration.run_knowledge import RunKnowledge
 from thigmo.record import RUNNING, Obstacle, RunDocument, RunFolder
 
 _ENDS = ("full length", "peg ahead", "growth stalled")
@@ -23,7 +23,7 @@ class Interrupted:
     document: RunDocument
     config: RobotConfig  # robot.toml, as it was used or as it is given now
     prior: list[Obstacle]  # the map that it was given
-    knows: Reducer  # what it knew at its end
+    knowledge: RunKnowledge  # at its end
     protocol: str  # how it measured contacts; empty if its record does not tell
 
 
@@ -46,4 +46,4 @@ def interrupted(run: str | os.PathLike[str], config: RobotConfig | None = None) 
     used, prior = config or folder.read_config(), kept_prior(folder)
     recorded = RecordedRun(folder, logs, used, prior, document.method)
     protocol = logs[-1].metadata.get("protocol", "")
-    return Interrupted(folder, document, used, prior, recorded.known, protocol)
+    return Interrupted(folder, document, used, prior, recorded.knowledge, protocol)

@@ -7,7 +7,7 @@ folder is closed and readable.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
@@ -25,8 +25,8 @@ from thigmo.exploration.measuring import (
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.plan import growth_target, growth_zone, short_of, stage_lengths, trial_zone
 from thigmo.exploration.prior import obstacle_ahead
-from thigmo.exploration.reducer import Reducer
 from thigmo.exploration.run_control import Live, RunControl
+from thigmo.exploration.run_knowledge import RunKnowledge
 from thigmo.exploration.scoring import true_obstruction
 from thigmo.exploration.stall import Lean
 from thigmo.exploration.states import NEXT, State
@@ -73,7 +73,7 @@ class Exploration:
     protocol: Protocol = "measure"  # how a contact is measured
     prior: Sequence[Obstacle] = ()  # obstacles of a map of the room
     control: RunControl = field(default_factory=RunControl)  # whether viewers want it to wait
-    knows: Reducer | None = None  # of the run that this one resumes
+    knowledge: RunKnowledge | None = None  # of the run that this one resumes
     state: State = State.CONFIGURE
     length_cm: float = 0.0  # everted length
     _stage_cm: float = 0.0
@@ -92,8 +92,11 @@ class Exploration:
 
     def __post_init__(self) -> None:
         self.live = Live(self.robot)
-        self._knows = self.knows or Reducer(self.config, self.prior, self.document.method)
-        self._found = self._knows.found
+        self._knowledge = self.knowledge or RunKnowledge(
+            self.config, self.prior, self.document.method
+        )
+        self._knowledge.journal = self._note_step
+        self._interpreter = self._knowledge.interpreter
         self._wiring = Wiring.of(self.config)
         self._table = SensorTable.of(self._wiring)
         self._base = sum(1 << number for number in self._wiring.base_inputs)
@@ -130,6 +133,10 @@ class Exploration:
             RunState, self.state.name, words, self._stage_cm, self._done, paused,
             self.document.outcome,
         )  # fmt: skip
+
+    def _note_step(self, step: str, numbers: Mapping[str, object]) -> None:
+        """Put a step of what the run knows into its record, for the replay."""
+        self.log.note("step", self.robot.now(), step=step, numbers=dict(numbers))
 
     def _note(self, **known: Any) -> None:
         self.document = replace(self.document, **known)
@@ -183,7 +190,7 @@ class Exploration:
     def _plan(self) -> str:
         spent_s = self.robot.elapsed_s
         settles_s = self.robot.settles_s(self._base)
-        behind = tuple(stage.everted_length_cm for stage in self._knows.stages)
+        behind = tuple(stage.everted_length_cm for stage in self._knowledge.stages)
         plan = self.planner.plan(self.length_cm, spent_s, behind, settles_s)
         expected_s = self.planner.expected_s(Plan(behind, plan.measurements))
         pace = spent_s / expected_s if behind else 1.0
@@ -204,13 +211,13 @@ class Exploration:
             return "peg ahead"
         self._stage_cm, self._zero_tries = stage, 0
         self._start_cm = self.length_cm
-        self._growth = GrowthWatcher(strains=self.robot.strains)
+        self._begin_growth()
         return "grow" if grows else "sweep here"
 
     def _pressurize(self) -> str:
         self._zone = growth_zone(self.config, self.length_cm, self._stage_cm)
         zones = self.config.body.zones
-        raised = self._knows.raised
+        raised = self._knowledge.raised
         if raised is not None and zones[raised].pressure_psi > zones[self._zone].pressure_psi:
             self._zone = raised
         pressure = self.config.body.zones[self._zone].pressure_psi
@@ -218,9 +225,9 @@ class Exploration:
             try:
                 self._set_body_pressure(self._zone)
             except DataError:
-                if self._knows.tried is None:
+                if self._knowledge.tried is None:
                     raise
-                self._knows.gives_up_trial()
+                self._knowledge.gives_up_trial()
                 self._end_at_obstruction()
                 return "stalled, nobody to ask"
         else:
@@ -243,17 +250,22 @@ class Exploration:
         if target > self.length_cm + 0.1:
             self.length_cm = self.robot.grow_to(target, self._growth)
             grown = self._grown()
-            if self._knows.grown(grown) is not None:
+            if self._knowledge.stall(grown) is not None:
+                self._knowledge.growth_stalled(grown)
                 return "no eversion"
             whole = [each for each in stage_lengths(self.config) if each >= target]
-            if not self._knows.stages and self._knows.leans(grown):
+            if not self._knowledge.stages and self._knowledge.leans(grown):
                 self._stage_cm = whole[0]  # what it leans on is passed no farther
             elif target < self._stage_cm and target == whole[0]:
                 self._start_cm = target
-            if self._knows.tried is not None and target == self._stage_cm:
-                self._knows.moved_on()
-                self._note(stall=self._found.map.stall)
+            if self._knowledge.tried is not None and target == self._stage_cm:
+                self._knowledge.moved_on()
+                self._note(stall=self._interpreter.map.stall)
         return "whole pitch" if target == self._stage_cm else "pressure boundary"
+
+    def _begin_growth(self) -> None:
+        self._knowledge.growth_begins()
+        self._growth = GrowthWatcher(strains=self.robot.strains)
 
     def _grown(self) -> Profile:
         """Lengths of the stage's growth, and what the sensors read at each."""
@@ -265,7 +277,7 @@ class Exploration:
         There every sensor is where the encoder says. The encoder shows a tip that was stopped; only
         the sensors show a body that is held bent, so they are asked again.
         """
-        obstruction, truth = self._knows.obstruction, self.robot.truth()
+        obstruction, truth = self._knowledge.obstruction, self.robot.truth()
         assert obstruction is not None
         leaning = isinstance(obstruction, Lean)
         if truth is not None:
@@ -282,16 +294,16 @@ class Exploration:
         if leaning:
             return "clear of what held it"
         higher = trial_zone(self.config, self._zone)
-        if self._knows.tried is None and higher is not None:
-            self._knows.tries_more_pressure(higher)
-            self._growth = GrowthWatcher(strains=self.robot.strains)
+        if self._knowledge.tried is None and higher is not None:
+            self._knowledge.tries_more_pressure(zone=higher)
+            self._begin_growth()
             self.live.tell(Log, "info", "growth stalled: it is tried at a higher body pressure")
             return "stalled: more pressure"
         self._end_at_obstruction()
         return "stalled"
 
     def _end_at_obstruction(self) -> None:
-        stalled = self._knows.ended_at_obstruction()
+        stalled = self._knowledge.ended_at_obstruction()
         self._note(outcome="peg ahead" if stalled is None else stalled.words)
         self._judge()
 
@@ -309,21 +321,23 @@ class Exploration:
     def _zero(self) -> str:
         if not self._zeroed():
             return "drifting"
-        if isinstance(self._knows.obstruction, Lean):
+        if isinstance(self._knowledge.obstruction, Lean):
             return self._released()
-        if self._knows.swept(self.length_cm):
+        if self._knowledge.swept(self.length_cm):
             return "zeroed after sweep"
-        if self._stage_cm > self._knows.straight_cm:
-            self._knows.zeroed(self._grown(), self.robot.zeros())
-        if self._knows.obstruction is not None:
-            return "held bent"
+        if self._stage_cm > self._knowledge.straight_cm:
+            grown, zeros = self._grown(), self.robot.zeros()
+            if self._knowledge.lean(grown, zeros) is not None:
+                self._knowledge.held_bent(grown, zeros)
+                return "held bent"
         return "zeroed after growth"
 
     def _released(self) -> str:
         """Whether the body was held bent, now that its tip is clear; the peg goes on the map."""
-        if self._knows.let_go(self.robot.zeros()):
+        if self._knowledge.released(self.robot.zeros()):
             self._end_at_obstruction()
             return "straight again: peg ahead"
+        self._knowledge.zeros_moved()
         return "as before: the zeros moved"
 
     def _zeroed(self) -> bool:
@@ -354,14 +368,14 @@ class Exploration:
             rising_only=not thesis,
             enough=None if thesis else self._enough,
         )
-        self._knows.has_looked(looked, self._zone)
-        fired = self._found.felt_sides(self._knows.looked)
+        self._knowledge.has_looked(looked, zone=self._zone)
+        fired = self._interpreter.felt_sides(self._knowledge.looked)
         if not fired:
             return "no contact"
         if thesis:
             return "contact, thesis protocol"
         measures = self.planner.measures(self._plan_ahead, self._stage_cm, self.robot.elapsed_s)
-        self._unplaced = fired - self._found.placed_sides(self._knows.looked)
+        self._unplaced = fired - self._interpreter.placed_sides(self._knowledge.looked)
         return "contact" if self._unplaced and measures else "contact, and its place"
 
     def _enough(self, so_far: SweepResult) -> bool:
@@ -373,7 +387,7 @@ class Exploration:
 
     def _show(self, so_far: SweepResult, zone: int) -> None:
         """Publish what a sweep feels so far to viewers."""
-        if self.live.due and (answer := self._found.so_far(so_far, zone)) is not None:
+        if self.live.due and (answer := self._interpreter.so_far(so_far, zone)) is not None:
             self.live.posterior(self.length_cm, answer, sweeping=True)
 
     def _measured_enough(self, so_far: SweepResult) -> bool:
@@ -405,7 +419,7 @@ class Exploration:
     def _press(self) -> str:
         """Raise the body pressure if contacts can be pressed harder with it."""
         self._measured_zone = self._zone
-        zone = pressing_zone(self._knows.looked.frames, self._unplaced, self.config, self._zone)
+        zone = pressing_zone(self._knowledge.looked.frames, self._unplaced, self.config, self._zone)
         if zone == self._zone or not self.planner.raises(self._stage_cm):
             return "pressure as it is"
         self.robot.vent()
@@ -417,7 +431,7 @@ class Exploration:
         return "pressure set"
 
     def _measure(self) -> str:
-        frames, zone = self._knows.looked.frames, self._measured_zone
+        frames, zone = self._knowledge.looked.frames, self._measured_zone
         tops: dict[str | float, float] = {
             muscle.name: measuring_pressure(frames, muscle.side, self.config, zone)
             if zone == self._zone
@@ -433,12 +447,12 @@ class Exploration:
             enough=self._measured_enough,
         )
         self._measurements += 1
-        self._knows.has_measured(measured, zone)
+        self._knowledge.has_measured(measured, zone=zone)
         again = self._measurements < self._plan_ahead.measurements
         return "once more" if again else "measured"
 
     def _localize(self) -> str:
-        answers = self._knows.localized()
+        answers = self._knowledge.localized()
         for answer in answers:
             self.live.posterior(self.length_cm, answer)
         if not answers:
@@ -447,22 +461,22 @@ class Exploration:
         return "contact" if answers else "none"
 
     def _map(self) -> str:
-        self._knows.mapped()
-        self._note(contacts=self._found.map.contacts)
+        self._knowledge.mapped()
+        self._note(contacts=self._interpreter.map.contacts)
         self.live.tell(Contacts, tuple(self.document.contacts))
         return "mapped"
 
     def _vent(self) -> str:
         self.robot.vent()
         truth = self._truth()
-        self._knows.ended(self.robot.now(), self.length_cm)
-        self._note(stages=list(self._knows.stages), truth=truth)
+        self._knowledge.ended(t_s=self.robot.now(), length_cm=self.length_cm)
+        self._note(stages=list(self._knowledge.stages), truth=truth)
         self._judge()
         return "vented, thesis protocol" if self.protocol == "thesis" else "vented"
 
     def _truth(self) -> Truth | None:
         """The room's truth so far, with each side's contacts when it was measured."""
-        looked, measured = self._knows.looked.truth, self._knows.measured
+        looked, measured = self._knowledge.looked.truth, self._knowledge.measured
         if looked is None:
             return self.document.truth
         sides = {peak.side for peak in measured.peaks} if measured else set()
@@ -471,7 +485,7 @@ class Exploration:
 
     def _judge(self) -> None:
         """Say what is known of the contacts felt so far, and put it on the disk."""
-        self.document = self._found.judged(self.document)
+        self.document = self._interpreter.judged(self.document)
         self.keep()
 
     def keep(self) -> None:

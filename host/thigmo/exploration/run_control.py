@@ -90,8 +90,8 @@ class RunControl:
     def obey_stop(self) -> None:
         """Called while the robot is waited for; StoppedByViewerError if a viewer wants so."""
         if self._stopped.is_set():
-            what, cure = wire.Fault.STOPPED.words  # as the board's fault says it
-            raise StoppedByViewerError(f"{wire.Fault.STOPPED.key}: {what}", cure)
+            said, cure = wire.Fault.STOPPED.words  # as the board's fault says it
+            raise StoppedByViewerError(f"{wire.Fault.STOPPED.key}: {said}", cure)
 
 
 class Questions:

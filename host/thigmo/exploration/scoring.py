@@ -61,7 +61,7 @@ def judged(
     if prior:
         why = "its place was swept without being felt: it is gone, or the map given is wrong"
         _, obstacles = occupancy(document, config.body.radius_cm, prior)
-        gone = [each for each in obstacles if each.source == GONE]
+        gone = [obstacle for obstacle in obstacles if obstacle.source == GONE]
         missed = (missed or []) + [MissedContact("prior", o.x_cm, o.y_cm, why) for o in gone]
     return replace(document, error_x_cm=error_x, error_cm=error, missed=missed, false=false)
 
@@ -138,21 +138,21 @@ def _why_missed(
             f"moment below threshold: it held the base back by {max(held, 0.0):.5f} 1/cm at most, "
             f"and the trigger takes {TRIGGER_PER_CM} 1/cm"
         )
-    found = [c for c in document.contacts if of_stage(missed, c.everted_length_cm, c.side)]
-    there = [t for t in truth if of_stage(t, stage.everted_length_cm, missed.side)]
-    if found and len(found) < len(there):
+    stage_contacts = [c for c in document.contacts if of_stage(missed, c.everted_length_cm, c.side)]
+    touched = [t for t in truth if of_stage(t, stage.everted_length_cm, missed.side)]
+    if stage_contacts and len(stage_contacts) < len(touched):
         return "not separated from another contact of the same sweep"
     for contact in document.contacts:
         lengths = [*contact.merged, contact.everted_length_cm]
         if not any(of_stage(missed, length, contact.side) for length in lengths):
             continue
         pegs = {t.peg for t in truth for cm in lengths if of_stage(t, cm, contact.side)}
-        if contact not in found or (contact.kind == "peg" and len(pegs) > 1):
+        if contact not in stage_contacts or (contact.kind == "peg" and len(pegs) > 1):
             return (
                 f"felt, and taken for the {contact.kind} that other stages felt at "
                 f"{contact.x_cm:.1f}, {contact.y_cm:.1f} cm"
             )
-    if found:
+    if stage_contacts:
         return "placed elsewhere, beyond three standard deviations of its interval"
     said = [
         f"{t.status}: {t.message}" for t in stage.triggers if t.side == missed.side and t.message
@@ -163,8 +163,8 @@ def _why_missed(
 def _why_false(contact: MapContact, truth: Sequence[TrueContact]) -> str:
     if not contact.side and not contact.force_per_cm2:
         return "nothing stopped the tip: too little body pressure looks like an obstacle ahead"
-    there = [t for t in truth if of_stage(t, contact.everted_length_cm, contact.side)]
-    if not there:
+    touched = [t for t in truth if of_stage(t, contact.everted_length_cm, contact.side)]
+    if not touched:
         return "nothing touched there at the sweep's peak: an error of the map or of the sensors"
-    away = min(float(np.hypot(t.x_cm - contact.x_cm, t.y_cm - contact.y_cm)) for t in there)
+    away = min(float(np.hypot(t.x_cm - contact.x_cm, t.y_cm - contact.y_cm)) for t in touched)
     return f"the nearest true contact of that sweep is {away:.1f} cm away"

@@ -105,8 +105,8 @@ class Interpreter:
         felt = {side: self._felt(side, sweep) for side in self._readable_sides(sweep)}
         return {
             side
-            for side, found in felt.items()
-            if len(found) == 1 and self._well_placed(found[0].contact)
+            for side, likely in felt.items()
+            if len(likely) == 1 and self._well_placed(likely[0].contact)
         }
 
     def _well_placed(self, contact: MapContact) -> bool:
@@ -259,14 +259,14 @@ def _swept_shapes(
         readings = readings[:, use]
         pressure = np.array([frame.pressure_psi for frame in frames])
         held = held_back(frames, side)
-        folds = np.array([pressed_enough(each, config, zone) for each in held])
+        folds = np.array([pressed_enough(deficit, config, zone) for deficit in held])
         end = min([int(pressure.argmax()) + 1, *np.flatnonzero(folds)[:1]])
         way = SIGN[side]
         for part in np.array_split(np.arange(end), _SHAPES_A_SIDE):
             last = part[-_AVERAGED:]
             if not last.size:
                 continue
-            free = way * float(np.mean([frames[each].free_curvature for each in last]))
+            free = way * float(np.mean([frames[index].free_curvature for index in last]))
             bend = way * np.minimum(way * readings[last].mean(axis=0), free)
             error = np.hypot(table.noise[use], gain[use] * bend)
             poses = centreline(measured_bend(length_cm, table.center_cm[use], bend)).poses(1.0)

@@ -159,7 +159,7 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Obstruction | 
         stalls = [
             _stalled(length_cm, bend[:, i], float(start[i]), float(end[i]), rise) for i in here
         ]
-        stuck = [found for found in stalls if found is not None]
+        stuck = [stalled for stalled in stalls if stalled is not None]
         if len(stuck) == len(here):
             tips, lows, highs = zip(*stuck, strict=True)
             tip = float(np.mean(tips))
@@ -261,8 +261,8 @@ def _first_zeros(profile: Profile, table: SensorTable) -> tuple[Profile, Floats,
         design[-2:, 2:] = np.eye(2) * table.noise[first].mean() / _CREEP
         readings = np.vstack([bend, np.zeros((2, bend.shape[1]))])
         fits = []
-        for at in range(_SMOOTH, len(t_s) - _SMOOTH):
-            design[:-2, 1] = np.arange(len(t_s)) >= at
+        for onset in range(_SMOOTH, len(t_s) - _SMOOTH):
+            design[:-2, 1] = np.arange(len(t_s)) >= onset
             fit = np.linalg.lstsq(design, readings)[0]
             fits.append((float(((design @ fit - readings) ** 2).sum()), fit))
         start, step, *creep = min(fits, key=lambda fit: fit[0])[1]

@@ -85,8 +85,8 @@ def _at_base(x: Floats, y: Floats, end: tuple[float, float]) -> float:
     """
     first = x < x[0] + _ONE_PLACE_CM
     after_x, after_y = end if first.all() else (x[~first][0], y[~first][0])
-    here, own = x[first].mean(), y[first].mean()
-    return float(own + (own - after_y) * here / (after_x - here))
+    mean_x, mean_y = x[first].mean(), y[first].mean()
+    return float(mean_y + (mean_y - after_y) * mean_x / (after_x - mean_x))
 
 
 def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
@@ -112,7 +112,7 @@ def common_error(arc_cm: float, centers: Floats, covariance: Floats) -> float:
     arc = np.arange(0.0, arc_cm, _STEP_CM)
     lever = arc_cm - arc
     units = np.eye(len(centers))[:, along]
-    share = np.array([np.interp(arc, centers[along], one) @ lever for one in units])
+    share = np.array([np.interp(arc, centers[along], unit) @ lever for unit in units])
     share /= max(lever.sum(), _STEP_CM)
     return float(np.sqrt(share @ covariance @ share))
 
@@ -175,7 +175,10 @@ def place_contact(
     track = [skin_point(curve, float(s), side, radius_cm)[:2] for s in np.linspace(low, high, 25)]
     if end_offset_cm is not None:
         end, across_face = bend.length_cm, np.copysign(radius_cm, -side) * np.linspace(1.0, -1.0, 9)
-        track += [skin_point(curve, end, side, radius_cm, float(at))[:2] for at in across_face]
+        track += [
+            skin_point(curve, end, side, radius_cm, float(offset_cm))[:2]
+            for offset_cm in across_face
+        ]
     # Along the body: 95 % of a normal error spans 3.92 standard deviations.
     heading = curve.pose(arc)[2]
     along = (high - low) / 3.92 * np.array([np.cos(heading), np.sin(heading)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import nan
 
@@ -37,6 +37,9 @@ FALSE_ALARMS = 0.05
 _SURELY, _NEAR = 3.0, 5.0
 # Everted length by the spool's encoder, and the side against the corner of the end, cm.
 _LENGTH_CM = 0.1
+# Sum of squares over the number of independent readings that a model which holds leaves on average.
+# Where one peg leaves more, though possible, it is weighed against two and a wall.
+_USUAL = 1.0
 _TRACK = 25  # points
 _FEW_ROUNDS = 3
 _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
@@ -44,6 +47,9 @@ _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
 # Probability of a touch before the first bin, where no reading shows when it came, beyond which a
 # contact that one length alone has felt is not placed.
 _EARLY = 0.5
+
+# Share of obstacles that give way for good under a body's force: doors, loose pegs.
+_GIVES_WAY = 0.1
 
 _NAMES = {PEG: "peg", PEGS: "two pegs", WALL: "wall"}
 UNEXPLAINED_WORDS = "the model does not explain these sweeps"
@@ -85,6 +91,7 @@ class FieldContact:
     peg_radius_cm: float  # posterior median; NaN for a wall
     friction: float  # posterior mean
     yield_cm: float  # posterior mean, of the obstacle under its force
+    gave_way_at: float | None  # bend of the free body, 1/cm, from which on it was gone
 
 
 def contacts(
@@ -116,20 +123,22 @@ def _contacts(
 ) -> list[FieldContact]:
     search = Search(readings, errors, atlas)
     peg = _one_peg(search, expected)
-    if peg is None:
-        return []
-    if _explains(peg, readings):
+    if peg is not None and _explains(peg, readings) and peg.misfit * ALIKE <= _USUAL:
         return _answer(search, [peg], "")
-    explanations = [peg]
+    gone = _gave_way(search, errors, atlas, expected)
+    explanations = [samples for samples in (peg, gone) if samples is not None]
+    if not explanations:
+        return []
+    explanations.sort(key=lambda samples: -samples.log_evidence)
+    if explanations[0] is gone and not _doubt(explanations, readings):
+        return _answer(search, explanations, "")
     for sought in (search.pairs, search.walls):
         modes = sought()
         if modes and max(map(search.laplace, modes)) > explanations[0].log_evidence - _NEAR:
             samples = _sampled(search, [modes], expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
-        if not (doubt := _doubt(explanations, readings)):
-            break
-    return _answer(search, explanations, doubt)
+    return _answer(search, explanations, _doubt(explanations, readings))
 
 
 def _doubt(explanations: list[Samples], readings: Readings) -> str:
@@ -152,6 +161,23 @@ def _one_peg(search: Search, expected: Callable[[Floats], Floats] | None) -> Sam
     return samples
 
 
+def _gave_way(
+    search: Search, errors: Errors, atlas: Atlas, expected: Callable[[Floats], Floats] | None
+) -> Samples | None:
+    """Samples of one peg that gave way in some bin; None where one that stays is likelier."""
+    prior = float(np.log(_GIVES_WAY / len(search.readings.bend)))
+    release = atlas.release(search.fit, search.nothing)
+    if release is None or release.gain + prior < max(release.stays, LEAST_GAIN):
+        return None
+    samples = _one_peg(
+        Search(replace(search.readings, standing=release.standing), errors, atlas), expected
+    )
+    if samples is None:
+        return None
+    samples = replace(samples, log_evidence=samples.log_evidence + prior)
+    return samples if _log_odds(search, samples) > np.log(_REFUSED) else None
+
+
 def _sampled(
     search: Search, chains: list[list[Mode]], expected: Callable[[Floats], Floats] | None
 ) -> Samples | None:
@@ -169,8 +195,13 @@ def _log_odds(search: Search, samples: Samples) -> float:
 
 
 def _explains(samples: Samples, readings: Readings) -> bool:
-    """Whether samples leave no more than a model that holds, and enough of them agree."""
-    return samples.misfit * ALIKE <= _most_misfit(readings) and samples.effective >= ENOUGH
+    """Whether samples leave no more than a model that holds, and enough of them agree.
+
+    Where one peg does not explain the readings, much may stand there that is no hypothesis: a row
+    of dowels, a corner, a third peg. So other explanations must leave no more than is usual.
+    """
+    most = _most_misfit(readings) if samples.hypothesis == PEG else _USUAL
+    return samples.misfit * ALIKE <= most and samples.effective >= ENOUGH
 
 
 def _most_misfit(readings: Readings) -> float:
@@ -299,13 +330,19 @@ def _placed(
         kind="peg" if is_peg else "wall",
         face=face,
         explanations={
-            _NAMES[one.hypothesis]: float(probability)
+            _name(one): float(probability)
             for one, probability in zip(explanations, probabilities, strict=True)
         },
         peg_radius_cm=_quantiles(radii, weight, (0.5, 0.5))[0] if is_peg else nan,
         friction=float(weight @ np.abs(q[:, FRICTION])),
         yield_cm=float(weight @ (samples.compliance[on] * np.abs(force))),
+        gave_way_at=samples.gave_way_at,
     )
+
+
+def _name(samples: Samples) -> str:
+    name = _NAMES[samples.hypothesis]
+    return name if samples.gave_way_at is None else f"{name} that gave way"
 
 
 def _nearest(samples: Samples, stage: int, mean: Floats) -> tuple[Floats, Floats]:

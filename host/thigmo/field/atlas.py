@@ -6,6 +6,7 @@ touches serve every side, stage and run of one robot, and a search costs one pro
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ _ROW_TURN = 0.084  # rad of the whole body between rows of a table
 _KEPT = 3
 _CELLS, _MESH = 53, 5.0 / 53  # at whose ends headings are kept; of the elastica, a length
 _SHOWS = 1e-4  # 1/cm: a place that changes no reading by more explains nothing
+_PARTS = 0.25, 0.5, 0.75, 1.0  # of the bin in which a peg gives way
 _APART = 1.6, 2.6  # steps of arc and bend within which two places lead to one fit
 
 
@@ -34,6 +36,41 @@ class Place(NamedTuple):
     gain: float  # log likelihood beyond that of nothing, errors linearised
     arc: float
     bend: float
+
+
+class Release(NamedTuple):
+    """A peg that gave way."""
+
+    standing: Floats  # (n,) share of each bin in which it stood
+    gain: float  # log likelihood beyond that of nothing, errors linearised, and
+    stays: float  # that of a peg that stays
+
+
+class _Pegs(NamedTuple):
+    """What p pegs would change in n bins of m sensors, whitened."""
+
+    touches: list[tuple[float, float]]  # (p,) arc and bend
+    z: Floats  # (n, m) departures from nothing
+    white: Floats  # (n, m, p)
+    shared: Floats  # (errors, n, m): of departures d the errors' best fit takes |shared d|^2 off
+
+    def gains(self) -> Floats:
+        """(p,) log likelihood of each peg, beyond that of nothing."""
+        *_, (_, _, gains) = self.gains_so_far()
+        return gains
+
+    def gains_so_far(self) -> Iterator[tuple[int, float, Floats]]:
+        """Of pegs that give way in a bin, after a part of it: (p,) gains, and bin and part."""
+        explained = np.einsum("enm,nm->e", self.shared, self.z)
+        left, squares = explained[:, None], np.zeros(len(self.touches))
+        bins = zip(self.z, self.white, np.moveaxis(self.shared, 1, 0), strict=True)
+        for n, (z, white, shared) in enumerate(bins):
+            moved, product, size = shared @ white, z @ white, np.sum(white**2, axis=0)
+            for part in _PARTS:
+                rest, more = left - part * moved, part**2 * size - 2 * part * product
+                after = squares + more - np.sum(rest**2, axis=0)
+                yield n, part, -0.5 * (after + explained @ explained)
+            left, squares = left - moved, squares + size - 2 * product
 
 
 class _Table(NamedTuple):
@@ -93,6 +130,31 @@ class Atlas:
         Errors are linearised where calibration is right: those that explain a touch by no obstacle
         are far from it.
         """
+        pegs = self._pegs(fit, nothing)
+        if not pegs.touches:
+            return []
+        gains = pegs.gains()
+        best: list[Place] = []
+        for n in np.argsort(-gains):
+            place = Place(float(gains[n]), *pegs.touches[n])
+            if all(self._apart(place, other) for other in best):
+                best.append(place)
+            if len(best) == _KEPT:
+                break
+        return best
+
+    def release(self, fit: FieldFit, nothing: Mode) -> Release | None:
+        """From which bin on a peg was gone, if one stood there and gave way: the likeliest."""
+        pegs = self._pegs(fit, nothing)
+        if not pegs.touches or len(pegs.z) < 2:
+            return None
+        gains = np.array([gains.max() for _, _, gains in pegs.gains_so_far()])
+        last, part = divmod(int(np.argmax(gains[:-1])), len(_PARTS))
+        standing = np.zeros(len(pegs.z))
+        standing[:last], standing[last] = 1.0, _PARTS[part]
+        return Release(standing, float(gains[:-1].max()), float(gains[-1]))
+
+    def _pegs(self, fit: FieldFit, nothing: Mode) -> _Pegs:
         right = fit.free()
         d = fit.departures(nothing.tables, right)
         z, effect = d.noise.whitened(d.left), d.noise.whitened(d.prediction.effect.dense())
@@ -112,22 +174,14 @@ class Atlas:
                     heading = table.heading[k] * (1 - u[on]) + table.heading[k + 1] * u[on]
                     change[on] = heading @ mean
         changes[:, fit.missing] = 0.0
+        changes *= fit.standing[:, None]
         shows = np.flatnonzero(np.abs(changes).max(axis=(1, 2)) > _SHOWS)
-        if not shows.size:
-            return []
-        # Of departures z - c the errors' best fit takes |shared (z - c)|^2 off.
-        left = z[:, None] - d.noise.whitened(np.moveaxis(changes[shows], 0, -1))
-        before = z @ z - np.sum((shared @ z) ** 2)
-        after = np.sum(left**2, axis=0) - np.sum((shared @ left) ** 2, axis=0)
-        gains = 0.5 * (before - after)
-        best: list[Place] = []
-        for n in np.argsort(-gains):
-            place = Place(float(gains[n]), *self.touches[shows[n]])
-            if all(self._apart(place, other) for other in best):
-                best.append(place)
-            if len(best) == _KEPT:
-                break
-        return best
+        white = d.noise.whitened(np.moveaxis(changes[shows], 0, -1))
+        n, m = r.curvature.shape
+        return _Pegs(
+            [self.touches[k] for k in shows],
+            z.reshape(n, m), white.reshape(n, m, -1), shared.reshape(-1, n, m),
+        )  # fmt: skip
 
     def _apart(self, one: Place, other: Place) -> bool:
         arcs = abs(one.arc - other.arc) / (_APART[0] * self._arc_step)

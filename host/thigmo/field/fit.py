@@ -204,6 +204,9 @@ class FieldFit:
         self._rows = [
             min(int(BEYOND * g / self.step) + 4, self.bends.size) for g in np.maximum(highest, 0.0)
         ]
+        self.standing = np.ones(readings.bend.size)
+        if readings.standing is not None:
+            self.standing = readings.standing
         self._lay_out()
 
     def _lay_out(self) -> None:
@@ -319,6 +322,11 @@ class FieldFit:
         k, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[:, None]
         low, high = tables.mean[r.stage, k], tables.mean[r.stage, k + 1]
         shift = tables.shift[r.stage, k] * (1 - u) + tables.shift[r.stage, k + 1] * u
+        if r.standing is not None:
+            stood, free = self.standing[:, None], self.bends[:, None]
+            low = stood * low + (1 - stood) * free[k]
+            high = stood * high + (1 - stood) * free[k + 1]
+            shift = stood * shift
         true = low * (1 - u) + high * u + shift * place
         back = true < 0  # a flex sensor answers less to a bend against its valid direction
         against = np.ones(m) if e.against is None else e.against
@@ -350,7 +358,8 @@ class FieldFit:
         """(n, m, unknowns) derivatives of a prediction by what stands there."""
         stage, part = self.readings.stage, at.part[:, None, None]
         below, above = tables.by_q[stage, at.row], tables.by_q[stage, at.row + 1]
-        slopes: Floats = at.answer[..., None] * (below * (1 - part) + above * part)
+        stood = (self.standing[:, None] * at.answer)[..., None]
+        slopes: Floats = stood * (below * (1 - part) + above * part)
         return slopes
 
     def departures(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Departures:

@@ -85,6 +85,7 @@ class Samples:
     compliance: Floats  # (n,) of the obstacles, cm^3
     misfit: float  # of the likeliest, over the number of readings
     log_evidence: float  # with the prior odds of the obstacles
+    gave_way_at: float | None = None  # bend of the free body, 1/cm, from which on it was gone
 
     @property
     def effective(self) -> float:
@@ -102,8 +103,17 @@ class Search:
         self._rough = FieldFit(readings, errors, model=ROUGH, row=2.0)
         self.nothing = self.fit.nothing()
         self.places = atlas.search(self.fit, self.nothing)
+        # The last bin of each stage in which what stands there still stood; -1: none.
+        stood = self.fit.standing > 0.0
         stages = range(len(readings.stages))
-        self._peaks = np.array([np.flatnonzero(readings.stage == s)[-1] for s in stages])
+        self._peaks = [
+            int(np.flatnonzero(stood & (readings.stage == s)).max(initial=-1)) for s in stages
+        ]
+
+    def _gave_way_at(self) -> float | None:
+        if self.readings.standing is None:
+            return None
+        return float(self.readings.bend[np.flatnonzero(self.readings.standing)[-1]])
 
     def ridges(self, known: Sequence[Mode] = (), keep: int = 2) -> list[list[Mode]]:
         """Chains of modes along the ridges of the likeliest places; `known`: of earlier sweeps."""
@@ -308,7 +318,7 @@ class Search:
             hypothesis, q, np.array([d.levels for d in drawn]),
             np.array([d.touch for d in drawn]), weight,
             np.abs(q[:, YIELD]) * fit.body.yield_unit,
-            best.misfit / float(np.sum(~fit.missing)), total,
+            best.misfit / float(np.sum(~fit.missing)), total, self._gave_way_at(),
         )  # fmt: skip
 
     def _likely_levels(self, mode: Mode) -> list[int]:
@@ -355,7 +365,7 @@ class Search:
         touch = np.full((len(self.readings.stages), hypothesis.obstacles, 5), np.nan)
         k, u = np.divmod(fit.bend(best, spread)[self._peaks] / fit.step, 1)
         for s, on in enumerate(tables.touch):
-            if on is not None:
+            if on is not None and self._peaks[s] >= 0:
                 row = min(int(k[s]), len(on.arc) - 2)
                 low, high = (np.array([part[n] for part in on]).T for n in (row, row + 1))
                 touch[s] = np.where(np.isfinite(low), low + u[s] * (high - low), high)

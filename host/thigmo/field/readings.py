@@ -40,6 +40,7 @@ class Readings:
     spans: Floats  # (m,) cm
     fold_moment: Floats  # (zones,) contact moment over EI that folds the base, 1/cm
     radius: float  # of the tube, cm
+    standing: Floats | None = None  # (n,) share of each bin before what stood there gave way
 
     def at_length(self, length: float) -> Readings:
         """The bins of the sweeps at an everted length."""
@@ -54,7 +55,7 @@ class Readings:
             self, curvature=self.curvature[rows], noise=self.noise[rows], bend=self.bend[rows],
             rate=self.rate[rows], stage=np.searchsorted(kept, self.stage[rows]),
             sweep=renumbered(self.sweep), zeroing=renumbered(self.zeroing),
-            stages=tuple(self.stages[n] for n in kept),
+            stages=tuple(self.stages[n] for n in kept), standing=None,
         )  # fmt: skip
 
 

@@ -65,7 +65,7 @@ def text(message: Message) -> bytes:
         {
             "place": contact.place_text, "along": contact.along_text,
             "interval": contact.interval_text, "force": contact.force_text,
-            "certainty": contact.certainty_text,
+            "certainty": contact.certainty_text, "kind": contact.kind_text,
         }
         for contact in message.contacts
     ]  # fmt: skip

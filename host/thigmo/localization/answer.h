@@ -1,9 +1,9 @@
 // From weighed hypotheses to an answer: a mixture over them, intervals, one rule for statuses.
 //
 // Two claims are kept apart. The number of contacts counts those that move the readings by enough
-// (`felt`), over all hypotheses. Each contact that is listed has the set of places where, in every
-// hypothesis and whatever its number, the contact nearest to its best point lies. A contact is
-// localized if that set is no wider than the limit, and the contact is there with the level's
+// (`detected`), over all hypotheses. Each contact that is listed has the set of places where, in
+// every hypothesis and whatever its number, the contact nearest to its best point lies. A contact
+// is localized if that set is no wider than the limit, and the contact is there with the level's
 // probability.
 #pragma once
 
@@ -13,7 +13,7 @@
 
 namespace thigmo {
 
-struct FeltContact {
+struct DetectedContact {
   double arc, force, low, high, deviation, offset = NAN;
   bool localized;
   std::vector<std::pair<double, double>> pieces;
@@ -29,8 +29,8 @@ struct Answer {
   Status status = Status::no_contact;
   Problem problem = Problem::none;
   double shows = 0.0;  // a number that shows the problem
-  std::vector<FeltContact> contacts;
-  std::array<double, 4> number{};  // probability of each number of felt contacts
+  std::vector<DetectedContact> contacts;
+  std::array<double, 4> number{};  // probability of each number of detected contacts
   double touched = 0.0;            // of any contact
   std::vector<Hypothesis> hypotheses;
   Row probability;  // of each
@@ -57,8 +57,8 @@ struct Answer {
 // A share of the posterior: its mass, and that times the means of a force and of its square.
 struct Moments {
   double mass = 0.0, force = 0.0, square = 0.0;
-  void add(double share, const Moments& of) {
-    mass += share * of.mass, force += share * of.force, square += share * of.square;
+  void add(double share, const Moments& moments) {
+    mass += share * moments.mass, force += share * moments.force, square += share * moments.square;
   }
 };
 
@@ -70,12 +70,12 @@ class Mixture {
   // What lies in the cells of a grid.
   struct Part {
     const Cells* cells;
-    std::vector<Moments> of;
+    std::vector<Moments> moments;
   };
   Mixture(const std::vector<Part>& parts, Window within) {
-    edges.reserve(parts.empty() ? 2 : parts[0].of.size() + 3);
+    edges.reserve(parts.empty() ? 2 : parts[0].moments.size() + 3);
     edges.push_back(within.near);
-    for (const auto& [cells, of] : parts) {
+    for (const auto& [cells, moments] : parts) {
       const auto from = static_cast<std::ptrdiff_t>(edges.size());
       for (const double place : cells->place) add_edge(place - 0.5 * cells->width, within);
       add_edge(cells->place.back() + 0.5 * cells->width, within);
@@ -88,24 +88,25 @@ class Mixture {
     edges.back() = within.far;
     const std::size_t count = edges.size() - 1;
     std::vector<Moments> all(count);
-    for (const auto& [cells, of] : parts) {
+    for (const auto& [cells, moments] : parts) {
       const double near = cells->place.front() - 0.5 * cells->width, per = 1.0 / cells->width;
       for (std::size_t c = 0; c < count; ++c) {
         const double into = (0.5 * (edges[c] + edges[c + 1]) - near) * per;
-        if (into < 0.0 || into >= static_cast<double>(of.size())) continue;
-        all[c].add((edges[c + 1] - edges[c]) * per, of[static_cast<std::size_t>(into)]);
+        if (into < 0.0 || into >= static_cast<double>(moments.size())) continue;
+        all[c].add((edges[c + 1] - edges[c]) * per, moments[static_cast<std::size_t>(into)]);
       }
     }
     double total = 0.0;
-    for (const Moments& each : all) total += each.mass;
+    for (const Moments& moments : all) total += moments.mass;
     mass = force = spread = Row(count);
     for (std::size_t c = 0; c < count; ++c) {
-      const auto& [own, first, second] = all[c];
+      const auto& [weight, first, second] = all[c];
       // Where nothing of the posterior is within, that is all that is known.
-      mass[c] = total > 0.0 ? own / total : (edges[c + 1] - edges[c]) / (within.far - within.near);
-      if (own == 0.0) continue;
-      force[c] = first / own;
-      spread[c] = std::sqrt(std::max(second / own - force[c] * force[c], 0.0));
+      mass[c] =
+          total > 0.0 ? weight / total : (edges[c + 1] - edges[c]) / (within.far - within.near);
+      if (weight == 0.0) continue;
+      force[c] = first / weight;
+      spread[c] = std::sqrt(std::max(second / weight - force[c] * force[c], 0.0));
     }
   }
 
@@ -193,22 +194,22 @@ class Posterior {
       : hypotheses_(hypotheses), probability_(probability), asked_(asked) {
     for (std::size_t k = 0; k < hypotheses.size(); ++k) {
       const Hypothesis& h = hypotheses[k];
-      if (h.shares.contacts.empty()) felt[0] += probability[k];
-      for (const FeltSet& set : h.shares.sets) {
+      if (h.shares.contacts.empty()) detected[0] += probability[k];
+      for (const DetectedSet& set : h.shares.sets) {
         listed[set.count] += probability[k] * set.mass;
-        felt[set.count] += probability[k] * set.mass * set.felt;
-        felt[0] += probability[k] * set.mass * (1.0 - set.felt);
+        detected[set.count] += probability[k] * set.mass * set.detected;
+        detected[0] += probability[k] * set.mass * (1.0 - set.detected);
       }
       if (counts(h)) most_ = std::max(most_, probability[k]);
     }
-    for (std::array<double, 4>* shares : {&felt, &listed}) {  // what is unlikely was left out
+    for (std::array<double, 4>* shares : {&detected, &listed}) {  // what is unlikely was left out
       const double sum = std::accumulate(shares->begin(), shares->end(), 0.0);
       for (double& share : *shares) share /= std::max(sum, 1e-300);
     }
   }
 
-  // Probability of so many contacts that are felt; and of so many to be listed, one at least.
-  std::array<double, 4> felt{}, listed{};
+  // Probability of so many contacts that are detected; and of so many to be listed, one at least.
+  std::array<double, 4> detected{}, listed{};
 
   // Where the contacts lie that `choose` picks: of a set it returns one's index, or -1.
   template <class Choose>
@@ -226,25 +227,26 @@ class Posterior {
         }
         part[j] = parts.size() - 1;
       }
-      for (const FeltSet& set : sets) {
+      for (const DetectedSet& set : sets) {
         const int i = choose(set);
         if (i < 0) continue;
-        parts[part[set.contact[i]]].of[set.cell[i]].add(probability_[k] * set.mass,
-                                                        {1.0, set.force[i], set.square[i]});
+        parts[part[set.contact[i]]].moments[set.cell[i]].add(probability_[k] * set.mass,
+                                                             {1.0, set.force[i], set.square[i]});
       }
     }
     return Mixture(parts, within);
   }
 
   // Of each of the arcs: probability that a contact lies nearer to it than to the others.
-  Row present(const Row& of) const {
-    Row out(of.size());
+  Row present(const Row& arcs) const {
+    Row out(arcs.size());
     for (std::size_t k = 0; k < hypotheses_.size(); ++k) {
-      for (const FeltSet& set : hypotheses_[k].shares.sets) {
-        std::array<bool, kMostContacts> there{};
-        for (int i = 0; i < set.count; ++i) there[nearest(of.data(), of.size(), set.arc[i])] = true;
-        for (std::size_t j = 0; j < of.size(); ++j) {
-          out[j] += there[j] * probability_[k] * set.mass;
+      for (const DetectedSet& set : hypotheses_[k].shares.sets) {
+        std::array<bool, kMostContacts> present_at{};
+        for (int i = 0; i < set.count; ++i)
+          present_at[nearest(arcs.data(), arcs.size(), set.arc[i])] = true;
+        for (std::size_t j = 0; j < arcs.size(); ++j) {
+          out[j] += present_at[j] * probability_[k] * set.mass;
         }
       }
     }
@@ -252,10 +254,10 @@ class Posterior {
   }
 
   // Index of the one of some arcs that is nearest to another.
-  static int nearest(const double* of, std::size_t count, double arc) {
+  static int nearest(const double* arcs, std::size_t count, double arc) {
     int out = 0;
     for (int j = 1; j < static_cast<int>(count); ++j) {
-      if (std::abs(of[j] - arc) < std::abs(of[out] - arc)) out = j;
+      if (std::abs(arcs[j] - arc) < std::abs(arcs[out] - arc)) out = j;
     }
     return out;
   }
@@ -281,9 +283,9 @@ inline void check(const Readings& readings, const Hypothesis& hypothesis, const 
   frame.excess = hypothesis.left;
   const int bad = hypothesis.bad, n = frame.size();
   if (bad >= 0) frame.share({bad, {readings.bad[bad]}});
-  const Whitener by(frame, hypothesis.level);
+  const Whitener whitener(frame, hypothesis.level);
   Row rest = frame.excess_by(hypothesis.level);
-  const Row white = by(rest), weighted = by.raised(white);
+  const Row white = whitener(rest), weighted = whitener.precision_weighted(white);
   out.misfit = Whitener::dot(white.data(), white.data(), n);
   out.freedom = n - hypothesis.numbers - (bad >= 0);
   if (bad >= 0) {  // what is bad of a reading stays in its residual
@@ -300,19 +302,20 @@ inline void check(const Readings& readings, const Hypothesis& hypothesis, const 
   for (int i = 0; i < n; ++i) {
     out.residual[readings.index[i]] = rest[i] / options.length;
     if (i == bad) continue;
-    const double own = rest[i] / frame.noise[i];
-    square += own * own, product += own * before, before = own;
+    const double white_residual = rest[i] / frame.noise[i];
+    square += white_residual * white_residual, product += white_residual * before,
+        before = white_residual;
   }
   if (options.direction.rows == 0 && square > 0.0)
     out.correlation = product / square * std::sqrt(n);
 }
 
-inline void conclude(Explanations& weighing, const Options& options, Answer& out) {
+inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
   const Priors& priors = options.priors;
   constexpr double kNearEnd = 0.95;  // from here on a contact and a hold of the end are one place
   weighing.run();
   const Readings& readings = weighing.readings;
-  out.hypotheses = std::move(weighing.found);
+  out.hypotheses = std::move(weighing.hypotheses);
   double top = -INFINITY, total = 0.0, none = 0.0;
   for (const Hypothesis& h : out.hypotheses) top = std::max(top, h.log_weight);
   for (const Hypothesis& h : out.hypotheses) {
@@ -326,14 +329,14 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
     for (std::size_t m = 0; m < out.mistakes.size(); ++m) {
       out.mistakes[m] += out.probability[k] * h.mistakes[m];
     }
-    const bool kinks =
-        std::any_of(h.loads.begin(), h.loads.end(), [](const Loaded& l) { return l.load->kinks; });
-    if (kinks || !std::isnan(h.at)) out.kinked += out.probability[k];
+    const bool kinks = std::any_of(h.loads.begin(), h.loads.end(),
+                                   [](const PlacedLoad& l) { return l.load->kinks; });
+    if (kinks || !std::isnan(h.kink_arc)) out.kinked += out.probability[k];
   }
   out.log_evidence = top + std::log(total) + readings.frame.size() * std::log(options.length);
   out.log_odds = std::log(std::max(out.touched, 1e-300) / std::max(none, 1e-300));
   const Posterior posterior(out.hypotheses, out.probability, options.contacts);
-  out.number = posterior.felt;
+  out.number = posterior.detected;
   out.radius = options.radius;
   std::size_t count = 1;
   for (std::size_t k = 2; k < 4; ++k) {
@@ -373,7 +376,7 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
   const Window within = count == 1 ? options.within : Window{0.0, 1.0};
   Row medians(count);
   for (std::size_t j = 0; j < count; ++j) {
-    const auto ordinal = [&](const FeltSet& set) {
+    const auto ordinal = [&](const DetectedSet& set) {
       return set.count == static_cast<int>(count) ? static_cast<int>(j) : -1;
     };
     medians[j] = posterior.mixture(within, ordinal).quantile(0.5);
@@ -381,49 +384,49 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
   const Row present = count > 0 ? posterior.present(medians) : Row{};
   for (std::size_t j = 0; j < count; ++j) {
     const auto nearest_to = [&](double arc) {
-      return posterior.mixture(within, [&](const FeltSet& set) {
+      return posterior.mixture(within, [&](const DetectedSet& set) {
         return Posterior::nearest(set.arc.data(), set.count, arc);
       });
     };
-    FeltContact felt;
-    felt.arc = medians[j];
-    felt.probability = present[j];
-    Mixture mixture = nearest_to(felt.arc);
-    felt.pieces = mixture.densest(priors.level);
+    DetectedContact contact;
+    contact.arc = medians[j];
+    contact.probability = present[j];
+    Mixture mixture = nearest_to(contact.arc);
+    contact.pieces = mixture.densest(priors.level);
     // A less likely place far away, such as the end, would draw a single contact's median to where
     // hardly any mass is.
-    if (count == 1 && felt.pieces.size() > 1) {
-      felt.arc = mixture.median_of_piece(priors.level);
-      mixture = nearest_to(felt.arc);
-      felt.pieces = mixture.densest(priors.level);
+    if (count == 1 && contact.pieces.size() > 1) {
+      contact.arc = mixture.median_of_piece(priors.level);
+      mixture = nearest_to(contact.arc);
+      contact.pieces = mixture.densest(priors.level);
     }
-    felt.low = felt.pieces.front().first;
-    felt.high = felt.pieces.back().second;
-    felt.force = mixture.force[mixture.cell(felt.arc)];
-    const bool placed = sure && (asked || felt.probability > 1.0 - priors.excluded) &&
-                        felt.high - felt.low <= options.width_limit;
-    felt.localized = placed && (!perhaps || felt.arc >= kNearEnd);
-    out.end_open |= placed && !felt.localized;
-    if (felt.arc >= 1.0 - priors.end_cell) {  // on the end: where, says its likeliest load
+    contact.low = contact.pieces.front().first;
+    contact.high = contact.pieces.back().second;
+    contact.force = mixture.force[mixture.cell(contact.arc)];
+    const bool placed = sure && (asked || contact.probability > 1.0 - priors.excluded) &&
+                        contact.high - contact.low <= options.width_limit;
+    contact.localized = placed && (!perhaps || contact.arc >= kNearEnd);
+    out.end_open |= placed && !contact.localized;
+    if (contact.arc >= 1.0 - priors.end_cell) {  // on the end: where, says its likeliest load
       double heaviest = 0.0;
       for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
         const Hypothesis& h = out.hypotheses[k];
         if (h.on_end() && h.shares.contacts.size() == 1 && out.probability[k] > heaviest) {
           heaviest = out.probability[k];
-          felt.offset = h.offset(options.radius);
-          felt.arc = 1.0;
-          felt.force = h.shares.sets[0].force[0];
+          contact.offset = h.offset(options.radius);
+          contact.arc = 1.0;
+          contact.force = h.shares.sets[0].force[0];
         }
       }
     }
-    felt.deviation = mixture.departure(felt.force, felt.pieces);
+    contact.deviation = mixture.departure(contact.force, contact.pieces);
     if (j < best.forces.size()) {
       const double size = std::sqrt(std::max(dot(best.forces[j], best.forces[j]), 1e-300));
-      felt.vector = plus({}, felt.force / size, best.forces[j]);
+      contact.vector = plus({}, contact.force / size, best.forces[j]);
     }
-    felt.edges = std::move(mixture.edges), felt.mass = std::move(mixture.mass);
-    felt.force_at = std::move(mixture.force), felt.spread = std::move(mixture.spread);
-    out.contacts.push_back(std::move(felt));
+    contact.edges = std::move(mixture.edges), contact.mass = std::move(mixture.mass);
+    contact.force_at = std::move(mixture.force), contact.spread = std::move(mixture.spread);
+    out.contacts.push_back(std::move(contact));
   }
   if (count == 0 || (asked && out.touched < 0.5)) {
     // What moves no reading can never be excluded, and is no hint.
@@ -432,7 +435,7 @@ inline void conclude(Explanations& weighing, const Options& options, Answer& out
     out.status = hint ? Status::below_detection : Status::no_contact;
   } else {
     const bool all_localized = std::all_of(out.contacts.begin(), out.contacts.end(),
-                                           [](const FeltContact& c) { return c.localized; });
+                                           [](const DetectedContact& c) { return c.localized; });
     out.status = all_localized ? Status::localized : Status::ambiguous;
   }
   // From here on in the caller's order.
@@ -445,7 +448,7 @@ inline Answer answer(const Input& input, const Options& options) {
   Answer out;
   std::tie(out.problem, out.shows) = problem_of(input, options);
   if (out.problem != Problem::none) return out;
-  Explanations weighing(normalised(input, options), input, options);
+  Weighing weighing(normalised(input, options), input, options);
   conclude(weighing, options, out);
   return out;
 }

@@ -76,10 +76,10 @@ def remarks(
         for name, share in zip(MISTAKES, mistakes, strict=True)
         if name in _REMARKS and share > _CERTAIN.get(name, _LIKELY)
     ]
-    found = [remark for _, remark in sorted(likely, reverse=True)]
+    likely_remarks = [remark for _, remark in sorted(likely, reverse=True)]
     if noise_stated and deviate(misfit, freedom) < _TOO_SMALL:
-        found.append("the noise is far below what was stated: check it")
+        likely_remarks.append("the noise is far below what was stated: check it")
     correlated = _REMARKS["neighbours correlated"]
-    if sensors >= _DENSE and correlation > _CORRELATED and correlated not in found:
-        found.append(correlated)
-    return tuple(found)
+    if sensors >= _DENSE and correlation > _CORRELATED and correlated not in likely_remarks:
+        likely_remarks.append(correlated)
+    return tuple(likely_remarks)

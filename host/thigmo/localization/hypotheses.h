@@ -24,7 +24,7 @@
 namespace thigmo {
 
 struct Hypothesis {
-  const Explanation* of;
+  const HypothesisKind* kind;
   double log_weight;         // log evidence plus log prior odds
   Row bent{};                // curvature of the free body, and by its likeliest loads
   Row shape{};               // the same, with what the model of the errors says bends the
@@ -34,57 +34,58 @@ struct Hypothesis {
   Row left{};                // (N,) readings less those of the likeliest loads
   // Probability of each mistake, and of a noise larger than stated.
   std::array<double, kMistakes + 1> mistakes{};
-  Row level_shares{};            // probability of each model of the errors
-  int numbers = 0;               // how many numbers of its own it fits
-  int bad = -1;                  // index of the bad reading
-  double at = NAN;               // place of a kink
-  std::vector<Loaded> loads{};   // the likeliest
-  Shares shares{};               // places of its contacts, base to tip
+  Row level_shares{};               // probability of each model of the errors
+  int numbers = 0;                  // how many numbers of its own it fits
+  int bad = -1;                     // index of the bad reading
+  double kink_arc = NAN;            // place of a kink
+  std::vector<PlacedLoad> loads{};  // the likeliest
+  Shares shares{};                  // places of its contacts, base to tip
   std::vector<Vector> forces{};  // in space: of its contacts, across the body, in the base's frame
 
   bool held() const {
-    return std::any_of(loads.begin(), loads.end(), [](const Loaded& l) { return l.load->holds(); });
+    return std::any_of(loads.begin(), loads.end(),
+                       [](const PlacedLoad& l) { return l.load->holds(); });
   }
-  const Loaded* on_end() const {
-    for (const Loaded& each : loads) {
-      if (each.load->where == Load::Where::end) return &each;
+  const PlacedLoad* on_end() const {
+    for (const PlacedLoad& load_columns : loads) {
+      if (load_columns.load->where == Load::Where::end) return &load_columns;
     }
     return nullptr;
   }
   // In a plane: force that pushes the end back and couple on it, each with its standard deviation.
   std::array<double, 4> end_load() const {
-    const Loaded* end = on_end();
+    const PlacedLoad* end = on_end();
     if (!end || !forces.empty()) return {NAN, NAN, NAN, NAN};
     return {end->value[1], end->spread[1], end->value[2], end->spread[2]};
   }
   // In a plane: where a force on the end's face bears, left of the centreline.
   double offset(double radius) const {
-    const Loaded* end = on_end();
+    const PlacedLoad* end = on_end();
     if (!end || end->load->holds() || !(end->value[1] > 0.0) || !forces.empty()) return NAN;
     return std::clamp(end->value[2] / end->value[1], -radius, radius);
   }
 };
 
-class Explanations {
+class Weighing {
  public:
-  static constexpr double kMatters = -3.0;         // log share from which a rival has its own grid
-  static constexpr double kNegligible = -4.6;      // the same of three that are felt, or left out
+  static constexpr double kMatters = -3.0;     // log share from which a rival has its own grid
+  static constexpr double kNegligible = -4.6;  // the same of three that are detected, or left out
   static constexpr double kSeveralMatter = -1.5;   // the same of several contacts
   static constexpr double kHopelessLevel = -12.0;  // the same of a model of the errors
-  static constexpr double kFarFromIt =
+  static constexpr double kHopelessAtFirstShape =
       -40.0;  // the same at a first shape, as of none that is right
   // The same while a twist is found, which goes too far at first: to -94 in 800 frames.
-  static constexpr double kTwistFarFromIt = -400.0;
+  static constexpr double kHopelessWhileTwisting = -400.0;
   static constexpr int kTwistTurns = 5;
   static constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
-  static constexpr double kNothingOfAll = 1e-4;
+  static constexpr double kNegligibleShare = 1e-4;
   static constexpr int kMostPasses = 18, kMostTurns = 24;
 
   Readings readings;
-  std::vector<Hypothesis> found;
+  std::vector<Hypothesis> hypotheses;
   double explained = 0.0;  // misfit of a free body that one contact takes away, if more than half
 
-  Explanations(Readings&& given, const Input& in, const Options& options)
+  Weighing(Readings&& given, const Input& in, const Options& options)
       : readings(std::move(given)),
         frame_(readings.frame),
         options_(options),
@@ -94,9 +95,9 @@ class Explanations {
         contact_(readings.known ? priors_.contact : priors_.contact_unsure),
         mark_odds_(readings.log_bad),
         kinks_(frame_.size()) {
-    found.reserve(2 * frame_.size() + 8);
+    hypotheses.reserve(2 * frame_.size() + 8);
     limit_ = misfit_at(priors_.misfit_deviate);
-    for (int i = 0; i < frame_.size(); ++i) marks_.push_back({i, {readings.bad[i]}});
+    for (int i = 0; i < frame_.size(); ++i) outliers_and_kinks_.push_back({i, {readings.bad[i]}});
     if (!body_->in_space()) add_kinks();
   }
 
@@ -107,25 +108,25 @@ class Explanations {
     // Beyond this misfit the noise may be larger than stated.
     doubtful_ = readings.known ? misfit_at(priors_.noise_deviate) : INFINITY;
     const bool doubted = frame_.rows.size() > 1;
-    std::size_t one = weigh(kOne, contact_, body_->start, 0.0, kNoMark, doubted);
+    std::size_t one_contact = weigh(kOne, contact_, body_->start, 0.0, kNoMark, doubted);
     if (doubted) {
       if (!looks_free()) {
         whiten_by(each_row(frame_.levels));
-        drop_hopeless_levels(found[one].shape);
+        drop_hopeless_levels(hypotheses[one_contact].shape);
       }
-      one = weigh_again(found[one].shape);
+      one_contact = weigh_again(hypotheses[one_contact].shape);
     }
-    const bool misfit = readings.known && found[one].misfit > limit_;
-    if (readings.known) explained = found[0].misfit - found[one].misfit;
-    if (explained < found[one].misfit) explained = 0.0;
-    if (found[one].misfit > doubtful_) {
+    const bool misfit = readings.known && hypotheses[one_contact].misfit > limit_;
+    if (readings.known) explained = hypotheses[0].misfit - hypotheses[one_contact].misfit;
+    if (explained < hypotheses[one_contact].misfit) explained = 0.0;
+    if (hypotheses[one_contact].misfit > doubtful_) {
       doubtful_ = INFINITY;
       whiten_by(each_noise(frame_.levels));
-      drop_hopeless_levels(found[one].shape);
-      one = weigh_again(found[one].shape);
+      drop_hopeless_levels(hypotheses[one_contact].shape);
+      one_contact = weigh_again(hypotheses[one_contact].shape);
     }
     drop_unlikely_levels();
-    const Row bent = found[one].shape;
+    const Row bent = hypotheses[one_contact].shape;
     const double turn = body_->turn_of(bent);
     const bool bends = body_->turn > priors_.end_turn, two_or_more = frame_.size() > 1;
     const auto odds = [](double given, double usual) {
@@ -138,11 +139,11 @@ class Explanations {
         std::max(body_->turn, turn) > priors_.end_turn) {
       end = weigh(kEnd, contact_ + face, bent);
     }
-    const double moment = std::abs(found[one].bent[0] - body_->rest[0]);
+    const double moment = std::abs(hypotheses[one_contact].bent[0] - body_->rest[0]);
     if (options_.critical < INFINITY &&
         (misfit || moment > priors_.near_fold * options_.critical)) {
       const double folded = contact_ + std::log(std::max(folded_share(), 1e-12));
-      if (end != kNone) weigh(kEndFolded, folded + priors_.end, found[end].shape);
+      if (end != kNone) weigh(kEndFolded, folded + priors_.end, hypotheses[end].shape);
       for (const double side : {-1.0, 1.0}) weigh(kOneFolded, folded - std::log(2.0), bent, side);
     }
     const auto several = [&](int count) {
@@ -154,14 +155,15 @@ class Explanations {
     }
     // A mistake that alone explains the readings hides a held end, which
     // explains the same.
-    bool poor = misfit || found[one].level.row > 0;
+    bool poor = misfit || hypotheses[one_contact].level.row > 0;
     Row bent_by_two = bent;
     if (several(2)) {
-      const std::size_t two = weigh(kTwo, contact_ + priors_.another, bent);
-      if (two != kNone) {
+      const std::size_t two_contacts = weigh(kTwo, contact_ + priors_.another, bent);
+      if (two_contacts != kNone) {
         // Noise that is not known hides a misfit.
-        poor |= !readings.known && found[two].log_weight > found[one].log_weight;
-        bent_by_two = found[two].shape;
+        poor |= !readings.known &&
+                hypotheses[two_contacts].log_weight > hypotheses[one_contact].log_weight;
+        bent_by_two = hypotheses[two_contacts].shape;
       }
     }
     // What bends a straight body so far may hold its end.
@@ -197,7 +199,7 @@ class Explanations {
 
   double best() const {
     double top = -INFINITY;
-    for (const Hypothesis& hypothesis : found) top = std::max(top, hypothesis.log_weight);
+    for (const Hypothesis& hypothesis : hypotheses) top = std::max(top, hypothesis.log_weight);
     return top;
   }
 
@@ -227,7 +229,7 @@ class Explanations {
         column.back() = priors_.angle / (frame_.high[i] - frame_.low[i]);
       }
       if (column.empty()) continue;
-      marks_.push_back({first, column});
+      outliers_and_kinks_.push_back({first, column});
       kinks_.push_back(middle);
       // Where the caller does not say at which moment the base folds, it is likelier there.
       const double near = 4.0 * options_.radius;
@@ -248,10 +250,10 @@ class Explanations {
   // Whether the readings, as stated, are those of a free body: then no mistake
   // is in doubt.
   bool looks_free() const {
-    Row others;
-    for (std::size_t k = 1; k < found.size(); ++k) others.push_back(found[k].log_weight);
-    return found[0].misfit < limit_ &&
-           log_sum_exp(others) < found[0].log_weight + priors_.untouched;
+    Row rivals;
+    for (std::size_t k = 1; k < hypotheses.size(); ++k) rivals.push_back(hypotheses[k].log_weight);
+    return hypotheses[0].misfit < limit_ &&
+           log_sum_exp(rivals) < hypotheses[0].log_weight + priors_.untouched;
   }
 
   // Levels, each with every mistake; each with a noise larger than stated.
@@ -292,7 +294,7 @@ class Explanations {
   // Weighs the free body and one contact by these. Returns the index of one
   // contact.
   std::size_t weigh_again(Row shape) {
-    found.clear(), doubts_.clear();
+    hypotheses.clear(), doubts_.clear();
     weigh_free_body();
     return weigh(kOne, contact_, std::move(shape));
   }
@@ -325,12 +327,12 @@ class Explanations {
   // is far from that of a model that bends the free body otherwise.
   void drop_hopeless_levels(const Row& shape) {
     Row most;
-    for (const Whitened::At& at : white_.levels) most.push_back(at.by.log_det);
+    for (const Whitened::AtLevel& model : white_.levels) most.push_back(model.whitener.log_det);
     drop_levels(most, [&](const Level&) { return best() + kHopelessLevel; });
-    Grid& grid = grid_of(kOne);
+    PlaceSets& grid = place_sets_of(kOne);
     prepare(kOne, 0.0, grid);
     body_->begin(kOne, false);
-    std::vector<Loaded> loads;
+    std::vector<PlacedLoad> loads;
     body_->take(shape, 1.0, loads);
     Left room;
     lay(grid, white_, room);
@@ -345,7 +347,8 @@ class Explanations {
     const double top = *std::max_element(log_weight.begin(), log_weight.end());
     drop_levels(log_weight, [&](const Level& level) {
       const ErrorRow& row = frame_.rows[level.row];
-      return top + (row.mirrored || row.bends.rows > 0 ? kFarFromIt : priors_.dropped_row);
+      return top +
+             (row.mirrored || row.bends.rows > 0 ? kHopelessAtFirstShape : priors_.dropped_row);
     });
   }
 
@@ -354,10 +357,11 @@ class Explanations {
   void drop_unlikely_levels() {
     Row log_weight(white_.levels.size(), -INFINITY);
     double top = -INFINITY;
-    for (const Hypothesis& hypothesis : found) {
+    for (const Hypothesis& hypothesis : hypotheses) {
       for (std::size_t s = 0; s < hypothesis.level_shares.size(); ++s) {
-        const double own = hypothesis.log_weight + std::log(hypothesis.level_shares[s] + 1e-300);
-        log_weight[s] = std::max(log_weight[s], own), top = std::max(top, own);
+        const double level_weight =
+            hypothesis.log_weight + std::log(hypothesis.level_shares[s] + 1e-300);
+        log_weight[s] = std::max(log_weight[s], level_weight), top = std::max(top, level_weight);
       }
     }
     drop_levels(log_weight, [&](const Level&) { return top + priors_.dropped_row; });
@@ -378,14 +382,14 @@ class Explanations {
   // Bends a shape by what the likeliest model of the errors says of the free
   // body: that it bends to the other side, or by a curvature that the caller
   // did not give.
-  void bend_by_mistake(const Whitened::At& at, const Row& left, Row& shape) const {
-    const ErrorRow& row = frame_.rows[at.level.row];
+  void bend_by_mistake(const Whitened::AtLevel& model, const Row& left, Row& shape) const {
+    const ErrorRow& row = frame_.rows[model.level.row];
     if (body_->in_space()) return;  // where readings, not loads, say how the body bends
     for (std::size_t k = 0; row.mirrored && k < shape.size(); ++k) shape[k] -= 2.0 * body_->rest[k];
     if (row.bends.rows == 0) return;
     Row excess = left;
     for (std::size_t i = 0; i < row.shift.size(); ++i) excess[i] += row.shift[i];
-    const Row weighted = at.by.raised(at.by(excess));
+    const Row weighted = model.whitener.precision_weighted(model.whitener(excess));
     for (int j = 0; j < row.bends.rows; ++j) {
       const double size = Whitener::dot(row.columns[j], weighted.data(), weighted.size());
       for (std::size_t k = 0; k < shape.size(); ++k) shape[k] += size * row.bends[j][k];
@@ -394,27 +398,29 @@ class Explanations {
 
   // A free body, and one with a bad reading or a kink.
   void weigh_free_body() {
-    const Whitened::At& likeliest = white_.likeliest();
+    const Whitened::AtLevel& likeliest = white_.likeliest();
     Hypothesis plain{&kFree,      white_.log_density(), body_->rest,
                      body_->rest, likeliest.square,     likeliest.level};
     plain.left = frame_.excess, plain.level_shares = white_.shares();
     plain.mistakes = mistakes_by(plain.level_shares);
-    found.push_back(plain);
-    const Row with = white_.log_densities(marks_);
+    hypotheses.push_back(plain);
+    const Row with = white_.log_densities(outliers_and_kinks_);
     const int n = frame_.size();
     for (int i = 0; i < n; ++i) {
       const double weight = with[i] + mark_odds_[i];
       if (weight < plain.log_weight + priors_.hopeless) continue;
-      found.push_back(plain);
-      found.back().log_weight = weight, found.back().bad = i;
+      hypotheses.push_back(plain);
+      hypotheses.back().log_weight = weight, hypotheses.back().bad = i;
     }
-    Row each;
-    for (std::size_t e = n; e < marks_.size(); ++e) each.push_back(with[e] + kink_odds_[e - n]);
-    if (each.empty()) return;
-    Hypothesis& kinked = found.emplace_back(plain);
-    kinked.of = &kHinge, kinked.log_weight = log_sum_exp(each), kinked.misfit = INFINITY;
+    Row kink_weights;
+    for (std::size_t e = n; e < outliers_and_kinks_.size(); ++e)
+      kink_weights.push_back(with[e] + kink_odds_[e - n]);
+    if (kink_weights.empty()) return;
+    Hypothesis& kinked = hypotheses.emplace_back(plain);
+    kinked.kind = &kHinge, kinked.log_weight = log_sum_exp(kink_weights), kinked.misfit = INFINITY;
     kinked.numbers = 1;
-    kinked.at = kinks_[n + (std::max_element(each.begin(), each.end()) - each.begin())];
+    kinked.kink_arc = kinks_[n + (std::max_element(kink_weights.begin(), kink_weights.end()) -
+                                  kink_weights.begin())];
   }
 
   // Readings as a shape leaves them, less what is known beside the loads.
@@ -422,18 +428,18 @@ class Explanations {
     Frame frame;
     std::optional<Whitened> white;
   };
-  const Whitened& left(const Whitened& white, Left& of) const {
+  const Whitened& left(const Whitened& white, Left& room) const {
     const Row known = body_->known();
     if (known.empty()) return white;
-    of.frame = *white.frame;
-    for (std::size_t i = 0; i < known.size(); ++i) of.frame.excess[i] -= known[i];
-    return of.white.emplace(of.frame);
+    room.frame = *white.frame;
+    for (std::size_t i = 0; i < known.size(); ++i) room.frame.excess[i] -= known[i];
+    return room.white.emplace(room.frame);
   }
 
   // An explanation beside a mark, on the grid and the shape that suit it without.
   struct Doubt {
     Hypothesis rough;
-    const Explanation* of;
+    const HypothesisKind* kind;
     double weight, side;
     int mark;
   };
@@ -444,9 +450,9 @@ class Explanations {
     });
     for (Doubt& doubt : doubts_) {
       if (doubt.rough.log_weight > best() + kMatters) {
-        weigh(*doubt.of, doubt.weight, doubt.rough.shape, doubt.side, doubt.mark);
+        weigh(*doubt.kind, doubt.weight, doubt.rough.shape, doubt.side, doubt.mark);
       } else {
-        found.push_back(std::move(doubt.rough));
+        hypotheses.push_back(std::move(doubt.rough));
       }
     }
   }
@@ -473,8 +479,8 @@ class Explanations {
   }
 
   // Lays the grid on the body's shape; returns the readings as that leaves them.
-  const Whitened& lay(Grid& grid, const Whitened& white, Left& room) const {
-    for (Placed& p : grid.placed) {
+  const Whitened& lay(PlaceSets& grid, const Whitened& white, Left& room) const {
+    for (LoadColumns& p : grid.load_columns) {
       const bool anywhere = p.load->where == Load::Where::anywhere;
       p.width = anywhere ? (p.window.far - p.window.near) / p.cells : priors_.end_cell;
       body_->place(p);
@@ -486,46 +492,47 @@ class Explanations {
   }
 
   // An explanation's grid, whose memory the next frame needs.
-  static Grid& grid_of(const Explanation& of) {
-    thread_local std::map<const Explanation*, Grid> grids;
-    return grids[&of];
+  static PlaceSets& place_sets_of(const HypothesisKind& kind) {
+    thread_local std::map<const HypothesisKind*, PlaceSets> grids;
+    return grids[&kind];
   }
 
   // Weighs an explanation from a shape on, beside a mark or none, and beside marks that may matter.
   // `side`: of the moment that folds the base. `rough`: only its shape, evidence and misfit are
   // needed, by cells of the first grid. Returns the index of the hypothesis, or `kNone` if it is of
   // no account.
-  std::size_t weigh(const Explanation& of, double weight, Row shape, double side = 0.0,
+  std::size_t weigh(const HypothesisKind& kind, double weight, Row shape, double side = 0.0,
                     int mark = kNoMark, bool rough = false) {
     Frame marked;
-    std::optional<Whitened> own;
-    if (mark >= 0) marked = frame_, marked.share(marks_[mark]), own.emplace(marked);
-    const Whitened& white = own ? *own : white_;
+    std::optional<Whitened> marked_white;
+    if (mark >= 0)
+      marked = frame_, marked.share(outliers_and_kinks_[mark]), marked_white.emplace(marked);
+    const Whitened& white = marked_white ? *marked_white : white_;
     const double odds = weight + (mark < 0 ? 0.0 : mark_odds_[mark]);
     const int bad = mark < frame_.size() ? mark : -1;
-    Grid& grid = grid_of(of);
-    prepare(of, side, grid);
+    PlaceSets& grid = place_sets_of(kind);
+    prepare(kind, side, grid);
     const int count = grid.count();
     const bool asked = options_.contacts == count, all = asked && count > 1;
-    const bool certain = &of == &kOne || asked || options_.held_end == Options::Held::yes;
+    const bool certain = &kind == &kOne || asked || options_.held_end == Options::Held::yes;
     const double matters = count == 1 ? -INFINITY : best() - odds + kSeveralMatter;
-    const bool twists = of.loads.back().twists;
-    body_->begin(of, std::any_of(of.loads.begin(), of.loads.end(), [](const Load& load) {
+    const bool twists = kind.loads.back().twists;
+    body_->begin(kind, std::any_of(kind.loads.begin(), kind.loads.end(), [](const Load& load) {
                    return load.where != Load::Where::anywhere || load.critical;
                  }));
     bool whole = true;
     Left room;
     double last = INFINITY, step = 1.0;
-    std::vector<Loaded> loads;
+    std::vector<PlacedLoad> loads;
     for (int turn = 0, passes = 0; turn < kMostTurns; ++turn) {
       body_->take(shape, std::exchange(step, 1.0), loads);
       const Whitened& read = lay(grid, white, room);
       if (!grid.weigh(options_)) return kNone;
       const double log_evidence = evidence(grid, whole);
       // The first shape may be far from that of the loads.
-      double hopeless = turn == 0 ? kFarFromIt : priors_.hopeless;
-      if (twists && turn < kTwistTurns) hopeless = turn == 0 ? -INFINITY : kTwistFarFromIt;
-      const Grid::Likeliest now = grid.likeliest(*read.frame);
+      double hopeless = turn == 0 ? kHopelessAtFirstShape : priors_.hopeless;
+      if (twists && turn < kTwistTurns) hopeless = turn == 0 ? -INFINITY : kHopelessWhileTwisting;
+      const PlaceSets::Likeliest now = grid.likeliest(*read.frame);
       if (!certain && log_evidence + odds < best() + hopeless) {
         if (mark >= 0 || now.misfit < limit_) return kNone;
         const Row most = evidence_beside(grid, read, grid.precision_weighted(read), frame_.size(),
@@ -538,7 +545,7 @@ class Explanations {
         const double least = best() - odds + kNegligible;
         if (log_evidence < least) return kNone;
         grid.solve(0.0);
-        if (log_evidence + std::log(grid.all_felt()) < least) return kNone;
+        if (log_evidence + std::log(grid.all_detected()) < least) return kNone;
       }
       Row bent = body_->bent(now.loads);
       loads = now.loads;
@@ -558,39 +565,39 @@ class Explanations {
         continue;
       }
       // One contact with such a misfit is weighed again, with larger noises.
-      if (rough || (&of == &kOne && mark < 0 && now.misfit > doubtful_)) {
-        found.push_back(
-            {&of, log_evidence + odds, bent, next, now.misfit, read.levels[grid.level].level});
-        return found.size() - 1;
+      if (rough || (&kind == &kOne && mark < 0 && now.misfit > doubtful_)) {
+        hypotheses.push_back(
+            {&kind, log_evidence + odds, bent, next, now.misfit, read.levels[grid.level].level});
+        return hypotheses.size() - 1;
       }
       const double nothing =
-          count == 1 ? 0.0 : kNothingOfAll * std::exp(std::min(matters - log_evidence, 3.0));
-      const auto add = [&](Grid& from, double log_weight, int by) {
+          count == 1 ? 0.0 : kNegligibleShare * std::exp(std::min(matters - log_evidence, 3.0));
+      const auto add = [&](PlaceSets& from, double log_weight, int suspect) {
         from.solve(nothing);
-        const Grid::Likeliest likeliest = from.likeliest(*read.frame);
-        Hypothesis& out = found.emplace_back(Hypothesis{
-            &of, log_weight, bent, next, likeliest.misfit, read.levels[from.level].level});
+        const PlaceSets::Likeliest likeliest = from.likeliest(*read.frame);
+        Hypothesis& out = hypotheses.emplace_back(Hypothesis{
+            &kind, log_weight, bent, next, likeliest.misfit, read.levels[from.level].level});
         out.left = likeliest.left, out.level_shares = from.level_shares();
         out.mistakes = mistakes_by(out.level_shares);
         out.loads = likeliest.loads, out.forces = body_->forces(out.loads);
         out.shares = share_out(from, all, nothing);
-        for (const Placed& p : from.placed) {
+        for (const LoadColumns& p : from.load_columns) {
           out.numbers += p.size() + (p.load->where == Load::Where::anywhere);
         }
-        if (by >= frame_.size())
-          out.of = &kOneAndHinge, out.at = kinks_[by], ++out.numbers;
+        if (suspect >= frame_.size())
+          out.kind = &kOneAndHinge, out.kink_arc = kinks_[suspect], ++out.numbers;
         else
-          out.bad = by;
+          out.bad = suspect;
       };
       add(grid, log_evidence + odds, mark);
-      const std::size_t index = found.size() - 1;
+      const std::size_t index = hypotheses.size() - 1;
       if (mark >= 0) return index;
-      const double misfit = found[index].misfit;
+      const double misfit = hypotheses[index].misfit;
       int marks = misfit > limit_ ? frame_.size() : 0;
-      if (&of == &kOne) marks = static_cast<int>(marks_.size());
+      if (&kind == &kOne) marks = static_cast<int>(outliers_and_kinks_.size());
       if (marks == 0) return index;
       if (!whole) {  // beside another mark the contacts may lie anywhere
-        for (Placed& p : grid.placed) p.window = {0.0, 1.0};
+        for (LoadColumns& p : grid.load_columns) p.window = {0.0, 1.0};
         lay(grid, white, room);
         grid.weigh(options_);
       }
@@ -599,25 +606,25 @@ class Explanations {
       const Row most = evidence_beside(grid, read, weighted, marks, evidence(grid, true), misfit);
       for (int e = 0; e < marks; ++e) {
         if (weight + most[e] + mark_odds_[e] < best() + priors_.hopeless) continue;
-        Grid beside = grid.beside(read, weighted, marks_[e]);
+        PlaceSets beside = grid.beside(read, weighted, outliers_and_kinks_[e]);
         if (!beside.weigh(options_)) continue;
         add(beside, weight + mark_odds_[e] + evidence(beside, true), e);
-        if (found.back().log_weight < matter) continue;
-        doubts_.push_back({std::move(found.back()), &of, weight, side, e});
-        found.pop_back();
+        if (hypotheses.back().log_weight < matter) continue;
+        doubts_.push_back({std::move(hypotheses.back()), &kind, weight, side, e});
+        hypotheses.pop_back();
       }
       return index;
     }
     return kNone;
   }
 
-  void prepare(const Explanation& of, double side, Grid& grid) const {
+  void prepare(const HypothesisKind& kind, double side, PlaceSets& grid) const {
     const int across = body_->in_space() ? 2 : 1;
-    grid.placed.resize(of.loads.size());
-    for (std::size_t j = 0; j < of.loads.size(); ++j) {
-      const Load& load = of.loads[j];
-      Placed& p = grid.placed[j];
-      p.load = &load, p.cells = load.where == Load::Where::anywhere ? of.cells : 1;
+    grid.load_columns.resize(kind.loads.size());
+    for (std::size_t j = 0; j < kind.loads.size(); ++j) {
+      const Load& load = kind.loads[j];
+      LoadColumns& p = grid.load_columns[j];
+      p.load = &load, p.cells = load.where == Load::Where::anywhere ? kind.cells : 1;
       p.window = {0.0, 1.0};
       p.across = load.across ? across : 0;
       const double mean = load.critical ? side / options_.critical_error : 0.0;
@@ -631,10 +638,10 @@ class Explanations {
 
   // Log evidence of the sets of a grid that is weighed. On the whole body those listed are all
   // there are: their prior sums to one.
-  double evidence(const Grid& grid, bool whole) const {
+  double evidence(const PlaceSets& grid, bool whole) const {
     double volume = 0.0;
     int free = 0;
-    for (const Placed& p : grid.placed) {
+    for (const LoadColumns& p : grid.load_columns) {
       if (p.load->where == Load::Where::anywhere) volume += std::log(++free * p.width);
     }
     if (whole && free > 0) volume = -std::log(static_cast<double>(grid.size()));
@@ -643,24 +650,26 @@ class Explanations {
 
   // Log evidence that a grid has beside each of the first marks, about, or at most where its sets
   // leave a misfit: sets that explain it may then differ from those beside the mark.
-  Row evidence_beside(const Grid& grid, const Whitened& read, const std::vector<Matrix>& weighted,
-                      int marks, double log_evidence, double misfit) const {
-    Grid::Densest densest = grid.densest(read, weighted, marks_, marks);
+  Row evidence_beside(const PlaceSets& grid, const Whitened& read,
+                      const std::vector<Matrix>& weighted, int marks, double log_evidence,
+                      double misfit) const {
+    PlaceSets::Densest densest = grid.densest(read, weighted, outliers_and_kinks_, marks);
     if (misfit > limit_) return densest.beside;
     for (double& log_density : densest.beside) log_density += log_evidence - densest.plain;
     return densest.beside;
   }
 
   // Lays finer windows around the mass where a cell holds more than `coarse` of it.
-  static bool split(Grid& grid, double coarse) {
+  static bool split(PlaceSets& grid, double coarse) {
     bool finer = false;
-    for (std::size_t j = 0; j < grid.placed.size(); ++j) {
-      Placed& p = grid.placed[j];
+    for (std::size_t j = 0; j < grid.load_columns.size(); ++j) {
+      LoadColumns& p = grid.load_columns[j];
       if (p.load->where != Load::Where::anywhere || p.width < 1e-6) continue;
-      Row each(p.cells);
-      for (int s = 0; s < grid.size(); ++s) each[grid.cell(static_cast<int>(j), s)] += grid.mass[s];
-      if (*std::max_element(each.begin(), each.end()) < coarse * grid.total) continue;
-      const Window part = support(each.data(), p.cells, p.window, kOutside * grid.total, 2);
+      Row cell_mass(p.cells);
+      for (int s = 0; s < grid.size(); ++s)
+        cell_mass[grid.cell(static_cast<int>(j), s)] += grid.mass[s];
+      if (*std::max_element(cell_mass.begin(), cell_mass.end()) < coarse * grid.total) continue;
+      const Window part = support(cell_mass.data(), p.cells, p.window, kOutside * grid.total, 2);
       if (part.far - part.near >= 0.75 * (p.window.far - p.window.near)) continue;
       p.window = part, finer = true;
     }
@@ -674,7 +683,7 @@ class Explanations {
   Whitened white_;
   double contact_;  // log prior odds of one
   // Bad readings, then kinks: columns that readings share, log odds of each beside loads.
-  std::vector<Column> marks_;
+  std::vector<Column> outliers_and_kinks_;
   Row mark_odds_, kinks_, kink_odds_;  // place of each; log odds of kinks of a free body
   std::vector<Doubt> doubts_;
   double limit_;     // misfit beyond which an explanation is poor

@@ -14,7 +14,7 @@ namespace thigmo {
   X(base_fold) X(bad_deviation) X(angle) X(near_fold) X(straight) X(end_turn) X(shape_rests) \
   X(level) X(excluded) X(held_excluded) X(five_sigma) X(hopeless) X(slight_map_odds) X(slight_offset_odds) X(slight_map) \
   X(slight_offset) X(turned_odds) X(far_odds) X(not_given_odds) X(small_fold_odds) X(small_fold) \
-  X(correlated_odds) X(dense) X(untouched) X(dropped_row) X(trust) X(end_cell) X(misfit_deviate) X(noise_deviate) X(contact_unsure) X(felt) X(swept)
+  X(correlated_odds) X(dense) X(untouched) X(dropped_row) X(trust) X(end_cell) X(misfit_deviate) X(noise_deviate) X(contact_unsure) X(detected) X(swept)
 // clang-format on
 struct Priors {
   Row moments, noise_levels, noise_factors, noise_odds, correlations;
@@ -84,10 +84,12 @@ inline double free_of(const Input& in, std::size_t i) {
 }
 
 // Where a sensor begins and ends on the body, over the length.
-inline std::pair<double, double> ends_of_sensor(const Options& of, std::size_t i) {
-  const double half = 0.5 * pick(of.span, i);
-  const auto on_body = [&](double x) { return std::clamp(x, 0.0, of.length) / of.length; };
-  return {on_body(of.position[i] - half), on_body(of.position[i] + half)};
+inline std::pair<double, double> ends_of_sensor(const Options& options, std::size_t i) {
+  const double half = 0.5 * pick(options.span, i);
+  const auto on_body = [&](double x) {
+    return std::clamp(x, 0.0, options.length) / options.length;
+  };
+  return {on_body(options.position[i] - half), on_body(options.position[i] + half)};
 }
 
 // The problem, and a number that shows it.
@@ -128,11 +130,11 @@ inline Row rest_of(const Row& body, const Row& position, double length) {
   std::sort(order.begin(), order.end(), [&](int a, int b) { return position[a] < position[b]; });
   std::size_t next = 1;
   for (int k = 0; k < kNodes; ++k) {
-    const double at = k * length / (kNodes - 1);
-    while (next + 1 < order.size() && position[order[next]] <= at) ++next;
+    const double arc = k * length / (kNodes - 1);
+    while (next + 1 < order.size() && position[order[next]] <= arc) ++next;
     const int a = order[next - 1], b = order[next];
     const double apart = std::max(position[b] - position[a], 1e-300);
-    const double share = std::clamp((at - position[a]) / apart, 0.0, 1.0);
+    const double share = std::clamp((arc - position[a]) / apart, 0.0, 1.0);
     rest[k] = (body[a] + share * (body[b] - body[a])) * length;
   }
   return rest;
@@ -199,8 +201,8 @@ inline std::vector<ErrorRow> mistakes(const Readings& readings, const Options& o
     for (int i = 0; i < n; ++i) {
       if (scaled) far.columns[0][i] = readings.free[i];
       for (int k = 0; k < towards; ++k) {
-        const int own = readings.index[i];
-        far.columns[scaled + k][i] = in_space ? options.direction[own][k + 1] : 1.0;
+        const int reading = readings.index[i];
+        far.columns[scaled + k][i] = in_space ? options.direction[reading][k + 1] : 1.0;
       }
     }
     if (!in_space) {
@@ -247,9 +249,9 @@ inline Readings normalised(const Input& in, const Options& options) {
                      [&](int a, int b) { return options.position[a] < options.position[b]; });
   }
   out.index.reserve(in.curvature.size());
-  for (Row* each : {&frame.excess, &frame.low, &frame.high, &frame.noise, &frame.gain, &free,
-                    &out.bad, &out.log_bad}) {
-    each->reserve(in.curvature.size());
+  for (Row* row : {&frame.excess, &frame.low, &frame.high, &frame.noise, &frame.gain, &free,
+                   &out.bad, &out.log_bad}) {
+    row->reserve(in.curvature.size());
   }
   for (std::size_t place = 0; place < order.size(); ++place) {
     const std::size_t i = order[place];
@@ -287,8 +289,9 @@ inline Readings normalised(const Input& in, const Options& options) {
   }
   for (const double noise : frame.noise) out.noise += noise / n / length;
   out.free = free;
-  const int own = (options.offset > 0.0) + (options.map_scale > 0.0) + (options.base_fold > 0.0);
-  frame.shared = Matrix(own + options.shared.rows, n);
+  const int stated_errors =
+      (options.offset > 0.0) + (options.map_scale > 0.0) + (options.base_fold > 0.0);
+  frame.shared = Matrix(stated_errors + options.shared.rows, n);
   for (int i = 0; i < n; ++i) {
     int k = 0;
     if (options.offset > 0.0) frame.shared[k++][i] = options.offset * length;

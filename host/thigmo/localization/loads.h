@@ -53,104 +53,30 @@ constexpr Load kTwist{.where = Load::Where::end,
                       .twists = true};
 
 // Loads that act together: contacts first, base to tip.
-struct Explanation {
+struct HypothesisKind {
   const char* name;
   std::vector<Load> loads;
   int cells;  // of the first grid of each that may lie anywhere
 };
-inline const Explanation kFree{"free body", {}, 0};
-inline const Explanation kHinge{"hinge", {}, 0};
-inline const Explanation kOne{"one contact", {kTouch}, 60};  // 0.9 cm of the 53 cm body
-inline const Explanation kOneWithCouple{"one contact with a couple", {kClamp}, 60};
-inline const Explanation kOneAndHinge{"one contact, hinge", {kTouch}, 60};
-inline const Explanation kTwo{"two contacts", {kTouch, kTouch}, 24};
-inline const Explanation kThree{"three contacts", {kTouch, kTouch, kTouch}, 12};
-inline const Explanation kEnd{"end wrench", {kFace}, 1};
-inline const Explanation kHeld{"end wrench", {kGrip}, 1};
-inline const Explanation kHeldTwisted{"end wrench", {kTwist}, 1};
-inline const Explanation kOneAndHeld{"one contact, end wrench", {kTouch, kGrip}, 24};
-inline const Explanation kOneFolded{"one contact, folded base", {kFolding, kFold}, 60};
-inline const Explanation kEndFolded{"end wrench, folded base", {kFace, kFold}, 1};
+inline const HypothesisKind kFree{"free body", {}, 0};
+inline const HypothesisKind kHinge{"hinge", {}, 0};
+inline const HypothesisKind kOne{"one contact", {kTouch}, 60};  // 0.9 cm of the 53 cm body
+inline const HypothesisKind kOneWithCouple{"one contact with a couple", {kClamp}, 60};
+inline const HypothesisKind kOneAndHinge{"one contact, hinge", {kTouch}, 60};
+inline const HypothesisKind kTwo{"two contacts", {kTouch, kTouch}, 24};
+inline const HypothesisKind kThree{"three contacts", {kTouch, kTouch, kTouch}, 12};
+inline const HypothesisKind kEnd{"end wrench", {kFace}, 1};
+inline const HypothesisKind kHeld{"end wrench", {kGrip}, 1};
+inline const HypothesisKind kHeldTwisted{"end wrench", {kTwist}, 1};
+inline const HypothesisKind kOneAndHeld{"one contact, end wrench", {kTouch, kGrip}, 24};
+inline const HypothesisKind kOneFolded{"one contact, folded base", {kFolding, kFold}, 60};
+inline const HypothesisKind kEndFolded{"end wrench, folded base", {kFace, kFold}, 1};
 
 constexpr double kResolved = 0.35;          // mass of a cell above which the grid is too coarse
 constexpr double kOutside = 1e-5;           // mass of a cell below which the grid may leave it out
 constexpr double kNothing = 25.0;           // nats below the likeliest set that weigh nothing
 constexpr double kNearlyNothing = 1.4e-11;  // the same as a weight
 constexpr std::size_t kMostContacts = 3;
-
-// Numbers of four sets of places, or of eight, as processors take them.
-template <int>
-struct Lanes;
-template <>
-struct Lanes<4> {
-  using Type [[gnu::vector_size(32), gnu::aligned(8)]] = double;
-};
-template <>
-struct Lanes<8> {
-  using Type [[gnu::vector_size(64), gnu::aligned(8)]] = double;
-};
-using Four = Lanes<4>::Type;
-using Eight = Lanes<8>::Type;
-template <int N>
-[[gnu::always_inline]] inline const typename Lanes<N>::Type& lanes(const double* from) {
-  return *reinterpret_cast<const typename Lanes<N>::Type*>(from);
-}
-template <int N>
-[[gnu::always_inline]] inline typename Lanes<N>::Type& lanes(double* from) {
-  return *reinterpret_cast<typename Lanes<N>::Type*>(from);
-}
-inline const Four& four(const double* from) { return lanes<4>(from); }
-inline Four& four(double* from) { return lanes<4>(from); }
-
-// Roots, of zero where a number is less.
-[[gnu::always_inline]] inline Four root(Four of) {
-  of = of > 0.0 ? of : Four{};
-  return Four{std::sqrt(of[0]), std::sqrt(of[1]), std::sqrt(of[2]), std::sqrt(of[3])};
-}
-[[gnu::always_inline]] inline Eight root(Eight of) {
-  of = of > 0.0 ? of : Eight{};
-  return Eight{std::sqrt(of[0]), std::sqrt(of[1]), std::sqrt(of[2]), std::sqrt(of[3]),
-               std::sqrt(of[4]), std::sqrt(of[5]), std::sqrt(of[6]), std::sqrt(of[7])};
-}
-
-inline double largest(const Four& of) {
-  return std::max(std::max(of[0], of[1]), std::max(of[2], of[3]));
-}
-
-// e^x for x up to 700, to 11 digits; what is below e^-200 counts as that. Without branches or
-// calls, and the same on every machine.
-template <class Numbers>
-[[gnu::always_inline]] inline Numbers exponential(Numbers x) {
-  using Bits = decltype(x > x);
-  constexpr double kShift = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to a whole number
-  x = x > -200.0 ? x : -200.0 + Numbers{};
-  const Numbers shifted = x * std::numbers::log2e + kShift, whole = shifted - kShift;
-  // The rest, at most ln(2) / 2, by Taylor's series.
-  const Numbers r = (x - whole * 0x1.62e42fefa0000p-1) - whole * 0x1.cf79abc9e3b3ap-40;
-  constexpr std::array kTerms{1.0,           1.0,           1.0 / 2.0,   1.0 / 6.0,
-                              1.0 / 24.0,    1.0 / 120.0,   1.0 / 720.0, 1.0 / 5040.0,
-                              1.0 / 40320.0, 1.0 / 362880.0};
-  Numbers sum = kTerms.back() + Numbers{};
-  for (int k = 8; k >= 0; --k) sum = sum * r + kTerms[k];
-  return sum * Numbers((Bits(shifted) + 1023) << 52);
-}
-
-// Of a whole number of fours.
-THIGMO_WIDE inline double largest(const double* value, int count) {
-  Four top = four(value);
-  for (int s = 4; s < count; s += 4) top = four(value + s) > top ? four(value + s) : top;
-  return largest(top);
-}
-
-// Sum of what is `least` or more, of a whole number of fours.
-THIGMO_WIDE inline double sum_from(double least, const Row& value) {
-  Four sum{};
-  for (std::size_t s = 0; s < value.size(); s += 4) {
-    const Four& own = four(&value[s]);
-    sum += own >= least ? own : Four{};
-  }
-  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
 
 // Probability that a normal number lies within plus and minus a limit.
 inline double probability_within(double mean, double variance, double limit) {
@@ -159,19 +85,11 @@ inline double probability_within(double mean, double variance, double limit) {
 }
 
 // Probability that a load which moves the readings by `moved` standard errors, give or take
-// `deviation` of them, moves them by `least` or more: the normal integral to 2e-7 (Abramowitz and
-// Stegun, 7.1.26).
+// `deviation` of them, moves them by `least` or more.
 template <class Numbers>
-[[gnu::always_inline]] inline Numbers probability_felt(Numbers moved, Numbers deviation,
-                                                       double least) {
-  const Numbers deviate = (moved - least) / (deviation > 1e-12 ? deviation : 1e-12 + Numbers{});
-  const Numbers size = deviate > 0.0 ? deviate : -deviate;
-  const Numbers t = 1.0 / (1.0 + 0.3275911 / std::numbers::sqrt2 * size);
-  const Numbers series =
-      ((((1.061405429 * t - 1.453152027) * t + 1.421413741) * t - 0.284496736) * t + 0.254829592) *
-      t;
-  const Numbers beyond = 0.5 * series * exponential(-0.5 * deviate * deviate);
-  return deviate > 0.0 ? 1.0 - beyond : beyond;
+[[gnu::always_inline]] inline Numbers probability_detected(Numbers moved, Numbers deviation,
+                                                           double least) {
+  return normal_integral((moved - least) / (deviation > 1e-12 ? deviation : 1e-12 + Numbers{}));
 }
 
 inline Row middles(Window window, int cells) {
@@ -199,12 +117,12 @@ struct Cells {
   bool operator==(const Cells&) const = default;
 };
 
-// Contacts that are felt together, base to tip: of each its index among those that were placed, its
-// cell there and its arc, and the means of its force and of that squared. A contact is alone where
-// no other is felt.
-struct FeltSet {
+// Contacts that are detected together, base to tip: of each its index among those that were placed,
+// its cell there and its arc, and the means of its force and of that squared. A contact is alone
+// where no other is detected.
+struct DetectedSet {
   double mass;
-  double felt;  // probability that they are; less than one if a contact is alone
+  double detected;  // probability that they are; less than one if a contact is alone
   int count = 0;
   std::array<std::uint8_t, kMostContacts> contact{}, cell{};
   std::array<double, kMostContacts> arc{}, force{}, square{};
@@ -217,7 +135,7 @@ struct FeltSet {
 // Posterior of the contacts of an explanation, if it has any: cells of each, and sets of sum one.
 struct Shares {
   std::vector<Cells> contacts{};
-  std::vector<FeltSet> sets{};
+  std::vector<DetectedSet> sets{};
 };
 
 // Normal equations of K numbers: products with the readings and, lower half, with each other;
@@ -225,7 +143,7 @@ struct Shares {
 template <int K, int N = 4>
 struct Normal {
   using Numbers = typename Lanes<N>::Type;
-  Numbers told[K], lower[K][K], prior[K];
+  Numbers projection[K], lower[K][K], prior[K];
 };
 
 // The same, one number eliminated after another (Gauss).
@@ -233,23 +151,23 @@ template <int K, int N = 4>
 struct Eliminated {
   using Numbers = typename Lanes<N>::Type;
   Numbers lower[K][K], inverse[K], left[K], gain{}, inverse_volume = 1.0 + Numbers{};
-  [[gnu::always_inline]] explicit Eliminated(const Normal<K, N>& of) {
+  [[gnu::always_inline]] explicit Eliminated(const Normal<K, N>& normal) {
 #pragma GCC unroll 8
     for (int j = 0; j < K; ++j) {
       Numbers raw[K];
-      left[j] = of.told[j];
-      Numbers own = of.prior[j] + of.lower[j][j];
+      left[j] = normal.projection[j];
+      Numbers pivot = normal.prior[j] + normal.lower[j][j];
 #pragma GCC unroll 8
       for (int l = 0; l < j; ++l) {
-        raw[l] = of.lower[j][l];
+        raw[l] = normal.lower[j][l];
 #pragma GCC unroll 8
         for (int k = 0; k < l; ++k) raw[l] -= raw[k] * lower[l][k];
         lower[j][l] = raw[l] * inverse[l];
         left[j] -= lower[j][l] * left[l];
-        own -= raw[l] * lower[j][l];
+        pivot -= raw[l] * lower[j][l];
       }
-      own = own > of.prior[j] ? own : of.prior[j];  // no less, but for rounding
-      inverse[j] = 1.0 / own;
+      pivot = pivot > normal.prior[j] ? pivot : normal.prior[j];  // no less, but for rounding
+      inverse[j] = 1.0 / pivot;
       gain += left[j] * left[j] * inverse[j], inverse_volume *= inverse[j];
     }
   }
@@ -270,13 +188,13 @@ struct Eliminated {
     }
   }
   // Variance of a sum of the numbers, whose shares are overwritten.
-  [[gnu::always_inline]] void variance(Numbers* of, Numbers& out) const {
+  [[gnu::always_inline]] void variance(Numbers* shares, Numbers& out) const {
     out = Numbers{};
 #pragma GCC unroll 8
     for (int k = 0; k < K; ++k) {
 #pragma GCC unroll 8
-      for (int l = 0; l < k; ++l) of[k] -= lower[k][l] * of[l];
-      out += of[k] * of[k] * inverse[k];
+      for (int l = 0; l < k; ++l) shares[k] -= lower[k][l] * shares[l];
+      out += shares[k] * shares[k] * inverse[k];
     }
   }
 };
@@ -289,7 +207,7 @@ struct Number {
 };
 
 // A load's cells on a shape, and its columns there.
-struct Placed {
+struct LoadColumns {
   const Load* load;
   int cells;
   std::vector<Number> number{};
@@ -306,11 +224,11 @@ struct Placed {
 };
 
 // A load at a place: its numbers, and their standard deviations.
-constexpr int kMostOfLoad = 6;
-struct Loaded {
+constexpr int kMostNumbers = 6;
+struct PlacedLoad {
   const Load* load;
   double arc;
-  std::array<double, kMostOfLoad> value{}, spread{};
+  std::array<double, kMostNumbers> value{}, spread{};
 };
 
 // What is filled before use and of no use to a copy, which is made without it.
@@ -326,23 +244,25 @@ struct Scratch : Values {
 
 // Sets of places, one of each load's cells. What their evidence needs stands side by side, set
 // after set, so that loops over sets become vector code.
-class Grid {
+class PlaceSets {
  public:
-  std::vector<Placed> placed;
-  Row mass;                   // of each set
-  Matrix mean, spread, felt;  // (contacts, sets) force across the body; probability that it counts
+  std::vector<LoadColumns> load_columns;
+  Row mass;  // of each set
+  Matrix mean, spread,
+      detected;  // (contacts, sets) force across the body; probability that it counts
   double total = 0.0, top = -INFINITY;
   std::size_t level = 0;  // model of the errors that suits the likeliest set
 
   int size() const { return sets_; }
   int count() const {  // of contacts
-    return static_cast<int>(std::count_if(placed.begin(), placed.end(),
-                                          [](const Placed& p) { return p.load->is_contact(); }));
+    return static_cast<int>(
+        std::count_if(load_columns.begin(), load_columns.end(),
+                      [](const LoadColumns& p) { return p.load->is_contact(); }));
   }
   int cell(int load, int set) const { return cell_[load][set]; }
   // A load on the end is drawn as one on the last cell.
   Cells cells(int load) const {
-    const Placed& p = placed[load];
+    const LoadColumns& p = load_columns[load];
     const bool anywhere = p.load->where == Load::Where::anywhere;
     return {anywhere ? p.place : Row{1.0 - 0.5 * p.width}, p.width};
   }
@@ -350,27 +270,28 @@ class Grid {
   // Lists all sets whose contacts are half a cell apart at least.
   void list() {
     std::vector<Window> windows;
-    number_.clear(), at_.clear();
-    for (std::size_t j = 0; j < placed.size(); ++j) {
-      for (int d = 0; d < placed[j].size(); ++d) {
-        at_.push_back({static_cast<int>(j), d});
-        number_.push_back(placed[j].number[d]);
+    number_.clear(), number_origin_.clear();
+    for (std::size_t j = 0; j < load_columns.size(); ++j) {
+      for (int d = 0; d < load_columns[j].size(); ++d) {
+        number_origin_.push_back({static_cast<int>(j), d});
+        number_.push_back(load_columns[j].number[d]);
       }
-      windows.push_back(placed[j].window);
+      windows.push_back(load_columns[j].window);
     }
     if (windows != listed_) {
       listed_ = windows;
-      cell_.assign(placed.size(), {});
-      std::vector<int> at(placed.size());
-      list(0, at);
+      cell_.assign(load_columns.size(), {});
+      std::vector<int> chosen(load_columns.size());
+      list(0, chosen);
       sets_ = static_cast<int>(cell_[0].size());
-      for (std::vector<int>& each : cell_) each.resize(padded(), each.empty() ? 0 : each.back());
+      for (std::vector<int>& cells_of_load : cell_)
+        cells_of_load.resize(padded(), cells_of_load.empty() ? 0 : cells_of_load.back());
     }
     density_.assign(padded(), 0.0);
     std::fill_n(density_.begin(), sets_, 1.0);
-    for (std::size_t j = 0; j < placed.size(); ++j) {
-      const Row& of = placed[j].density;
-      for (int s = 0; !of.empty() && s < sets_; ++s) density_[s] *= of[cell_[j][s]];
+    for (std::size_t j = 0; j < load_columns.size(); ++j) {
+      const Row& density = load_columns[j].density;
+      for (int s = 0; !density.empty() && s < sets_; ++s) density_[s] *= density[cell_[j][s]];
     }
   }
 
@@ -378,13 +299,13 @@ class Grid {
   void take(const Whitened& readings) {
     int wide = 0;
     first_.clear();
-    for (std::size_t j = 0; j < placed.size(); ++j) {
+    for (std::size_t j = 0; j < load_columns.size(); ++j) {
       first_.push_back(twin(j) ? first_.back() : wide);
-      if (!twin(j)) wide += placed[j].column.columns;
+      if (!twin(j)) wide += load_columns[j].column.columns;
     }
     column_.resize(readings.frame->size(), wide);
-    for (std::size_t j = 0; j < placed.size(); ++j) {
-      const Matrix& from = placed[j].column;
+    for (std::size_t j = 0; j < load_columns.size(); ++j) {
+      const Matrix& from = load_columns[j].column;
       for (int i = 0; !twin(j) && i < from.rows; ++i) {
         std::copy_n(from[i], from.columns, column_[i] + first_[j]);
       }
@@ -408,36 +329,36 @@ class Grid {
     const Row& moments = options.priors.moments;
     const std::size_t scales = moments.size();
     weight_.resize(static_cast<int>(levels_.size() * scales), padded());
-    ways_.clear();
+    weight_rows_.clear();
     mass.assign(padded(), 0.0), total = 0.0, top = -INFINITY;
     Row remaining(padded());  // share of the prior's volume that readings leave, squared
     const bool folds = may_fold(options.critical);
     const bool bounded = folds || std::any_of(number_.begin(), number_.end(),
                                               [](const Number& n) { return n.side != 0.0; });
     for (int r = 0; r < weight_.rows; ++r) {
-      const Products& of = levels_[r / scales];
-      const Scaled by = scaled(moments[r % scales]);
+      const Products& products = levels_[r / scales];
+      const ScaledPrior prior = scaled(moments[r % scales]);
       double* __restrict weight = weight_[r], * __restrict left = remaining.data();
       numbers([&]<int K>() __attribute__((always_inline)) {
         for (int s = 0; s < padded(); s += N) {
-          const Eliminated<K, N> found(normal<K, N>(of, by, s));
-          lanes<N>(weight + s) = 0.5 * found.gain;
-          lanes<N>(left + s) = found.inverse_volume * by.tighter;
+          const Eliminated<K, N> eliminated(normal<K, N>(products, prior, s));
+          lanes<N>(weight + s) = 0.5 * eliminated.gain;
+          lanes<N>(left + s) = eliminated.inverse_volume * prior.tighter;
         }
       });
-      const double most = largest(weight, padded()) + of.constant + by.constant;
+      const double most = largest(weight, padded()) + products.constant + prior.constant;
       if (!(most > -INFINITY) || most < top - kNothing) continue;
-      ways_.push_back({r, by, most}), top = std::max(top, most);
-      const double shift = of.constant + by.constant - most;
+      weight_rows_.push_back({r, prior, most}), top = std::max(top, most);
+      const double shift = products.constant + prior.constant - most;
       for (int s = 0; s < padded(); s += N) {
         lanes<N>(weight + s) = lanes<N>(&density_[s]) * exponential(lanes<N>(weight + s) + shift) *
                                root(lanes<N>(left + s));
       }
-      if (bounded) bound(options.critical, folds, of, by, weight);
+      if (bounded) bound(options.critical, folds, products, prior, weight);
     }
     double peak = 0.0;
-    std::erase_if(ways_, [&](const Way& way) { return way.share < top - kNothing; });
-    for (auto& [r, by, share] : ways_) {
+    std::erase_if(weight_rows_, [&](const WeightRow& way) { return way.share < top - kNothing; });
+    for (auto& [r, prior, share] : weight_rows_) {
       const double* weight = weight_[r];
       share = std::exp(share - top);
       const double most = share * largest(weight, padded());
@@ -458,7 +379,7 @@ class Grid {
   [[gnu::always_inline]] void solve_by(double least) {
     using Numbers = typename Lanes<N>::Type;
     const int contacts = count();
-    for (Matrix* each : {&mean, &spread, &felt}) each->resize(contacts, padded());
+    for (Matrix* result : {&mean, &spread, &detected}) result->resize(contacts, padded());
     const int scales = static_cast<int>(priors_->moments.size());
     // `Single`: whether each contact has one number, and nothing else has any.
     const auto run = [&]<int K, bool Single>() __attribute__((always_inline)) {
@@ -466,26 +387,27 @@ class Grid {
       for (int s = 0; s < padded(); s += N) {
         const Numbers& whole = lanes<N>(&mass[s]);
         if (largest(&mass[s], N) < least * total) {
-          for (int j = 0; j < contacts; ++j) lanes<N>(felt[j] + s) = 1.0 + Numbers{};
+          for (int j = 0; j < contacts; ++j) lanes<N>(detected[j] + s) = 1.0 + Numbers{};
           continue;
         }
         Numbers first[kContacts]{}, second[kContacts]{}, times[kContacts]{}, likely[kContacts]{};
-        for (const auto& [r, by, share] : ways_) {
-          const Normal<K, N> normal = this->normal<K, N>(levels_[r / scales], by, s);
-          const Eliminated<K, N> found(normal);
+        for (const auto& [r, prior, share] : weight_rows_) {
+          const Normal<K, N> normal = this->normal<K, N>(levels_[r / scales], prior, s);
+          const Eliminated<K, N> eliminated(normal);
           Numbers force[K], variance[K];
-          found.solve(force, variance);
-          const Numbers own = share * lanes<N>(weight_[r] + s);
+          eliminated.solve(force, variance);
+          const Numbers weight = share * lanes<N>(weight_[r] + s);
           if constexpr (Single) {
 #pragma GCC unroll 3
             for (int j = 0; j < K; ++j) {
-              first[j] += own * force[j], second[j] += own * (force[j] * force[j] + variance[j]);
+              first[j] += weight * force[j],
+                  second[j] += weight * (force[j] * force[j] + variance[j]);
             }
             continue;
           }
-          for (int j = 0, from = 0; j < contacts; from += placed[j++].size()) {
-            const int beyond = from + placed[j].size(), across = placed[j].across;
-            Numbers ways[K]{}, moves[K]{}, length{}, standard{}, size, loose, told;
+          for (int j = 0, from = 0; j < contacts; from += load_columns[j++].size()) {
+            const int beyond = from + load_columns[j].size(), across = load_columns[j].across;
+            Numbers ways[K]{}, moves[K]{}, length{}, standard{}, size, loose, moved_deviation;
             for (int k = from; k < beyond; ++k) {
               if (k < from + across) ways[k] = force[k], length += force[k] * force[k];
               for (int l = from; l < beyond; ++l) {
@@ -493,29 +415,34 @@ class Grid {
               }
               standard += moves[k] * force[k];
             }
-            found.variance(ways, loose), found.variance(moves, told);
+            eliminated.variance(ways, loose), eliminated.variance(moves, moved_deviation);
             loose /= length > 1e-300 ? length : 1e-300 + Numbers{};
-            told /= standard > 1e-300 ? standard : 1e-300 + Numbers{};
+            moved_deviation /= standard > 1e-300 ? standard : 1e-300 + Numbers{};
             size = across == 1 ? force[from] : root(length), standard = root(standard);
-            first[j] += own * size, second[j] += own * (size * size + loose);
-            times[j] += own * standard, likely[j] += own * (standard * standard + told);
+            first[j] += weight * size, second[j] += weight * (size * size + loose);
+            times[j] += weight * standard,
+                likely[j] += weight * (standard * standard + moved_deviation);
           }
         }
         const Numbers part = 1.0 / (whole > 1e-300 ? whole : 1e-300 + Numbers{});
 #pragma GCC unroll 3
         for (int j = 0; j < kContacts; ++j) {
           if (!Single && j == contacts) break;
-          const Numbers one = first[j] * part, loose = root(second[j] * part - one * one);
-          Numbers moved, told, unit;
+          const Numbers force_mean = first[j] * part,
+                        loose = root(second[j] * part - force_mean * force_mean);
+          Numbers moved, moved_deviation, unit;
           if (Single) {  // how far a force moves the readings is that times its size
             const Numbers moves = root(product<N>(levels_[level], j, j, s));
-            moved = (one > 0.0 ? one : -one) * moves, told = loose * moves;
+            moved = (force_mean > 0.0 ? force_mean : -force_mean) * moves,
+            moved_deviation = loose * moves;
           } else {
-            moved = times[j] * part, told = root(likely[j] * part - moved * moved);
+            moved = times[j] * part, moved_deviation = root(likely[j] * part - moved * moved);
           }
-          lanes<N>(felt[j] + s) = probability_felt(moved, told, priors_->felt);
-          for (int lane = 0; lane < N; ++lane) unit[lane] = placed[j].unit[cell_[j][s + lane]];
-          lanes<N>(mean[j] + s) = one * unit,
+          lanes<N>(detected[j] + s) =
+              probability_detected(moved, moved_deviation, priors_->detected);
+          for (int lane = 0; lane < N; ++lane)
+            unit[lane] = load_columns[j].unit[cell_[j][s + lane]];
+          lanes<N>(mean[j] + s) = force_mean * unit,
                              lanes<N>(spread[j] + s) = loose * (unit > 0.0 ? unit : -unit);
         }
       }
@@ -532,7 +459,7 @@ class Grid {
   Row level_shares() const {
     const std::size_t scales = priors_->moments.size();
     Row out(levels_.size());
-    for (const Way& way : ways_) {
+    for (const WeightRow& way : weight_rows_) {
       const double* weight = weight_[way.row];
       out[way.row / scales] += way.share * std::accumulate(weight, weight + sets_, 0.0);
     }
@@ -540,12 +467,12 @@ class Grid {
     return out;
   }
 
-  // Probability that all contacts of a set are felt.
-  double all_felt() const {
+  // Probability that all contacts of a set are detected.
+  double all_detected() const {
     double sum = 0.0;
     for (int s = 0; s < sets_; ++s) {
       double likely = mass[s];
-      for (int j = 0; j < felt.rows; ++j) likely *= felt[j][s];
+      for (int j = 0; j < detected.rows; ++j) likely *= detected[j][s];
       sum += likely;
     }
     return sum / total;
@@ -554,20 +481,20 @@ class Grid {
   // The likeliest set: its loads, the readings that these leave, and their
   // misfit by the model of the errors that suits it.
   struct Likeliest {
-    std::vector<Loaded> loads;
+    std::vector<PlacedLoad> loads;
     Row left;
     double misfit;
   };
   Likeliest likeliest(const Frame& frame) const {
-    const Products& of = levels_[level];
-    Likeliest out{{}, frame.excess, of.square};
+    const Products& products = levels_[level];
+    Likeliest out{{}, frame.excess, products.square};
     numbers([&]<int K>() __attribute__((always_inline)) {
       const int lane = best_ % 4, s = best_ - lane;
       Four number[K], variance[K];
-      Eliminated<K>(normal<K>(of, scaled(scale_), s)).solve(number, variance);
+      Eliminated<K>(normal<K>(products, scaled(scale_), s)).solve(number, variance);
       for (int k = 0; k < K; ++k) {
-        const auto [j, d] = at_[k];
-        const Placed& p = placed[j];
+        const auto [j, d] = number_origin_[k];
+        const LoadColumns& p = load_columns[j];
         const int column = d * p.cells + cell_[j][best_];
         if (d == 0) out.loads.push_back({p.load, p.place[cell_[j][best_]]});
         out.loads.back().value[d] = number[k][lane] * p.unit[column];
@@ -575,9 +502,9 @@ class Grid {
         for (int i = 0; i < frame.size(); ++i) {
           out.left[i] -= number[k][lane] * column_[i][first_[j] + column];
         }
-        double moves = -2.0 * of.of[k][best_];
+        double moves = -2.0 * products.value[k][best_];
         for (int l = 0; l < K; ++l) {
-          moves += number[l][lane] * product(of, std::max(k, l), std::min(k, l), s)[lane];
+          moves += number[l][lane] * product(products, std::max(k, l), std::min(k, l), s)[lane];
         }
         out.misfit += number[k][lane] * moves;
       }
@@ -590,19 +517,19 @@ class Grid {
     std::vector<Matrix> weighted;
     weighted.reserve(levels_.size());
     for (std::size_t s = 0; s < levels_.size(); ++s) {
-      const Whitener& by = readings.levels[s].by;
+      const Whitener& whitener = readings.levels[s].whitener;
       const int base = readings.base(s);
       if (base < 0) {
         weighted.push_back(white_[s]);
-        by.raise(weighted.back());
+        whitener.apply_transpose(weighted.back());
         continue;
       }
       weighted.push_back(weighted[base]);
       Row products(column_.columns);
-      for (int k = readings.levels[base].by.shared(); k < by.shared(); ++k) {
-        products_with(by.weighted_error(k), products.data());
+      for (int k = readings.levels[base].whitener.shared(); k < whitener.shared(); ++k) {
+        products_with(whitener.weighted_error(k), products.data());
         for (int i = 0; i < column_.rows; ++i) {
-          const double share = by.taken(k) * by.weighted_error(k)[i];
+          const double share = whitener.taken(k) * whitener.weighted_error(k)[i];
           double* row = weighted.back()[i];
           for (int c = 0; c < column_.columns; ++c) row[c] -= share * products[c];
         }
@@ -621,27 +548,27 @@ class Grid {
   // less of it. `weighted`: of `precision_weighted`.
   THIGMO_WIDE Densest densest(const Whitened& readings, const std::vector<Matrix>& weighted,
                               const std::vector<Column>& columns, int count) const {
-    const Scaled widest =
+    const ScaledPrior widest =
         scaled(*std::max_element(priors_->moments.begin(), priors_->moments.end()));
     const double prior = std::log(*std::max_element(density_.begin(), density_.end()));
     Densest out{-INFINITY, Row(count, -INFINITY)};
     Matrix products;  // of a column with those of each set
     for (std::size_t s = 0; s < levels_.size(); ++s) {
-      const Whitened::At& at = readings.levels[s];
-      const Products& of = levels_[s];
-      if (at.level.factor > readings.levels[level].level.factor) continue;
+      const Whitened::AtLevel& model = readings.levels[s];
+      const Products& sets = levels_[s];
+      if (model.level.factor > readings.levels[level].level.factor) continue;
       for (int e = -1; e < count; ++e) {
-        Whitened::At::Beside beside{0.0, 0.0, 0.0};
+        Whitened::AtLevel::Beside beside{0.0, 0.0, 0.0};
         if (e >= 0) {
-          beside = at.beside(columns[e]);
+          beside = model.beside(columns[e]);
           lay_products(columns[e], beside.scale, weighted[s], products);
         }
         Four most = -INFINITY + Four{};
         numbers([&]<int K>() __attribute__((always_inline)) {
           for (int m = 0; m < sets_; m += 4) {
-            Normal<K> normal = this->normal<K>(of, widest, m);
+            Normal<K> normal = this->normal<K>(sets, widest, m);
             for (int k = 0; e >= 0 && k < K; ++k) {
-              normal.told[k] -= beside.told * four(products[k] + m);
+              normal.projection[k] -= beside.projection * four(products[k] + m);
               for (int l = 0; l <= k; ++l) {
                 normal.lower[k][l] -= four(products[k] + m) * four(products[l] + m);
               }
@@ -650,7 +577,7 @@ class Grid {
             most = gain > most ? gain : most;
           }
         });
-        const double best = of.constant + beside.gain + 0.5 * largest(most) + prior;
+        const double best = sets.constant + beside.gain + 0.5 * largest(most) + prior;
         double& to = e < 0 ? out.plain : out.beside[e];
         to = std::max(to, best);
       }
@@ -659,22 +586,22 @@ class Grid {
   }
 
   // The same sets beside a further column, to be weighed. `weighted`: of `precision_weighted`.
-  THIGMO_WIDE Grid beside(const Whitened& readings, const std::vector<Matrix>& weighted,
-                          const Column& column) const {
-    Grid out = *this;
+  THIGMO_WIDE PlaceSets beside(const Whitened& readings, const std::vector<Matrix>& weighted,
+                               const Column& column) const {
+    PlaceSets out = *this;
     Matrix products;
     for (std::size_t s = 0; s < levels_.size(); ++s) {
-      const Whitened::At::Beside beside = readings.levels[s].beside(column);
-      Products& of = out.levels_[s];
+      const Whitened::AtLevel::Beside beside = readings.levels[s].beside(column);
+      Products& sets = out.levels_[s];
       lay_products(column, beside.scale, weighted[s], products);
-      of.constant += beside.gain, of.square -= beside.told * beside.told;
+      sets.constant += beside.gain, sets.square -= beside.projection * beside.projection;
       const int count = static_cast<int>(number_.size());
       for (int k = 0; k < count; ++k) {
-        const double* own = products[k];
-        for (int m = 0; m < padded(); ++m) of.of[k][m] -= beside.told * own[m];
+        const double* product = products[k];
+        for (int m = 0; m < padded(); ++m) sets.value[k][m] -= beside.projection * product[m];
         for (int l = 0; l <= k; ++l) {
-          double* to = of.of[gram(count, k, l)];
-          for (int m = 0; m < padded(); ++m) to[m] -= own[m] * products[l][m];
+          double* to = sets.value[gram(count, k, l)];
+          for (int m = 0; m < padded(); ++m) to[m] -= product[m] * products[l][m];
         }
       }
     }
@@ -686,75 +613,78 @@ class Grid {
   // numbers' columns with the readings and, lower half, with each other.
   struct Products {
     double constant, square;
-    Matrix of;
+    Matrix value;
   };
   // Prior precisions of the numbers at one scale of the forces, and what they add to a log weight.
-  struct Scaled {
-    std::array<double, 2 * kMostOfLoad> tight;
+  struct ScaledPrior {
+    std::array<double, 2 * kMostNumbers> tight;
     double tighter = 1.0, constant = 0.0;
   };
 
   // A row of the weights, of one level and one scale; its share of the mass, a log while weighed.
-  struct Way {
+  struct WeightRow {
     int row;
-    Scaled by;
+    ScaledPrior prior;
     double share;
   };
 
   int padded() const { return (sets_ + 7) / 8 * 8; }  // to whole vectors of eight
   static int gram(int count, int k, int l) { return count + k * (k + 1) / 2 + l; }
   template <int N = 4>
-  const typename Lanes<N>::Type& product(const Products& of, int k, int l, int s) const {
-    return lanes<N>(of.of[gram(static_cast<int>(number_.size()), k, l)] + s);
+  const typename Lanes<N>::Type& product(const Products& products, int k, int l, int s) const {
+    return lanes<N>(products.value[gram(static_cast<int>(number_.size()), k, l)] + s);
   }
   // Whether a load has the same columns as the one before it.
   bool twin(std::size_t j) const {
     if (j == 0) return false;
-    const Placed &one = placed[j - 1], &two = placed[j];
-    return *one.load == *two.load && one.window == two.window && one.cells == two.cells;
+    const LoadColumns &previous = load_columns[j - 1], &current = load_columns[j];
+    return *previous.load == *current.load && previous.window == current.window &&
+           previous.cells == current.cells;
   }
-  void list(std::size_t load, std::vector<int>& at) {
-    if (load == placed.size()) {
-      for (std::size_t j = 0; j < load; ++j) cell_[j].push_back(at[j]);
+  void list(std::size_t load, std::vector<int>& chosen) {
+    if (load == load_columns.size()) {
+      for (std::size_t j = 0; j < load; ++j) cell_[j].push_back(chosen[j]);
       return;
     }
-    const Placed& p = placed[load];
-    for (at[load] = 0; at[load] < p.cells; ++at[load]) {
+    const LoadColumns& p = load_columns[load];
+    for (chosen[load] = 0; chosen[load] < p.cells; ++chosen[load]) {
       if (load > 0 && p.load->is_contact()) {
-        const Placed& before = placed[load - 1];
+        const LoadColumns& before = load_columns[load - 1];
         const double gap = 0.5 * std::min(p.width, before.width);
-        if (p.place[at[load]] - before.place[at[load - 1]] < gap) continue;
+        if (p.place[chosen[load]] - before.place[chosen[load - 1]] < gap) continue;
       }
-      list(load + 1, at);
+      list(load + 1, chosen);
     }
   }
 
-  THIGMO_WIDE void take(const Whitened::At& at, Matrix& white, Products& out) {
+  THIGMO_WIDE void take(const Whitened::AtLevel& model, Matrix& white, Products& out) {
     const int count = static_cast<int>(number_.size()), wide = column_.columns, n = column_.rows;
-    out.constant = at.log_density, out.square = at.square;
-    at.by(column_, white);
-    out.of.resize(count + count * (count + 1) / 2, padded());
-    Row told(wide);
+    out.constant = model.log_density, out.square = model.square;
+    model.whitener(column_, white);
+    out.value.resize(count + count * (count + 1) / 2, padded());
+    Row projection(wide);
     for (int i = 0; i < n; ++i) {
-      const double *row = white[i], own = at.read[i];
-      for (int c = 0; c < wide; ++c) told[c] += own * row[c];
+      const double *row = white[i], reading = model.read[i];
+      for (int c = 0; c < wide; ++c) projection[c] += reading * row[c];
     }
     blocks_.clear();
     for (int k = 0; k < count; ++k) {
-      const auto [b, d] = at_[k];
-      const int *right = cell_[b].data(), cells = placed[b].cells, from = first_[b] + d * cells;
-      double* __restrict to = out.of[k];
-      for (int s = 0; s < padded(); ++s) to[s] = told[from + right[s]];
+      const auto [b, d] = number_origin_[k];
+      const int *right = cell_[b].data(), cells = load_columns[b].cells,
+                from = first_[b] + d * cells;
+      double* __restrict to = out.value[k];
+      for (int s = 0; s < padded(); ++s) to[s] = projection[from + right[s]];
       for (int l = 0; l <= k; ++l) {
-        const auto [a, c] = at_[l];
-        const int *left = cell_[a].data(), rows = placed[a].cells, beside = first_[a] + c * rows;
-        to = out.of[gram(count, k, l)];
+        const auto [a, c] = number_origin_[l];
+        const int *left = cell_[a].data(), rows = load_columns[a].cells,
+                  beside = first_[a] + c * rows;
+        to = out.value[gram(count, k, l)];
         if (a == b) {
-          const double* own = block(white, from, cells, beside, 0);
-          for (int s = 0; s < padded(); ++s) to[s] = own[right[s]];
+          const double* squares = block(white, from, cells, beside, 0);
+          for (int s = 0; s < padded(); ++s) to[s] = squares[right[s]];
         } else {
-          const double* both = block(white, from, cells, beside, rows);
-          for (int s = 0; s < padded(); ++s) to[s] = both[left[s] * cells + right[s]];
+          const double* products = block(white, from, cells, beside, rows);
+          for (int s = 0; s < padded(); ++s) to[s] = products[left[s] * cells + right[s]];
         }
       }
     }
@@ -764,41 +694,43 @@ class Grid {
   [[gnu::always_inline]] void products_with(const double* row, double* out) const {
     std::fill_n(out, column_.columns, 0.0);
     for (int i = 0; i < column_.rows; ++i) {
-      const double own = row[i], *column = column_[i];
-      for (int c = 0; c < column_.columns; ++c) out[c] += own * column[c];
+      const double factor = row[i], *column = column_[i];
+      for (int c = 0; c < column_.columns; ++c) out[c] += factor * column[c];
     }
   }
 
   // Takes a level that has further shared errors and shifts beside another, whose products change
   // by an outer product for each error.
-  THIGMO_WIDE void take_beside(const Whitened::At& base, const Products& products,
-                               const Whitened::At& at, Products& out) {
-    const int count = static_cast<int>(number_.size()), from = base.by.shared();
-    const int errors = at.by.shared() - from;
-    out.constant = at.log_density, out.square = at.square;
-    out.of.resize(count + count * (count + 1) / 2, padded());
+  THIGMO_WIDE void take_beside(const Whitened::AtLevel& base, const Products& products,
+                               const Whitened::AtLevel& model, Products& out) {
+    const int count = static_cast<int>(number_.size()), from = base.whitener.shared();
+    const int errors = model.whitener.shared() - from;
+    out.constant = model.log_density, out.square = model.square;
+    out.value.resize(count + count * (count + 1) / 2, padded());
     error_products_.resize(errors + 1, column_.columns);
     set_products_.resize(errors * count, padded());
-    products_with(at.raised.data(), error_products_[errors]);
+    products_with(model.precision_weighted.data(), error_products_[errors]);
     for (int e = 0; e < errors; ++e) {
-      products_with(at.by.weighted_error(from + e), error_products_[e]);
-      const double scale = std::sqrt(at.by.taken(from + e));
+      products_with(model.whitener.weighted_error(from + e), error_products_[e]);
+      const double scale = std::sqrt(model.whitener.taken(from + e));
       for (int c = 0; c < column_.columns; ++c) error_products_[e][c] *= scale;
     }
     for (int k = 0; k < count; ++k) {
-      const auto [load, number] = at_[k];
-      const int *cell = cell_[load].data(), first = first_[load] + number * placed[load].cells;
+      const auto [load, number] = number_origin_[k];
+      const int *cell = cell_[load].data(),
+                first = first_[load] + number * load_columns[load].cells;
       for (int e = 0; e <= errors; ++e) {
         const double* of_cell = error_products_[e] + first;
-        double* __restrict to = e < errors ? set_products_[e * count + k] : out.of[k];
+        double* __restrict to = e < errors ? set_products_[e * count + k] : out.value[k];
         for (int s = 0; s < padded(); ++s) to[s] = of_cell[cell[s]];
       }
       for (int l = 0; l <= k; ++l) {
-        double* __restrict to = out.of[gram(count, k, l)];
-        std::copy_n(products.of[gram(count, k, l)], padded(), to);
+        double* __restrict to = out.value[gram(count, k, l)];
+        std::copy_n(products.value[gram(count, k, l)], padded(), to);
         for (int e = 0; e < errors; ++e) {
-          const double *one = set_products_[e * count + k], *two = set_products_[e * count + l];
-          for (int s = 0; s < padded(); ++s) to[s] -= one[s] * two[s];
+          const double *product_k = set_products_[e * count + k],
+                       *product_l = set_products_[e * count + l];
+          for (int s = 0; s < padded(); ++s) to[s] -= product_k[s] * product_l[s];
         }
       }
     }
@@ -809,28 +741,28 @@ class Grid {
   [[gnu::always_inline]] const double* block(const Matrix& white, int from, int cells, int beside,
                                              int rows) {
     const std::array key{from, beside, rows};
-    for (const auto& [of, at] : blocks_) {
-      if (of == key) return &both_[at];
+    for (const auto& [block_key, start] : blocks_) {
+      if (block_key == key) return &both_[start];
     }
-    const std::size_t at = blocks_.empty() ? 0 : ends_;
-    ends_ = at + static_cast<std::size_t>(std::max(rows, 1)) * cells;
+    const std::size_t start = blocks_.empty() ? 0 : ends_;
+    ends_ = start + static_cast<std::size_t>(std::max(rows, 1)) * cells;
     if (both_.size() < ends_) both_.resize(ends_);
-    blocks_.push_back({key, at});
+    blocks_.push_back({key, start});
     const int n = white.rows;
-    if (rows == 0) std::fill_n(&both_[at], cells, 0.0);
+    if (rows == 0) std::fill_n(&both_[start], cells, 0.0);
     for (int i = 0; rows == 0 && i < n; ++i) {
-      const double *one = white[i] + from, *two = white[i] + beside;
-      double* __restrict to = &both_[at];
-      for (int m = 0; m < cells; ++m) to[m] += one[m] * two[m];
+      const double *left = white[i] + from, *right = white[i] + beside;
+      double* __restrict to = &both_[start];
+      for (int m = 0; m < cells; ++m) to[m] += left[m] * right[m];
     }
     for (int r = 0; r < rows; ++r) {
-      double* __restrict row = &both_[at + static_cast<std::size_t>(r) * cells];
+      double* __restrict row = &both_[start + static_cast<std::size_t>(r) * cells];
       int m = 0;
       for (; m + 12 <= cells; m += 12) {
         Four sum[3]{};
         for (int i = 0; i < n; ++i) {
-          const double *one = white[i] + from + m, own = white[i][beside + r];
-          for (int part = 0; part < 3; ++part) sum[part] += own * four(one + 4 * part);
+          const double *left = white[i] + from + m, factor = white[i][beside + r];
+          for (int part = 0; part < 3; ++part) sum[part] += factor * four(left + 4 * part);
         }
         for (int part = 0; part < 3; ++part) four(row + m + 4 * part) = sum[part];
       }
@@ -839,7 +771,7 @@ class Grid {
         for (int i = 0; i < n; ++i) row[m] += white[i][from + m] * white[i][beside + r];
       }
     }
-    return &both_[at];
+    return &both_[start];
   }
 
   // Products of a column, times its scale, with those of each set. `weighted`: V^(-1) times the
@@ -855,16 +787,16 @@ class Grid {
       for (int c = 0; c < weighted.columns; ++c) sum[c] += share * row[c];
     }
     for (int k = 0; k < count; ++k) {
-      const auto [j, d] = at_[k];
-      const double* from = &sum[first_[j] + d * placed[j].cells];
+      const auto [j, d] = number_origin_[k];
+      const double* from = &sum[first_[j] + d * load_columns[j].cells];
       const int* cell = cell_[j].data();
       double* __restrict to = out[k];
       for (int s = 0; s < padded(); ++s) to[s] = from[cell[s]];
     }
   }
 
-  Scaled scaled(double scale) const {
-    Scaled out;
+  ScaledPrior scaled(double scale) const {
+    ScaledPrior out;
     for (std::size_t k = 0; k < number_.size(); ++k) {
       const double tight = number_[k].scaled ? 1.0 / (scale * scale) : 1.0;
       out.tight[k] = tight, out.tighter *= tight;
@@ -884,27 +816,28 @@ class Grid {
 
   // Normal equations of N sets from `s` on.
   template <int K, int N = 4>
-  [[gnu::always_inline]] Normal<K, N> normal(const Products& of, const Scaled& by, int s) const {
+  [[gnu::always_inline]] Normal<K, N> normal(const Products& products,
+                                             const ScaledPrior& scaled_prior, int s) const {
     Normal<K, N> out;
     for (int k = 0; k < K; ++k) {
-      out.prior[k] = by.tight[k] + typename Lanes<N>::Type{};
-      out.told[k] = lanes<N>(of.of[k] + s) + by.tight[k] * number_[k].mean;
-      for (int l = 0; l <= k; ++l) out.lower[k][l] = lanes<N>(of.of[gram(K, k, l)] + s);
+      out.prior[k] = scaled_prior.tight[k] + typename Lanes<N>::Type{};
+      out.projection[k] = lanes<N>(products.value[k] + s) + scaled_prior.tight[k] * number_[k].mean;
+      for (int l = 0; l <= k; ++l) out.lower[k][l] = lanes<N>(products.value[gram(K, k, l)] + s);
     }
     return out;
   }
 
   // Whether touches may fold the base instead.
   bool may_fold(double critical) const {
-    const auto touches = [](const Placed& p) {
+    const auto touches = [](const LoadColumns& p) {
       return p.load->where == Load::Where::anywhere && !p.load->critical;
     };
-    return critical < INFINITY && std::all_of(placed.begin(), placed.end(), touches);
+    return critical < INFINITY && std::all_of(load_columns.begin(), load_columns.end(), touches);
   }
   // Leaves of each set's weight the share in which numbers are on their side, and the moment at the
   // base is below the critical one.
-  THIGMO_WIDE void bound(double critical, bool folds, const Products& of, const Scaled& by,
-                         double* weight) const {
+  THIGMO_WIDE void bound(double critical, bool folds, const Products& products,
+                         const ScaledPrior& prior, double* weight) const {
     numbers([&]<int K>() __attribute__((always_inline)) {
       for (int s = 0; s < sets_; s += 4) {
         const int lanes = std::min(4, sets_ - s);
@@ -912,16 +845,16 @@ class Grid {
           std::fill_n(weight + s, lanes, 0.0);
           continue;
         }
-        const Eliminated<K> found(normal<K>(of, by, s));
+        const Eliminated<K> eliminated(normal<K>(products, prior, s));
         Four number[K], variance[K], lever[K]{}, moment{}, loose{};
-        found.solve(number, variance);
+        eliminated.solve(number, variance);
         for (int k = 0; folds && k < K; ++k) {
-          const auto [j, d] = at_[k];
-          const double* base = &placed[j].base[d * placed[j].cells];
+          const auto [j, d] = number_origin_[k];
+          const double* base = &load_columns[j].base[d * load_columns[j].cells];
           for (int lane = 0; lane < 4; ++lane) lever[k][lane] = base[cell_[j][s + lane]];
           moment += lever[k] * number[k];
         }
-        if (folds) found.variance(lever, loose);
+        if (folds) eliminated.variance(lever, loose);
         for (int lane = 0; lane < lanes; ++lane) {
           for (int k = 0; k < K; ++k) {
             if (number_[k].side == 0.0) continue;
@@ -938,13 +871,14 @@ class Grid {
 
   std::vector<Window> listed_;          // of the loads whose sets these are
   std::vector<std::vector<int>> cell_;  // of each load, in each set
-  std::vector<std::array<int, 2>> at_;  // of each number its load, and which of its own it is
+  std::vector<std::array<int, 2>>
+      number_origin_;  // of each number its load, and which of its own it is
   std::vector<Number> number_;
   std::vector<int> first_;  // column of each load
   Matrix column_, weight_;
   std::vector<Products> levels_;
   Scratch<std::vector<Matrix>> white_;  // whitened columns, at each level that has no base
-  std::vector<Way> ways_;
+  std::vector<WeightRow> weight_rows_;
   // Blocks of products of columns, by where they are taken: their first one.
   std::vector<std::pair<std::array<int, 3>, std::size_t>> blocks_;
   std::size_t ends_ = 0;
@@ -957,14 +891,14 @@ class Grid {
   int best_ = 0, sets_ = 0;
 };
 
-// Shares the mass of a grid that is solved out among the contacts that are felt. All are taken for
-// felt if `all` says so. Leaves out sets that hold a share of less than `nothing`.
-inline Shares share_out(const Grid& grid, bool all, double nothing) {
+// Shares the mass of a grid that is solved out among the contacts that are detected. All are taken
+// for detected if `all` says so. Leaves out sets that hold a share of less than `nothing`.
+inline Shares share_out(const PlaceSets& grid, bool all, double nothing) {
   constexpr double kUnlikely = 1e-3;
   const int count = grid.count();
   Shares out;
   struct Alone {
-    double mass = 0.0, felt = 0.0, force = 0.0, square = 0.0;
+    double mass = 0.0, detected = 0.0, force = 0.0, square = 0.0;
   };
   std::array<std::vector<Alone>, kMostContacts> alone;  // of each contact in each of its cells
   for (int j = 0; j < count; ++j) {
@@ -977,7 +911,7 @@ inline Shares share_out(const Grid& grid, bool all, double nothing) {
   for (int s = 0; s < grid.size(); ++s) {
     if (grid.mass[s] < least) continue;
     const double whole = grid.mass[s] / kept;
-    // Of each way in which some are felt, a bit each: its mass.
+    // Of each way in which some are detected, a bit each: its mass.
     std::array<double, 1 << kMostContacts> share{whole};
     std::array<double, kMostContacts> mean{}, square{};
     std::array<int, kMostContacts> cell{};
@@ -986,7 +920,7 @@ inline Shares share_out(const Grid& grid, bool all, double nothing) {
     for (int j = 0; j < count; ++j) {
       cell[j] = grid.cell(j, s), mean[j] = grid.mean[j][s];
       square[j] = mean[j] * mean[j] + grid.spread[j][s] * grid.spread[j][s];
-      const double likely = all ? 1.0 : grid.felt[j][s];
+      const double likely = all ? 1.0 : grid.detected[j][s];
       if (likely > most) most = likely, strongest = j;
       for (int way = 0; way < 1 << j; ++way) {
         share[way | 1 << j] = share[way] * likely, share[way] *= 1.0 - likely;
@@ -999,10 +933,10 @@ inline Shares share_out(const Grid& grid, bool all, double nothing) {
         const int only = way ? std::countr_zero(way) : strongest;
         Alone& to = alone[only][cell[only]];
         to.mass += mass, to.force += mass * mean[only], to.square += mass * square[only];
-        if (way) to.felt += mass;
+        if (way) to.detected += mass;
         continue;
       }
-      FeltSet& set = out.sets.emplace_back(FeltSet{mass, 1.0});
+      DetectedSet& set = out.sets.emplace_back(DetectedSet{mass, 1.0});
       for (int j = 0; j < count; ++j) {
         if (way >> j & 1) set.add(j, cell[j], out.contacts[j].place[cell[j]], mean[j], square[j]);
       }
@@ -1010,9 +944,9 @@ inline Shares share_out(const Grid& grid, bool all, double nothing) {
   }
   for (int j = 0; j < count; ++j) {
     for (std::size_t m = 0; m < alone[j].size(); ++m) {
-      const auto& [mass, felt, force, square] = alone[j][m];
+      const auto& [mass, detected, force, square] = alone[j][m];
       if (mass == 0.0) continue;
-      out.sets.emplace_back(FeltSet{mass, felt / mass})
+      out.sets.emplace_back(DetectedSet{mass, detected / mass})
           .add(j, static_cast<int>(m), out.contacts[j].place[m], force / mass, square / mass);
     }
   }

@@ -43,7 +43,7 @@ from thigmo.localization.validation import (
 _MOST_CONTACTS = 3
 METHODS = ("posterior", "thesis")
 _PARTS = {"body": Body, "sensors": Sensors, "errors": Errors, "priors": Priors}
-_PART_OF = {each.name: name for name, part in _PARTS.items() for each in fields(part)}
+_PART_OF = {option.name: name for name, part in _PARTS.items() for option in fields(part)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -150,13 +150,13 @@ class Localizer:
         free = self._free(free_curvature)
         body = free if free.size else np.zeros(1)
         body = body if body_curvature is None else vector(body_curvature, "body_curvature", count)
-        found = self._compiled.localize(k, free, body)
-        if found.problem:
-            raise refusal(found.problem, found.shows, self.length)
+        answer = self._compiled.localize(k, free, body)
+        if answer.problem:
+            raise refusal(answer.problem, answer.shows, self.length)
         if self.method != "posterior":
             return self._point_estimate(k - free if free.size else k)
         return LocalizeResult.of(
-            found, k, self.length, self.body.stiffness, noise_stated=self.errors.noise is not None
+            answer, k, self.length, self.body.stiffness, noise_stated=self.errors.noise is not None
         )
 
     def _free(self, free_curvature: npt.ArrayLike | None) -> Array:
@@ -215,13 +215,15 @@ class Localizer:
         parts = np.array_split(np.arange(count), max(min(jobs, count), 1))
 
         def run(rows: npt.NDArray[np.int64]) -> tuple[Array, Array, list[str], Array]:
-            own = (values if len(values) == 1 else values[rows] for values in (free, body))
-            free_rows, body_rows = (np.ascontiguousarray(values) for values in own)
+            rows_of_chunk = (
+                values if len(values) == 1 else values[rows] for values in (free, body)
+            )
+            free_rows, body_rows = (np.ascontiguousarray(values) for values in rows_of_chunk)
             return self._compiled.localize_rows(table[rows], free_rows, body_rows, residuals)
 
         with ThreadPoolExecutor(len(parts)) as pool:
-            found = list((pool.map if len(parts) > 1 else map)(run, parts))
-        of_row, of_contact, names, left = zip(*found, strict=True)
+            chunks = list((pool.map if len(parts) > 1 else map)(run, parts))
+        of_row, of_contact, names, left = zip(*chunks, strict=True)
         rest = np.concatenate(left) if residuals else None
         return BatchResult.of(
             np.concatenate(of_row),
@@ -243,16 +245,16 @@ class Localizer:
         count = x.size
         white = white_noise(errors.noise, count)
         widths = vector(self.sensors.span, "span", count)
-        own = {
+        sensor_errors = {
             "zero_error": vector(errors.zero_error, "zero_error", count),
             "gain_error": vector(
                 0.0 if errors.gain_error is None else errors.gain_error, "gain_error", count
             ),
         }
         odds = vector(known.bad_reading_odds, "bad_reading_odds", count)
-        check_layout(x, widths, total, noise=white, bad_reading_odds=odds, **own)
+        check_layout(x, widths, total, noise=white, bad_reading_odds=odds, **sensor_errors)
         if white.size:
-            white = np.hypot(white, own["zero_error"])
+            white = np.hypot(white, sensor_errors["zero_error"])
         check_method(self.method)
         least = 0 if self.method == "posterior" else 1
         contacts = contact_count(known.contacts, self.method, least, _MOST_CONTACTS)
@@ -279,7 +281,7 @@ class Localizer:
             position=x,
             span=widths,
             noise=white,
-            gain=own["gain_error"],
+            gain=sensor_errors["gain_error"],
             bad_odds=odds,
             shared=columns(errors.shared_errors, count),
             offset=stated(errors.offset_error, "offset_error"),

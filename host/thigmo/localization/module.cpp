@@ -26,7 +26,8 @@ Row row(const Numbers& from) { return Row(from.data(), from.data() + from.size()
 template <int Dimensions>
 Array<Dimensions> array(Row values, const std::array<std::size_t, Dimensions>& shape) {
   Row* kept = new Row(std::move(values));
-  nb::capsule owner(kept, [](void* of) noexcept { delete static_cast<Row*>(of); });
+  nb::capsule owner(
+      kept, [](void* values_of_array) noexcept { delete static_cast<Row*>(values_of_array); });
   return Array<Dimensions>(kept->data(), Dimensions, shape.data(), owner);
 }
 Array<1> array(const Row& values) { return array<1>(values, {values.size()}); }
@@ -38,8 +39,9 @@ Matrix matrix(const Table& from) {
 }
 
 constexpr const char* kStatuses[] = {"no contact", "below detection", "ambiguous", "localized"};
-std::string name_of(const Hypothesis& of) {
-  return of.bad < 0 ? of.of->name : std::string(of.of->name) + ", one bad reading";
+std::string name_of(const Hypothesis& hypothesis) {
+  return hypothesis.bad < 0 ? hypothesis.kind->name
+                            : std::string(hypothesis.kind->name) + ", one bad reading";
 }
 
 // Numbers of many answers: of each row, and of each of its contacts.
@@ -76,10 +78,10 @@ void write(const Answer& from, double length, double* row, double* contact) {
                           from.mistakes[8]};
   static_assert(of_row.size() == kOfRow);
   std::copy(of_row.begin(), of_row.end(), row);
-  for (const FeltContact& felt : from.contacts) {
-    *contact++ = felt.arc * length, *contact++ = felt.force / (length * length);
-    *contact++ = felt.low * length, *contact++ = felt.high * length;
-    *contact++ = felt.localized, *contact++ = felt.probability;
+  for (const DetectedContact& detected : from.contacts) {
+    *contact++ = detected.arc * length, *contact++ = detected.force / (length * length);
+    *contact++ = detected.low * length, *contact++ = detected.high * length;
+    *contact++ = detected.localized, *contact++ = detected.probability;
   }
 }
 
@@ -120,7 +122,7 @@ NB_MODULE(_posterior, m) {
       .def("contacts",
            [](const Answer& a, double length) {
              nb::list out;
-             for (const FeltContact& c : a.contacts) {
+             for (const DetectedContact& c : a.contacts) {
                nb::list pieces;
                for (const auto& [low, high] : c.pieces) {
                  pieces.append(nb::make_tuple(low * length, high * length));
@@ -146,7 +148,7 @@ NB_MODULE(_posterior, m) {
                    [](const Answer& a) {
                      nb::list out;
                      for (const Hypothesis& h : a.hypotheses) {
-                       out.append(nb::make_tuple(h.of->name, h.bad, h.log_weight));
+                       out.append(nb::make_tuple(h.kind->name, h.bad, h.log_weight));
                      }
                      return out;
                    })
@@ -170,9 +172,9 @@ NB_MODULE(_posterior, m) {
              const auto add = [&](const char* name, double value) {
                if (!std::isnan(value)) out[name] = value;
              };
-             add("hinge_arc", h.at * length), add("end_offset", h.offset(a.radius) * length);
-             for (const Loaded& each : h.loads) {
-               if (each.load->kinks) add("fold_angle", each.value[0]);
+             add("hinge_arc", h.kink_arc * length), add("end_offset", h.offset(a.radius) * length);
+             for (const PlacedLoad& placed : h.loads) {
+               if (placed.load->kinks) add("fold_angle", placed.value[0]);
              }
              const auto [push, push_spread, couple, couple_spread] = h.end_load();
              add("push_back", push / (length * length)), add("tip_moment", couple / length);
@@ -186,7 +188,7 @@ NB_MODULE(_posterior, m) {
       .def_prop_ro("masses",
                    [](const Answer& a) {
                      nb::list out;
-                     for (const FeltContact& c : a.contacts) {
+                     for (const DetectedContact& c : a.contacts) {
                        out.append(nb::make_tuple(array(c.edges), array(c.mass), array(c.force_at),
                                                  array(c.spread)));
                      }
@@ -197,15 +199,16 @@ NB_MODULE(_posterior, m) {
                    [](const Answer& a) -> nb::object {
                      const Hypothesis& h = a.hypotheses[a.best];
                      if (h.shares.contacts.size() != 2) return nb::none();
-                     const auto edges = [](const Cells& of) {
-                       Row out{of.place.front() - 0.5 * of.width};
-                       for (const double place : of.place) out.push_back(place + 0.5 * of.width);
+                     const auto edges = [](const Cells& cells) {
+                       Row out{cells.place.front() - 0.5 * cells.width};
+                       for (const double place : cells.place)
+                         out.push_back(place + 0.5 * cells.width);
                        return array(out);
                      };
                      const std::size_t near = h.shares.contacts[0].place.size();
                      const std::size_t far = h.shares.contacts[1].place.size();
                      Row mass(near * far);
-                     for (const FeltSet& set : h.shares.sets) {
+                     for (const DetectedSet& set : h.shares.sets) {
                        if (set.count == 2) mass[set.cell[0] * far + set.cell[1]] += set.mass;
                      }
                      return nb::make_tuple(edges(h.shares.contacts[0]), edges(h.shares.contacts[1]),
@@ -216,17 +219,17 @@ NB_MODULE(_posterior, m) {
 
   nb::class_<Options>(m, "Localizer")
       .def("__init__",
-           [](Options* self, nb::kwargs of) {
+           [](Options* self, nb::kwargs values) {
              auto* options = new (self) Options{};
              const auto take = [&]<class T>(const char* name, T& to) {
                if constexpr (std::is_same_v<T, Row>) {
-                 to = row(nb::cast<Numbers>(of[name]));
+                 to = row(nb::cast<Numbers>(values[name]));
                } else if constexpr (std::is_same_v<T, Matrix>) {
-                 to = matrix(nb::cast<Table>(of[name]));
+                 to = matrix(nb::cast<Table>(values[name]));
                } else if constexpr (std::is_enum_v<T>) {
-                 to = T(nb::cast<int>(of[name]));
+                 to = T(nb::cast<int>(values[name]));
                } else {
-                 to = nb::cast<T>(of[name]);
+                 to = nb::cast<T>(values[name]);
                }
              };
 #define TAKE(name) take(#name, options->name)
@@ -239,7 +242,7 @@ NB_MODULE(_posterior, m) {
              TAKE(direction), TAKE(curvature_map), TAKE(compliance), TAKE(weight), TAKE(priors);
 #undef TAKE
              std::tie(options->within.near, options->within.far) =
-                 nb::cast<std::pair<double, double>>(of["within"]);
+                 nb::cast<std::pair<double, double>>(values["within"]);
            })
       .def_prop_ro("length", [](const Options& self) { return self.length; })
       .def_prop_ro("count", [](const Options& self) { return self.position.size(); })
@@ -269,11 +272,11 @@ NB_MODULE(_posterior, m) {
           for (std::size_t m = 0; m < count; ++m) {
             pick_row(curvature, m, input.curvature);
             pick_row(free, m, input.free), pick_row(body, m, input.body);
-            const Answer found = answer(input, self);
-            write(found, self.length, &rows[m * kOfRow], &contacts[m * kContacts * kOfContact]);
-            if (found.problem != Problem::none) continue;
-            names[m] = name_of(found.hypotheses[found.best]);
-            if (all) std::copy(found.residual.begin(), found.residual.end(), &residuals[m * n]);
+            const Answer result = answer(input, self);
+            write(result, self.length, &rows[m * kOfRow], &contacts[m * kContacts * kOfContact]);
+            if (result.problem != Problem::none) continue;
+            names[m] = name_of(result.hypotheses[result.best]);
+            if (all) std::copy(result.residual.begin(), result.residual.end(), &residuals[m * n]);
           }
         }
         return nb::make_tuple(array<2>(std::move(rows), {count, kOfRow}),

@@ -13,9 +13,9 @@ class PlaneBody : public Body {
     turn = readings.turn;
   }
 
-  void begin(const Explanation&, bool bends) override { straight_ = !bends; }
+  void begin(const HypothesisKind&, bool bends) override { straight_ = !bends; }
 
-  void take(const Row& curvature, double, const std::vector<Loaded>&) override {
+  void take(const Row& curvature, double, const std::vector<PlacedLoad>&) override {
     straight_ = straight_ && turn_of(curvature) < priors_.straight;
     if (straight_) {
       least_ = priors_.least_lever;
@@ -29,7 +29,7 @@ class PlaneBody : public Body {
     return straight_ && turn_of(curvature) < priors_.straight;
   }
 
-  void place(Placed& p) const override {
+  void place(LoadColumns& p) const override {
     const Load& load = *p.load;
     const int n = frame_.size(), cells = p.cells;
     Row now;  // what a straight body's columns hang on
@@ -44,7 +44,7 @@ class PlaneBody : public Body {
     p.unit.resize(p.column.columns), p.base.assign(p.column.columns, 0.0);
     if (load.where == Load::Where::anywhere) {
       p.place = p.density = middles(p.window, cells);
-      for (double& each : p.density) each = density(each);
+      for (double& value : p.density) value = density(value);
     } else {
       p.place = {load.where == Load::Where::end ? 1.0 : 0.0};
     }
@@ -54,13 +54,13 @@ class PlaneBody : public Body {
       return;
     }
     int number = 0;
-    const auto fill = [&](const Levers& of, const Row& unit) {
+    const auto fill = [&](const Levers& levers, const Row& unit) {
       for (int i = 0; i < n; ++i) {
         double* to = p.column[i] + number * cells;
-        for (int m = 0; m < cells; ++m) to[m] = of.sensor[i][m] * unit[m];
+        for (int m = 0; m < cells; ++m) to[m] = levers.sensor[i][m] * unit[m];
       }
       for (int m = 0; m < cells; ++m) {
-        p.unit[number * cells + m] = unit[m], p.base[number * cells + m] = of.base[m] * unit[m];
+        p.unit[number * cells + m] = unit[m], p.base[number * cells + m] = levers.base[m] * unit[m];
       }
       ++number;
     };
@@ -94,18 +94,19 @@ class PlaneBody : public Body {
     fill(levers, force);
   }
 
-  Row bent(const std::vector<Loaded>& loads) const override {
+  Row bent(const std::vector<PlacedLoad>& loads) const override {
     static const Shape straight{Row(kNodes)};
     const Shape& shape = straight_ ? straight : shape_;
     Row out = rest;
-    for (const Loaded& each : loads) {
-      if (each.load->kinks) continue;
-      const Point at = shape.at(each.arc);
+    for (const PlacedLoad& placed : loads) {
+      if (placed.load->kinks) continue;
+      const Point point = shape.at(placed.arc);
       int number = 0;
-      if (each.load->across) shape.add_moment(at, each.value[number++], out);
-      if (each.load->along) shape.add_moment(at.turned(), each.value[number++], out);
-      if (each.load->couples == Load::Couples::none) continue;
-      for (int k = 0; k < kNodes && k <= each.arc * (kNodes - 1); ++k) out[k] += each.value[number];
+      if (placed.load->across) shape.add_moment(point, placed.value[number++], out);
+      if (placed.load->along) shape.add_moment(point.turned(), placed.value[number++], out);
+      if (placed.load->couples == Load::Couples::none) continue;
+      for (int k = 0; k < kNodes && k <= placed.arc * (kNodes - 1); ++k)
+        out[k] += placed.value[number];
     }
     return out;
   }
@@ -131,10 +132,10 @@ class PlaneBody : public Body {
   // Of a contact's place. A bend of the whole body carries each point across an area that grows as
   // the square of its arc.
   double density(double arc) const { return 1.0 - priors_.swept + 3.0 * priors_.swept * arc * arc; }
-  double largest_lever(const Point& of) const {
-    const double own = of.x * of.c + of.y * of.s;
-    double most = std::abs(own);
-    shape_.raise_to_largest(1, &of.arc, &of.c, &of.s, &own, &most);
+  double largest_lever(const Point& point) const {
+    const double lever = point.x * point.c + point.y * point.s;
+    double most = std::abs(lever);
+    shape_.raise_to_largest(1, &point.arc, &point.c, &point.s, &lever, &most);
     return most;
   }
 

@@ -74,7 +74,7 @@ LEVEL = 0.95
 EXCLUDED = 0.05
 # Standard errors by which a contact must move the readings to be counted: a weaker one can never be
 # excluded.
-FELT = 3.0
+DETECTED = 3.0
 # The same for a held end and for a free one: their prior odds are not known to a factor of ten.
 HELD_EXCLUDED = 0.005
 # A contact is localized if its interval is no wider than this share of the length: 10 cm of 53.

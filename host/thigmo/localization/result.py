@@ -211,7 +211,7 @@ class LocalizeResult:
     @classmethod
     def of(
         cls,
-        found: _posterior.Answer,
+        answer: _posterior.Answer,
         curvature: Array,
         length: float,
         stiffness: tuple[float, float] | None,
@@ -219,51 +219,51 @@ class LocalizeResult:
         noise_stated: bool,
     ) -> LocalizeResult:
         """The compiled code's answer to readings (N,), converted to the caller's units."""
-        status = STATUSES[found.status]
-        contacts = tuple(Contact(*each) for each in found.contacts(length))
+        status = STATUSES[answer.status]
+        contacts = tuple(Contact(*values) for values in answer.contacts(length))
         if stiffness is not None:
             # A load on the end belongs to the most distal contact.
-            loads = [(nan,) * 4] * (len(contacts) - 1) + [tuple(found.end_load)]
+            loads = [(nan,) * 4] * (len(contacts) - 1) + [tuple(answer.end_load)]
             contacts = tuple(
                 replace(contact, newtons=newtons(stiffness, *cells[1:], load, length))
-                for contact, cells, load in zip(contacts, found.masses, loads, strict=False)
+                for contact, cells, load in zip(contacts, answer.masses, loads, strict=False)
             )
         looks = remarks(
-            found.mistakes, found.misfit, found.freedom, found.correlation,
+            answer.mistakes, answer.misfit, answer.freedom, answer.correlation,
             sensors=int(np.isfinite(curvature).sum()), noise_stated=noise_stated,
         )  # fmt: skip
-        residuals = found.residual
+        residuals = answer.residual
         return cls(
             status,
             contacts,
-            found.hypothesis,
+            answer.hypothesis,
             message(
                 status,
                 len(contacts),
-                found.number,
-                found.touched,
-                end_open=found.end_open,
-                discarded=found.discarded >= 0,
-                kinked=found.kinked,
-                freedom=found.freedom,
+                answer.number,
+                answer.touched,
+                end_open=answer.end_open,
+                discarded=answer.discarded >= 0,
+                kinked=answer.kinked,
+                freedom=answer.freedom,
                 looks=looks,
             ),
-            found.noise,
-            found.log_odds,
-            found.hypotheses,
-            () if found.discarded < 0 else (found.discarded,),
-            found.parameters(length),
-            number=tuple(found.number),
-            touched=found.touched,
-            doubts=doubts(found.mistakes),
+            answer.noise,
+            answer.log_odds,
+            answer.hypotheses,
+            () if answer.discarded < 0 else (answer.discarded,),
+            answer.parameters(length),
+            number=tuple(answer.number),
+            touched=answer.touched,
+            doubts=doubts(answer.mistakes),
             remarks=looks,
             predicted=curvature - residuals,
             residuals=residuals,
-            reduced_chi2=reduced(found.misfit, found.freedom),
-            correlation=found.correlation,
-            log_evidence=found.log_evidence,
+            reduced_chi2=reduced(answer.misfit, answer.freedom),
+            correlation=answer.correlation,
+            log_evidence=answer.log_evidence,
             length=length,
-            _body=found,
+            _body=answer,
         )
 
     @classmethod
@@ -313,8 +313,8 @@ class LocalizeResult:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickle: the compiled answer becomes plain arrays."""
-        *own, body = (getattr(self, each.name) for each in fields(self))
-        return LocalizeResult, (*own, OfBody(body.masses, body.bend, body.joint))
+        *values, body = (getattr(self, field.name) for field in fields(self))
+        return LocalizeResult, (*values, OfBody(body.masses, body.bend, body.joint))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON or a data frame's row, without the posterior along the body."""

@@ -13,28 +13,10 @@
 #include <cmath>
 #include <vector>
 
-#if defined(__x86_64__) && defined(__GLIBC__)
-// Compiled for wide vectors too, and chosen when the library is loaded: the same numbers, sooner.
-#define THIGMO_WIDE __attribute__((target_clones("avx2", "default")))
-// A function of whose template `name`_by<N> takes as many numbers at once as the processor can.
-#define THIGMO_WIDEST(result, name, parameter, argument)                          \
-  __attribute__((target("avx512f"))) result name##_by_eight(parameter) {          \
-    return name##_by<8>(argument);                                                \
-  }                                                                               \
-  THIGMO_WIDE result name##_by_four(parameter) { return name##_by<4>(argument); } \
-  result name(parameter) {                                                        \
-    static const bool eight = __builtin_cpu_supports("avx512f");                  \
-    return eight ? name##_by_eight(argument) : name##_by_four(argument);          \
-  }
-#else
-#define THIGMO_WIDE
-#define THIGMO_WIDEST(result, name, parameter, argument) \
-  result name(parameter) { return name##_by<4>(argument); }
-#endif
+#include "vector_lanes.h"
 
 namespace thigmo {
 
-using Row = std::vector<double>;
 using Vector = std::array<double, 3>;
 
 constexpr int kNodes = 107;
@@ -86,18 +68,21 @@ class Shape {
     const double u = arc * (kNodes - 1);
     const int i = std::min(static_cast<int>(u), kNodes - 2);
     const double share = u - i;
-    const auto between = [&](const Nodes& of) { return of[i] + (of[i + 1] - of[i]) * share; };
+    const auto between = [&](const Nodes& values) {
+      return values[i] + (values[i + 1] - values[i]) * share;
+    };
     return {arc,         between(x_), between(y_), between(sum_x_), between(sum_y_),
             between(c_), between(s_)};
   }
 
-  // Raise the levers of forces at M points to the largest of each; `own`: its lever at the base.
+  // Raise the levers of forces at M points to the largest of each; `lever_at_base`: its lever at
+  // the base.
   void raise_to_largest(int count, const double* __restrict arc, const double* __restrict c,
-                        const double* __restrict s, const double* __restrict own,
+                        const double* __restrict s, const double* __restrict lever_at_base,
                         double* __restrict most) const {
     for (int k = 8; k < kNodes; k += 8) {
       for (int m = 0; m < count; ++m) {
-        const double lever = std::abs(own[m] - x_[k] * c[m] - y_[k] * s[m]);
+        const double lever = std::abs(lever_at_base[m] - x_[k] * c[m] - y_[k] * s[m]);
         most[m] = k < arc[m] * (kNodes - 1) && lever > most[m] ? lever : most[m];
       }
     }
@@ -105,10 +90,10 @@ class Shape {
 
   // Add the curvature that a force at `point` causes along the body.
   void add_moment(const Point& point, double force, Row& curvature) const {
-    const double own = point.x * point.c + point.y * point.s;
+    const double lever_at_base = point.x * point.c + point.y * point.s;
     const int end = std::min(static_cast<int>(std::ceil(point.arc * (kNodes - 1))), kNodes);
     for (int k = 0; k < end; ++k) {
-      curvature[k] += force * (own - x_[k] * point.c - y_[k] * point.s);
+      curvature[k] += force * (lever_at_base - x_[k] * point.c - y_[k] * point.s);
     }
   }
 
@@ -148,8 +133,9 @@ inline void straight_levers(const Row& place, const Row& low, const Row& high, L
 inline void bent_levers(const Shape& shape, const Row& place, const Row& low, const Row& high,
                         Levers& out, bool along = false) {
   const int count = static_cast<int>(place.size());
-  Matrix of(5, count);
-  double *arc = of[0], *sum_x = of[1], *sum_y = of[2], *c = of[3], *s = of[4];
+  Matrix columns(5, count);
+  double *arc = columns[0], *sum_x = columns[1], *sum_y = columns[2], *c = columns[3],
+         *s = columns[4];
   for (int m = 0; m < count; ++m) {
     const Point point = along ? shape.at(place[m]).turned() : shape.at(place[m]);
     arc[m] = point.arc, sum_x[m] = point.sum_x, sum_y[m] = point.sum_y;
@@ -157,8 +143,8 @@ inline void bent_levers(const Shape& shape, const Row& place, const Row& low, co
     out.base[m] = point.x * point.c + point.y * point.s;
     out.largest[m] = std::abs(out.base[m]);
   }
-  const double* own = out.base.data();
-  shape.raise_to_largest(count, arc, c, s, own, out.largest.data());
+  const double* lever_at_base = out.base.data();
+  shape.raise_to_largest(count, arc, c, s, lever_at_base, out.largest.data());
   for (int i = 0; i < out.sensor.rows; ++i) {
     const Point near = shape.at(low[i]), far = shape.at(high[i]);
     const double span = far.arc - near.arc;
@@ -168,8 +154,8 @@ inline void bent_levers(const Shape& shape, const Row& place, const Row& low, co
       const double x = (inside ? sum_x[m] : far.sum_x) - near.sum_x;
       const double y = (inside ? sum_y[m] : far.sum_y) - near.sum_y;
       const double reach = (inside ? arc[m] : far.arc) - near.arc;
-      const double mean = span < kPoint ? own[m] - near.x * c[m] - near.y * s[m]
-                                        : (own[m] * reach - x * c[m] - y * s[m]) / span;
+      const double mean = span < kPoint ? lever_at_base[m] - near.x * c[m] - near.y * s[m]
+                                        : (lever_at_base[m] * reach - x * c[m] - y * s[m]) / span;
       row[m] = arc[m] > near.arc ? mean : 0.0;
     }
   }

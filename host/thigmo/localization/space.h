@@ -52,7 +52,7 @@ inline Columns3 rotation(const Vector& w) {
 struct Section {
   double arc = 0.0;
   Columns3 frame{{{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}}};
-  Vector at{};        // its place
+  Vector position{};  // its place
   Columns3 turns{};   // of the frame's columns, times K
   Columns3 levers{};  // of the place's cross products with them
   Vector places{};    // of the place
@@ -85,20 +85,21 @@ class SpaceShape {
   }
 
   // Largest lever of forces across the body at a section.
-  double largest_lever(const Section& of) const {
+  double largest_lever(const Section& section) const {
     double most = 0.0;
-    for (std::size_t c = 0; c < sections_.size() && sections_[c].arc < of.arc; c += 4) {
-      most = std::max(most, std::abs(dot(of.frame[0], plus(of.at, -1.0, sections_[c].at))));
+    for (std::size_t c = 0; c < sections_.size() && sections_[c].arc < section.arc; c += 4) {
+      most = std::max(most, std::abs(dot(section.frame[0],
+                                         plus(section.position, -1.0, sections_[c].position))));
     }
     return most;
   }
 
   // Adds the curvature that a force and a couple at a section cause.
-  void add(const Section& of, const Vector& force, const Vector& couple, Row& to) const {
+  void add(const Section& section, const Vector& force, const Vector& couple, Row& to) const {
     const double cells = static_cast<double>(u_.size());
-    for (std::size_t c = 0; c < u_.size() && sections_[c].arc < of.arc; ++c) {
-      const double before = std::min((of.arc - sections_[c].arc) * cells, 1.0);
-      const Vector way = plus(of.at, -1.0, middle_[c].at), arm = cross(way, force);
+    for (std::size_t c = 0; c < u_.size() && sections_[c].arc < section.arc; ++c) {
+      const double before = std::min((section.arc - sections_[c].arc) * cells, 1.0);
+      const Vector way = plus(section.position, -1.0, middle_[c].position), arm = cross(way, force);
       const Vector moment = plus(couple, 1.0, arm);
       for (int j = 0; j < 3; ++j) {
         to[3 * c + j] += before * compliance_[j] * dot(middle_[c].frame[j], moment);
@@ -107,11 +108,11 @@ class SpaceShape {
   }
 
   // Curvature that a weight per length causes at a section.
-  Vector by_weight(const Section& of, const Vector& weight) const {
-    const Vector rest = plus(end().places, -1.0, of.places);  // of the body beyond
-    const Vector moment = cross(plus(rest, of.arc - 1.0, of.at), weight);
+  Vector by_weight(const Section& section, const Vector& weight) const {
+    const Vector rest = plus(end().places, -1.0, section.places);  // of the body beyond
+    const Vector moment = cross(plus(rest, section.arc - 1.0, section.position), weight);
     Vector out{};
-    for (int j = 0; j < 3; ++j) out[j] = compliance_[j] * dot(of.frame[j], moment);
+    for (int j = 0; j < 3; ++j) out[j] = compliance_[j] * dot(section.frame[j], moment);
     return out;
   }
   const Section& section(std::size_t c) const { return sections_[c]; }
@@ -120,16 +121,16 @@ class SpaceShape {
  private:
   struct Middle {
     Columns3 frame;
-    Vector at;
+    Vector position;
   };
   void beyond(const Section& from, const Vector& u, double step, Section& out,
               Middle* middle) const {
     const double half = 0.5 * step;
     const Columns3 turn = rotation({u[0] * half, u[1] * half, u[2] * half});
     const Columns3 frame = times(from.frame, turn);
-    const Vector centre = plus(from.at, half, frame[0]);
+    const Vector centre = plus(from.position, half, frame[0]);
     out.frame = times(frame, turn);
-    out.at = plus(from.at, step, frame[0]);
+    out.position = plus(from.position, step, frame[0]);
     for (int j = 0; j < 3; ++j) {
       const double share = step * compliance_[j];
       out.turns[j] = plus(from.turns[j], share, frame[j]);
@@ -164,10 +165,10 @@ class Lines {
   }
 
   // Of reading i, to a force and to a couple at a section.
-  std::pair<Vector, Vector> response(int i, const Section& of) const {
-    if (of.arc <= near_[i].arc) return {};
-    const Line line = of.arc < far_[i].arc ? between(i, of) : line_[i];
-    return {plus(line.lever, 1.0, cross(line.turn, of.at)), line.turn};
+  std::pair<Vector, Vector> response(int i, const Section& section) const {
+    if (section.arc <= near_[i].arc) return {};
+    const Line line = section.arc < far_[i].arc ? between(i, section) : line_[i];
+    return {plus(line.lever, 1.0, cross(line.turn, section.position)), line.turn};
   }
 
   // What weight adds to reading i: the mean over its span, by Simpson's rule.
@@ -203,8 +204,8 @@ class Lines {
 // one, and those deviations; forces come first.
 struct Wrenches {
   int count = 0;
-  std::array<Vector, kMostOfLoad> force{}, couple{};
-  std::array<double, kMostOfLoad> unit{};
+  std::array<Vector, kMostNumbers> force{}, couple{};
+  std::array<double, kMostNumbers> unit{};
 };
 
 class SpaceBody : public Body {
@@ -231,12 +232,12 @@ class SpaceBody : public Body {
   }
 
   // A twist of the end that no sensor measures shows only by how the body bends elsewhere.
-  void begin(const Explanation& of, bool) override {
-    unseen_ = of.loads.back().twists && !measured_;
+  void begin(const HypothesisKind& kind, bool) override {
+    unseen_ = kind.loads.back().twists && !measured_;
     slope_.clear(), twist_ = 0.0;
   }
 
-  void take(const Row& curvature, double step, const std::vector<Loaded>& loads) override {
+  void take(const Row& curvature, double step, const std::vector<PlacedLoad>& loads) override {
     shape_ = bent_to(curvature);
     lines_.emplace(*shape_, readings_.frame, direction_);
     least_ = std::max(priors_.least_lever * shape_->largest_lever(shape_->end()), 1e-6);
@@ -254,17 +255,18 @@ class SpaceBody : public Body {
   bool twists() const override { return compliance_[0] > 0.0; }
   bool in_space() const override { return true; }
 
-  void place(Placed& p) const override {
+  void place(LoadColumns& p) const override {
     p.place = p.load->where == Load::Where::anywhere ? middles(p.window, p.cells) : Row{1.0};
     p.density.clear(), p.base.clear(), p.laid.clear();
     p.column.resize(readings_.frame.size(), p.size() * p.cells);
     p.unit.resize(p.column.columns);
     for (int m = 0; m < p.cells; ++m) {
-      const Section at = shape_->at(p.place[m]);
-      const Wrenches wrench = wrenches(*p.load, at, std::max(shape_->largest_lever(at), least_));
+      const Section section = shape_->at(p.place[m]);
+      const Wrenches wrench =
+          wrenches(*p.load, section, std::max(shape_->largest_lever(section), least_));
       for (int k = 0; k < p.size(); ++k) p.unit[k * p.cells + m] = wrench.unit[k];
       for (int i = 0; i < p.column.rows; ++i) {
-        const auto [force, couple] = lines_->response(i, at);
+        const auto [force, couple] = lines_->response(i, section);
         for (int k = 0; k < p.size(); ++k) {
           double& to = p.column[i][k * p.cells + m] = dot(force, wrench.force[k]);
           if (k > 2) to += dot(couple, wrench.couple[k]);
@@ -277,12 +279,12 @@ class SpaceBody : public Body {
     }
   }
 
-  Row bent(const std::vector<Loaded>& loads) const override {
+  Row bent(const std::vector<PlacedLoad>& loads) const override {
     Row out = base(*shape_);
-    for (const Loaded& each : loads) {
-      const Section at = shape_->at(each.arc);
-      const auto [force, couple] = wrench_of(each, at);
-      shape_->add(at, force, couple, out);
+    for (const PlacedLoad& placed : loads) {
+      const Section section = shape_->at(placed.arc);
+      const auto [force, couple] = wrench_of(placed, section);
+      shape_->add(section, force, couple, out);
     }
     return out;
   }
@@ -316,11 +318,11 @@ class SpaceBody : public Body {
     return out;
   }
 
-  std::vector<Vector> forces(const std::vector<Loaded>& loads) const override {
+  std::vector<Vector> forces(const std::vector<PlacedLoad>& loads) const override {
     std::vector<Vector> out;
-    for (const Loaded& each : loads) {
-      const Columns3& frame = shape_->at(each.arc).frame;
-      out.push_back(plus(plus({}, each.value[0], frame[1]), each.value[1], frame[2]));
+    for (const PlacedLoad& placed : loads) {
+      const Columns3& frame = shape_->at(placed.arc).frame;
+      out.push_back(plus(plus({}, placed.value[0], frame[1]), placed.value[1], frame[2]));
     }
     return out;
   }
@@ -331,11 +333,11 @@ class SpaceBody : public Body {
   SpaceShape bent_to(const Row& curvature) const { return {curvature, compliance_}; }
 
   // Curvature of a body that these readings show.
-  Row curvature_of(const Row& of) const {
+  Row curvature_of(const Row& readings) const {
     const Matrix& map = options_.curvature_map;
     Row out(map.rows / 2 * 3);
     for (int r = 0; r < map.rows; ++r) {
-      out[r / 2 * 3 + 1 + r % 2] = Whitener::dot(map[r], of.data(), map.columns);
+      out[r / 2 * 3 + 1 + r % 2] = Whitener::dot(map[r], readings.data(), map.columns);
     }
     return out;
   }
@@ -371,13 +373,13 @@ class SpaceBody : public Body {
   Row base(const SpaceShape& shape) const {
     Row out = unweighed_;
     for (int c = 0; weighs() && c < shape.cells(); ++c) {
-      const Vector by = shape.by_weight(shape.at((c + 0.5) / shape.cells()), weight_);
-      for (int j = 0; j < 3; ++j) out[3 * c + j] += by[j];
+      const Vector added = shape.by_weight(shape.at((c + 0.5) / shape.cells()), weight_);
+      for (int j = 0; j < 3; ++j) out[3 * c + j] += added[j];
     }
     return out;
   }
 
-  Wrenches wrenches(const Load& load, const Section& at, double lever) const {
+  Wrenches wrenches(const Load& load, const Section& section, double lever) const {
     Wrenches out;
     const double unit = 1.0 / lever,
                  couple = load.couples == Load::Couples::of_face ? options_.radius * unit : 1.0;
@@ -385,47 +387,48 @@ class SpaceBody : public Body {
       (is_couple ? out.couple : out.force)[out.count] = plus({}, size, axis);
       out.unit[out.count++] = size;
     };
-    for (int j = 1; j < 3; ++j) add(at.frame[j], unit, false);
-    if (load.along) add(at.frame[0], unit, false);
+    for (int j = 1; j < 3; ++j) add(section.frame[j], unit, false);
+    if (load.along) add(section.frame[0], unit, false);
     if (load.couples == Load::Couples::none) return out;
-    for (int j = 1; j < 3; ++j) add(at.frame[j], couple, true);
-    if (load.twists) add(at.frame[0], couple, true);
+    for (int j = 1; j < 3; ++j) add(section.frame[j], couple, true);
+    if (load.twists) add(section.frame[0], couple, true);
     return out;
   }
 
   // Force and couple of a load at a section.
-  std::pair<Vector, Vector> wrench_of(const Loaded& of, const Section& at) const {
-    const Wrenches unit = wrenches(*of.load, at, 1.0);
+  std::pair<Vector, Vector> wrench_of(const PlacedLoad& load, const Section& section) const {
+    const Wrenches unit = wrenches(*load.load, section, 1.0);
     Vector force{}, couple{};
     for (int k = 0; k < unit.count; ++k) {
-      force = plus(force, of.value[k] / unit.unit[k], unit.force[k]);
-      couple = plus(couple, of.value[k] / unit.unit[k], unit.couple[k]);
+      force = plus(force, load.value[k] / unit.unit[k], unit.force[k]);
+      couple = plus(couple, load.value[k] / unit.unit[k], unit.couple[k]);
     }
     return {force, couple};
   }
 
   // The column of a couple that twists the end, whose twist turns the directions in which all other
   // loads bend the body: its derivative where the loads were last found (Gauss and Newton).
-  void lay_twist_column(const std::vector<Loaded>& loads) {
+  void lay_twist_column(const std::vector<PlacedLoad>& loads) {
     constexpr double kStep = 1e-4;
     const int n = readings_.frame.size();
     Row u;
     for (int c = 0; c < shape_->cells(); ++c) {
-      const Vector& own = shape_->curvature(c);
+      const Vector& cell = shape_->curvature(c);
       const double about = dot(shape_->section(c).frame[0], shape_->end().frame[0]);
-      u.insert(u.end(), {own[0] + kStep * about, own[1], own[2]});
+      u.insert(u.end(), {cell[0] + kStep * about, cell[1], cell[2]});
     }
     const SpaceShape twisted = bent_to(u);
     const Lines lines(twisted, readings_.frame, direction_);
     slope_.assign(n, 0.0);
     known_.resize(n);
-    for (const Loaded& each : loads) {
-      const Section at = shape_->at(each.arc), turned = twisted.at(each.arc);
-      const auto one = wrench_of(each, at), two = wrench_of(each, turned);
+    for (const PlacedLoad& placed : loads) {
+      const Section section = shape_->at(placed.arc), turned = twisted.at(placed.arc);
+      const auto wrench = wrench_of(placed, section), turned_wrench = wrench_of(placed, turned);
       for (int i = 0; i < n; ++i) {
-        const auto before = lines_->response(i, at), after = lines.response(i, turned);
-        const double change = dot(after.first, two.first) + dot(after.second, two.second) -
-                              dot(before.first, one.first) - dot(before.second, one.second);
+        const auto before = lines_->response(i, section), after = lines.response(i, turned);
+        const double change = dot(after.first, turned_wrench.first) +
+                              dot(after.second, turned_wrench.second) -
+                              dot(before.first, wrench.first) - dot(before.second, wrench.second);
         slope_[i] += compliance_[0] * change / kStep;
       }
     }

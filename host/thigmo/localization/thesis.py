@@ -148,42 +148,44 @@ def alternating(
         return np.asarray(np.linalg.pinv(influence(problem, arcs)) @ problem.curvature)
 
     def moved(arcs: Array, forces: Array) -> Array:
-        at = np.searchsorted(nodes, arcs)
+        contact_nodes = np.searchsorted(nodes, arcs)
 
         def misfits(j: int) -> Array:
             """The objective with contact j at every node and the other contacts unchanged."""
-            others = levers[:, at] @ forces - forces[j] * levers[:, at[j]]
-            rest = (problem.curvature - others)[:, None] - forces[j] * levers
+            curvature_of_others = (
+                levers[:, contact_nodes] @ forces - forces[j] * levers[:, contact_nodes[j]]
+            )
+            rest = (problem.curvature - curvature_of_others)[:, None] - forces[j] * levers
             return np.asarray(np.linalg.norm(rest, norm, axis=0))
 
-        alone = misfits(0) if at.size == 1 else None
+        alone = misfits(0) if contact_nodes.size == 1 else None
         for wall in walls:
             for _ in range(_SWEEPS):
-                before = at.copy()
-                for j in range(at.size):
+                before = contact_nodes.copy()
+                for j in range(contact_nodes.size):
                     values = (misfits(j) if alone is None else alone) - wall
-                    at[j] = _downhill(values.tolist(), int(at[j]))
-                if alone is not None or (at == before).all():
+                    contact_nodes[j] = _downhill(values.tolist(), int(contact_nodes[j]))
+                if alone is not None or (contact_nodes == before).all():
                     break
-        for j in range(0 if barriers else at.size):
-            at[j] = misfits(j).argmin()
-        return np.asarray(nodes[at])
+        for j in range(0 if barriers else contact_nodes.size):
+            contact_nodes[j] = misfits(j).argmin()
+        return np.asarray(nodes[contact_nodes])
 
     start = np.abs(nodes - starting_arcs(problem)[:, None]).argmin(axis=1)
     return alternate(nodes[start], forces_at, moved)
 
 
-def _downhill(values: list[float], at: int) -> int:
+def _downhill(values: list[float], node: int) -> int:
     """The node that a descent from `at` reaches, from which no step leads lower."""
     for step in _STEPS:
         while True:
-            for near in (at - step, at + step):
-                if 0 <= near < len(values) and values[near] < values[at]:
-                    at = near
+            for near in (node - step, node + step):
+                if 0 <= near < len(values) and values[near] < values[node]:
+                    node = near
                     break
             else:
                 break
-    return at
+    return node
 
 
 def _clamp_base(problem: Problem) -> tuple[Problem, float]:

@@ -216,11 +216,11 @@ _PROBLEMS = (
 
 def refusal(problem: int, shows: float, total: float) -> DataError:
     """The error for a problem that the compiled code found in a frame, with the likely remedy."""
-    what, cure = _PROBLEMS[problem]
+    problem_text, cure = _PROBLEMS[problem]
     if not cure:
         cure = "give the inverse of the length's unit (not degrees, ohm or counts)"
         for factor, unit in ((100.0, "cm"), (1000.0, "mm")):
             if shows / factor * total < 2.0 * math.pi:
                 cure = f"it looks like 1/m with lengths in {unit}, or like degrees: give 1/{unit}"
                 break
-    return DataError(what.format(shows), cure)
+    return DataError(problem_text.format(shows), cure)

@@ -83,7 +83,7 @@ class Whitener {
       : log_det(level.log_odds - 0.5 * frame.size() * std::log(2.0 * std::numbers::pi)),
         inverse_(frame.size()),
         column_(frame.shared_by(level)),
-        raised_(column_.rows, frame.size()),
+        weighted_(column_.rows, frame.size()),
         factor_(column_.rows),
         taken_(column_.rows) {
     const int n = frame.size();
@@ -99,16 +99,16 @@ class Whitener {
     }
     correlate(frame, frame.rows[level.row].correlation);
     for (int k = 0; k < column_.rows; ++k) {
-      double* own = column_[k];
-      whiten(own, 1, k);
-      const double square = dot(own, own, n);
+      double* column = column_[k];
+      whiten(column, 1, k);
+      const double square = dot(column, column, n);
       taken_[k] = 1.0 / (1.0 + square);
       if (square > 0.0) {
         factor_[k] = (1.0 - std::sqrt(taken_[k])) / square;
         log_det -= 0.5 * std::log1p(square);
       }
-      std::copy(own, own + n, raised_[k]);
-      raise(raised_[k], 1, k);
+      std::copy(column, column + n, weighted_[k]);
+      apply_transpose(weighted_[k], 1, k);
     }
   }
 
@@ -123,36 +123,41 @@ class Whitener {
     whiten(out.value.data(), out.columns, column_.rows);
   }
   // The transpose of whitening: from V^(-1/2) x to V^(-1) x.
-  void raise(Matrix& white) const { raise(white.value.data(), white.columns, column_.rows); }
-  Row raised(Row white) const {
-    raise(white.data(), 1, column_.rows);
+  void apply_transpose(Matrix& white) const {
+    apply_transpose(white.value.data(), white.columns, column_.rows);
+  }
+  Row precision_weighted(Row white) const {
+    apply_transpose(white.data(), 1, column_.rows);
     return white;
   }
 
   // Squared length of a whitened column.
-  double square(const Column& of) const {
+  double square(const Column& shared_column) const {
     double sum = 0.0, before = 0.0;
-    for (std::size_t i = 0; i < of.value.size(); ++i) {
-      const std::size_t at = of.from + i;
-      const double value = of.value[i] * inverse_[at];
-      const double own = lag_.empty() ? value : innovation_[at] * (value - lag_[at] * before);
-      sum += own * own, before = value;
+    for (std::size_t i = 0; i < shared_column.value.size(); ++i) {
+      const std::size_t reading = shared_column.from + i;
+      const double value = shared_column.value[i] * inverse_[reading];
+      const double white =
+          lag_.empty() ? value : innovation_[reading] * (value - lag_[reading] * before);
+      sum += white * white, before = value;
     }
-    if (const std::size_t next = of.from + of.value.size(); next < lag_.size()) {
-      const double own = innovation_[next] * lag_[next] * before;
-      sum += own * own;
+    if (const std::size_t next = shared_column.from + shared_column.value.size();
+        next < lag_.size()) {
+      const double white = innovation_[next] * lag_[next] * before;
+      sum += white * white;
     }
-    for (int k = 0; k < raised_.rows; ++k) {
-      const double share = dot(of.value.data(), raised_[k] + of.from, of.value.size());
+    for (int k = 0; k < weighted_.rows; ++k) {
+      const double share = dot(shared_column.value.data(), weighted_[k] + shared_column.from,
+                               shared_column.value.size());
       sum -= taken_[k] * share * share;
     }
     return std::max(sum, 0.0);
   }
 
-  // Shared errors: how many, V^(-1) of those before times one, and the share of its products that
-  // it takes away. So V^(-1) with all is that without the last few, less their outer products.
+  // Shared errors: how many there are; of the k-th, V^(-1) of those before it times its column; and
+  // the factor of its outer product, which V^(-1) with it has less than without it.
   int shared() const { return column_.rows; }
-  const double* weighted_error(int k) const { return raised_[k]; }
+  const double* weighted_error(int k) const { return weighted_[k]; }
   double taken(int k) const { return taken_[k]; }
 
   static double dot(const double* a, const double* b, std::size_t n) {
@@ -177,16 +182,17 @@ class Whitener {
   // explains; and the transpose of that.
   void take_lags(double* values, int columns) const {
     for (int i = static_cast<int>(lag_.size()) - 1; i > 0; --i) {
-      double *own = values + i * columns, *before = own - columns;
-      for (int m = 0; m < columns; ++m) own[m] = innovation_[i] * (own[m] - lag_[i] * before[m]);
+      double *row = values + i * columns, *row_before = row - columns;
+      for (int m = 0; m < columns; ++m)
+        row[m] = innovation_[i] * (row[m] - lag_[i] * row_before[m]);
     }
   }
   void take_lags_transposed(double* values, int columns) const {
     for (int i = 0; i < static_cast<int>(lag_.size()); ++i) {
-      double *own = values + i * columns, *before = own - columns;
+      double *row = values + i * columns, *row_before = row - columns;
       for (int m = 0; m < columns; ++m) {
-        own[m] *= innovation_[i];
-        if (i > 0) before[m] -= lag_[i] * own[m];
+        row[m] *= innovation_[i];
+        if (i > 0) row_before[m] -= lag_[i] * row[m];
       }
     }
   }
@@ -198,13 +204,13 @@ class Whitener {
   // Take a share of a shared column out of each of the M columns of N by M values.
   void take(int k, double* values, int columns) const {
     const int n = static_cast<int>(inverse_.size());
-    const double* own = column_[k];
+    const double* column = column_[k];
     Row share(columns);
     for (int i = 0; i < n; ++i) {
-      for (int m = 0; m < columns; ++m) share[m] += own[i] * values[i * columns + m];
+      for (int m = 0; m < columns; ++m) share[m] += column[i] * values[i * columns + m];
     }
     for (int i = 0; i < n; ++i) {
-      const double step = factor_[k] * own[i];
+      const double step = factor_[k] * column[i];
       for (int m = 0; m < columns; ++m) values[i * columns + m] -= step * share[m];
     }
   }
@@ -214,7 +220,7 @@ class Whitener {
     take_lags(values, columns);
     for (int k = 0; k < count; ++k) take(k, values, columns);
   }
-  void raise(double* values, int columns, int count) const {
+  void apply_transpose(double* values, int columns, int count) const {
     for (int k = count; k-- > 0;) take(k, values, columns);
     take_lags_transposed(values, columns);
     scale(values, columns);
@@ -223,95 +229,100 @@ class Whitener {
   Row inverse_;
   Row lag_, innovation_;  // of correlated noise; else empty
   Matrix column_;         // shared columns, each whitened by those before it
-  Matrix raised_;         // the same times V^(-1/2) of those before it
+  Matrix weighted_;       // the same times V^(-1/2) of those before it
   Row factor_, taken_;
 };
 
 // Log of the sum of exponentials, which may be far apart.
-inline double log_sum_exp(const Row& of) {
-  const double top = *std::max_element(of.begin(), of.end());
-  if (of.size() == 1 || !(top > -INFINITY)) return top;
+inline double log_sum_exp(const Row& terms) {
+  const double top = *std::max_element(terms.begin(), terms.end());
+  if (terms.size() == 1 || !(top > -INFINITY)) return top;
   double sum = 0.0;
-  for (const double value : of) sum += std::exp(value - top);
+  for (const double value : terms) sum += std::exp(value - top);
   return top + std::log(sum);
 }
 
 // A frame whitened at each level of its noise.
 struct Whitened {
-  struct At {
+  struct AtLevel {
     Level level;
-    Whitener by;
-    Row read, raised;            // V^(-1/2) and V^(-1) times the readings
-    double square, log_density;  // of the readings, were the body free
+    Whitener whitener;
+    Row read, precision_weighted;  // V^(-1/2) and V^(-1) times the readings
+    double square, log_density;    // of the readings, were the body free
 
-    // One more column of the covariance, a rank-one change of every product: its scale at which
-    // products with it, squared, are what is taken away; that with the readings; and what it adds
-    // to their log density.
+    // What one more shared error c changes: V^(-1) loses an outer product. `scale`:
+    // 1/sqrt(1 + c'V^(-1)c), by which products with c are multiplied; `projection`: that of the
+    // readings, scaled; `gain`: what is added to their log density.
     struct Beside {
-      double scale, told, gain;
+      double scale, projection, gain;
     };
     Beside beside(const Column& column) const {
-      const double c = 1.0 + by.square(column), scale = 1.0 / std::sqrt(c);
-      const double told = scale * Whitener::dot(column.value.data(), raised.data() + column.from,
-                                                column.value.size());
-      return {scale, told, 0.5 * (told * told - std::log(c))};
+      const double c = 1.0 + whitener.square(column), scale = 1.0 / std::sqrt(c);
+      const double projection =
+          scale * Whitener::dot(column.value.data(), precision_weighted.data() + column.from,
+                                column.value.size());
+      return {scale, projection, 0.5 * (projection * projection - std::log(c))};
     }
   };
   const Frame* frame;
-  std::vector<At> levels;
+  std::vector<AtLevel> levels;
 
-  explicit Whitened(const Frame& of) : frame(&of) {
-    levels.reserve(of.levels.size());
-    for (const Level& level : of.levels) {
-      At& at = levels.emplace_back(At{level, {of, level}, {}, {}, 0.0, 0.0});
-      at.read = at.by(of.excess_by(level));
-      at.raised = at.by.raised(at.read);
-      at.square = Whitener::dot(at.read.data(), at.read.data(), of.size());
-      at.log_density = at.by.log_det - 0.5 * at.square;
+  explicit Whitened(const Frame& whitened_frame) : frame(&whitened_frame) {
+    levels.reserve(whitened_frame.levels.size());
+    for (const Level& level : whitened_frame.levels) {
+      AtLevel& whitened =
+          levels.emplace_back(AtLevel{level, {whitened_frame, level}, {}, {}, 0.0, 0.0});
+      whitened.read = whitened.whitener(whitened_frame.excess_by(level));
+      whitened.precision_weighted = whitened.whitener.precision_weighted(whitened.read);
+      whitened.square =
+          Whitener::dot(whitened.read.data(), whitened.read.data(), whitened_frame.size());
+      whitened.log_density = whitened.whitener.log_det - 0.5 * whitened.square;
     }
   }
 
   // A level that has the same noise and only errors as stated, beside which this one has further
   // shared errors and shifts; or -1.
   int base(std::size_t level) const {
-    const Level& own = levels[level].level;
-    if (own.row == 0 || frame->rows[own.row].correlation != frame->rows[0].correlation) return -1;
+    const Level& model = levels[level].level;
+    if (model.row == 0 || frame->rows[model.row].correlation != frame->rows[0].correlation)
+      return -1;
     for (int other = 0; other < static_cast<int>(level); ++other) {
       const Level& stated = levels[other].level;
-      if (stated.row == 0 && stated.factor == own.factor) return other;
+      if (stated.row == 0 && stated.factor == model.factor) return other;
     }
     return -1;
   }
 
   // The level that suits a free body best.
-  const At& likeliest() const {
-    return *std::max_element(levels.begin(), levels.end(), [](const At& a, const At& b) {
+  const AtLevel& likeliest() const {
+    return *std::max_element(levels.begin(), levels.end(), [](const AtLevel& a, const AtLevel& b) {
       return a.log_density < b.log_density;
     });
   }
 
   // Log density of the readings of a free body.
   double log_density() const {
-    Row each;
-    for (const At& at : levels) each.push_back(at.log_density);
-    return log_sum_exp(each);
+    Row densities;
+    for (const AtLevel& whitened : levels) densities.push_back(whitened.log_density);
+    return log_sum_exp(densities);
   }
 
   // Probability of each level of a free body.
   Row shares() const {
     Row out;
     const double all = log_density();
-    for (const At& at : levels) out.push_back(std::exp(at.log_density - all));
+    for (const AtLevel& whitened : levels) out.push_back(std::exp(whitened.log_density - all));
     return out;
   }
 
   // The same log density, with each of the columns added by itself.
   Row log_densities(const std::vector<Column>& columns) const {
-    Row out, each(levels.size());
+    Row out, densities(levels.size());
     for (const Column& column : columns) {
-      std::transform(levels.begin(), levels.end(), each.begin(),
-                     [&](const At& at) { return at.log_density + at.beside(column).gain; });
-      out.push_back(log_sum_exp(each));
+      std::transform(levels.begin(), levels.end(), densities.begin(), [&](const AtLevel& whitened) {
+        return whitened.log_density + whitened.beside(column).gain;
+      });
+      out.push_back(log_sum_exp(densities));
     }
     return out;
   }

@@ -4,7 +4,15 @@ EI = 1 everywhere: forces are in 1/cm^2, moments in 1/cm. Iterative solvers are 
 files beside these are the extension `_rod`.
 """
 
-from thigmo.mechanics.closed_forms import critical_moment, fold_share, heading_along, phi, traced
+from thigmo.mechanics.closed_forms import (
+    critical_moment,
+    fold_share,
+    heading_along,
+    phi,
+    rest_mean,
+    rest_turn,
+    traced,
+)
 from thigmo.mechanics.elastica import (
     Model,
     ModelChoice,
@@ -43,6 +51,8 @@ __all__ = [
     "phi",
     "push",
     "push_tip",
+    "rest_mean",
+    "rest_turn",
     "solve",
     "traced",
 ]

@@ -25,6 +25,7 @@ class Rod:
         friction: float,
         base_compliance: float,
         tip_rounding: float,
+        rest_curvature: Sequence[tuple[float, float]],
     ) -> None:
         """Lay the body down; `elastica.Rod` explains the arguments."""
 
@@ -51,12 +52,16 @@ class Rod:
         """Return to a saved state."""
 
     def nodes(self) -> Floats:
-        """Copy of the centreline: columns s, heading, curvature (without fold), x, y."""
+        """Copy of the centreline: columns s, heading, curvature, x, y.
+
+        The curvature leaves out the fold and the rest shape.
+        """
 
     def averages_into(self, centers: Floats, spans: Floats, out: Floats) -> None:
-        """Mean curvature (1/cm) over spans (cm) around arcs, fold included, into `out`; all (N,).
+        """Mean curvature (1/cm) over spans (cm) around arcs, into `out`; all (N,).
 
-        A span of 0 gives the value at the centre; what lies beyond the body is cut off.
+        Fold and rest shape are included. A span of 0 gives the value at the centre; what lies
+        beyond the body is cut off.
         """
 
     def pose(self, arc: float) -> tuple[float, float, float]:
@@ -80,6 +85,7 @@ class Rod:
     diameter_cm: float  # inflated
     base_compliance_cm: float
     tip_rounding_cm: float
+    rest_curvature: tuple[tuple[float, float], ...]  # see `Tube`
     critical_moment: float | None  # the base folds there, 1/cm; body pressure changes it
     status: Status  # how the last equilibrium was found; see `Solution`
     model: Model  # of the last step

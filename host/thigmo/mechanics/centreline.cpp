@@ -64,12 +64,12 @@ double Centreline::heading_in(int cell, double s) const {
   const Node& b = nodes[cell + 1];
   const double width = b.s - a.s;
   if (width <= 0.0) return a.heading;
-  // Hermite's polynomial; the fold's turn is linear and is added apart.
-  const double from = a.heading - fold.turn(a.s);
-  const double to = b.heading - fold.turn(b.s);
+  // Hermite's polynomial; the turns of fold and rest shape are added apart, for they have kinks.
+  const double from = a.heading - imposed_turn(a.s);
+  const double to = b.heading - imposed_turn(b.s);
   const double u = (s - a.s) / width;
   const double v = 1.0 - u;
-  return fold.turn(s) + from * (1.0 + 2.0 * u) * v * v + to * (1.0 + 2.0 * v) * u * u +
+  return imposed_turn(s) + from * (1.0 + 2.0 * u) * v * v + to * (1.0 + 2.0 * v) * u * u +
          width * u * v * (a.curvature * v - b.curvature * u);
 }
 
@@ -99,7 +99,7 @@ double Centreline::curvature(double s) const {
   const Node& b = nodes[cell + 1];
   const double u = b.s > a.s ? (s - a.s) / (b.s - a.s) : 0.0;
   const double folded = s < fold.width && fold.angle != 0.0 ? fold.angle / fold.width : 0.0;
-  return a.curvature + u * (b.curvature - a.curvature) + folded;
+  return a.curvature + u * (b.curvature - a.curvature) + folded + rest.curvature(s);
 }
 
 bool Centreline::cut(double center, double span, double& low, double& high) const {
@@ -144,10 +144,10 @@ Gap Centreline::gap_to_round(double x, double y, double radius, const Outline& o
     if (distance < best.distance) best = {distance, place};
   };
   // How far the obstacle's centre lies ahead of a section, and to its left.
-  const auto seen_from = [&](const Pose& at) {
-    const double c = std::cos(at.heading);
-    const double d = std::sin(at.heading);
-    return std::make_pair((x - at.x) * c + (y - at.y) * d, (y - at.y) * c - (x - at.x) * d);
+  const auto seen_from = [&](const Pose& node) {
+    const double c = std::cos(node.heading);
+    const double d = std::sin(node.heading);
+    return std::make_pair((x - node.x) * c + (y - node.y) * d, (y - node.y) * c - (x - node.x) * d);
   };
   double ahead_before = 0.0;
   for (int i = 0; i < count; ++i) {
@@ -208,7 +208,7 @@ Gap Centreline::gap_to_straight(const Peg& wall, const Outline& outline) const {
       best = {away, place, Part::kStraight, along};
     }
   };
-  const auto side_of = [&](const Pose& at) { return beside(at.x, at.y) < 0.0 ? -1.0 : 1.0; };
+  const auto side_of = [&](const Pose& node) { return beside(node.x, node.y) < 0.0 ? -1.0 : 1.0; };
   const auto across = [&](double heading) {
     return std::sin(heading) * ux - std::cos(heading) * uy;
   };
@@ -221,10 +221,10 @@ Gap Centreline::gap_to_straight(const Peg& wall, const Outline& outline) const {
       s = 0.5 * (low + high);
       (across(pose(s).heading) * across(nodes[i].heading) > 0.0 ? low : high) = s;
     }
-    const Pose at = pose(s);
-    const double hand = side_of(at);
-    const double left = -hand * (std::cos(at.heading) * ux + std::sin(at.heading) * uy);
-    consider(at.x, at.y, hand, outline.tube_radius, left > 0.0 ? around - s : s);
+    const Pose section = pose(s);
+    const double hand = side_of(section);
+    const double left = -hand * (std::cos(section.heading) * ux + std::sin(section.heading) * uy);
+    consider(section.x, section.y, hand, outline.tube_radius, left > 0.0 ? around - s : s);
   }
   const Pose end = pose(side);
   const double c = std::cos(end.heading);

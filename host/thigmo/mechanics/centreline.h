@@ -4,6 +4,8 @@
 // produce; Python holds it as an array of five columns.
 #pragma once
 
+#include <algorithm>
+#include <utility>
 #include <vector>
 
 namespace thigmo::mechanics {
@@ -32,7 +34,42 @@ struct Fold {
   double turn(double s) const;
 };
 
-// One row. `curvature` leaves out the fold; `heading` contains it.
+// The shape of a body that nothing bends: pieces of one curvature each, base first, and straight
+// beyond the last. A body without pieces is straight.
+class RestShape {
+ public:
+  struct Piece {
+    double until, curvature;  // from where the piece before ends, cm and 1/cm
+  };
+
+  RestShape() = default;
+  explicit RestShape(std::vector<Piece> pieces) : pieces_(std::move(pieces)) {}
+
+  bool straight() const { return pieces_.empty(); }
+  const std::vector<Piece>& pieces() const { return pieces_; }
+  // Angle between the body at an arc and at its base.
+  double turn(double s) const {
+    double from = 0.0, turn = 0.0;
+    for (const Piece& piece : pieces_) {
+      if (s <= from) break;
+      turn += piece.curvature * (std::min(s, piece.until) - from);
+      from = piece.until;
+    }
+    return turn;
+  }
+  // That of the piece around an arc; where two meet, of the one nearer to the base.
+  double curvature(double s) const {
+    for (const Piece& piece : pieces_) {
+      if (s <= piece.until) return piece.curvature;
+    }
+    return 0.0;
+  }
+
+ private:
+  std::vector<Piece> pieces_;
+};
+
+// One row. `curvature` leaves out the fold and the rest shape; `heading` contains both.
 struct Node {
   double s, heading, curvature, x, y;
 };
@@ -77,6 +114,7 @@ struct Centreline {
   const Node* nodes;
   int count;
   Fold fold;
+  const RestShape& rest;
 
   double length() const { return nodes[count - 1].s; }
   Pose pose(double s) const;
@@ -90,10 +128,11 @@ struct Centreline {
   Gap gap_to(const Peg& peg, Part part, const Outline& outline) const;
   // The cell (number of its lower node) that holds an arc.
   int cell_of(double s) const;
-  // Curvature with the fold, linear between nodes.
+  // Curvature with the fold and the rest shape, otherwise linear between nodes.
   double curvature(double s) const;
 
  private:
+  double imposed_turn(double s) const { return fold.turn(s) + rest.turn(s); }
   double heading_in(int cell, double s) const;
   Gap gap_to_round(double x, double y, double radius, const Outline& outline) const;
   Gap gap_to_straight(const Peg& wall, const Outline& outline) const;

@@ -1,4 +1,5 @@
-"""Closed forms: the moment at which the base folds, and sensor readings of force and fold.
+"""Closed forms: the moment at which the base folds, the shape of a body that nothing bends, and
+sensor readings of force and fold.
 
 At a critical contact moment the inflated tube wrinkles all round and folds at its base. The moment
 then stays constant while the angle of the fold grows (thesis, sections 2.3.3 and 3.2). An inflated
@@ -8,10 +9,14 @@ at one body pressure scales to others.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+
+_POINT_CM = 1e-3  # width of a sensor that reads at a point
 
 
 def critical_moment(critical_curvature: float, measured_psi: float, pressure_psi: float) -> float:
@@ -36,6 +41,32 @@ def fold_share(centers: npt.ArrayLike, spans: npt.ArrayLike, diameter: float) ->
     wide = high - low > 0
     share = np.where(wide, inside / np.where(wide, high - low, 1.0), x < diameter)
     return np.asarray(share / diameter, dtype=np.float64)
+
+
+def rest_turn(pieces: Sequence[tuple[float, float]], arc: npt.ArrayLike) -> Floats:
+    """Angle (rad) between a body that nothing bends and its base, at arcs (cm) of any shape.
+
+    Args:
+        pieces: where each piece of the rest shape ends (cm), and its curvature (1/cm), base first.
+            Beyond the last the body is straight.
+    """
+    ends, curvature = np.reshape(np.asarray(pieces, dtype=np.float64), (-1, 2)).T
+    knots = np.concatenate([[0.0], ends])
+    turns = np.concatenate([[0.0], np.cumsum(curvature * np.diff(knots))])
+    return np.asarray(np.interp(np.asarray(arc, dtype=np.float64), knots, turns))
+
+
+def rest_mean(
+    pieces: Sequence[tuple[float, float]], center: npt.ArrayLike, span: npt.ArrayLike
+) -> Floats:
+    """Mean curvature (1/cm) of the rest shape over spans (cm) around arcs, (N,).
+
+    `pieces` are those of `rest_turn`. A span of 0 gives the value at the centre.
+    """
+    x = np.asarray(center, dtype=np.float64)
+    half = np.maximum(np.asarray(span, dtype=np.float64), _POINT_CM) / 2
+    turn = rest_turn(pieces, x + half) - rest_turn(pieces, x - half)
+    return np.asarray(turn / (2 * half))
 
 
 def phi(arc: npt.ArrayLike, center: npt.ArrayLike, span: npt.ArrayLike) -> Floats:

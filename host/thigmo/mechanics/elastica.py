@@ -6,11 +6,11 @@ of the body under a force f at arc a. `push` needs no peg and does not iterate, 
 estimators use it as truth.
 
 The model is planar and inextensible with EI = 1 (forces in 1/cm^2, moments in 1/cm) and natural
-curvature g, clamped at the base at (0, 0) heading along x. Contacts are unilateral, and without
-friction unless a `Rod` is given some. The base folds when the contact moment there reaches
-`critical_moment`. The moment then stays at that value, and the angle of the fold is spread over one
-diameter from the base. Base and obstacles may yield in proportion to what acts on them. The
-compiled extension has the method (`rod.h`).
+curvature g beside that of its rest shape, clamped at the base at (0, 0) heading along x. Contacts
+are unilateral, and without friction unless a `Rod` is given some. The base folds when the contact
+moment there reaches `critical_moment`. The moment then stays at that value, and the angle of the
+fold is spread over one diameter from the base. Base and obstacles may yield in proportion to what
+acts on them. The compiled extension has the method (`rod.h`).
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class PegContact:
 
 @dataclass(frozen=True, slots=True)
 class Tube:
-    """Section and base of the body."""
+    """Section, base and rest shape of the body."""
 
     diameter_cm: float = 3.5  # inflated diameter; also the length over which the fold is spread
     # contact moment (1/cm) at which the base folds; None = never
@@ -96,6 +96,9 @@ class Tube:
     base_compliance_cm: float = 0.0
     # radius of the end's corners: 0 is a flat end, the tube's radius a half circle
     tip_rounding_cm: float = 0.0
+    # shape of the body that nothing bends: where each piece ends (cm) and its curvature (1/cm),
+    # base first; straight beyond the last
+    rest_curvature: tuple[tuple[float, float], ...] = ()
 
     @property
     def radius_cm(self) -> float:
@@ -109,7 +112,7 @@ class Solution:
     def __init__(self, rod: Rod) -> None:
         self._body = rod.save()
         # The centreline at the mesh's nodes and the contacts, (n,) each. `curvature` is without the
-        # fold, which is `fold_angle` spread over [0, diameter].
+        # fold, which is `fold_angle` spread over [0, diameter], and without the rest shape.
         self.s, self.heading, self.curvature, self.x, self.y = rod.nodes().T
         self.length = rod.length  # everted (cm)
         self.free_curvature = rod.free_curvature  # 1/cm
@@ -120,9 +123,9 @@ class Solution:
         self.status = rod.status
 
     def averages(self, centers: npt.ArrayLike, spans: npt.ArrayLike) -> Floats:
-        """Mean curvature (1/cm) over spans (cm) centred at arcs (cm), fold included; shape (N,).
+        """Mean curvature (1/cm) over spans (cm) centred at arcs (cm), shape (N,).
 
-        A span of 0 gives the value at the centre.
+        Fold and rest shape are included. A span of 0 gives the value at the centre.
         """
         x = np.ascontiguousarray(np.atleast_1d(np.asarray(centers, dtype=np.float64)))
         width = np.ascontiguousarray(np.broadcast_to(np.asarray(spans, dtype=np.float64), x.shape))
@@ -152,7 +155,8 @@ class Sweep:
     do not know that another obstacle may be touched, or that an end may slip off.
     """
 
-    readings: Floats  # (K, N) mean curvature over each sensor, fold included, 1/cm
+    # (K, N) mean curvature over each sensor, 1/cm, fold and rest shape included
+    readings: Floats
     by_place: Floats  # (K, N) for each cm that the sensor lies farther out
     # (K, N, P, 6) for each obstacle's x, y, radius, end_x, end_y (of a wall) and compliance
     by_obstacle: Floats
@@ -172,7 +176,8 @@ class Rod(_rod.Rod):
         pegs: obstacles, pegs and walls.
         cell_cm: mesh width; 1 cm gives an error of about 1e-6 cm at a vine robot's bends.
         model: "auto" uses the simplest sufficient model at each step: "arc" without contact, "beam"
-            if its error bound meets the tolerance, else "elastica". Any of these three names is
+            if the body is straight at rest and the beam's error bound meets the tolerance, else
+            "elastica". Any of these three names is
             used for all steps ("arc" ignores pegs).
         tolerance_cm: largest error in position of the automatic choice.
         friction: Coulomb coefficient between skin and obstacles. With it, with walls, and with
@@ -191,13 +196,13 @@ class Rod(_rod.Rod):
     ) -> None:
         super().__init__(
             tube.diameter_cm, tube.critical_moment, _rows(pegs), cell_cm, model, tolerance_cm,
-            friction, tube.base_compliance_cm, tube.tip_rounding_cm,
+            friction, tube.base_compliance_cm, tube.tip_rounding_cm, tube.rest_curvature,
         )  # fmt: skip
 
     def sweep(
         self, bends: npt.ArrayLike, length: float, centers: npt.ArrayLike, spans: npt.ArrayLike
     ) -> Sweep:
-        """Bend the free, straight body through a ladder of free curvatures, and read its sensors.
+        """Bend the free body at rest through a ladder of free curvatures, and read its sensors.
 
         The rod itself stays where it is. A body that touches nothing costs next to nothing, one
         that touches is always the elastica.
@@ -235,10 +240,11 @@ class Rod(_rod.Rod):
 
     @property
     def tube(self) -> Tube:
-        """Section, fold and end."""
+        """Section, fold, end and rest shape."""
         return Tube(
-            self.diameter_cm, self.critical_moment, self.base_compliance_cm, self.tip_rounding_cm
-        )
+            self.diameter_cm, self.critical_moment, self.base_compliance_cm,
+            self.tip_rounding_cm, self.rest_curvature,
+        )  # fmt: skip
 
     def contacts(self) -> tuple[PegContact, ...]:
         """Touching pegs, base first."""

@@ -24,6 +24,7 @@ namespace {
 
 using Values = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using RestRows = std::vector<std::tuple<double, double>>;  // ends and curvatures of pieces
 using PegRows = std::vector<std::tuple<double, double, double, double, double, double>>;
 
 constexpr const char* kModels[] = {"arc", "beam", "elastica"};
@@ -55,6 +56,12 @@ std::vector<Peg> pegs_of(const PegRows& rows) {
   return pegs;
 }
 
+RestShape rest_of(const RestRows& rows) {
+  std::vector<RestShape::Piece> pieces;
+  for (const auto& [until, curvature] : rows) pieces.push_back({until, curvature});
+  return RestShape(std::move(pieces));
+}
+
 // An array that Python owns.
 template <typename Value, std::size_t N>
 nb::ndarray<nb::numpy, Value> array(std::vector<Value> values, const std::size_t (&shape)[N]) {
@@ -81,13 +88,14 @@ NB_MODULE(_rod, m) {
           "__init__",
           [](Rod* self, double diameter, std::optional<double> critical, const PegRows& pegs,
              double cell, const std::string& model, double tolerance, double friction,
-             double base_compliance, double rounding) {
-            new (self) Rod(diameter, moment_or_none(critical), pegs_of(pegs), cell,
-                           model_named(model), tolerance, friction, base_compliance, rounding);
+             double base_compliance, double rounding, const RestRows& rest) {
+            new (self)
+                Rod(diameter, moment_or_none(critical), pegs_of(pegs), cell, model_named(model),
+                    tolerance, friction, base_compliance, rounding, rest_of(rest));
           },
           nb::arg("diameter"), nb::arg("critical_moment").none(), nb::arg("pegs"), nb::arg("cell"),
           nb::arg("model"), nb::arg("tolerance"), nb::arg("friction"), nb::arg("base_compliance"),
-          nb::arg("tip_rounding"))
+          nb::arg("tip_rounding"), nb::arg("rest_curvature"))
       // Relaxation after a snap takes milliseconds.
       .def("step", &Rod::step, nb::arg("free_curvature"), nb::arg("length"),
            nb::call_guard<nb::gil_scoped_release>())
@@ -172,6 +180,14 @@ NB_MODULE(_rod, m) {
       .def_prop_ro("diameter_cm", &Rod::diameter)
       .def_prop_ro("base_compliance_cm", &Rod::base_compliance)
       .def_prop_ro("tip_rounding_cm", &Rod::rounding)
+      .def_prop_ro("rest_curvature",
+                   [](const Rod& rod) {
+                     nb::list pieces;
+                     for (const RestShape::Piece& piece : rod.rest().pieces()) {
+                       pieces.append(nb::make_tuple(piece.until, piece.curvature));
+                     }
+                     return nb::tuple(pieces);
+                   })
       .def_prop_rw(
           "critical_moment",
           [](const Rod& rod) {

@@ -296,22 +296,26 @@ void Rod::linearise(const std::vector<double>& z) {
     const Contact& contact = reactions.contacts[j];
     const Peg& peg = room_.pegs[contact.peg];
     const bool straight = contact.part == Part::kStraight;
-    const Pose& at = shot_.at[j];
+    const Pose& contact_pose = shot_.at[j];
     const Skin on = skin(contact);
     const Skin slope = room_.outline().slope(contact.place, peg.radius);
-    const Push by = push(contact);
-    const double along = on.ahead + peg.radius * on.out_t + peg.compliance * by.tangential;
-    const double aside = on.offset + peg.radius * on.out_n + peg.compliance * by.normal;
-    const Turned local(at.heading);
-    const Turned both(at.heading + turn);
-    const double dx = at.x + local.x(along, aside) - base.x;
-    const double dy = at.y + local.y(along, aside) - base.y;
+    const Push pushed = push(contact);
+    const double along = on.ahead + peg.radius * on.out_t + peg.compliance * pushed.tangential;
+    const double aside = on.offset + peg.radius * on.out_n + peg.compliance * pushed.normal;
+    const Turned local(contact_pose.heading);
+    const Turned deformed(contact_pose.heading + turn);
+    const double dx = contact_pose.x + local.x(along, aside) - base.x;
+    const double dy = contact_pose.y + local.y(along, aside) - base.y;
     const double x = world.x(dx, dy);
     const double y = world.y(dx, dy);
-    const double out_x = both.x(on.out_t, on.out_n);
-    const double out_y = both.y(on.out_t, on.out_n);
-    shot_.touches[j] = {
-        x, y, out_x, out_y, both.x(by.tangential, by.normal), both.y(by.tangential, by.normal)};
+    const double out_x = deformed.x(on.out_t, on.out_n);
+    const double out_y = deformed.y(on.out_t, on.out_n);
+    shot_.touches[j] = {x,
+                        y,
+                        out_x,
+                        out_y,
+                        deformed.x(pushed.tangential, pushed.normal),
+                        deformed.y(pushed.tangential, pushed.normal)};
     const double extent = std::hypot(peg.to_x, peg.to_y);
     const double ux = straight ? peg.to_x / extent : 0.0;
     const double uy = straight ? peg.to_y / extent : 0.0;
@@ -342,8 +346,8 @@ void Rod::linearise(const std::vector<double>& z) {
         column[directions] += uy;
       }
       const double facing = turned + frame.heading;
-      const double by_out_x = moves * both.x(slope.out_t, slope.out_n) - facing * out_y;
-      const double by_out_y = moves * both.y(slope.out_t, slope.out_n) + facing * out_x;
+      const double by_out_x = moves * deformed.x(slope.out_t, slope.out_n) - facing * out_y;
+      const double by_out_y = moves * deformed.y(slope.out_t, slope.out_n) + facing * out_x;
       column[2 * directions] = kTurnCm * (by_out_x * ux + by_out_y * uy);
     }
     row += straight ? 3 : 2;
@@ -367,9 +371,9 @@ std::vector<double> Rod::sensitivity() const {
   const int parameters = of_body + Sweep::kOfBody;
   std::vector<double> total(directions * parameters, 0.0);
   // The equations' own derivatives by the parameters.
-  std::vector<double> own(n * parameters, 0.0);
-  const auto at = [&](int row, int parameter) -> double& {
-    return own[row * parameters + parameter];
+  std::vector<double> changes(n * parameters, 0.0);
+  const auto change = [&](int row, int parameter) -> double& {
+    return changes[row * parameters + parameter];
   };
   const double base_moment = shot_.base.moment;
   int row = 0;
@@ -378,17 +382,17 @@ std::vector<double> Rod::sensitivity() const {
     const Peg& peg = room_.pegs[contact.peg];
     const Shot::Touch& touch = shot_.touches[j];
     const int of_peg = Sweep::kOfObstacle * contact.peg;
-    at(row, of_peg + Sweep::kX) = 1.0;
-    at(row + 1, of_peg + Sweep::kY) = 1.0;
-    at(row, of_peg + Sweep::kRadius) = -touch.out_x;
-    at(row + 1, of_peg + Sweep::kRadius) = -touch.out_y;
-    at(row, of_peg + Sweep::kCompliance) = -touch.push_x;
-    at(row + 1, of_peg + Sweep::kCompliance) = -touch.push_y;
-    at(row, of_body + Sweep::kBaseCompliance) = base_moment * touch.y;
-    at(row + 1, of_body + Sweep::kBaseCompliance) = -base_moment * touch.x;
+    change(row, of_peg + Sweep::kX) = 1.0;
+    change(row + 1, of_peg + Sweep::kY) = 1.0;
+    change(row, of_peg + Sweep::kRadius) = -touch.out_x;
+    change(row + 1, of_peg + Sweep::kRadius) = -touch.out_y;
+    change(row, of_peg + Sweep::kCompliance) = -touch.push_x;
+    change(row + 1, of_peg + Sweep::kCompliance) = -touch.push_y;
+    change(row, of_body + Sweep::kBaseCompliance) = base_moment * touch.y;
+    change(row + 1, of_body + Sweep::kBaseCompliance) = -base_moment * touch.x;
     if (contact.part == Part::kLastEnd) {
-      at(row, of_peg + Sweep::kToX) = 1.0;
-      at(row + 1, of_peg + Sweep::kToY) = 1.0;
+      change(row, of_peg + Sweep::kToX) = 1.0;
+      change(row + 1, of_peg + Sweep::kToY) = 1.0;
     }
     if (contact.part == Part::kStraight) {
       const double extent = std::hypot(peg.to_x, peg.to_y);
@@ -397,12 +401,12 @@ std::vector<double> Rod::sensitivity() const {
       // The wall's direction turns by this for each cm that its last end moves.
       const double turns[2] = {-uy / extent, ux / extent};
       for (int k = 0; k < 2; ++k) {
-        at(row, of_peg + Sweep::kToX + k) = -contact.along * turns[k] * uy;
-        at(row + 1, of_peg + Sweep::kToX + k) = contact.along * turns[k] * ux;
-        at(row + 2, of_peg + Sweep::kToX + k) =
+        change(row, of_peg + Sweep::kToX + k) = -contact.along * turns[k] * uy;
+        change(row + 1, of_peg + Sweep::kToX + k) = contact.along * turns[k] * ux;
+        change(row + 2, of_peg + Sweep::kToX + k) =
             kTurnCm * turns[k] * (touch.out_y * ux - touch.out_x * uy);
       }
-      at(row + 2, of_body + Sweep::kBaseCompliance) =
+      change(row + 2, of_body + Sweep::kBaseCompliance) =
           kTurnCm * base_moment * (touch.out_x * uy - touch.out_y * ux);
       ++row;
     }
@@ -412,12 +416,13 @@ std::vector<double> Rod::sensitivity() const {
       total[share * parameters + of_body + Sweep::kFriction] = rubbing(contact);
     }
   }
-  if (reactions_.folding != 0) at(row, of_body + Sweep::kCritical) = -room_.length * room_.length;
+  if (reactions_.folding != 0)
+    change(row, of_body + Sweep::kCritical) = -room_.length * room_.length;
   std::vector<double> matrix(n * n), column(n);
   for (int p = 0; p < parameters; ++p) {
     bool moves = false;
     for (int r = 0; r < n; ++r) {
-      column[r] = -at(r, p);
+      column[r] = -change(r, p);
       for (int d = n + 1; d < directions; ++d) {
         column[r] -= jacobian_[r * directions + d] * total[d * parameters + p];
       }
@@ -430,8 +435,9 @@ std::vector<double> Rod::sensitivity() const {
   return total;
 }
 
-// Integrates from the tip to the base, on an even grid plus the places of the contacts and the
-// fold's end, each in the frame of the distal end; then lays the nodes into the room.
+// Integrates from the tip to the base, on an even grid plus the places of the contacts and the ends
+// of the fold and of the rest shape's pieces, each in the frame of the distal end; then lays the
+// nodes into the room.
 void Rod::shoot(const Reactions& reactions) {
   struct Event {
     Skin on;
@@ -467,7 +473,10 @@ void Rod::shoot(const Reactions& reactions) {
   Section at = Section::at_origin(0.0);
   const double h = room_.length / room_.cells;
   double s = room_.length;
-  double turned = room_.natural * s + fold.turn(s);
+  const auto turn_at = [&](double arc) {
+    return room_.natural * arc + fold.turn(arc) + room_.rest.turn(arc);
+  };
+  double turned = turn_at(s);
   int k = static_cast<int>(std::ceil(s / h - kTiny)) - 1;
   auto event = events.begin();
 
@@ -507,7 +516,8 @@ void Rod::shoot(const Reactions& reactions) {
         t.moment -= step * (c * at.n_y - d * at.n_x);
         Tangent& frame = shot_.at_by[event->contact * directions + i];
         frame = t;
-        frame.heading += step * (room_.natural + (s < fold.width ? fold.angle / fold.width : 0.0));
+        frame.heading += step * (room_.natural + room_.rest.curvature(s) +
+                                 (s < fold.width ? fold.angle / fold.width : 0.0));
         const Push pushed = push_by(contact, event->contact, event->unknown, i, directions);
         t.moment += on.ahead * pushed.normal - on.offset * pushed.tangential;
         if (moves) t.moment += slope.ahead * push.normal - slope.offset * push.tangential;
@@ -536,10 +546,13 @@ void Rod::shoot(const Reactions& reactions) {
     };
     if (event != events.end()) stop_at(event->on.arc);
     if (fold.angle != 0.0 && fold.width < s - kTiny) stop_at(fold.width);
+    for (const RestShape::Piece& piece : room_.rest.pieces()) {
+      if (piece.until < s - kTiny) stop_at(piece.until);
+    }
     if (on_grid) --k;
     const double middle = 0.5 * (s + to);
-    const double turned_middle = room_.natural * middle + fold.turn(middle);
-    const double turned_end = room_.natural * to + fold.turn(to);
+    const double turned_middle = turn_at(middle);
+    const double turned_end = turn_at(to);
     if (!by.empty()) {
       for (int i = fold_direction; i <= natural_direction; ++i) {
         by[i].half = turn_by(i, s) - turn_by(i, middle);
@@ -578,9 +591,9 @@ double Rod::slip(const Contact& contact) const {
 double Rod::way_along(const Contact& contact) const {
   const Peg& wall = room_.pegs[contact.peg];
   const Skin on = skin(contact);
-  const Turned at(centreline().pose(on.arc).heading);
-  const double onward_x = -at.y(on.out_t, on.out_n);
-  const double onward_y = at.x(on.out_t, on.out_n);
+  const Turned frame(centreline().pose(on.arc).heading);
+  const double onward_x = -frame.y(on.out_t, on.out_n);
+  const double onward_y = frame.x(on.out_t, on.out_n);
   return onward_x * wall.to_x + onward_y * wall.to_y < 0.0 ? -1.0 : 1.0;
 }
 
@@ -609,10 +622,10 @@ Rod::Push Rod::push_by(const Contact& contact, int index, int unknown, int direc
   const double rubs = rubbing(contact);
   const double share = friction_ * rubs;
   if (by_force) return {-(on.out_t + share * on.out_n), -(on.out_n - share * on.out_t)};
-  double by = by_share ? 1.0 : 0.0;
-  if (std::fabs(rubs) < 1.0 && by_place) by = friction_ / kSlipCm;
-  if (std::fabs(rubs) < 1.0 && by_along) by = -contact.onward * friction_ / kSlipCm;
-  Push pushed{-contact.force * by * on.out_n, contact.force * by * on.out_t};
+  double share_by = by_share ? 1.0 : 0.0;
+  if (std::fabs(rubs) < 1.0 && by_place) share_by = friction_ / kSlipCm;
+  if (std::fabs(rubs) < 1.0 && by_along) share_by = -contact.onward * friction_ / kSlipCm;
+  Push pushed{-contact.force * share_by * on.out_n, contact.force * share_by * on.out_t};
   if (by_place) {
     const Skin slope = room_.outline().slope(contact.place, room_.pegs[contact.peg].radius);
     pushed.tangential -= contact.force * (slope.out_t + share * slope.out_n);

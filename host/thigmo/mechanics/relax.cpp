@@ -99,13 +99,15 @@ class Descent {
           0.5 * (unknown[std::max(i - 1, 0)] + unknown[std::min(i, room_.cells - 1)]);
       nodes_[i] = {s, at.heading, room_.natural + bend, at.x, at.y};
       if (i == room_.cells) break;
-      const auto turned = [&](double arc) { return room_.natural * arc + fold.turn(arc); };
+      const auto turned = [&](double arc) {
+        return room_.natural * arc + fold.turn(arc) + room_.rest.turn(arc);
+      };
       at.moment = unknown[i];
       at.advance(-h_, turned(s) - turned(s + 0.5 * h_), turned(s) - turned(s + h_), none_);
       energy += 0.5 * h_ * unknown[i] * unknown[i];
     }
     if (folds_) energy += room_.critical * (std::hypot(fold.angle, 1e-4) - 1e-4);
-    const Centreline line{nodes_.data(), room_.cells + 1, fold};
+    const Centreline line{nodes_.data(), room_.cells + 1, fold, room_.rest};
     for (std::size_t j = 0; j < stops_.size(); ++j) {
       gaps_[j] = line.gap_to(peg(j), stops_[j].part, room_.outline());
       energy += 0.5 * pressing(j) * pressing(j) * softening(j) / kStiff;
@@ -117,7 +119,8 @@ class Descent {
     const double width = 2.0 * room_.tube_radius;
     const Skin on = room_.outline().at(gaps_[stop].place, peg(stop).radius);
     const Pose pose =
-        Centreline{nodes_.data(), room_.cells + 1, {fold_angle(unknown_), width}}.pose(on.arc);
+        Centreline{nodes_.data(), room_.cells + 1, {fold_angle(unknown_), width}, room_.rest}.pose(
+            on.arc);
     const double c = std::cos(pose.heading);
     const double d = std::sin(pose.heading);
     const double x = pose.x + on.ahead * c - on.offset * d;

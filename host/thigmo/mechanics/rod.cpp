@@ -16,12 +16,12 @@ constexpr double kPieceCm = 1.0;  // the free tip's way in a piece of a step
 
 // Linear interpolation at x of values at nodes first, first + step, ...; the ends go on.
 double interpolated(const std::vector<double>& values, double first, double step, double x) {
-  const double at = (x - first) / step;
+  const double position = (x - first) / step;
   const double last = static_cast<double>(values.size() - 1);
-  if (at <= 0.0) return values.front();
-  if (at >= last) return values.back();
-  const auto i = static_cast<std::size_t>(at);
-  return values[i] + (at - static_cast<double>(i)) * (values[i + 1] - values[i]);
+  if (position <= 0.0) return values.front();
+  if (position >= last) return values.back();
+  const auto i = static_cast<std::size_t>(position);
+  return values[i] + (position - static_cast<double>(i)) * (values[i + 1] - values[i]);
 }
 
 void check(double natural, double length) {
@@ -47,13 +47,13 @@ double apart(const Node& a, const Node& b) { return std::hypot(a.x - b.x, a.y - 
 
 Rod::Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
          std::optional<Model> model, double tolerance, double friction, double base_compliance,
-         double rounding)
+         double rounding, RestShape rest)
     : cell_(cell),
       choice_(model),
       tolerance_(tolerance),
       friction_(friction),
-      room_{0.0, 0.5 * diameter,  critical, 0.0, checked(std::move(pegs)),
-            0,   base_compliance, rounding} {
+      room_{0.0,      0.5 * diameter, critical, 0.0, checked(std::move(pegs)), 0, base_compliance,
+            rounding, std::move(rest)} {
   if (!(cell >= 0.01 && cell <= 10.0)) throw BadInput("cell_cm must lie between 0.01 and 10");
   if (!(friction >= 0.0 && friction <= 2.0)) throw BadInput("friction must lie between 0 and 2");
   if (!(base_compliance >= 0.0 && std::isfinite(base_compliance))) {
@@ -61,6 +61,16 @@ Rod::Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
   }
   if (!(rounding >= 0.0 && rounding <= 0.5 * diameter)) {
     throw BadInput("the tip's rounding must lie between 0 and the tube's radius");
+  }
+  double from = 0.0;
+  for (const RestShape::Piece& piece : room_.rest.pieces()) {
+    if (!(piece.until > from && std::isfinite(piece.until + piece.curvature))) {
+      throw BadInput("the rest curvature's pieces must be finite, and their ends must ascend");
+    }
+    from = piece.until;
+  }
+  if (choice_ == Model::kBeam && !room_.rest.straight()) {
+    throw BadInput("the beam is of a body that is straight at rest");
   }
 }
 
@@ -71,7 +81,7 @@ void Rod::step(double natural, double length) {
   if (choice_ == Model::kElastica) {
     take_elastica(natural, length);
   } else if (choice_ == Model::kArc) {
-    set_free(arc_nodes(natural, length, cells_for(length)), natural, length);
+    set_free(arc_nodes(natural, length, cells_for(length), room_.rest), natural, length);
   } else if (choice_ == Model::kBeam) {
     try_beam(natural, length, kInfinite);
   } else if (!try_arc(natural, length) &&
@@ -81,9 +91,11 @@ void Rod::step(double natural, double length) {
   ++counts_[static_cast<int>(model_)];
 }
 
-// Whether the beam knows all that is in the room: flat ends, round pegs, and nothing that gives.
+// Whether the beam knows all that is in the room: a body that is straight at rest, flat ends, round
+// pegs, and nothing that gives.
 bool Rod::beam_serves() const {
-  return friction_ == 0.0 && room_.base_compliance == 0.0 && room_.rounding == 0.0 &&
+  return room_.rest.straight() && friction_ == 0.0 && room_.base_compliance == 0.0 &&
+         room_.rounding == 0.0 &&
          std::none_of(room_.pegs.begin(), room_.pegs.end(),
                       [](const Peg& peg) { return peg.is_wall() || peg.compliance > 0.0; });
 }
@@ -98,8 +110,9 @@ bool Rod::try_arc(double natural, double length) {
 }
 
 bool Rod::lie_clear(double natural, double length) {
-  std::vector<Node> nodes = arc_nodes(natural, length, cells_for(length));
-  const Centreline line{nodes.data(), static_cast<int>(nodes.size()), {0.0, diameter()}};
+  std::vector<Node> nodes = arc_nodes(natural, length, cells_for(length), room_.rest);
+  const Centreline line{
+      nodes.data(), static_cast<int>(nodes.size()), {0.0, diameter()}, room_.rest};
   const Outline outline{length, room_.tube_radius, room_.rounding};
   for (const Peg& peg : room_.pegs) {
     if (line.gap_to(peg, outline).distance <= 0.0) return false;
@@ -198,7 +211,7 @@ double Rod::travel(double natural, double length) const {
 // The way is cut into pieces in which the free tip would travel at most a centimetre.
 void Rod::follow(double natural, double length) {
   if (room_.length == 0.0) {
-    // Start straight, except that a rod that no peg can touch starts where it is.
+    // Start without muscles, except that a rod that no peg can touch starts where it is.
     const bool free = room_.pegs.empty() && std::fabs(natural) * length < 50.0;
     advance(free ? natural : 0.0, length, 0.0);
   }
@@ -269,11 +282,12 @@ void Rod::press(std::vector<Contact> contacts, double fold_angle, double natural
 void Rod::solve(double travel) {
   const double fold_before = reactions_.fold_angle;
   const std::optional<Node> tip_before = tip_;
-  bool found = find_reactions();
+  bool converged = find_reactions();
   // A solution much farther away than the tip may move is checked by relaxation.
-  if (found && tip_before && apart(nodes_.back(), *tip_before) > 5.0 * travel + 0.3) found = false;
+  if (converged && tip_before && apart(nodes_.back(), *tip_before) > 5.0 * travel + 0.3)
+    converged = false;
   status_ = Status::kConverged;
-  if (!found) {
+  if (!converged) {
     status_ = Status::kRelaxed;
     Relaxed relaxed = relax(room_, bend_, fold_before);
     nodes_ = relaxed.nodes;
@@ -285,8 +299,8 @@ void Rod::solve(double travel) {
     }
     forget_equations();
     reactions_ = near;
-    found = find_reactions() && apart(nodes_.back(), relaxed.nodes.back()) <= 1.0;
-    if (!found) {
+    converged = find_reactions() && apart(nodes_.back(), relaxed.nodes.back()) <= 1.0;
+    if (!converged) {
       // The relaxed shape is an equilibrium to the accuracy of penalties.
       status_ = Status::kApproximate;
       forget_equations();
@@ -318,7 +332,10 @@ Skin Rod::skin(const Contact& contact) const {
 }
 
 Centreline Rod::centreline() const {
-  return {nodes_.data(), static_cast<int>(nodes_.size()), {reactions_.fold_angle, diameter()}};
+  return {nodes_.data(),
+          static_cast<int>(nodes_.size()),
+          {reactions_.fold_angle, diameter()},
+          room_.rest};
 }
 
 double Rod::axial_push() const {
@@ -334,11 +351,12 @@ std::vector<ContactReport> Rod::contacts() const {
     const Pose pose = centreline().pose(on.arc);
     const double c = std::cos(pose.heading);
     const double d = std::sin(pose.heading);
-    const Push by = push(contact);
-    reports.push_back({contact.peg, on.arc + on.ahead, on.kind, by.normal, by.tangential,
-                       on.ahead * by.normal - on.offset * by.tangential,
+    const Push pushed = push(contact);
+    reports.push_back({contact.peg, on.arc + on.ahead, on.kind, pushed.normal, pushed.tangential,
+                       on.ahead * pushed.normal - on.offset * pushed.tangential,
                        pose.x + on.ahead * c - on.offset * d, pose.y + on.ahead * d + on.offset * c,
-                       by.tangential * c - by.normal * d, by.tangential * d + by.normal * c});
+                       pushed.tangential * c - pushed.normal * d,
+                       pushed.tangential * d + pushed.normal * c});
   }
   std::stable_sort(reports.begin(), reports.end(),
                    [](const auto& a, const auto& b) { return a.arc < b.arc; });

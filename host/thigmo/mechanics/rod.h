@@ -1,13 +1,13 @@
 // The body followed through time among round pegs, by the least model that is good enough.
 //
-// A planar inextensible rod, EI = 1, natural curvature g, clamped at (0, 0) heading along x,
-// carries a contact moment m(s): theta' = g + m, m' = -(t x n), with n constant between contacts.
-// Contacts are unilateral. Their friction is Coulomb's, behind a small elastic slip (Dahl's element
-// without its smooth corner): it follows how the skin has moved over the peg since the last
-// equilibrium, the peg's rolling on the skin included. The base folds when the contact moment there
-// reaches the critical one: the moment then stays, and the fold's angle is spread over one
-// diameter. The base itself turns in proportion to that moment, and obstacles yield in proportion
-// to the force on them.
+// A planar inextensible rod, EI = 1, natural curvature g beside that of its rest shape r(s),
+// clamped at (0, 0) heading along x, carries a contact moment m(s): theta' = r + g + m, m' = -(t x
+// n), with n constant between contacts. Contacts are unilateral. Their friction is Coulomb's,
+// behind a small elastic slip (Dahl's element without its smooth corner): it follows how the skin
+// has moved over the peg since the last equilibrium, the peg's rolling on the skin included. The
+// base folds when the contact moment there reaches the critical one: the moment then stays, and the
+// fold's angle is spread over one diameter. The base itself turns in proportion to that moment, and
+// obstacles yield in proportion to the force on them.
 //
 // Why this form. Forces follow the rod's own skin, so, seen from the tip, everything that acts on
 // the rod is known once each contact's force and place are: integrating from the tip down to the
@@ -57,6 +57,7 @@ struct Room {
   int cells;
   double base_compliance = 0.0;  // rad for each 1/cm of moment at the base, so cm
   double rounding = 0.0;         // radius of the end's corners, cm
+  RestShape rest = {};
 
   Outline outline() const { return {length, tube_radius, rounding}; }
 };
@@ -147,7 +148,7 @@ class Rod {
   // knows friction.
   Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
       std::optional<Model> model, double tolerance, double friction, double base_compliance,
-      double rounding);
+      double rounding, RestShape rest);
 
   // Follow the equilibrium to a new natural curvature and length.
   void step(double natural, double length);
@@ -178,6 +179,7 @@ class Rod {
   double diameter() const { return 2.0 * room_.tube_radius; }
   double base_compliance() const { return room_.base_compliance; }
   double rounding() const { return room_.rounding; }
+  const RestShape& rest() const { return room_.rest; }
   Outline outline() const { return room_.outline(); }
   double length() const { return room_.length; }
   double natural() const { return room_.natural; }

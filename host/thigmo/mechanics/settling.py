@@ -66,8 +66,8 @@ class Settling:
         best = covariance @ (full.T @ target)
         tau = float(np.clip(self.tau_s + best[2], 0.3 * self.tau_s, 3 * self.tau_s))
         error, amplitude_sd, tau_se = np.sqrt(np.diag(covariance)).tolist()
-        own = Settling(tau, tau_se, float(best[1]), amplitude_sd)
-        return float(best[0]), error, own
+        fitted = Settling(tau, tau_se, float(best[1]), amplitude_sd)
+        return float(best[0]), error, fitted
 
     def _design(self, t: Floats, noise: float) -> tuple[Floats, Floats]:
         """Rows for the unknowns rest, amplitude, tau's error; the last two with priors."""

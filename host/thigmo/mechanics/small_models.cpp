@@ -25,14 +25,38 @@ double fold_lift(double s, double fold) { return s < fold ? 0.5 * s * s / fold :
 // A peg beside the beam: where it would touch, on which side (1: from the right, 0: out of reach),
 // and the deflection at which it does.
 struct Stop {
-  double at, side, level;
+  double arc, side, level;
   bool active;
   double force;  // signed: positive bends left
 };
 
+// An even grid, and a node at the end of each piece of the rest shape.
+std::vector<Node> chained_arcs(double curvature, double length, int cells, const RestShape& rest) {
+  std::vector<Node> nodes{{0.0, 0.0, curvature, 0.0, 0.0}};
+  const auto go_to = [&](double s) {
+    const Node from = nodes.back();
+    const double way = s - from.s;
+    if (way < 1e-9) return;
+    const double half = 0.5 * (curvature + rest.curvature(s)) * way;
+    const double chord =
+        std::fabs(half) < 1e-4 ? way * (1.0 - half * half / 6.0) : way * std::sin(half) / half;
+    nodes.push_back({s, from.heading + 2.0 * half, curvature,
+                     from.x + chord * std::cos(from.heading + half),
+                     from.y + chord * std::sin(from.heading + half)});
+  };
+  auto piece = rest.pieces().begin();
+  for (int i = 1; i <= cells; ++i) {
+    const double s = length * i / cells;
+    for (; piece != rest.pieces().end() && piece->until < s; ++piece) go_to(piece->until);
+    go_to(s);
+  }
+  return nodes;
+}
+
 }  // namespace
 
-std::vector<Node> arc_nodes(double curvature, double length, int cells) {
+std::vector<Node> arc_nodes(double curvature, double length, int cells, const RestShape& rest) {
+  if (!rest.straight()) return chained_arcs(curvature, length, cells, rest);
   std::vector<Node> nodes(cells + 1);
   for (int i = 0; i <= cells; ++i) {
     const double s = length * i / cells;
@@ -82,12 +106,12 @@ std::optional<Beam> bend_beam(double g, double length, double tube_radius, doubl
     std::vector<double> a(size * size, 0.0);
     std::vector<double> b(size);
     for (int r = 0; r < contacts; ++r) {
-      const double at = active[r]->at;
-      for (int c = 0; c < contacts; ++c) a[r * size + c] = lift(at, active[c]->at);
-      b[r] = active[r]->level - 0.5 * g * at * at;
+      const double arc = active[r]->arc;
+      for (int c = 0; c < contacts; ++c) a[r * size + c] = lift(arc, active[c]->arc);
+      b[r] = active[r]->level - 0.5 * g * arc * arc;
       if (folding != 0.0) {
-        a[r * size + contacts] = fold_lift(at, fold);
-        a[contacts * size + r] = at;
+        a[r * size + contacts] = fold_lift(arc, fold);
+        a[contacts * size + r] = arc;
       }
     }
     if (folding != 0.0) b[contacts] = folding * critical;
@@ -97,7 +121,7 @@ std::optional<Beam> bend_beam(double g, double length, double tube_radius, doubl
     moment = 0.0;
     for (int r = 0; r < contacts; ++r) {
       active[r]->force = b[r];
-      moment += b[r] * active[r]->at;
+      moment += b[r] * active[r]->arc;
       const double worst = pulling ? pulling->side * pulling->force : -1e-13;
       if (active[r]->side * b[r] < worst) pulling = active[r];
     }
@@ -117,8 +141,8 @@ std::optional<Beam> bend_beam(double g, double length, double tube_radius, doubl
     Stop* overlapping = nullptr;
     for (Stop& stop : stops) {
       if (stop.side == 0.0 || stop.active) continue;
-      double y = 0.5 * g * stop.at * stop.at + fold_angle * fold_lift(stop.at, fold);
-      for (const Stop* other : active) y += other->force * lift(stop.at, other->at);
+      double y = 0.5 * g * stop.arc * stop.arc + fold_angle * fold_lift(stop.arc, fold);
+      for (const Stop* other : active) y += other->force * lift(stop.arc, other->arc);
       const double gap = stop.side * (y - stop.level);
       if (gap < deepest) {
         deepest = gap;
@@ -135,11 +159,11 @@ std::optional<Beam> bend_beam(double g, double length, double tube_radius, doubl
 
   Beam beam{std::vector<Node>(cells + 1), {}, fold_angle, moment, 0.0};
   for (std::size_t j = 0; j < stops.size(); ++j) {
-    const auto& [at, side, level, active, force] = stops[j];
+    const auto& [arc, side, level, active, force] = stops[j];
     if (!active) continue;
     const double around = Outline{length, tube_radius, 0.0}.perimeter(pegs[j].radius);
     beam.contacts.push_back(
-        {static_cast<int>(j), std::fabs(force), force >= 0.0 ? at : around - at});
+        {static_cast<int>(j), std::fabs(force), force >= 0.0 ? arc : around - arc});
   }
   const Fold turned{fold_angle, fold};
   // Foreshortening, the integral of half the slope squared, is what the model leaves out.
@@ -150,10 +174,10 @@ std::optional<Beam> bend_beam(double g, double length, double tube_radius, doubl
     Node node{s, g * s + turned.turn(s), g, s, 0.5 * g * s * s + fold_angle * fold_lift(s, fold)};
     for (const Stop& stop : stops) {
       if (!stop.active) continue;
-      const double lever = std::max(stop.at - s, 0.0);
+      const double lever = std::max(stop.arc - s, 0.0);
       node.curvature += stop.force * lever;
-      node.heading += stop.force * 0.5 * (stop.at * stop.at - lever * lever);
-      node.y += stop.force * lift(s, stop.at);
+      node.heading += stop.force * 0.5 * (stop.arc * stop.arc - lever * lever);
+      node.y += stop.force * lift(s, stop.arc);
     }
     beam.nodes[i] = node;
     if (i > 0) {

@@ -24,8 +24,9 @@ struct Contact {
   double onward = 1.0;  // -1 where larger places lie towards a wall's first end
 };
 
-// Nodes of a free body of one natural curvature: exactly a circular arc.
-std::vector<Node> arc_nodes(double curvature, double length, int cells);
+// Nodes of a free body of one natural curvature beside its rest shape's: exactly a circular arc, or
+// one for each piece.
+std::vector<Node> arc_nodes(double curvature, double length, int cells, const RestShape& rest);
 
 struct Beam {
   std::vector<Node> nodes;

@@ -7,6 +7,21 @@
 #include "rod.h"
 
 namespace thigmo::mechanics {
+namespace {
+
+// How a sensor's mean curvature changes for each cm that it lies farther out. An end of its span
+// that is cut to the body stays there.
+double mean_by_place(const Centreline& line, double center, double span, double mean) {
+  double low, high;
+  line.cut(center, span, low, high);
+  const double high_moves = span <= 0.0 || center + 0.5 * span < line.length() ? 1.0 : 0.0;
+  const double low_moves = span <= 0.0 || center - 0.5 * span > 0.0 ? 1.0 : 0.0;
+  return (line.curvature(high) * high_moves - line.curvature(low) * low_moves -
+          mean * (high_moves - low_moves)) /
+         (high - low);
+}
+
+}  // namespace
 
 Sweep Rod::sweep(const std::vector<double>& naturals, double length,
                  const std::vector<double>& centers, const std::vector<double>& spans) {
@@ -48,7 +63,8 @@ Sweep Rod::sweep(const std::vector<double>& naturals, double length,
   return sweep;
 }
 
-// A free body is an arc: whether it is clear of every obstacle follows without laying it out.
+// A free body that is straight at rest is an arc: whether it is clear of every obstacle follows
+// without laying it out.
 bool Rod::arc_is_clear(double natural, double length) const {
   const Outline outline{length, room_.tube_radius, room_.rounding};
   const double side = outline.side();
@@ -56,9 +72,10 @@ bool Rod::arc_is_clear(double natural, double length) const {
   const double turn = bend * side;
   std::vector<Node> nodes;  // of the whole arc, where it is needed
   for (const Peg& peg : room_.pegs) {
-    if (peg.is_wall() || turn > M_PI) {
-      if (nodes.empty()) nodes = arc_nodes(natural, length, cells_for(length));
-      const Centreline line{nodes.data(), static_cast<int>(nodes.size()), {0.0, diameter()}};
+    if (peg.is_wall() || turn > M_PI || !room_.rest.straight()) {
+      if (nodes.empty()) nodes = arc_nodes(natural, length, cells_for(length), room_.rest);
+      const Centreline line{
+          nodes.data(), static_cast<int>(nodes.size()), {0.0, diameter()}, room_.rest};
       if (line.gap_to(peg, outline).distance <= 0.0) return false;
       continue;
     }
@@ -84,12 +101,15 @@ bool Rod::arc_is_clear(double natural, double length) const {
 void Rod::read_free(Sweep& sweep, int row, double natural, double length,
                     const std::vector<double>& centers, const std::vector<double>& spans) const {
   const Node ends[] = {{0.0, 0.0, natural, 0.0, 0.0},
-                       {length, natural * length, natural, 0.0, 0.0}};
-  const Centreline line{ends, 2, {0.0, diameter()}};
+                       {length, natural * length + room_.rest.turn(length), natural, 0.0, 0.0}};
+  const Centreline line{ends, 2, {0.0, diameter()}, room_.rest};
   for (int m = 0; m < sweep.sensors; ++m) {
     double low, high;
-    sweep.readings[row * sweep.sensors + m] =
-        line.cut(centers[m], spans[m], low, high) ? natural : 0.0;
+    if (!line.cut(centers[m], spans[m], low, high)) continue;
+    const int place = row * sweep.sensors + m;
+    const double rest = (room_.rest.turn(high) - room_.rest.turn(low)) / (high - low);
+    sweep.readings[place] = natural + rest;
+    sweep.by_place[place] = mean_by_place(line, centers[m], spans[m], sweep.readings[place]);
   }
 }
 
@@ -133,12 +153,7 @@ void Rod::read(Sweep& sweep, int row, const std::vector<double>& centers,
     const double width = high - low;
     const double mean = (line.pose(high).heading - line.pose(low).heading) / width;
     sweep.readings[place] = mean;
-    const double half = 0.5 * spans[m];
-    const double high_moves = spans[m] <= 0.0 || centers[m] + half < line.length() ? 1.0 : 0.0;
-    const double low_moves = spans[m] <= 0.0 || centers[m] - half > 0.0 ? 1.0 : 0.0;
-    sweep.by_place[place] = (line.curvature(high) * high_moves - line.curvature(low) * low_moves -
-                             mean * (high_moves - low_moves)) /
-                            width;
+    sweep.by_place[place] = mean_by_place(line, centers[m], spans[m], mean);
     if (!exact || touching() == 0) continue;
     std::fill(turn_by.begin(), turn_by.end(), 0.0);
     add_heading_by(high, 1.0);

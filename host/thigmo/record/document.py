@@ -108,6 +108,8 @@ class MapContact:
     fit_radius_cm: float | None = None
     fit_friction: float | None = None
     fit_yield_cm: float | None = None
+    #: bend of the free body (1/cm, signed) up to which it stood: then it gave way; null: it stands
+    gave_way_per_cm: float | None = None
 
     @property
     def force_text(self) -> str:
@@ -167,11 +169,16 @@ class MapContact:
         return f"{self.status}, {_percent(self.probability)}; {self.explanation_text}"
 
     @property
+    def kind_text(self) -> str:
+        """What it is, for people."""
+        return self.kind if self.gave_way_per_cm is None else f"{self.kind} that gave way"
+
+    @property
     def explanation_text(self) -> str:
         """What explains the sweeps, for people: "wall 97 %, two pegs 3 %", or only "peg"."""
         likely = [e for e in self.explanations if e.probability >= _WORTH_SAYING]
         if len(likely) < 2:
-            return self.kind
+            return self.kind_text
         return ", ".join(f"{e.name} {_percent(e.probability)}" for e in likely)
 
     @property

@@ -83,6 +83,7 @@ class Obstacle:
     probability: Number = 1.0  # that it is real; null of a point estimate
     # of a wall: the ends of the part of its face that was touched
     surface: list[Point] = field(default_factory=list)
+    gave_way: bool = False  # under the body's force, for good
     # of a ROS map's obstacle: side of its square cells, and their turn from x; 0 for a contact
     cell_cm: float = 0.0
     cell_angle_rad: float = 0.0

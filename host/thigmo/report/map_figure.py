@@ -241,7 +241,7 @@ def _contact(axes: Axes, contact: MapContact, number: int | None) -> None:
         # Hollow while it is not sure: the two differ in grey as well.
         mfc=color if contact.status == "localized" else "white",
         mec="white" if contact.status == "localized" else color, mew=1.2,
-        label=f"{named}: {contact.kind}, {contact.status}, {contact.along_text} "
+        label=f"{named}: {contact.kind_text}, {contact.status}, {contact.along_text} "
         f"({'95 %: ' * placed}{contact.interval_text})",
     )  # fmt: skip
     if number is not None:

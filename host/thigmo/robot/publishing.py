@@ -7,6 +7,7 @@ listener is not decoded.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from functools import cache
 from math import isfinite, nan
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ import numpy as np
 from thigmo.config import SIGN
 from thigmo.link import protocol as wire
 from thigmo.link.inbox import ReceivedEvent, TelemetryFrame
-from thigmo.mechanics import heading_along, traced
+from thigmo.mechanics import heading_along, rest_turn, traced
 from thigmo.robot.curvature import SensorTable
 from thigmo.robot.idle_pressure import UNBENT_CPSI, UNBENT_PSI
 from thigmo.robot.state import RobotStatus
@@ -87,6 +88,7 @@ class Publisher:
         """Decode with these constants and zeros from now on."""
         self._wiring = wiring
         self._radius_cm = wiring.config.body.radius_cm
+        self._rest = wiring.config.body.rest_pieces
         self._table = table
         self._decode = table.board_decoder()
         # 0 for a muscle that bends the body out of the plane.
@@ -179,22 +181,25 @@ class Publisher:
             if isfinite(expected):  # only where the sensor's own is known
                 read.setdefault(center, []).append(value)
         knots = sorted((center, sum(values) / len(values)) for center, values in read.items())
-        poses = bent(telemetry.length_cm, knots or [(0.0, telemetry.free_per_cm)])
+        knots = knots or [(0.0, telemetry.free_per_cm)]
+        poses = bent(telemetry.length_cm, knots, self._rest)
         return BodyShape(telemetry.t_s, telemetry.epoch_s, poses, self._radius_cm)
 
 
 def bent(
-    length_cm: float, knots: list[tuple[float, float]]
+    length_cm: float,
+    knots: list[tuple[float, float]],
+    rest: Sequence[tuple[float, float]] = (),
 ) -> tuple[tuple[float, float, float], ...]:
     """Poses along a body whose curvature (1/cm) is known at some arcs (cm), linear between them.
 
-    Beyond the outermost it is constant.
+    Beyond the outermost it is constant. It is added to that of the rest shape (`rest_turn`).
     """
     count = max(2, round(length_cm / _STEP_CM) + 1)
     arc = np.linspace(0.0, max(length_cm, 0.0), count)
     places, values = zip(*knots, strict=True)
     curvature = np.interp(arc, places, values)
     step = arc[1]
-    heading = heading_along(curvature, step)
+    heading = heading_along(curvature, step) + rest_turn(rest, arc)
     x, y = traced(heading, step)
     return tuple(zip(x.tolist(), y.tolist(), heading.tolist(), strict=True))

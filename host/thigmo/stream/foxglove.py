@@ -120,7 +120,7 @@ def _contact(name: str, contact: MapContact, stamp: Timestamp) -> SceneEntity:
     if contact.surface:
         entity.lines.append(_line(contact.surface, _CONTACT_M, color))
     for key, value in {
-        "kind": contact.kind,
+        "kind": contact.kind_text,
         "status": contact.status,
         "probability": f"{contact.probability:.4f}",
         "explanations": contact.explanation_text,

@@ -99,16 +99,16 @@ def encoded(message: Message) -> list[tuple[str, bytes]]:
 
 def _descriptor_set(file: Any) -> bytes:
     """A file and all that it imports, as a serialized FileDescriptorSet."""
-    every = FileDescriptorSet()
+    file_set = FileDescriptorSet()
 
     def add(descriptor: Any) -> None:
         for needed in descriptor.dependencies:
             add(needed)
-        if not any(known.name == descriptor.name for known in every.file):
-            descriptor.CopyToProto(every.file.add())
+        if not any(known.name == descriptor.name for known in file_set.file):
+            descriptor.CopyToProto(file_set.file.add())
 
     add(file)
-    return every.SerializeToString()
+    return file_set.SerializeToString()
 
 
 @cache

@@ -86,7 +86,7 @@ def read_messages(
         )
     from thigmo.stream.protobuf import from_protobuf
 
-    ordered = sorted(record.messages, key=lambda each: each[1])
+    ordered = sorted(record.messages, key=lambda message: message[1])
     return (from_protobuf(topic[1:], data) for topic, _, data in ordered)
 
 

@@ -76,6 +76,8 @@ class Claim:
         """The claim as plain data, for JSON."""
         numbers = {"value": float(self.value), "limit": float(self.limit)}
         plain = {"claim": self.text, **numbers, "at_most": self.at_most, "unit": self.unit}
+        if self.standard_error > 0.0:
+            plain["standard_error"] = float(self.standard_error)
         return {**plain, "holds": self.holds}
 
     def __str__(self) -> str:

@@ -676,6 +676,7 @@ def _dial(found: list[Explored]) -> list[Record]:
                 "longest_s": max(one.time_s for one in mine),
                 "contacts": near,
                 "error_cm": errors / near if near else nan,
+                "error_se_cm": _standard_error([one.error_cm for one in mine]),
                 "missed": sum(one.touched_missed for one in mine) / max(touched, 1),
                 "localized": localized,
                 "wrong": sum(one.contacts_wrong for one in mine) / max(localized, 1),
@@ -694,7 +695,11 @@ def _dial_claims(rows: list[Record]) -> list[Claim]:
 
     claims = [
         Claim(
-            f"one peg, {setting}: mean error in the plane", of(setting, "error_cm"), most, unit="cm"
+            f"one peg, {setting}: mean error in the plane",
+            of(setting, "error_cm"),
+            most,
+            unit="cm",
+            standard_error=of(setting, "error_se_cm"),
         )
         for setting, most in (("careful", 0.5), ("default", 1.0), ("quick", 1.3))
     ]

@@ -65,7 +65,7 @@ class Traded:
 def _countable(arcs: Floats, forces: Floats) -> int:
     """Number of contacts that count."""
     column = phi(arcs[:, None], BOTH, SPAN) * forces[:, None] / SIGMA
-    return int((np.sqrt(np.square(column).sum(axis=1)) >= priors.FELT).sum())
+    return int((np.sqrt(np.square(column).sum(axis=1)) >= priors.DETECTED).sum())
 
 
 def by_prior(task: tuple[tuple[int, ...], int]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from math import nan
+from math import cos, nan
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +68,7 @@ UNPROMISED: dict[str, _Draft | None] = {
 }
 GALLERY = Path(__file__).resolve().parents[3] / "docs" / "robots"
 # Files of the gallery whose robots are felt at rest.
-FELT = ("whisker", "finger", "tendon", "three-muscles")
+FELT = ("whisker", "finger", "tendon", "preformed", "three-muscles")
 _PUSHED_RAD = (0.15, 0.5)  # turn of the body beyond a push
 _BASE_CM = 4.0  # centre of the flex sensors at the base of a string of IMUs
 
@@ -173,7 +173,9 @@ def push(load: tuple[str, int]) -> Pushed:
     arc_cm = float(rng.uniform(0.2, 1.0) * length_cm)
     turn = float(rng.choice([-1.0, 1.0]) * rng.uniform(*_PUSHED_RAD))
     # A force at an arc turns what lies beyond by half of moment times arc.
-    transport.lockstep.plant.hold([(arc_cm, 2 / 3 * turn * arc_cm)], 0.5)
+    plant = transport.lockstep.plant
+    _, y_cm, heading = plant.body.pose(arc_cm)
+    plant.hold([(arc_cm, y_cm + 2 / 3 * turn * arc_cm * cos(heading))], 0.5)
     driven.wait(3.0)
     pushed = Pushed(name, seed, arc_cm)
     try:

@@ -148,8 +148,8 @@ def chart(scores: list[Row]) -> Figure:
     scenes = list(dict.fromkeys(s["scene"] for s in scores))
     figure, axes = charts.panels(
         len(scenes) // 2 + 1, 2, size=(6.4, 5.6),
-        title="Speed against accuracy (bars: standard errors; dots: larger with more failures, "
-        "no answer or > 10 cm off)",
+        title="Speed against accuracy: down and left is better (bars: standard errors; dots: "
+        "larger with more failures, no answer or > 10 cm off)",
     )  # fmt: skip
     rows_by_scene = [
         [s for s in scores if s["scene"] == k and np.isfinite(s["mean_cm"])] for k in scenes

@@ -300,11 +300,11 @@ def _figure(stress: Stress, errors: Floats) -> Figure:
         axis.set_axis_off()
     for m, method in enumerate(methods):
         block, column = divmod(m, _ABREAST)
-        rows[2 * block, column].set_title(method)
         for measure, (label, top) in enumerate(_MEASURES):
             row = rows[2 * block + measure]
             axis = row[column]
             axis.set_axis_on()
+            axis.set_title(f"{method}: {'failures' if measure else 'error'}")
             values = np.array([[mean_and_failures(e)[measure] for e in r] for r in errors[..., m]])
             values *= 100.0 if measure else 1.0
             image = charts.cells(

@@ -217,6 +217,26 @@ def test_stiffness_is_told_as_exactly_as_it_must_be(tmp_path):
 
 
 @pytest.mark.ci
+@pytest.mark.parametrize(("turn_rad", "seed"), [(0.0, 1), (0.03, 2), (0.03, 3), (0.1, 4)])
+def test_the_turn_of_a_base_is_measured_within_its_error(tmp_path, turn_rad, seed):
+    """Turns are those at the moment that folds the base."""
+    scene = Scene.load("empty")
+    fold = scene.robot.body.critical_curvature
+    body = scene.body.model_copy(update={"base_compliance_cm": turn_rad / fold})
+    lab = Lab(tmp_path, seed, body=body)
+    bench = lab.bench()
+    result = steps.run(bench, "base")
+    lab.robot.close()
+    assert result.verdict.good, result.verdict
+    assert result.verdict.notes == ()
+    assert abs(result.compliance_cm * fold - turn_rad) < 3 * result.compliance_se_cm * fold
+    assert result.compliance_se_cm * fold < 0.005
+    body = lab.session.config.body
+    assert body.base_compliance_cm == result.compliance_cm
+    assert body.base_compliance_se_cm == result.compliance_se_cm
+
+
+@pytest.mark.ci
 def test_a_robot_whose_sensors_answer_to_one_side_is_pushed_there_only(tmp_path, monkeypatch):
     lab = Lab(tmp_path, robot=draft(53.0, 5, 1))
     bench = lab.bench()

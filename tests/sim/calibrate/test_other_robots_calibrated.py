@@ -73,7 +73,7 @@ def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
     assert json.loads(status.out).keys() & {"flex", "heading", "fibre"} == {kind}
     for made, true in zip(found.sensors, truth.sensors, strict=True):
         assert made.healthy
-        off = made.scale_per_ohm / true.scale_per_ohm - 1
+        off = made.raw_scale / true.raw_scale - 1
         assert abs(off) < max(0.03, 3 * made.scale_se)
     for muscle, right in zip(found.muscles, truth.muscles, strict=True):
         curve, goal = muscle.maps[-1].inflate, right.maps[-1].inflate

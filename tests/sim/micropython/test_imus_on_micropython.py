@@ -8,8 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from command import Thigmo
+from scipy.stats import norm
 
 from thigmo.config import RAD_PER_OHM, HeadingSensor
 from thigmo.design import draft
@@ -28,7 +30,13 @@ from thigmo.link.stored import StoredConfiguration
 from thigmo.robot.robot import Robot
 from thigmo.wiring import Wiring
 
+Floats = npt.NDArray[np.float64]
+
 LENGTH_CM = 100.0
+# Of a sum of 16 conversions, at 34 kOhm of divider and sensor, and of two headings by quaternions
+# of 14 bits: half a step of each.
+_RAD_PER_COUNT = 34_000**2 / 22_000 / 1024 * RAD_PER_OHM
+RESOLUTION_RAD = 0.5 * (_RAD_PER_COUNT / 16 + 2 * 2 / 2**14)
 FAULTY = 6  # the seventh IMU from the base
 WHERE = (FAULTY // 2, 0x4A + FAULTY % 2)
 
@@ -82,14 +90,22 @@ class String:
         return [n for n, i in enumerate(self.inputs) if sums[i] == 0]
 
 
-@pytest.fixture
-def scene_path(tmp_path: Path) -> Path:
+def scene_file(folder: Path, noise_deg: float | None = None) -> Path:
+    """The whole robot in an empty room; `noise_deg` is of a report, if not as usual."""
     if reason := missing("unix-large"):
         pytest.skip(reason)
     scene = room_for(draft(100, 12, 2, kind="heading"), 0, peg=False)
-    path = tmp_path / "scene.toml"
-    scene.model_copy(update={"start_length_cm": LENGTH_CM, "start_settled": True}).save(path)
+    scene = scene.model_copy(update={"start_length_cm": LENGTH_CM, "start_settled": True})
+    if noise_deg is not None:
+        scene.imu.noise_deg = noise_deg
+    path = folder / "scene.toml"
+    scene.save(path)
     return path
+
+
+@pytest.fixture
+def scene_path(tmp_path: Path) -> Path:
+    return scene_file(tmp_path)
 
 
 @pytest.fixture
@@ -97,19 +113,27 @@ def string(scene_path: Path) -> String:
     return String(scene_path)
 
 
-def test_readings_are_the_turns_between_neighbours(string: String) -> None:
+def turn_rad(count: Floats) -> Floats:
+    """The turn that the count of a divider stands for."""
+    ohm = 22_000 * (1024 - count) / count
+    return (ohm - HeadingSensor.straight_ohm) * RAD_PER_OHM
+
+
+@pytest.mark.parametrize("noise_deg", [0.05, 0.005])  # 0.05 is a BNO085's, and the emulator's
+def test_readings_are_the_turns_between_neighbours(tmp_path: Path, noise_deg: float) -> None:
+    string = String(scene_file(tmp_path, noise_deg))
     string.bend()
     string.robot.wait(4.0)
     plant = string.transport.lockstep.plant
-    ideal = plant.analog[string.bus.inputs, 1]
-    sums = np.array([string.heard[-1].flex_sum[i] for i in string.bus.inputs]) / 16 + 0.5
-
-    def turn(count: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> object:
-        return (22_000 * (1024 - count) / count - HeadingSensor.straight_ohm) * RAD_PER_OHM
-
-    # Ends of two IMUs, of 0.02 degrees of noise each, reports 20 ms apart.
-    assert turn(sums) == pytest.approx(turn(ideal), abs=5e-3)
-    assert np.ptp(turn(ideal)) > 0.02  # type: ignore[call-overload]
+    true_rad = turn_rad(plant.analog[string.bus.inputs, 1])
+    sums = np.array([string.heard[-1].flex_sum[i] for i in string.bus.inputs])
+    read_rad = turn_rad(sums / 16 + 0.5)
+    # A reading has the reports of two IMUs, and the truth two later ones: four draws of the noise.
+    # The largest of all spans is beyond this in one run of a thousand.
+    sigma_rad = np.sqrt(4) * np.radians(noise_deg)
+    most_rad = norm.isf(1e-3 / 2 / len(true_rad)) * sigma_rad
+    assert read_rad == pytest.approx(true_rad, abs=most_rad + RESOLUTION_RAD)
+    assert np.ptp(true_rad) > 0.02
 
 
 def test_the_bus_carries_what_the_check_says_and_keeps_every_tick(string: String) -> None:

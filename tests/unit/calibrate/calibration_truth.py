@@ -10,7 +10,7 @@ from thigmo.calibrate.actuator import BendReadings
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.config import SIDES, SIGN, RobotConfig, TanhMap
-from thigmo.mechanics import push
+from thigmo.mechanics import Tube, push
 
 LENGTH = 53.0
 CENTERS = np.array([5.0, 15.0, 25.0, 35.0, 45.0] * 2)
@@ -20,8 +20,11 @@ SPANS = np.full(10, 5.5)
 class Lab:
     """A robot with drawn constants; curvature noise `sigma` a reading, camera error `tip_se`."""
 
-    def __init__(self, seed: int, sigma: float = 6e-4, tip_se: float = 0.05) -> None:
+    def __init__(
+        self, seed: int, sigma: float = 6e-4, tip_se: float = 0.05, base_compliance_cm: float = 0.0
+    ) -> None:
         self.rng = np.random.default_rng(seed)
+        self.tube = Tube(base_compliance_cm=base_compliance_cm)
         self.sigma, self.tip_se = sigma, tip_se
         self.scale = self.rng.uniform(2.5e-5, 4.5e-5, 10) * np.repeat([1, -1], 5)
         self.zero = self.rng.uniform(9e3, 14e3, 10)
@@ -47,7 +50,7 @@ class Lab:
             add("straight", np.zeros(10), (LENGTH, self.rng.normal(0, self.tip_se)))
         for want in np.linspace(-8, 8, places):
             force = 3 * want / LENGTH**3
-            bent = push(force, LENGTH, free_curvature=0.0, length=LENGTH)
+            bent = push(force, LENGTH, free_curvature=0.0, length=LENGTH, tube=self.tube)
             x, y, _ = bent.tip
             seen = (x + self.rng.normal(0, self.tip_se), y + self.rng.normal(0, self.tip_se))
             add("tip", bent.averages(CENTERS, SPANS), seen, want)

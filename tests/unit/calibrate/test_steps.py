@@ -11,6 +11,7 @@ import pytest
 from calibration_truth import CENTERS, LENGTH, SPANS
 
 from thigmo.calibrate import thesis
+from thigmo.calibrate.axis import AxisPoints
 from thigmo.calibrate.buckling import fit_buckling
 from thigmo.calibrate.check import CheckReadings, CheckResult, run_check
 from thigmo.calibrate.encoder import fit_encoder
@@ -19,7 +20,7 @@ from thigmo.calibrate.noise import fit_noise
 from thigmo.calibrate.pressure import PressureResult, fit_pressure_zero
 from thigmo.calibrate.step_figures import draw
 from thigmo.calibrate.steps import fit_csv
-from thigmo.calibrate.stiffness import AxisPoints, fit_stiffness
+from thigmo.calibrate.stiffness import fit_stiffness
 from thigmo.config import Muscle, RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from thigmo.field import Readings, Stage
-from thigmo.field.answer import EARLY_WORDS, _face, _placed
+from thigmo.field.answer import (
+    EARLY_WORDS,
+    RIVAL_WORDS,
+    UNEXPLAINED_WORDS,
+    _doubt,
+    _face,
+    _placed,
+)
+from thigmo.field.fit import ALIKE
 from thigmo.field.hypotheses import PEG, PEGS, WALL, Body, faced
 from thigmo.field.posterior import Samples
 
@@ -103,3 +111,19 @@ def test_an_explanation_that_is_as_likely_counts_with_its_own_place() -> None:
     assert _spread([peg, pegs]) == pytest.approx(np.sqrt([x**2 + 9.0 / 2, y**2]))
     unlikely = replace(pegs, log_evidence=peg.log_evidence - 20.0)
     assert _spread([peg, unlikely]) == pytest.approx([x, y], rel=1e-3)
+
+
+def test_beyond_one_peg_an_explanation_must_leave_no_more_than_is_usual() -> None:
+    """What one peg does not explain may be a row of dowels, which is no hypothesis."""
+    peg = replace(_samples(0.009, (True, True)), misfit=1.2 / ALIKE)
+    assert _doubt([peg], _readings()) == ""
+    pegs = replace(peg, hypothesis=PEGS)
+    assert _doubt([pegs], _readings()) == UNEXPLAINED_WORDS
+    assert _doubt([replace(pegs, misfit=0.9 / ALIKE)], _readings()) == ""
+
+
+def test_an_explanation_with_a_likely_rival_is_doubted() -> None:
+    peg = _samples(0.009, (True, True))
+    for behind, doubt in ((2.0, RIVAL_WORDS), (4.0, "")):
+        rival = replace(peg, log_evidence=peg.log_evidence - behind)
+        assert _doubt([peg, rival], _readings()) == doubt

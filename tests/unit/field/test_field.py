@@ -125,6 +125,42 @@ def test_a_place_is_named_by_the_touch_of_the_free_body() -> None:
     assert contact.arc == pytest.approx(30.0, abs=0.3)
 
 
+@pytest.mark.parametrize(("arc", "bins"), [(34.0, 3), (34.0, 5), (22.0, 4)])
+def test_a_peg_that_gives_way_is_found_with_its_place(atlas: Atlas, arc: float, bins: int) -> None:
+    rng = np.random.default_rng(5)
+    rows, (true_arc, x, y) = {}, (np.nan, np.nan, np.nan)
+    for length in (40.0, 50.0):
+        rows[length], place = _beside_peg(arc, 0.010, 0.6, length, rng)
+        touched_from = int(np.argmax(FREE > 0.010))
+        gone = touched_from + bins if length == 40.0 else 0
+        rows[length][gone:] = _untouched(length, rng)[gone:]
+        if length == 40.0:
+            true_arc, x, y = place
+    contact = _one(contacts(_readings(rows), _errors(), atlas))
+    assert contact.gave_way_at == pytest.approx(FREE[touched_from + bins - 1], abs=0.002)
+    assert contact.felt_at_cm == (40.0,)
+    low, high = contact.interval_cm
+    assert low - 0.3 < true_arc < high + 0.3
+    away = float(np.hypot(contact.x_cm - x, contact.y_cm - y))
+    assert away < 0.6 + 2.45 * np.sqrt(np.linalg.eigvalsh(contact.covariance_cm2)[-1])
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.6])
+def test_a_peg_that_stands_has_not_given_way(atlas: Atlas, friction: float) -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        arc, bend = rng.uniform(15.0, 48.0), rng.uniform(0.006, 0.016)
+        peg = touched(arc, bend, 0.6, RADIUS)
+        rows = {}
+        for length in LENGTHS:
+            rod = Rod(Tube(2 * RADIUS, 0.2), [peg], friction=friction)
+            rows[length] = rod.sweep(FREE, length, CENTERS, SPANS).readings
+            rows[length] = rows[length] + NOISE * rng.standard_normal(rows[length].shape)
+            rows[length][:, length < CENTERS + SPANS / 2] = np.nan
+        answer = contacts(_readings(rows), _errors(), atlas)
+        assert all(contact.gave_way_at is None for contact in answer)
+
+
 @pytest.mark.parametrize("scale", [0.5, 2.0])
 def test_a_prior_density_over_touches_is_even_over_the_plane(scale: float) -> None:
     body = Body(RADIUS * scale, 53.0 * scale, 0.03 / scale, 0.1, 1.0)

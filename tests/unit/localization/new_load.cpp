@@ -12,7 +12,7 @@ int main() {
   Options options{};
   Priors& priors = options.priors;
   priors.moments = {0.15, 0.6, 2.4}, priors.least_lever = 0.02, priors.straight = 0.25;
-  priors.felt = 3.0;
+  priors.detected = 3.0;
   options.critical = INFINITY, options.critical_error = 0.1;
   options.length = 1.0, options.radius = 0.03;
   Readings readings;
@@ -27,16 +27,17 @@ int main() {
   PlaneBody body(readings, {{}, {}, {0.0}}, options);
   const Whitened white(frame);
   for (const Load& load : {couple, kTouch}) {
-    const Explanation alone{"a load of its own", {load}, 60};
-    Grid grid;
-    Placed& placed = grid.placed.emplace_back(Placed{&alone.loads[0], alone.cells, {{}}});
-    placed.width = 1.0 / alone.cells;
-    body.begin(alone, false), body.take(body.start, 1.0, {}), body.place(placed);
+    const HypothesisKind alone{"a load of its own", {load}, 60};
+    PlaceSets grid;
+    LoadColumns& columns =
+        grid.load_columns.emplace_back(LoadColumns{&alone.loads[0], alone.cells, {{}}});
+    columns.width = 1.0 / alone.cells;
+    body.begin(alone, false), body.take(body.start, 1.0, {}), body.place(columns);
     grid.list(), grid.take(white);
     if (!grid.weigh(options)) return 1;
     const double scales = static_cast<double>(priors.moments.size() * alone.cells);
-    const Grid::Likeliest found = grid.likeliest(frame);
+    const PlaceSets::Likeliest likeliest = grid.likeliest(frame);
     std::printf("%g %g %g\n", grid.top + std::log(grid.total / scales) - white.log_density(),
-                found.loads[0].arc, found.loads[0].value[0]);
+                likeliest.loads[0].arc, likeliest.loads[0].value[0]);
   }
 }

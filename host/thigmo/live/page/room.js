@@ -234,8 +234,8 @@ function along(poses, arc) {
 function drawPosterior(posterior, poses, moves) {
   const { places_cm: places, side } = posterior, dense = density(posterior), most = Math.max(...dense);
   const radius = store.last.shape?.radius_cm ?? 2.4;
-  const turned = poses.at(-1)[2] - poses[0][2];
-  const sign = Math.abs(turned) > .02 ? Math.sign(turned) : side === "left" ? 1 : -1;
+  // Where no muscle bends the body, the contact does.
+  const sign = { left: 1, right: -1 }[side] ?? Math.sign(poses.at(-1)[2] - poses[0][2]);
   const skin = [], top = [];
   places.forEach((arc, n) => {
     const pose = along(poses, arc);
@@ -285,7 +285,7 @@ function label(contact, words, place) {
   const leader = make("path", { fill: "none", stroke: "var(--contact)", "stroke-width": 1 }, group);
   const halo = { stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke", "stroke-linejoin": "round" };
   const lines = [
-    text(group, 0, 0, `${contact.kind}, ${minus(words.along)}`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo }),
+    text(group, 0, 0, `${words.kind}, ${minus(words.along)}`, { fill: "var(--contact)", "font-weight": 650, "font-size": 12, ...halo }),
     text(group, 0, 0, range, { fill: "var(--contact)", ...halo }),
   ];
   return {
