@@ -108,8 +108,10 @@ class BoardPolicy {
   static constexpr protocol::Board kKind = protocol::Board::kMega;
 
   // --- clock -------------------------------------------------------------------------------------
-  uint32_t micros();    // tick * 1000 + microseconds into the tick; wraps
-  uint16_t micros16();  // its low half, which an 8-bit chip has for half the time
+  uint32_t micros();  // tick * 1000 + microseconds into the tick; wraps
+  // A stop-watch for passes of the main loop, microseconds from anywhere, within 4; wraps. Its own,
+  // for an 8-bit chip reads a timer in a fifth of the time that micros() takes.
+  uint16_t micros16();
 
   // --- analog ------------------------------------------------------------------------------------
   // When a frame is complete, microseconds into its tick; below 1000, the same for the whole run.

@@ -480,8 +480,9 @@ THIGMO_NOINLINE inline void Controller::trigger_step() {
     if ((counts & now) == 0) continue;
     const uint16_t bit = static_cast<uint16_t>(i == 0 ? 1u : 1u << kColumn);
     if ((usable & bit) == 0 || !base_sum_[i].full()) continue;
-    // When both count, each is looked at on every second tick: the work of one a tick.
-    if (!vented || (tick_ & 1) == i || !known) look_at_base(i);
+    // A mean of many conversions moves little in a millisecond: each is looked at on every second
+    // tick, and when it begins to count.
+    if ((tick_ & 1) == i || !known) look_at_base(i);
     column_known_[i] = true;
     sum += column_e5_[i];
     ++count;

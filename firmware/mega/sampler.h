@@ -72,16 +72,6 @@ class Sampler {
     return tick * 1000 + count / 16;
   }
 
-  static uint16_t micros16() {
-    uint16_t tick, count;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-      tick = static_cast<uint16_t>(tick_);
-      count = TCNT1;
-      if ((TIFR1 & _BV(OCF1A)) != 0 && count < kTickCycles / 2) ++tick;
-    }
-    return tick * 1000u + count / 16;
-  }
-
   static const AdcFrame* take() {
     const uint8_t out = frame_out_;
     if (frame_in_ == out) return nullptr;

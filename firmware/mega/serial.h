@@ -66,12 +66,9 @@ class Serial0 {
     const uint8_t in = tx_in_;
     const uint8_t before_end = static_cast<uint8_t>(-in);  // 0 = all of the ring
     const bool wraps = before_end != 0 && count > before_end;
-    const uint8_t* const end = bytes + count;
-    const uint8_t* const turn = wraps ? bytes + before_end : end;
-    uint8_t* to = rings_.tx + in;
-    while (bytes != turn) *to++ = *bytes++;
-    to = rings_.tx;
-    while (bytes != end) *to++ = *bytes++;
+    const uint8_t first = wraps ? before_end : count;
+    copy(rings_.tx + in, bytes, first);
+    copy(rings_.tx, bytes + first, static_cast<uint8_t>(count - first));
     const uint8_t after = static_cast<uint8_t>(in + count);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
       tx_in_ = after;
@@ -98,6 +95,32 @@ class Serial0 {
   static volatile uint16_t overruns_;
 
  private:
+  // Four bytes a turn: 4.75 cycles a byte, where the compiler's loops take 7 or 8.
+  static void copy(uint8_t* to, const uint8_t* from, uint8_t count) {
+    __asm__ volatile(
+        "rjmp 2f               \n\t"
+        "1: ld r0, %a[from]+   \n\t"
+        "st   %a[to]+, r0      \n\t"
+        "ld   r0, %a[from]+    \n\t"
+        "st   %a[to]+, r0      \n\t"
+        "ld   r0, %a[from]+    \n\t"
+        "st   %a[to]+, r0      \n\t"
+        "ld   r0, %a[from]+    \n\t"
+        "st   %a[to]+, r0      \n\t"
+        "2: subi %[count], 4   \n\t"
+        "brcc 1b               \n\t"
+        "subi %[count], -4     \n\t"
+        "breq 4f               \n\t"
+        "3: ld r0, %a[from]+   \n\t"
+        "st   %a[to]+, r0      \n\t"
+        "dec  %[count]         \n\t"
+        "brne 3b               \n\t"
+        "4:                    \n\t"
+        : [to] "+e"(to), [from] "+e"(from), [count] "+d"(count)
+        :
+        : "memory");
+  }
+
   // Lasts 280 us at 250 kbaud: time to hand over the next frame.
   static constexpr uint8_t kNearlyEmpty = 7;
 };

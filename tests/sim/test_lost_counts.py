@@ -8,17 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
 from emulated import armed, scene_at
 
 from thigmo.calibrate.drive import Drive, pull_duty
+from thigmo.config import RobotConfig
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import RobotFaultError
 from thigmo.robot import Robot
 
+ROBOTS = Path(__file__).parents[2] / "docs/robots"
 MOST_CM, TENTH = 2.0, 1.1  # a figure within a tenth of its promise is met
 SHARES = (0.9, 0.7, 0.5, 0.3)
 
@@ -118,6 +121,30 @@ def test_lost_counts_are_missed_by_the_motors_constant_and_between_two_eversions
     with pytest.raises(RobotFaultError, match=said):
         list(grow(robot, transport, start_cm + 20.0))
     assert 0.1 < beyond_counted_cm(robot, transport) <= most_cm
+
+
+THICK = {
+    "thick-7": [105.9, 72.7, 36.6],
+    "thick-10": [215.3, 148.1, 71.9],
+}
+"""Duty that the body's pull saves at its pressures, as `calibrate encoder` found it."""
+
+
+@pytest.mark.parametrize("name", THICK)
+@pytest.mark.parametrize("share", [0.5, 0.7, 1.5, 2.0])
+@pytest.mark.parametrize("start_cm", [6, 36, 50])
+def test_a_calibrated_thick_body_is_a_pitch_off_at_most(
+    share: float, start_cm: float, name: str
+) -> None:
+    """Without the duty, one of 10 cm grew 29 cm beyond what half of its counts showed."""
+    scene = scene_at(start_cm)
+    scene.robot = RobotConfig.load(ROBOTS / f"{name}.toml")
+    robot, transport = learned_robot(scene, THICK[name])
+    lose_counts(transport, share)
+    with pytest.raises(RobotFaultError, match=r"spool_stall|spool_slip"):
+        list(grow(robot, transport, start_cm + 60.0))
+    pitch_cm = robot.config.body.pitch_cm
+    assert abs(beyond_counted_cm(robot, transport)) <= pitch_cm * TENTH
 
 
 @pytest.mark.parametrize(("share", "places_cm"), [(1.0, 0.3), (0.98, 0.3), (1.0, 0.5)])

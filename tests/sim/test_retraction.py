@@ -66,7 +66,7 @@ def test_a_wrong_encoder_is_noticed_or_the_tip_is_where_the_retraction_says(
     farther_cm = transport.lockstep.plant.length_cm - end.length_cm
     inwards_cm = max(INWARDS_CM, robot.config.body.pitch_cm / 2)
     assert -inwards_cm <= farther_cm <= end.farther_cm
-    assert f"may be up to {end.farther_cm:.1f} cm farther out" in end.words
+    assert f"may be up to {end.farther_cm:.1f} cm farther out if" in end.words
 
 
 def half_blind(start_cm: float, share: float) -> tuple[Robot, EmulatorTransport]:

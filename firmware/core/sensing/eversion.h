@@ -9,6 +9,7 @@
 #include <stdint.h>
 
 #include "../config/configuration.h"
+#include "../control/fixed_point.h"
 
 namespace thigmo {
 
@@ -16,8 +17,11 @@ class Eversion {
  public:
   // An encoder that trembles by a count must not make a sensor evert again and again.
   static constexpr int32_t kHysteresisUm = 500;
+  // No tip moves so far in a control step; a length that was confirmed may.
+  static constexpr int32_t kStepUm = 2000;
 
-  // Takes the everted length; returns the mask of sensors that have just everted.
+  // Takes the everted length; returns the mask of sensors that have just everted. While the tip
+  // moves, half of the sensors are looked at in a call, and the other half in the next.
   uint16_t update(bool length_known, int32_t length_um, uint32_t tick, const Configuration& c,
                   uint16_t enabled_mask) {
     if (!length_known) {
@@ -26,10 +30,18 @@ class Eversion {
       return 0;
     }
     uint16_t fresh = 0;
-    if (moved_ || length_um != length_um_) {
+    const bool jumped = moved_ || magnitude(length_um - length_um_) > kStepUm;
+    if (length_um != length_um_) unseen_halves_ = 2;
+    length_um_ = length_um;
+    if (jumped) {
       moved_ = false;
-      length_um_ = length_um;
-      fresh = look(tick, c, enabled_mask);
+      unseen_halves_ = 0;
+      fresh = look(0, kSensors, tick, c, enabled_mask);
+    } else if (unseen_halves_ != 0) {
+      --unseen_halves_;
+      second_half_ = !second_half_;
+      fresh = second_half_ ? look(kSensors / 2, kSensors, tick, c, enabled_mask)
+                           : look(0, kSensors / 2, tick, c, enabled_mask);
     }
     const uint32_t settle = static_cast<uint32_t>(c.get(Param::kSettleMs));
     uint16_t waiting = static_cast<uint16_t>(everted_mask_ & ~settled_mask_);
@@ -64,15 +76,16 @@ class Eversion {
   }
 
  private:
-  // Finds each sensor's place relative to the fold: needed only when the tip has moved.
-  uint16_t look(uint32_t tick, const Configuration& c, uint16_t enabled_mask) {
+  // Finds the place of sensors relative to the fold: needed only when the tip has moved.
+  uint16_t look(uint8_t first, uint8_t end, uint32_t tick, const Configuration& c,
+                uint16_t enabled_mask) {
     uint16_t fresh = 0;
-    half_mask_ = 0;
     const int32_t margin = c.get(Param::kFoldMarginUm);
     // A body that does not grow is out at its full length.
     const int32_t length_um = c.get(Param::kGrows) != 0 ? length_um_ : INT32_MAX;
-    uint16_t bit = 1;
-    for (uint8_t i = 0; i < kSensors; ++i, bit = static_cast<uint16_t>(bit << 1)) {
+    uint16_t bit = static_cast<uint16_t>(1u << first);
+    for (uint8_t i = first; i < end; ++i, bit = static_cast<uint16_t>(bit << 1)) {
+      half_mask_ = static_cast<uint16_t>(half_mask_ & ~bit);
       const int32_t center = c.get(Param::kFlexCenterUm, i);
       const int32_t reach = (c.get(Param::kFlexSpanUm, i) >> 1) + margin;
       if (length_um >= center + reach) {
@@ -98,6 +111,8 @@ class Eversion {
   uint16_t everted_mask_ = 0;
   uint16_t settled_mask_ = 0;
   uint16_t half_mask_ = 0;
+  uint8_t unseen_halves_ = 0;  // of the sensors, since the length changed
+  bool second_half_ = false;   // was looked at last
   bool moved_ = true;
 };
 

@@ -44,7 +44,7 @@ __attribute__((always_inline)) inline uint8_t next_bits(uint16_t* remainder, uin
 
 // Sensor resistance plus divider in 1/16 ohm: 22 kOhm * 1024 / count, which is 22000 << 20 over a
 // count in 1/64. Divided by hand, bit by bit with a 16-bit remainder: a third of the time that an
-// AVR's library takes for 32 bits, and the trigger needs it every millisecond.
+// AVR's library takes for 32 bits, and the trigger needs it every second millisecond.
 THIGMO_NOINLINE inline int32_t total_ohm_q4(uint16_t count) {
   static_assert(kDividerOhm < 0x8000, "the remainder must fit 16 bits");
   uint16_t remainder = static_cast<uint16_t>(kDividerOhm);

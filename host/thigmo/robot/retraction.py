@@ -60,7 +60,10 @@ class Retraction:
             if self.seen_by
             else f"no sensor has confirmed it since {self.seen_cm:.1f} cm"
         )
-        words = f"{reached}; {last}, so the tip may be up to {self.farther_cm:.1f} cm farther out."
+        words = (
+            f"{reached}; {last}, so the tip may be up to {self.farther_cm:.1f} cm farther out if "
+            "the encoder is wrong."
+        )
         if self.late:
             words += (
                 " That sensor was late: look at the tip. If it is farther out, check the encoder "

@@ -141,7 +141,8 @@ def test_growth_follows_the_profile_and_ends_at_the_target() -> None:
     # Both base sensors everted on the way, and nothing else.
     everted = bench.event(wire.EventCode.EVERTED)
     assert sorted(e.arg for e in everted) == [0, 5]
-    assert all(e.value == pytest.approx(82_500, abs=20) for e in everted)
+    # A step looks at half of the sensors: it is noticed within two of them, at 2 cm/s.
+    assert all(82_480 <= e.value <= 82_500 + 200 for e in everted)
 
 
 def homed(bench: Bench) -> wire.Event:
