@@ -29,7 +29,7 @@ from docutils.parsers.rst import directives
 from kept_cells import EXECUTES, KeptOutput, read_output, write_output
 from sphinx.util.docutils import SphinxDirective
 
-LIMIT_S = 600  # of one command: an exploration with a fibre takes minutes beside others
+LIMIT_S = 280  # of one command
 
 
 class Console(SphinxDirective):
