@@ -329,3 +329,4 @@ def test_label_of_a_contact_covers_neither_the_body_nor_a_peg(
         run.bend(-0.014)  # onto the label
         expect(labels.first).not_to_have_attribute("y", before)
         assert page.evaluate(COVERING) == []
+        page.close()  # at its end it would ask for the run's record, which this one has not
