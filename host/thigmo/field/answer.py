@@ -166,7 +166,7 @@ def _gave_way(
 ) -> Samples | None:
     """Samples of one peg that gave way in some bin; None where one that stays is likelier."""
     prior = float(np.log(_GIVES_WAY / len(search.readings.bend)))
-    release = atlas.release(search.fit, search.nothing)
+    release = search.pegs.release()
     if release is None or release.gain + prior < max(release.stays, LEAST_GAIN):
         return None
     samples = _one_peg(
@@ -277,7 +277,7 @@ def _placed(
     normal, force = touch[on, stage, 3:].T
     length = readings.stages[stage].length
     mean = weight @ touch[on, stage, :3]
-    probabilities = softmax([one.log_evidence for one in explanations])
+    probabilities = softmax([explanation.log_evidence for explanation in explanations])
     places, masses = [touch[on, stage, :3]], [probabilities[0] * weight]
     for other, probability in zip(others, probabilities[1:], strict=True):
         touched, weights = _nearest(other, stage, mean)
@@ -330,8 +330,8 @@ def _placed(
         kind="peg" if is_peg else "wall",
         face=face,
         explanations={
-            _name(one): float(probability)
-            for one, probability in zip(explanations, probabilities, strict=True)
+            _name(explanation): float(probability)
+            for explanation, probability in zip(explanations, probabilities, strict=True)
         },
         peg_radius_cm=_quantiles(radii, weight, (0.5, 0.5))[0] if is_peg else nan,
         friction=float(weight @ np.abs(q[:, FRICTION])),

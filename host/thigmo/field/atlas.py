@@ -46,7 +46,7 @@ class Release(NamedTuple):
     stays: float  # that of a peg that stays
 
 
-class _Pegs(NamedTuple):
+class Pegs(NamedTuple):
     """What p pegs would change in n bins of m sensors, whitened."""
 
     touches: list[tuple[float, float]]  # (p,) arc and bend
@@ -71,6 +71,16 @@ class _Pegs(NamedTuple):
                 after = squares + more - np.sum(rest**2, axis=0)
                 yield n, part, -0.5 * (after + explained @ explained)
             left, squares = left - moved, squares + size - 2 * product
+
+    def release(self) -> Release | None:
+        """From which bin on a peg was gone, if one stood there and gave way: the likeliest."""
+        if not self.touches or len(self.z) < 2:
+            return None
+        gains = np.array([gains.max() for _, _, gains in self.gains_so_far()])
+        last, part = divmod(int(np.argmax(gains[:-1])), len(_PARTS))
+        standing = np.zeros(len(self.z))
+        standing[:last], standing[last] = 1.0, _PARTS[part]
+        return Release(standing, float(gains[:-1].max()), float(gains[-1]))
 
 
 class _Table(NamedTuple):
@@ -124,13 +134,8 @@ class Atlas:
         heading[:, 1:] = np.cumsum((mean - bends[:, None]) * cell, axis=1)
         return _Table(first, heading)
 
-    def search(self, fit: FieldFit, nothing: Mode) -> list[Place]:
-        """The best places for one peg, likeliest first.
-
-        Errors are linearised where calibration is right: those that explain a touch by no obstacle
-        are far from it.
-        """
-        pegs = self._pegs(fit, nothing)
+    def likeliest(self, pegs: Pegs) -> list[Place]:
+        """The best places for one peg, likeliest first."""
         if not pegs.touches:
             return []
         gains = pegs.gains()
@@ -143,18 +148,12 @@ class Atlas:
                 break
         return best
 
-    def release(self, fit: FieldFit, nothing: Mode) -> Release | None:
-        """From which bin on a peg was gone, if one stood there and gave way: the likeliest."""
-        pegs = self._pegs(fit, nothing)
-        if not pegs.touches or len(pegs.z) < 2:
-            return None
-        gains = np.array([gains.max() for _, _, gains in pegs.gains_so_far()])
-        last, part = divmod(int(np.argmax(gains[:-1])), len(_PARTS))
-        standing = np.zeros(len(pegs.z))
-        standing[:last], standing[last] = 1.0, _PARTS[part]
-        return Release(standing, float(gains[:-1].max()), float(gains[-1]))
+    def pegs(self, fit: FieldFit, nothing: Mode) -> Pegs:
+        """What a peg at each touch of the grid would change in a fit's readings.
 
-    def _pegs(self, fit: FieldFit, nothing: Mode) -> _Pegs:
+        Errors are linearised where calibration is right: those that explain a touch by no obstacle
+        are far from it.
+        """
         right = fit.free()
         d = fit.departures(nothing.tables, right)
         z, effect = d.noise.whitened(d.left), d.noise.whitened(d.prediction.effect.dense())
@@ -178,7 +177,7 @@ class Atlas:
         shows = np.flatnonzero(np.abs(changes).max(axis=(1, 2)) > _SHOWS)
         white = d.noise.whitened(np.moveaxis(changes[shows], 0, -1))
         n, m = r.curvature.shape
-        return _Pegs(
+        return Pegs(
             [self.touches[k] for k in shows],
             z.reshape(n, m), white.reshape(n, m, -1), shared.reshape(-1, n, m),
         )  # fmt: skip

@@ -153,8 +153,8 @@ def _information(fit: FieldFit, q: Floats, without: Floats) -> Floats:
     parts = []
     for s in range(len(fit.readings.stages)):
         rows = stage == s
-        own = sweeps[rows][:, np.any(sweeps[rows], axis=0)]
-        cross = own.T @ shared[rows]
-        taken = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), cross)
+        of_sweep = sweeps[rows][:, np.any(sweeps[rows], axis=0)]
+        cross = of_sweep.T @ shared[rows]
+        taken = np.linalg.solve(of_sweep.T @ of_sweep + np.eye(of_sweep.shape[1]), cross)
         parts.append(shared[rows].T @ shared[rows] - cross.T @ taken)
     return np.array(parts)

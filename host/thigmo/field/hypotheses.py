@@ -156,7 +156,7 @@ class Hypothesis:
                 return False
         room = body.radius * (1 - _CLEAR)
         obstacles = self.place(q, body)
-        pegs = [each for each in obstacles if isinstance(each, Peg)]
+        pegs = [obstacle for obstacle in obstacles if isinstance(obstacle, Peg)]
         beside = (np.hypot(p.x - np.clip(p.x, 0.0, body.longest), p.y) > p.radius + room
                   for p in pegs)  # fmt: skip
         apart = (np.hypot(p.x - o.x, p.y - o.y) > p.radius + o.radius

@@ -102,7 +102,8 @@ class Search:
         self._levels = [self.fit, *(FieldFit(readings, errors, model=m) for m in MODELS[1:])]
         self._rough = FieldFit(readings, errors, model=ROUGH, row=2.0)
         self.nothing = self.fit.nothing()
-        self.places = atlas.search(self.fit, self.nothing)
+        self.pegs = atlas.pegs(self.fit, self.nothing)
+        self.places = atlas.likeliest(self.pegs)
         # The last bin of each stage in which what stands there still stood; -1: none.
         stood = self.fit.standing > 0.0
         stages = range(len(readings.stages))
@@ -174,7 +175,7 @@ class Search:
         places = list(self.places)
         for length in sorted({stage.length for stage in self.readings.stages}):
             alone = FieldFit(self.readings.at_length(length), self.errors)
-            found = self._atlas.search(alone, alone.nothing())[:_PLACES]
+            found = self._atlas.likeliest(self._atlas.pegs(alone, alone.nothing()))[:_PLACES]
             places += [place for place in found if place.gain > _LEAST_PLACE]
         touches = sorted({(place.arc, place.bend) for place in places})
         starts = [
