@@ -316,7 +316,7 @@ def _answer_rows(
                 else localizer.localize(row, free_curvature=free, body_curvature=shape)
             )
         except DataError as error:
-            raise DataError(f"line {line}: {error.what}", error.next_step) from error
+            raise DataError(f"line {line}: {error.problem}", error.next_step) from error
     times = table.time_s.tolist() if table.time_s is not None else [None] * len(results)
     if plot is not None:
         from thigmo.display.bars import Bar

@@ -36,7 +36,7 @@ def test_it_finds_a_clean_contact_and_claims_nothing(arc: float) -> None:
 def test_several_contacts_are_those_of_the_solver() -> None:
     y = pressed(53.0, 0.012) - pressed(20.0, 0.008)
     found = thigmo.localize(y, X, length=53, span=5.5, contacts=2, method="thesis")
-    arcs, forces = thesis.alternating(thesis.Problem(y, X, np.full(10, 5.5), 53.0, 2))
+    arcs, forces = thesis.alternating(thesis.ThesisProblem(y, X, np.full(10, 5.5), 53.0, 2))
     assert [contact.arc for contact in found.contacts] == arcs.tolist()
     assert [contact.force for contact in found.contacts] == forces.tolist()
 
