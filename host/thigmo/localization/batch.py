@@ -118,10 +118,12 @@ class BatchResult:
         Returns:
             The axes.
         """
-        when = np.arange(len(self)) if moments is None else np.asarray(moments, dtype=np.float64)
-        if when.shape != (len(self),):
+        numbers = np.arange(len(self))
+        positions = numbers if moments is None else np.asarray(moments, dtype=np.float64)
+        if positions.shape != (len(self),):
             raise DataError(
-                f"moments has shape {when.shape}", f"give one number for each of {len(self)} rows"
+                f"moments has shape {positions.shape}",
+                f"give one number for each of {len(self)} rows",
             )
         bars = [
             [
@@ -135,7 +137,7 @@ class BatchResult:
             ]
             for row in range(len(self))
         ]
-        return draw_series(when.tolist(), bars, self.length, label, axes=axes, unit=unit)
+        return draw_series(positions.tolist(), bars, self.length, label, axes=axes, unit=unit)
 
     def _other_status(self, row: int) -> ContactStatus:
         """Status of a contact that is not localized."""
