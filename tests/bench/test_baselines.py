@@ -133,5 +133,7 @@ def test_the_thesis_reads_curvature_at_centres() -> None:
     case = problem(40.0, 0.8, 6e-4, np.random.default_rng(6))
     points = replace(case, span=np.zeros(10))
     for name in ("alternating", "alternating-trust-constr", "clamped", "coupled"):
-        for one, other in zip(BASELINES[name](case), BASELINES[name](points), strict=True):
-            assert np.array_equal(one, other), name
+        for answer, answer_at_points in zip(
+            BASELINES[name](case), BASELINES[name](points), strict=True
+        ):
+            assert np.array_equal(answer, answer_at_points), name

@@ -31,12 +31,12 @@ def least(problem: thesis.ThesisProblem, arcs: np.ndarray, norm: int) -> float:
     if norm == 2:
         return float(np.square(y - phi @ np.linalg.lstsq(phi, y, rcond=None)[0]).sum())
     rest = np.eye(y.size)
-    found = linprog(
+    optimum = linprog(
         np.r_[np.zeros(arcs.size), np.ones(2 * y.size)],
         A_eq=np.hstack([phi, rest, -rest]), b_eq=1e4 * y,
         bounds=[(None, None)] * arcs.size + [(0, None)] * 2 * y.size,
     )  # fmt: skip
-    return 1e-4 * float(found.fun)  # its tolerance is absolute
+    return 1e-4 * float(optimum.fun)  # its tolerance is absolute
 
 
 @pytest.mark.parametrize("norm", [1, 2])
