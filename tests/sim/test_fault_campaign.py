@@ -77,15 +77,15 @@ def worse(state: str, pairs: list[tuple[Failure, Failure]]) -> dict[str, str]:
     alone = {f: visit(Case(f, state, "valves")) for f in {f for pair in pairs for f in pair}}
     worst = {}
     for first, second in pairs:
-        both, singles = (
-            visit(Case(first, state, "valves", second)),
-            (alone[first], alone[second]),
-        )
+        both = visit(Case(first, state, "valves", second))
+        singles = alone[first], alone[second]
         harm = [
-            (both.peak_psi > max(single.peak_psi for single in singles) + PSI, f"{both.peak_psi:.1f} psi"),
+            (both.peak_psi > max(single.peak_psi for single in singles) + PSI,
+             f"{both.peak_psi:.1f} psi"),
             (both.steady_psi > max(single.steady_psi for single in singles) + PSI,
              f"{both.steady_psi:.1f} psi steadily"),
-            (both.moved_cm > sum(single.moved_cm for single in singles) + CM, f"{both.moved_cm:.2f} cm"),
+            (both.moved_cm > sum(single.moved_cm for single in singles) + CM,
+             f"{both.moved_cm:.2f} cm"),
             (bool(both.noticed) and both.safe_s is None, "an output stays on"),
             (not both.recovers, "only a reset helps"),
         ]  # fmt: skip
