@@ -115,7 +115,7 @@ def rooms(
     yields = rng.uniform(0.0, kind.yields_cm, (count, 1)) * _YIELDS_AT_CM / body.critical[:, None]
     pegs = replace(Obstacles.pegs(x, y, radius), compliance=yields)
     sensors = [_Sensors.draw(kind, config, rng) for _ in range(count)]
-    places = np.unique(np.concatenate([each.places for each in sensors]))
+    places = np.unique(np.concatenate([drawn.places for drawn in sensors]))
     off = 1.0 + kind.bend * rng.choice([-1.0, 1.0], count)  # of all zones' maps alike
     lag_s = LAG_S * rng.standard_normal(count)
     stops = [
@@ -190,8 +190,10 @@ def _room(
         frames = known.size if known.all() else int(np.argmin(known))
         if frames < _PEAK_FRAMES:
             continue
-        own = readings[alive][:, np.searchsorted(stop.places, sensors.places)]
-        clean = [np.interp(stop.true[:frames, room], ladder[alive], column) for column in own.T]
+        curvature = readings[alive][:, np.searchsorted(stop.places, sensors.places)]
+        clean = [
+            np.interp(stop.true[:frames, room], ladder[alive], column) for column in curvature.T
+        ]
         sweeps.append((_result(sensors, stop, sensors.read(np.array(clean).T, rng)), stop.zone))
     arc, x, y = stops[-1].swept.contacts[-1, room, 0].tolist()
     felt = any(np.isfinite(stop.swept.contacts[:, room, 0, 0]).any() for stop in stops)
@@ -265,18 +267,20 @@ class _Sensors:
     def draw(cls, kind: Drawn, config: RobotConfig, rng: np.random.Generator) -> _Sensors:
         rows = Wiring.of(config).read_sensors
         inputs = [n for n, sensor in enumerate(rows) if sensor and sensor.side == "right"]
-        own = [sensor for sensor in rows if sensor and sensor.side == "right"]
-        count = len(own)
-        gains = np.hypot([sensor.gain_error for sensor in own], kind.gains)
-        zero = np.array([sensor.zero_error for sensor in own])
+        right_sensors = [sensor for sensor in rows if sensor and sensor.side == "right"]
+        count = len(right_sensors)
+        gains = np.hypot([sensor.gain_error for sensor in right_sensors], kind.gains)
+        zero = np.array([sensor.zero_error for sensor in right_sensors])
         loop = zero * rng.uniform(*LOOP, count) * rng.choice([-1.0, 1.0], count)
-        place = np.array([sensor.center_se_cm for sensor in own]) * rng.standard_normal(count)
+        center = np.array([sensor.center_cm for sensor in right_sensors])
+        center_se = np.array([sensor.center_se_cm for sensor in right_sensors])
+        place = center_se * rng.standard_normal(count)
         return cls(
             inputs, len(rows),
-            np.round(np.array([sensor.center_cm for sensor in own]) + place, 6), own[0].span_cm,
+            np.round(center + place, 6), right_sensors[0].span_cm,
             1.0 + gains * rng.standard_normal(count), rng.uniform(*AGAINST, count),
             zero * rng.standard_normal(count), loop, rng.uniform(*LOOP_WIDTH, count),
-            np.array([sensor.noise for sensor in own]),
+            np.array([sensor.noise for sensor in right_sensors]),
         )  # fmt: skip
 
     def read(self, clean: Floats, rng: np.random.Generator) -> Floats:

@@ -351,7 +351,7 @@ def visit(room: Room) -> Run:
             scene, seed, config=known, protocol=protocol, effort=effort, method=method
         )
     except ThigmoError as error:
-        found.status = f"aborted: {error.what}"
+        found.status = f"aborted: {error.problem}"
         return found, None
     found.processor_s = process_time() - began_s
     found.judge(document)
