@@ -1,5 +1,6 @@
-"""Which page operates: the one that has asked for something, as long as it is connected. A page that
-only looks keeps nobody from operating.
+"""Which page operates: the one that has asked for something, as long as it is connected.
+
+A page that only looks keeps nobody from operating.
 """
 
 from __future__ import annotations
