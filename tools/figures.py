@@ -161,14 +161,15 @@ def _explored_rooms(studies: list[dict[str, Any]]) -> list[Grid]:
     (study,) = studies
     head = (
         "rooms of the kind", "rooms", "runs aborted", "contacts", "missed", "rooms with false ones",
-        "localized", "localized wrong", "median x error, cm",
+        "localized", "arc outside of its set", "localized wrong", "ellipses",
+        "without the truth", "mean error in the plane, cm",
     )  # fmt: skip
     counts = (
         "rooms", "aborted", "touched", "touched_missed", "with_false_contacts",
-        "contacts_localized", "contacts_wrong",
+        "contacts_localized", "sets_missed", "contacts_wrong", "ellipses", "ellipses_missed",
     )  # fmt: skip
     rows = [
-        (row["kind"], *(str(row[count]) for count in counts), _decimals(row["median_error_x_cm"]))
+        (row["kind"], *(str(row[count]) for count in counts), _decimals(row["best_cm"]))
         for row in study["rows"]
     ]
     return [Grid(head, rows)]

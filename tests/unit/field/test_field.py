@@ -250,6 +250,27 @@ def test_derivatives_are_those_of_the_readings(
         assert np.nanquantile(off, 0.9) < share * size
 
 
+@pytest.mark.parametrize("way", [0.0, 0.3, 0.5, 0.8])
+def test_a_bin_reads_the_mean_of_its_frames_across_a_touch(way: float) -> None:
+    """The touch lies so far along the bin; readings turn there, so their mean is not the middle."""
+    touch, half = 0.0095, 1.5e-3
+    frames = touch + half * (np.linspace(-1.0, 1.0, 41) + 1 - 2 * way)
+    peg = touched(30.0, touch, 0.8, RADIUS)
+    rod = Rod(Tube(2 * RADIUS, 0.2), [peg])
+    frame_readings = rod.sweep(frames, 53.0, CENTERS, SPANS).readings
+    readings = replace(
+        _readings({53.0: np.zeros((FREE.size, CENTERS.size))}),
+        bend=np.full(FREE.size, frames.mean()), half_range=np.full(FREE.size, half),
+    )  # fmt: skip
+    fit = FieldFit(readings, _errors())
+    tables = fit.tables(PEG, PEG.columns((30.0, touch, np.log(0.8 / RADIUS)), 0.0, 0.0, 0.0, 0.0))
+    (mean,) = np.unique(fit.predict(tables, fit.free()).value, axis=0)
+    assert mean == pytest.approx(frame_readings.mean(axis=0), abs=1e-4)
+    if way == 0.5:  # as a single frame in the middle it would read far more
+        at_mean = rod.sweep(frames[20:21], 53.0, CENTERS, SPANS).readings[0]
+        assert np.abs(at_mean - mean).max() > 2e-4
+
+
 @pytest.mark.parametrize(
     ("hypothesis", "q", "known"),
     [
