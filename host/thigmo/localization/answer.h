@@ -76,10 +76,10 @@ class Mixture {
     edges.reserve(parts.empty() ? 2 : parts[0].moments.size() + 3);
     edges.push_back(within.near);
     for (const auto& [cells, moments] : parts) {
-      const auto from = static_cast<std::ptrdiff_t>(edges.size());
+      const auto earlier = static_cast<std::ptrdiff_t>(edges.size());
       for (const double place : cells->place) add_edge(place - 0.5 * cells->width, within);
       add_edge(cells->place.back() + 0.5 * cells->width, within);
-      std::inplace_merge(edges.begin(), edges.begin() + from, edges.end());
+      std::inplace_merge(edges.begin(), edges.begin() + earlier, edges.end());
     }
     edges.push_back(within.far);
     edges.erase(

@@ -170,9 +170,9 @@ inline std::vector<ErrorRow> mistakes(const Readings& readings, const Options& o
     return row;
   };
   // The map a little off, and an offset as large as the noise or twice that.
-  const auto slight = [&](ErrorRow& row, int from) {
+  const auto slight = [&](ErrorRow& row, int first) {
     for (int i = 0; i < n; ++i) {
-      int k = from;
+      int k = first;
       if (!map_stated && bends) row.columns[k++][i] = priors.slight_map * readings.free[i];
       if (!offset_stated && readings.known) {
         row.columns[k++][i] = priors.slight_offset * readings.noise * options.length;

@@ -15,7 +15,7 @@
 
 namespace thigmo {
 
-inline Vector vector(const double* from) { return {from[0], from[1], from[2]}; }
+inline Vector vector(const double* numbers) { return {numbers[0], numbers[1], numbers[2]}; }
 inline double dot(const Vector& a, const Vector& b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
@@ -95,14 +95,15 @@ class SpaceShape {
   }
 
   // Adds the curvature that a force and a couple at a section cause.
-  void add(const Section& section, const Vector& force, const Vector& couple, Row& to) const {
+  void add(const Section& section, const Vector& force, const Vector& couple,
+           Row& curvature) const {
     const double cells = static_cast<double>(u_.size());
     for (std::size_t c = 0; c < u_.size() && sections_[c].arc < section.arc; ++c) {
       const double before = std::min((section.arc - sections_[c].arc) * cells, 1.0);
       const Vector way = plus(section.position, -1.0, middle_[c].position), arm = cross(way, force);
       const Vector moment = plus(couple, 1.0, arm);
       for (int j = 0; j < 3; ++j) {
-        to[3 * c + j] += before * compliance_[j] * dot(middle_[c].frame[j], moment);
+        curvature[3 * c + j] += before * compliance_[j] * dot(middle_[c].frame[j], moment);
       }
     }
   }
@@ -123,20 +124,20 @@ class SpaceShape {
     Columns3 frame;
     Vector position;
   };
-  void beyond(const Section& from, const Vector& u, double step, Section& out,
+  void beyond(const Section& start, const Vector& u, double step, Section& out,
               Middle* middle) const {
     const double half = 0.5 * step;
     const Columns3 turn = rotation({u[0] * half, u[1] * half, u[2] * half});
-    const Columns3 frame = times(from.frame, turn);
-    const Vector centre = plus(from.position, half, frame[0]);
+    const Columns3 frame = times(start.frame, turn);
+    const Vector centre = plus(start.position, half, frame[0]);
     out.frame = times(frame, turn);
-    out.position = plus(from.position, step, frame[0]);
+    out.position = plus(start.position, step, frame[0]);
     for (int j = 0; j < 3; ++j) {
       const double share = step * compliance_[j];
-      out.turns[j] = plus(from.turns[j], share, frame[j]);
-      out.levers[j] = plus(from.levers[j], share, cross(centre, frame[j]));
+      out.turns[j] = plus(start.turns[j], share, frame[j]);
+      out.levers[j] = plus(start.levers[j], share, cross(centre, frame[j]));
     }
-    out.places = plus(from.places, step, centre);
+    out.places = plus(start.places, step, centre);
     if (middle) *middle = {frame, centre};
   }
 
@@ -183,14 +184,14 @@ class Lines {
   struct Line {
     Vector turn, lever;
   };
-  Line between(int i, const Section& to) const {
-    const Section& from = near_[i];
+  Line between(int i, const Section& end) const {
+    const Section& start = near_[i];
     const Vector& h = direction_[i];
-    const double share = 1.0 / (far_[i].arc - from.arc);
+    const double share = 1.0 / (far_[i].arc - start.arc);
     Line out{};
     for (int j = 0; j < 3; ++j) {
-      out.turn = plus(out.turn, share * h[j], plus(to.turns[j], -1.0, from.turns[j]));
-      out.lever = plus(out.lever, share * h[j], plus(to.levers[j], -1.0, from.levers[j]));
+      out.turn = plus(out.turn, share * h[j], plus(end.turns[j], -1.0, start.turns[j]));
+      out.lever = plus(out.lever, share * h[j], plus(end.levers[j], -1.0, start.levers[j]));
     }
     return out;
   }
@@ -268,8 +269,8 @@ class SpaceBody : public Body {
       for (int i = 0; i < p.column.rows; ++i) {
         const auto [force, couple] = lines_->response(i, section);
         for (int k = 0; k < p.size(); ++k) {
-          double& to = p.column[i][k * p.cells + m] = dot(force, wrench.force[k]);
-          if (k > 2) to += dot(couple, wrench.couple[k]);
+          double& response = p.column[i][k * p.cells + m] = dot(force, wrench.force[k]);
+          if (k > 2) response += dot(couple, wrench.couple[k]);
         }
       }
     }

@@ -470,7 +470,7 @@ void Rod::shoot(const Reactions& reactions) {
   shot_.below.clear();
   std::vector<Tangent>& by = shot_.base_by;
   by.clear();  // empty until the outermost contact: beyond, nothing bends the body
-  Section at = Section::at_origin(0.0);
+  Section section = Section::at_origin(0.0);
   const double h = room_.length / room_.cells;
   double s = room_.length;
   const auto turn_at = [&](double arc) {
@@ -500,11 +500,11 @@ void Rod::shoot(const Reactions& reactions) {
       const Skin& on = event->on;
       const Skin slope = room_.outline().slope(contact.place, room_.pegs[contact.peg].radius);
       const Push push = this->push(contact);
-      const auto [c, d] = at.toward;
+      const auto [c, d] = section.toward;
       const double force_x = push.tangential * c - push.normal * d;
       const double force_y = push.tangential * d + push.normal * c;
       const double couple = on.ahead * push.normal - on.offset * push.tangential;
-      shot_.at[event->contact] = {at.x, at.y, at.heading};
+      shot_.at[event->contact] = {section.x, section.y, section.heading};
       for (int i = 0; i < directions; ++i) {
         Tangent& t = by[i];
         const bool moves = i == event->unknown + 1;
@@ -512,8 +512,8 @@ void Rod::shoot(const Reactions& reactions) {
         const double step = moves ? slope.arc : 0.0;
         t.x += step * c;
         t.y += step * d;
-        t.heading += step * at.moment;
-        t.moment -= step * (c * at.n_y - d * at.n_x);
+        t.heading += step * section.moment;
+        t.moment -= step * (c * section.n_y - d * section.n_x);
         Tangent& frame = shot_.at_by[event->contact * directions + i];
         frame = t;
         frame.heading += step * (room_.natural + room_.rest.curvature(s) +
@@ -526,21 +526,21 @@ void Rod::shoot(const Reactions& reactions) {
         // And back to where it was, now on its near side.
         t.x -= step * c;
         t.y -= step * d;
-        t.heading -= step * (at.moment + couple);
-        t.moment += step * (c * (at.n_y + force_y) - d * (at.n_x + force_x));
+        t.heading -= step * (section.moment + couple);
+        t.moment += step * (c * (section.n_y + force_y) - d * (section.n_x + force_x));
       }
-      at.moment += couple;
-      at.n_x += force_x;
-      at.n_y += force_y;
+      section.moment += couple;
+      section.n_x += force_x;
+      section.n_y += force_y;
     }
     note(shot_.below);
-    nodes_.push_back({s, at.heading, room_.natural + at.moment, at.x, at.y});
+    nodes_.push_back({s, section.heading, room_.natural + section.moment, section.x, section.y});
     if (s <= 0.0) break;
-    double to = std::max(k * h, 0.0);
+    double next_s = std::max(k * h, 0.0);
     bool on_grid = true;
     const auto stop_at = [&](double arc) {
-      if (arc > to + kTiny) {
-        to = arc;
+      if (arc > next_s + kTiny) {
+        next_s = arc;
         on_grid = false;
       }
     };
@@ -550,27 +550,27 @@ void Rod::shoot(const Reactions& reactions) {
       if (piece.until < s - kTiny) stop_at(piece.until);
     }
     if (on_grid) --k;
-    const double middle = 0.5 * (s + to);
+    const double middle = 0.5 * (s + next_s);
     const double turned_middle = turn_at(middle);
-    const double turned_end = turn_at(to);
+    const double turned_end = turn_at(next_s);
     if (!by.empty()) {
       for (int i = fold_direction; i <= natural_direction; ++i) {
         by[i].half = turn_by(i, s) - turn_by(i, middle);
-        by[i].full = turn_by(i, s) - turn_by(i, to);
+        by[i].full = turn_by(i, s) - turn_by(i, next_s);
       }
     }
-    at.advance(s - to, turned - turned_middle, turned - turned_end, by);
+    section.advance(s - next_s, turned - turned_middle, turned - turned_end, by);
     turned = turned_end;
-    s = to;
+    s = next_s;
   }
   if (by.empty()) by.assign(directions, Tangent{});
-  shot_.base = at;
+  shot_.base = section;
   std::reverse(nodes_.begin(), nodes_.end());
-  const double turn = room_.base_compliance * at.moment - at.heading;
+  const double turn = room_.base_compliance * section.moment - section.heading;
   const Turned world(turn);
   for (Node& node : nodes_) {
-    const double dx = node.x - at.x;
-    const double dy = node.y - at.y;
+    const double dx = node.x - section.x;
+    const double dy = node.y - section.y;
     node.x = world.x(dx, dy);
     node.y = world.y(dx, dy);
     node.heading += turn;

@@ -91,19 +91,19 @@ class Descent {
   // Lays the body out, measures all gaps and returns the energy: bending, fold and penalties.
   double lay_out(const std::vector<double>& unknown) {
     const Fold fold{fold_angle(unknown), 2.0 * room_.tube_radius};
-    Section at = Section::at_origin(base_turn(unknown));
-    double energy = turns_ ? 0.5 * at.heading * at.heading / room_.base_compliance : 0.0;
+    Section section = Section::at_origin(base_turn(unknown));
+    double energy = turns_ ? 0.5 * section.heading * section.heading / room_.base_compliance : 0.0;
     for (int i = 0; i <= room_.cells; ++i) {
       const double s = i * h_;
       const double bend =
           0.5 * (unknown[std::max(i - 1, 0)] + unknown[std::min(i, room_.cells - 1)]);
-      nodes_[i] = {s, at.heading, room_.natural + bend, at.x, at.y};
+      nodes_[i] = {s, section.heading, room_.natural + bend, section.x, section.y};
       if (i == room_.cells) break;
       const auto turned = [&](double arc) {
         return room_.natural * arc + fold.turn(arc) + room_.rest.turn(arc);
       };
-      at.moment = unknown[i];
-      at.advance(-h_, turned(s) - turned(s + 0.5 * h_), turned(s) - turned(s + h_), none_);
+      section.moment = unknown[i];
+      section.advance(-h_, turned(s) - turned(s + 0.5 * h_), turned(s) - turned(s + h_), none_);
       energy += 0.5 * h_ * unknown[i] * unknown[i];
     }
     if (folds_) energy += room_.critical * (std::hypot(fold.angle, 1e-4) - 1e-4);

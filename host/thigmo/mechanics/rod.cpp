@@ -62,12 +62,12 @@ Rod::Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
   if (!(rounding >= 0.0 && rounding <= 0.5 * diameter)) {
     throw BadInput("the tip's rounding must lie between 0 and the tube's radius");
   }
-  double from = 0.0;
+  double begin = 0.0;
   for (const RestShape::Piece& piece : room_.rest.pieces()) {
-    if (!(piece.until > from && std::isfinite(piece.until + piece.curvature))) {
+    if (!(piece.until > begin && std::isfinite(piece.until + piece.curvature))) {
       throw BadInput("the rest curvature's pieces must be finite, and their ends must ascend");
     }
-    from = piece.until;
+    begin = piece.until;
   }
   if (choice_ == Model::kBeam && !room_.rest.straight()) {
     throw BadInput("the beam is of a body that is straight at rest");
@@ -215,12 +215,13 @@ void Rod::follow(double natural, double length) {
     const bool free = room_.pegs.empty() && std::fabs(natural) * length < 50.0;
     advance(free ? natural : 0.0, length, 0.0);
   }
-  const double from = room_.natural, length_from = room_.length;
+  const double natural_before = room_.natural, length_before = room_.length;
   const double way = travel(natural, length);
   const int pieces = std::max(1, static_cast<int>(std::ceil(way / kPieceCm)));
   for (int i = 1; i <= pieces; ++i) {
     const double u = static_cast<double>(i) / pieces;
-    advance(from + u * (natural - from), length_from + u * (length - length_from), way / pieces);
+    advance(natural_before + u * (natural - natural_before),
+            length_before + u * (length - length_before), way / pieces);
   }
 }
 

@@ -42,12 +42,12 @@ Sweep Rod::sweep(const std::vector<double>& naturals, double length,
   for (int row = 0; row < sweep.rows; ++row) {
     const double natural = naturals[row];
     if (free || touching() == 0) {
-      const double from = free ? reached : room_.natural;
-      const double way = std::fabs(natural - from) * length * length / 2.0;
+      const double begin = free ? reached : room_.natural;
+      const double way = std::fabs(natural - begin) * length * length / 2.0;
       const int pieces = std::max(1, static_cast<int>(std::ceil(way)));
       free = true;
       for (int i = 1; i <= pieces && free; ++i) {
-        const double next = from + (natural - from) * i / pieces;
+        const double next = begin + (natural - begin) * i / pieces;
         free = arc_is_clear(next, length);
         if (free) reached = next;
       }
