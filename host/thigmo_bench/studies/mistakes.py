@@ -426,7 +426,10 @@ def _figure(rows: list[Row]) -> Figure:
     """Wrong answers of all frames and of the localized, and localized frames; stated and not."""
     groups = list(dict.fromkeys((row["kind"], row["body"]) for row in rows))
     lines = {(row["kind"], row["body"], row["stated"]): row for row in rows}
-    figure, axes = panels(1, 3, size=(3.4, 0.17 * len(groups) + 1.2), share=True)
+    figure, axes = panels(
+        1, 3, size=(3.4, 0.17 * len(groups) + 1.2), share=True,
+        title="Users' mistakes: wrong answers and localized frames, each mistake stated and not",
+    )  # fmt: skip
     at = np.arange(len(groups))
     for label, color, place in (("not stated", RED, at - 0.2), ("stated", BLUE, at + 0.2)):
         some = [lines[*group, label == "stated"] for group in groups]
