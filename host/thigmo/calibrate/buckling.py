@@ -169,7 +169,7 @@ def fit_buckling(
     Raises:
         DataError: the columns are not this robot's, or too few sensors can read either side.
     """
-    names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction")
+    names = ("center_cm", "span_cm", "reading_se", "scale_se", "bend_sign")
     center, span, noise, gain, valid_sign = constants_of(config, *names)
     if curvature.shape[1] != len(center):
         shapes = f"{curvature.shape[1]} columns for {len(center)} sensors"
@@ -251,7 +251,7 @@ def _readable_signs(config: RobotConfig, length_cm: float) -> list[int]:
 
     Raises DataError if there are none.
     """
-    (valid_sign,) = constants_of(config, "valid_direction")
+    (valid_sign,) = constants_of(config, "bend_sign")
     beyond_fold = _beyond_fold(config, length_cm)
     signs = [
         sign

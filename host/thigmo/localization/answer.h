@@ -306,8 +306,7 @@ inline void check(const Readings& readings, const Hypothesis& hypothesis, const 
     square += white_residual * white_residual, product += white_residual * before,
         before = white_residual;
   }
-  if (options.direction.rows == 0 && square > 0.0)
-    out.correlation = product / square * std::sqrt(n);
+  if (options.axis.rows == 0 && square > 0.0) out.correlation = product / square * std::sqrt(n);
 }
 
 inline void conclude(Weighing& weighing, const Options& options, Answer& out) {

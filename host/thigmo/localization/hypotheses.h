@@ -186,7 +186,7 @@ class Weighing {
   static constexpr int kNoMark = -1;
 
   std::unique_ptr<Body> body(const Input& in) {
-    if (options_.direction.rows > 0) return std::make_unique<SpaceBody>(readings, in, options_);
+    if (options_.axis.rows > 0) return std::make_unique<SpaceBody>(readings, in, options_);
     return std::make_unique<PlaneBody>(readings, in, options_);
   }
 

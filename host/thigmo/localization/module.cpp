@@ -240,7 +240,7 @@ NB_MODULE(_posterior, m) {
              TAKE(critical), TAKE(critical_error), TAKE(folds_perhaps);
              TAKE(held_end), TAKE(end_odds), TAKE(held_odds), TAKE(contacts);
              TAKE(width_limit), TAKE(number_level);
-             TAKE(direction), TAKE(curvature_map), TAKE(compliance), TAKE(weight), TAKE(priors);
+             TAKE(axis), TAKE(curvature_map), TAKE(compliance), TAKE(weight), TAKE(priors);
 #undef TAKE
              std::tie(options->within.near, options->within.far) =
                  nb::cast<std::pair<double, double>>(values["within"]);

@@ -150,8 +150,8 @@ class SpaceShape {
 // Directions of the readings on a shape: what turns unit wrenches into readings.
 class Lines {
  public:
-  Lines(const SpaceShape& shape, const Frame& frame, const std::vector<Vector>& direction)
-      : direction_(direction) {
+  Lines(const SpaceShape& shape, const Frame& frame, const std::vector<Vector>& axes)
+      : axes_(axes) {
     for (int i = 0; i < frame.size(); ++i) {
       // A point sensor is a short one.
       const double half = std::max(0.5 * (frame.high[i] - frame.low[i]), 1e-4);
@@ -177,7 +177,7 @@ class Lines {
     const Section middle = shape.at(0.5 * (near_[i].arc + far_[i].arc));
     const Vector ends =
         plus(shape.by_weight(near_[i], weight), 1.0, shape.by_weight(far_[i], weight));
-    return dot(direction_[i], plus(ends, 4.0, shape.by_weight(middle, weight))) / 6.0;
+    return dot(axes_[i], plus(ends, 4.0, shape.by_weight(middle, weight))) / 6.0;
   }
 
  private:
@@ -186,7 +186,7 @@ class Lines {
   };
   Line between(int i, const Section& end) const {
     const Section& start = near_[i];
-    const Vector& h = direction_[i];
+    const Vector& h = axes_[i];
     const double share = 1.0 / (far_[i].arc - start.arc);
     Line out{};
     for (int j = 0; j < 3; ++j) {
@@ -196,7 +196,7 @@ class Lines {
     return out;
   }
 
-  const std::vector<Vector>& direction_;
+  const std::vector<Vector>& axes_;
   std::vector<Section> near_, far_;
   std::vector<Line> line_;
 };
@@ -220,7 +220,7 @@ class SpaceBody : public Body {
         weight_(vector(options.weight.data())) {
     const Frame& frame = readings.frame;
     components = 3;
-    for (const int i : readings.index) direction_.push_back(vector(options.direction[i]));
+    for (const int i : readings.index) axes_.push_back(vector(options.axis[i]));
     // The free body, and that which the readings show: with what is missing as if it were free.
     Row shown(in.curvature.size());
     for (std::size_t i = 0; i < shown.size(); ++i) shown[i] = pick(in.body, i) * options.length;
@@ -228,7 +228,7 @@ class SpaceBody : public Body {
     for (int i = 0; i < frame.size(); ++i) shown[readings.index[i]] += frame.excess[i];
     start = curvature_of(shown);
     if (weighs()) hang(readings);
-    for (const Vector& h : direction_) measured_ |= twists() && h[0] != 0.0;
+    for (const Vector& h : axes_) measured_ |= twists() && h[0] != 0.0;
     turn = turn_of(unweighed_);
   }
 
@@ -240,7 +240,7 @@ class SpaceBody : public Body {
 
   void take(const Row& curvature, double step, const std::vector<PlacedLoad>& loads) override {
     shape_ = bent_to(curvature);
-    lines_.emplace(*shape_, readings_.frame, direction_);
+    lines_.emplace(*shape_, readings_.frame, axes_);
     least_ = std::max(priors_.least_lever * shape_->largest_lever(shape_->end()), 1e-6);
     known_.clear();
     for (int i = 0; weighs() && i < readings_.frame.size(); ++i) {
@@ -357,7 +357,7 @@ class SpaceBody : public Body {
       if (change < 1e-6) break;
     }
     const SpaceShape shape = bent_to(hanging);
-    const Lines lines(shape, frame, direction_);
+    const Lines lines(shape, frame, axes_);
     for (int i = 0; i < frame.size(); ++i) {
       hanging_.push_back(lines.by_weight(i, shape, weight_));
       frame.excess[i] -= hanging_[i];
@@ -419,7 +419,7 @@ class SpaceBody : public Body {
       u.insert(u.end(), {cell[0] + kStep * about, cell[1], cell[2]});
     }
     const SpaceShape twisted = bent_to(u);
-    const Lines lines(twisted, readings_.frame, direction_);
+    const Lines lines(twisted, readings_.frame, axes_);
     slope_.assign(n, 0.0);
     known_.resize(n);
     for (const PlacedLoad& placed : loads) {
@@ -441,7 +441,7 @@ class SpaceBody : public Body {
   const Priors& priors_;
   Vector compliance_, weight_;
   double least_ = 0.0;
-  std::vector<Vector> direction_;
+  std::vector<Vector> axes_;
   Row unweighed_;
   Row hanging_;            // what weight adds to the readings of the free body
   bool measured_ = false;  // whether sensors measure a twist

@@ -31,7 +31,7 @@ class FibreSensor(AnySensor):
     temperature_se: NonNegative = 3e-4
     twist_se_rad: NonNegative = 0.05  # by which the fibre lies turned about its axis
 
-    valid_direction: ClassVar[int] = 0
+    bend_sign: ClassVar[int] = 0
     warm_s: ClassVar[float] = 20.0  # from zeros to a reading, for which `temperature_se` holds
 
     @property

@@ -19,8 +19,8 @@ class FlexSensor(AnySensor):
     scale_se: NonNegative = 0.15  # relative: resistances differ by 30 % from part to part
     zero_ohm: Positive = 12_000.0  # flat resistance, a start value: zeroing re-measures it
     zero_se: NonNegative = 3.6e-4  # 1/cm, what zeroing and averaging leave: its loop, slow drift
-    valid_direction: Literal[-1, 0, 1] = 0  # the bending direction it answers to; 0 = both
-    # Response to bends against `valid_direction` over that to bends along it, and one sigma: a data
+    bend_sign: Literal[-1, 0, 1] = 0  # the bending direction it answers to; 0 = both
+    # Response to bends against `bend_sign` over that to bends along it, and one sigma: a data
     # sheet states one direction only. A bench that bends both ways measures it.
     against_gain: NonNegative = 0.7
     against_gain_se: NonNegative = 0.3  # one sigma of it

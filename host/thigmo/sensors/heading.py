@@ -41,7 +41,7 @@ class HeadingSensor(AnySensor):
     mux_channel: Annotated[int, Field(ge=0, le=7)] = 0
     i2c_address: Annotated[int, Field(ge=0, le=127)] = 0  # on that channel
 
-    valid_direction: ClassVar[int] = 0
+    bend_sign: ClassVar[int] = 0
     straight_ohm: ClassVar[float] = 12_000.0  # that the reader says for no turn
 
     def rescale(self, factor: float) -> None:
