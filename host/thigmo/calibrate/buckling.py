@@ -44,7 +44,7 @@ class BucklingResult(StepResult):
     verdict: Verdict  # in words
 
     def write(self, config: RobotConfig) -> None:
-        """Put in the critical curvature, its error and its body pressure."""
+        """Store the critical curvature, its error and its body pressure in the configuration."""
         config.body.critical_curvature = self.critical_curvature
         config.body.critical_curvature_se = self.critical_se
         config.body.critical_pressure_psi = self.body_pressure_psi
@@ -123,7 +123,7 @@ def _in_fold(config: RobotConfig) -> Mask:
 
 
 def _require_fold(result: BucklingResult, pushed: Array, config: RobotConfig) -> BucklingResult:
-    """The result; not good if nothing shows that the base folded.
+    """The result, marked as not good unless something shows that the base folded.
 
     `pushed` (t,) are the moments to which the pushes would bend a base that does not fold, 1/cm;
     nan if unknown. Where no sensor reads the fold, the moment must not grow with them.

@@ -87,7 +87,7 @@ def _bend(bench: Bench) -> float:
 
 
 def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
-    """Judge a check's recordings. Raises DataError if they are of another robot's sensors."""
+    """Judge a check's recordings. Raises DataError if the sensors are not this robot's."""
     sensors = sensors_of(config)
     if readings.rest_ohm.shape[1] != len(sensors):
         shapes = f"{readings.rest_ohm.shape[1]} columns for {len(sensors)} sensors"

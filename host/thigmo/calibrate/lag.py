@@ -92,7 +92,7 @@ def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] 
 
 
 def _muscle_pressure(psi: Array, rising_s: float, falling_s: float) -> Array:
-    """(n,) pressure that bends the body, every `_STEP_S`; the time constant is by direction."""
+    """Pressure (n,) that bends the body, every `_STEP_S`; each direction has its time constant."""
     rising, falling = (1 - np.exp(-_STEP_S / lag) for lag in (rising_s, falling_s))
     lagged = np.array(psi, float)
     state = float(lagged[0])
