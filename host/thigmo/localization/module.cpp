@@ -78,7 +78,7 @@ void write(const Answer& answer, double length, double* row, double* contact) {
                           answer.mistakes[8]};
   static_assert(of_row.size() == kOfRow);
   std::copy(of_row.begin(), of_row.end(), row);
-  for (const DetectedContact& detected : from.contacts) {
+  for (const DetectedContact& detected : answer.contacts) {
     *contact++ = detected.arc * length, *contact++ = detected.force / (length * length);
     *contact++ = detected.low * length, *contact++ = detected.high * length;
     *contact++ = detected.localized, *contact++ = detected.probability;
