@@ -81,7 +81,7 @@ def test_zeros_that_moved_by_themselves_end_no_run(
         if round(max(grown[0].length_cm, default=30.0)) != 40:
             return None
         lever = np.maximum(34.0 - grown[-1].center_cm, 0.0)
-        bend = np.where(grown[-1].direction >= 0, 2e-4 * lever, np.nan)
+        bend = np.where(grown[-1].bend_sign >= 0, 2e-4 * lever, np.nan)
         return HeldBent(40.0, 34.0, (33.0, 35.5), 3, 2e-4, 3e-4, bend)
 
     monkeypatch.setattr(run_knowledge, "detect_held_bent", moved)
