@@ -26,11 +26,11 @@ from thigmo.config import (
     Body,
     BodyPressure,
     Muscle,
+    MuscleMap,
     RestCurvature,
     RobotConfig,
     Spool,
     TanhMap,
-    ZoneMap,
 )
 from thigmo.sensors import KINDS
 from thigmo.toml_model import Model
@@ -199,7 +199,7 @@ _ROBOT_TABLES: dict[str, type[Model]] = {
     "[[body.pressure]]": BodyPressure,
     "[[body.rest_curvature]]": RestCurvature,
     "[[muscle]]": Muscle,
-    "[[muscle.map]]": ZoneMap,
+    "[[muscle.map]]": MuscleMap,
     "[muscle.map.inflate], [muscle.map.deflate]": TanhMap,
     **{f'[[sensor]], kind = "{name}"': kind for name, kind in KINDS.items()},
     "[spool]": Spool,

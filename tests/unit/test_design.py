@@ -220,7 +220,7 @@ def test_scales_of_the_wrong_sign_are_warned_of() -> None:
     (said,) = warned(config)
     assert said.startswith("sensor left 2: its resistance falls in the only bends")
     for sensor in config.column("left"):
-        sensor.valid_direction = 0
+        sensor.bend_sign = 0
     (said,) = warned(config)
     assert said.startswith("column left: scales of both signs: those of flex 2 (0 = at the base)")
     config = draft(53, 10, 2, kind="fibre")

@@ -245,7 +245,7 @@ class FieldFit:
         self._drifts = np.zeros(self.on_bend.shape[1], dtype=bool)
         self._drifts[: 1 + zones.shape[1]] = True  # the map's scales
         # Numbers of the errors, first those of all sensors: of the bend, of the gain against a
-        # valid direction, and shared ones; then each sensor's gain, place, zeros and mechanics.
+        # bend sign, and shared ones; then each sensor's gain, place, zeros and mechanics.
         self._against = self.on_bend.shape[1]
         self._gain = self._against + 1 + self._shared.shape[2]
         self._place, self._zero = self._gain + m, self._gain + 2 * m
@@ -346,7 +346,7 @@ class FieldFit:
             rise = stood * rise + (1 - stood)
             shift = stood * shift
         true = touched + shift * place
-        back = true < 0  # a flex sensor answers less to a bend against its valid direction
+        back = true < 0  # a flex sensor answers less to a bend against its `bend_sign`
         against = np.ones(m) if e.against is None else e.against
         unsure = np.zeros(m) if e.against_error is None else e.against_error
         answer = np.where(back, against + unsure * xi[b], 1.0)

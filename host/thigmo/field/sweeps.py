@@ -166,7 +166,7 @@ def stated(config: RobotConfig, side: Side, use: npt.NDArray[np.bool_]) -> Error
     constant, zeroing, sweep = (share * zero for share in _ZERO_PARTS)
     gain = np.array([sensor.gain_error if sensor else 0.0 for sensor in rows])
     drift = np.array([sensor.drift_se if sensor else 0.0 for sensor in rows])
-    one_way = [s if isinstance(s, FlexSensor) and s.valid_direction else None for s in rows]
+    one_way = [s if isinstance(s, FlexSensor) and s.bend_sign else None for s in rows]
     shared = table.shared[use]
     return Errors(
         gain=np.hypot(gain, drift),

@@ -271,9 +271,9 @@ class Localizer:
         held, held_odds = grip(known.held_end)
         slack = positive(body.critical_curvature_error, "critical_curvature_error")
         space = in_space(body, self.sensors, x, widths)
-        if space.direction.size and self.method != "posterior":
+        if space.axis.size and self.method != "posterior":
             raise DataError(f"{self.method} knows no direction", "leave it out, or the method")
-        if space.direction.size and moment < math.inf:
+        if space.axis.size and moment < math.inf:
             raise DataError(
                 "critical_curvature is given, and no fold is weighed in space", "leave it out"
             )

@@ -79,7 +79,7 @@ def test_from_pixels_to_the_map(tmp_path):
     stated = np.array([mine.scale_se for mine, _ in pairs])
     assert np.abs(errors).max() < 0.02
     assert np.mean((errors / stated) ** 2) < 3.0
-    assert [mine.valid_direction for mine, _ in pairs] == [t.valid_direction for _, t in pairs]
+    assert [mine.bend_sign for mine, _ in pairs] == [t.bend_sign for _, t in pairs]
     for side in SIDES:
         for mine, true in zip(config.muscle(side).maps, truth.muscle(side).maps, strict=True):
             full = true.inflate.curvature(18.0)
