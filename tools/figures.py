@@ -161,15 +161,14 @@ def _explored_rooms(studies: list[dict[str, Any]]) -> list[Grid]:
     (study,) = studies
     head = (
         "rooms of the kind", "rooms", "runs aborted", "contacts", "missed", "rooms with false ones",
-        "localized", "arc outside of its set", "localized wrong", "ellipses",
-        "without the truth", "mean error in the plane, cm",
+        "localized", "localized wrong", "median x error, cm",
     )  # fmt: skip
     counts = (
         "rooms", "aborted", "touched", "touched_missed", "with_false_contacts",
-        "contacts_localized", "sets_missed", "contacts_wrong", "ellipses", "ellipses_missed",
+        "contacts_localized", "contacts_wrong",
     )  # fmt: skip
     rows = [
-        (row["kind"], *(str(row[count]) for count in counts), _decimals(row["best_cm"]))
+        (row["kind"], *(str(row[count]) for count in counts), _decimals(row["median_error_x_cm"]))
         for row in study["rows"]
     ]
     return [Grid(head, rows)]
