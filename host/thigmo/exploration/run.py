@@ -253,7 +253,7 @@ class Exploration:
             if self._knowledge.stall(grown) is not None:
                 self._knowledge.growth_stalled(grown)
                 return "no eversion"
-            whole = [each for each in stage_lengths(self.config) if each >= target]
+            whole = [length_cm for length_cm in stage_lengths(self.config) if length_cm >= target]
             if not self._knowledge.stages and self._knowledge.leans(grown):
                 self._stage_cm = whole[0]  # what it leans on is passed no farther
             elif target < self._stage_cm and target == whole[0]:

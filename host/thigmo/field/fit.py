@@ -292,8 +292,8 @@ class FieldFit:
                 on = slice(first, rows)
                 mean[s, on], shift[s, on] = sweep.readings, sweep.by_place
                 for p, moves in enumerate(chain):
-                    own = slice(OBSTACLE_UNKNOWNS * p, OBSTACLE_UNKNOWNS * (p + 1))
-                    by_q[s, on, :, own] = sweep.by_obstacle[:, :, p, :5] @ moves
+                    unknowns = slice(OBSTACLE_UNKNOWNS * p, OBSTACLE_UNKNOWNS * (p + 1))
+                    by_q[s, on, :, unknowns] = sweep.by_obstacle[:, :, p, :5] @ moves
                 yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
                 by_q[s, on, :, YIELD] = yields
                 if np.isfinite(critical):  # else the base does not fold

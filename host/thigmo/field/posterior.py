@@ -175,12 +175,12 @@ class Search:
         places = list(self.places)
         for length in sorted({stage.length for stage in self.readings.stages}):
             alone = FieldFit(self.readings.at_length(length), self.errors)
-            found = self._atlas.likeliest(self._atlas.pegs(alone, alone.nothing()))[:_PLACES]
-            places += [place for place in found if place.gain > _LEAST_PLACE]
+            likeliest = self._atlas.likeliest(self._atlas.pegs(alone, alone.nothing()))[:_PLACES]
+            places += [place for place in likeliest if place.gain > _LEAST_PLACE]
         touches = sorted({(place.arc, place.bend) for place in places})
         starts = [
-            np.array([*one, RADIUS_MEAN, *other, RADIUS_MEAN, 0.0, *_LEAST])
-            for one, other in combinations(touches, 2)
+            np.array([*first, RADIUS_MEAN, *second, RADIUS_MEAN, 0.0, *_LEAST])
+            for first, second in combinations(touches, 2)
         ]
         radii = RADIUS, RADIUS + OBSTACLE_UNKNOWNS
         best = self._likeliest(PEGS, starts, radii)
@@ -229,7 +229,7 @@ class Search:
             if hypothesis.possible(q, rough.body):
                 log, xi, _ = rough.evidence(rough.tables(hypothesis, q), rough.free(), passes=1)
                 tried.append((log + hypothesis.log_prior(q, rough.body), q, xi))
-        tried.sort(key=lambda one: -one[0])
+        tried.sort(key=lambda trial: -trial[0])
         shared = tuple(range(OBSTACLE_UNKNOWNS * hypothesis.obstacles, hypothesis.unknowns))
         first = [
             rough.solve(hypothesis, q, xi, passes=6, held=held + shared)
@@ -337,8 +337,8 @@ class Search:
         z = np.linspace(-2.0, 2.0, 9)
         logs = np.array(
             [
-                self.fit.evidence(mode.tables, mode.xi, spread=float(np.exp(SPREAD_STD * one)))[0]
-                for one in z
+                self.fit.evidence(mode.tables, mode.xi, spread=float(np.exp(SPREAD_STD * size)))[0]
+                for size in z
             ]
         )
         logs -= 0.5 * z**2
