@@ -162,8 +162,7 @@ class ActuatorResult(StepResult):
         actuator = config.muscles[config.muscle_number(self.readings.muscle)]
         # A body that does not grow may have no pressure.
         apart_psi = [
-            abs(self.muscle_map.body_pressure_psi - zone.pressure_psi)
-            for zone in config.body.zones
+            abs(self.muscle_map.body_pressure_psi - zone.pressure_psi) for zone in config.body.zones
         ]
         zone = int(np.argmin(apart_psi))
         if apart_psi[zone] > SAME_PRESSURE * config.body.zones[zone].pressure_psi:
