@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command import Thigmo
@@ -11,8 +12,10 @@ from emulated import armed, emulated, room_file
 
 from thigmo.config import RobotConfig
 from thigmo.emulator.reach import room_for
+from thigmo.emulator.scene import WallTable
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.exploration import explore
+from thigmo_bench.studies.exploration import LENGTH_CM
 from thigmo_bench.studies.robots import CATHETER, FELT, GALLERY, push, visit
 
 
@@ -71,12 +74,37 @@ def test_a_muscleless_vine_grows() -> None:
 
 def test_thigmo_feel_grows_a_muscleless_vine_and_answers(thigmo: Thigmo, tmp_path: Path) -> None:
     whisker = RobotConfig.load(GALLERY / "whisker.toml")
-    whisker.board.settle_s = 0.2
     url = room_file(tmp_path, room_for(whisker, 1, peg=False))
     said = thigmo("feel", "--robot", url, "--grow-to", "20", "--count", "1", "--json")
     (answer,) = json.loads(said.out)
     assert answer["length_cm"] == pytest.approx(20.0, abs=0.1)
     assert answer["status"] == "no contact"
+
+
+def _grown_whisker(thigmo: Thigmo, tmp_path: Path, walls: list[WallTable]) -> dict[str, Any]:
+    """The answer of `thigmo feel --grow-to 53` beside walls."""
+    room = room_for(RobotConfig.load(GALLERY / "whisker.toml"), 1, peg=False)
+    room.walls = walls
+    url = room_file(tmp_path, room)
+    ran = thigmo("feel", "--robot", url, "--grow-to", "53", "--count", "1", "--json")
+    assert ran.code == 0, ran.err
+    (answer,) = json.loads(ran.out)
+    return answer
+
+
+def test_a_muscleless_vine_feels_what_bends_it_while_it_grows(
+    thigmo: Thigmo, tmp_path: Path
+) -> None:
+    aslant = WallTable(x=30.0, y=-6.0, end_x=60.0, end_y=10.0)
+    answer = _grown_whisker(thigmo, tmp_path, [aslant])
+    (contact,) = answer["contacts"]
+    (truth,) = answer["truth"]
+    assert answer["length_cm"] < 53.0
+    low, high = contact["interval"]  # to the length by the encoder
+    assert low <= truth["arc_cm"] <= high + LENGTH_CM
+    free = _grown_whisker(thigmo, tmp_path, [])
+    assert free["status"] == "no contact"
+    assert free["length_cm"] == pytest.approx(53.0, abs=0.1)
 
 
 def test_bring_up_leaves_out_the_spool_of_a_robot_that_has_none(
