@@ -16,7 +16,6 @@ from thigmo.exploration.stage import Interpreter
 from thigmo.exploration.stall import Obstruction
 from thigmo.field import FieldContact
 from thigmo.field.answer import UNEXPLAINED_WORDS
-from thigmo.record import Ellipse, Obstacle
 from thigmo.robot import Peak, SweepFrame, SweepResult
 
 CONFIG = RobotConfig()
@@ -137,26 +136,6 @@ def test_a_side_that_feels_nothing_new_is_not_measured(fits: Fits) -> None:
     found.take(longer, 2)
     assert found.felt_sides(longer) == {"left"}
     assert found.placed_sides(longer) == set()
-
-
-def test_a_contact_that_the_map_knows_is_not_measured(fits: Fits) -> None:
-    sweep, far = _sweep(), a_fit(20.0, x_cm=19.0, y_cm=4.0, width_cm=6.0)
-    (contact,) = _mapped(fits, a_fit(45.0)).contacts
-    there = Obstacle(
-        contact.x_cm, contact.y_cm, contact.covariance_cm2, Ellipse.of(contact.covariance_cm2),
-        contact.track, "felt", "localized", normal_rad=contact.normal_rad,
-    )  # fmt: skip
-    for answers, given, placed in (
-        ([a_fit(45.0, width_cm=6.0)], [], set()),
-        ([a_fit(45.0, width_cm=6.0)], [there], {"left"}),
-        ([far], [there], set()),
-        ([a_fit(45.0, width_cm=6.0), far], [there], set()),  # one of them is new
-    ):
-        interpreter = Interpreter(CONFIG, given)
-        fits.answers = list(answers)
-        interpreter.take(sweep, 2)
-        assert interpreter.felt_sides(sweep) == {"left"}
-        assert interpreter.placed_sides(sweep) == placed
 
 
 def test_a_body_that_was_held_bent_before_its_sweep_says_nothing_of_that_side(fits: Fits) -> None:

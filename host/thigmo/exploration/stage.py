@@ -99,15 +99,14 @@ class Interpreter:
         ]
 
     def placed_sides(self, sweep: SweepResult) -> set[Side]:
-        """Sides that need no measurement: the map has what they touched, or it is placed well."""
+        """Sides whose one contact is placed so well that it needs no measurement."""
         if self._thesis:
             return set()
         felt = {side: self._felt(side, sweep) for side in self._readable_sides(sweep)}
         return {
             side
             for side, likely in felt.items()
-            if (likely and all(fitted.contact.known is not None for fitted in likely))
-            or (len(likely) == 1 and self._well_placed(likely[0].contact))
+            if len(likely) == 1 and self._well_placed(likely[0].contact)
         }
 
     def _well_placed(self, contact: MapContact) -> bool:
