@@ -240,9 +240,9 @@ async def _stall(
         stalls.set()
         await asyncio.to_thread(may_go_on.wait)
         async for message in socket:
-            for each in json.loads(message.data):
-                if each["channel"] == "dropped":
-                    missed.append(each["count"])
+            for part in json.loads(message.data):
+                if part["channel"] == "dropped":
+                    missed.append(part["count"])
                     return
             await socket.send_str('{"ack":1}')
 
