@@ -38,16 +38,17 @@ _SAME_SIGMA = 3.0
 
 
 def boost(prior: Sequence[Obstacle], points: Floats, length_cm: float) -> Floats:
-    """Prior density at points of the skin, (n, 2) in cm, relative to that of a new obstacle.
+    """Prior density at points of the skin, (n, 2) in cm, over that of an obstacle that may touch a
+    body of `length_cm` anywhere.
 
-    That one may touch a body of `length_cm` anywhere.
+    The known ones together are as likely as a new one, so that a map makes no contact likelier than
+    it is without: over the arc the mean is about 1.
     """
-    # Known and new are equally likely: the bell over an arc holds as much as the rest of it.
-    peak = length_cm / (_FLOOR_CM * np.sqrt(2 * np.pi))
+    peak = length_cm / (_FLOOR_CM * np.sqrt(2 * np.pi)) / max(len(prior), 1)
     value = np.ones(len(points))
     for obstacle in prior:
         value += peak * np.exp(-0.5 * _squared(obstacle, points, np.zeros((2, 2))))
-    return value
+    return 0.5 * value if prior else value
 
 
 def match(prior: Sequence[Obstacle], contact: MapContact) -> int | None:
