@@ -72,6 +72,10 @@ def localize(
         str | None,
         typer.Option(help="Whether something holds the end: yes, no, or the prior odds of that."),
     ] = None,
+    end_face_odds: Annotated[
+        float | None,
+        typer.Option(help="Prior odds of a contact on the end's face; 0 rules it out."),
+    ] = None,
     stiffness: Annotated[
         str | None,
         typer.Option(
@@ -165,6 +169,7 @@ def localize(
         "critical_curvature": critical_curvature,
         "tube_radius": tube_radius,
         "held_end": _held(held_end),
+        "end_face_odds": end_face_odds,
         "stiffness": _numbers(stiffness, "--stiffness", "EI,ERROR such as 500,0.1"),
         "twist": twist,
         "weight": _numbers(weight, "--weight", "three numbers, such as 0,-0.5,0"),
