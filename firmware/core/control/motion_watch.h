@@ -39,10 +39,10 @@ class MotionWatch {
     const int32_t beyond = magnitude(duty) - friction;
     const int32_t top = beyond > 0 ? beyond * d.motor_slope_q16 : 0;
     speed_q16_ += share_q16((duty < 0 ? -top : top) - speed_q16_, kLagShare);
-    // Of a spool that turns outwards, whether the motor drives it or holds it back.
-    outwards_q16_ += share_q16((duty - friction) * d.motor_slope_q16 - outwards_q16_, kLagShare);
 
     if (growing) {
+      // Of a spool that turns outwards, whether the motor drives it or holds it back.
+      outwards_q16_ += share_q16((duty - friction) * d.motor_slope_q16 - outwards_q16_, kLagShare);
       const int32_t doubt = magnitude(outwards_q16_) >> 4;
       const int32_t gauge_duty = magnitude(pull_duty) >> kGaugeShift;
       const int32_t pulled_q16 = pulls ? (pull_duty - gauge_duty) * d.motor_slope_q16 : 0;
@@ -54,6 +54,8 @@ class MotionWatch {
       const int32_t most = outwards_q16_ + doubt + d.friction_q16 + most_duty * d.motor_slope_q16;
       const int32_t excess = excess_q16_ + moved_q16 - greater<int32_t>(most, 0);
       excess_q16_ = limited<int32_t>(excess, 0, d.excess_q16 + 1);
+    } else {
+      outwards_q16_ = 0;
     }
     watch(0, moved_q16, greater(speed_q16_, wanted_q16), d);
     watch(1, -moved_q16, greater(-speed_q16_, -wanted_q16), d);

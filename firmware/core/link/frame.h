@@ -112,41 +112,39 @@ class FrameDecoder {
 
   // Takes bytes as they came, up to the first zero; `taken` says how many. After kFrame, frame() is
   // valid until the next call. What changes from byte to byte stays in registers: byte by byte, an
-  // AVR would take six times as long. Of a frame that cannot become whole, bytes are only passed
-  // over: junk must not load a robot that moves.
+  // AVR would take six times as long. Of what is longer than any frame, bytes are only passed over:
+  // noise must not load a robot that moves.
   THIGMO_NOINLINE Result push(const uint8_t* bytes, uint8_t count, uint8_t* taken) {
-    const uint8_t* const first = bytes;
-    const uint8_t* const end = bytes + count;
     const uint8_t* const top = frame_.bytes + protocol::kMaxFrame;
     uint8_t* output = frame_.bytes + count_;
     uint8_t left = left_;
-    while (bytes != end) {
-      if (hopeless_) {
-        bytes = zero_or_end(bytes, end);
-        if (bytes == end) break;
-      } else if (left != 0) {
-        const uint8_t waiting = static_cast<uint8_t>(end - bytes);
-        uint8_t run = left < waiting ? left : waiting;
-        left = static_cast<uint8_t>(left - run);
-        uint8_t byte;
-        while ((byte = *bytes) != 0) {
-          ++bytes;
-          *output++ = byte;
-          if (--run == 0) break;
-        }
-        if (run == 0) continue;
-        left = static_cast<uint8_t>(left + run);
-      } else if (*bytes != 0) {
+    uint8_t unread = count;
+    while (unread != 0) {
+      --unread;
+      uint8_t byte = *bytes++;
+      if (byte == 0) {
+        *taken = static_cast<uint8_t>(count - unread);
+        return finish(static_cast<uint8_t>(output - frame_.bytes), left == 0);
+      }
+      if (overlong_) continue;
+      if (left == 0) {
         // A code byte: so many bytes to the next zero, which the code before it stood for (the code
         // 255 stands for none, but no frame is that long).
-        left = static_cast<uint8_t>(*bytes++ - 1);
-        if (begun_ && output != top) *output++ = 0;
-        hopeless_ = left > top - output;
-        begun_ = true;
-        continue;
+        left = static_cast<uint8_t>(byte - 1);
+        byte = 0;
+        overlong_ = left > top - output;
+        if (!begun_) {
+          begun_ = true;
+          continue;
+        }
+      } else {
+        --left;
       }
-      *taken = static_cast<uint8_t>(bytes + 1 - first);
-      return finish(static_cast<uint8_t>(output - frame_.bytes), left == 0);
+      if (output == top) {
+        overlong_ = true;
+      } else {
+        *output++ = byte;
+      }
     }
     count_ = static_cast<uint8_t>(output - frame_.bytes);
     left_ = left;
@@ -157,19 +155,14 @@ class FrameDecoder {
   const Frame& frame() const { return frame_; }
 
  private:
-  static const uint8_t* zero_or_end(const uint8_t* bytes, const uint8_t* end) {
-    while (bytes != end && *bytes != 0) ++bytes;
-    return bytes;
-  }
-
   // A zero has come after so many bytes; `complete`: after all that the last code promised.
   Result finish(uint8_t count, bool complete) {
     const bool empty = !begun_;
-    const bool whole = complete && !hopeless_;
+    const bool whole = complete && !overlong_;
     count_ = 0;
     left_ = 0;
     begun_ = false;
-    hopeless_ = false;
+    overlong_ = false;
     if (empty) return Result::kMore;
     if (!whole || count < protocol::kHeaderSize + protocol::kCrcSize) return Result::kBad;
     const uint8_t body = static_cast<uint8_t>(count - protocol::kCrcSize);
@@ -184,7 +177,7 @@ class FrameDecoder {
   uint8_t count_ = 0;
   uint8_t left_ = 0;
   bool begun_ = false;
-  bool hopeless_ = false;  // longer than any frame
+  bool overlong_ = false;
 };
 
 }  // namespace thigmo
