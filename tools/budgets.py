@@ -240,7 +240,9 @@ def junk(rig: Rig) -> list[Figure]:
         transport.write(noise if number % 2 else frames)
         transport.read(JUNK_MS / 1000)
     load = np.convolve(rig.busy, np.ones(5), "valid").max() / (5 * CYCLES_PER_MS)
-    return [Figure("load in a retraction, junk on the line, worst 5 ms", 100 * float(load), "%", 50)]
+    return [
+        Figure("load in a retraction, junk on the line, worst 5 ms", 100 * float(load), "%", 50)
+    ]
 
 
 STEP_COUNTS = 20

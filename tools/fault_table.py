@@ -85,8 +85,8 @@ to 2.0. Where an encoder shows too little, the body may be home before the lengt
 base ends the motion, as `spool_stall`. The speed of winding in is limited so that line and tail
 bear that, also if the spool turns twice as fast as it shows.
 
-Bodies of 7 and 10 cm with a pitch of 14.5 cm are within half a pitch, 7.25 cm, for factors of 0.5 to
-2.0 in growth once `thigmo calibrate encoder` has measured how hard they pull
+Bodies of 7 and 10 cm with a pitch of 14.5 cm are within half a pitch, 7.25 cm, for factors of 0.5
+to 2.0 in growth once `thigmo calibrate encoder` has measured how hard they pull
 (`tests/sim/test_lost_counts.py`, which allows a tenth more). Without it, one of 10 cm may be 10 cm
 off at factor 1.7: a tip that is held back looks the same until it reaches its next sensor, a pitch
 away. The fold bends a sensor in inverse proportion to the body's diameter, so that a thicker body's
