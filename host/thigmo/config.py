@@ -66,13 +66,13 @@ __all__ = [
     "FlexSensor",
     "HeadingSensor",
     "Muscle",
+    "MuscleMap",
     "RestCurvature",
     "RobotConfig",
     "Sensor",
     "Side",
     "Spool",
     "TanhMap",
-    "ZoneMap",
     "opposite",
     "side_at",
 ]
@@ -276,7 +276,7 @@ class TanhMap(Model):
         return self.amplitude * (tanh((pressure_psi - self.offset_psi) / self.scale_psi) - start)
 
 
-class ZoneMap(Model):
+class MuscleMap(Model):
     """Free curvature of one muscle at one body pressure, inflating and deflating apart."""
 
     body_pressure_psi: NonNegative = 0.0  # at which it was measured
@@ -287,11 +287,11 @@ class ZoneMap(Model):
     @property
     def calibrated(self) -> bool:
         """Whether it was measured: its error is not the one that is assumed."""
-        return bool(self.scale_se != ZoneMap.model_fields["scale_se"].default)
+        return bool(self.scale_se != MuscleMap.model_fields["scale_se"].default)
 
 
-def _default_zone_maps() -> list[ZoneMap]:
-    return [ZoneMap(body_pressure_psi=p) for p in (1.47, 1.01, 0.49)]
+def _default_maps() -> list[MuscleMap]:
+    return [MuscleMap(body_pressure_psi=p) for p in (1.47, 1.01, 0.49)]
 
 
 def _word(name: str) -> str:
@@ -318,8 +318,8 @@ class Muscle(Placed):
     sweep_se: NonNegative = 0.01
     sweep_offset_se: NonNegative = 3e-4  # the same, 1/cm
     # Free curvature over pressure, one map for each body pressure.
-    maps: list[ZoneMap] = Field(
-        default_factory=_default_zone_maps, validation_alias="map", serialization_alias="map"
+    maps: list[MuscleMap] = Field(
+        default_factory=_default_maps, validation_alias="map", serialization_alias="map"
     )
 
 
@@ -329,7 +329,7 @@ def _default_muscles(robot: dict[str, Any]) -> list[Muscle]:
         Muscle(
             name=side,
             direction_deg=DEGREES[side],
-            maps=[ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in zones],
+            maps=[MuscleMap(body_pressure_psi=zone.pressure_psi) for zone in zones],
         )
         for side in SIDES
     ]

@@ -103,7 +103,7 @@ class WiredSensor(NamedTuple):
     @property
     def sound(self) -> bool:
         """Whether it is healthy, and answers to bends that way."""
-        answers = self.sensor.valid_direction in (0, 1 if self.share > 0 else -1)
+        answers = self.sensor.bend_sign in (0, 1 if self.share > 0 else -1)
         return self.sensor.healthy and answers
 
 
@@ -259,7 +259,7 @@ class Wiring:
         if len(self.unguarded_muscles) == len(config.muscles):
             return Limitation(
                 "no healthy sensor at the base answers to the muscles, so no sweep feels a contact",
-                "repair a base sensor, or correct its `healthy` and `valid_direction` in robot.toml"
+                "repair a base sensor, or correct its `healthy` and `bend_sign` in robot.toml"
                 + (
                     ", or wire one to the board: its trigger sees no fibre"
                     if config.gratings

@@ -10,7 +10,7 @@ import pytest
 
 from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.exploration.measuring import (
-    held_back,
+    curvature_deficit,
     measuring_pressure,
     pressing_zone,
     touch_curvature,
@@ -65,7 +65,7 @@ def test_a_base_that_reads_too_much_is_measured_where_it_is_held_back_most() -> 
 def test_a_body_that_straightens_sooner_than_its_map_says_is_not_held_back() -> None:
     frames = _half("left", 0.0, 6.0)
     vented = [replace(frame, excess=-0.006) if frame.t_s > 6.0 else frame for frame in frames]
-    assert held_back(vented, "left").max() < 1e-9
+    assert curvature_deficit(vented, "left").max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -82,8 +82,8 @@ def test_the_body_pressure_is_raised_where_the_fold_limits(
 ) -> None:
     frames = _half("left", slope, onset_psi)
     config = deepcopy(CONFIG)
-    for each, amplitude in zip(config.muscle("left").maps, (0.026, 0.028, 0.03), strict=True):
-        each.inflate.amplitude = amplitude
+    for muscle_map, amplitude in zip(config.muscle("left").maps, (0.026, 0.028, 0.03), strict=True):
+        muscle_map.inflate.amplitude = amplitude
     assert pressing_zone(frames, {"left"}, config, 2) == zone
     assert pressing_zone(frames, {"left", "right"}, config, 2) == 2  # the right one felt nothing
     assert pressing_zone(frames, {"left"}, config, 0) == 0  # there is no higher one

@@ -92,7 +92,7 @@ def test_the_camera_calibrates_only_what_does_not_hang_on_a_straight_body(tmp_pa
 def test_a_flex_sensor_is_weak_where_the_whole_bend_is_against_it(
     at_rest: float, bend: float
 ) -> None:
-    sensor = FlexSensor(center_cm=5.0, valid_direction=1)
+    sensor = FlexSensor(center_cm=5.0, bend_sign=1)
 
     def answered(curvature: float) -> float:
         return curvature if curvature >= 0.0 else sensor.against_gain * curvature
@@ -130,5 +130,5 @@ def test_localize_needs_the_rest_shape_for_its_levers(thigmo: Thigmo, tmp_path: 
         "--config", str(tmp_path / "robot.toml"), "--free-curvature", "0", "--noise", "1e-4",
         "--json",
     )  # fmt: skip
-    found = json.loads(said.out)["contacts"][0]
-    assert abs(found["arc"] - 48.0) < 3.0
+    contact = json.loads(said.out)["contacts"][0]
+    assert abs(contact["arc"] - 48.0) < 3.0

@@ -382,7 +382,7 @@ def test_the_boards_maps_are_what_the_base_sensors_that_guard_a_muscle_read() ->
 def test_the_boards_trigger_does_not_count_a_base_sensor_that_does_not_answer_to_a_bend() -> None:
     """It reads nothing of the bend, so the trigger would take every bend for a contact."""
     config = RobotConfig()
-    config.column("left")[0].valid_direction = 1  # bends to the right are negative
+    config.column("left")[0].bend_sign = 1  # bends to the right are negative
     bits = parameter_settings(Wiring.of(config))["trigger_when"]
     assert (bits[0], bits[5]) == (0x80, 0x80 | 1 << 0)
     assert [muscle.name for muscle in Wiring.of(config).unguarded_muscles] == ["right"]
@@ -408,7 +408,7 @@ def test_an_open_circuit_gives_no_number() -> None:
 def test_only_the_inactive_sides_sensors_that_answer_are_usable() -> None:
     config = RobotConfig()
     config.column("right")[0].healthy = False
-    config.column("right")[1].valid_direction = -1
+    config.column("right")[1].bend_sign = -1
     table = SensorTable.of(Wiring.of(config))
     assert np.flatnonzero(table.usable("left", 0x3FF)).tolist() == [7, 8, 9]
     assert np.flatnonzero(table.usable("left", 0x17F)).tolist() == [8]

@@ -28,7 +28,7 @@ from thigmo.calibrate.lag import Lag, fit_lag, ramp, tanh_curve
 from thigmo.calibrate.overhead import CAMERA_SCALE_SE
 from thigmo.calibrate.regression import Mask
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
-from thigmo.config import SAME_PRESSURE, SIGN, Muscle, RobotConfig, TanhMap, ZoneMap
+from thigmo.config import SAME_PRESSURE, SIGN, Muscle, MuscleMap, RobotConfig, TanhMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 from thigmo.wiring import WiredSensor, Wiring
@@ -130,7 +130,7 @@ class ActuatorResult(StepResult):
     """One muscle at one body pressure."""
 
     readings: BendReadings  # what was fitted
-    zone: ZoneMap  # the maps, ready for the configuration
+    muscle_map: MuscleMap  # the maps, ready for the configuration
     g_se: float  # largest standard error of g, both branches, up to highest_psi, 1/cm
     highest_psi: float  # largest pressure that was measured
     full_scale: float  # g at that pressure, 1/cm
@@ -160,14 +160,16 @@ class ActuatorResult(StepResult):
         A muscle that was measured to less than its largest pressure is pressed to that much only.
         """
         actuator = config.muscles[config.muscle_number(self.readings.muscle)]
-        gaps = [abs(z.pressure_psi / self.zone.body_pressure_psi - 1) for z in config.body.zones]
+        gaps = [
+            abs(z.pressure_psi / self.muscle_map.body_pressure_psi - 1) for z in config.body.zones
+        ]
         zone = int(np.argmin(gaps))
         if gaps[zone] > SAME_PRESSURE:
             raise DataError(
-                f"no zone has a body pressure of {self.zone.body_pressure_psi:g} psi",
+                f"no zone has a body pressure of {self.muscle_map.body_pressure_psi:g} psi",
                 "correct body.pressure in robot.toml",
             )
-        actuator.maps[zone] = self.zone
+        actuator.maps[zone] = self.muscle_map
         if self.ends_early(config):
             actuator.max_pressure_psi = round(self.highest_psi, 2)
         actuator.offset_se = self.offset_se
@@ -250,7 +252,7 @@ def guided(bench: Bench) -> ActuatorResults:
         result = fit_actuator(readings_of(muscle_rows, config, muscle, zone))
         record = ramps[muscle.name]
         if result.verdict.good and zone == zones[-1] and record is not None:
-            lag = fit_lag(*record, result.zone, muscle.reversal_psi)
+            lag = fit_lag(*record, result.muscle_map, muscle.reversal_psi)
             if lag.inflate_se_s < _LAG_SE_S:
                 result = replace(result, lag=lag)
         fits.append(result)
@@ -338,8 +340,8 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     bend = float(np.median(k[finite & (p > 0.5 * highest)]))
     if bend < _LEAST_BEND:
         verdict = Verdict(False, _wrong_bend_reason(readings, bend), tuple(notes))
-        zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi)
-        return ActuatorResult(readings, zone, np.inf, highest, 0.0, np.inf, finite, verdict)
+        muscle_map = MuscleMap(body_pressure_psi=readings.body_pressure_psi)
+        return ActuatorResult(readings, muscle_map, np.inf, highest, 0.0, np.inf, finite, verdict)
     branches = [b for b in BRANCHES if b in np.array(readings.branch)[finite]]
     branch = np.array([branches.index(b) if b in branches else 0 for b in readings.branch])
     trials = np.unique(readings.trial[finite])
@@ -413,13 +415,13 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         g_se / max(full_scale, 1e-9),
         full_scale,
     )
-    zone = ZoneMap(
+    muscle_map = MuscleMap(
         body_pressure_psi=readings.body_pressure_psi, scale_se=scale_se, inflate=inflate,
         deflate=deflate,
     )  # fmt: skip
     offset_se = float(np.hypot(max(spread, _DAYS_SE), np.hypot(shape_se, camera_se)))
     verdict = Verdict(good, reason, tuple(notes))
-    return ActuatorResult(readings, zone, g_se, highest, full_scale, offset_se, used, verdict)
+    return ActuatorResult(readings, muscle_map, g_se, highest, full_scale, offset_se, used, verdict)
 
 
 def _maps(

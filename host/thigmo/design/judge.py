@@ -295,7 +295,7 @@ def _contacts(wiring: Wiring, side: Side) -> Iterator[Finding]:
     part = f"sweep of {muscle.name}"
     sign = SIGN[side]
     sensors = config.sensors_for(side)
-    column = [s for s in sensors if s.healthy and s.valid_direction in (0, sign)]
+    column = [s for s in sensors if s.healthy and s.bend_sign in (0, sign)]
     wired = any(isinstance(sensor, BoardSensor) for sensor in sensors)
     bases = wiring.trigger_sensors(muscle)
     if not column or (wired and not bases):
@@ -447,16 +447,16 @@ def _resolution(config: RobotConfig) -> Iterator[Finding]:
 def _signs(config: RobotConfig) -> Iterator[Finding]:
     """Sensors whose scale is likely to have the wrong sign."""
     for name, sensor in _flex_sensors(config):
-        if sensor.scale_per_ohm * sensor.valid_direction < 0:
+        if sensor.scale_per_ohm * sensor.bend_sign < 0:
             text = (
                 f"its resistance falls in the only bends that it answers to: scale_per_ohm = "
-                f"{sensor.scale_per_ohm:g} and valid_direction = {sensor.valid_direction} differ "
+                f"{sensor.scale_per_ohm:g} and bend_sign = {sensor.bend_sign} differ "
                 "in sign; correct one of them, or measure both (`thigmo calibrate flex`)"
             )
             yield Finding(f"sensor {name}", "warning", text)
     scales: dict[tuple[str, float], list[float]] = {}
     for sensor_of_column in config.sensors:
-        if not sensor_of_column.valid_direction:
+        if not sensor_of_column.bend_sign:
             key = sensor_of_column.kind, sensor_of_column.direction_deg
             scales.setdefault(key, []).append(sensor_of_column.raw_scale)
     for (kind, direction_deg), column in scales.items():

@@ -239,7 +239,7 @@ class Plant:
                 wrinkle_full_psi=max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
                 fold_bend=self._fold_bend, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
                 scale_per_ohm=sensor.scale_per_ohm, zero_ohm=sensor.zero_ohm,
-                divider_ohm=scene.robot.board.divider_ohm, direction=sensor.valid_direction,
+                divider_ohm=scene.robot.board.divider_ohm, bend_sign=sensor.bend_sign,
                 loop=scene.noise.hysteresis * draws[i, 0], creep_tau_s=sensor.settle_tau_s,
                 stowed=f.stowed * draws[i, 1], phase_1=phases[i, 0], phase_2=phases[i, 1],
             )  # fmt: skip

@@ -232,9 +232,9 @@ def _straightened(sensor: FlexSensor, reading: float, at_rest: float) -> tuple[F
     A sensor answers weakly to bends against its direction. Which it is follows from the whole bend,
     that at rest included: a body that is pushed straight still bends with its direction.
     """
-    weak_at_rest = sensor.valid_direction * at_rest < 0.0
+    weak_at_rest = sensor.bend_sign * at_rest < 0.0
     answer = reading + (sensor.against_gain * at_rest if weak_at_rest else at_rest)
-    if sensor.valid_direction * answer >= 0.0:
+    if sensor.bend_sign * answer >= 0.0:
         return sensor, answer - at_rest
     against = _against(sensor)
     return against, answer / against.against_gain - at_rest

@@ -18,7 +18,7 @@ from thigmo.config import SIDES, RobotConfig, Side
 from thigmo.contact_status import LIKELY, SURE
 from thigmo.exploration.fitted import FittedContact, SideFits
 from thigmo.exploration.prior import match
-from thigmo.exploration.stall import Lean, Obstruction, causes
+from thigmo.exploration.stall import HeldBent, Obstruction, causes
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle, Stall, TrueContact
@@ -103,7 +103,7 @@ class ContactMap:
         radius = self._config.body.radius_cm
         full_cm = self._config.body.length_cm
         probability, kind = 1.0, "peg"
-        if isinstance(obstruction, Lean):
+        if isinstance(obstruction, HeldBent):
             model = "growth bent the body: its zeros moved"
             if self.stall and abs(obstruction.arc_cm - self.stall.length_cm) < _ASIDE * full_cm:
                 # At the higher pressure the tip went round what had stopped it.

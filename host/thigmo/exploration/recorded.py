@@ -59,7 +59,7 @@ class _Frames:
         self._first, self._oversample = (rows[n].index for n in ("flex_enabled", "oversample_log2"))
         self._creep: CreepWatch | None = None
         self._clock = DeviceClock()
-        self._before = self.table  # the last zeroing
+        self._previous_table = self.table  # the last zeroing
         self.zone = 0  # of the body pressure
         self._status: wire.StatusReport | None = None
         self._snapshots: list[SweepFrame] = []
@@ -117,7 +117,7 @@ class _Frames:
             case wire.ParameterValue() if message.index == self._oversample:
                 self.table = replace(self.table, oversample=1 << message.value)
             case wire.ZeroSensors():
-                self._before = self.table
+                self._previous_table = self.table
             case wire.SensorReport() if message.flags & _ZEROED:
                 self.table = self.table.zeroed({message.sensor: message.zero_sum_q8 / 256})
             case wire.Sweep() if (frame.session, frame.seq) != self._last_sweep:
@@ -144,7 +144,7 @@ class _Frames:
 
     def zeros(self) -> tuple[Floats, Floats]:
         """The zeros before the last zeroing and after it, as `Robot.zeros`."""
-        return self._before.board.zeros, self.table.board.zeros
+        return self._previous_table.board.zeros, self.table.board.zeros
 
     def _device_s(self, t_us: int) -> float:
         return self._clock.unwrap(t_us) * 1e-6

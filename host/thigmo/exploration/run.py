@@ -28,7 +28,7 @@ from thigmo.exploration.prior import obstacle_ahead
 from thigmo.exploration.run_control import Live, RunControl
 from thigmo.exploration.run_knowledge import RunKnowledge
 from thigmo.exploration.scoring import true_obstruction
-from thigmo.exploration.stall import Lean
+from thigmo.exploration.stall import HeldBent
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
@@ -279,19 +279,19 @@ class Exploration:
         """
         obstruction, truth = self._knowledge.obstruction, self.robot.truth()
         assert obstruction is not None
-        leaning = isinstance(obstruction, Lean)
+        held_bent = isinstance(obstruction, HeldBent)
         if truth is not None:
             ahead = (
                 truth.contacts
-                if leaning
+                if held_bent
                 else true_obstruction(truth.pegs, obstruction, self.config)
             )
             self._note(truth=together([self.document.truth, Truth(truth.pegs, ahead)]))
-        clear_cm = obstruction.clear_cm if isinstance(obstruction, Lean) else self._start_cm
+        clear_cm = obstruction.clear_cm if isinstance(obstruction, HeldBent) else self._start_cm
         retraction = self.robot.retract_to(min(self._start_cm, clear_cm))
         self.length_cm = retraction.length_cm
         self.live.tell(Log, "warning" if retraction.late else "info", retraction.words)
-        if leaning:
+        if held_bent:
             return "clear of what held it"
         higher = trial_zone(self.config, self._zone)
         if self._knowledge.tried is None and higher is not None:
@@ -321,13 +321,13 @@ class Exploration:
     def _zero(self) -> str:
         if not self._zeroed():
             return "drifting"
-        if isinstance(self._knowledge.obstruction, Lean):
+        if isinstance(self._knowledge.obstruction, HeldBent):
             return self._released()
         if self._knowledge.swept(self.length_cm):
             return "zeroed after sweep"
         if self._stage_cm > self._knowledge.straight_cm:
             grown, zeros = self._grown(), self.robot.zeros()
-            if self._knowledge.lean(grown, zeros) is not None:
+            if self._knowledge.detect_held_bent(grown, zeros) is not None:
                 self._knowledge.held_bent(grown, zeros)
                 return "held bent"
         return "zeroed after growth"

@@ -19,7 +19,7 @@ import numpy as np
 from thigmo.config import SAME_LENGTH_CM, RobotConfig
 from thigmo.exploration.methods import FIELD
 from thigmo.exploration.stage import Interpreter, SideAnswer
-from thigmo.exploration.stall import Lean, Obstruction, lean, stall
+from thigmo.exploration.stall import HeldBent, Obstruction, detect_held_bent, stall
 from thigmo.record import Obstacle, Stage, Stall
 from thigmo.robot import Profile, SensorTable, SweepResult
 from thigmo.robot.curvature import Floats
@@ -115,19 +115,19 @@ class RunKnowledge:
     def leans(self, profile: Profile) -> bool:
         """Whether a growth whose sensors have no zero yet looks as if the body were held bent."""
         unknown = np.full(self._board.inputs, np.nan)
-        return lean(self._by_board(profile), unknown, unknown, self._board) is not None
+        return detect_held_bent(self._by_board(profile), unknown, unknown, self._board) is not None
 
-    def lean(self, profile: Profile, zeros: tuple[Floats, Floats]) -> Lean | None:
+    def detect_held_bent(self, profile: Profile, zeros: tuple[Floats, Floats]) -> HeldBent | None:
         """What holds the body bent after the stage's growth, if anything.
 
         `zeros`: before the sensors were zeroed, and after.
         """
-        return lean(self._by_board(profile), *zeros, self._board)
+        return detect_held_bent(self._by_board(profile), *zeros, self._board)
 
     @_step
     def held_bent(self, profile: Profile, zeros: tuple[Floats, Floats]) -> None:
         """Something holds the body bent."""
-        self.obstruction = self.lean(profile, zeros)
+        self.obstruction = self.detect_held_bent(profile, zeros)
 
     def _by_board(self, profile: Profile) -> Profile:
         return profile._replace(bend=profile.bend[:, : self._board.inputs])
@@ -137,7 +137,7 @@ class RunKnowledge:
 
         If not, the zeros have moved by themselves. `zeros`: before the last zeroing, and after.
         """
-        return isinstance(self.obstruction, Lean) and self.obstruction.released(*zeros)
+        return isinstance(self.obstruction, HeldBent) and self.obstruction.released(*zeros)
 
     @_step
     def zeros_moved(self) -> None:
@@ -169,11 +169,11 @@ class RunKnowledge:
         obstruction, self.obstruction = self.obstruction, None
         if obstruction is None:
             return None
-        if self.tried is None or isinstance(obstruction, Lean):
+        if self.tried is None or isinstance(obstruction, HeldBent):
             self.interpreter.map.add_obstruction(obstruction)
         else:
             self.interpreter.map.tried(obstruction, moved_on=False)
-        return None if isinstance(obstruction, Lean) else self.interpreter.map.stall
+        return None if isinstance(obstruction, HeldBent) else self.interpreter.map.stall
 
     # A stage's sweeps.
 

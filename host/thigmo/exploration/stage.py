@@ -16,7 +16,7 @@ from thigmo.contact_status import LIKELY
 from thigmo.exploration.fitted import FittedContact
 from thigmo.exploration.frame import localize_frame, point_estimates
 from thigmo.exploration.map import ContactMap
-from thigmo.exploration.measuring import caught_sides, held_back, pressed_enough
+from thigmo.exploration.measuring import caught_sides, curvature_deficit, pressed_enough
 from thigmo.exploration.methods import FIELD, THESIS
 from thigmo.exploration.scoring import judged
 from thigmo.exploration.workspace import Bend, centreline, common_error, measured_bend
@@ -85,7 +85,7 @@ class Interpreter:
         """Sides on which a sweep that was taken touched something."""
         sides = self._readable_sides(sweep)
         if self._thesis:
-            held = {side: held_back(sweep.frames, side).max(initial=0.0) for side in sides}
+            held = {side: curvature_deficit(sweep.frames, side).max(initial=0.0) for side in sides}
             return {side for side in sides if held[side] > TRIGGER_PER_CM}
         return {side for side in sides if self._felt(side, sweep)}
 
@@ -213,7 +213,7 @@ class Interpreter:
             held_back_per_cm={
                 side: round(float(held.max()), 6)
                 for side in SIDES
-                if (held := held_back(sweep.frames, side)).size
+                if (held := curvature_deficit(sweep.frames, side)).size
             },
         )
 
@@ -258,7 +258,7 @@ def _swept_shapes(
             continue
         readings = readings[:, use]
         pressure = np.array([frame.pressure_psi for frame in frames])
-        held = held_back(frames, side)
+        held = curvature_deficit(frames, side)
         folds = np.array([pressed_enough(deficit, config, zone) for deficit in held])
         end = min([int(pressure.argmax()) + 1, *np.flatnonzero(folds)[:1]])
         way = SIGN[side]

@@ -40,8 +40,8 @@ _ONSET_CM = 1.0  # a fold that has entered a sensor by less may go unseen
 # Standard deviations of the sensors' calibrated noise by which zeros move together when the body is
 # held bent; what remains of an eversion's creep is less.
 _SIGMAS = 4.0
-# A lean moves every zero by its lever. Less than this share of their squares explained is a sensor
-# that moved alone.
+# A peg that holds the body bent moves every zero by its lever. Less than this share of their
+# squares explained is a sensor that moved alone.
 _EXPLAINED = 0.8
 # Of what stops a growth, before anything is known: an obstacle against too little pressure, and of
 # obstacles the share of walls, by themselves and where a known wall leads there.
@@ -64,7 +64,7 @@ _BACK_CM, _ON_CM = 1.0, 1.5
 
 @dataclass(frozen=True, slots=True)
 class Obstruction:
-    """A peg in the way of growth. It stopped the tip, unless it is a `Lean`."""
+    """A peg in the way of growth. It stopped the tip, unless it is a `HeldBent`."""
 
     length_cm: float  # everted length
     arc_cm: float  # where the peg is, by the best guess
@@ -119,7 +119,7 @@ def _crosses_path(line: Sequence[tuple[float, float]], interval: tuple[float, fl
 
 
 @dataclass(frozen=True, slots=True)
-class Lean(Obstruction):
+class HeldBent(Obstruction):
     """A peg on which the body leans while nothing inflates it."""
 
     curvature_se: float  # standard error of the bend, 1/cm
@@ -201,7 +201,9 @@ def _stalled(
     return tip, start, end
 
 
-def lean(profile: Profile, before: Floats, after: Floats, table: SensorTable) -> Lean | None:
+def detect_held_bent(
+    profile: Profile, before: Floats, after: Floats, table: SensorTable
+) -> HeldBent | None:
     """What a growth's readings and the zeros around it show of the body; None if it is straight.
 
     `before` and `after` (10,) are NaN without a zero. Before the first of all zeros, the growth's
@@ -215,7 +217,7 @@ def lean(profile: Profile, before: Floats, after: Floats, table: SensorTable) ->
     moved = after - before
     known = table.healthy & np.isfinite(moved) & np.isfinite(bend).all(axis=0)
     for way in (1, -1):
-        use = known & ((table.direction == 0) | (table.direction == way))
+        use = known & ((table.bend_sign == 0) | (table.bend_sign == way))
         count = int(use.sum())
         if count == 0:
             continue
@@ -236,7 +238,7 @@ def lean(profile: Profile, before: Floats, after: Floats, table: SensorTable) ->
         force = float(lever @ moved[use] / (lever @ lever))
         noise = float(table.noise[use].mean() / np.sqrt(count))
         shown = np.where(use, moved, np.nan)
-        return Lean(float(length_cm[-1]), arc, (low, high), count, force, noise, shown)
+        return HeldBent(float(length_cm[-1]), arc, (low, high), count, force, noise, shown)
     return None
 
 

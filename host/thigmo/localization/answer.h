@@ -23,11 +23,11 @@ struct DetectedContact {
   Row force_at{}, spread{};      // mean force there, and its standard deviation
 };
 
-enum class Status { no_contact, below_detection, ambiguous, localized };
+enum class ContactStatus { no_contact, below_detection, ambiguous, localized };
 
 struct Answer {
-  Status status = Status::no_contact;
-  Problem problem = Problem::none;
+  ContactStatus status = ContactStatus::no_contact;
+  InputProblem problem = InputProblem::none;
   double shows = 0.0;  // a number that shows the problem
   std::vector<DetectedContact> contacts;
   std::array<double, 4> number{};  // probability of each number of detected contacts
@@ -76,10 +76,10 @@ class Mixture {
     edges.reserve(parts.empty() ? 2 : parts[0].moments.size() + 3);
     edges.push_back(within.near);
     for (const auto& [cells, moments] : parts) {
-      const auto from = static_cast<std::ptrdiff_t>(edges.size());
+      const auto earlier = static_cast<std::ptrdiff_t>(edges.size());
       for (const double place : cells->place) add_edge(place - 0.5 * cells->width, within);
       add_edge(cells->place.back() + 0.5 * cells->width, within);
-      std::inplace_merge(edges.begin(), edges.begin() + from, edges.end());
+      std::inplace_merge(edges.begin(), edges.begin() + earlier, edges.end());
     }
     edges.push_back(within.far);
     edges.erase(
@@ -306,8 +306,7 @@ inline void check(const Readings& readings, const Hypothesis& hypothesis, const 
     square += white_residual * white_residual, product += white_residual * before,
         before = white_residual;
   }
-  if (options.direction.rows == 0 && square > 0.0)
-    out.correlation = product / square * std::sqrt(n);
+  if (options.axis.rows == 0 && square > 0.0) out.correlation = product / square * std::sqrt(n);
 }
 
 inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
@@ -432,11 +431,11 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
     // What moves no reading can never be excluded, and is no hint.
     const bool hint = 1.0 - out.number[0] > 2.0 * priors.excluded || count > 0 ||
                       (!readings.known && readings.frame.size() == 1);
-    out.status = hint ? Status::below_detection : Status::no_contact;
+    out.status = hint ? ContactStatus::below_detection : ContactStatus::no_contact;
   } else {
     const bool all_localized = std::all_of(out.contacts.begin(), out.contacts.end(),
                                            [](const DetectedContact& c) { return c.localized; });
-    out.status = all_localized ? Status::localized : Status::ambiguous;
+    out.status = all_localized ? ContactStatus::localized : ContactStatus::ambiguous;
   }
   // From here on in the caller's order.
   for (Hypothesis& h : out.hypotheses) {
@@ -446,8 +445,8 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
 
 inline Answer answer(const Input& input, const Options& options) {
   Answer out;
-  std::tie(out.problem, out.shows) = problem_of(input, options);
-  if (out.problem != Problem::none) return out;
+  std::tie(out.problem, out.shows) = input_problem(input, options);
+  if (out.problem != InputProblem::none) return out;
   Weighing weighing(normalised(input, options), input, options);
   conclude(weighing, options, out);
   return out;

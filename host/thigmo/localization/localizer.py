@@ -271,9 +271,9 @@ class Localizer:
         held, held_odds = grip(known.held_end)
         slack = positive(body.critical_curvature_error, "critical_curvature_error")
         space = in_space(body, self.sensors, x, widths)
-        if space.direction.size and self.method != "posterior":
+        if space.axis.size and self.method != "posterior":
             raise DataError(f"{self.method} knows no direction", "leave it out, or the method")
-        if space.direction.size and moment < math.inf:
+        if space.axis.size and moment < math.inf:
             raise DataError(
                 "critical_curvature is given, and no fold is weighed in space", "leave it out"
             )
@@ -319,7 +319,7 @@ class Localizer:
         spans = np.broadcast_to(vector(self.sensors.span, "span", excess.size), excess.size)[read]
         count = 1 if self.priors.contacts == "auto" else int(self.priors.contacts)
         critical = self.body.critical_curvature or math.inf
-        problem = thesis.Problem(excess[read], x, spans, self.length, count, critical)
+        problem = thesis.ThesisProblem(excess[read], x, spans, self.length, count, critical)
         arcs, forces = thesis.coupled(problem)
         rest = thesis.objective(thesis.at_centres(problem), arcs, forces)
         return LocalizeResult.of_point_estimate(arcs, forces, self.method, rest, self.length)

@@ -65,7 +65,7 @@ class SensorTable:
     shared: Floats  # (n, k) the rest: columns of one standard error, as `shared_errors` has them
     # side of the body whose muscle wrinkles it: 1 left, -1 right, 0 neither (or no sensor)
     lies: NDArray[np.int64]
-    direction: NDArray[np.int64]  # of bends that it answers to; 0: both
+    bend_sign: NDArray[np.int64]  # of bends that it answers to; 0: both
     healthy: NDArray[np.bool_]  # mask of sensors to use at all
     radius_cm: float  # of the tube
     divider_ohm: float  # the divider's fixed resistor
@@ -88,7 +88,7 @@ class SensorTable:
             lies=np.array(
                 [int(SIGN[s.side]) if s and s.side and s.wrinkles else 0 for s in sensors]
             ),
-            direction=np.array([s.valid_direction if s else 0 for s in sensors]),
+            bend_sign=np.array([s.bend_sign if s else 0 for s in sensors]),
             healthy=np.array([s is not None and s.usable for s in sensors]),
             radius_cm=config.body.radius_cm,
             divider_ohm=config.board.divider_ohm,
@@ -185,6 +185,6 @@ class SensorTable:
         direction, and set in `masks` (the board's everted & settled & zeroed bits).
         """
         inactive = self.lies != SIGN[active]
-        answers = np.isin(self.direction, (0, SIGN[active]))
+        answers = np.isin(self.bend_sign, (0, SIGN[active]))
         named = np.array([masks >> n & 1 for n in range(len(self.healthy))], dtype=np.bool_)
         return np.asarray(self.healthy & inactive & answers & named)

@@ -678,7 +678,7 @@ class Robot(Closing):
                 raise ConfigError(
                     f"no healthy sensor at the base answers to muscle {muscle.name}: a sweep "
                     "towards it would feel no contact",
-                    "repair a base sensor, or correct its `healthy` and `valid_direction` in "
+                    "repair a base sensor, or correct its `healthy` and `bend_sign` in "
                     "robot.toml; `Robot.press` bends the body without a trigger",
                 )
         if not rising_only:

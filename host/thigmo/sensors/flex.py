@@ -19,8 +19,8 @@ class FlexSensor(AnySensor):
     scale_se: NonNegative = 0.15  # relative: resistances differ by 30 % from part to part
     zero_ohm: Positive = 12_000.0  # flat resistance, a start value: zeroing re-measures it
     zero_se: NonNegative = 3.6e-4  # 1/cm, what zeroing and averaging leave: its loop, slow drift
-    valid_direction: Literal[-1, 0, 1] = 0  # the bending direction it answers to; 0 = both
-    # Response to bends against `valid_direction` over that to bends along it, and one sigma: a data
+    bend_sign: Literal[-1, 0, 1] = 0  # of the bends that it answers to: 1 left, -1 right, 0 both
+    # Response to bends against `bend_sign` over that to bends along it, and one sigma: a data
     # sheet states one direction only. A bench that bends both ways measures it.
     against_gain: NonNegative = 0.7
     against_gain_se: NonNegative = 0.3  # one sigma of it
@@ -28,12 +28,12 @@ class FlexSensor(AnySensor):
 
     @property
     def zero_error(self) -> float:
-        """One sigma of its zero, 1/cm, of its own."""
+        """One sigma of its zero that no other sensor shares, 1/cm."""
         return self.zero_se
 
     @property
     def raw_scale(self) -> float:
-        """Curvature (1/cm) for each ohm."""
+        """Curvature (1/cm) per ohm."""
         return self.scale_per_ohm
 
     @property
@@ -42,11 +42,11 @@ class FlexSensor(AnySensor):
         return self.zero_ohm
 
     def uncalibrated(self) -> Self:
-        """It keeps the sign of its scale: the step `flex` comes after bends that it measures."""
+        """A copy that keeps the sign of its scale: steps before `flex` measure bends by it."""
         fresh = super().uncalibrated()
         fresh.scale_per_ohm = copysign(fresh.scale_per_ohm, self.scale_per_ohm)
         return fresh
 
     def rescale(self, factor: float) -> None:
-        """Let it stand for so much more curvature."""
+        """Multiply the curvature of every reading by a factor."""
         self.scale_per_ohm *= factor

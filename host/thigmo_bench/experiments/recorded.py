@@ -155,7 +155,7 @@ def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
         extra_variance = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free) ** 2
     else:
         usable, extra_variance = (
-            table.healthy & (table.direction * readings >= 0),
+            table.healthy & (table.bend_sign * readings >= 0),
             np.zeros(readings.size),
         )
     sigma = np.sqrt(table.noise**2 + (scale_se * (readings - free)) ** 2 + extra_variance)[usable]

@@ -134,7 +134,7 @@ def visit(room: tuple[str, int, bool]) -> Visited:
     try:
         document = explored_scene(scene, seed)
     except ThigmoError as error:
-        visited.status = f"aborted: {error.what}"
+        visited.status = f"aborted: {error.problem}"
         return visited
     visited.judge(document)
     visited.judge_place(document)
@@ -181,7 +181,7 @@ def push(load: tuple[str, int]) -> Pushed:
     try:
         result = feel(driven).result
     except ThigmoError as error:
-        pushed.status = f"aborted: {error.what}"
+        pushed.status = f"aborted: {error.problem}"
         return pushed
     finally:
         driven.close()

@@ -195,13 +195,13 @@ def test_actuator_map_is_within_half_a_percent_of_full_scale_and_the_lag_within_
     # The sensor's averaging window, and the plant's step of 10 ms, come to nothing together.
     lag = muscle.delay_s + muscle.inflate_tau_s + body.damping / (np.pi * body.frequency_hz)
     for side in SIDES:
-        found, true = lab.session.config.muscle(side), lab.scene.robot.muscle(side)
+        fitted, true = lab.session.config.muscle(side), lab.scene.robot.muscle(side)
         full = true.maps[2].inflate.curvature(18.0)
         for branch in ("inflate", "deflate"):
-            made, right = getattr(found.maps[2], branch), getattr(true.maps[2], branch)
+            made, right = getattr(fitted.maps[2], branch), getattr(true.maps[2], branch)
             worst = max(abs(made.curvature(p) - right.curvature(p)) for p in np.arange(0, 18.1))
             assert worst < 0.005 * full
-        assert found.lag_s == pytest.approx(lag, rel=0.035)
+        assert fitted.lag_s == pytest.approx(lag, rel=0.035)
 
 
 @pytest.mark.ci
@@ -286,7 +286,7 @@ def test_a_base_that_no_push_at_the_tip_folds_is_not_pushed(tmp_path):
 
 def test_a_robot_with_too_few_sensors_that_answer_to_a_side_is_not_pushed(tmp_path):
     robot = draft(53.0, 3, 1)
-    robot.sensors[0].healthy, robot.sensors[2].valid_direction = False, -1
+    robot.sensors[0].healthy, robot.sensors[2].bend_sign = False, -1
     lab = Lab(tmp_path, robot=robot)
     with pytest.raises(DataError, match="fewer than two healthy sensors beyond the fold"):
         steps.run(lab.bench(), "buckling")

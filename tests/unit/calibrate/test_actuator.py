@@ -18,7 +18,7 @@ from thigmo.calibrate.actuator import (
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.lag import fit_lag
 from thigmo.calibrate.step_figures import draw
-from thigmo.config import SIDES, FlexSensor, Muscle, RobotConfig, TanhMap, ZoneMap
+from thigmo.config import SIDES, FlexSensor, Muscle, MuscleMap, RobotConfig, TanhMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
 from thigmo.wiring import Wiring
@@ -37,15 +37,15 @@ def test_both_branches_within_half_a_percent_without_trial_offsets(side):
     for seed in range(6):
         result = fit_actuator(bends(seed, side, sigma=1e-4, offset=0.0))
         assert result.verdict.good, result.verdict
-        assert worst(result.zone.inflate, INFLATE) < 0.005 * result.full_scale
-        assert worst(result.zone.deflate, DEFLATE) < 0.005 * result.full_scale
+        assert worst(result.muscle_map.inflate, INFLATE) < 0.005 * result.full_scale
+        assert worst(result.muscle_map.deflate, DEFLATE) < 0.005 * result.full_scale
 
 
 def test_errors_of_g_agree_with_the_stated_ones():
     misses = []
     for seed in range(40):
         result = fit_actuator(bends(seed, offset=0.0))
-        error = worst(result.zone.inflate, INFLATE)
+        error = worst(result.muscle_map.inflate, INFLATE)
         misses.append(error / result.g_se)
     # g_se is the largest standard error over both branches: the largest error over the grid is
     # about one to two of it.
@@ -53,19 +53,19 @@ def test_errors_of_g_agree_with_the_stated_ones():
 
 
 def test_spread_of_trials_becomes_the_offset_error():
-    found = [fit_actuator(bends(seed, offset=6e-4, trials=8)).offset_se for seed in range(8)]
-    assert np.mean(found) == pytest.approx(6e-4, rel=0.35)
+    errors = [fit_actuator(bends(seed, offset=6e-4, trials=8)).offset_se for seed in range(8)]
+    assert np.mean(errors) == pytest.approx(6e-4, rel=0.35)
 
 
 def test_the_scale_of_a_map_is_uncertain_by_what_trials_differ():
     """The next trial's gain, against the error stated; three trials tell it poorly."""
     scores, stated = [], []
     for seed in range(40):
-        zone = fit_actuator(bends(seed, gain=0.015)).zone
+        zone = fit_actuator(bends(seed, gain=0.015)).muscle_map
         next_one = 1 + np.random.default_rng([seed, 1]).normal(0, 0.015)
         fitted = zone.inflate.curvature(18.0) / INFLATE.curvature(18.0)
         scores.append((fitted - next_one) / zone.scale_se)
-        stated.append(fit_actuator(bends(seed)).zone.scale_se)
+        stated.append(fit_actuator(bends(seed)).muscle_map.scale_se)
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.25
     assert np.mean(stated) < 0.018  # trials that agree
 
@@ -80,7 +80,7 @@ def test_ten_percent_outliers_and_lost_pictures_are_left_out_and_said():
     result = fit_actuator(replace(clean, curvature=k))
     assert result.verdict.good, result.verdict
     assert not result.used[wild].any()
-    assert worst(result.zone.inflate, INFLATE) < 0.01 * result.full_scale
+    assert worst(result.muscle_map.inflate, INFLATE) < 0.01 * result.full_scale
     names = clean.names()
     outliers = next(note for note in result.verdict.notes if "outliers" in note)
     assert all(names[row] in outliers for row in wild if row != 2)
@@ -129,7 +129,7 @@ def swung(t: np.ndarray, p: np.ndarray) -> np.ndarray:
 def test_lags_of_both_directions_are_found_beside_loop_and_pressure_error(
     loop, pressure_error, many
 ):
-    zone = ZoneMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
+    muscle_map = MuscleMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
     swing_s = 2 * 0.5 / (2 * np.pi * 1.5)
     corners, psi = [0.0], [2.5]
     for seconds in (0.7, 2.1, 0.7, 2.1):
@@ -151,7 +151,7 @@ def test_lags_of_both_directions_are_found_beside_loop_and_pressure_error(
         turn = loop_turns(g[:, None], np.zeros(len(g), np.int64))[:, 0]
         k = 1.1 * g - loop * turn + 0.001 + rng.normal(0, 3e-4, len(t))
         seen = p + pressure_error + rng.normal(0, 0.03, len(t))
-        lag = fit_lag(t, seen, k, zone)
+        lag = fit_lag(t, seen, k, muscle_map)
         assert lag.inflate_s == pytest.approx(0.033 + 0.16 + swing_s, rel=0.03)
         assert lag.deflate_s == pytest.approx(0.033 + 0.22 + swing_s, rel=0.03)
         assert max(lag.inflate_se_s, lag.deflate_se_s) < 0.01
@@ -159,15 +159,15 @@ def test_lags_of_both_directions_are_found_beside_loop_and_pressure_error(
 
 def test_a_ramp_without_a_bend_has_no_lag():
     t = np.arange(0, 12, 0.02)
-    zone = ZoneMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
+    muscle_map = MuscleMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
     with pytest.raises(DataError, match="no bend to time"):
-        fit_lag(t, np.full(len(t), 3.0), np.zeros(len(t)), zone)
+        fit_lag(t, np.full(len(t), 3.0), np.zeros(len(t)), muscle_map)
 
 
 def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
     result = fit_actuator(bends(6, "right"))
     made = result.apply(RobotConfig())
-    assert made.muscle("right").maps[2] == result.zone
+    assert made.muscle("right").maps[2] == result.muscle_map
     assert made.muscle("right").maps[0] == RobotConfig().muscle("right").maps[0]
     draw(result, tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 10_000
@@ -198,8 +198,10 @@ def test_bends_of_a_lab_are_read_from_its_csv(tmp_path):
     older = BendReadings.read_all(Table.read(tmp_path / "older.csv"), config)
     assert [r.muscle for r in older] == ["left", "starboard"]
     np.testing.assert_array_equal(older[1].curvature, again[1].curvature)
-    one, two = fit_actuator(both[1]), fit_actuator(again[1])
-    assert two.zone.inflate.amplitude == pytest.approx(one.zone.inflate.amplitude, rel=1e-5)
+    first, second = fit_actuator(both[1]), fit_actuator(again[1])
+    assert second.muscle_map.inflate.amplitude == pytest.approx(
+        first.muscle_map.inflate.amplitude, rel=1e-5
+    )
 
 
 def lifted(lies: float = 180.0) -> RobotConfig:
@@ -216,14 +218,14 @@ def lifted_rows(config: RobotConfig, seed: int, gains: np.ndarray):
     """Bends of that muscle as the bench keeps them; its first sensor broke on the way."""
     rng = np.random.default_rng(seed)
     made, up = bends(seed, "up", sigma=0.0), config.muscles[2]
-    found = Wiring.of(config).sensors_reading(up)
+    reading_sensors = Wiring.of(config).sensors_reading(up)
     rows = []
     for n, (k, psi) in enumerate(zip(made.curvature, made.pressure_psi, strict=True)):
         ohm = rng.normal(0, 500, 16)
-        for one, gain in zip(found, gains, strict=True):
-            read = one.share * gain * k + rng.normal(0, 5e-4)
-            ohm[one.number] = read / one.sensor.scale_per_ohm
-        ohm[found[0].number] = np.nan if n > 20 else ohm[found[0].number]
+        for reading_sensor, gain in zip(reading_sensors, gains, strict=True):
+            read = reading_sensor.share * gain * k + rng.normal(0, 5e-4)
+            ohm[reading_sensor.number] = read / reading_sensor.sensor.scale_per_ohm
+        ohm[reading_sensors[0].number] = np.nan if n > 20 else ohm[reading_sensors[0].number]
         rows.append({"psi": psi, "ohm": ohm, "branch": made.branch[n], "trial": made.trial[n]})
     return rows
 
@@ -237,12 +239,12 @@ def test_a_muscle_out_of_the_plane_is_mapped_by_the_sensors_that_read_its_bend(l
         result = fit_actuator(readings_of(lifted_rows(config, seed, gains), config, up, 2))
         assert result.verdict.good, result.verdict
         assert "as 4 sensors read it" in result.verdict.reason
-        off = result.zone.inflate.curvature(18.0) / INFLATE.curvature(18.0) - 1
-        assert result.zone.scale_se > 0.07
-        scores.append(off / result.zone.scale_se)
+        off = result.muscle_map.inflate.curvature(18.0) / INFLATE.curvature(18.0) - 1
+        assert result.muscle_map.scale_se > 0.07
+        scores.append(off / result.muscle_map.scale_se)
     assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
     made = together([result]).apply(config)
-    assert made.muscles[2].maps[2] == result.zone
+    assert made.muscles[2].maps[2] == result.muscle_map
     assert made.muscles[2].maps[2].calibrated
     assert made.muscles[:2] == config.muscles[:2]
     assert not any(zone.calibrated for muscle in made.muscles[:2] for zone in muscle.maps)
@@ -263,7 +265,7 @@ def test_sensors_that_wrinkle_or_lie_across_are_no_witnesses(lies):
     config = lifted(lies)
     assert Wiring.of(config).sensors_reading(config.muscles[2]) == []
     left = [
-        one.sensor.direction_deg for one in Wiring.of(config).sensors_reading(config.muscles[0])
+        read.sensor.direction_deg for read in Wiring.of(config).sensors_reading(config.muscles[0])
     ]
     assert left.count(270.0) == 5
     assert set(left) <= {270.0, 300.0}

@@ -195,7 +195,7 @@ def test_the_evidence_is_the_integral_over_the_errors() -> None:
         lag_s=0.0, bend_bin=0.0,
     )  # fmt: skip
     fit = FieldFit(readings, errors)
-    found, best, _ = fit.evidence(fit.tables(NOTHING, np.zeros(0)), fit.free())
+    evidence, best, _ = fit.evidence(fit.tables(NOTHING, np.zeros(0)), fit.free())
     # Of the map's scale alone, by the trapezoidal rule.
     xi = np.linspace(-6.0, 6.0, 4001)
     left = (readings.curvature - readings.bend[:, None])[None] - (
@@ -203,7 +203,7 @@ def test_the_evidence_is_the_integral_over_the_errors() -> None:
     )
     log = -0.5 * np.sum((left / NOISE) ** 2, axis=(1, 2)) / ALIKE - 0.5 * xi**2
     dense = np.log(np.trapezoid(np.exp(log - log.max()), xi) / np.sqrt(2 * np.pi)) + log.max()
-    assert found == pytest.approx(dense, abs=1e-3)
+    assert evidence == pytest.approx(dense, abs=1e-3)
     assert best[0] == pytest.approx(float(xi[np.argmax(log)]), abs=5e-3)
 
 
@@ -248,6 +248,27 @@ def test_derivatives_are_those_of_the_readings(
         off = np.abs(by_q[..., i] - differences)
         # The row in which the base folds is another one for a moved peg.
         assert np.nanquantile(off, 0.9) < share * size
+
+
+@pytest.mark.parametrize("way", [0.0, 0.3, 0.5, 0.8])
+def test_a_bin_reads_the_mean_of_its_frames_across_a_touch(way: float) -> None:
+    """The touch lies so far along the bin; readings turn there, so their mean is not the middle."""
+    touch, half = 0.0095, 1.5e-3
+    frames = touch + half * (np.linspace(-1.0, 1.0, 41) + 1 - 2 * way)
+    peg = touched(30.0, touch, 0.8, RADIUS)
+    rod = Rod(Tube(2 * RADIUS, 0.2), [peg])
+    frame_readings = rod.sweep(frames, 53.0, CENTERS, SPANS).readings
+    readings = replace(
+        _readings({53.0: np.zeros((FREE.size, CENTERS.size))}),
+        bend=np.full(FREE.size, frames.mean()), half_range=np.full(FREE.size, half),
+    )  # fmt: skip
+    fit = FieldFit(readings, _errors())
+    tables = fit.tables(PEG, PEG.columns((30.0, touch, np.log(0.8 / RADIUS)), 0.0, 0.0, 0.0, 0.0))
+    (mean,) = np.unique(fit.predict(tables, fit.free()).value, axis=0)
+    assert mean == pytest.approx(frame_readings.mean(axis=0), abs=1e-4)
+    if way == 0.5:  # as a single frame in the middle it would read far more
+        at_mean = rod.sweep(frames[20:21], 53.0, CENTERS, SPANS).readings[0]
+        assert np.abs(at_mean - mean).max() > 2e-4
 
 
 @pytest.mark.parametrize(
@@ -364,14 +385,14 @@ def test_a_longer_body_with_all_else_in_proportion_has_the_same_answer() -> None
         length: _beside_peg(34.0, 0.012, 1.0, length, np.random.default_rng(5))[0]
         for length in LENGTHS
     }
-    one = _one(contacts(_readings(rows), _errors(), Atlas(53.0, 0.024)))
+    contact = _one(contacts(_readings(rows), _errors(), Atlas(53.0, 0.024)))
     errors = _errors(
         place=np.full(5, 0.2), zero=np.full(5, 1e-4), zero_zeroing=np.full(5, 5e-5),
         zero_sweep=np.full(5, 2.5e-5), map_offset=4e-4, sweep_offset=1.5e-4, bend_bin=1.5e-4,
     )  # fmt: skip
     two = _one(contacts(_readings(rows, 2.0), errors, Atlas(106.0, 0.012)))
-    assert two.arc_cm / 2 == pytest.approx(one.arc_cm, abs=0.3)
-    assert two.x_cm / 2 == pytest.approx(one.x_cm, abs=0.3)
+    assert two.arc_cm / 2 == pytest.approx(contact.arc_cm, abs=0.3)
+    assert two.x_cm / 2 == pytest.approx(contact.x_cm, abs=0.3)
 
 
 def test_a_proposal_whose_friction_and_yield_have_no_sign_has_a_density_of_one() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.stall import Lean, lean
+from thigmo.exploration.stall import HeldBent, detect_held_bent
 from thigmo.robot import Profile, SensorTable
 from thigmo.robot.curvature import Floats
 from thigmo.wiring import Wiring
@@ -16,7 +16,7 @@ LENGTHS = np.linspace(30.0, 40.0, 120)
 _KNOWN = (0, 1, 5, 6)  # zeroed before, at 5 and 15 cm of either side
 
 
-def _grown(force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0) -> Lean | None:
+def _grown(force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0) -> HeldBent | None:
     """A growth in which a peg at `met_cm` bends the body; `creep` moves the zeros only after it,
     and `alone` moves that of one sensor meanwhile.
     """
@@ -29,16 +29,16 @@ def _grown(force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0) 
     bent = step * change
     readings = np.nan_to_num(before) + bent + rng.normal(0.0, 3e-4, bent.shape)
     after = np.nan_to_num(before) + change + creep
-    return lean(Profile(LENGTHS / 2.0, LENGTHS, readings), before, after, TABLE)
+    return detect_held_bent(Profile(LENGTHS / 2.0, LENGTHS, readings), before, after, TABLE)
 
 
 @pytest.mark.parametrize("force", [2e-4, -2e-4])
 def test_a_body_that_was_bent_while_it_grew_leans_where_the_bend_appeared(force: float) -> None:
-    found = _grown(force, 34.0)
-    assert found is not None
-    assert found.interval_cm[0] < 34.0 < found.interval_cm[1]
-    assert found.arc_cm == pytest.approx(34.0, abs=0.5)
-    assert found.force_per_cm2 == pytest.approx(force, rel=0.03)
+    growth = _grown(force, 34.0)
+    assert growth is not None
+    assert growth.interval_cm[0] < 34.0 < growth.interval_cm[1]
+    assert growth.arc_cm == pytest.approx(34.0, abs=0.5)
+    assert growth.force_per_cm2 == pytest.approx(force, rel=0.03)
 
 
 def test_a_straight_body_and_zeros_that_creep_are_no_lean() -> None:
