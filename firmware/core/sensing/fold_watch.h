@@ -25,7 +25,7 @@
 //
 // While the spool winds in, a sensor that lies wholly in the tail moves away from the fold. The
 // fold meets it only if the tip runs outwards, past what is paid out: the line has snapped, or the
-// tail has come off. Two sensors of any kind show that, since one may be bad.
+// tail has come off. Two flex sensors show that, since one may be bad.
 //
 // The last sensor that passed on the way out or in, and the length shown there, tell the host how
 // far the tip may be from the length shown now, though no pair has accused the encoder.
@@ -95,16 +95,16 @@ class FoldWatch {
     next_ = static_cast<uint8_t>(next_ + 1 == kSensors ? 0 : next_ + 1);
     const uint16_t bit = static_cast<uint16_t>(1u << i);
     const int32_t lag = lag_um(length_um, i, c);
-    if (!grows_ && (watched_ & bit) == 0) watch_stowed(i, bit, lag, c, d);
+    if (!grows_ && (watched_ & bit) == 0 && !is_imu(i, c)) watch_stowed(i, bit, lag, c, d);
     if (((watched_ | stowed_) & bit) == 0) return Verdict::kNone;
     const int32_t total = total_ohm_q4(count_q6(flex.latest(i), flex.log2()));
     const bool fresh = (unread_ & bit) != 0;
     unread_ = static_cast<uint16_t>(unread_ & ~bit);
     const bool imu = is_imu(i, c);
-    if ((stowed_ & bit) != 0) return stowed_moves(i, bit, imu, total, lag, fresh, c, d);
+    if ((stowed_ & bit) != 0) return stowed_moves(i, bit, total, lag, fresh, c, d);
     const int32_t place_se_um = c.get(Param::kFlexCenterSeUm, i);
-    const bool passed = imu ? turned(i, total, fresh, grows_)
-                            : swung(i, total, lag, out_of_place(lag, i, c), fresh, c, d);
+    const bool passed =
+        imu ? turned(i, total, fresh) : swung(i, total, lag, out_of_place(lag, i, c), fresh, c, d);
     if (!passed) {
       const bool swings = !imu && top_e5_[i] >= c.get(Param::kFoldSwingE5);
       if (swings || !overdue(bit, lag, place_se_um)) return Verdict::kNone;
@@ -221,11 +221,11 @@ class FoldWatch {
     unread_ = static_cast<uint16_t>(unread_ | bit);
   }
 
-  // Looks at a sensor in the tail of a spool that winds in.
-  Verdict stowed_moves(uint8_t i, uint16_t bit, bool imu, int32_t total, int32_t lag, bool fresh,
+  // Looks at a flex sensor in the tail of a spool that winds in. An IMU there shows its turn
+  // against the one before it, which changes as that one is wound in.
+  Verdict stowed_moves(uint8_t i, uint16_t bit, int32_t total, int32_t lag, bool fresh,
                        const Configuration& c, const Derived& d) {
-    const bool met = imu ? turned(i, total, fresh, true) : swung(i, total, lag, true, fresh, c, d);
-    if (!met) return Verdict::kNone;
+    if (!swung(i, total, lag, true, fresh, c, d)) return Verdict::kNone;
     stowed_ = static_cast<uint16_t>(stowed_ & ~bit);
     const bool second = outwards_ != 0;
     outwards_ = static_cast<uint16_t>(outwards_ | bit);
@@ -251,14 +251,14 @@ class FoldWatch {
     return top_e5_[i] >= c.get(Param::kFoldSwingE5) && swing <= top_e5_[i] - (top_e5_[i] >> 3);
   }
 
-  // Whether an IMU has turned over in a fold that moves outwards, or inwards: out of the tail it
-  // looks the way that the one before it looks, and in the tail it does not; rest_ is 1 while the
-  // two look opposite ways.
-  bool turned(uint8_t i, int32_t total, bool fresh, bool outwards) {
+  // Whether an IMU has turned over in the fold: out of the tail it looks the way that the one
+  // before it looks, and in the tail it did not; rest_ is 1 while the two look opposite ways. Wound
+  // in it is the other way round.
+  bool turned(uint8_t i, int32_t total, bool fresh) {
     const bool opposite = total - kStraightQ4 > kHalfTurnQ4 / 2;
     const bool was_opposite = rest_[i] != 0;
     rest_[i] = opposite ? 1 : 0;
-    return !fresh && opposite != was_opposite && opposite != outwards;
+    return !fresh && opposite != was_opposite && opposite != grows_;
   }
 
   Pair pair_[kImus != 0 ? 2 : 1];  // of flex sensors; of IMUs
