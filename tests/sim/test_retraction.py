@@ -72,7 +72,7 @@ def test_a_wrong_encoder_is_noticed_or_the_tip_is_where_the_retraction_says(
 SNAPS_CM = [(50, 0), (44, 12), (33, 0), (29, 0), (20, 0), (20, 12)]
 
 
-@pytest.mark.parametrize("name", ["thesis", *GALLERY])
+@pytest.mark.parametrize("name", ["thesis", "thick-7", "thick-10", "one-column"])
 @pytest.mark.parametrize(("start_cm", "to_cm"), SNAPS_CM)
 @pytest.mark.parametrize("after_s", [0.3, 1.0])
 def test_a_line_that_snaps_while_the_spool_winds_in_is_noticed(
