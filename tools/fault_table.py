@@ -58,12 +58,13 @@ a stronger one is slowed by the shorted windings, not held, and becomes `spool_s
 
 A line that snaps no longer holds the body, and nothing at the spool does. In growth, sensors that
 pass the tip too early reveal it. While the spool winds in, two sensors reveal it that lie in the
-tail and are passed by a tip that runs outwards, or two that the tip was to meet on its way back and
-has not met; that takes up to two pitches of growth, or of winding in
-(`tests/sim/test_retraction.py`). IMUs show only that they were not met, which a short retraction may
-miss. The valve that empties the body then ends the growth. While the spool stands, the encoder
-shows what it must, and nothing is noticed: the emergency stop ends that growth, by the same valve. A shorted driver that winds in pulls with 254 N if there is no
-brake. No duty limits that, so a line for such a robot must hold 300 N.
+tail and are passed by a tip that runs outwards, or two that the tip was to meet on its way back
+and has not met; that takes up to two pitches of growth, or of winding in
+(`tests/sim/test_retraction.py`). IMUs show only that they were not met, which a short retraction
+may miss. The valve that empties the body then ends the growth. While the spool stands, the encoder
+shows what it must, and nothing is noticed: the emergency stop ends that growth, by the same valve.
+A shorted driver that winds in pulls with 254 N if there is no brake. No duty limits that, so a line
+for such a robot must hold 300 N.
 
 The board alone detects an encoder that loses counts, by three signs: the motor's speed at its duty,
 jumps of the encoder's signals, and two sensors that pass the tip before they may, judged by the
