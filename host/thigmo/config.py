@@ -229,6 +229,15 @@ class Body(Model):
         """Tube radius."""
         return self.diameter_cm / 2
 
+    @property
+    def fold_swing(self) -> float:
+        """Swing of a flex sensor's reading (1/cm) by which the tip's fold is seen to pass it.
+
+        A third of what the fold bends the sensor: a guess of 0.15 1/cm in a tube of 3.5 cm, and
+        less in a thicker one, which folds more gently.
+        """
+        return 0.15 * 3.5 / self.diameter_cm / 3
+
     def pull_n(self, pressure_psi: float) -> float:
         """Tension (N) of the tail: half of pressure times section (docs/hardware/facts.md)."""
         return 0.5 * pressure_psi * _PASCAL * pi * self.radius_cm**2 * 1e-4
