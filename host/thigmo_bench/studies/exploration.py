@@ -381,9 +381,9 @@ def rooms(context: Context) -> list[list[Room]]:
                 Room(name, seed, setting, method) for setting in choice.settings or ("default",)
             ]
         if name in DIALLED and not choice.settings:
-            some = seeds[: context.count(1, DIALLED[name])]
-            for n, seed in enumerate(some):
-                rounds[ROUNDS + ROUNDS * n // len(some)] += [
+            dialled = seeds[: context.count(1, DIALLED[name])]
+            for n, seed in enumerate(dialled):
+                rounds[ROUNDS + ROUNDS * n // len(dialled)] += [
                     Room(name, seed, setting, method)
                     for setting in SETTINGS
                     if setting != "default"
@@ -395,10 +395,10 @@ def check(choice: Explorations) -> None:
     """Raises DataError if there are no such kinds, settings or method."""
     if choice.method is not None:
         check_exploration_method(choice.method)
-    for noun, some, known in (
+    for noun, chosen, known in (
         ("kind of rooms", choice.kinds, tuple(KINDS)), ("setting", choice.settings, SETTINGS),
     ):  # fmt: skip
-        for name in some:
+        for name in chosen:
             if name not in known:
                 raise DataError(f"there is no {noun} {name!r}", f"choose from {', '.join(known)}")
 
@@ -409,9 +409,9 @@ def run(context: Context) -> Outcome:
     runs: list[Run] = []
     outcome = Outcome()
     rounds = rooms(context)
-    for number, some in enumerate(rounds, 1):
+    for number, round_rooms in enumerate(rounds, 1):
         part = f"rooms, part {number} of {len(rounds)}"
-        runs += context.map(visit, some, part)
+        runs += context.map(visit, round_rooms, part)
         del context.samples[part]
         context.samples["rooms"] = len(runs)
         outcome = judged(runs, context.explorations)
@@ -456,10 +456,10 @@ def judged(every: list[Run], choice: Explorations | None = None) -> Outcome:
 def _map_claims(maps: dict[str, list[Mapped]]) -> tuple[list[Claim], list[str]]:
     """Promises of the planners' maps, and notes on those of which nothing is promised."""
     promised, *others = [
-        row for name, some in maps.items() for row in _map_shares(f"maps of {name}", some)
+        row for name, group in maps.items() for row in _map_shares(f"maps of {name}", group)
     ]
     total = Mapped._make(
-        sum(mapped[n] for some in maps.values() for mapped in some)
+        sum(mapped[n] for group in maps.values() for mapped in group)
         for n in range(len(Mapped._fields))
     )
     near = 100 * total.occupied_near / max(total.occupied, 1)
@@ -591,14 +591,14 @@ def _claims(explored: list[Explored]) -> list[Claim]:
     def of_kinds(*names: str) -> list[Explored]:
         return [room for room in explored if room.kind in names]
 
-    def total(some: list[Explored], column: str) -> float:
-        return float(sum(getattr(room, column) for room in some))
+    def total(group: list[Explored], column: str) -> float:
+        return float(sum(getattr(room, column) for room in group))
 
-    def per(rooms: int, some: list[Explored], column: str) -> float:
-        return rooms * total(some, column) / max(len(some), 1)
+    def per(rooms: int, group: list[Explored], column: str) -> float:
+        return rooms * total(group, column) / max(len(group), 1)
 
-    def missed(some: list[Explored]) -> float:
-        return 100 * total(some, "touched_missed") / max(total(some, "touched"), 1.0)
+    def missed(group: list[Explored]) -> float:
+        return 100 * total(group, "touched_missed") / max(total(group, "touched"), 1.0)
 
     walls, stalls, several = of_kinds(WALLS), of_kinds(STALLS), of_kinds(MORE)
     pegs = of_kinds(TRUE, *_OTHERS)
