@@ -126,18 +126,20 @@ def _contacts(
 ) -> list[FieldContact]:
     search = Search(readings, errors, atlas)
     peg = _one_peg(search, expected)
-    if peg is not None and _explains(peg, readings) and peg.misfit * ALIKE <= _USUAL:
-        return _answer(search, [peg], "")
-    gone = _gave_way(search, errors, atlas, expected)
+    holds = peg is not None and _explains(peg, readings) and peg.misfit * ALIKE <= _USUAL
+    gone = None if holds else _gave_way(search, errors, atlas, expected)
     explanations = [samples for samples in (peg, gone) if samples is not None]
     if not explanations:
         return []
     explanations.sort(key=lambda samples: -samples.log_evidence)
     if explanations[0] is gone and not _doubt(explanations, readings):
         return _answer(search, explanations, "")
-    for sought in (search.pairs, search.walls):
+    # A body that touches two pegs at different lengths may leave no more than one between them
+    # explains: so two are weighed in any case, and where one holds, they must be likelier.
+    for sought in (search.pairs,) if holds else (search.pairs, search.walls):
         modes = sought()
-        if modes and max(map(search.laplace, modes)) > explanations[0].log_evidence - _NEAR:
+        least = explanations[0].log_evidence - (0.0 if holds else _NEAR)
+        if modes and max(map(search.laplace, modes)) > least:
             samples = _sampled(search, [modes], expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
