@@ -134,10 +134,11 @@ def _contacts(
     explanations.sort(key=lambda samples: -samples.log_evidence)
     if explanations[0] is gone and not _doubt(explanations, readings):
         return _answer(search, explanations, "")
-    # A body that touches two pegs at different lengths may leave no more than one between them
-    # explains: so two are weighed in any case, and where one holds, they must be likelier.
-    for sought in (search.pairs,) if holds else (search.pairs, search.walls):
-        modes = sought()
+    # One peg may leave no more than is usual where two are touched at different lengths, or where a
+    # second one is touched beyond it. So two are weighed in any case; where one holds, they must be
+    # likelier.
+    pairs = search.pairs(None if peg is None else peg.likeliest)
+    for modes in (pairs, [] if holds else search.walls()):
         least = explanations[0].log_evidence - (0.0 if holds else _NEAR)
         if modes and max(map(search.laplace, modes)) > least:
             samples = _sampled(search, [modes], expected)

@@ -68,6 +68,9 @@ _SIGNS = np.array(list(product((1.0, -1.0), repeat=len(UNSIGNED))))
 # them fitted; radii beside the likeliest at which samples are proposed, as logarithms.
 _PLACES, _PAIRS, _ASIDE = 2, 4, 0.6
 _LEAST_PLACE = 3.0  # log likelihood that a length by itself gains by a place
+# Touches of a second peg beside the likeliest one: arcs over the longest body, bends over the
+# highest.
+_SECONDS = np.linspace(0.25, 1.05, 7), np.linspace(0.15, 0.95, 6)
 # Of the search for a wall: bends over the highest, tilts (rad) and reaches.
 _WALLS = np.linspace(0.1, 0.9, 6), (0.25, 0.6, 0.95, 1.3), (np.log(0.4),)
 
@@ -91,6 +94,12 @@ class Samples:
     def effective(self) -> float:
         """Effective number of samples (Kish)."""
         return float(1 / np.sum(self.weight**2))
+
+    @property
+    def likeliest(self) -> Floats:
+        """(unknowns,) of the sample with the greatest weight."""
+        likeliest: Floats = self.q[int(np.argmax(self.weight))]
+        return likeliest
 
 
 class Search:
@@ -170,25 +179,38 @@ class Search:
                 n += way
         return [nodes[n] for n in sorted(nodes)]
 
-    def pairs(self) -> list[Mode]:
-        """Modes of two pegs: the likeliest one with free radii, and some beside it."""
+    def pairs(self, peg: Floats | None = None) -> list[Mode]:
+        """Modes of two pegs: the likeliest one with free radii, and some beside it.
+
+        `peg`: (7,) likeliest unknowns of a single one, beside which a second one is sought all over
+        the plane.
+        """
         places = list(self.places)
         for length in sorted({stage.length for stage in self.readings.stages}):
             alone = FieldFit(self.readings.at_length(length), self.errors)
-            likeliest = self._atlas.likeliest(self._atlas.pegs(alone, alone.nothing()))[:_PLACES]
-            places += [place for place in likeliest if place.gain > _LEAST_PLACE]
+            nearest = self._atlas.likeliest(self._atlas.pegs(alone, alone.nothing()))[:_PLACES]
+            places += [place for place in nearest if place.gain > _LEAST_PLACE]
         touches = sorted({(place.arc, place.bend) for place in places})
         starts = [
-            np.array([*first, RADIUS_MEAN, *second, RADIUS_MEAN, 0.0, *_LEAST])
-            for first, second in combinations(touches, 2)
+            [
+                np.array([*first, RADIUS_MEAN, *second, RADIUS_MEAN, 0.0, *_LEAST])
+                for first, second in combinations(touches, 2)
+            ]
         ]
+        if peg is not None:
+            arcs, bends = _SECONDS
+            seconds = product(self.fit.longest * arcs, self.readings.bend.max() * bends)
+            known = peg[:OBSTACLE_UNKNOWNS]
+            starts.append(
+                [np.array([*known, *second, RADIUS_MEAN, 0.0, *_LEAST]) for second in seconds]
+            )
         radii = RADIUS, RADIUS + OBSTACLE_UNKNOWNS
-        best = self._likeliest(PEGS, starts, radii)
-        if best is None:
+        likeliest = [self._likeliest(PEGS, some, radii) for some in starts]
+        solved = [self.fit.solve(PEGS, mode.q, mode.xi) for mode in likeliest if mode is not None]
+        shown = [mode for mode in solved if self._shows(mode)]
+        if not shown:
             return []
-        free = self.fit.solve(PEGS, best.q, best.xi)
-        if not self._shows(free):
-            return []
+        free = min(shown, key=lambda mode: mode.cost)
         modes = [free]
         for aside in product((-_ASIDE, _ASIDE), repeat=2):
             q = free.q.copy()
