@@ -2,10 +2,10 @@
 
 A contact slides as the body bends on, so a peg's radius and place trade off along a narrow ridge,
 jagged where an end slips off. Starts lie under a large error of the mechanics, under which it is
-smooth; then it is followed from radius to radius. Two pegs, or a wall, are sought where one peg
-does not explain the readings: each everted length by itself says where the pegs of a pair may be,
-and walls are tried on a grid. Samples carry what has no table of its own as well: how
-far gains and maps have drifted, and the mechanics' relative error.
+smooth; then it is followed from radius to radius. Each everted length by itself says where the pegs
+of a pair may be, and a second one is tried on a grid beside the likeliest single one; walls are
+tried on a grid as well. Samples also carry what has no table of its own: how far gains and maps
+have drifted, and the mechanics' relative error.
 """
 
 from __future__ import annotations
