@@ -167,6 +167,16 @@ def test_a_calibrated_thick_body_is_not_accused(
     robot.retract_to(1.0)
 
 
+@pytest.mark.parametrize("seed", [3, 7, 11])
+def test_sensors_that_still_creep_as_they_are_wound_in_accuse_no_encoder(seed: int) -> None:
+    """What creeps to its rest and is wound in meanwhile looks like a fold that passed too early."""
+    scene = scene_at(0.0)
+    scene.seed, scene.flex.creep = seed, 0.057
+    robot, transport = thick_robot("thick-10", scene)
+    assert list(grow(robot, transport, 29.0))[-1] == 29.0
+    assert robot.retract_to(2.0).length_cm == pytest.approx(2.0, abs=0.2)
+
+
 @pytest.mark.parametrize(("share", "places_cm"), [(1.0, 0.3), (0.98, 0.3), (1.0, 0.5)])
 @pytest.mark.parametrize("seed", range(4))
 def test_places_that_are_off_and_a_spool_that_is_accuse_no_encoder(
