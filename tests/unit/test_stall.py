@@ -75,6 +75,17 @@ def test_one_sensor_that_is_silent_is_a_sensor_that_is_broken() -> None:
     assert stall(length, bend, TABLE) is None
 
 
+@pytest.mark.parametrize("off_cm", [-0.4, 0.4])
+def test_a_fold_that_comes_before_its_sensors_place_is_no_stall(off_cm: float) -> None:
+    """An IMU turns over within a centimetre, and places are in doubt."""
+    length = np.linspace(30.0, 41.0, 240)
+    bend = np.full((240, 10), 0.12)
+    low, high = TABLE.center_cm - TABLE.span_cm / 2, TABLE.center_cm + TABLE.span_cm / 2
+    bend += 0.35 * np.clip(length[:, None] - (low + off_cm) + 0.5, 0.0, 1.0)
+    bend -= 0.34 * np.clip(length[:, None] - (high + off_cm) + 0.5, 0.0, 1.0)
+    assert stall(length, bend, TABLE) is None
+
+
 def test_where_no_sensor_was_due_nothing_can_be_said() -> None:
     assert stall(*_growth(50.0, 53.0, 51.0), TABLE) is None
     assert stall(np.zeros(0), np.zeros((0, 10)), TABLE) is None

@@ -58,11 +58,16 @@ class FoldWatch {
   // until the fold has come, however often the spool stops. One that the fold has entered by a
   // quarter has no resting value: it shows no more than that the tip moves. Nor has, once the spool
   // turns, one that the fold was not seen to leave: behind a tip that stood still, it may be in
-  // there yet.
-  void begin(int32_t length_um, bool grows, uint16_t enabled, const Configuration& c) {
-    const uint16_t awaited = grows != grows_ ? watched_ : uint16_t{0};
-    if (grows != grows_) restart(length_um);
-    const uint16_t unseen = static_cast<uint16_t>(c.get(Param::kUnseenMask));
+  // there yet. Nor has one that has come out lately, and still creeps to its rest as it is wound
+  // in: `settled` are those that do not.
+  void begin(int32_t length_um, bool grows, uint16_t enabled, uint16_t settled,
+             const Configuration& c) {
+    uint16_t restless = static_cast<uint16_t>(c.get(Param::kUnseenMask));
+    if (!grows) restless = static_cast<uint16_t>(restless | ~settled);
+    if (grows != grows_) {
+      restless = static_cast<uint16_t>(restless | watched_);
+      restart(length_um);
+    }
     grows_ = grows;
     for (uint8_t i = 0; i < kSensors; ++i) {
       const uint16_t bit = static_cast<uint16_t>(1u << i);
@@ -71,7 +76,7 @@ class FoldWatch {
       watched_ = static_cast<uint16_t>(watched_ | bit);
       unread_ = static_cast<uint16_t>(unread_ | bit);
       const bool clear =
-          ((awaited | unseen) & bit) == 0 && lag < -kDoubtUm - (c.get(Param::kFlexSpanUm, i) >> 2);
+          (restless & bit) == 0 && lag < -kDoubtUm - (c.get(Param::kFlexSpanUm, i) >> 2);
       judged_ = static_cast<uint16_t>(clear ? judged_ | bit : judged_ & ~bit);
     }
     watched_ = static_cast<uint16_t>(watched_ & enabled);
@@ -211,12 +216,13 @@ class FoldWatch {
   // met on this way is in it half a span later: a span later, if the encoder shows twice its way.
   void watch_stowed(uint8_t i, uint16_t bit, int32_t lag, const Configuration& c,
                     const Derived& d) {
+    if (lag <= 0 || (d.enabled_mask & bit) == 0) return;
     const uint16_t unseen = static_cast<uint16_t>(c.get(Param::kUnseenMask));
-    const uint16_t idle = static_cast<uint16_t>(stowed_ | outwards_ | unseen);
+    if (((stowed_ | outwards_ | unseen) & bit) != 0) return;
     const int32_t out_um = (passed_ & bit) != 0 ? top_um_[i] + c.get(Param::kFlexSpanUm, i) +
                                                       c.get(Param::kFoldMarginUm)
                                                 : reach_um(i, c);
-    if ((d.enabled_mask & ~idle & bit) == 0 || lag <= out_um) return;
+    if (lag <= out_um) return;
     stowed_ = static_cast<uint16_t>(stowed_ | bit);
     unread_ = static_cast<uint16_t>(unread_ | bit);
   }

@@ -178,9 +178,10 @@ class Plant:
         self.imus = ImuString(
             scene.imu, [*turns.values()], robot.board.divider_ohm, STEP_S, rng.spawn(1)[0]
         )
-        # A thicker tube folds more gently at its tip; what does not grow has no fold there.
-        gentler = config.Body().radius_cm / robot.body.radius_cm
-        self._fold_bend = scene.flex.fold_bend * gentler if robot.body.grows else 0.0
+        # A thicker tube folds more gently at its tip, and what has been folded less creeps less;
+        # what does not grow has no fold there.
+        self._gentler = config.Body().radius_cm / robot.body.radius_cm
+        self._fold_bend = scene.flex.fold_bend * self._gentler if robot.body.grows else 0.0
         self.fibre = EmulatedFibre(
             scene.fibre, robot.gratings, STEP_S, rng.spawn(1)[0], self._fold_bend
         )
@@ -563,7 +564,8 @@ class Plant:
             elif not sensor.everted:
                 offset, creep = self._rng.standard_normal(2)
                 began = -1e9 if settled else self.t_s
-                sensor.evert(began, noise.per_eversion * offset, flex.creep * abs(creep))
+                creep_bend = self._gentler * flex.creep * abs(creep)
+                sensor.evert(began, noise.per_eversion * offset, creep_bend)
 
     def _sense(self) -> None:
         analog = self.analog

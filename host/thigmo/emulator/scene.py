@@ -118,7 +118,8 @@ class BodyDynamics(Model):
 class Flex(Model):
     """What ails every flex sensor."""
 
-    creep: NonNegative = 0.02  # 1/cm just after eversion, one sigma over sensors
+    # 1/cm just after eversion, one sigma over sensors; less in a tube thicker than 3.5 cm
+    creep: NonNegative = 0.02
     wrong_direction_gain: NonNegative = 0.6  # response to bends against bend_sign
     wrinkle: NonNegative = 0.012  # 1/cm, size of the garbage on the active side
     wrinkle_start_psi: NonNegative = 1.0

@@ -170,9 +170,17 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Obstruction | 
     return None
 
 
+def _before(length_cm: Floats, reading: Floats, start: float) -> float:
+    """What a sensor read before the fold can have reached it, whatever is in doubt of its place."""
+    clear = length_cm < start - FOLD_MARGIN_CM - _ONSET_CM
+    if not clear.any():
+        clear = length_cm < start
+    return float(np.median(reading[clear][-_SMOOTH:]))
+
+
 def _left_late(length_cm: Floats, reading: Floats, start: float, end: float) -> float:
     """By how much later than the line says the fold went past a sensor, cm."""
-    before = float(np.median(reading[length_cm < start][-_SMOOTH:]))
+    before = _before(length_cm, reading, start)
     rise = np.abs(median_filter(reading, _SMOOTH, mode="nearest") - before)
     top = int(rise.argmax())
     low = np.flatnonzero(rise[top:] < _PASSED * rise[top])
@@ -184,7 +192,7 @@ def _stalled(
     length_cm: Floats, reading: Floats, start: float, end: float, least: float
 ) -> tuple[float, float, float] | None:
     """(tip, low, high) of a sensor that the fold did not pass through; None if it did."""
-    before = float(np.median(reading[length_cm < start][-_SMOOTH:]))
+    before = _before(length_cm, reading, start)
     last = float(np.median(reading[-_SMOOTH:]))
     rise = np.abs(reading - before)
     top = int(rise.argmax())
