@@ -69,7 +69,7 @@ Floats = npt.NDArray[np.float64]
 def judge(config: RobotConfig) -> list[Finding]:
     """All findings: first whether it explores, then the board's."""
     limitations = beyond_board(config)
-    wiring = None if limitations else Wiring.of(config)  # findings of the inputs need one
+    wiring = None if limitations else Wiring.laid_out(config)  # findings of the inputs need one
     findings = []
     if wiring and (limitation := wiring.unexplorable):
         text = f"{limitation.problem}: `thigmo explore` refuses; {limitation.cure}"

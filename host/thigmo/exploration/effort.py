@@ -16,7 +16,7 @@ from itertools import combinations
 from math import inf
 from typing import NamedTuple
 
-from thigmo.config import SAME_LENGTH_CM, SIDES, RobotConfig
+from thigmo.config import SAME_LENGTH_CM, SIDES
 from thigmo.errors import DataError
 from thigmo.exploration.plan import stage_lengths
 from thigmo.field import ExpectedSweeps, expected_sweeps
@@ -65,18 +65,18 @@ class Effort:
 class Planner:
     """Plans of one robot's run, within its effort."""
 
-    def __init__(self, config: RobotConfig, effort: Effort) -> None:
-        self.config, self.effort = config, effort
-        self._lengths = stage_lengths(config)
+    def __init__(self, wiring: Wiring, effort: Effort) -> None:
+        self.wiring, self.config, self.effort = wiring, wiring.config, effort
+        self._lengths = stage_lengths(wiring.config)
 
     @cached_property
     def _sides(self) -> list[ExpectedSweeps]:
         """What sweeps towards each side would tell."""
-        blind = [muscle.name for muscle in Wiring.of(self.config).unguarded_muscles]
+        unguarded = self.wiring.unguarded_muscles
         return [
-            expected_sweeps(self.config, muscle.side, self._lengths)
+            expected_sweeps(self.wiring, muscle.side, self._lengths)
             for muscle in self.config.muscles
-            if muscle.side and muscle.name not in blind
+            if muscle.side and muscle not in unguarded
         ]
 
     @cached_property
@@ -84,7 +84,7 @@ class Planner:
         """The plan of a named effort, from the beginning of a run."""
         if self.effort.share == 1.0:
             return Plan(tuple(self._lengths), self.effort.measurements)
-        whole = Planner(self.config, EFFORTS["careful"])
+        whole = Planner(self.wiring, EFFORTS["careful"])
         needed_s = whole.expected_s(Plan(tuple(self._lengths), _MOST_MEASUREMENTS))
         left_s = self.effort.share * (_BEGINS_S + needed_s) - _BEGINS_S
         best = self._best(self._lengths, left_s)
@@ -218,7 +218,7 @@ class Planner:
         omissions += [
             f"no sweeps towards {muscle.name}, because no healthy sensor at the base responds to "
             "them, so obstacles there are not felt"
-            for muscle in Wiring.of(self.config).unguarded_muscles
+            for muscle in self.wiring.unguarded_muscles
         ]
         spare_s = self.effort.time_s - _BEGINS_S - self.expected_s(plan)
         if _SPARE_S <= spare_s < inf:
@@ -284,15 +284,15 @@ def chosen_effort(protocol: str, effort: str | None, time_s: float | None) -> Ef
     return EFFORTS[effort or "default"]
 
 
-def within(time_s: float, config: RobotConfig) -> Effort:
+def within(time_s: float, wiring: Wiring) -> Effort:
     """The effort of a budget of robot time (s).
 
     Raises DataError if it is too short for any sweep.
     """
     effort = Effort(f"{time_s:g} s", time_s=time_s)
-    planner = Planner(config, effort)
+    planner = Planner(wiring, effort)
     if not planner.plan().stops:
-        looks = [planner.expected_s(Plan((stop,), 0)) for stop in stage_lengths(config)]
+        looks = [planner.expected_s(Plan((stop,), 0)) for stop in stage_lengths(wiring.config)]
         raise DataError(
             f"{time_s:g} s of robot time is too little for a sweep",
             f"give --time {_BEGINS_S + min(looks) + 1:.0f} or more",

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import ndtr
 
-from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
+from thigmo.config import SAME_LENGTH_CM, SIGN, Side
 from thigmo.contact_status import SURE
 from thigmo.exploration.prior import boost, match
 from thigmo.field import Atlas, FieldContact, Swept, contacts, read
@@ -17,6 +17,7 @@ from thigmo.localization.priors import narrow
 from thigmo.record import Explanation, MapContact, Obstacle
 from thigmo.robot import SweepResult
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
 
 _MAP_ERRS = 1.3  # bends of the atlas over the map's highest
 _CELL_CM = 0.5  # of the posterior along the body
@@ -53,8 +54,9 @@ class FittedContact:
 class SideFits:
     """Fits to the sweeps of each side so far."""
 
-    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
-        self._config, self._prior = config, prior
+    def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = ()) -> None:
+        config = wiring.config
+        self._wiring, self._config, self._prior = wiring, config, prior
         self._sweeps: dict[Side, list[Swept]] = {side: [] for side in config.sides}
         self._known: dict[Side, tuple[int, list[FittedContact]]] = {}
         bend = max(
@@ -81,7 +83,7 @@ class SideFits:
 
     def _fit(self, side: Side) -> list[FittedContact]:
         sweeps = self._sweeps[side]
-        prepared = read(sweeps, side, self._config)
+        prepared = read(sweeps, side, self._wiring)
         if prepared is None:
             return []
         expected = None

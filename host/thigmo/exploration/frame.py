@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.config import RobotConfig
 from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.exploration.workspace import Bend, place_contact
 from thigmo.localization import LocalizeResult, localize
@@ -22,13 +21,13 @@ from thigmo.robot import Peak, SensorTable
 from thigmo.wiring import Wiring
 
 
-def localize_frame(peak: Peak, config: RobotConfig, zone: int, method: str) -> LocalizeResult:
+def localize_frame(peak: Peak, wiring: Wiring, zone: int, method: str) -> LocalizeResult:
     """Localize contacts from the averaged readings of one instant of a sweep.
 
     `zone` is that of the body pressure, `method` that of `localize`. Raises DataError if no sensor
     is usable.
     """
-    wiring = Wiring.of(config)
+    config = wiring.config
     table = SensorTable.of(wiring).warmed(peak.warmth)
     use = np.flatnonzero(table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature))
     sensors = [sensor for n in use if (sensor := wiring.read_sensors[n]) is not None]

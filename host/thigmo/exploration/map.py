@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import SIDES, Side
 from thigmo.contact_status import LIKELY, SURE
 from thigmo.exploration.fitted import FittedContact, SideFits
 from thigmo.exploration.prior import match
@@ -23,6 +23,7 @@ from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ram
 from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle, Stall, TrueContact
 from thigmo.robot import SweepResult
+from thigmo.wiring import Wiring
 
 # No place is known better than this: the peg's own size and the slide along it.
 _FLOOR_CM = 1.0
@@ -35,10 +36,10 @@ _SAME_LENGTH_CM = 0.5  # of two measurements at one stage
 class ContactMap:
     """Obstacles in the workspace; one that is an obstacle of the map that was given says so."""
 
-    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
-        self._config = config
+    def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = ()) -> None:
+        self._config = wiring.config
         self._prior = prior
-        self._fits = SideFits(config, prior)
+        self._fits = SideFits(wiring, prior)
         self._obstructions: list[MapContact] = []
         self.stall: Stall | None = None  # what stopped the growth
         self._points: list[MapContact] = []  # by a method without intervals

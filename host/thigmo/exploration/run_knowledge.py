@@ -16,7 +16,7 @@ from typing import Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
-from thigmo.config import SAME_LENGTH_CM, RobotConfig
+from thigmo.config import SAME_LENGTH_CM
 from thigmo.exploration.methods import FIELD
 from thigmo.exploration.stage import Interpreter, SideAnswer
 from thigmo.exploration.stall import HeldBent, Obstruction, detect_held_bent, stall
@@ -78,15 +78,13 @@ class RunKnowledge:
         straight_cm: up to this length the body is known not to be held bent.
     """
 
-    def __init__(
-        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = FIELD
-    ) -> None:
-        self._table = SensorTable.of(Wiring.of(config))
+    def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = (), method: str = FIELD) -> None:
+        self._table = SensorTable.of(wiring)
         self._board = self._table.board  # its zeros last from stage to stage
         self._zone = self._measured_zone = 0
         self._stage_looked = False
         self.journal: Journal = lambda step, numbers: None
-        self.interpreter = Interpreter(config, prior, method)
+        self.interpreter = Interpreter(wiring, prior, method)
         self.stages: list[Stage] = []
         self.looked = SweepResult()
         self.measured: SweepResult | None = None

@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import Side
 from thigmo.field.fit import FieldFit
 from thigmo.field.hypotheses import ARC, BEND, PEG, RADIUS_MEAN
 from thigmo.field.readings import Errors, Floats, Readings, Stage
@@ -70,10 +70,10 @@ class ExpectedSweeps:
         return float(self._share[felt].sum()), float(self._share[placed].sum())
 
 
-def expected_sweeps(config: RobotConfig, side: Side, lengths: Sequence[float]) -> ExpectedSweeps:
+def expected_sweeps(wiring: Wiring, side: Side, lengths: Sequence[float]) -> ExpectedSweeps:
     """What sweeps of one side at everted lengths (cm) would tell."""
-    wiring = Wiring.of(config)
-    table, muscle = SensorTable.of(wiring), config.muscle(side)
+    config, table = wiring.config, SensorTable.of(wiring)
+    muscle = config.muscle(side)
     use = table.usable(side, ~0)
     stages, bends, rates, frames = [], [], [], []
     for length in lengths:
@@ -102,7 +102,7 @@ def expected_sweeps(config: RobotConfig, side: Side, lengths: Sequence[float]) -
         fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.zones))]),
         radius=config.body.radius_cm,
     )
-    errors = stated(config, side, use)
+    errors = stated(wiring, side, use)
     return _expected(_Question(pickle.dumps((readings, errors)), readings, errors))
 
 

@@ -59,11 +59,9 @@ def fold_moment(config: RobotConfig, zone: int) -> float:
     )
 
 
-def read(
-    sweeps: Sequence[Swept], side: Side, config: RobotConfig
-) -> tuple[Readings, Errors] | None:
+def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings, Errors] | None:
     """Readings of a side's sweeps in their order, with their errors; None where there are none."""
-    table, sign = SensorTable.of(Wiring.of(config)), SIGN[side]
+    config, table, sign = wiring.config, SensorTable.of(wiring), SIGN[side]
     rows: list[_Bin] = []
     scatter = []
     number = 0
@@ -116,7 +114,7 @@ def read(
         half_range=np.array([row.half_range for row in rows]),
         response=sign * np.array([row.response for row in rows]),
     )
-    return readings, stated(config, side, has_reading)
+    return readings, stated(wiring, side, has_reading)
 
 
 class _Rise(NamedTuple):
@@ -157,10 +155,10 @@ def _white(scatter: Floats, stated: Floats) -> Floats:
     )  # fmt: skip
 
 
-def stated(config: RobotConfig, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
+def stated(wiring: Wiring, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
     """Errors of the sensors in `use` as robot.toml states them, with drifts since calibration."""
-    wiring = Wiring.of(config)
-    table, muscle, body = SensorTable.of(wiring), config.muscle(side), config.body
+    config, table = wiring.config, SensorTable.of(wiring)
+    muscle, body = config.muscle(side), config.body
     rows = [sensor for sensor, used in zip(wiring.read_sensors, use, strict=True) if used]
     zero = np.array([sensor.zero_error if sensor else 0.0 for sensor in rows])
     constant, zeroing, sweep = (share * zero for share in _ZERO_PARTS)
