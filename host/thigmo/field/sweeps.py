@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import SIGN, FlexSensor, Muscle, RobotConfig, Side
+from thigmo.config import SIGN, Muscle, RobotConfig, Side
 from thigmo.field.readings import Errors, Floats, Readings, Stage
 from thigmo.mechanics import critical_moment
 from thigmo.robot import Peak, SensorTable, SweepResult
@@ -164,7 +164,7 @@ def stated(wiring: Wiring, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
     constant, zeroing, sweep = (share * zero for share in _ZERO_PARTS)
     gain = np.array([sensor.gain_error if sensor else 0.0 for sensor in rows])
     drift = np.array([sensor.drift_se if sensor else 0.0 for sensor in rows])
-    one_way = [s if isinstance(s, FlexSensor) and s.bend_sign else None for s in rows]
+    against = np.array([sensor.response_against if sensor else (1.0, 0.0) for sensor in rows])
     shared = table.shared[use]
     return Errors(
         gain=np.hypot(gain, drift),
@@ -176,8 +176,8 @@ def stated(wiring: Wiring, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
         map_zone=np.hypot([zone.scale_se for zone in muscle.maps], _ZONE_DRIFT),
         map_offset=max(muscle.offset_se, _LEAST_OFFSET),
         map=muscle.drift_se,
-        against=np.array([s.against_gain if s else 1.0 for s in one_way]),
-        against_error=np.array([s.against_gain_se if s else 0.0 for s in one_way]),
+        against=against[:, 0],
+        against_error=against[:, 1],
         sweep=muscle.sweep_se,
         sweep_offset=muscle.sweep_offset_se,
         lag_s=muscle.lag_se_s,
