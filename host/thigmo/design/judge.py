@@ -28,13 +28,13 @@ from thigmo.config import (
     Side,
     Spool,
 )
+from thigmo.contact_status import WIDTH_SHARE
 from thigmo.design.bounds import FEWEST_READINGS, arc_bounds
 from thigmo.design.finding import Finding
 from thigmo.design.units import unit_questions
 from thigmo.errors import ConfigError
 from thigmo.exploration.plan import stage_lengths
 from thigmo.link.protocol import PARAMETERS, parameters
-from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi, rest_turn, traced
 from thigmo.robot import TRIGGER_PER_CM
 from thigmo.robot.configuration import out_of_range, parameter_settings

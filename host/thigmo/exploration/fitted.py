@@ -10,10 +10,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from thigmo.config import SAME_LENGTH_CM, SIGN, Side
-from thigmo.contact_status import SURE
+from thigmo.contact_status import SURE, narrow
 from thigmo.exploration.prior import boost, match
 from thigmo.field import Atlas, FieldContact, Swept, contacts, read
-from thigmo.localization.priors import narrow
 from thigmo.record import Explanation, MapContact, Obstacle
 from thigmo.robot import SweepResult
 from thigmo.robot.curvature import Floats

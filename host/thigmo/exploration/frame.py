@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.contact_status import POINT_ESTIMATE
+from thigmo.contact_status import POINT_ESTIMATE, WIDTH_SHARE
 from thigmo.exploration.workspace import Bend, place_contact
 from thigmo.localization import LocalizeResult, localize
-from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.reading_errors import errors_of
 from thigmo.record import MapContact
 from thigmo.robot import Peak, SensorTable

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from thigmo.config import SIDES, Side
-from thigmo.contact_status import LIKELY, SURE
+from thigmo.contact_status import LIKELY, SURE, narrow
 from thigmo.exploration.fitted import FittedContact, SideFits
 from thigmo.exploration.prior import match
 from thigmo.exploration.stall import HeldBent, Obstruction, causes
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
-from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle, Stall, TrueContact
 from thigmo.robot import SweepResult
 from thigmo.wiring import Wiring

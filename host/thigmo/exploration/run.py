@@ -386,18 +386,13 @@ class Exploration:
         """Whether a side's sweep can stop, because the base is near its fold."""
         held = held_now(so_far.frames, so_far.peaks[-1].side)
         if held > TRIGGER_PER_CM:
-            self._show(so_far, self._zone)
+            self.live.sweeping(self._interpreter, so_far, self._zone, self.length_cm)
         return pressed_enough(held, self.config, self._zone)
-
-    def _show(self, so_far: SweepResult, zone: int) -> None:
-        """Publish what a sweep feels so far to viewers."""
-        if self.live.due and (answer := self._interpreter.so_far(so_far, zone)) is not None:
-            self.live.posterior(self.length_cm, answer, sweeping=True)
 
     def _measured_enough(self, so_far: SweepResult) -> bool:
         """Whether a measurement at a raised body pressure can stop: the base is near its fold."""
         zone = self._measured_zone
-        self._show(so_far, zone)
+        self.live.sweeping(self._interpreter, so_far, zone, self.length_cm)
         held = held_now(so_far.frames, so_far.peaks[-1].side)
         return zone != self._zone and pressed_enough(held, self.config, zone)
 
