@@ -108,7 +108,7 @@ def test_more_time_buys_more_and_is_kept_to() -> None:
         assert plan.stops
         assert planner.expected_s(plan) <= planner.effort.time_s - 5.0
         sweeps = [(1 + plan.measurements) * (cm in plan.stops) for cm in stage_lengths(config)]
-        worth.append(sum(sides[0].told_by(sweeps, 3.0 / 53)))
+        worth.append(sum(sides[0].felt_and_placed(sweeps, 3.0 / 53)))
     assert worth == sorted(worth)
     assert worth[0] < worth[-1]
     assert plans[-1] == Plan(tuple(stage_lengths(config)), 2)

@@ -1,10 +1,10 @@
 """How much robot time a run spends, and on what: the dial between seconds and centimetres.
 
 Every run grows, settles, zeroes and sweeps. What can be chosen is at which lengths it sweeps, and
-how many slower sweeps measure a contact that was felt. A plan is such a choice. Of all plans that a
-budget of robot time allows, the run takes the one that most pegs are felt and placed by, as the
-mechanics and the robot's stated errors have it (`thigmo.field.expected`). An effort is a budget, by
-name or in robot seconds. What a run leaves out, and what that costs, it says.
+how many slower sweeps measure a contact that was felt. A plan is such a choice. Of the plans that
+fit into a budget of robot time, the run takes the one by which the most pegs are expected to be
+felt and placed, given the mechanics and the errors in robot.toml (`thigmo.field.expected`). An
+effort is a budget, by name or in robot seconds. The run states what it omits and what that costs.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Planner:
 
     @cached_property
     def _sides(self) -> list[ExpectedSweeps]:
-        """What sweeps towards each side would tell."""
+        """Expected information of sweeps towards each side that the contact trigger guards."""
         unguarded = self.wiring.unguarded_muscles
         return [
             expected_sweeps(self.wiring, muscle.side, self._lengths)
@@ -98,11 +98,16 @@ class Planner:
         swept_cm: Sequence[float] = (),
         settles_s: float = 0.0,
     ) -> Plan:
-        """The plan from a length on by which most pegs are felt and placed.
+        """The plan, from a length on, by which the most pegs are expected to be felt and placed.
 
-        `spent_s` of a budget went to sweeps at the lengths `swept_cm`. The sensors at the base
-        settle for `settles_s` yet. A named effort is planned once, and then takes what time it
-        needs; a budget is planned anew at each stop.
+        A named effort is planned once and then takes the time that it needs. A budget is planned
+        again at each stop.
+
+        Args:
+            length_cm: everted length now.
+            spent_s: robot time of the budget that is spent.
+            swept_cm: lengths at which the run has swept.
+            settles_s: time until the sensors at the base have settled.
         """
 
         def ahead(stops: Sequence[float]) -> list[float]:
@@ -123,7 +128,7 @@ class Planner:
         swept_cm: Sequence[float] = (),
         settles_s: float = 0.0,
     ) -> Plan:
-        """Of the plans with some of these stops that the time allows, the one that tells most."""
+        """The best plan by some of these stops that fits into the time; arguments as in `plan`."""
         whole = Plan(tuple(stops), self.effort.measurements)
         if not stops or self.expected_s(whole, length_cm, settles_s) <= left_s:
             return whole
@@ -140,18 +145,18 @@ class Planner:
         return max(plans, key=lambda plan: self._worth(plan, swept_cm))
 
     def _worth(self, plan: Plan, swept_cm: Sequence[float]) -> float:
-        """Expected share of pegs that are felt, plus of those that are placed, over the sides."""
+        """Expected shares of pegs that are felt and that are placed, summed over the sides."""
         sweeps = [
             _among(swept_cm, length) + (1 + plan.measurements) * (length in plan.stops)
             for length in self._lengths
         ]
-        return sum(sum(side.told_by(sweeps, _PLACED)) for side in self._sides)
+        return sum(sum(side.felt_and_placed(sweeps, _PLACED)) for side in self._sides)
 
     def expected_s(self, plan: Plan, length_cm: float = 0.0, settles_s: float = 0.0) -> float:
         """Robot time (s) that a plan takes from a length on.
 
-        There the sensors at the base settle for `settles_s` yet. From half of the full length on a
-        contact is expected at every other stop.
+        `settles_s` is the time until the sensors at the base have settled. Beyond half of the full
+        length, a contact is expected at every other stop.
         """
         config = self.config
         speed = config.spool.max_speed_cm_s

@@ -159,7 +159,7 @@ def _localized(
 
 
 def _somewhere(result: LocalizeResult, length_cm: float) -> LocalizeResult:
-    """The same contacts, of which nobody knows where they are."""
+    """The same contacts with intervals of the whole body: their places are unknown."""
     whole = (0.0, length_cm)
     contacts = tuple(
         replace(contact, status="ambiguous", interval=whole, intervals=(whole,))

@@ -25,7 +25,7 @@ _SMOOTH_CM = 0.25  # one sigma by which a sample of the arc is spread over the c
 
 @lru_cache(maxsize=4)
 def _atlas(length_cm: float, most_bend: float) -> Atlas:
-    """An atlas that all runs of a robot and their replays share: making it takes two seconds."""
+    """The atlas of a robot's body, kept for its runs and replays: making it takes two seconds."""
     return Atlas(length_cm, most_bend)
 
 
@@ -66,7 +66,7 @@ class SideFits:
         self._atlas = _atlas(config.body.length_cm, _MAP_ERRS * bend)
 
     def add(self, sweep: SweepResult, zone: int, sides: Collection[Side]) -> None:
-        """Take what a sweep, in a zone of body pressure, read on its way to these sides."""
+        """Add a sweep's readings towards these sides, made in a zone of body pressure."""
         for side in sides:
             self._sweeps[side].append(Swept(sweep, zone))
 

@@ -53,7 +53,7 @@ def point_estimates(
 ) -> list[MapContact]:
     """A frame's places of unknown error for the map, on the body as so many readings bend it.
 
-    Each stage's place is a contact of its own: nothing tells whether it is another's.
+    Each stage's place is a contact of its own: nothing shows whether two are the same obstacle.
     """
     contacts = []
     for contact in result.contacts:

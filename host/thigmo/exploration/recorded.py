@@ -276,7 +276,7 @@ def _check(folder: RunFolder, log: Log) -> None:
 
 
 def recorded_sweeps(run: str | os.PathLike[str]) -> list[SweepResult]:
-    """The sweeps in a run's raw record, in their order, for who wants to localize otherwise.
+    """The sweeps in a run's raw record, in their order, for programs that localize otherwise.
 
     Raises as `replay` does.
     """

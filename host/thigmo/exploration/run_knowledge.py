@@ -45,7 +45,7 @@ STEPS: dict[str, Step] = {}  # by name
 def _step(
     method: Callable[Concatenate[RunKnowledge, _P], _R],
 ) -> Callable[Concatenate[RunKnowledge, _P], _R]:
-    """Mark a method as a step of the run, of which the journal is told.
+    """Mark a method as a step of the run, which the journal keeps.
 
     Its positional arguments are readings, its keyword arguments are numbers.
     """
@@ -66,7 +66,7 @@ class RunKnowledge:
     """Takes a run's steps in their order.
 
     Attributes:
-        journal: is told each step before it is taken.
+        journal: called with each step before it is taken.
         interpreter: of the sweeps, with the map.
         stages: those that were swept to their end.
         looked: the stage's sweep for contacts.

@@ -1,4 +1,4 @@
-"""What sweeps that were not made yet would tell of a peg: for plans of where to sweep.
+"""How well planned sweeps would feel and place a peg: for plans of where to sweep.
 
 At each place of a grid over what a side reaches, the mechanics give the readings beside a peg of
 average size, and their derivatives by the peg and by calibration's errors. Sweeps add up their
@@ -50,7 +50,7 @@ class ExpectedSweeps:
         self._share, self._precision, self._log_prior = share, precision, log_prior
         self._before, self._length_cm = before, length_cm
 
-    def told_by(self, sweeps: Sequence[int], narrow: float) -> tuple[float, float]:
+    def felt_and_placed(self, sweeps: Sequence[int], narrow: float) -> tuple[float, float]:
         """Shares of pegs within the side's reach that are felt, and that are placed as well.
 
         `sweeps`: their number at each of the lengths. Placed is a peg whose 95 % interval along the
@@ -71,7 +71,7 @@ class ExpectedSweeps:
 
 
 def expected_sweeps(wiring: Wiring, side: Side, lengths: Sequence[float]) -> ExpectedSweeps:
-    """What sweeps of one side at everted lengths (cm) would tell."""
+    """Expected information of sweeps of one side at everted lengths (cm)."""
     config, table = wiring.config, SensorTable.of(wiring)
     muscle = config.muscle(side)
     use = table.usable(side, ~0)

@@ -19,10 +19,10 @@ def lengths() -> list[float]:
 
 def test_more_sweeps_never_tell_less(lengths: list[float]) -> None:
     side = expected_sweeps(Wiring.laid_out(RobotConfig()), "left", lengths)
-    assert side.told_by([0] * len(lengths), NARROW) == (0.0, 0.0)
+    assert side.felt_and_placed([0] * len(lengths), NARROW) == (0.0, 0.0)
     felt, placed = 0.0, 0.0
     for sweeps in ([0, 0, 0, 0, 0, 1], [0, 0, 0, 1, 0, 1], [0, 0, 0, 1, 1, 1], [1] * 6, [3] * 6):
-        more_felt, more_placed = side.told_by(sweeps, NARROW)
+        more_felt, more_placed = side.felt_and_placed(sweeps, NARROW)
         assert more_felt >= felt
         assert more_placed >= placed
         assert 0.0 < more_placed <= more_felt <= 1.0
@@ -32,7 +32,7 @@ def test_more_sweeps_never_tell_less(lengths: list[float]) -> None:
 def test_a_longer_body_feels_more_of_what_it_reaches(lengths: list[float]) -> None:
     side = expected_sweeps(Wiring.laid_out(RobotConfig()), "left", lengths)
     single = [[int(n == s) for n in range(len(lengths))] for s in range(len(lengths))]
-    felt = [side.told_by(sweeps, NARROW)[0] for sweeps in single]
+    felt = [side.felt_and_placed(sweeps, NARROW)[0] for sweeps in single]
     assert felt == sorted(felt)
     assert felt[0] < 0.1 < 0.9 < felt[-1]
 
@@ -45,7 +45,7 @@ def test_noise_and_unsure_places_of_sensors_cost_places_of_pegs(lengths: list[fl
         sensor.center_se_cm = 3.0
     sweeps = [0, 0, 0, 1, 1, 1]
     placed = [
-        expected_sweeps(Wiring.laid_out(config), "left", lengths).told_by(sweeps, NARROW)[1]
+        expected_sweeps(Wiring.laid_out(config), "left", lengths).felt_and_placed(sweeps, NARROW)[1]
         for config in (good, noisy, unsure)
     ]
     assert placed[1] < placed[0]
