@@ -426,7 +426,7 @@ class RobotConfig(Model):
                 raise ValueError(f"sensor[{number}] ends beyond body.length_cm")
             if sensor.center_cm - sensor.span_cm / 2 < -1e-6:
                 raise ValueError(f"sensor[{number}] begins before the base: see its span_cm")
-            column = isinstance(sensor, FibreSensor), sensor.direction_deg
+            column = sensor.on_board, sensor.direction_deg
             if sensor.center_cm < first.setdefault(column, sensor.center_cm):
                 raise ValueError(
                     f"sensor[{number}] lies before the first of its column: list them base first"

@@ -2,8 +2,9 @@
 
 A board's first half of inputs is for one column, the second for the other; the contact trigger can
 work on the first input of each. A column takes its own half first, base first, and then what the
-other column leaves free: the first input of that last. `Wiring.of` computes this once from a
-robot.toml; whoever needs it is given it.
+other column leaves free: the first input of that last. `Wiring.laid_out` computes this once from a
+robot.toml where a robot is connected, emulated, judged or read from a record; all other functions
+are given it.
 """
 
 from __future__ import annotations
@@ -126,7 +127,7 @@ class Wiring:
     inputs: Mapping[tuple[Side, int], int]  # in the plane, by side and place from the base
 
     @classmethod
-    def of(cls, config: RobotConfig) -> Wiring:
+    def laid_out(cls, config: RobotConfig) -> Wiring:
         """Lay out a robot's sensors; ConfigError for one that no board can hold.
 
         Those that lie out of the plane take what the two columns leave, a base sensor first where

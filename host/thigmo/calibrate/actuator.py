@@ -232,9 +232,9 @@ def _map_values(p: Array, log_amplitude: Array, log_scale: Array, offset: Array)
 
 def guided(bench: Bench) -> ActuatorResults:
     """Measure and fit maps and lags of all measurable muscles at the planned body pressures."""
-    config = bench.config
+    config, wiring = bench.config, bench.wiring
     zones = bench.plan.zones or tuple(range(len(config.body.zones)))
-    unmeasured = [m for m in config.muscles if not m.side and not _healthy_sensors(config, m)]
+    unmeasured = [m for m in config.muscles if not m.side and not _healthy_sensors(wiring, m)]
     measured = [m for m in config.muscles if m not in unmeasured]
     if not measured:
         raise DataError(*_unmeasured_text(unmeasured[0]).split("; "))
@@ -250,7 +250,7 @@ def guided(bench: Bench) -> ActuatorResults:
             if r["zone"] == zone
             and (r.get("side") == muscle.side if muscle.side else r.get("muscle") == muscle.name)
         ]  # fmt: skip
-        result = fit_actuator(readings_of(muscle_rows, config, muscle, zone))
+        result = fit_actuator(readings_of(muscle_rows, wiring, muscle, zone))
         record = ramps[muscle.name]
         if result.verdict.good and zone == zones[-1] and record is not None:
             lag = fit_lag(*record, result.muscle_map, muscle.reversal_psi)
@@ -260,24 +260,22 @@ def guided(bench: Bench) -> ActuatorResults:
     return together(fits, unmeasured)
 
 
-def _healthy_sensors(config: RobotConfig, muscle: Muscle) -> list[WiredSensor]:
-    return [wired for wired in Wiring.of(config).sensors_reading(muscle) if wired.sound]
+def _healthy_sensors(wiring: Wiring, muscle: Muscle) -> list[WiredSensor]:
+    return [wired for wired in wiring.sensors_reading(muscle) if wired.sound]
 
 
-def readings_of(
-    rows: Sequence[Row], config: RobotConfig, muscle: Muscle, zone: int
-) -> BendReadings:
+def readings_of(rows: Sequence[Row], wiring: Wiring, muscle: Muscle, zone: int) -> BendReadings:
     """Bends of one muscle at one body pressure, by camera if it can see them, else by sensors."""
     if muscle.side:
         k = SIGN[muscle.side] * column(rows, "k")
         error = np.nan_to_num(column(rows, "k_se"), nan=_PICTURE_SE)
         scale_se, sensors = CAMERA_SCALE_SE, 0
     else:
-        sound = _healthy_sensors(config, muscle)
+        sound = _healthy_sensors(wiring, muscle)
         k, error, scale_se = curvature_by_sensors(column(rows, "ohm"), sound)
         sensors = len(sound)
     branch, trial = tuple(r["branch"] for r in rows), np.array([r["trial"] for r in rows], np.int64)
-    psi, body_psi = column(rows, "psi"), config.body.zones[zone].pressure_psi
+    psi, body_psi = column(rows, "psi"), wiring.config.body.zones[zone].pressure_psi
     return BendReadings(muscle.name, body_psi, psi, k, error, branch, trial, scale_se, sensors)
 
 

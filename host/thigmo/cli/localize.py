@@ -236,7 +236,7 @@ def _calibrated(
     """
     import numpy as np
 
-    from thigmo.config import FibreSensor, RobotConfig, Sensor
+    from thigmo.config import RobotConfig, Sensor
     from thigmo.errors import DataError
     from thigmo.mechanics import rest_mean
     from thigmo.reading_errors import errors_of
@@ -261,7 +261,7 @@ def _calibrated(
         sensors.append(near)
     zone = robot.body.zone_at(length_cm)
     if table.strain is not None:
-        if not all(isinstance(sensor, FibreSensor) for sensor in sensors):
+        if any(sensor.on_board for sensor in sensors):
             raise DataError(
                 "strains, but not only of a fibre", f"correct {path}, or give curvatures"
             )

@@ -88,7 +88,11 @@ class _Switch:
 
 
 class Plant:
-    """Robot and room of a scene, random by `seed` (None takes the scene's)."""
+    """Robot and room of a scene, random by `seed` (None takes the scene's).
+
+    Attributes:
+        wiring: where the robot's sensors and muscles hang.
+    """
 
     def __init__(self, scene: Scene, seed: int | None = None) -> None:
         self.scene = scene
@@ -96,8 +100,8 @@ class Plant:
         robot = scene.robot
         self._robot = robot
         self._rng = rng
-        wiring = Wiring.of(robot)
-        board = wiring.size
+        self.wiring = Wiring.laid_out(robot)
+        board = self.wiring.size
         self.pressure_channel = first = board.sensors  # of the first muscle
         self.pegs = scene.peg_list()
         # Numbers of the obstacles that still stand; only these are part of the mechanics.
@@ -172,7 +176,7 @@ class Plant:
         self._contacts = _Switch(b.contact_s, b.contact_s)
         self._brake = _Switch(b.opens_s, b.closes_s)
         self.length_cm = start_cm
-        wired = wiring.sensors
+        wired = self.wiring.sensors
         turns = {n: s for n, s in enumerate(wired) if isinstance(s, config.HeadingSensor)}
         self._turning = np.array([*turns], dtype=np.intp)  # the inputs that IMUs are read into
         self.imus = ImuString(

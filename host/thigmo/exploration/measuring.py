@@ -59,7 +59,7 @@ def touch_curvature(frames: Sequence[SweepFrame], side: Side) -> float | None:
 def curvature_deficit(frames: Sequence[SweepFrame], side: Side) -> Floats:
     """By how much the base was held back in each frame of a side's way up, 1/cm.
 
-    A running median keeps edges and drops single frames, also the last one. On the way down the
+    A running median removes single outliers and keeps edges. The way down is left out: there the
     body may straighten sooner than the map says, as if it were held back.
     """
     mine = [(f.excess, f.free_curvature) for f in frames if f.side == side]
@@ -83,7 +83,7 @@ def pressed_enough(held_per_cm: float, config: RobotConfig, zone: int) -> bool:
 def pressing_zone(
     frames: Sequence[SweepFrame], sides: Collection[Side], config: RobotConfig, zone: int
 ) -> int:
-    """Zone of the body pressure in which contacts can be pressed hardest, found in another zone.
+    """Zone at whose body pressure contacts, felt in another zone, can be pressed hardest.
 
     `frames` are of the sweep that found them. A body under more pressure folds at a larger moment,
     but its muscles bend it less. From where the trigger fires, the base is held back further by at

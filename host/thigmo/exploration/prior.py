@@ -2,8 +2,8 @@
 
 What it shows makes a contact there likelier, and nothing more: the posterior over the arc is the
 likelihood times a prior in which the contact is as likely one of the known obstacles as a new one
-anywhere. A map that is wrong can so move an estimate within its interval, and cannot make a contact
-or hide one. Coordinates are those of obstacles.json: the robot's base at the origin, x along it.
+anywhere. A wrong map can move an estimate within its interval, but it cannot make a contact or
+hide one. Coordinates are those of obstacles.json: the robot's base at the origin, x along it.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _SAME_SIGMA = 3.0
 
 
 def boost(prior: Sequence[Obstacle], points: Floats, length_cm: float) -> Floats:
-    """Prior density at points of the skin, (n, 2) in cm, over that of an obstacle that may touch a
-    body of `length_cm` anywhere.
+    """Prior density of a contact at points of the skin, (n, 2) in cm, relative to no map.
 
-    The known ones together are as likely as a new one, so that a map makes no contact likelier than
-    it is without: over the arc the mean is about 1.
+    Without a map a contact is equally likely anywhere on a body of `length_cm`. The known obstacles
+    together are as likely as a new one, so the mean over the arc is about 1: a map makes no contact
+    likelier as a whole.
     """
     peak = length_cm / (_FLOOR_CM * np.sqrt(2 * np.pi)) / max(len(prior), 1)
     value = np.ones(len(points))

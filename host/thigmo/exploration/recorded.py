@@ -51,11 +51,11 @@ class RecordedSweep:
 class _Frames:
     """Reads the board's state off its frames, as the robot object does live."""
 
-    def __init__(self, config: RobotConfig) -> None:
-        self._wiring = Wiring.of(config)
-        self.table = SensorTable.of(self._wiring)
+    def __init__(self, wiring: Wiring) -> None:
+        self._wiring = wiring
+        self.table = SensorTable.of(wiring)
         self._enabled = self.table.board.healthy.copy()
-        rows = wire.parameters(**self._wiring.size.capacity)
+        rows = wire.parameters(**wiring.size.capacity)
         self._first, self._oversample = (rows[n].index for n in ("flex_enabled", "oversample_log2"))
         self._creep: CreepWatch | None = None
         self._clock = DeviceClock()
@@ -197,12 +197,13 @@ class RecordedRun:
         method: str = FIELD,
     ) -> None:
         self.logs = logs
-        self.knowledge = RunKnowledge(config, prior, method)
+        wiring = Wiring.laid_out(config)
+        self.knowledge = RunKnowledge(wiring, prior, method)
         self.sweeps: list[RecordedSweep] = []
         self.bad = 0
         for log in self.logs:
             _check(folder, log)
-            frames = _Frames(config)
+            frames = _Frames(wiring)
             self._read(log, frames)
             if frames.sweeps and all(note.facts["topic"] != "step" for note in log.notes):
                 raise RunFolderError(
@@ -275,12 +276,12 @@ def _check(folder: RunFolder, log: Log) -> None:
 
 
 def recorded_sweeps(run: str | os.PathLike[str]) -> list[SweepResult]:
-    """The sweeps in a run's raw record, in their order, for who wants to localize otherwise.
+    """The sweeps in a run's raw record, in their order, for programs that localize otherwise.
 
     Raises as `replay` does.
     """
     folder = RunFolder(run)
-    frames, log = _Frames(folder.read_config()), folder.read_log()
+    frames, log = _Frames(Wiring.laid_out(folder.read_config())), folder.read_log()
     _check(folder, log)
     for item in log.items:
         if isinstance(item, Entry):

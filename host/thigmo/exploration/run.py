@@ -63,7 +63,7 @@ class Exploration:
     """Drives one robot through the state table."""
 
     robot: Robot  # connected, not yet configured
-    config: RobotConfig  # robot.toml
+    wiring: Wiring  # of its robot.toml
     folder: RunFolder  # made
     log: LogWriter  # its record, open
     # what is known at the start; kept up to date, and written after each stage
@@ -93,14 +93,18 @@ class Exploration:
     def __post_init__(self) -> None:
         self.live = Live(self.robot)
         self._knowledge = self.knowledge or RunKnowledge(
-            self.config, self.prior, self.document.method
+            self.wiring, self.prior, self.document.method
         )
         self._knowledge.journal = self._note_step
         self._interpreter = self._knowledge.interpreter
-        self._wiring = Wiring.of(self.config)
-        self._table = SensorTable.of(self._wiring)
-        self._base = sum(1 << number for number in self._wiring.base_inputs)
+        self._table = SensorTable.of(self.wiring)
+        self._base = sum(1 << number for number in self.wiring.base_inputs)
         self.planner = Planner(self._short_of_the_map(), self.planner.effort)
+
+    @property
+    def config(self) -> RobotConfig:
+        """robot.toml."""
+        return self.wiring.config
 
     def run(self) -> None:
         """Walk the table to its end; each state has the method of its name.
@@ -154,18 +158,18 @@ class Exploration:
 
     # Before the first stage.
 
-    def _short_of_the_map(self) -> RobotConfig:
+    def _short_of_the_map(self) -> Wiring:
         """The robot as it is planned for: it ends short of an obstacle that the map has ahead."""
         ahead = obstacle_ahead(self.prior, self.config.body.radius_cm)
         if ahead is None or not self.config.body.grows or ahead[1] >= self.config.body.length_cm:
-            return self.config
+            return self.wiring
         planned = short_of(self.config, ahead[1])
         said = (
             f"it ends at {planned.body.length_cm:.1f} cm, short of what the map has in its path at "
             f"x {ahead[0]:.1f} cm, so obstacles farther out are not felt"
         )
         self._note(skips="; ".join(filter(None, [self.document.skips, said])))
-        return planned
+        return replace(self.wiring, config=planned)
 
     def _configure(self) -> str:
         if self.document.skips:
@@ -269,7 +273,7 @@ class Exploration:
 
     def _grown(self) -> Profile:
         """Lengths of the stage's growth, and what the sensors read at each."""
-        return self._growth.profile(SensorTable.of(self._wiring, self.robot.oversample))
+        return self._growth.profile(SensorTable.of(self.wiring, self.robot.oversample))
 
     def _back_off(self) -> str:
         """Wind in until the tip is clear of what stopped or bent it.
@@ -362,7 +366,7 @@ class Exploration:
             {
                 muscle.name: muscle.max_pressure_psi
                 for muscle in self.config.muscles
-                if muscle not in self._wiring.unguarded_muscles
+                if muscle not in self.wiring.unguarded_muscles
             },
             period_s=period_s(self.config, self._zone),
             rising_only=not thesis,
@@ -382,18 +386,13 @@ class Exploration:
         """Whether a side's sweep can stop, because the base is near its fold."""
         held = held_now(so_far.frames, so_far.peaks[-1].side)
         if held > TRIGGER_PER_CM:
-            self._show(so_far, self._zone)
+            self.live.sweeping(self._interpreter, so_far, self._zone, self.length_cm)
         return pressed_enough(held, self.config, self._zone)
-
-    def _show(self, so_far: SweepResult, zone: int) -> None:
-        """Publish what a sweep feels so far to viewers."""
-        if self.live.due and (answer := self._interpreter.so_far(so_far, zone)) is not None:
-            self.live.posterior(self.length_cm, answer, sweeping=True)
 
     def _measured_enough(self, so_far: SweepResult) -> bool:
         """Whether a measurement at a raised body pressure can stop: the base is near its fold."""
         zone = self._measured_zone
-        self._show(so_far, zone)
+        self.live.sweeping(self._interpreter, so_far, zone, self.length_cm)
         held = held_now(so_far.frames, so_far.peaks[-1].side)
         return zone != self._zone and pressed_enough(held, self.config, zone)
 

@@ -16,7 +16,7 @@ from typing import Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
-from thigmo.config import SAME_LENGTH_CM, RobotConfig
+from thigmo.config import SAME_LENGTH_CM
 from thigmo.exploration.methods import FIELD
 from thigmo.exploration.stage import Interpreter, SideAnswer
 from thigmo.exploration.stall import HeldBent, Obstruction, detect_held_bent, stall
@@ -45,7 +45,7 @@ STEPS: dict[str, Step] = {}  # by name
 def _step(
     method: Callable[Concatenate[RunKnowledge, _P], _R],
 ) -> Callable[Concatenate[RunKnowledge, _P], _R]:
-    """Mark a method as a step of the run, of which the journal is told.
+    """Mark a method as a step of the run, which the journal keeps.
 
     Its positional arguments are readings, its keyword arguments are numbers.
     """
@@ -66,7 +66,7 @@ class RunKnowledge:
     """Takes a run's steps in their order.
 
     Attributes:
-        journal: is told each step before it is taken.
+        journal: called with each step before it is taken.
         interpreter: of the sweeps, with the map.
         stages: those that were swept to their end.
         looked: the stage's sweep for contacts.
@@ -78,15 +78,13 @@ class RunKnowledge:
         straight_cm: up to this length the body is known not to be held bent.
     """
 
-    def __init__(
-        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = FIELD
-    ) -> None:
-        self._table = SensorTable.of(Wiring.of(config))
+    def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = (), method: str = FIELD) -> None:
+        self._table = SensorTable.of(wiring)
         self._board = self._table.board  # its zeros last from stage to stage
         self._zone = self._measured_zone = 0
         self._stage_looked = False
         self.journal: Journal = lambda step, numbers: None
-        self.interpreter = Interpreter(config, prior, method)
+        self.interpreter = Interpreter(wiring, prior, method)
         self.stages: list[Stage] = []
         self.looked = SweepResult()
         self.measured: SweepResult | None = None

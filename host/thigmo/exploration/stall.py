@@ -1,17 +1,17 @@
 """Obstructions of growth, by the sensors: a peg that stopped the tip or bent the body aside.
 
 The spool only pays out line; nothing measures its tension. If a peg stands ahead, the tip stalls,
-the tail goes slack, and the length that the encoder tells is too long from there on. But a sensor
-that everts passes through the tip's fold, the tightest bend there is: its reading rises and falls
-again. A sensor that lies behind the believed tip and shows no such thing has not come out. How far
-it got says where the tip is.
+the tail goes slack, and from there on the encoder's length is too long. But a sensor that everts
+passes through the tip's fold, the tightest bend there is: its reading rises and falls again. A
+sensor that should lie behind the tip and shows no such peak has not everted. How far it came shows
+where the tip is.
 
 A tip that meets a peg off its middle is not stopped but slides round it, and the vented robot then
-leans on the peg with its side. Zeroed so, every later reading would be wrong by that bend. But a
-zero, taken of the same sensor at the last stage, moves by its noise only: those that move by more,
-each by its lever, say that the body is held bent. The encoder says where: it was bent when the tip
-passed the peg. Wound in until its tip is clear of the peg, such a body straightens and the zeros
-come back. Those that stay have moved by themselves.
+leans on the peg with its side. If it is zeroed there, every later reading is wrong by that bend.
+From one stage to the next a sensor's zero moves by its noise only. Zeros that move by more, each in
+proportion to its lever, show that the body is held bent. It was bent as the tip passed the peg, and
+the encoder gives that length. Wound in until its tip is clear of the peg, such a body straightens,
+and its zeros come back. Zeros that do not come back have moved by themselves.
 """
 
 from __future__ import annotations
@@ -251,11 +251,11 @@ def detect_held_bent(
 
 
 def _first_zeros(profile: Profile, table: SensorTable) -> tuple[Profile, Floats, Floats]:
-    """A growth before the first zeros, without creep, and what they were before a bend and after.
+    """A growth before the first zeros, without creep, and estimated zeros before and after a bend.
 
-    Of the sensors nearest to the base, which everted first. Each creeps back to its rest, as a sum
-    of a slow and a fast decay; what a peg adds, it adds at once, to all of them at one length. The
-    length is that which leaves least.
+    Only the sensors nearest to the base are used, which everted first. Each creeps back to its rest
+    as a sum of a slow and a fast decay. A peg's bend appears in all of them at one length, at which
+    the fit leaves the smallest residual.
     """
     before, after = np.full((2, len(table.center_cm)), np.nan)
     out_cm = table.center_cm + table.span_cm / 2 + FOLD_MARGIN_CM

@@ -1,7 +1,7 @@
 """Young sensors while the robot stands still: their value at rest, and how well it is known.
 
 A sensor that has just everted creeps back to its straight reading. Readings of the vented robot
-tell its creep long before it has died away (`mechanics.settling`), so that a measurement need not
+show its creep long before it has died away (`mechanics.settling`), so that a measurement need not
 wait: the young sensor counts, from the rest that is predicted for the moment of the measurement,
 with the prediction's standard error added to its noise. Shared by the live robot and the replay.
 """

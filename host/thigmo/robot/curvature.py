@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.config import SIGN, FibreSensor, Side
+from thigmo.config import SIGN, Side
 from thigmo.reading_errors import shared_errors
 from thigmo.wiring import Wiring
 
@@ -71,6 +71,8 @@ class SensorTable:
     divider_ohm: float  # the divider's fixed resistor
     oversample: int  # conversions that a raw reading sums
     zero_sum: Floats  # raw readings at the last zeroing; NaN where there is none
+    # time from the gratings' zeros to a reading for which their errors hold, s
+    warm_s: float = np.inf
     strained_s: float = -np.inf  # device time at which the gratings were zeroed
 
     @classmethod
@@ -94,6 +96,7 @@ class SensorTable:
             divider_ohm=config.board.divider_ohm,
             oversample=oversample,
             zero_sum=np.full(len(sensors), np.nan),
+            warm_s=min((grating.warm_s for grating in config.gratings), default=np.inf),
         )
 
     @property
@@ -122,7 +125,7 @@ class SensorTable:
         """By how much more than stated the temperature may have changed at a device time."""
         if self.inputs == len(self.healthy):
             return 1.0
-        return max(1.0, (t_s - self.strained_s) / FibreSensor.warm_s)
+        return max(1.0, (t_s - self.strained_s) / self.warm_s)
 
     def warmed(self, warmth: float) -> SensorTable:
         """The same with the temperature's error scaled by this factor."""

@@ -1,4 +1,4 @@
-"""What a robot's sensors read: their zeros, who of them counts, and telemetry averaged in units.
+"""What a robot's sensors read: their zeros, which of them count, and telemetry averaged in units.
 
 `Robot` hands its sensors' commands on to here. Values are in the order of the board's inputs.
 """

@@ -299,8 +299,8 @@ class Supervisor:
                 f": {names} (0 = at the base)" if names else " now and then, at present none is"
             )
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
-            for kind in {type(sensor) for sensor in self._wiring.config.sensors}:
-                for words, other_words in kind.fault_words.items():
+            for sensor in self._wiring.config.sensors:
+                for words, other_words in sensor.fault_words.items():
                     problem = problem.replace(words, other_words)
                     cure = cure.replace(words, other_words)
         if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self._wiring.config)):

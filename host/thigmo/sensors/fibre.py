@@ -21,6 +21,8 @@ class FibreSensor(AnySensor):
     """
 
     wrinkles = False
+    on_board = False
+    calibrated_by_file = True
     kind: Literal["fibre"]  # a grating's reading in one direction
     span_cm: NonNegative = 0.5  # length of the grating
     scale_per_ue: NonZero = 2.7e-4  # 1/cm per microstrain; sign included

@@ -26,6 +26,7 @@ class HeadingSensor(AnySensor):
 
     wrinkles = False
     imu_inputs = 1
+    calibrated_by_file = True
     fault_words = {  # noqa: RUF012
         "A flex sensor's circuit is open": "An IMU does not answer",
         "its wire": "the IMUs at both its ends, and their bus",

@@ -36,12 +36,16 @@ class AnySensor(Placed):
 
     Class attributes:
         wrinkles: whether pressure in the muscle at its side spoils its reading.
+        on_board: whether the board reads it; otherwise an interrogator does.
         imu_inputs: how many of the board's inputs for IMUs one sensor needs.
+        calibrated_by_file: whether bends in a file calibrate it where no muscle bends the body.
         fault_words: words that replace the schema's, which are about flex sensors, in messages.
     """
 
     wrinkles: ClassVar[bool]
+    on_board: ClassVar[bool] = True
     imu_inputs: ClassVar[int] = 0
+    calibrated_by_file: ClassVar[bool] = False
     fault_words: ClassVar[Mapping[str, str]] = {}
     kind: str  # flex, heading or fibre
     center_cm: Positive  # of its span, from the base
@@ -73,6 +77,26 @@ class AnySensor(Placed):
     @abstractmethod
     def rescale(self, factor: float) -> None:
         """Multiply the curvature of every reading by a factor."""
+
+    def straightened(self, reading: float, rest_curvature: float) -> tuple[Self, float]:
+        """The curvature that a reading since the zero means, with the sensor's errors there.
+
+        `rest_curvature` (1/cm) is that of the body as the sensor was zeroed.
+        """
+        return self, reading
+
+    def quieter(self, factor: float) -> Self:
+        """A copy whose noise, and error of its zero, are a factor smaller."""
+        return self.model_copy(update={"noise": self.noise / factor})
+
+    def count_curvature(self, divider_ohm: float, counts: int) -> float:
+        """Curvature (1/cm) of one of a converter's counts behind a divider; 0 without a divider."""
+        return 0.0
+
+    @property
+    def response_against(self) -> tuple[float, float]:
+        """Response to bends against `bend_sign` over that along it, and one sigma of it."""
+        return 1.0, 0.0
 
     @property
     def usable(self) -> bool:

@@ -265,7 +265,7 @@ class _Sensors:
 
     @classmethod
     def draw(cls, kind: Drawn, config: RobotConfig, rng: np.random.Generator) -> _Sensors:
-        rows = Wiring.of(config).read_sensors
+        rows = Wiring.laid_out(config).read_sensors
         inputs = [n for n, sensor in enumerate(rows) if sensor and sensor.side == "right"]
         right_sensors = [sensor for sensor in rows if sensor and sensor.side == "right"]
         count = len(right_sensors)

@@ -38,6 +38,7 @@ from thigmo.exploration.scoring import felt_pegs, from_line
 from thigmo.mechanics import Peg
 from thigmo.record import MapContact, RunDocument, TrueContact, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
+from thigmo.wiring import Wiring
 from thigmo_bench.studies import charts
 from thigmo_bench.studies.engine import Claim, Context, Explorations, Outcome, Record, share
 from thigmo_bench.studies.rooms import explored_scene
@@ -360,7 +361,11 @@ def visit(room: Room) -> Run:
 def _effort(setting: str, config: RobotConfig) -> Effort:
     if setting == "thesis":
         return THESIS
-    return EFFORTS[setting] if setting in EFFORTS else within(float(setting.split()[0]), config)
+    return (
+        EFFORTS[setting]
+        if setting in EFFORTS
+        else within(float(setting.split()[0]), Wiring.laid_out(config))
+    )
 
 
 def rooms(context: Context) -> list[list[Room]]:

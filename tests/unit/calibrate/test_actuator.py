@@ -231,7 +231,7 @@ def lifted_rows(config: RobotConfig, seed: int, gains: np.ndarray):
     """Bends of that muscle as the bench keeps them; its first sensor broke on the way."""
     rng = np.random.default_rng(seed)
     made, up = bends(seed, "up", sigma=0.0), config.muscles[2]
-    reading_sensors = Wiring.of(config).sensors_reading(up)
+    reading_sensors = Wiring.laid_out(config).sensors_reading(up)
     rows = []
     for n, (k, psi) in enumerate(zip(made.curvature, made.pressure_psi, strict=True)):
         ohm = rng.normal(0, 500, 16)
@@ -249,7 +249,9 @@ def test_a_muscle_out_of_the_plane_is_mapped_by_the_sensors_that_read_its_bend(l
     up = config.muscles[2]
     for seed in range(20):
         gains = 1 + np.random.default_rng([seed, 2]).normal(0, 0.15, 4)
-        result = fit_actuator(readings_of(lifted_rows(config, seed, gains), config, up, 2))
+        result = fit_actuator(
+            readings_of(lifted_rows(config, seed, gains), Wiring.laid_out(config), up, 2)
+        )
         assert result.verdict.good, result.verdict
         assert "as 4 sensors read it" in result.verdict.reason
         off = result.muscle_map.inflate.curvature(18.0) / INFLATE.curvature(18.0) - 1
@@ -266,19 +268,24 @@ def test_a_muscle_out_of_the_plane_is_mapped_by_the_sensors_that_read_its_bend(l
 def test_sensors_that_see_nothing_of_a_bend_do_not_make_a_map_of_it():
     config = lifted()
     up = config.muscles[2]
-    still = fit_actuator(readings_of(lifted_rows(config, 0, np.zeros(4)), config, up, 2))
+    still = fit_actuator(
+        readings_of(lifted_rows(config, 0, np.zeros(4)), Wiring.laid_out(config), up, 2)
+    )
     assert not still.verdict.good
     assert "does not bend when the up muscle" in still.verdict.reason
-    turned = fit_actuator(readings_of(lifted_rows(config, 0, -np.ones(4)), config, up, 2))
+    turned = fit_actuator(
+        readings_of(lifted_rows(config, 0, -np.ones(4)), Wiring.laid_out(config), up, 2)
+    )
     assert "scale_per_ohm of the sensors has the wrong sign" in turned.verdict.reason
 
 
 @pytest.mark.parametrize("lies", [0.0, 90.0, 60.0, 300.0, 110.0])
 def test_sensors_that_wrinkle_or_lie_across_are_no_witnesses(lies):
     config = lifted(lies)
-    assert Wiring.of(config).sensors_reading(config.muscles[2]) == []
+    assert Wiring.laid_out(config).sensors_reading(config.muscles[2]) == []
     left = [
-        read.sensor.direction_deg for read in Wiring.of(config).sensors_reading(config.muscles[0])
+        read.sensor.direction_deg
+        for read in Wiring.laid_out(config).sensors_reading(config.muscles[0])
     ]
     assert left.count(270.0) == 5
     assert set(left) <= {270.0, 300.0}

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.field import Swept, read
 from thigmo.robot import Peak, SweepFrame, SweepResult
+from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
 FINE_S, FRAME_S, STARTS_S = 1e-3, 0.05, 0.5
@@ -44,7 +45,7 @@ def _sweep(side: Side, lags: int) -> SweepResult:
 def test_a_bend_behind_any_chain_of_lags_lies_between_a_lag_and_a_delay(
     side: Side, lags: int
 ) -> None:
-    prepared = read([Swept(_sweep(side, lags), ZONE)], side, CONFIG)
+    prepared = read([Swept(_sweep(side, lags), ZONE)], side, Wiring.laid_out(CONFIG))
     assert prepared is not None
     readings, _ = prepared
     assert readings.response is not None
@@ -58,7 +59,7 @@ def test_a_bend_behind_any_chain_of_lags_lies_between_a_lag_and_a_delay(
 
 
 def test_a_bin_knows_how_far_its_frames_bend_apart() -> None:
-    prepared = read([Swept(_sweep("left", 1), ZONE)], "left", CONFIG)
+    prepared = read([Swept(_sweep("left", 1), ZONE)], "left", Wiring.laid_out(CONFIG))
     assert prepared is not None
     readings, _ = prepared
     assert readings.half_range is not None
