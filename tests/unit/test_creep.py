@@ -13,7 +13,7 @@ from thigmo.robot.curvature import Floats, SensorTable
 from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
-TABLE = SensorTable.of(Wiring.laid_out(CONFIG))
+TABLE = SensorTable.laid_out(Wiring.laid_out(CONFIG))
 OVERSAMPLE = 16
 YOUNG = 1 << 4 | 1 << 9  # the last sensor of each side
 

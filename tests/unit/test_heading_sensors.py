@@ -22,7 +22,7 @@ from thigmo.robot.configuration import parameter_settings
 from thigmo.wiring import Wiring
 
 CONFIG = draft(100, 12, 2, kind="heading")
-TABLE = SensorTable.of(Wiring.laid_out(CONFIG))
+TABLE = SensorTable.laid_out(Wiring.laid_out(CONFIG))
 STRING = [sensor for sensor in CONFIG.sensors if isinstance(sensor, HeadingSensor)]
 ROWS = np.flatnonzero(TABLE.healthy)[np.argsort(TABLE.center_cm[TABLE.healthy])]
 

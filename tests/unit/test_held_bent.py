@@ -11,7 +11,7 @@ from thigmo.robot import Profile, SensorTable
 from thigmo.robot.curvature import Floats
 from thigmo.wiring import Wiring
 
-TABLE = SensorTable.of(Wiring.laid_out(RobotConfig()))
+TABLE = SensorTable.laid_out(Wiring.laid_out(RobotConfig()))
 LENGTHS = np.linspace(30.0, 40.0, 120)
 _KNOWN = (0, 1, 5, 6)  # zeroed before, at 5 and 15 cm of either side
 

@@ -9,7 +9,7 @@ import pytest
 
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError
-from thigmo.exploration.plan import stage_lengths
+from thigmo.exploration.growth import stage_lengths
 from thigmo.link import protocol as wire
 from thigmo.robot.configuration import map_settings, parameter_settings
 from thigmo.wiring import Wiring

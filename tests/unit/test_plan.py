@@ -7,7 +7,7 @@ import pytest
 from thigmo.config import FlexSensor, RobotConfig
 from thigmo.errors import ConfigError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, Plan, Planner, chosen_effort, within
-from thigmo.exploration.plan import growth_target, growth_zone, half_everted, stage_lengths
+from thigmo.exploration.growth import growth_target, growth_zone, half_everted, stage_lengths
 from thigmo.exploration.states import TRANSITIONS, State
 from thigmo.field import expected_sweeps
 from thigmo.wiring import Wiring

@@ -340,7 +340,7 @@ def test_too_many_sensors_for_the_board_are_named() -> None:
 def test_fewer_sensors_leave_the_rest_disabled() -> None:
     config = RobotConfig(sensors=[FlexSensor(center_cm=5.0)])
     assert parameter_settings(Wiring.laid_out(config))["flex_enabled"] == [1] + [0] * 9
-    assert SensorTable.of(Wiring.laid_out(config)).healthy.tolist() == [True] + [False] * 9
+    assert SensorTable.laid_out(Wiring.laid_out(config)).healthy.tolist() == [True] + [False] * 9
 
 
 def test_all_settings_fit_the_schemas_ranges() -> None:
@@ -397,7 +397,7 @@ def test_resistance_is_the_dividers_inverse(ohm: float) -> None:
 
 
 def test_an_open_circuit_gives_no_number() -> None:
-    table = SensorTable.of(Wiring.laid_out(RobotConfig())).zeroed(
+    table = SensorTable.laid_out(Wiring.laid_out(RobotConfig())).zeroed(
         dict.fromkeys(range(10), 16 * 640.0)
     )
     sums = np.full(10, 16 * 600.0)
@@ -413,14 +413,14 @@ def test_only_the_inactive_sides_sensors_that_answer_are_usable() -> None:
     config = RobotConfig()
     config.column("right")[0].healthy = False
     config.column("right")[1].bend_sign = -1
-    table = SensorTable.of(Wiring.laid_out(config))
+    table = SensorTable.laid_out(Wiring.laid_out(config))
     assert np.flatnonzero(table.usable("left", 0x3FF)).tolist() == [7, 8, 9]
     assert np.flatnonzero(table.usable("left", 0x17F)).tolist() == [8]
     assert np.flatnonzero(table.usable("right", 0x3FF)).tolist() == [0, 1, 2, 3, 4]
 
 
 def test_a_peak_is_the_mean_of_its_readings() -> None:
-    table = SensorTable.of(Wiring.laid_out(RobotConfig())).zeroed(
+    table = SensorTable.laid_out(Wiring.laid_out(RobotConfig())).zeroed(
         dict.fromkeys(range(10), 16 * 640.0)
     )
     shots = [

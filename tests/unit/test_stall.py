@@ -15,7 +15,7 @@ from thigmo.robot.curvature import Floats
 from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
-TABLE = SensorTable.of(Wiring.laid_out(CONFIG))
+TABLE = SensorTable.laid_out(Wiring.laid_out(CONFIG))
 
 
 def _growth(start: float, stop: float, tip: float = 99.0, seed: int = 0) -> tuple[Floats, Floats]:
@@ -61,7 +61,7 @@ def test_a_thicker_body_folds_more_gently() -> None:
     thick = RobotConfig()
     thick.body.diameter_cm *= 4
     length, bend = _growth(30.0, 40.0, 35.0)
-    obstruction = stall(length, bend / 6, SensorTable.of(Wiring.laid_out(thick)))
+    obstruction = stall(length, bend / 6, SensorTable.laid_out(Wiring.laid_out(thick)))
     assert obstruction is not None
     assert obstruction.arc_cm == pytest.approx(35.0, abs=1.0)
     # Of the thesis's tube so small a rise is creep.

@@ -33,7 +33,7 @@ from thigmo.design.bounds import FEWEST_READINGS, arc_bounds
 from thigmo.design.finding import Finding
 from thigmo.design.units import unit_questions
 from thigmo.errors import ConfigError
-from thigmo.exploration.plan import stage_lengths
+from thigmo.exploration.growth import stage_lengths
 from thigmo.link.protocol import PARAMETERS, parameters
 from thigmo.mechanics import critical_moment, phi, rest_turn, traced
 from thigmo.robot import TRIGGER_PER_CM

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from thigmo.config import SAME_LENGTH_CM, SIDES
 from thigmo.errors import DataError
-from thigmo.exploration.plan import stage_lengths
+from thigmo.exploration.growth import stage_lengths
 from thigmo.field import ExpectedSweeps, expected_sweeps
 from thigmo.robot import rising_period_s
 from thigmo.wiring import Wiring

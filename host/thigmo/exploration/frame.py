@@ -27,7 +27,7 @@ def localize_frame(peak: Peak, wiring: Wiring, zone: int, method: str) -> Locali
     is usable.
     """
     config = wiring.config
-    table = SensorTable.of(wiring).warmed(peak.warmth)
+    table = SensorTable.laid_out(wiring).warmed(peak.warmth)
     use = np.flatnonzero(table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature))
     sensors = [sensor for n in use if (sensor := wiring.read_sensors[n]) is not None]
     stated = errors_of(config, peak.side, zone, sensors)

@@ -53,7 +53,7 @@ class _Frames:
 
     def __init__(self, wiring: Wiring) -> None:
         self._wiring = wiring
-        self.table = SensorTable.of(wiring)
+        self.table = SensorTable.laid_out(wiring)
         self._enabled = self.table.board.healthy.copy()
         rows = wire.parameters(**wiring.size.capacity)
         self._first, self._oversample = (rows[n].index for n in ("flex_enabled", "oversample_log2"))

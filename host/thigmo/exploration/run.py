@@ -15,6 +15,13 @@ from typing import Any, Literal
 from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.effort import Plan, Planner
+from thigmo.exploration.growth import (
+    growth_target,
+    growth_zone,
+    short_of,
+    stage_lengths,
+    trial_zone,
+)
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import (
     held_now,
@@ -23,7 +30,6 @@ from thigmo.exploration.measuring import (
     pressing_zone,
 )
 from thigmo.exploration.obstacles import export_obstacles
-from thigmo.exploration.plan import growth_target, growth_zone, short_of, stage_lengths, trial_zone
 from thigmo.exploration.prior import obstacle_ahead
 from thigmo.exploration.run_control import Live, RunControl
 from thigmo.exploration.run_knowledge import RunKnowledge
@@ -97,7 +103,7 @@ class Exploration:
         )
         self._knowledge.journal = self._note_step
         self._interpreter = self._knowledge.interpreter
-        self._table = SensorTable.of(self.wiring)
+        self._table = SensorTable.laid_out(self.wiring)
         self._base = sum(1 << number for number in self.wiring.base_inputs)
         self.planner = Planner(self._short_of_the_map(), self.planner.effort)
 
@@ -273,7 +279,7 @@ class Exploration:
 
     def _grown(self) -> Profile:
         """Lengths of the stage's growth, and what the sensors read at each."""
-        return self._growth.profile(SensorTable.of(self.wiring, self.robot.oversample))
+        return self._growth.profile(SensorTable.laid_out(self.wiring, self.robot.oversample))
 
     def _back_off(self) -> str:
         """Wind in until the tip is clear of what stopped or bent it.

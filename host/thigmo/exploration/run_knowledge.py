@@ -79,7 +79,7 @@ class RunKnowledge:
     """
 
     def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = (), method: str = FIELD) -> None:
-        self._table = SensorTable.of(wiring)
+        self._table = SensorTable.laid_out(wiring)
         self._board = self._table.board  # its zeros last from stage to stage
         self._zone = self._measured_zone = 0
         self._stage_looked = False

@@ -61,7 +61,7 @@ class Interpreter:
         self._wiring, self._config = wiring, wiring.config
         self._thesis = method == THESIS
         self._prior = prior
-        self._table = SensorTable.of(wiring)
+        self._table = SensorTable.laid_out(wiring)
         self.map = ContactMap(wiring, prior)
 
     def take(self, sweep: SweepResult, zone: int) -> None:
@@ -244,7 +244,7 @@ def _swept_shapes(length_cm: float, zone: int, sweep: SweepResult, wiring: Wirin
     and so a sensor that reads too much makes no space free.
     """
     shapes = []
-    table, gain = SensorTable.of(wiring), _gain_errors(wiring)
+    table, gain = SensorTable.laid_out(wiring), _gain_errors(wiring)
     for side in SIDES:
         frames, readings = sweep.half(side)
         # A record with a gap may lack a sensor's zero.

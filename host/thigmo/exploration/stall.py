@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import median_filter
 
-from thigmo.exploration.plan import FOLD_MARGIN_CM
+from thigmo.exploration.growth import FOLD_MARGIN_CM
 from thigmo.record import Stall
 from thigmo.robot import Profile, SensorTable
 from thigmo.robot.curvature import Floats

@@ -72,7 +72,7 @@ class ExpectedSweeps:
 
 def expected_sweeps(wiring: Wiring, side: Side, lengths: Sequence[float]) -> ExpectedSweeps:
     """Expected information of sweeps of one side at everted lengths (cm)."""
-    config, table = wiring.config, SensorTable.of(wiring)
+    config, table = wiring.config, SensorTable.laid_out(wiring)
     muscle = config.muscle(side)
     use = table.usable(side, ~0)
     stages, bends, rates, frames = [], [], [], []

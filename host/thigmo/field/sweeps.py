@@ -61,7 +61,7 @@ def fold_moment(config: RobotConfig, zone: int) -> float:
 
 def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings, Errors] | None:
     """Readings of a side's sweeps in their order, with their errors; None where there are none."""
-    config, table, sign = wiring.config, SensorTable.of(wiring), SIGN[side]
+    config, table, sign = wiring.config, SensorTable.laid_out(wiring), SIGN[side]
     rows: list[_Bin] = []
     scatter = []
     number = 0
@@ -157,7 +157,7 @@ def _white(scatter: Floats, stated: Floats) -> Floats:
 
 def stated(wiring: Wiring, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
     """Errors of the sensors in `use` as robot.toml states them, with drifts since calibration."""
-    config, table = wiring.config, SensorTable.of(wiring)
+    config, table = wiring.config, SensorTable.laid_out(wiring)
     muscle, body = config.muscle(side), config.body
     rows = [sensor for sensor, used in zip(wiring.read_sensors, use, strict=True) if used]
     zero = np.array([sensor.zero_error if sensor else 0.0 for sensor in rows])

@@ -31,7 +31,7 @@ class CreepWatch:
     """Follows telemetry through a run; a raw reading sums `oversample` conversions."""
 
     def __init__(self, wiring: Wiring, oversample: int) -> None:
-        self._table = SensorTable.of(wiring, oversample).board
+        self._table = SensorTable.laid_out(wiring, oversample).board
         self._laws = {
             number: Settling(
                 s.settle_tau_s, _TAU_SE * s.settle_tau_s, s.settle_amplitude, _AMPLITUDE_SD

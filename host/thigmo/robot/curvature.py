@@ -76,7 +76,7 @@ class SensorTable:
     strained_s: float = -np.inf  # device time at which the gratings were zeroed
 
     @classmethod
-    def of(cls, wiring: Wiring, oversample: int = 16) -> SensorTable:
+    def laid_out(cls, wiring: Wiring, oversample: int = 16) -> SensorTable:
         """Lay out the robot's sensors in the board's order, without zeros."""
         sensors, config = wiring.read_sensors, wiring.config
         return cls(

@@ -140,7 +140,7 @@ def trials(folder: Folder) -> list[Trial]:
 
 def _trial(row: Row, wiring: Wiring, rows: Sequence[Row]) -> Trial:
     """A line of the table as a trial with usable sensors only, and free curvature from the map."""
-    config, table, scale_se = wiring.config, SensorTable.of(wiring), _scale_errors(wiring)
+    config, table, scale_se = wiring.config, SensorTable.laid_out(wiring), _scale_errors(wiring)
     side: Side = row["side"]
     muscle, sign = config.muscle(side), SIGN[side]
     zone = muscle.maps[-1]
@@ -179,7 +179,7 @@ def _gains_at_touch(rows: Sequence[Row], wiring: Wiring, side: Side) -> Floats:
     As `Specimen.learn_gains`. On a real robot, however, the errors of a reading (zero, hysteresis)
     are much the same in all trials, so that many trials say no more than one.
     """
-    table, muscle = SensorTable.of(wiring), wiring.config.muscle(side)
+    table, muscle = SensorTable.laid_out(wiring), wiring.config.muscle(side)
     bent_rows = [row for row in rows if row["side"] == side and row["passed_psi"]]
     zone, sign = muscle.maps[-1], SIGN[side]
     spread = np.maximum(np.hypot(_scale_errors(wiring), zone.scale_se), _LEAST_GAIN_SE)

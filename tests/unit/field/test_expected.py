@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.plan import stage_lengths
+from thigmo.exploration.growth import stage_lengths
 from thigmo.field import expected_sweeps
 from thigmo.wiring import Wiring
 

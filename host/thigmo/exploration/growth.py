@@ -1,4 +1,7 @@
-"""Where to stop: the lengths at which the robot sweeps, and the pressures on the way there."""
+"""Where growth stops: the lengths at which the robot can sweep, and the body pressures up to them.
+
+Of these lengths `effort` plans those at which it does.
+"""
 
 from __future__ import annotations
 
