@@ -24,7 +24,7 @@ HEAD = """\
 
 Written by `python tools/fault_table.py`; do not edit. Each row is a run of the firmware on the
 virtual board in the emulated body, at the body pressure that pulls hardest at the tail (1.47 psi,
-4.9 N). The failure begins in the middle of the motion and lasts 12 s. Muscles may be pressed to
+4.9 N). The failure begins in the middle of the motion and lasts 13 s. Muscles may be pressed to
 18.5 psi (`max_pressure_cpsi`).
 
 @SUMMARY@

@@ -32,7 +32,7 @@ from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
 MAX_PSI, CATHETER_MAX_PSI = 18.5, 28.5
 _COMMANDED_PSI = 18.0  # highest pressure of the commands in `STATES`
 START_CM = 20.0
-LASTS_S = 12.0
+LASTS_S = 13.0
 STEADY_S = 2.0  # end of the failure over which steady values are taken
 _LIVE_ZERO = 320  # of 1599: 4 mA
 EMPTIED_CM = 12.0  # travel of the spool in a second at full speed, while the body empties
