@@ -66,12 +66,12 @@ def page() -> str:
         lines += [f"## {title}", "", f"{summary(rows)} The list as a file: [{name}]({name}).", ""]
         lines += ["| part | count | what | order number | each | dated |", "| --- " * 6 + "|"]
         for row in rows:
-            each = row["price"]
+            price = row["price"]
             if row["source"]:
-                each = f"[{each if is_priced(row) else 'seller'}]({row['source']})"
-                each += "" if is_priced(row) else f", {row['price']}"
-            what = "; ".join(filter(None, (row["what"], row["part"])))
-            cells = (row["ref"], row["count"], what, row["order"], each, row["dated"])
+                price = f"[{price if is_priced(row) else 'seller'}]({row['source']})"
+                price += "" if is_priced(row) else f", {row['price']}"
+            description = "; ".join(filter(None, (row["what"], row["part"])))
+            cells = (row["ref"], row["count"], description, row["order"], price, row["dated"])
             lines.append(f"| {' | '.join(cells)} |")
         lines.append("")
     return "\n".join(lines)

@@ -191,7 +191,7 @@ class Search:
             nearest = self._atlas.likeliest(self._atlas.pegs(alone, alone.nothing()))[:_PLACES]
             places += [place for place in nearest if place.gain > _LEAST_PLACE]
         touches = sorted({(place.arc, place.bend) for place in places})
-        starts = [
+        groups = [
             [
                 np.array([*first, RADIUS_MEAN, *second, RADIUS_MEAN, 0.0, *_LEAST])
                 for first, second in combinations(touches, 2)
@@ -201,11 +201,11 @@ class Search:
             arcs, bends = _SECONDS
             seconds = product(self.fit.longest * arcs, self.readings.bend.max() * bends)
             known = peg[:OBSTACLE_UNKNOWNS]
-            starts.append(
+            groups.append(
                 [np.array([*known, *second, RADIUS_MEAN, 0.0, *_LEAST]) for second in seconds]
             )
         radii = RADIUS, RADIUS + OBSTACLE_UNKNOWNS
-        likeliest = [self._likeliest(PEGS, some, radii) for some in starts]
+        likeliest = [self._likeliest(PEGS, starts, radii) for starts in groups]
         solved = [self.fit.solve(PEGS, mode.q, mode.xi) for mode in likeliest if mode is not None]
         shown = [mode for mode in solved if self._shows(mode)]
         if not shown:

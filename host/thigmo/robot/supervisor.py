@@ -299,10 +299,11 @@ class Supervisor:
                 f": {names} (0 = at the base)" if names else " now and then, at present none is"
             )
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
-            for sensor in self._wiring.config.sensors:
-                for words, other_words in sensor.fault_words.items():
-                    problem = problem.replace(words, other_words)
-                    cure = cure.replace(words, other_words)
+            sensors = self._wiring.config.sensors
+            fault_words = dict(pair for sensor in sensors for pair in sensor.fault_words.items())
+            for words, other_words in fault_words.items():
+                problem = problem.replace(words, other_words)
+                cure = cure.replace(words, other_words)
         if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self._wiring.config)):
             cure = f"{hint}; {cure}"
         if self._address:

@@ -361,11 +361,9 @@ def visit(room: Room) -> Run:
 def _effort(setting: str, config: RobotConfig) -> Effort:
     if setting == "thesis":
         return THESIS
-    return (
-        EFFORTS[setting]
-        if setting in EFFORTS
-        else within(float(setting.split()[0]), Wiring.laid_out(config))
-    )
+    if setting in EFFORTS:
+        return EFFORTS[setting]
+    return within(float(setting.split()[0]), Wiring.laid_out(config))
 
 
 def rooms(context: Context) -> list[list[Room]]:
