@@ -59,7 +59,6 @@ _LEARNT = 0.75  # share of a later round that lies as earlier samples are spread
 _LEAST_SHARE = 0.02  # of a chain's weight, with less of which nothing is learnt of it
 _NEGLIGIBLE = 1e-3  # share of a level of the mechanics' error that later rounds omit
 ROUND, ROUNDS = 60, 16
-_WALL_ROUNDS = 4  # a wall's tables take ten times as long
 ENOUGH = 50.0  # effective samples
 _KEPT = np.array([0, 1, 3, 4, 5, 6])  # unknowns other than the radius
 _UNFOLDED = 0.25  # of the proposals, against those that hold to a mode's fold
@@ -300,8 +299,6 @@ class Search:
         counts = np.zeros(ROUNDS * len(chains) + 1)
         drawn: list[_Draw] = []
         weight, round_shares = np.zeros(0), [1.0]
-        if hypothesis.walls:
-            rounds = min(rounds, _WALL_ROUNDS)
         for _ in range(rounds):
             for n in rng.choice(len(round_shares), ROUND, p=round_shares):
                 at = len(proposals) - len(round_shares) + n if n else 0
