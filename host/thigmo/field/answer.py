@@ -16,7 +16,6 @@ from thigmo.field.fit import ALIKE, Mode
 from thigmo.field.hypotheses import (
     BEND,
     FRICTION,
-    OBSTACLE_UNKNOWNS,
     PEG,
     PEGS,
     RADIUS,
@@ -25,7 +24,7 @@ from thigmo.field.hypotheses import (
     WALL_BEND,
     Body,
 )
-from thigmo.field.posterior import ENOUGH, ROUNDS, Samples, Search
+from thigmo.field.posterior import ENOUGH, Samples, Search
 from thigmo.field.readings import Errors, Floats, Readings
 
 # Log likelihood that a place must gain for a fit: with less, the prior odds of a place refuse it.
@@ -44,7 +43,6 @@ _END, _END_STD = 1.0, 0.5
 # Where one peg leaves more, though possible, it is weighed against two and a wall.
 _USUAL = 1.0
 _TRACK = 25  # points
-_FEW_ROUNDS = 3
 _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
 
 # Probability of a touch before the first bin, where no reading shows when it came, beyond which a
@@ -137,11 +135,14 @@ def _contacts(
     # One peg may leave no more than is usual where two are touched at different lengths, or where a
     # second one is touched beyond it. So two are weighed in any case; where one holds, they must be
     # likelier.
-    pairs = search.pairs(None if peg is None else peg.likeliest)
-    for modes in (pairs, [] if holds else search.walls()):
+    rivals = [search.pairs(None if peg is None else peg.likeliest)]
+    if not holds:
+        rivals.append(search.walls())
+    # The likelier first: its samples may leave the other too unlikely to be sampled.
+    for chains in sorted(rivals, key=lambda chains: -_laplace(search, chains)):
         least = explanations[0].log_evidence - (0.0 if holds else _NEAR)
-        if modes and max(map(search.laplace, modes)) > least:
-            samples = _sampled(search, [modes], expected)
+        if _laplace(search, chains) > least:
+            samples = _sampled(search, chains, expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
     return _answer(search, explanations, _doubt(explanations, readings))
@@ -187,13 +188,14 @@ def _gave_way(
 def _sampled(
     search: Search, chains: list[list[Mode]], expected: Callable[[Floats], Floats] | None
 ) -> Samples | None:
-    """Samples around modes; few, for their evidence alone, if the likeliest leaves too much.
+    """Samples around modes; few, for their evidence alone, if the likeliest leaves too much."""
+    most = _most_misfit(search.readings) / ALIKE
+    return search.sample(chains, expected=expected, most_misfit=most)
 
-    Where nothing explains the readings, samples that agree are hard to get, and place nothing.
-    """
-    left = search.misfit([mode for chain in chains for mode in chain]) * ALIKE
-    explains = left <= _most_misfit(search.readings)
-    return search.sample(chains, expected=expected, rounds=ROUNDS if explains else _FEW_ROUNDS)
+
+def _laplace(search: Search, chains: list[list[Mode]]) -> float:
+    """Log evidence of the likeliest of modes, were its posterior a bell."""
+    return max((search.laplace(mode) for chain in chains for mode in chain), default=-np.inf)
 
 
 def _log_odds(search: Search, samples: Samples) -> float:
@@ -239,8 +241,8 @@ def _face(samples: Samples, obstacle: int, body: Body) -> Floats:
     """
     if obstacle < samples.hypothesis.pegs:
         return np.zeros((0, 2))
-    start = OBSTACLE_UNKNOWNS * obstacle
-    turn = body.longest * samples.q[:, start + WALL_BEND] - samples.q[:, start + TILT]
+    wall = samples.q[:, samples.hypothesis.unknowns_of(obstacle)]
+    turn = body.longest * wall[:, WALL_BEND] - wall[:, TILT]
     heading = np.angle(samples.weight @ np.exp(1j * turn))
     first = samples.weight @ [samples.hypothesis.skin(q, body)[obstacle] for q in samples.q]
     points = [first]
@@ -311,11 +313,12 @@ def _placed(
     felt = sorted({round(readings.stages[s].length, 2) for s in reached})
     q = samples.q[on]
     is_peg = obstacle < samples.hypothesis.pegs
-    bends = q[:, OBSTACLE_UNKNOWNS * obstacle + (BEND if is_peg else WALL_BEND)]
+    unknowns = q[:, samples.hypothesis.unknowns_of(obstacle)]
+    bends = unknowns[:, BEND if is_peg else WALL_BEND]
     before = bends < readings.bend[np.isin(readings.stage, reached)].min()
     if not doubt and len(felt) == 1 and weight @ before > _EARLY:
         doubt = EARLY_WORDS
-    radii = readings.radius * np.exp(q[:, OBSTACLE_UNKNOWNS * obstacle + RADIUS])
+    radii = readings.radius * np.exp(unknowns[:, RADIUS])
     return FieldContact(
         length_cm=length,
         arc_cm=float(mean[0]),

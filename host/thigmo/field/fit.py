@@ -22,7 +22,6 @@ from thigmo.field.hypotheses import (
     FOLD,
     FRICTION,
     NOTHING,
-    OBSTACLE_UNKNOWNS,
     UNSIGNED,
     YIELD,
     Body,
@@ -292,8 +291,8 @@ class FieldFit:
                 on = slice(first, rows)
                 mean[s, on], shift[s, on] = sweep.readings, sweep.by_place
                 for p, moves in enumerate(chain):
-                    unknowns = slice(OBSTACLE_UNKNOWNS * p, OBSTACLE_UNKNOWNS * (p + 1))
-                    by_q[s, on, :, unknowns] = sweep.by_obstacle[:, :, p, :5] @ moves
+                    by_place = sweep.by_obstacle[:, :, p, :5]
+                    by_q[s, on, :, hypothesis.unknowns_of(p)] = by_place @ moves
                 yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
                 by_q[s, on, :, YIELD] = yields
                 if np.isfinite(critical):  # else the base does not fold
@@ -449,7 +448,9 @@ class FieldFit:
         k, bounded = q.size, np.array(UNSIGNED) % q.size
         unit = self.longest
         turn = _LARGEST_TURN / unit
-        most = hypothesis.columns((0.06 * unit, turn, 0.6), 0.15, 0.3, 0.5, 0.05, (turn, 0.2, 0.6))
+        most = hypothesis.columns(
+            (0.06 * unit, turn, 0.6), 0.15, 0.3, 0.5, 0.05, (turn, 0.2, 0.6, 0.06)
+        )
         mean, spread = hypothesis.bells(self.body)
         precision = np.concatenate([1 / spread**2, np.ones(self.count)])
 

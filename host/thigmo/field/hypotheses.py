@@ -4,9 +4,10 @@ A place is named by its *touch*: the arc and the bend at which the free body, be
 first touches it. Touches cover the plane one to one, and sweeps measure just these two, so their
 errors are nearly independent. A place that only the flat end can reach has an arc beyond the body:
 side, corner and face are one hypothesis. A straight wall is touched by the end's corner, since a
-bent body is hollow towards it; it is named by the bend at which the longest body's end touches it,
-the angle that they then make, and how far it goes on towards the base. Lengths in cm, bends in
-1/cm, positive towards the inflated side.
+bent body is hollow towards it; it is named by the bend at which the longest body's end touches its
+line, the angle that they then make, how far it goes on towards the base, and how far ahead. It may
+end short of that touch: then only shorter bodies touch its face, and longer ones its end. Lengths
+in cm, bends in 1/cm, positive towards the inflated side.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ Floats = npt.NDArray[np.float64]
 
 # Unknowns of a peg and of a wall, and those that all obstacles of a side share.
 ARC, BEND, RADIUS = range(3)
-WALL_BEND, TILT, REACH = range(3)
-OBSTACLE_UNKNOWNS, SHARED_UNKNOWNS = 3, 4
+WALL_BEND, TILT, REACH, AHEAD = range(4)
+PEG_UNKNOWNS, WALL_UNKNOWNS, SHARED_UNKNOWNS = 3, 4, 4
 FOLD, FRICTION, YIELD, BASE = -4, -3, -2, -1
 UNSIGNED = FRICTION, YIELD, BASE  # not negative
 
@@ -43,6 +44,9 @@ ANOTHER = 0.3  # prior odds that one more obstacle is within a side's reach
 # touch to the end's face, a ledge to a whole side of a room.
 TILT_MEAN, TILT_STD = 0.7, 0.5
 REACH_MEAN, REACH_STD = float(np.log(0.3)), 0.8
+# Way from there to its other end, over the longest body: negative where it ends short of the touch.
+AHEAD_MEAN, AHEAD_STD = 0.3, 0.4
+_LEAST_WALL = 0.02  # length of a wall over the longest body
 _WALL_RADIUS = 0.25  # half a wall's thickness over the tube's radius: it shows at the wall's end
 _MOST_TILT = 1.7
 _WALL_POINTS = 60  # at which a wall's distance is taken
@@ -72,10 +76,11 @@ class Body:
 class Hypothesis:
     """A number of pegs, or a wall.
 
-    Unknowns q (3 obstacles + 4): of each peg the arc and the bend of its touch and the logarithm of
-    its radius over the tube's; of a wall `WALL_BEND`, `TILT` and `REACH`; then, shared, the
-    logarithm of the fold's moment over the stated one; friction; what obstacles yield, over
-    `Body.yield_unit`; compliance of the base over `Body.longest`. The last three are not negative.
+    Unknowns q (3 pegs + 4 walls + 4): of each peg the arc and the bend of its touch and the
+    logarithm of its radius over the tube's; of each wall `WALL_BEND`, `TILT`, `REACH` and `AHEAD`;
+    then, shared, the logarithm of the fold's moment over the stated one; friction; what obstacles
+    yield, over `Body.yield_unit`; compliance of the base over `Body.longest`. The last three are
+    not negative.
     """
 
     pegs: int = 0
@@ -89,7 +94,9 @@ class Hypothesis:
     @property
     def unknowns(self) -> int:
         """Number of unknowns; 0 if nothing stands there."""
-        return OBSTACLE_UNKNOWNS * self.obstacles + SHARED_UNKNOWNS if self.obstacles else 0
+        if not self.obstacles:
+            return 0
+        return PEG_UNKNOWNS * self.pegs + WALL_UNKNOWNS * self.walls + SHARED_UNKNOWNS
 
     def columns(
         self,
@@ -98,16 +105,22 @@ class Hypothesis:
         friction: float,
         yields: float,
         base: float,
-        wall: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        wall: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> Floats:
         """(unknowns,) one value for each unknown."""
         if not self.obstacles:
             return np.zeros(0)
         return np.array([*peg * self.pegs, *wall * self.walls, fold, friction, yields, base])
 
-    def rows(self, q: Floats) -> Floats:
-        """(obstacles, 3) the unknowns of each obstacle, pegs first."""
-        return np.reshape(q[: OBSTACLE_UNKNOWNS * self.obstacles], (-1, OBSTACLE_UNKNOWNS))
+    def unknowns_of(self, obstacle: int) -> slice:
+        """Where the unknowns of an obstacle stand in q; pegs come first."""
+        walls = max(obstacle - self.pegs, 0)
+        start = PEG_UNKNOWNS * (obstacle - walls) + WALL_UNKNOWNS * walls
+        return slice(start, start + (PEG_UNKNOWNS if obstacle < self.pegs else WALL_UNKNOWNS))
+
+    def rows(self, q: Floats) -> list[Floats]:
+        """The unknowns of each obstacle, pegs first: (3,) of a peg, (4,) of a wall."""
+        return [q[self.unknowns_of(n)] for n in range(self.obstacles)]
 
     def place(self, q: Floats, body: Body) -> list[Obstacle]:
         """The obstacles in the side's plane, pegs first."""
@@ -127,11 +140,15 @@ class Hypothesis:
             arc, bend = row[:2] if n < self.pegs else (body.longest, row[WALL_BEND])
             turn = arc * bend
             x, y = np.sin(turn) / bend, (1 - np.cos(turn)) / bend
-            points.append((x - body.radius * np.sin(turn), y + body.radius * np.cos(turn)))
+            x, y = x - body.radius * np.sin(turn), y + body.radius * np.cos(turn)
+            if n >= self.pegs:  # a wall that ends short of the touch has its end touched
+                short, way = body.longest * min(row[AHEAD], 0.0), turn - row[TILT]
+                x, y = x + short * np.cos(way), y + short * np.sin(way)
+            points.append((x, y))
         return np.array(points)
 
     def moves(self, q: Floats, body: Body) -> list[Floats]:
-        """Derivatives (5, 3) of each obstacle's x, y, radius and last end by its unknowns."""
+        """Derivatives (5, .) of each obstacle's x, y, radius and last end by its unknowns."""
         return [
             _peg_moves(row, body) if n < self.pegs else _wall_moves(row, body)
             for n, row in enumerate(self.rows(q))
@@ -152,6 +169,7 @@ class Hypothesis:
                 low < row[WALL_BEND] < min(body.most_bend, _MOST_TURN / body.longest)
                 and 0.0 < row[TILT] < _MOST_TILT
                 and row[REACH] < 0.0
+                and row[AHEAD] + np.exp(row[REACH]) > _LEAST_WALL
             ):
                 return False
         room = body.radius * (1 - _CLEAR)
@@ -168,11 +186,12 @@ class Hypothesis:
     def bells(self, body: Body) -> tuple[Floats, Floats]:
         """Mean and standard deviation of each unknown; infinite where the plane is even."""
         mean = self.columns(
-            (0.0, 0.0, RADIUS_MEAN), 0.0, 0.0, 0.0, body.base, (0.0, TILT_MEAN, REACH_MEAN)
-        )
+            (0.0, 0.0, RADIUS_MEAN), 0.0, 0.0, 0.0, body.base,
+            (0.0, TILT_MEAN, REACH_MEAN, AHEAD_MEAN),
+        )  # fmt: skip
         spread = self.columns(
             (np.inf, np.inf, RADIUS_STD), body.fold_error, FRICTION_STD, YIELD_STD,
-            max(body.base_error, _LEAST_BASE_ERROR), (np.inf, TILT_STD, REACH_STD),
+            max(body.base_error, _LEAST_BASE_ERROR), (np.inf, TILT_STD, REACH_STD, AHEAD_STD),
         )  # fmt: skip
         return mean, spread
 
@@ -209,7 +228,7 @@ def _peg_moves(row: Floats, body: Body) -> Floats:
     radius, turn = float(np.exp(log_radius)) * body.radius, arc * bend
     across = 1 / bend - body.radius - radius
     sine, cosine = float(np.sin(turn)), float(np.cos(turn))
-    moves = np.zeros((5, OBSTACLE_UNKNOWNS))
+    moves = np.zeros((5, PEG_UNKNOWNS))
     moves[:2, ARC] = bend * across * cosine, bend * across * sine
     moves[:2, BEND] = (
         arc * across * cosine - sine / bend**2,
@@ -220,34 +239,34 @@ def _peg_moves(row: Floats, body: Body) -> Floats:
 
 
 def faced(row: Floats, body: Body, compliance: float = 0.0) -> Wall:
-    """The wall of three unknowns.
+    """The wall of four unknowns.
 
-    They are the bend at which the longest body's end touches it; the angle from its face to the
-    end's heading, rad; and the logarithm of its way from the touch towards the base, over
-    `Body.longest`. Beyond the touch it goes on.
+    They are the bend at which the longest body's end touches its line; the angle from its face to
+    the end's heading, rad; the logarithm of its way from the touch towards the base, over
+    `Body.longest`; and its way beyond the touch, over the same.
     """
-    bend, tilt, reach = row.tolist()
+    bend, tilt, reach, ahead = row.tolist()
     length, radius = body.longest, _WALL_RADIUS * body.radius
     turn = length * bend
     way = turn - tilt
     # The end's corner, and from there the wall's middle line.
     x = np.sin(turn) / bend - body.radius * np.sin(turn) - radius * np.sin(way)
     y = (1 - np.cos(turn)) / bend + body.radius * np.cos(turn) + radius * np.cos(way)
-    back = length * np.exp(reach)
+    back, ahead = length * np.exp(reach), length * ahead
     c, d = np.cos(way), np.sin(way)
     return Wall(
-        float(x - back * c), float(y - back * d), float(x + length * c), float(y + length * d),
+        float(x - back * c), float(y - back * d), float(x + ahead * c), float(y + ahead * d),
         radius, compliance,
     )  # fmt: skip
 
 
 def _wall_moves(row: Floats, body: Body) -> Floats:
-    moves = np.zeros((5, OBSTACLE_UNKNOWNS))
-    for n, step in enumerate((1e-5 / body.longest, 1e-5, 1e-5)):
+    moves = np.zeros((5, WALL_UNKNOWNS))
+    for n, step in enumerate((1e-5 / body.longest, 1e-5, 1e-5, 1e-5)):
         low, high = (
             np.array([wall.x, wall.y, wall.radius, wall.end_x, wall.end_y])
             for wall in (
-                faced(row + way * step * np.eye(OBSTACLE_UNKNOWNS)[n], body) for way in (-1.0, 1.0)
+                faced(row + way * step * np.eye(WALL_UNKNOWNS)[n], body) for way in (-1.0, 1.0)
             )
         )
         moves[:, n] = (high - low) / (2 * step)

@@ -22,14 +22,17 @@ from scipy.special import gammaln, logsumexp, softmax
 from thigmo.field.atlas import Atlas
 from thigmo.field.fit import MOST_EVIDENCE_PASSES, SPREAD_STD, FieldFit, Mode
 from thigmo.field.hypotheses import (
+    AHEAD,
+    AHEAD_MEAN,
     BASE,
     FOLD,
-    OBSTACLE_UNKNOWNS,
     PEG,
+    PEG_UNKNOWNS,
     PEGS,
     RADIUS,
     RADIUS_MEAN,
     RADIUS_STD,
+    SHARED_UNKNOWNS,
     UNSIGNED,
     WALL,
     YIELD,
@@ -58,7 +61,7 @@ _SPREAD = 1.15  # of their covariance
 _LEARNT = 0.75  # share of a later round that lies as earlier samples are spread
 _LEAST_SHARE = 0.02  # of a chain's weight, with less of which nothing is learnt of it
 _NEGLIGIBLE = 1e-3  # share of a level of the mechanics' error that later rounds omit
-ROUND, ROUNDS = 60, 16
+ROUND, ROUNDS, _FEW_ROUNDS = 60, 16, 3
 ENOUGH = 50.0  # effective samples
 _KEPT = np.array([0, 1, 3, 4, 5, 6])  # unknowns other than the radius
 _UNFOLDED = 0.25  # of the proposals, against those that hold to a mode's fold
@@ -70,8 +73,10 @@ _LEAST_PLACE = 3.0  # log likelihood that a length by itself gains by a place
 # Touches of a second peg beside the likeliest one: arcs over the longest body, bends over the
 # highest.
 _SECONDS = np.linspace(0.25, 1.05, 7), np.linspace(0.15, 0.95, 6)
-# Of the search for a wall: bends over the highest, tilts (rad) and reaches.
+# Of the search for a wall: bends over the highest, tilts (rad) and reaches; and ways over the
+# longest body by which the likeliest one is tried to end short of the touch.
 _WALLS = np.linspace(0.1, 0.9, 6), (0.25, 0.6, 0.95, 1.3), (np.log(0.4),)
+_SHORT = -0.01, -0.04, -0.1
 
 
 @dataclass(frozen=True)
@@ -178,8 +183,8 @@ class Search:
                 n += way
         return [nodes[n] for n in sorted(nodes)]
 
-    def pairs(self, peg: Floats | None = None) -> list[Mode]:
-        """Modes of two pegs: the likeliest one with free radii, and some beside it.
+    def pairs(self, peg: Floats | None = None) -> list[list[Mode]]:
+        """Modes of two pegs, in one chain: the likeliest one with free radii, and some beside it.
 
         `peg`: (7,) likeliest unknowns of a single one, beside which a second one is sought all over
         the plane.
@@ -199,11 +204,11 @@ class Search:
         if peg is not None:
             arcs, bends = _SECONDS
             seconds = product(self.fit.longest * arcs, self.readings.bend.max() * bends)
-            known = peg[:OBSTACLE_UNKNOWNS]
+            known = peg[:PEG_UNKNOWNS]
             groups.append(
                 [np.array([*known, *second, RADIUS_MEAN, 0.0, *_LEAST]) for second in seconds]
             )
-        radii = RADIUS, RADIUS + OBSTACLE_UNKNOWNS
+        radii = RADIUS, RADIUS + PEG_UNKNOWNS
         likeliest = [self._likeliest(PEGS, starts, radii) for starts in groups]
         solved = [self.fit.solve(PEGS, mode.q, mode.xi) for mode in likeliest if mode is not None]
         shown = [mode for mode in solved if self._shows(mode)]
@@ -216,25 +221,39 @@ class Search:
             q[list(radii)] += aside
             if PEGS.possible(q, self.fit.body):
                 modes.append(self.fit.solve(PEGS, q, free.xi, passes=3, held=radii))
-        return [mode for mode in modes if self._shows(mode)]
+        shown = [mode for mode in modes if self._shows(mode)]
+        return [shown] if shown else []
 
-    def walls(self) -> list[Mode]:
-        """The likeliest mode of a wall, if one is possible."""
+    def walls(self) -> list[list[Mode]]:
+        """Modes of a wall: the likeliest that goes on ahead, and one that ends short of the touch.
+
+        How far ahead it goes shows only once a body has slipped past its end, so nothing leads from
+        a wall that goes on to one that ends.
+        """
         bends, tilts, reaches = _WALLS
         highest = float(self.readings.bend.max())
         starts = [
-            np.array([highest * bend, tilt, reach, 0.0, *_LEAST])
+            np.array([highest * bend, tilt, reach, AHEAD_MEAN, 0.0, *_LEAST])
             for bend, tilt, reach in product(bends, tilts, reaches)
         ]
         best = self._likeliest(WALL, starts, ())
-        free = self.fit.solve(WALL, best.q, best.xi) if best is not None else None
-        return [] if free is None or not self._shows(free) else [free]
+        if best is None:
+            return []
+        whole = self.fit.solve(WALL, best.q, best.xi)
+        short = []
+        for ahead in _SHORT:
+            q = whole.q.copy()
+            q[AHEAD] = ahead
+            if WALL.possible(q, self.fit.body):
+                short.append(self.fit.solve(WALL, q, whole.xi))
+        modes = [whole, *sorted(short, key=lambda mode: mode.cost)[:1]]
+        return [[mode] for mode in modes if self._shows(mode)]
 
     def _shows(self, mode: Mode) -> bool:
         """Whether the readings say of each obstacle where it is: more than that it is in reach."""
         unit, most = self.fit.longest, np.inf
         wide = mode.hypothesis.columns(
-            (unit, 1 / unit, most), most, most, most, most, (1 / unit, 1.0, most)
+            (unit, 1 / unit, most), most, most, most, most, (1 / unit, 1.0, most, most)
         )
         known = np.isfinite(wide)
         scaled = mode.precision[np.ix_(known, known)] * np.outer(wide[known], wide[known])
@@ -251,7 +270,7 @@ class Search:
                 log, xi, _ = rough.evidence(rough.tables(hypothesis, q), rough.free(), passes=1)
                 tried.append((log + hypothesis.log_prior(q, rough.body), q, xi))
         tried.sort(key=lambda trial: -trial[0])
-        shared = tuple(range(OBSTACLE_UNKNOWNS * hypothesis.obstacles, hypothesis.unknowns))
+        shared = tuple(range(hypothesis.unknowns - SHARED_UNKNOWNS, hypothesis.unknowns))
         first = [
             rough.solve(hypothesis, q, xi, passes=6, held=held + shared)
             for _, q, xi in tried[:_PAIRS]
@@ -259,16 +278,6 @@ class Search:
         first.sort(key=lambda mode: mode.cost)
         modes = [self.fit.solve(hypothesis, mode.q, passes=6, held=held) for mode in first[:2]]
         return min(modes, key=lambda mode: mode.cost, default=None)
-
-    def misfit(self, modes: Sequence[Mode]) -> float:
-        """Sum of squares that the likeliest of modes leaves, over the number of readings."""
-        mode = min(modes, key=lambda mode: mode.cost)
-        least = np.inf
-        for level in self._levels:
-            xi = level.free()
-            xi[: mode.xi.size] = mode.xi
-            least = min(least, level.evidence(mode.tables, xi)[2])
-        return least / float(np.sum(~self.fit.missing))
 
     def laplace(self, mode: Mode) -> float:
         """Log evidence of a mode's hypothesis, were its posterior a bell."""
@@ -283,13 +292,15 @@ class Search:
         *,
         seed: int = 0,
         expected: Callable[[Floats], Floats] | None = None,
-        rounds: int = ROUNDS,
+        most_misfit: float = np.inf,
     ) -> Samples | None:
         """Importance samples, in rounds until enough of them count; None if no place is possible.
 
         The first round is drawn around the ridges, later ones mostly as the samples so far are
         spread; all are weighed by the mixture of all rounds. `expected`: density of a given map at
-        points (n, 2) of the touched skin, over that of a new obstacle; `rounds`: at most so many.
+        points (n, 2) of the touched skin, over that of a new obstacle. Where all samples leave more
+        than `most_misfit`, a few rounds are drawn, for their evidence alone: samples that agree are
+        hard to get there, and place nothing.
         """
         rng, fit, hypothesis = np.random.default_rng(seed), self.fit, chains[0][0].hypothesis
         ridges, modes, chain_of = _ridges(chains) if hypothesis == PEG else _around(chains)
@@ -299,7 +310,8 @@ class Search:
         counts = np.zeros(ROUNDS * len(chains) + 1)
         drawn: list[_Draw] = []
         weight, round_shares = np.zeros(0), [1.0]
-        for _ in range(rounds):
+        readings = float(np.sum(~fit.missing))
+        for done in range(1, ROUNDS + 1):
             for n in rng.choice(len(round_shares), ROUND, p=round_shares):
                 at = len(proposals) - len(round_shares) + n if n else 0
                 counts[at] += 1
@@ -323,7 +335,8 @@ class Search:
                 logs += np.log(density_given).sum(axis=1)
             weight = softmax(logs)
             total = float(logsumexp(logs) - np.log(counts.sum()))
-            if ENOUGH * np.sum(weight**2) < 1:
+            hopeless = min(d.misfit for d in drawn) > most_misfit * readings
+            if ENOUGH * np.sum(weight**2) < 1 or (hopeless and done >= _FEW_ROUNDS):
                 break
             shares = weight @ np.array([d.levels for d in drawn])
             levels = [n for n in levels if shares[n] > _NEGLIGIBLE]
@@ -338,7 +351,7 @@ class Search:
             hypothesis, q, np.array([d.levels for d in drawn]),
             np.array([d.touch for d in drawn]), weight,
             np.abs(q[:, YIELD]) * fit.body.yield_unit,
-            best.misfit / float(np.sum(~fit.missing)), total, self._gave_way_at(),
+            best.misfit / readings, total, self._gave_way_at(),
         )  # fmt: skip
 
     def _likely_levels(self, mode: Mode) -> list[int]:

@@ -82,8 +82,8 @@ def test_a_touch_of_the_end_is_as_unsure_as_the_shape_of_the_end() -> None:
 
 def test_the_face_of_a_wall_reaches_from_the_first_touch_to_the_last() -> None:
     body = Body(radius=1.75, longest=53.0, most_bend=0.03, fold_error=0.1, yield_unit=1.0)
-    q = np.array([[0.012, 0.4 + off, -0.8, 0.0, 0.1, 0.1, 0.0] for off in (-0.02, 0.0, 0.02)])
-    wall = faced(q[1, :3], body)
+    q = np.array([[0.012, 0.4 + off, -0.8, 0.5, 0.0, 0.1, 0.1, 0.0] for off in (-0.02, 0.0, 0.02)])
+    wall = faced(q[1, :4], body)
     way = np.array([wall.end_x - wall.x, wall.end_y - wall.y])
     way /= np.hypot(*way)
     first = WALL.skin(q[1], body)[0]

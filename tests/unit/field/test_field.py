@@ -11,11 +11,13 @@ from thigmo.field import Atlas, Errors, FieldContact, Readings, Stage, contacts
 from thigmo.field.answer import UNEXPLAINED_WORDS, _widened
 from thigmo.field.fit import ALIKE, FieldFit
 from thigmo.field.hypotheses import (
+    AHEAD,
     ARC,
     BEND,
     NOTHING,
     PEG,
     PEGS,
+    SHARED_UNKNOWNS,
     WALL,
     Body,
     Hypothesis,
@@ -275,8 +277,10 @@ def test_a_bin_reads_the_mean_of_its_frames_across_a_touch(way: float) -> None:
     ("hypothesis", "q", "known"),
     [
         (PEGS, [22.0, 0.012, -0.6, 47.0, 0.007, -0.9, 0.05, 0.0, 0.3, 0.03], 6),
-        (WALL, [0.006, 0.3, -0.8, 0.05, 0.0, 0.3, 0.03], 2),
-        (WALL, [0.009, 0.2, -2.5, 0.05, 0.0, 0.3, 0.03], 3),  # touched at the wall's end
+        (WALL, [0.006, 0.3, -0.8, 0.6, 0.05, 0.0, 0.3, 0.03], 2),
+        # Touched at the end at the base's side, and at the other end, past which bodies slip.
+        (WALL, [0.009, 0.2, -2.5, 0.6, 0.05, 0.0, 0.3, 0.03], 3),
+        (WALL, [0.005, 0.2, -0.8, -0.12, 0.05, 0.0, 0.3, 0.03], 3),
     ],
 )
 def test_derivatives_by_two_pegs_and_by_a_wall(
@@ -290,9 +294,9 @@ def test_derivatives_by_two_pegs_and_by_a_wall(
     xi = fit.free()
     tables = fit.tables(hypothesis, there)
     exact = fit.by_q(tables, fit.predict(tables, xi))
-    steps = hypothesis.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3, 1e-4, (1e-6, 1e-3, 1e-3))
+    steps = hypothesis.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3, 1e-4, (1e-6, 1e-3, 1e-3, 1e-3))
     felt = list[float]()
-    for i in range(3 * hypothesis.obstacles):
+    for i in range(hypothesis.unknowns - SHARED_UNKNOWNS):
         low, high = (
             fit.predict(
                 fit.tables(hypothesis, there + way * steps * (np.arange(there.size) == i)), xi
@@ -339,7 +343,7 @@ def test_two_pegs_of_the_independent_rod_are_told_apart(pegs: list[Peg], atlas: 
 @pytest.mark.sim
 def test_a_wall_of_the_independent_rod_is_likelier_than_pegs(atlas: Atlas) -> None:
     body = Body(RADIUS, 53.0, 0.03, 0.1, 1.0)
-    wall = faced(np.array([0.007, 0.35, -0.7]), body)
+    wall = faced(np.array([0.007, 0.35, -0.7, 0.6]), body)
     angle = np.arctan2(wall.end_y - wall.y, wall.end_x - wall.x)
     obstacles = Obstacles(
         np.array([[wall.x]]), np.array([[wall.y]]), np.array([[wall.radius]]),
@@ -347,11 +351,33 @@ def test_a_wall_of_the_independent_rod_is_likelier_than_pegs(atlas: Atlas) -> No
     )  # fmt: skip
     rows, swept = _among(obstacles, np.random.default_rng(5))
     search = Search(_readings(rows), _errors(), atlas)
-    walls = search.walls()
-    pegs = [mode for chain in search.ridges() for mode in chain] + search.pairs()
-    assert search.laplace(walls[0]) > max(map(search.laplace, pegs)) + 3.0
-    assert walls[0].q[:2] == pytest.approx([0.007, 0.35], rel=0.05)
+    (wall_mode,), *_ = search.walls()
+    pegs = [mode for chain in search.ridges() + search.pairs() for mode in chain]
+    assert search.laplace(wall_mode) > max(map(search.laplace, pegs)) + 3.0
+    assert wall_mode.q[:2] == pytest.approx([0.007, 0.35], rel=0.05)
     assert np.nanmin(swept[53.0].contacts[-1, 0, :, 0]) == pytest.approx(53.0)  # the end slides
+
+
+@pytest.mark.sim
+def test_a_wall_that_longer_bodies_slip_past_ends_where_it_ends(atlas: Atlas) -> None:
+    rng = np.random.default_rng(5)
+    body = Body(RADIUS, 53.0, 0.03, 0.1, 1.0)
+    wall = faced(np.array([0.013, 0.45, -1.2, -0.06]), body)
+    rows, ends = {}, {}
+    for length in LENGTHS:
+        swept = Rod(Tube(2 * RADIUS, 0.2), [wall]).sweep(FREE, length, CENTERS, SPANS)
+        ends[length] = swept.contacts[-1, 0, 0]
+        rows[length] = swept.readings + NOISE * rng.standard_normal(swept.readings.shape)
+        rows[length][:, length < CENTERS + SPANS / 2] = np.nan
+    assert ends[40.0] == pytest.approx(40.0)
+    assert ends[53.0] < 51.0
+    contact = _one(contacts(_readings(rows), _errors(), atlas))
+    assert contact.kind == "wall"
+    assert contact.interval_cm[0] < ends[53.0] < contact.interval_cm[1]
+    assert contact.arc_cm == pytest.approx(ends[53.0], abs=0.6)
+    whole, short = Search(_readings(rows), _errors(), atlas).walls()
+    assert short[0].q[AHEAD] == pytest.approx(-0.06, abs=0.01)
+    assert short[0].cost < whole[0].cost - 10.0
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
