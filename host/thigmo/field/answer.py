@@ -133,15 +133,15 @@ def _contacts(
     if explanations[0] is gone and not _doubt(explanations, readings):
         return _answer(search, explanations, "")
     # One peg may leave no more than is usual where two are touched at different lengths, or where a
-    # second one is touched beyond it. So two are weighed in any case; where one holds, they must be
-    # likelier.
-    rivals = [search.pairs(None if peg is None else peg.likeliest)]
-    if not holds:
-        rivals.append(search.walls())
+    # second one is touched beyond it. So two are tried in any case; where one holds, they must be
+    # likelier, or it is the answer.
+    pairs = search.pairs(None if peg is None else peg.likeliest)
+    if holds and _laplace(search, pairs) <= explanations[0].log_evidence:
+        return _answer(search, explanations, _doubt(explanations, readings))
     # The likelier first: its samples may leave the other too unlikely to be sampled.
+    rivals = [pairs, search.walls()]
     for chains in sorted(rivals, key=lambda chains: -_laplace(search, chains)):
-        least = explanations[0].log_evidence - (0.0 if holds else _NEAR)
-        if _laplace(search, chains) > least:
+        if _laplace(search, chains) > explanations[0].log_evidence - _NEAR:
             samples = _sampled(search, chains, expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
