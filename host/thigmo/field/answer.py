@@ -133,10 +133,10 @@ def _contacts(
     if explanations[0] is gone and not _doubt(explanations, readings):
         return _answer(search, explanations, "")
     # One peg may leave no more than is usual where two are touched at different lengths, or where a
-    # second one is touched beyond it. So two are tried in any case; where one holds, they must be
-    # likelier, or it is the answer.
+    # second one is touched beyond it. So two are tried in any case; where one holds, and is surely
+    # likelier, it is the answer.
     pairs = search.pairs(None if peg is None else peg.likeliest)
-    if holds and _laplace(search, pairs) <= explanations[0].log_evidence:
+    if holds and _laplace(search, pairs) < explanations[0].log_evidence - _SURELY:
         return _answer(search, explanations, _doubt(explanations, readings))
     # The likelier first: its samples may leave the other too unlikely to be sampled.
     rivals = [pairs, search.walls()]
