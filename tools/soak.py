@@ -411,7 +411,7 @@ class Soak:
             Figure("reply, worst (of those)", self.latency_ms, "ms", 20),
             Figure("telemetry frames", stats.telemetry, ""),
             Figure("telemetry frames given up for events", board.tx_dropped, "",
-                   None if client.hello.board is wire.Board.VIRTUAL else 0),
+                   None if client.hello.board is wire.BoardKind.VIRTUAL else 0),
             Figure("telemetry frames lost", max(stats.telemetry_lost - board.tx_dropped, 0), "", 0),
             Figure("bytes lost or damaged", board.rx_overruns + board.rx_bad + stats.bad_frames,
                    "", 0),

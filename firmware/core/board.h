@@ -105,7 +105,7 @@ constexpr uint16_t kEepromUsed = kMuscles * kBodyPressures > 6 ? 8192 : 2048;
 class BoardPolicy {
  public:
   // Reported in the hello. A board that the schema does not list takes a number from 128 up.
-  static constexpr protocol::Board kKind = protocol::Board::kMega;
+  static constexpr protocol::BoardKind kKind = protocol::BoardKind::kMega;
 
   // --- clock -------------------------------------------------------------------------------------
   uint32_t micros();  // tick * 1000 + microseconds into the tick; wraps

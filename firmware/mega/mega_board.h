@@ -26,7 +26,7 @@ namespace mega {
 
 class MegaBoard {
  public:
-  static constexpr protocol::Board kKind = protocol::Board::kMega;
+  static constexpr protocol::BoardKind kKind = protocol::BoardKind::kMega;
 
   // Outputs first: whatever follows, nothing moves.
   static void begin() {

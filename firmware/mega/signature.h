@@ -23,7 +23,7 @@ const Signature kSignature PROGMEM = {
     {'t', 'h', 'i', 'g', 'm', 'o', '-', 'i', 'm', 'a', 'g', 'e'},
     protocol::kSchemaHash,
     protocol::kProtocol,
-    static_cast<uint8_t>(protocol::Board::kMega),
+    static_cast<uint8_t>(protocol::BoardKind::kMega),
     {kFirmwareVersion[0], kFirmwareVersion[1], kFirmwareVersion[2]}};
 
 // Keeps the signature in the image: the linker drops what nobody refers to, and the compiler a

@@ -22,7 +22,7 @@ template <typename Flash>
 class SkeletonBoard {
  public:
   // Numbers from 128 up are for boards that the schema does not list.
-  static constexpr protocol::Board kKind = static_cast<protocol::Board>(128);
+  static constexpr protocol::BoardKind kKind = static_cast<protocol::BoardKind>(128);
 
   // `kept` lies in RAM that no start-up code touches (a section `.noinit`).
   SkeletonBoard(Flash& flash, LatchRecord& kept, protocol::ResetCause cause)

@@ -26,7 +26,7 @@ namespace thigmo {
 
 class VirtualBoard {
  public:
-  static constexpr protocol::Board kKind = protocol::Board::kVirtual;
+  static constexpr protocol::BoardKind kKind = protocol::BoardKind::kVirtual;
   static constexpr uint32_t kEepromSize = kEepromUsed > 4096 ? kEepromUsed : 4096;
   static constexpr uint64_t kByteUs = 40;  // 250 kbaud, 8N1
   static constexpr uint64_t kEepromWriteUs = 3400;

@@ -122,7 +122,7 @@ class ReferenceDevice:
             wire.PROTOCOL,
             self.schema_hash,
             (0, 1, 0),
-            wire.Board.VIRTUAL,
+            wire.BoardKind.VIRTUAL,
             self.boot_nonce,
             self.cause,
         )
@@ -200,7 +200,7 @@ class ReferenceDevice:
             wire.PROTOCOL,
             self.schema_hash,
             (0, 1, 0),
-            wire.Board.VIRTUAL,
+            wire.BoardKind.VIRTUAL,
             self.boot_nonce,
             0 if reason else self.session,
             self.cause,

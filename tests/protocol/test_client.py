@@ -49,7 +49,7 @@ def wait(client: Client, seconds: float) -> None:
 def test_an_announce_ends_the_silence(transport: LoopTransport) -> None:
     client = Client(transport)
     assert client.now() < 0.1
-    assert client.hello.board is wire.Board.VIRTUAL
+    assert client.hello.board is wire.BoardKind.VIRTUAL
 
 
 def test_a_board_that_did_not_reset_is_greeted_after_the_silence(device: ReferenceDevice) -> None:
@@ -174,7 +174,7 @@ def test_a_board_that_this_host_does_not_list_is_a_board_like_others() -> None:
         """A lab's own board, number 200."""
 
         def _hello_reply(self, hello: wire.Hello, reason: wire.Reason) -> wire.HelloReply:
-            return replace(super()._hello_reply(hello, reason), board=wire.Board(200))
+            return replace(super()._hello_reply(hello, reason), board=wire.BoardKind(200))
 
     client = Client(LoopTransport(Unlisted()))
     assert client.hello.board == 200
@@ -182,7 +182,7 @@ def test_a_board_that_this_host_does_not_list_is_a_board_like_others() -> None:
     assert client.hello.board.doc == "Number 200, which this host does not list."
     assert wire.HelloReply.unpack(client.hello.pack()) == client.hello
     with pytest.raises(ValueError, match="256"):
-        wire.Board(256)
+        wire.BoardKind(256)
 
 
 def test_another_schema_with_enumerations_unknown_here_is_still_named() -> None:

@@ -62,7 +62,7 @@ def test_hello_tells_who_the_board_is(desk: Desk) -> None:
     assert reply.session != 0
     assert reply.receive_window >= 2 * wire.MAX_WIRE
     if desk.board is not None:
-        assert (reply.board is wire.Board.VIRTUAL) == (desk.name == "virtual")
+        assert (reply.board is wire.BoardKind.VIRTUAL) == (desk.name == "virtual")
     assert len(reply.firmware_version) == 3
 
 
@@ -984,6 +984,6 @@ def test_the_link_counts_what_it_hears(desk: Desk) -> None:
     )
     # Where time is virtual, a pass of the main loop takes none.
     board = host.hello().board
-    virtual = board in (wire.Board.VIRTUAL, wire.Board.UNIX, wire.Board.CORTEX_M3, 128)
+    virtual = board in (wire.BoardKind.VIRTUAL, wire.BoardKind.UNIX, wire.BoardKind.CORTEX_M3, 128)
     assert (second.loop_max_us > 0) is not virtual
     assert second.loop_max_us < 5000

@@ -78,7 +78,7 @@ def another_schema() -> bytes:
         protocol=wire.PROTOCOL,
         schema_hash=wire.SCHEMA_HASH ^ 1,
         firmware_version=(0, 0, 9),
-        board=wire.Board.MEGA,
+        board=wire.BoardKind.MEGA,
         boot_nonce=7,
         reset_cause=wire.ResetCause.POWER_ON,
     )

@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0xA55E906Fu;
+constexpr uint32_t kSchemaHash = 0xF4A408C5u;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -73,14 +73,14 @@ enum class Branch : uint8_t {
 constexpr uint8_t kBranchCount = 2;
 
 // Where the firmware runs. A board that is not listed takes a number from 128 up.
-enum class Board : uint8_t {
+enum class BoardKind : uint8_t {
   kVirtual = 0,   // Inside the emulator.
   kMega = 1,      // Arduino Mega 2560, real or simulated.
   kCortexM3 = 3,  // MicroPython on QEMU's Cortex-M3; its hardware is injected.
   kUnix = 4,      // MicroPython's unix port; its hardware is injected.
   kPico = 5,      // Raspberry Pi Pico under MicroPython.
 };
-constexpr uint8_t kBoardCount = 5;
+constexpr uint8_t kBoardKindCount = 5;
 
 // Why the board last started.
 enum class ResetCause : uint8_t {
@@ -889,7 +889,7 @@ struct HelloReply {
   uint8_t protocol;             // Protocol version.
   uint32_t schema_hash;         // Hash of the board's schema.
   uint8_t firmware_version[3];  // Major, minor, patch.
-  Board board;                  // Where the firmware runs.
+  BoardKind board;              // Where the firmware runs.
   uint32_t boot_nonce;          // Differs at each boot.
   uint16_t session;             // Never 0; differs at each hello.
   ResetCause reset_cause;       // Why it last started.
@@ -919,7 +919,7 @@ struct HelloReply {
     for (uint8_t i = 0; i < 3; ++i) {
       out->firmware_version[i] = static_cast<uint8_t>(detail::get8(in + 7 + 1 * i));
     }
-    out->board = static_cast<Board>(detail::get8(in + 10));
+    out->board = static_cast<BoardKind>(detail::get8(in + 10));
     out->boot_nonce = static_cast<uint32_t>(detail::get32(in + 11));
     out->session = static_cast<uint16_t>(detail::get16(in + 15));
     out->reset_cause = static_cast<ResetCause>(detail::get8(in + 17));
@@ -1358,7 +1358,7 @@ struct Announce {
   uint8_t protocol;             // Protocol version.
   uint32_t schema_hash;         // Hash of the board's schema.
   uint8_t firmware_version[3];  // Major, minor, patch.
-  Board board;                  // Where the firmware runs.
+  BoardKind board;              // Where the firmware runs.
   uint32_t boot_nonce;          // Differs at each boot.
   ResetCause reset_cause;       // Why it last started.
   void encode(uint8_t* out) const {
@@ -1378,7 +1378,7 @@ struct Announce {
     for (uint8_t i = 0; i < 3; ++i) {
       out->firmware_version[i] = static_cast<uint8_t>(detail::get8(in + 5 + 1 * i));
     }
-    out->board = static_cast<Board>(detail::get8(in + 8));
+    out->board = static_cast<BoardKind>(detail::get8(in + 8));
     out->boot_nonce = static_cast<uint32_t>(detail::get32(in + 9));
     out->reset_cause = static_cast<ResetCause>(detail::get8(in + 13));
     return true;

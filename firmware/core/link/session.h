@@ -27,7 +27,7 @@ class Session {
  public:
   struct Identity {
     uint32_t boot_nonce;
-    protocol::Board board;
+    protocol::BoardKind board;
     protocol::ResetCause reset_cause;
   };
 

@@ -69,7 +69,7 @@ class InjectedBus {
 
 class InjectedBoard {
  public:
-  static constexpr protocol::Board kKind = protocol::Board::THIGMO_INJECTED_KIND;
+  static constexpr protocol::BoardKind kKind = protocol::BoardKind::THIGMO_INJECTED_KIND;
   static constexpr uint32_t kByteUs = 40;  // 250 kbaud, 8N1
   static constexpr uint32_t kAirHoldUs = 60000;
   static constexpr uint32_t kMotorHoldUs = 30000;

@@ -38,7 +38,7 @@ const struct {
 } signature = {{'t', 'h', 'i', 'g', 'm', 'o', '-', 'i', 'm', 'a', 'g', 'e'},
                protocol::kSchemaHash,
                protocol::kProtocol,
-               static_cast<uint8_t>(protocol::Board::kPico),
+               static_cast<uint8_t>(protocol::BoardKind::kPico),
                {kFirmwareVersion[0], kFirmwareVersion[1], kFirmwareVersion[2]}};
 
 constexpr int8_t kOutputs[] = {

@@ -59,7 +59,7 @@ class PicoFlash {
 
 class PicoBoard {
  public:
-  static constexpr protocol::Board kKind = protocol::Board::kPico;
+  static constexpr protocol::BoardKind kKind = protocol::BoardKind::kPico;
   static constexpr uint8_t kAdcBitsHere = 12;
   static constexpr uint16_t kSlotUs = 40;
   static constexpr uint8_t kAlarm = 1;  // 2 and 3 are MicroPython's and the SDK's

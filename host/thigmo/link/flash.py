@@ -170,7 +170,7 @@ def _meet(port: str) -> tuple[wire.HelloReply, StoredConfiguration]:
             "press the board's reset button; if it stays silent, flash again",
         ) from error
     with client:
-        if client.hello.board != wire.Board.MEGA:
+        if client.hello.board != wire.BoardKind.MEGA:
             raise NotARobotError(
                 f"{port} answers as {client.hello.board.name.lower()}, not as a Mega",
                 "give the board's port",

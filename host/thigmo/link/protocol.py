@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0xA55E906F
+SCHEMA_HASH = 0xF4A408C5
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -60,7 +60,7 @@ class Branch(Documented):  # Which of a muscle's two maps.
     DEFLATE = 1  # Pressure falling.
 
 
-class Board(OpenDocumented):  # Where the firmware runs.
+class BoardKind(OpenDocumented):  # Where the firmware runs.
     VIRTUAL = 0  # Inside the emulator.
     MEGA = 1  # Arduino Mega 2560, real or simulated.
     CORTEX_M3 = 3  # MicroPython on QEMU's Cortex-M3; its hardware is injected.
@@ -230,7 +230,7 @@ class HelloReply(Reply, number=0x81):  # Who the board is. Commands carry this s
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of the board's schema.
     firmware_version: Annotated[tuple[int, ...], "3B"]  # Major, minor, patch.
-    board: Board  # Where the firmware runs.
+    board: BoardKind  # Where the firmware runs.
     boot_nonce: U32  # Differs at each boot.
     session: U16  # Never 0; differs at each hello.
     reset_cause: ResetCause  # Why it last started.
@@ -366,7 +366,7 @@ class Announce(Message, number=0xA1):
     protocol: U8  # Protocol version.
     schema_hash: U32  # Hash of the board's schema.
     firmware_version: Annotated[tuple[int, ...], "3B"]  # Major, minor, patch.
-    board: Board  # Where the firmware runs.
+    board: BoardKind  # Where the firmware runs.
     boot_nonce: U32  # Differs at each boot.
     reset_cause: ResetCause  # Why it last started.
 

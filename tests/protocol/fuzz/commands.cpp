@@ -26,7 +26,7 @@ void require(bool condition) {
 
 class FuzzedBoard {
  public:
-  static constexpr protocol::Board kKind = protocol::Board::kVirtual;
+  static constexpr protocol::BoardKind kKind = protocol::BoardKind::kVirtual;
 
   FuzzedBoard() { std::memset(eeprom_, 0xFF, sizeof eeprom_); }
 

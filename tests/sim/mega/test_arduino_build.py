@@ -79,7 +79,7 @@ def test_the_sketch_starts_and_announces_itself(sketch: Path) -> None:
     assert frames
     announce = frames[0].message()
     assert isinstance(announce, wire.Announce)
-    assert announce.board is wire.Board.MEGA
+    assert announce.board is wire.BoardKind.MEGA
 
 
 STAMP = re.compile(rb"[A-Z][a-z]{2} [ \d]\d \d{4} \d\d:\d\d:\d\d")

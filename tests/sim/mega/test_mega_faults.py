@@ -255,4 +255,4 @@ def test_no_command_is_lost_or_done_twice_over_a_bridge_that_inserts_and_replays
     assert usb.inserted > 3
     assert usb.replayed > 3
     assert stats.rx_overruns == 0
-    assert rig.client.hello.board is wire.Board.MEGA
+    assert rig.client.hello.board is wire.BoardKind.MEGA

@@ -85,7 +85,7 @@ def test_hello_growth_and_a_stop_that_outlasts_a_reset(
     pico: Pico, transport: EmulatorTransport
 ) -> None:
     client = ready(transport)
-    assert client.hello.board is wire.Board.PICO
+    assert client.hello.board is wire.BoardKind.PICO
     assert client.hello.reset_cause is wire.ResetCause.POWER_ON
     client.request(wire.GrowTo(205_000, 0))
     transport.pass_time(0.4)

@@ -70,7 +70,7 @@ def test_every_failure_of_the_campaign_ends_as_on_the_virtual_board(state: str) 
 
 def test_hello_telemetry_a_sweep_and_a_stop_on_the_cortex_m3(bench: Make) -> None:
     robot = bench("cortex-m3")
-    assert robot.client.hello.board is wire.Board.CORTEX_M3
+    assert robot.client.hello.board is wire.BoardKind.CORTEX_M3
     robot.press()
     robot.robot.vent()
     robot.robot.wait(1.0)

@@ -109,7 +109,7 @@ struct Device {
   uint32_t tick = 0;
 
   explicit Device(uint32_t nonce = 0x12345678) {
-    session.begin({nonce, protocol::Board::kVirtual, protocol::ResetCause::kPowerOn});
+    session.begin({nonce, protocol::BoardKind::kVirtual, protocol::ResetCause::kPowerOn});
   }
   Handled execute(const Frame& command, Frame* reply) {
     protocol::ClearFaults m = {};

@@ -20,7 +20,7 @@ def test_a_blank_board_announces_itself_and_names_its_fault() -> None:
     bench = Bench()
     reply = bench.hello()
     assert SCHEMA_HASH == wire.SCHEMA_HASH == reply.schema_hash
-    assert (reply.board, reply.reset_cause) == (wire.Board.VIRTUAL, wire.ResetCause.POWER_ON)
+    assert (reply.board, reply.reset_cause) == (wire.BoardKind.VIRTUAL, wire.ResetCause.POWER_ON)
     status = bench.status()
     assert status.state == wire.State.FAULT
     assert bench.faults() == (wire.Fault.BAD_CONFIG,)

@@ -105,7 +105,7 @@ def test_a_board_can_be_listed_without_a_change_of_the_hash(
     generate: ModuleType, tree: dict[str, Any], tmp_path: Path
 ) -> None:
     before = load(generate, tree, tmp_path).hash
-    tree["enums"]["Board"]["bench_rig"] = {"value": 130, "doc": "A lab's own."}
+    tree["enums"]["BoardKind"]["bench_rig"] = {"value": 130, "doc": "A lab's own."}
     assert load(generate, tree, tmp_path).hash == before
     tree["enums"]["State"]["asleep"] = {"value": 9, "doc": "A new state is a new meaning."}
     assert load(generate, tree, tmp_path).hash != before
