@@ -214,8 +214,9 @@ def _fit(
         notes.append(f"{outliers} push(es) omitted as outliers")
     # Few pushes estimate their scatter poorly, as Student's t has it.
     random_se = line.se(1) * float(student.ppf(0.975, used.sum() - 2) / norm.ppf(0.975))
-    other = pushes(common_se)
-    shift = float(_line(np.where(used, other.moment, np.nan), other).coefficients[1]) - compliance
+    shifted = pushes(common_se)
+    shifted_line = _line(np.where(used, shifted.moment, np.nan), shifted)
+    shift = float(shifted_line.coefficients[1]) - compliance
     error = float(np.hypot(random_se, shift))
     zero = float(line.coefficients[0])
     second_order = _second_order(moment, taken, used)

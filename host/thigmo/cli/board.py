@@ -57,8 +57,8 @@ def stop(
         ),
     )
     for result in failed:
-        which = f"{result.robot}: " if robot is None else ""  # which else has been given
-        typer.echo(f"thigmo: NOT stopped: {which}{result.failure}", err=True)
+        prefix = f"{result.robot}: " if robot is None else ""  # which else has been given
+        typer.echo(f"thigmo: NOT stopped: {prefix}{result.failure}", err=True)
     if failed:
         raise typer.Exit(1)
 

@@ -76,7 +76,8 @@ class ContactMap:
         reach_cm2 = _REACH * self._config.body.length_cm**2
         for contact in [*likely, *self._obstructions]:
             same = next(
-                (n for n, other in enumerate(known) if _one_place(other, contact, reach_cm2)), None
+                (n for n, earlier in enumerate(known) if _one_place(earlier, contact, reach_cm2)),
+                None,
             )
             if same is None:
                 known.append(contact)

@@ -181,10 +181,10 @@ def _free(grid: OccupancyGrid, document: RunDocument, radius_cm: float, sigmas: 
     """Cells that lie whole within the tube at some time of a sweep."""
     inner = radius_cm - grid.resolution_cm * np.sqrt(0.5)
     shapes = [
-        outline(passed(mine, sigmas), inner)
+        outline(passed(measured, sigmas), inner)
         for stage in document.stages
         for side in SIDES
-        if (mine := [s for s in stage.shapes if s.side == side and s.curvature_se is not None])
+        if (measured := [s for s in stage.shapes if s.side == side and s.curvature_se is not None])
     ]
     return _within(grid, shapes)
 
@@ -202,9 +202,9 @@ def _within(grid: OccupancyGrid, polygons: Sequence[NDArray[np.float64]]) -> Mas
         edge = np.repeat(np.arange(count.size), count)
         row = first[edge] + np.arange(edge.size) - np.repeat(np.cumsum(count) - count, count)
         x = x0[edge] + (row - y0[edge]) * (x1 - x0)[edge] / (y1 - y0)[edge]
-        seen = (row >= 0) & (row < rows)
-        column = np.clip(np.ceil(x), 0, columns)[seen].astype(np.intp)
-        np.add.at(turns, (row[seen].astype(np.intp), column), np.sign(y1 - y0)[edge][seen])
+        in_grid = (row >= 0) & (row < rows)
+        column = np.clip(np.ceil(x), 0, columns)[in_grid].astype(np.intp)
+        np.add.at(turns, (row[in_grid].astype(np.intp), column), np.sign(y1 - y0)[edge][in_grid])
     inside: Mask = np.cumsum(turns, axis=1)[:, :columns] != 0
     return inside
 

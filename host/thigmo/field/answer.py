@@ -149,10 +149,10 @@ def _contacts(
 
 def _doubt(explanations: list[Samples], readings: Readings) -> str:
     """Why the likeliest explanation, the first, is no answer; empty if it is."""
-    best, *others = explanations
+    best, *rivals = explanations
     if not _explains(best, readings):
         return UNEXPLAINED_WORDS
-    rivalled = any(other.log_evidence > best.log_evidence - _SURELY for other in others)
+    rivalled = any(rival.log_evidence > best.log_evidence - _SURELY for rival in rivals)
     return RIVAL_WORDS if rivalled else ""
 
 
@@ -268,7 +268,7 @@ def _placed(
 
     The errors of its place include what the other explanations have there, by their probabilities.
     """
-    samples, *others = explanations
+    samples, *rivals = explanations
     touch = samples.touch[:, :, obstacle]
     touches = np.isfinite(touch[:, :, 0])  # (n, stages)
     shares = samples.weight @ touches
@@ -285,8 +285,8 @@ def _placed(
     mean = weight @ touch[on, stage, :3]
     probabilities = softmax([explanation.log_evidence for explanation in explanations])
     places, masses = [touch[on, stage, :3]], [probabilities[0] * weight]
-    for other, probability in zip(others, probabilities[1:], strict=True):
-        touched, weights = _nearest(other, stage, mean)
+    for rival, probability in zip(rivals, probabilities[1:], strict=True):
+        touched, weights = _nearest(rival, stage, mean)
         places.append(touched)
         masses.append(probability * weights)
     place, mass = np.concatenate(places), np.concatenate(masses)

@@ -127,7 +127,7 @@ class PastRun:
         self._document = RunFolder(folder).read_document()
         messages = list(read_messages(folder))
         self._readings = [message for message in messages if isinstance(message, Telemetry)]
-        self._others: list[Message] = [
+        self._slow_messages: list[Message] = [
             message for message in messages if not isinstance(message, Telemetry)
         ]
         self._origin_s = min((message.t_s for message in messages), default=0.0)
@@ -155,9 +155,9 @@ class PastRun:
     def facts(self) -> bytes:
         """All messages but readings, and when the board's state changed, as JSON."""
         boards = json.dumps(self._boards())
-        others = b",".join(text(message) for message in self._others)
+        messages = b",".join(text(message) for message in self._slow_messages)
         return b'{"origin_s":%r,"boards":%b,"messages":[%b]}' % (
-            self._origin_s, boards.encode(), others,
+            self._origin_s, boards.encode(), messages,
         )  # fmt: skip
 
     def readings(self) -> bytes:

@@ -124,14 +124,14 @@ def robot_description(shape: BodyShape) -> Any:
     and lengthens (`grow`); spheres of the tube's radius where they meet.
     """
     ball = f'<sphere radius="{shape.radius_cm * _M_PER_CM:g}"/>'
-    seen = f"<visual><geometry>{ball}</geometry></visual>"
+    visual = f"<visual><geometry>{ball}</geometry></visual>"
     limits = 'lower="{}" upper="{}" effort="0" velocity="0"'
-    parts = [f'<link name="{BASE}">{seen}</link>']
+    parts = [f'<link name="{BASE}">{visual}</link>']
     parent = BASE
     for bend, grow, chord, end in _chain():
         for joint, kind, axis, link, span, shown in (
             (bend, "revolute", "0 0 1", chord, (-pi, pi), ""),
-            (grow, "prismatic", "1 0 0", end, (0, _LONGEST_CHORD_M), seen),
+            (grow, "prismatic", "1 0 0", end, (0, _LONGEST_CHORD_M), visual),
         ):
             parts.append(
                 f'<link name="{link}">{shown}</link><joint name="{joint}" type="{kind}">'

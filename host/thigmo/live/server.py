@@ -270,8 +270,8 @@ class PageServer:
         if any(isinstance(item, RunState) and item.outcome != "running" for item in messages):
             self._tell()  # of a stop, before the run says that it has ended
         shapes = [item for item in messages if isinstance(item, BodyShape)]
-        others = [item for item in messages if not isinstance(item, Telemetry | BodyShape)]
-        for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *others]:
+        remaining = [item for item in messages if not isinstance(item, Telemetry | BodyShape)]
+        for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *remaining]:
             if isinstance(message, RunState) and message.paused:
                 self._run.pausing = False
             channel, text = message.CHANNEL, page_data.text(message).decode()

@@ -91,9 +91,9 @@ class Mixture {
     for (const auto& [cells, moments] : parts) {
       const double near = cells->place.front() - 0.5 * cells->width, per = 1.0 / cells->width;
       for (std::size_t c = 0; c < count; ++c) {
-        const double into = (0.5 * (edges[c] + edges[c + 1]) - near) * per;
-        if (into < 0.0 || into >= static_cast<double>(moments.size())) continue;
-        all[c].add((edges[c + 1] - edges[c]) * per, moments[static_cast<std::size_t>(into)]);
+        const double cell = (0.5 * (edges[c] + edges[c + 1]) - near) * per;
+        if (cell < 0.0 || cell >= static_cast<double>(moments.size())) continue;
+        all[c].add((edges[c + 1] - edges[c]) * per, moments[static_cast<std::size_t>(cell)]);
       }
     }
     double total = 0.0;

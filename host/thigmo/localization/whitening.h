@@ -286,9 +286,9 @@ struct Whitened {
     const Level& model = levels[level].level;
     if (model.row == 0 || frame->rows[model.row].correlation != frame->rows[0].correlation)
       return -1;
-    for (int other = 0; other < static_cast<int>(level); ++other) {
-      const Level& stated = levels[other].level;
-      if (stated.row == 0 && stated.factor == model.factor) return other;
+    for (int earlier = 0; earlier < static_cast<int>(level); ++earlier) {
+      const Level& stated = levels[earlier].level;
+      if (stated.row == 0 && stated.factor == model.factor) return earlier;
     }
     return -1;
   }
