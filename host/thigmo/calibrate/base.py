@@ -183,7 +183,11 @@ def fit_pushes(
 def _fit(
     pushes: Callable[[float], Pushes], common_se: float, config: RobotConfig, notes: list[str]
 ) -> BaseResult:
-    """The line through pushes, which depend on an error that they share, of a standard error."""
+    """Fit turn over moment.
+
+    `pushes` gives the pushes for a value of the error that all of them share, whose standard error
+    is `common_se`.
+    """
     body = config.body
     fold = body.push_curvature
     if body.folds:
