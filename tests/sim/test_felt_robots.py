@@ -16,7 +16,7 @@ from thigmo.emulator.scene import WallTable
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.exploration import explore
 from thigmo_bench.studies.exploration import LENGTH_CM
-from thigmo_bench.studies.robots import CATHETER, FELT, GALLERY, gallery_robot, push, visit
+from thigmo_bench.studies.robots import CATHETER, FELT, GALLERY, push, visit
 
 
 @pytest.mark.ci
@@ -45,14 +45,14 @@ def test_a_catheter_of_28_psi_explores() -> None:
     ],
 )
 def test_explore_says_in_one_line_why_it_cannot(name: str, why: str, tmp_path: Path) -> None:
-    robot = gallery_robot(name)
+    robot = RobotConfig.load(GALLERY / f"{name}.toml")
     url = room_file(tmp_path, room_for(robot, 1, peg=False))
     with pytest.raises(ConfigError, match=why):
         explore(url, out=tmp_path, seed=1)
 
 
 def test_a_robot_of_fixed_length_knows_its_length_and_refuses_to_grow_by_name() -> None:
-    finger = gallery_robot("finger")
+    finger = RobotConfig.load(GALLERY / "finger.toml")
     robot, transport = emulated(room_for(finger, 1, peg=False))
     robot.configure(transport.config)
     robot.arm()
@@ -64,7 +64,7 @@ def test_a_robot_of_fixed_length_knows_its_length_and_refuses_to_grow_by_name() 
 
 
 def test_a_muscleless_vine_grows() -> None:
-    whisker = gallery_robot("whisker")
+    whisker = RobotConfig.load(GALLERY / "whisker.toml")
     robot, transport = armed(room_for(whisker, 1, peg=False))
     robot.pressurize(0)
     assert robot.grow_to(20.0) == pytest.approx(20.0, abs=0.1)
@@ -73,7 +73,7 @@ def test_a_muscleless_vine_grows() -> None:
 
 
 def test_thigmo_feel_grows_a_muscleless_vine_and_answers(thigmo: Thigmo, tmp_path: Path) -> None:
-    whisker = gallery_robot("whisker")
+    whisker = RobotConfig.load(GALLERY / "whisker.toml")
     url = room_file(tmp_path, room_for(whisker, 1, peg=False))
     said = thigmo("feel", "--robot", url, "--grow-to", "20", "--count", "1", "--json")
     (answer,) = json.loads(said.out)
@@ -83,7 +83,7 @@ def test_thigmo_feel_grows_a_muscleless_vine_and_answers(thigmo: Thigmo, tmp_pat
 
 def _grown_whisker(thigmo: Thigmo, tmp_path: Path, walls: list[WallTable]) -> dict[str, Any]:
     """The answer of `thigmo feel --grow-to 53` beside walls."""
-    room = room_for(gallery_robot("whisker"), 1, peg=False)
+    room = room_for(RobotConfig.load(GALLERY / "whisker.toml"), 1, peg=False)
     room.walls = walls
     url = room_file(tmp_path, room)
     ran = thigmo("feel", "--robot", url, "--grow-to", "53", "--count", "1", "--json")

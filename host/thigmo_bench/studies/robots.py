@@ -73,15 +73,10 @@ _PUSHED_RAD = (0.15, 0.5)  # turn of the body beyond a push
 _BASE_CM = 4.0  # centre of the flex sensors at the base of a string of IMUs
 
 
-def gallery_robot(name: str) -> RobotConfig:
-    """The robot of a file of docs/robots."""
-    return RobotConfig.load(GALLERY / f"{name}.toml")
-
-
 def robot_named(name: str) -> RobotConfig:
     """A robot of the study."""
     if name == CATHETER:
-        return gallery_robot(name)
+        return RobotConfig.load(GALLERY / f"{name}.toml")
     description = (ROBOTS | UNPROMISED)[name]
     if description is None:
         return Scene.load("default").robot
@@ -162,7 +157,7 @@ class Pushed:
 def push(load: tuple[str, int]) -> Pushed:
     """Push a robot of the gallery aside at a random place of its outer four fifths."""
     name, seed = load
-    robot = gallery_robot(name)
+    robot = RobotConfig.load(GALLERY / f"{name}.toml")
     length_cm = robot.body.length_cm
     scene = room_for(robot, seed, peg=False)
     scene.start_length_cm = length_cm
@@ -278,7 +273,7 @@ def _row(name: str, visits: list[Visited]) -> Record:
 
 def _felt_row(name: str, pushed: list[Pushed]) -> Record:
     """The row of a robot that rests: its rooms are pushes."""
-    length_cm = gallery_robot(name).body.length_cm
+    length_cm = RobotConfig.load(GALLERY / f"{name}.toml").body.length_cm
     errors = [load.error_cm / length_cm for load in pushed if load.felt]
     return {
         "robot": f"{name}, pushed at rest",
