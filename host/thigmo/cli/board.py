@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from thigmo.cli import signals
-from thigmo.cli.dead_man_switch import ByPageOption, held, shown
+from thigmo.cli.dead_man_switch import ByPageOption, dead_man_switch, shown
 from thigmo.cli.output import (
     JsonOption,
     RobotOption,
@@ -187,7 +187,7 @@ def retract(
     from thigmo.robot import connect
 
     console = Console(quiet=as_json)
-    with connect(robot, operator=console) as machine, held(machine, "retract", by_page):
+    with connect(robot, operator=console) as machine, dead_man_switch(machine, "retract", by_page):
         if config is not None:
             machine.configure(RobotConfig.load(config))
         elif machine.known_config is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thigmo.cli.console import Console
-from thigmo.cli.dead_man_switch import ByPageOption, held
+from thigmo.cli.dead_man_switch import ByPageOption, dead_man_switch
 from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, filled, show
 from thigmo.errors import ConfigError
 
@@ -147,7 +147,7 @@ def jog(
 
     if (out > 0) == (wind > 0) or min(out, wind) < 0:
         raise ConfigError("a jog needs one direction", "give --out CM or --in CM")
-    with _robot(robot, Console(quiet=as_json)) as machine, held(machine, "jog", by_page):
+    with _robot(robot, Console(quiet=as_json)) as machine, dead_man_switch(machine, "jog", by_page):
         machine.arm(body_air=False)
         machine.vent()
         moved = move(machine, out or -wind)

@@ -69,8 +69,8 @@ class ContactMap:
         return list(self._known)
 
     def _explained(self) -> list[MapContact]:
-        felt = [fitted.contact for side in SIDES for fitted in self._fits.contacts(side)]
-        likely = [contact for contact in felt if contact.probability > LIKELY]
+        detected = [fitted.contact for side in SIDES for fitted in self._fits.contacts(side)]
+        likely = [contact for contact in detected if contact.probability > LIKELY]
         likely.sort(key=lambda contact: min([*contact.merged, contact.everted_length_cm]))
         known: list[MapContact] = []
         reach_cm2 = _REACH * self._config.body.length_cm**2

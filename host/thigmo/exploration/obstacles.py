@@ -87,9 +87,9 @@ def occupancy(
         sigmas: standard errors by which swept space is narrowed and contacts are widened before a
             cell counts as free.
     """
-    felt = [_obstacle(contact) for contact in document.contacts]
+    detected = [_obstacle(contact) for contact in document.contacts]
     known = {contact.known for contact in document.contacts}
-    grid = _empty_grid(document, radius_cm, [*felt, *prior])
+    grid = _empty_grid(document, radius_cm, [*detected, *prior])
     free = _free(grid, document, radius_cm, sigmas)
     rest = [
         replace(obstacle, source=GONE if _swept_through(obstacle, grid, free) else "prior")
@@ -97,7 +97,7 @@ def occupancy(
         if index not in known
     ]
     grid.cells[free] = FREE
-    standing = [*felt, *(obstacle for obstacle in rest if obstacle.source != GONE)]
+    standing = [*detected, *(obstacle for obstacle in rest if obstacle.source != GONE)]
     for obstacle in standing:
         for line in [] if obstacle.cell_cm else [obstacle.track, obstacle.surface]:
             grid.cells[_near_line(grid, obstacle, line, max(sigmas, _SIGMA_95))] = UNKNOWN
@@ -106,7 +106,7 @@ def occupancy(
             grid.cells[_near_line(grid, obstacle, line, 1.0)] = OCCUPIED
     cells = [obstacle.cell_corners() for obstacle in standing if obstacle.cell_cm]
     grid.cells[_within(grid, cells)] = OCCUPIED
-    return grid, felt + rest
+    return grid, detected + rest
 
 
 def _occupied_lines(obstacle: Obstacle) -> list[list[Point]]:

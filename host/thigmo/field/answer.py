@@ -308,12 +308,12 @@ def _placed(
     covariance = (mass[:, None] * off).T @ off + shape * np.eye(3)
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
-    felt = sorted({round(readings.stages[s].length, 2) for s in reached})
+    lengths_cm = sorted({round(readings.stages[s].length, 2) for s in reached})
     q = samples.q[on]
     is_peg = obstacle < samples.hypothesis.pegs
     bends = q[:, OBSTACLE_UNKNOWNS * obstacle + (BEND if is_peg else WALL_BEND)]
     before = bends < readings.bend[np.isin(readings.stage, reached)].min()
-    if not doubt and len(felt) == 1 and weight @ before > _EARLY:
+    if not doubt and len(lengths_cm) == 1 and weight @ before > _EARLY:
         doubt = EARLY_WORDS
     radii = readings.radius * np.exp(q[:, OBSTACLE_UNKNOWNS * obstacle + RADIUS])
     return FieldContact(
@@ -332,7 +332,7 @@ def _placed(
         probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
         places=not doubt,
         doubt=doubt,
-        felt_at_cm=tuple(felt),
+        felt_at_cm=tuple(lengths_cm),
         log_odds=log_odds,
         log_evidence=samples.log_evidence,
         misfit=leaves,

@@ -557,15 +557,15 @@ async def serve(options: WatchOptions, announce: Callable[[str], None]) -> None:
     await runner.setup()
     assert runner.server is not None
     try:
-        with _door(runner.server, server.stop, options) as door:
-            announce(f"http://{_reached_at(options.host)}:{door.port}/?token={server.token}")
+        with _stop_http(runner.server, server.stop, options) as listener:
+            announce(f"http://{_reached_at(options.host)}:{listener.port}/?token={server.token}")
             while not (options.leaves and server.deserted()):
                 await asyncio.sleep(1.0)
     finally:
         await runner.cleanup()
 
 
-def _door(server: web.Server, stop: Stop, options: WatchOptions) -> StopHttp:
+def _stop_http(server: web.Server, stop: Stop, options: WatchOptions) -> StopHttp:
     ports = (PORT, 0) if options.port is None else (options.port,)
     for port in ports:
         try:
