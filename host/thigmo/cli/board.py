@@ -36,8 +36,8 @@ def stop(
     try:
         robots = stop_all() if robot is None else stop_robot(robot)
     except KeyboardInterrupt:
-        said = "thigmo: NOT confirmed: interrupted before the board confirmed; "
-        typer.echo(f"{said}use the emergency stop", err=True)
+        warning = "thigmo: NOT confirmed: interrupted before the board confirmed; "
+        typer.echo(f"{warning}use the emergency stop", err=True)
         raise typer.Exit(signals.status()) from None
     if not robots:
         way_out = "stop the one that does with Ctrl-C"

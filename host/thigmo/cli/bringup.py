@@ -117,13 +117,13 @@ def bringup(
     good = all(finding.good for finding in findings)
     stage = findings[-1].stage
     if not good:
-        on = f"Correct it, then: thigmo bringup --robot {robot} --from {stage}"
+        advice = f"Correct it, then: thigmo bringup --robot {robot} --from {stage}"
     elif stage == STAGES[-1]:
-        on = f"All is as it should be. Next: {', then '.join(calibrations)}"
+        advice = f"All is as it should be. Next: {', then '.join(calibrations)}"
     else:
         following = STAGES[STAGES.index(stage) + 1]
-        on = f"So far all is well. Next: thigmo bringup --robot {robot} --from {following}"
-    show(as_json, {"good": good, "findings": [asdict(finding) for finding in findings]}, on)
+        advice = f"So far all is well. Next: thigmo bringup --robot {robot} --from {following}"
+    show(as_json, {"good": good, "findings": [asdict(finding) for finding in findings]}, advice)
     if not good:
         raise typer.Exit(1)
 
@@ -178,8 +178,8 @@ def press(
             machine, muscle, psi, seconds,
             lambda now: tell(f"{muscle} {now:.2f} psi", (machine.now() - began) / seconds),
         )  # fmt: skip
-    said = f"The {muscle} muscle reached {reached:.2f} psi."
-    show(as_json, {"muscle": muscle, "pressure_psi": reached}, said)
+    text = f"The {muscle} muscle reached {reached:.2f} psi."
+    show(as_json, {"muscle": muscle, "pressure_psi": reached}, text)
 
 
 @contextmanager

@@ -65,10 +65,10 @@ def sheet(
     """Print the workspace cards, tip markers and lens board at true scale."""
     from thigmo.camera import print_sheet
 
-    made = load_sheet(length)
-    written = print_sheet(made, out)
+    default_sheet = load_sheet(length)
+    written = print_sheet(default_sheet, out)
     if not SHEET_FILE.exists():
-        made.save(SHEET_FILE)
+        default_sheet.save(SHEET_FILE)
     for path in written:
         typer.echo(f"wrote {path}")
     next_steps = (

@@ -154,10 +154,10 @@ def _why_missed(
             )
     if stage_contacts:
         return "placed elsewhere, beyond three standard deviations of its interval"
-    said = [
+    reasons = [
         f"{t.status}: {t.message}" for t in stage.triggers if t.side == missed.side and t.message
     ]
-    return said[-1] if said else "felt, and not localized at its last stage"
+    return reasons[-1] if reasons else "felt, and not localized at its last stage"
 
 
 def _why_false(contact: MapContact, truth: Sequence[TrueContact]) -> str:

@@ -194,8 +194,10 @@ class Interpreter:
         zone: int,
     ) -> Stage:
         """The stage's entry in contacts.json."""
-        said = {answer.side: (answer.status, answer.message) for answer in answers}
-        said |= {side: ("ambiguous", _CAUGHT) for side in caught_sides(sweep) if side not in said}
+        verdicts = {answer.side: (answer.status, answer.message) for answer in answers}
+        verdicts |= {
+            side: ("ambiguous", _CAUGHT) for side in caught_sides(sweep) if side not in verdicts
+        }
         shapes = _swept_shapes(length_cm, zone, sweep, self._wiring)
         return Stage(
             everted_length_cm=length_cm,
@@ -204,7 +206,7 @@ class Interpreter:
             shapes=[*shapes, *(answer.shape for answer in answers)],
             triggers=[
                 Trigger(
-                    t.side, t.t_s, t.excess_per_cm, *said.get(t.side, ("no contact", _NO_TOUCH))
+                    t.side, t.t_s, t.excess_per_cm, *verdicts.get(t.side, ("no contact", _NO_TOUCH))
                 )
                 for t in sweep.triggers
             ],

@@ -278,13 +278,13 @@ def _placed(
     last_sweep = [readings.sweep[readings.stage == s].max() for s in range(len(readings.stages))]
     stage = int(max(reached, key=lambda s: last_sweep[s]))
     weight = _widened(np.where(touches[:, stage], samples.weight, 0.0))
-    on = weight > 0.0
-    weight = weight[on] / weight[on].sum()
-    normal, force = touch[on, stage, 3:].T
+    weighed = weight > 0.0
+    weight = weight[weighed] / weight[weighed].sum()
+    normal, force = touch[weighed, stage, 3:].T
     length = readings.stages[stage].length
-    mean = weight @ touch[on, stage, :3]
+    mean = weight @ touch[weighed, stage, :3]
     probabilities = softmax([explanation.log_evidence for explanation in explanations])
-    places, masses = [touch[on, stage, :3]], [probabilities[0] * weight]
+    places, masses = [touch[weighed, stage, :3]], [probabilities[0] * weight]
     for rival, probability in zip(rivals, probabilities[1:], strict=True):
         touched, weights = _nearest(rival, stage, mean)
         places.append(touched)
@@ -309,7 +309,7 @@ def _placed(
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
     lengths_cm = sorted({round(readings.stages[s].length, 2) for s in reached})
-    q = samples.q[on]
+    q = samples.q[weighed]
     is_peg = obstacle < samples.hypothesis.pegs
     bends = q[:, OBSTACLE_UNKNOWNS * obstacle + (BEND if is_peg else WALL_BEND)]
     before = bends < readings.bend[np.isin(readings.stage, reached)].min()
@@ -345,7 +345,7 @@ def _placed(
         },
         peg_radius_cm=_quantiles(radii, weight, (0.5, 0.5))[0] if is_peg else nan,
         friction=float(weight @ np.abs(q[:, FRICTION])),
-        yield_cm=float(weight @ (samples.compliance[on] * np.abs(force))),
+        yield_cm=float(weight @ (samples.compliance[weighed] * np.abs(force))),
         gave_way_at=samples.gave_way_at,
     )
 
@@ -363,13 +363,13 @@ def _nearest(samples: Samples, stage: int, mean: Floats) -> tuple[Floats, Floats
     nearest = np.zeros((0, 3)), np.zeros(0)
     least = np.inf
     for touch in np.moveaxis(samples.touch[:, stage, :, :3], 1, 0):
-        on = np.isfinite(touch[:, 0])
-        weight = samples.weight[on]
+        touching = np.isfinite(touch[:, 0])
+        weight = samples.weight[touching]
         if weight.sum() < 0.5:
             continue
-        away = float(np.hypot(*(np.average(touch[on], axis=0, weights=weight) - mean)[1:]))
+        away = float(np.hypot(*(np.average(touch[touching], axis=0, weights=weight) - mean)[1:]))
         if away < least:
-            least, nearest = away, (touch[on], weight)
+            least, nearest = away, (touch[touching], weight)
     return nearest
 
 

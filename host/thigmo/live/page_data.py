@@ -58,9 +58,9 @@ def row_text(telemetry: Telemetry) -> str:
 
 def text(message: Message) -> bytes:
     """A message as JSON; of contacts with the words in which every view says them."""
-    said = to_json(message)
+    encoded = to_json(message)
     if not isinstance(message, Contacts):
-        return said
+        return encoded
     words = [
         {
             "place": contact.place_text, "along": contact.along_text,
@@ -69,7 +69,7 @@ def text(message: Message) -> bytes:
         }
         for contact in message.contacts
     ]  # fmt: skip
-    return b'%b,"words":%b}' % (said[:-1], json.dumps(words).encode())
+    return b'%b,"words":%b}' % (encoded[:-1], json.dumps(words).encode())
 
 
 def board(telemetry: Telemetry) -> dict[str, Any]:

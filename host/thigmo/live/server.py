@@ -106,24 +106,24 @@ class _Latch:
 
     def __init__(self) -> None:
         self.since_s: float | None = None  # UTC; None: it is not stopped
-        self.by = ""  # who stopped it; empty if no page of this server
+        self.pressed_by = ""  # the page; empty if no page of this server
         self._confirmed_s = float("-inf")  # readings from before say nothing of it
 
-    def confirm(self, at_s: float, by: str) -> None:
+    def confirm(self, at_s: float, pressed_by: str) -> None:
         """The board has echoed a stop that was pressed at a time."""
-        self.since_s, self.by, self._confirmed_s = at_s, by, time.time()
+        self.since_s, self.pressed_by, self._confirmed_s = at_s, pressed_by, time.time()
 
     def read(self, reading: Telemetry, *, clears: bool) -> None:
         """Take a reading; `clears` if one without the fault may be of a board that was cleared."""
         if Fault.STOPPED.key in reading.faults:
             if self.since_s is None:
-                self.since_s, self.by = reading.epoch_s, ""
+                self.since_s, self.pressed_by = reading.epoch_s, ""
         elif clears and reading.epoch_s > self._confirmed_s:
             self.clear()
 
     def clear(self) -> None:
         """The stop has ended."""
-        self.since_s, self.by = None, ""
+        self.since_s, self.pressed_by = None, ""
 
 
 class PageServer:
@@ -228,18 +228,18 @@ class PageServer:
 
     async def _pump(self) -> None:
         while self._watched is not None:
-            said: list[Message] = []  # of one run
+            batch: list[Message] = []  # of one run
             for message in self._watched.take():
                 if isinstance(message, Hello):
                     self._begin(message)
                 elif message is not None:
-                    said.append(message)
+                    batch.append(message)
                 else:
-                    self._pass_on(said)
-                    said = []
+                    self._pass_on(batch)
+                    batch = []
                     self._run.over.set()
                     self._tell()
-            self._pass_on(said)
+            self._pass_on(batch)
             await asyncio.sleep(_TICK_S)
 
     def _begin(self, run: Hello) -> None:
@@ -357,7 +357,7 @@ class PageServer:
             "robot": self._port,
             "jog_cm": JOG_CM,
             "latched": self._latch.since_s is not None,
-            "stopped": {"at_s": self._latch.since_s, "by": self._latch.by},
+            "stopped": {"at_s": self._latch.since_s, "by": self._latch.pressed_by},
             "age_s": round(time.monotonic() - run.read_s, 1) if run.board else None,
             "pausing": run.pausing,
             "operates": self._operator in (None, viewer),

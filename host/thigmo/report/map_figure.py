@@ -91,14 +91,14 @@ def plot_map(
     ]
     swept = [polygon for shapes in sides for polygon in outline(passed(shapes), radius_cm)]
 
-    def room(on: Axes) -> None:
-        _robot(on, document.stages, swept, radius_cm)
+    def room(target: Axes) -> None:
+        _robot(target, document.stages, swept, radius_cm)
         for obstacle in prior:
-            _expected(on, obstacle)
+            _expected(target, obstacle)
         for number, contact in enumerate(document.contacts, 1):
-            _contact(on, contact, number if len(document.contacts) > 1 else None)
+            _contact(target, contact, number if len(document.contacts) > 1 else None)
         if document.truth is not None:
-            _truth(on, document.truth)
+            _truth(target, document.truth)
 
     room(axes)
     _frame(axes, document)
