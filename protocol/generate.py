@@ -319,7 +319,7 @@ def load(path: Path) -> Schema:
                     f["type"],
                     capacity[counted_by].most if counted_by else count,
                     counted_by,
-                    bool(counted_by) and all(counted_by != other.counted_by for other in fields),
+                    bool(counted_by) and all(counted_by != peer.counted_by for peer in fields),
                     f.get("unit", ""),
                     enum,
                     f["doc"],
@@ -928,12 +928,12 @@ def markdown(schema: Schema) -> str:
 # --- golden vectors ------------------------------------------------------------------------------
 
 
-def _vector_value(field: Field, which: str, rng: random.Random, schema: Schema) -> int:
+def _vector_value(field: Field, choice: str, rng: random.Random, schema: Schema) -> int:
     _, _, _, low, high = TYPES[field.type]
     if field.enum:
         values = [v.value for v in schema.enums[field.enum][1]]
-        return rng.choice(values) if which == "random" else values[-1 if which == "high" else 0]
-    return {"low": low, "high": high, "zero": 0}.get(which, rng.randint(low, high))
+        return rng.choice(values) if choice == "random" else values[-1 if choice == "high" else 0]
+    return {"low": low, "high": high, "zero": 0}.get(choice, rng.randint(low, high))
 
 
 def golden(schema: Schema) -> str:
@@ -942,18 +942,18 @@ def golden(schema: Schema) -> str:
     rng = random.Random(schema.protocol)
     vectors: list[dict[str, Any]] = []
     for m in schema.messages:
-        for which in ("zero", "low", "high", "random") if m.fields else ("zero",):
+        for choice in ("zero", "low", "high", "random") if m.fields else ("zero",):
             fields: dict[str, Any] = {}
             flat: list[int] = []
             layout = "<"
             for f in m.fields:
                 count = schema.capacity[f.counted_by].usual if f.counted_by else f.count
-                values = [_vector_value(f, which, rng, schema) for _ in range(count)]
+                values = [_vector_value(f, choice, rng, schema) for _ in range(count)]
                 fields[f.name] = values if f.counted_by or count > 1 else values[0]
                 layout += ("B" if f.counted else "") + f"{count}{TYPES[f.type][0]}"
                 flat += [count, *values] if f.counted else values
-            seq = {"zero": 0, "low": 1, "high": 0xFFFF}.get(which, rng.randrange(0x10000))
-            session = {"zero": 0, "low": 1, "high": 0xFFFF}.get(which, rng.randrange(0x10000))
+            seq = {"zero": 0, "low": 1, "high": 0xFFFF}.get(choice, rng.randrange(0x10000))
+            session = {"zero": 0, "low": 1, "high": 0xFFFF}.get(choice, rng.randrange(0x10000))
             payload = struct.pack(layout, *flat)
             body = HEADER.pack(m.id, seq, session) + payload
             frame = body + struct.pack("<H", crc(body))

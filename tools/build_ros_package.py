@@ -24,8 +24,8 @@ FOREIGN = {
 
 for exported in PREFIX.glob("share/*/cmake/*_pyExport.cmake"):
     text = exported.read_text()
-    for foreign, here in FOREIGN.items():
-        text = re.sub(foreign, here, text)
+    for foreign, local in FOREIGN.items():
+        text = re.sub(foreign, local, text)
     exported.write_text(text)
 path = f"{PREFIX / 'bin'}{os.pathsep}{TOOLS}{os.pathsep}{os.environ['PATH']}"
 env = os.environ | {"AMENT_PREFIX_PATH": str(PREFIX), "PATH": path}

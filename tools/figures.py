@@ -107,7 +107,7 @@ def _many_robots(experiments: list[dict[str, Any]]) -> list[Row]:
         tie = abs(row["less_mean"]) < 2 * row["less_se"]
         verdict = "a tie" if tie else "ours" if row["less_mean"] > 0 else "its method"
         places = ", ".join(
-            f"{place} {its:.2f} / {ours:.2f}" for place, (its, ours) in row["by_place"].items()
+            f"{place} {base:.2f} / {ours:.2f}" for place, (base, ours) in row["by_place"].items()
         )
         rows.append((
             f"{row['condition']}: x error in the room, its method less ours",
@@ -219,19 +219,19 @@ def _accuracy(studies: list[dict[str, Any]]) -> list[Grid]:
     for error in dict.fromkeys(row["error"] for row in study["rows"]):
         can_be = any(row["error"] == error and row["stated"] for row in study["rows"])
         for stated in (False, True):
-            some = [
+            error_rows = [
                 row
                 for row in study["rows"]
                 if (row["error"], row["stated"]) == (error, stated) and "free" not in row["group"]
             ]
-            if not some:
+            if not error_rows:
                 continue
-            wrong = max(some, key=lambda row: row["wrong"])
-            covered, contacts = [r["covered"] for r in some], [r["found"] for r in some]
+            wrong = max(error_rows, key=lambda row: row["wrong"])
+            covered, contacts = [r["covered"] for r in error_rows], [r["found"] for r in error_rows]
             rows.append((
                 error, ("yes" if stated else "no") if can_be else "", f"{min(covered):.3f}",
                 f"{max(covered):.3f}", f"{100 * wrong['wrong']:.2g}", wrong["group"],
-                f"{min(contacts):.2f}", f"{max(contacts):.2f}", str(some[0]["count"]),
+                f"{min(contacts):.2f}", f"{max(contacts):.2f}", str(error_rows[0]["count"]),
             ))  # fmt: skip
     return [Grid(head, rows)]
 
@@ -306,16 +306,16 @@ def _stability(studies: list[dict[str, Any]]) -> list[Grid]:
     columns = [column for method in methods for column in (f"{method}, cm", "failed, %")]
     rows = []
     for stress in dict.fromkeys(row["stress"] for row in study["rows"]):
-        mine = {row["method"]: row for row in study["rows"] if row["stress"] == stress}
+        by_method = {row["method"]: row for row in study["rows"] if row["stress"] == stress}
         cells = []
         for method in methods:
-            row = mine.get(method)
+            row = by_method.get(method)
             mean = None if row is None else row["mean_cm"]
             cells += [
                 "" if mean is None else _number(mean),
                 "" if row is None else f"{100 * row['failures']:.0f}",
             ]
-        rows.append((stress, str(next(iter(mine.values()))["cases"]), *cells))
+        rows.append((stress, str(next(iter(by_method.values()))["cases"]), *cells))
     return [Grid(("stress", "cases", *columns), rows)]
 
 
@@ -356,9 +356,9 @@ def _boards(boards: dict[str, Any]) -> list[Row]:
 def _benchmark(groups: list[dict[str, Any]]) -> list[Row]:
     rows = []
     for method in dict.fromkeys(row["method"] for row in groups):
-        mine = [row for row in groups if row["method"] == method]
-        answered = sum(row["answered"] for row in mine)
-        failed = sum(row["answered"] * (row["failures"] or 0.0) for row in mine)
+        method_rows = [row for row in groups if row["method"] == method]
+        answered = sum(row["answered"] for row in method_rows)
+        failed = sum(row["answered"] * (row["failures"] or 0.0) for row in method_rows)
         rows.append((method, f"{100 * failed / max(answered, 1):.0f} %", f"of {answered} failed"))
     return rows
 

@@ -147,8 +147,8 @@ def draw_place(axes: Axes, fit: Fitted) -> None:
             Circle((peg.x_cm, peg.y_cm), peg.radius_cm, fill=False, ec=GREEN, lw=2, zorder=4,
                    label="the peg (truth)")
         )  # fmt: skip
-    here = [t for t in truth.contacts if of_stage(t, contact.everted_length_cm, contact.side)]
-    for touch in here:
+    nearby = [t for t in truth.contacts if of_stage(t, contact.everted_length_cm, contact.side)]
+    for touch in nearby:
         axes.plot(touch.x_cm, touch.y_cm, "x", color=GREEN, ms=8, mew=2, zorder=7,
                   label="where it was touched (truth)")  # fmt: skip
 

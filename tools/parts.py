@@ -1,7 +1,8 @@
 """Add up the parts list of docs/hardware: what costs what, from where, and what has no price.
 
-    python tools/parts.py                  the total, and every row without a price
-    python tools/parts.py --page           the whole list as the documentation shows it
+    python tools/parts.py        the total, and every row without a price
+
+The documentation shows the whole list (`page`, called by docs/_ext/generated.py).
 
 A price is one that its seller's page, or a list that somebody published, showed on the date beside
 it. Sums stay in the sellers' currencies: a rate of exchange would be one more number that ages.
@@ -9,9 +10,7 @@ it. Sums stay in the sellers' currencies: a rate of exchange would be one more n
 
 from __future__ import annotations
 
-import argparse
 import csv
-import sys
 from collections import defaultdict
 from collections.abc import Iterable
 from decimal import Decimal
@@ -77,21 +76,15 @@ def page() -> str:
     return "\n".join(lines)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Print the totals and what has no price, or the page."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--page", action="store_true", help="the whole list in Markdown")
-    if parser.parse_args(arguments).page:
-        print(page(), end="")
-        return 0
+def main() -> None:
+    """Print the totals and every row without a price."""
     for title, name in LISTS.items():
         rows = read(name)
         print(f"{title}: {summary(rows)}")
         for row in rows:
             if row["price"] == NO_PRICE:
                 print(f"  {row['ref']:10} {row['order'] or 'no order number'}: {row['what']}")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

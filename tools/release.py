@@ -195,9 +195,9 @@ def check(python: str, wheel: Path, work: Path) -> None:
     base.mkdir()
     try_base(programs / "thigmo", base)
     run(*install, f"{wheel}[all]", **no_compiler)
-    every = work / "every"
-    every.mkdir()
-    try_all(programs, every)
+    all_extras = work / "every"
+    all_extras.mkdir()
+    try_all(programs, all_extras)
 
 
 def try_base(thigmo: Path, folder: Path) -> None:

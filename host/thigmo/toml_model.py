@@ -93,13 +93,13 @@ def _line_of(error: ValidationError, text: str, union_tags: frozenset[str]) -> i
             if header[1] == "[[":
                 tables[tuple(table)] = tables.get(tuple(table), -1) + 1
                 table.append(tables[tuple(table)])
-            here = table
+            location = table
         elif key := re.match(r"\s*(\w+)\s*=", line):
-            here = [*table, key[1]]
+            location = [*table, key[1]]
         else:
             continue
-        if len(here) > length and here == wanted[: len(here)]:
-            best, length = number, len(here)
+        if len(location) > length and location == wanted[: len(location)]:
+            best, length = number, len(location)
     return best
 
 

@@ -274,9 +274,9 @@ def _column_inputs(config: RobotConfig, half: int) -> dict[tuple[Side, int], int
     """The inputs of the two columns in the plane, by side and place from the base."""
     firsts = dict(zip(SIDES, (0, half), strict=True))
     inputs: dict[tuple[Side, int], int] = {}
-    for side, other in (SIDES, SIDES[::-1]):
-        first, free = firsts[side], firsts[other]
-        taken = len(config.column(other))
+    for side, opposite in (SIDES, SIDES[::-1]):
+        first, free = firsts[side], firsts[opposite]
+        taken = len(config.column(opposite))
         numbers = [*range(first, first + half), *range(free + max(taken, 1), free + half), free]
         inputs |= {
             (side, place): number
@@ -288,7 +288,7 @@ def _column_inputs(config: RobotConfig, half: int) -> dict[tuple[Side, int], int
 def _is_base(config: RobotConfig, sensor: BoardSensor) -> bool:
     """Whether a sensor is the base one at its direction."""
     lies = sensor.direction_deg
-    return sensor is next(other for other in config.board_sensors if other.direction_deg == lies)
+    return sensor is next(base for base in config.board_sensors if base.direction_deg == lies)
 
 
 def table_key(name: str) -> str:

@@ -74,10 +74,10 @@ def test_pushed_body_agrees_with_an_independent_integration(
 ) -> None:
     forces = [data.draw(st.floats(-0.02, 0.02)) / arc for arc in arcs]
     solution = push(forces, arcs, free_curvature=g, length=53.0)
-    other = rod.readings(
+    expected = rod.readings(
         np.array(arcs), np.array(forces), CENTERS, length=53.0, span=5.5, free_curvature=g
     )
-    assert solution.averages(CENTERS, 5.5) == pytest.approx(other, abs=3e-8)
+    assert solution.averages(CENTERS, 5.5) == pytest.approx(expected, abs=3e-8)
 
 
 @given(arc=st.floats(12.0, 52.9), share=st.floats(0.01, 1.0), g=st.floats(0.003, 0.03))

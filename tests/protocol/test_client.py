@@ -502,9 +502,9 @@ def test_a_callback_must_not_use_the_link(client: Client) -> None:
 
 
 def test_the_taps_see_every_frame_both_ways(device: ReferenceDevice) -> None:
-    seen: list[tuple[str, int]] = []
+    tapped: list[tuple[str, int]] = []
     client = Client(LoopTransport(device), connect=False)
-    client.taps.append(lambda way, frame, t: seen.append((way, decode(frame).id)))
+    client.taps.append(lambda way, frame, t: tapped.append((way, decode(frame).id)))
     client.connect()
     client.request(wire.SetParameter(SETTLE, 4))
     wait(client, 0.3)
@@ -518,4 +518,4 @@ def test_the_taps_see_every_frame_both_ways(device: ReferenceDevice) -> None:
         ("rx", wire.Pulse.ID),
         ("rx", wire.Telemetry.ID),
     ]:
-        assert expected in seen
+        assert expected in tapped

@@ -28,19 +28,19 @@ def test_sweep_reaches_its_amplitude_and_touches_the_peg(room: Scene) -> None:
     robot.select_zone(2)
     robot.zero()
     plant = transport.lockstep.plant
-    seen: list[tuple[float, float, float]] = []
+    readings: list[tuple[float, float, float]] = []
     touched: set[int] = set()
 
     def look() -> None:
-        seen.append((*plant.muscle_psi, plant.free_curvature))
+        readings.append((*plant.muscle_psi, plant.free_curvature))
         touched.update(contact.peg for contact in plant.truth().contacts)
 
     robot.while_waiting(look)
     result = robot.sweep({"left": 18.0, "right": 18.0}, period_s=30.0)
-    assert max(left for left, _, _ in seen) == pytest.approx(18.0, abs=0.6)
+    assert max(left for left, _, _ in readings) == pytest.approx(18.0, abs=0.6)
     assert [trigger.side for trigger in result.triggers] == ["left"]
     assert touched == {0}
-    assert all(curvature < 0 for _, right, curvature in seen if right > 5)
+    assert all(curvature < 0 for _, right, curvature in readings if right > 5)
 
 
 def test_trigger_threshold_is_passed_where_the_noise_free_plant_says(room: Scene) -> None:

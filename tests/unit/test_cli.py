@@ -368,8 +368,8 @@ def test_columns_with_directions_are_localized_in_space(tmp_path: Path, thigmo: 
     assert float(row.out.splitlines()[1].split(",")[4]) == pytest.approx(
         answer["contacts"][0]["arc"], rel=1e-5
     )
-    some = thigmo("localize", frames, *stated, "--columns", "k0=10@0,k1=10")
-    assert "DEGREES" in some.err
+    partial = thigmo("localize", frames, *stated, "--columns", "k0=10@0,k1=10")
+    assert "DEGREES" in partial.err
     heavy = thigmo("localize", table, *stated, "--weight", "0,1")
     assert "three numbers" in heavy.err
 

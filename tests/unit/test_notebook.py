@@ -194,9 +194,9 @@ def test_a_run_draws_its_map_on_the_axes_given(run: thigmo.ExplorationResult) ->
     axes = run.plot()
     assert axes.get_title(loc="left") == f"{NAME}: 1 contact"
     assert axes.get_xlabel().endswith("(cm)")
-    other = axes.figure.add_axes((0.7, 0.7, 0.2, 0.2))
-    assert run.plot(other) is other
-    assert other.get_title(loc="left")
+    inset = axes.figure.add_axes((0.7, 0.7, 0.2, 0.2))
+    assert run.plot(inset) is inset
+    assert inset.get_title(loc="left")
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:

@@ -420,10 +420,10 @@ def _truth(*contacts: TrueContact) -> Truth:
 
 def test_missed_and_false_contacts_are_listed_with_reasons() -> None:
     contact = _contact()
-    here = TrueContact(contact.x_cm + 0.5, contact.y_cm, 40.5, 50.0, 0, "left")
+    beside = TrueContact(contact.x_cm + 0.5, contact.y_cm, 40.5, 50.0, 0, "left")
     right = TrueContact(30.0, -10.0, 33.0, 50.0, 1, "right")
     near = TrueContact(1.0, -1.75, 1.0, 50.0, 2, "right")
-    both = judged(replace(_document(contact), truth=_truth(here, right, near)), CONFIG)
+    both = judged(replace(_document(contact), truth=_truth(beside, right, near)), CONFIG)
     assert both.false == []
     assert both.missed is not None
     assert [(m.arc_cm, m.source) for m in both.missed] == [(33.0, "truth"), (1.0, "truth")]
@@ -438,9 +438,9 @@ def test_missed_and_false_contacts_are_listed_with_reasons() -> None:
 
 def test_two_pegs_of_one_sweep_that_were_not_told_apart_say_so() -> None:
     contact = _contact()
-    here = TrueContact(contact.x_cm, contact.y_cm, 40.0, 50.0, 0, "left")
-    other = TrueContact(20.0, 5.0, 20.0, 50.0, 1, "left")
-    document = judged(replace(_document(contact), truth=_truth(here, other)), CONFIG)
+    beside = TrueContact(contact.x_cm, contact.y_cm, 40.0, 50.0, 0, "left")
+    distant = TrueContact(20.0, 5.0, 20.0, 50.0, 1, "left")
+    document = judged(replace(_document(contact), truth=_truth(beside, distant)), CONFIG)
     assert document.missed is not None
     assert "not separated" in document.missed[0].reason
 

@@ -250,9 +250,9 @@ def test_the_command_clears_what_it_can_and_tells_the_fault_that_lasts(
     assert isinstance(first.exception, RobotFaultError)
     assert "estop: The emergency stop was pressed; release it" in str(first.exception)
     board.lasting = 0
-    then = CliRunner().invoke(app, ["clear", "--robot", "/dev/ttyACM0", "--json"])
-    assert json.loads(then.output) == {"cleared": ["estop"], "remaining": []}
-    assert then.exit_code == 0
+    cleared = CliRunner().invoke(app, ["clear", "--robot", "/dev/ttyACM0", "--json"])
+    assert json.loads(cleared.output) == {"cleared": ["estop"], "remaining": []}
+    assert cleared.exit_code == 0
     assert CliRunner().invoke(app, ["clear", "--robot", "x"]).output == "No fault is latched.\n"
 
 

@@ -54,12 +54,12 @@ def test_the_difference_of_two_sensors_at_one_place_bends_no_base(apart: float) 
 
 def test_the_shape_is_the_same_in_whichever_order_the_inputs_have_the_sensors() -> None:
     centers, readings = np.array([5.0, 15.0, 25.0, 35.0]), np.array([4e-3, 6e-3, 9e-3, 13e-3])
-    other = np.array([2, 0, 3, 1])
-    assert measured_bend(40.0, centers[other], readings[other]) == measured_bend(
+    order = np.array([2, 0, 3, 1])
+    assert measured_bend(40.0, centers[order], readings[order]) == measured_bend(
         40.0, centers, readings
     )
     covariance = np.diag([1.0, 2.0, 3.0, 4.0])
-    assert common_error(40.0, centers[other], covariance[np.ix_(other, other)]) == pytest.approx(
+    assert common_error(40.0, centers[order], covariance[np.ix_(order, order)]) == pytest.approx(
         common_error(40.0, centers, covariance)
     )
 
@@ -68,9 +68,9 @@ def test_a_body_as_its_sensors_see_it_is_the_body() -> None:
     bend = Bend(50.0, 0.02, ramp_knots([(38.0, -2e-4)]))
     centers = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
     readings = 0.02 - 2e-4 * np.maximum(38.0 - centers, 0)
-    seen, true = centreline(measured_bend(50.0, centers, readings)), centreline(bend)
+    measured, true = centreline(measured_bend(50.0, centers, readings)), centreline(bend)
     for arc in (10.0, 30.0, 50.0):
-        assert seen.pose(arc) == pytest.approx(true.pose(arc), abs=0.05)
+        assert measured.pose(arc) == pytest.approx(true.pose(arc), abs=0.05)
 
 
 def test_a_common_error_puts_the_tip_as_far_off_as_the_sensors_own() -> None:

@@ -259,7 +259,7 @@ class ConfigStore {
   template <typename Board>
   bool read_entries(Board& board, Configuration* configuration) {
     uint8_t* const image = reinterpret_cast<uint8_t*>(configuration);
-    uint8_t seen[(protocol::kParamKeys + 8) / 8] = {};
+    uint8_t stored_mask[(protocol::kParamKeys + 8) / 8] = {};
     report_ = StoredReport{};
     uint16_t address = static_cast<uint16_t>(kSlotAt[slot_] + kSlotHeader);
     const uint16_t end = static_cast<uint16_t>(address + read16(board, address - 2u));
@@ -280,7 +280,7 @@ class ConfigStore {
         for (uint16_t i = 0; i < stored.size(); ++i) {
           image[place + i] = board.eeprom_read(static_cast<uint16_t>(address + i));
         }
-        seen[index / 8] = static_cast<uint8_t>(seen[index / 8] | 1u << index % 8);
+        stored_mask[index / 8] = static_cast<uint8_t>(stored_mask[index / 8] | 1u << index % 8);
         ++report_.kept;
       } else {
         report_.unknown.add(stored.id);
@@ -288,7 +288,7 @@ class ConfigStore {
       address = static_cast<uint16_t>(address + stored.size());
     }
     for (uint8_t i = 0; i <= protocol::kParamKeys; ++i) {
-      if ((seen[i / 8] >> i % 8 & 1) == 0) report_.fresh.add(kind(i).id);
+      if ((stored_mask[i / 8] >> i % 8 & 1) == 0) report_.fresh.add(kind(i).id);
     }
     return true;
   }

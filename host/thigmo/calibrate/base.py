@@ -183,7 +183,11 @@ def fit_pushes(
 def _fit(
     pushes: Callable[[float], Pushes], common_se: float, config: RobotConfig, notes: list[str]
 ) -> BaseResult:
-    """The line through pushes, which depend on an error that they share, of a standard error."""
+    """Fit turn over moment.
+
+    `pushes` gives the pushes for a value of the error that all of them share, whose standard error
+    is `common_se`.
+    """
     body = config.body
     fold = body.push_curvature
     if body.folds:
@@ -214,8 +218,9 @@ def _fit(
         notes.append(f"{outliers} push(es) omitted as outliers")
     # Few pushes estimate their scatter poorly, as Student's t has it.
     random_se = line.se(1) * float(student.ppf(0.975, used.sum() - 2) / norm.ppf(0.975))
-    other = pushes(common_se)
-    shift = float(_line(np.where(used, other.moment, np.nan), other).coefficients[1]) - compliance
+    shifted = pushes(common_se)
+    shifted_line = _line(np.where(used, shifted.moment, np.nan), shifted)
+    shift = float(shifted_line.coefficients[1]) - compliance
     error = float(np.hypot(random_se, shift))
     zero = float(line.coefficients[0])
     second_order = _second_order(moment, taken, used)

@@ -63,7 +63,7 @@ class Drive(AbstractContextManager["Drive"]):
 
 
 def pull_duty(rows: Sequence[Row], counts_per_cm: float, config: RobotConfig) -> list[float | None]:
-    """Duty (of 800) that growth needs less than by the motor's data sheet, for each body pressure.
+    """How much less duty (of 800) growth needs than by the data sheet, at each body pressure.
 
     The smallest of the measured differences, so that a sound encoder is never called faulty. None
     at a body pressure that was not measured.

@@ -154,7 +154,8 @@ def reml_lines(columns: Sequence[Column]) -> list[OrderedFit | None]:
 def _grid_fit(column: Column, fit: LinearFit) -> tuple[LinearFit, Array, Array]:
     """The line through the rows that a robust fit kept, and its errors at g points of the grid.
 
-    Of each point, the restricted log evidence (g,) without the prior, and the covariance (g, p, p).
+    Returns for each point the restricted log evidence (g,) without the prior, and the covariance
+    (g, p, p).
     """
     design, slope = column.design(), abs(float(fit.coefficients[1]))
     # In order, of one session and sweep, about `_MOST_ROWS` in all.

@@ -41,7 +41,7 @@ class Session:
             self.config.save(self.robot_file)
 
     def rows(self, procedure: str) -> dict[str, dict[str, Any]]:
-        """Readings taken so far, by key, in order; of one that was taken again the last.
+        """Readings taken so far, by key, in order; a repeated reading replaces the earlier one.
 
         A last line that a crash cut off is dropped; any other damage raises DataError.
         """

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from thigmo.cli import signals
-from thigmo.cli.dead_man_switch import ByPageOption, held, shown
+from thigmo.cli.dead_man_switch import ByPageOption, dead_man_switch, shown
 from thigmo.cli.output import (
     JsonOption,
     RobotOption,
@@ -36,8 +36,8 @@ def stop(
     try:
         robots = stop_all() if robot is None else stop_robot(robot)
     except KeyboardInterrupt:
-        said = "thigmo: NOT confirmed: interrupted before the board confirmed; "
-        typer.echo(f"{said}use the emergency stop", err=True)
+        warning = "thigmo: NOT confirmed: interrupted before the board confirmed; "
+        typer.echo(f"{warning}use the emergency stop", err=True)
         raise typer.Exit(signals.status()) from None
     if not robots:
         way_out = "stop the one that does with Ctrl-C"
@@ -57,8 +57,8 @@ def stop(
         ),
     )
     for result in failed:
-        which = f"{result.robot}: " if robot is None else ""  # which else has been given
-        typer.echo(f"thigmo: NOT stopped: {which}{result.failure}", err=True)
+        prefix = f"{result.robot}: " if robot is None else ""  # which else has been given
+        typer.echo(f"thigmo: NOT stopped: {prefix}{result.failure}", err=True)
     if failed:
         raise typer.Exit(1)
 
@@ -187,7 +187,7 @@ def retract(
     from thigmo.robot import connect
 
     console = Console(quiet=as_json)
-    with connect(robot, operator=console) as machine, held(machine, "retract", by_page):
+    with connect(robot, operator=console) as machine, dead_man_switch(machine, "retract", by_page):
         if config is not None:
             machine.configure(RobotConfig.load(config))
         elif machine.known_config is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thigmo.cli.console import Console
-from thigmo.cli.dead_man_switch import ByPageOption, held
+from thigmo.cli.dead_man_switch import ByPageOption, dead_man_switch
 from thigmo.cli.output import JsonOption, RobotOption, SentConfigOption, filled, show
 from thigmo.errors import ConfigError
 
@@ -117,13 +117,13 @@ def bringup(
     good = all(finding.good for finding in findings)
     stage = findings[-1].stage
     if not good:
-        on = f"Correct it, then: thigmo bringup --robot {robot} --from {stage}"
+        advice = f"Correct it, then: thigmo bringup --robot {robot} --from {stage}"
     elif stage == STAGES[-1]:
-        on = f"All is as it should be. Next: {', then '.join(calibrations)}"
+        advice = f"All is as it should be. Next: {', then '.join(calibrations)}"
     else:
         following = STAGES[STAGES.index(stage) + 1]
-        on = f"So far all is well. Next: thigmo bringup --robot {robot} --from {following}"
-    show(as_json, {"good": good, "findings": [asdict(finding) for finding in findings]}, on)
+        advice = f"So far all is well. Next: thigmo bringup --robot {robot} --from {following}"
+    show(as_json, {"good": good, "findings": [asdict(finding) for finding in findings]}, advice)
     if not good:
         raise typer.Exit(1)
 
@@ -147,7 +147,7 @@ def jog(
 
     if (out > 0) == (wind > 0) or min(out, wind) < 0:
         raise ConfigError("a jog needs one direction", "give --out CM or --in CM")
-    with _robot(robot, Console(quiet=as_json)) as machine, held(machine, "jog", by_page):
+    with _robot(robot, Console(quiet=as_json)) as machine, dead_man_switch(machine, "jog", by_page):
         machine.arm(body_air=False)
         machine.vent()
         moved = move(machine, out or -wind)
@@ -178,8 +178,8 @@ def press(
             machine, muscle, psi, seconds,
             lambda now: tell(f"{muscle} {now:.2f} psi", (machine.now() - began) / seconds),
         )  # fmt: skip
-    said = f"The {muscle} muscle reached {reached:.2f} psi."
-    show(as_json, {"muscle": muscle, "pressure_psi": reached}, said)
+    text = f"The {muscle} muscle reached {reached:.2f} psi."
+    show(as_json, {"muscle": muscle, "pressure_psi": reached}, text)
 
 
 @contextmanager

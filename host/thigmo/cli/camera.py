@@ -65,10 +65,10 @@ def sheet(
     """Print the workspace cards, tip markers and lens board at true scale."""
     from thigmo.camera import print_sheet
 
-    made = load_sheet(length)
-    written = print_sheet(made, out)
+    default_sheet = load_sheet(length)
+    written = print_sheet(default_sheet, out)
     if not SHEET_FILE.exists():
-        made.save(SHEET_FILE)
+        default_sheet.save(SHEET_FILE)
     for path in written:
         typer.echo(f"wrote {path}")
     next_steps = (
@@ -189,13 +189,13 @@ def check(
             typer.echo(f"no {CAMERA_FILE}: the camera is located from this very picture")
     wanted = DetectionRequest(diameter, length_cm=length)
     empty = None if background is None else _one_picture(background)
-    seen = detect(picture, model, used, wanted, background=empty)
-    write_picture(out, draw(picture, model, used, seen, wanted))
-    show(as_json, {**_facts(seen), "picture": str(out)}, *_lines(seen), f"wrote {out}")
+    detection = detect(picture, model, used, wanted, background=empty)
+    write_picture(out, draw(picture, model, used, detection, wanted))
+    show(as_json, {**_facts(detection), "picture": str(out)}, *_lines(detection), f"wrote {out}")
 
 
-def _facts(seen: Detection) -> dict[str, Any]:
-    tip, axis = seen.tip, seen.axis
+def _facts(detection: Detection) -> dict[str, Any]:
+    tip, axis = detection.tip, detection.axis
     return {
         "tip": tip and {key: getattr(tip, key) for key in ("x_cm", "y_cm", "heading")},
         "axis": axis and {
@@ -203,20 +203,20 @@ def _facts(seen: Detection) -> dict[str, Any]:
             "mean_curvature": axis.curvature,
             "residual_cm": axis.residual_cm,
         },
-        "obstacles": [asdict(obstacle) for obstacle in seen.obstacles],
-        "hidden": list(seen.hidden),
-        "problems": [str(problem) for problem in seen.problems],
+        "obstacles": [asdict(obstacle) for obstacle in detection.obstacles],
+        "hidden": list(detection.hidden),
+        "problems": [str(problem) for problem in detection.problems],
     }  # fmt: skip
 
 
-def _lines(seen: Detection) -> Iterator[str]:
-    if seen.tip is not None:
-        yield f"tip at x {seen.tip.x_cm:.2f}, y {seen.tip.y_cm:.2f} cm"
-    if seen.axis is not None:
-        length_cm, mean = seen.axis.length_cm, seen.axis.curvature
+def _lines(detection: Detection) -> Iterator[str]:
+    if detection.tip is not None:
+        yield f"tip at x {detection.tip.x_cm:.2f}, y {detection.tip.y_cm:.2f} cm"
+    if detection.axis is not None:
+        length_cm, mean = detection.axis.length_cm, detection.axis.curvature
         yield f"body {length_cm:.1f} cm long, mean curvature {mean:+.5f} 1/cm"
-    for o in seen.obstacles:
+    for o in detection.obstacles:
         yield f"obstacle at x {o.x_cm:.2f}, y {o.y_cm:.2f}, radius {o.radius_cm:.2f} cm"
-    if seen.hidden:
-        yield f"hidden cards: {', '.join(seen.hidden)}"
-    yield from map(str, seen.problems)
+    if detection.hidden:
+        yield f"hidden cards: {', '.join(detection.hidden)}"
+    yield from map(str, detection.problems)

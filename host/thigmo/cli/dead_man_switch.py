@@ -54,7 +54,7 @@ def shown(robot: Robot, command: str, wanted: bool) -> Iterator[None]:
 
 
 @contextmanager
-def held(robot: Robot, motion: str, wanted: bool) -> Iterator[None]:
+def dead_man_switch(robot: Robot, motion: str, wanted: bool) -> Iterator[None]:
     """As `shown`; the motion goes on only while the page is there, and the robot is then disarmed.
 
     Raises StoppedByViewerError once the page has gone, with the motor braked, the valves at 0 mA,

@@ -28,16 +28,16 @@ def hints(
     """Likely mistakes in the readings (N,) of a result; `options` are those of its `localize`."""
     given = options.get("free_curvature")
     free = np.broadcast_to(0.0 if given is None else given, curvature.shape)
-    seen = np.isfinite(curvature)
+    finite = np.isfinite(curvature)
     stated = options.get("noise")
     noise = None if stated is None else float(np.sqrt(np.mean(np.square(stated))))
     hints = []
-    if _mirrored(curvature[seen], -free[seen], result.noise if noise is None else noise):
+    if _mirrored(curvature[finite], -free[finite], result.noise if noise is None else noise):
         hints.append(
             "the readings have the other sign than the free curvature: change the sign of one"
         )
     elif options.get("direction") is None and (
-        opposite := _opposite_columns(curvature[seen], position[seen], noise)
+        opposite := _opposite_columns(curvature[finite], position[finite], noise)
     ):
         hints.append(
             f"the two sensors at {opposite} read opposite curvatures: change the sign of the "
@@ -47,8 +47,8 @@ def hints(
         options.get("direction") is None
         and options.get("held_end") is not True
         and _bends_the_end(
-            (curvature - free)[seen],
-            result.length - position[seen],
+            (curvature - free)[finite],
+            result.length - position[finite],
             result.noise if noise is None else noise,
         )
     ):
@@ -87,10 +87,10 @@ def _bends_the_end(excess: Array, to_end: Array, noise: float) -> bool:
     return bool(agreed > most + _SIGMAS * noise)
 
 
-def _mirrored(first: Array, other: Array, noise: float) -> bool:
+def _mirrored(first: Array, second: Array, noise: float) -> bool:
     """Whether two sets of curvatures (n,) agree, and are well above the noise."""
-    apart, together = np.square(first - other).sum(), np.square(first + other).sum()
-    strong = min(np.square(first).mean(), np.square(other).mean()) > (_SIGMAS * noise) ** 2
+    apart, together = np.square(first - second).sum(), np.square(first + second).sum()
+    strong = min(np.square(first).mean(), np.square(second).mean()) > (_SIGMAS * noise) ** 2
     return bool(strong and apart < _OPPOSITE * together)
 
 
@@ -107,7 +107,7 @@ def _opposite_columns(curvature: Array, position: Array, noise: float | None) ->
     ]
     if not pairs:
         return ""
-    first, other = np.array([pair for _, pair in pairs]).T
+    first, second = np.array([pair for _, pair in pairs]).T
     if noise is None:
-        noise = float(np.sqrt(np.square(first + other).mean() / 2.0))
-    return ", ".join(f"{place:g}" for place, _ in pairs) if _mirrored(first, -other, noise) else ""
+        noise = float(np.sqrt(np.square(first + second).mean() / 2.0))
+    return ", ".join(f"{place:g}" for place, _ in pairs) if _mirrored(first, -second, noise) else ""

@@ -61,11 +61,11 @@ def _reported(group: Any = None) -> Iterator[None]:
     except _UsageError as error:
         if type(error).show is not _UsageError.show:  # no argument at all: its help is shown
             raise
-        said = " ".join(error.format_message().split()).rstrip(".").replace("Value error, ", "")
+        text = " ".join(error.format_message().split()).rstrip(".").replace("Value error, ", "")
         # An option without its argument is reported without the context of its command.
         command = f" {group.invoked_subcommand}" if group else ""
         path = error.ctx.command_path if error.ctx else f"thigmo{command}"
-        typer.echo(f"thigmo: {said}; see `{path} --help`", err=True)
+        typer.echo(f"thigmo: {text}; see `{path} --help`", err=True)
         raise typer.Exit(error.exit_code) from None
 
 
@@ -117,6 +117,6 @@ def main() -> None:
         app()
     except ThigmoError as error:
         notes = getattr(error, "__notes__", [])
-        said = f"thigmo: {error}" + "".join(f" ({note})" for note in notes)
-        typer.echo(visible(said), err=True)
+        text = f"thigmo: {error}" + "".join(f" ({note})" for note in notes)
+        typer.echo(visible(text), err=True)
         sys.exit(1)

@@ -57,30 +57,30 @@ def new(
     config.save(out / "robot.toml")
     for older in ("scene.toml", "empty.toml", "grown.toml"):  # of the robot that was there before
         (out / older).unlink(missing_ok=True)
-    written, said = [str(out / "robot.toml")], []
+    written, lines = [str(out / "robot.toml")], []
     if beyond := beyond_board(config):
-        said = [filled(f"no scene: {problem}; {cure}") for problem, cure in beyond]
+        lines = [filled(f"no scene: {problem}; {cure}") for problem, cure in beyond]
     elif refused := Wiring.laid_out(config).unexplorable:
-        said = [filled(f"explore does not work with it: {refused.problem}; {refused.cure}")]
+        lines = [filled(f"explore does not work with it: {refused.problem}; {refused.cure}")]
     else:
         room = room_for(config, seed)
         room.save(out / "scene.toml")
         written.append(str(out / "scene.toml"))
-        said = [f"explore it: thigmo explore --scene {out / 'scene.toml'}"]
+        lines = [f"explore it: thigmo explore --scene {out / 'scene.toml'}"]
         if config.gratings:
             room.start_length_cm = config.body.length_cm
             room.save(out / "grown.toml")
             written.append(str(out / "grown.toml"))
             press = pressed(config, room.peg_list())
             url = f"emulator://{out / 'grown.toml'}"
-            said.append(f"feel its peg, grown: thigmo feel --robot {url} --press {press}")
+            lines.append(f"feel its peg, grown: thigmo feel --robot {url} --press {press}")
     if not beyond:
         room_for(config, seed, peg=False).save(out / "empty.toml")
         written.append(str(out / "empty.toml"))
         commands = commands_of(config, f"emulator://{out / 'empty.toml'}")
-        said.append(f"calibrate it: {', then '.join(commands)}")
-    said = [f"wrote {', '.join(written)}", f"check it: thigmo robot check {written[0]}", *said]
-    show(as_json, {"files": written, "notes": said[1:]}, *said)
+        lines.append(f"calibrate it: {', then '.join(commands)}")
+    lines = [f"wrote {', '.join(written)}", f"check it: thigmo robot check {written[0]}", *lines]
+    show(as_json, {"files": written, "notes": lines[1:]}, *lines)
 
 
 @robot.command()

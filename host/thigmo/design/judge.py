@@ -349,12 +349,12 @@ def _touches(config: RobotConfig) -> Iterator[Finding]:
     # A force at the tip turns it by half of its moment at the base times the length.
     moment = min(2 * _PUSHED_RAD / length_cm, *_fold_moments(config))
     sensors = sorted(column, key=lambda sensor: sensor.center_cm)
-    felt = 100 * _localized(config, sensors, arcs, moment, 0.0, _CALIBRATED_GAIN).mean()
+    localized = 100 * _localized(config, sensors, arcs, moment, 0.0, _CALIBRATED_GAIN).mean()
     text = (
         f"a push that turns the tip by {degrees(moment * length_cm / 2):.0f} degrees is localized "
-        f"to {WIDTH_SHARE * length_cm:.1f} cm on {felt:.0f} % of the body (`thigmo feel`)"
+        f"to {WIDTH_SHARE * length_cm:.1f} cm on {localized:.0f} % of the body (`thigmo feel`)"
     )
-    yield Finding("feel", "ok" if felt >= _LOCALIZED_LEAST else "warning", text)
+    yield Finding("feel", "ok" if localized >= _LOCALIZED_LEAST else "warning", text)
 
 
 def _cure(

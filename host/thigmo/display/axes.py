@@ -39,7 +39,7 @@ def small(axes: Axes) -> None:
         axis.label.set_fontsize(8)
 
 
-def titled(axes: Axes, title: str, said: str) -> None:
+def titled(axes: Axes, title: str, statement: str) -> None:
     """A title at the left, and a line of facts below it."""
     axes.set_title(title, loc="left", fontsize=13, color=INK, pad=22)
-    axes.text(0, 1.012, said, transform=axes.transAxes, fontsize=9, color=MUTED, va="bottom")
+    axes.text(0, 1.012, statement, transform=axes.transAxes, fontsize=9, color=MUTED, va="bottom")

@@ -18,13 +18,13 @@ def html_table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def html_card(title: str, said: str, *parts: str) -> str:
+def html_card(title: str, statement: str, *parts: str) -> str:
     """A bold title, a sentence, and finished parts (tables, strips) below."""
     from html import escape
 
     return (
         f'<div style="max-width: 46em"><strong>{escape(title)}</strong>'
-        f"<div>{escape(said)}</div>{''.join(parts)}</div>"
+        f"<div>{escape(statement)}</div>{''.join(parts)}</div>"
     )
 
 

@@ -97,7 +97,7 @@ class EmulatedBoard(Protocol):
         """Restart, for a `ResetCause`."""
 
     def hang(self) -> None:
-        """Stop the main loop; the watchdog will bite."""
+        """Stop the main loop; the watchdog then resets the board."""
 
 
 def virtual_board(robot: RobotConfig, seed: int, eeprom: bytes = b"") -> EmulatedBoard:

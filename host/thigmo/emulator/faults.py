@@ -1,11 +1,12 @@
 """Faults that a scene injects, from a moment or a condition on, for a while or for good.
 
-What `value` means stands beside its defaults below. pressure_stuck and over_pressure are faults of
-the air, the other ones of pressure are the sensor's: one that flickers shows at most `value`, but
-the truth for 20 ms of each second; the wire of one that chatters is open for that share of time.
-imu_hung is of the IMU at a span's far end: no span that begins or ends there is read. The `sensor`
-of a grating is its reading's number, base first. host_silent mutes the host: its bytes and
-heartbeats are lost. power_cut takes the board's power for `duration_s` (default 1 s).
+The defaults below say what `value` means. pressure_stuck and over_pressure are faults of the air;
+the other pressure faults are of the sensor. A sensor that flickers shows at most `value`, except
+for 20 ms of each second, in which it shows the truth. The wire of one that chatters is open for the
+share `value` of the time. imu_hung stops the IMU at a span's far end, so no span that begins or
+ends there is read. For a grating, `sensor` is the number of its reading, base first. host_silent
+loses the host's bytes and heartbeats. power_cut takes the board's power for `duration_s` (default
+1 s).
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""A fibre with gratings and its interrogator: lines of strains, as a lab's come over TCP.
+"""A fibre with gratings, and its interrogator, which sends lines of strains over TCP.
 
-Temperature strains all gratings alike and wanders; each grating scatters, wanders by itself, is
-bent by the tip's fold as it everts, comes to lie otherwise each time, and loses its peak now and
-then. The fibre lies turned about its axis. The format is that of `thigmo.link.interrogator`.
+Temperature strains all gratings alike and drifts. Each grating has noise and a drift of its own, is
+bent by the tip's fold as it everts, lies a little differently after each eversion, and loses its
+peak now and then. The fibre is twisted about its axis. The format is that of
+`thigmo.link.interrogator`.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class EmulatedFibre:
     """The gratings of a robot, read every few steps; random by `rng`.
 
     Attributes:
-        lost: numbers of the readings that have lost their peak.
+        lost_gratings: numbers of the readings that have lost their peak.
         noisy: microstrain that a fault adds, one sigma, by number.
         silent: whether the interrogator sends nothing.
     """
@@ -63,7 +64,7 @@ class EmulatedFibre:
         self._lines: deque[bytes] = deque(maxlen=_KEPT)
 
     def step(self, number: int, curvature: Floats, length_cm: float) -> None:
-        """Go on to a step; (n,) mean curvatures of the gratings, 0 inside the tail."""
+        """Advance to a step. `curvature` has the gratings' means (n,), 1/cm; 0 inside the tail."""
         if not len(self._ends) or number % self._every:
             return
         parameters, rng, count = self._parameters, self._rng, len(self._ends)
@@ -95,7 +96,7 @@ class EmulatedFibre:
         return data
 
     def close(self) -> None:
-        """End nothing: the fibre is the robot's."""
+        """Do nothing: the fibre belongs to the robot."""
 
 
 class LineServer:
@@ -115,7 +116,7 @@ class LineServer:
         self._heard: dict[socket.socket, bytearray] = {}
 
     def exchange(self) -> None:
-        """Take who connects, and send what there is; who does not read is cut off."""
+        """Accept connections and send pending lines; a client that does not read is dropped."""
         with suppress(OSError):
             joined, _ = self._listener.accept()
             joined.setblocking(False)

@@ -1,7 +1,7 @@
 """The I2C bus of a string of IMUs, as a board meets it: BNO085 behind a TCA9548A, byte by byte.
 
-What each part does is of its data sheet: TCA9548A of SCPS207, BNO085 of CEVA 1000-3927 with SHTP
-(1000-3535) and SH-2 (1000-3625). Headings are those of the emulated string.
+Each part follows its data sheet: TCA9548A SCPS207, BNO085 CEVA 1000-3927 with SHTP (1000-3535) and
+SH-2 (1000-3625). Headings are those of the emulated string.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Bno085:
     """One IMU of a string: messages of SHTP, and game rotation vectors once it is asked for them.
 
     Attributes:
-        answers: False as of one that is unplugged.
-        counts: Whether it goes on numbering its reports; otherwise the last one is repeated.
-        moves: Whether its numbers follow the body; otherwise they stay as they are.
+        answers: False for an unplugged IMU.
+        counts: Whether it numbers its reports on; otherwise it repeats the last one.
+        moves: Whether its heading follows the body; otherwise it stays as it is.
     """
 
     def __init__(self, string: ImuString, number: int) -> None:
@@ -42,7 +42,7 @@ class Bno085:
         self.restart()
 
     def restart(self, origin_rad: float = 0.0) -> None:
-        """Begin again, as after a sag of its supply: another origin, and no reports."""
+        """Restart, as after a sag of its supply: with another origin, and without reports."""
         self._origin = origin_rad
         self._interval_us = 0
         self._next_us = 0
@@ -93,11 +93,11 @@ class ImuBus:
 
     Attributes:
         chips: IMUs by the multiplexer's channel and their address.
-        inputs: Of the board; nothing is wired to their converter.
-        held_clocks: Clocks until a part that holds SDA low releases it.
+        inputs: The board's inputs that are read over the bus, not by its converter.
+        held_clocks: Number of clocks after which a part that holds SDA low releases it.
         mux_answers: Whether the multiplexer acknowledges.
         mux_stuck: Whether it keeps its channel whatever is written.
-        bits: That the bus has carried.
+        bits: Number of bits that the bus has carried.
     """
 
     def __init__(self, chips: dict[tuple[int, int], Bno085], inputs: npt.NDArray[np.intp]) -> None:
@@ -108,7 +108,7 @@ class ImuBus:
         self._selected = 0
 
     def transfer(self, now_us: int, address: int, data: bytes, count: int) -> tuple[int, bytes]:
-        """Write the data, or read `count` bytes if there is none: how it ended, and the bytes."""
+        """Write the data, or read `count` bytes if there is none; returns outcome and bytes."""
         if self.held_clocks > 0:
             return STUCK, b""
         self.bits += 9 * (1 + (len(data) or count)) + 2

@@ -1,8 +1,8 @@
-"""A string of IMUs behind a bus, as the board's reader says it: a turn for each span.
+"""A string of IMUs behind a bus, as the board's reader reports it: one turn for each span.
 
-Each IMU's heading is integrated from a gyro: it drifts, each its own way, and scatters. Passing the
-tip turns an IMU round, by half a turn. The reader says the turn between two IMUs as a divider would
-say a resistance, and an open circuit where an IMU does not answer.
+Each IMU integrates its heading from a gyro, with noise and a drift of its own. As it passes the
+tip, it is turned round by half a turn. The reader encodes the turn between two IMUs as a divider
+encodes a resistance, and an IMU that does not answer as an open circuit.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class ImuString:
         self.hung: set[int] = set()  # IMUs that do not answer, by number
 
     def counts(self, curvature: Floats, length_cm: float) -> Floats:
-        """Go one step; (n,) ideal counts at mean curvatures over the everted parts of the spans."""
+        """Advance one step; returns (n,) ideal counts for mean curvatures of everted spans."""
         parameters, rng = self._parameters, self._rng
         everted = np.clip((length_cm - self._arcs) / IMU_CM + 0.5, 0.0, 1.0)  # 0.5: in the tip
         emerged = (everted > 0.5) & ~self._everted

@@ -140,7 +140,7 @@ class SimulatedMega:
     def run_to_tick(self) -> None:
         """Run to the start of the firmware's tick 0 and let the steps begin there.
 
-        Boards that are compared tick by tick so see their inputs change at the same instants.
+        The inputs of boards that are compared tick by tick then change at the same instants.
         """
         chip = self.chip
         while not chip.tick_origin:
@@ -299,7 +299,7 @@ class SimulatedMega:
                 self._power_on()
 
     def hang(self, *, interrupts: bool = True) -> None:
-        """Send the main loop into an endless one; the watchdog will bite."""
+        """Send the main loop into an endless one; the watchdog then resets the board."""
         self.chip.hang(interrupts=interrupts)
 
     @property

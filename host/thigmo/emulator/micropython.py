@@ -195,7 +195,7 @@ class MicroPythonBoard:
         self.boots += 1
 
     def _begins(self) -> bool:
-        """Whether the controller has begun, for which a person is waited."""
+        """Whether the controller has started; at a prompt, a person starts it."""
         assert self._socket is not None
         assert self._process is not None
         if not self.boots and select.select([self._socket], [], [], 0)[0]:
@@ -466,7 +466,7 @@ class MicroPythonBoard:
         self._tell(b"C" + struct.pack("<I", n_bytes))
 
     def hang(self) -> None:
-        """The controller's loop stops; the watchdog will bite."""
+        """Stop the controller's loop; the watchdog then resets the board."""
         self._hung = True
 
 

@@ -78,10 +78,11 @@ struct Muscle {
     const double most = slew_psi_s * kStepS;
     outlet_psi += std::min(std::max((goal - outlet_psi) * share(lag_s), -most), most);
     if (goal == 0.0 && outlet_psi < 1e-6) outlet_psi = 0.0;
-    const double seen = outlet.pass(outlet_psi);
+    const double delayed_psi = outlet.pass(outlet_psi);
     const double before = bend_psi;
-    bend_psi += (seen - before) * share(seen > before ? inflate_tau_s : deflate_tau_s);
-    if (seen == 0.0 && bend_psi < 1e-6) bend_psi = 0.0;
+    bend_psi +=
+        (delayed_psi - before) * share(delayed_psi > before ? inflate_tau_s : deflate_tau_s);
+    if (delayed_psi == 0.0 && bend_psi < 1e-6) bend_psi = 0.0;
     deflating = std::clamp(deflating - (bend_psi - before) / reversal_psi, 0.0, 1.0);
     if (bend_psi == 0.0) deflating = 0.0;
     return (1.0 - deflating) * inflate.curvature(bend_psi) +

@@ -284,7 +284,7 @@ class Plant:
             muscle.set_maps(*branches)
 
     def hold(self, pushes: Sequence[tuple[float, float]], dowel_cm: float = 0.0) -> None:
-        """Hold points (arc, y) of the centreline aside, cm, base first; none lets go.
+        """Hold points (arc, y) of the centreline aside, cm, base first; with no points, let go.
 
         The room's pegs are out of reach meanwhile. Dowels of a radius hold them, or (0) fingers,
         which nobody sees. Raises DataError for a place or an arc beyond the body's reach.

@@ -122,7 +122,7 @@ def random_peg(
 
 
 def room_for(robot: RobotConfig, seed: int, *, peg: bool = True) -> Scene:
-    """A room for a robot, with a peg that it feels or without, as `scenes/default.toml` else.
+    """A room for a robot, with a peg that it feels or without; else as `scenes/default.toml`.
 
     The push at which a tip stalls is half of pressure times section over EI, which goes with the
     third power of the radius.

@@ -116,7 +116,7 @@ class BodyDynamics(Model):
 
 
 class Flex(Model):
-    """What ails every flex sensor."""
+    """Imperfections of every flex sensor."""
 
     # 1/cm just after eversion, one sigma over sensors; less in a tube thicker than 3.5 cm
     creep: NonNegative = 0.02
@@ -129,7 +129,7 @@ class Flex(Model):
 
 
 class Imu(Model):
-    """What ails every IMU: those of BNO080/085 without its magnetometer (data sheet, 2.2.2)."""
+    """Imperfections of every IMU: a BNO080/085 without its magnetometer (data sheet, 2.2.2)."""
 
     drift_deg_min: NonNegative = 0.5  # one sigma over units
     walk_deg_root_s: NonNegative = 0.01  # angle random walk
@@ -138,7 +138,7 @@ class Imu(Model):
 
 
 class Fibre(Model):
-    """What ails every fibre and its interrogator: guesses, but for the noise (about 1 pm)."""
+    """Imperfections of every fibre and its interrogator: guesses, except for the noise (1 pm)."""
 
     lines_hz: Annotated[float, Field(ge=1, le=100, allow_inf_nan=False)] = 50.0
     noise_ue: NonNegative = 0.8  # of one line
@@ -180,7 +180,7 @@ class Supply(Model):
 
 
 class Belief(Model):
-    """How far the host's robot.toml is off the truth: one sigma of each, drawn from the seed."""
+    """Errors of the host's robot.toml: one sigma of each; the seed draws them."""
 
     gain_spread: NonNegative = 0.0  # relative, of each sensor's scale
     position_spread_cm: NonNegative = 0.0  # of each sensor's centre

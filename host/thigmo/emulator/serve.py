@@ -2,9 +2,9 @@
 
 Any program that opens serial ports can talk to it. As on the Mega, opening the port resets the
 board, which then sits in its boot loader for 0.84 s. The emulated body keeps its state through
-that, and goes on when the program at the other end dies: the board's own heartbeat limit is what
-makes it safe then. The person at the regulator sets it as prompted: whenever the host tells the
-board which body pressure holds, that one does.
+that, and keeps moving when the program at the other end dies: then the board's own heartbeat limit
+makes it safe. The person at the regulator does as prompted: whenever the host states the body
+pressure to the board, the regulator is set to it.
 """
 
 from __future__ import annotations
@@ -161,9 +161,9 @@ class ServedRobot(Closing):
     """A robot on a server's port, served by a thread; it lives on when its cable is pulled.
 
     Attributes:
-        port: to be opened.
-        plugged: whether the cable is; to be set.
-        live_s: when it was last energised, by its own clock.
+        port: the path to open.
+        plugged: whether the cable is plugged; assign to it to pull or plug the cable.
+        live_s: when the robot was last energised, by its own clock.
     """
 
     def __init__(self, server: PtyServer) -> None:
@@ -178,7 +178,7 @@ class ServedRobot(Closing):
         self._thread.start()
 
     def close(self) -> None:
-        """Take it off the port; its time ends."""
+        """Take the robot off the port and end its time."""
         self._closed = True
         self._thread.join()
 

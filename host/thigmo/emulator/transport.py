@@ -1,8 +1,8 @@
 """`emulator://SCENE`: a connection to the firmware core inside an emulated robot and room.
 
-Reading is what makes virtual time pass: `read` turns the lockstep until bytes are there or its
-time-out is over, so a run of minutes takes seconds and is the same each time. The heartbeat is sent
-by the virtual clock. With `realtime` the steps are paced by the wall clock.
+Virtual time passes only while the host reads: `read` advances the lockstep until there are bytes or
+its time-out is over. So a run of minutes takes seconds and is the same each time. The heartbeat is
+sent by the virtual clock. With `realtime` the steps are paced by the wall clock.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _SEEN_CM = 0.02  # of line: what an eye beside the spool sees
 
 
 class EmulatedOperator:
-    """Stands beside the emulated robot and does at once, if not instantly, what he is asked."""
+    """The operator beside the emulated robot, who does what is asked without being waited for."""
 
     def __init__(self, transport: EmulatorTransport) -> None:
         self._transport = transport
@@ -93,7 +93,7 @@ class EmulatedOperator:
         """Nobody can be hurt by an emulated robot."""
 
     def place_pegs(self, pegs: Sequence[Dowel]) -> None:
-        """Clear the room and put these pegs into it; takes as long."""
+        """Clear the room and put these pegs into it; takes `operator.takes_s` as well."""
         self._take_time()
         self._plant.place_pegs([Peg(peg.x, peg.y, peg.radius) for peg in pegs])
 
@@ -102,7 +102,7 @@ class EmulatedOperator:
         self._plant.hold([] if y_cm is None else [(self._plant.length_cm, y_cm)])
 
     def push_aside(self, pushes: Sequence[tuple[float, float]], radius_cm: float) -> None:
-        """Hold points (arc, y) of the body aside, base first, with dowels; takes as long."""
+        """Hold points (arc, y) of the body aside, base first; takes `operator.takes_s` as well."""
         self._take_time()
         self._plant.hold(pushes, radius_cm)
 
@@ -114,7 +114,7 @@ class EmulatedOperator:
 class EmulatorTransport:
     """The link's Transport over a board in lockstep with a plant.
 
-    All noise is of `seed` (None takes the scene's). With `realtime` virtual time keeps to the
+    `seed` determines all noise (None takes the scene's). With `realtime` virtual time keeps to the
     clock. The board runs `exchange_ms` between exchanges with the plant.
     """
 

@@ -1,7 +1,7 @@
 """The Mega's USB bridge (an ATmega16U2), between the host's port and the board's UART.
 
-It passes what the board sends on when its 4.1 ms timer runs over or 96 bytes have come together,
-and what the host sends once a USB frame (1 ms). Under load both ways it has been reported to insert
+It passes the board's bytes on when its 4.1 ms timer runs over or it has 96 of them, and the host's
+bytes once a USB frame (1 ms). Under load both ways it has been reported to insert
 bytes and to repeat old ones (ArduinoCore-avr issues 296 and 167): `insert` and `replay` do that on
 purpose, from a seed.
 """

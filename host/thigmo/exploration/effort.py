@@ -252,10 +252,10 @@ def _without_parts(plans: Sequence[Plan]) -> list[Plan]:
         plan
         for plan in plans
         if not any(
-            plan != other
-            and set(plan.stops) <= set(other.stops)
-            and plan.measurements <= other.measurements
-            for other in plans
+            plan != rival
+            and set(plan.stops) <= set(rival.stops)
+            and plan.measurements <= rival.measurements
+            for rival in plans
         )
     ]
 

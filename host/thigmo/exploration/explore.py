@@ -143,11 +143,11 @@ def explore(
     ):
         used = config or robot.known_config
         if used is None:
-            made = Path("calibration") / "robot.toml"
+            calibrated = Path("calibration") / "robot.toml"
             raise ConfigError(
                 f"the constants of the robot at {url} are not known",
-                f"give them: --config {made}"
-                if made.with_name("actuator.json").exists()
+                f"give them: --config {calibrated}"
+                if calibrated.with_name("actuator.json").exists()
                 else f"give its robot.toml with --config; `thigmo calibrate all --robot {url}` "
                 "makes one",
             )

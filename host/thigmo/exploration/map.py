@@ -69,14 +69,15 @@ class ContactMap:
         return list(self._known)
 
     def _explained(self) -> list[MapContact]:
-        felt = [fitted.contact for side in SIDES for fitted in self._fits.contacts(side)]
-        likely = [contact for contact in felt if contact.probability > LIKELY]
+        detected = [fitted.contact for side in SIDES for fitted in self._fits.contacts(side)]
+        likely = [contact for contact in detected if contact.probability > LIKELY]
         likely.sort(key=lambda contact: min([*contact.merged, contact.everted_length_cm]))
         known: list[MapContact] = []
         reach_cm2 = _REACH * self._config.body.length_cm**2
         for contact in [*likely, *self._obstructions]:
             same = next(
-                (n for n, other in enumerate(known) if _one_place(other, contact, reach_cm2)), None
+                (n for n, earlier in enumerate(known) if _one_place(earlier, contact, reach_cm2)),
+                None,
             )
             if same is None:
                 known.append(contact)

@@ -51,9 +51,9 @@ def caught_sides(sweep: SweepResult) -> set[Side]:
 
 def touch_curvature(frames: Sequence[SweepFrame], side: Side) -> float | None:
     """Free curvature (1/cm) at which a side's bend was first held back; None if it was not."""
-    mine = [frame for frame in frames if frame.side == side]
+    side_frames = [frame for frame in frames if frame.side == side]
     first = np.flatnonzero(curvature_deficit(frames, side) > TRIGGER_PER_CM)
-    return mine[first[0]].free_curvature if first.size else None
+    return side_frames[first[0]].free_curvature if first.size else None
 
 
 def curvature_deficit(frames: Sequence[SweepFrame], side: Side) -> Floats:
@@ -62,10 +62,10 @@ def curvature_deficit(frames: Sequence[SweepFrame], side: Side) -> Floats:
     A running median removes single outliers and keeps edges. The way down is left out: there the
     body may straighten sooner than the map says, as if it were held back.
     """
-    mine = [(f.excess, f.free_curvature) for f in frames if f.side == side]
-    excess, free = np.array(mine, dtype=np.float64).reshape(-1, 2).T
+    pairs = [(f.excess, f.free_curvature) for f in frames if f.side == side]
+    excess, free = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
     smooth = -SIGN[side] * median_filter(excess, _SMOOTH, mode="mirror")
-    return np.asarray(smooth[: int(np.argmax(SIGN[side] * free)) + 1] if mine else smooth)
+    return np.asarray(smooth[: int(np.argmax(SIGN[side] * free)) + 1] if pairs else smooth)
 
 
 def held_now(frames: Sequence[SweepFrame], side: Side) -> float:
@@ -120,10 +120,10 @@ def measuring_pressure(
     moment, or else that at which it is held back most; never more than the muscle holds.
     """
     highest = config.muscle(side).max_pressure_psi
-    mine = [frame for frame in frames if frame.side == side]
-    if len(mine) < _SMOOTH:
+    side_frames = [frame for frame in frames if frame.side == side]
+    if len(side_frames) < _SMOOTH:
         return highest
-    pressure = np.array([frame.pressure_psi for frame in mine])
+    pressure = np.array([frame.pressure_psi for frame in side_frames])
     held = curvature_deficit(frames, side)
     reached = np.flatnonzero(held >= _SHARE * fold_moment(config, zone))
     frame = reached[0] if reached.size else int(held.argmax())

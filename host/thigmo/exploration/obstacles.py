@@ -87,9 +87,9 @@ def occupancy(
         sigmas: standard errors by which swept space is narrowed and contacts are widened before a
             cell counts as free.
     """
-    felt = [_obstacle(contact) for contact in document.contacts]
+    detected = [_obstacle(contact) for contact in document.contacts]
     known = {contact.known for contact in document.contacts}
-    grid = _empty_grid(document, radius_cm, [*felt, *prior])
+    grid = _empty_grid(document, radius_cm, [*detected, *prior])
     free = _free(grid, document, radius_cm, sigmas)
     rest = [
         replace(obstacle, source=GONE if _swept_through(obstacle, grid, free) else "prior")
@@ -97,7 +97,7 @@ def occupancy(
         if index not in known
     ]
     grid.cells[free] = FREE
-    standing = [*felt, *(obstacle for obstacle in rest if obstacle.source != GONE)]
+    standing = [*detected, *(obstacle for obstacle in rest if obstacle.source != GONE)]
     for obstacle in standing:
         for line in [] if obstacle.cell_cm else [obstacle.track, obstacle.surface]:
             grid.cells[_near_line(grid, obstacle, line, max(sigmas, _SIGMA_95))] = UNKNOWN
@@ -106,7 +106,7 @@ def occupancy(
             grid.cells[_near_line(grid, obstacle, line, 1.0)] = OCCUPIED
     cells = [obstacle.cell_corners() for obstacle in standing if obstacle.cell_cm]
     grid.cells[_within(grid, cells)] = OCCUPIED
-    return grid, felt + rest
+    return grid, detected + rest
 
 
 def _occupied_lines(obstacle: Obstacle) -> list[list[Point]]:
@@ -181,10 +181,10 @@ def _free(grid: OccupancyGrid, document: RunDocument, radius_cm: float, sigmas: 
     """Cells that lie whole within the tube at some time of a sweep."""
     inner = radius_cm - grid.resolution_cm * np.sqrt(0.5)
     shapes = [
-        outline(passed(mine, sigmas), inner)
+        outline(passed(measured, sigmas), inner)
         for stage in document.stages
         for side in SIDES
-        if (mine := [s for s in stage.shapes if s.side == side and s.curvature_se is not None])
+        if (measured := [s for s in stage.shapes if s.side == side and s.curvature_se is not None])
     ]
     return _within(grid, shapes)
 
@@ -202,9 +202,9 @@ def _within(grid: OccupancyGrid, polygons: Sequence[NDArray[np.float64]]) -> Mas
         edge = np.repeat(np.arange(count.size), count)
         row = first[edge] + np.arange(edge.size) - np.repeat(np.cumsum(count) - count, count)
         x = x0[edge] + (row - y0[edge]) * (x1 - x0)[edge] / (y1 - y0)[edge]
-        seen = (row >= 0) & (row < rows)
-        column = np.clip(np.ceil(x), 0, columns)[seen].astype(np.intp)
-        np.add.at(turns, (row[seen].astype(np.intp), column), np.sign(y1 - y0)[edge][seen])
+        in_grid = (row >= 0) & (row < rows)
+        column = np.clip(np.ceil(x), 0, columns)[in_grid].astype(np.intp)
+        np.add.at(turns, (row[in_grid].astype(np.intp), column), np.sign(y1 - y0)[edge][in_grid])
     inside: Mask = np.cumsum(turns, axis=1)[:, :columns] != 0
     return inside
 

@@ -170,11 +170,11 @@ class Exploration:
         if ahead is None or not self.config.body.grows or ahead[1] >= self.config.body.length_cm:
             return self.wiring
         planned = short_of(self.config, ahead[1])
-        said = (
+        text = (
             f"it ends at {planned.body.length_cm:.1f} cm, short of what the map has in its path at "
             f"x {ahead[0]:.1f} cm, so obstacles farther out are not felt"
         )
-        self._note(skips="; ".join(filter(None, [self.document.skips, said])))
+        self._note(skips="; ".join(filter(None, [self.document.skips, text])))
         return replace(self.wiring, config=planned)
 
     def _configure(self) -> str:

@@ -97,8 +97,8 @@ class RunControl:
     def obey_stop(self) -> None:
         """Called while the robot is waited for; StoppedByViewerError if a viewer wants so."""
         if self._stopped.is_set():
-            said, cure = wire.Fault.STOPPED.words  # as the board's fault says it
-            raise StoppedByViewerError(f"{wire.Fault.STOPPED.key}: {said}", cure)
+            problem, cure = wire.Fault.STOPPED.words  # as the board's fault says it
+            raise StoppedByViewerError(f"{wire.Fault.STOPPED.key}: {problem}", cure)
 
 
 class Questions:

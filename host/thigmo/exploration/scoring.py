@@ -132,11 +132,11 @@ def _why_missed(
     if not near:
         return "the run ended before its stage was localized"
     stage = near[-1]
-    held = stage.held_back_per_cm.get(missed.side)
-    if held is not None and held < TRIGGER_PER_CM:
+    deficit = stage.curvature_deficit_per_cm.get(missed.side)
+    if deficit is not None and deficit < TRIGGER_PER_CM:
         return (
-            f"moment below threshold: it held the base back by {max(held, 0.0):.5f} 1/cm at most, "
-            f"and the trigger takes {TRIGGER_PER_CM} 1/cm"
+            f"moment below threshold: it held the base back by {max(deficit, 0.0):.5f} 1/cm at "
+            f"most, and the trigger takes {TRIGGER_PER_CM} 1/cm"
         )
     stage_contacts = [c for c in document.contacts if of_stage(missed, c.everted_length_cm, c.side)]
     touched = [t for t in truth if of_stage(t, stage.everted_length_cm, missed.side)]
@@ -154,10 +154,10 @@ def _why_missed(
             )
     if stage_contacts:
         return "placed elsewhere, beyond three standard deviations of its interval"
-    said = [
+    reasons = [
         f"{t.status}: {t.message}" for t in stage.triggers if t.side == missed.side and t.message
     ]
-    return said[-1] if said else "felt, and not localized at its last stage"
+    return reasons[-1] if reasons else "felt, and not localized at its last stage"
 
 
 def _why_false(contact: MapContact, truth: Sequence[TrueContact]) -> str:

@@ -100,11 +100,11 @@ class Interpreter:
         """Sides whose one contact is placed so well that it needs no measurement."""
         if self._thesis:
             return set()
-        felt = {side: self._felt(side, sweep) for side in self._readable_sides(sweep)}
+        detected = {side: self._felt(side, sweep) for side in self._readable_sides(sweep)}
         return {
             side
-            for side, likely in felt.items()
-            if len(likely) == 1 and self._well_placed(likely[0].contact)
+            for side, contacts in detected.items()
+            if len(contacts) == 1 and self._well_placed(contacts[0].contact)
         }
 
     def _well_placed(self, contact: MapContact) -> bool:
@@ -116,12 +116,12 @@ class Interpreter:
         self, sweep: SweepResult, measuring: SweepResult | None, zone: int, measured_zone: int
     ) -> list[SideAnswer]:
         """What a stage felt; of a side that was measured again, at that peak."""
-        felt = self.felt_sides(sweep)
+        detected = self.felt_sides(sweep)
         answers = []
         for side in self._readable_sides(sweep):
             again = [peak for peak in measuring.peaks if peak.side == side] if measuring else []
             peak = mean_peak(again or [peak for peak in sweep.peaks if peak.side == side])
-            if side not in felt or not self._use(peak).any():
+            if side not in detected or not self._use(peak).any():
                 continue
             if self._thesis:
                 answers.append(self._by_frame(peak, measured_zone if again else zone, THESIS))
@@ -194,8 +194,10 @@ class Interpreter:
         zone: int,
     ) -> Stage:
         """The stage's entry in contacts.json."""
-        said = {answer.side: (answer.status, answer.message) for answer in answers}
-        said |= {side: ("ambiguous", _CAUGHT) for side in caught_sides(sweep) if side not in said}
+        verdicts = {answer.side: (answer.status, answer.message) for answer in answers}
+        verdicts |= {
+            side: ("ambiguous", _CAUGHT) for side in caught_sides(sweep) if side not in verdicts
+        }
         shapes = _swept_shapes(length_cm, zone, sweep, self._wiring)
         return Stage(
             everted_length_cm=length_cm,
@@ -204,14 +206,14 @@ class Interpreter:
             shapes=[*shapes, *(answer.shape for answer in answers)],
             triggers=[
                 Trigger(
-                    t.side, t.t_s, t.excess_per_cm, *said.get(t.side, ("no contact", _NO_TOUCH))
+                    t.side, t.t_s, t.excess_per_cm, *verdicts.get(t.side, ("no contact", _NO_TOUCH))
                 )
                 for t in sweep.triggers
             ],
-            held_back_per_cm={
-                side: round(float(held.max()), 6)
+            curvature_deficit_per_cm={
+                side: round(float(deficit.max()), 6)
                 for side in SIDES
-                if (held := curvature_deficit(sweep.frames, side)).size
+                if (deficit := curvature_deficit(sweep.frames, side)).size
             },
         )
 

@@ -53,7 +53,9 @@ _MOVED_ON, _STOOD = 0.02, 30.0
 # By how much later than the line says a fold leaves a sensor (cm): one sigma where the tip stops at
 # once, and the mean where it slows.
 _LATE_CM, _SLOWED_CM, _LATE_FLOOR = 0.3, 1.5, 1e-3
-# A sensor's creep after its eversion: sums of these decays, each of this size (1/cm, one sigma).
+# Prior of a sensor's creep after its eversion: a sum of two exponential decays. Their time
+# constants bracket the 6 to 10 s of docs/methods.md. Each amplitude (1/cm) has mean 0 and this
+# standard deviation, half as much again as the 0.02 1/cm within which most sensors start.
 _DECAYS_S, _CREEP = (5.0, 11.0), 0.03
 _CLEAR_CM = 1.0  # wound in so far behind the peg, the tip is clear of it
 _CAME_BACK = 0.5  # share of a bend
@@ -155,18 +157,18 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Obstruction | 
     rise = _FOLD / table.radius_cm
     late: list[float] = []
     for place in sorted(set(table.center_cm[due].tolist())):
-        here = np.flatnonzero(due & (np.abs(table.center_cm - place) < _SAME_PLACE_CM))
+        nearby = np.flatnonzero(due & (np.abs(table.center_cm - place) < _SAME_PLACE_CM))
         stalls = [
-            _stalled(length_cm, bend[:, i], float(start[i]), float(end[i]), rise) for i in here
+            _stalled(length_cm, bend[:, i], float(start[i]), float(end[i]), rise) for i in nearby
         ]
         stuck = [stalled for stalled in stalls if stalled is not None]
-        if len(stuck) == len(here):
+        if len(stuck) == len(nearby):
             tips, lows, highs = zip(*stuck, strict=True)
             tip = float(np.mean(tips))
             return Obstruction(
-                tip, tip, (min(lows), max(highs)), len(here), 0.0, late_cm=tuple(late)
+                tip, tip, (min(lows), max(highs)), len(nearby), 0.0, late_cm=tuple(late)
             )
-        late = [_left_late(length_cm, bend[:, i], float(start[i]), float(end[i])) for i in here]
+        late = [_left_late(length_cm, bend[:, i], float(start[i]), float(end[i])) for i in nearby]
     return None
 
 

@@ -150,10 +150,10 @@ def _contacts(
 
 def _doubt(explanations: list[Samples], readings: Readings) -> str:
     """Why the likeliest explanation, the first, is no answer; empty if it is."""
-    best, *others = explanations
+    best, *rivals = explanations
     if not _explains(best, readings):
         return UNEXPLAINED_WORDS
-    rivalled = any(other.log_evidence > best.log_evidence - _SURELY for other in others)
+    rivalled = any(rival.log_evidence > best.log_evidence - _SURELY for rival in rivals)
     return RIVAL_WORDS if rivalled else ""
 
 
@@ -270,7 +270,7 @@ def _placed(
 
     The errors of its place include what the other explanations have there, by their probabilities.
     """
-    samples, *others = explanations
+    samples, *rivals = explanations
     touch = samples.touch[:, :, obstacle]
     touches = np.isfinite(touch[:, :, 0])  # (n, stages)
     shares = samples.weight @ touches
@@ -280,15 +280,15 @@ def _placed(
     last_sweep = [readings.sweep[readings.stage == s].max() for s in range(len(readings.stages))]
     stage = int(max(reached, key=lambda s: last_sweep[s]))
     weight = _widened(np.where(touches[:, stage], samples.weight, 0.0))
-    on = weight > 0.0
-    weight = weight[on] / weight[on].sum()
-    normal, force = touch[on, stage, 3:].T
+    weighed = weight > 0.0
+    weight = weight[weighed] / weight[weighed].sum()
+    normal, force = touch[weighed, stage, 3:].T
     length = readings.stages[stage].length
-    mean = weight @ touch[on, stage, :3]
+    mean = weight @ touch[weighed, stage, :3]
     probabilities = softmax([explanation.log_evidence for explanation in explanations])
-    places, masses = [touch[on, stage, :3]], [probabilities[0] * weight]
-    for other, probability in zip(others, probabilities[1:], strict=True):
-        touched, weights = _nearest(other, stage, mean)
+    places, masses = [touch[weighed, stage, :3]], [probabilities[0] * weight]
+    for rival, probability in zip(rivals, probabilities[1:], strict=True):
+        touched, weights = _nearest(rival, stage, mean)
         places.append(touched)
         masses.append(probability * weights)
     place, mass = np.concatenate(places), np.concatenate(masses)
@@ -310,13 +310,13 @@ def _placed(
     covariance = (mass[:, None] * off).T @ off + shape * np.eye(3)
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
-    felt = sorted({round(readings.stages[s].length, 2) for s in reached})
-    q = samples.q[on]
+    lengths_cm = sorted({round(readings.stages[s].length, 2) for s in reached})
+    q = samples.q[weighed]
     is_peg = obstacle < samples.hypothesis.pegs
     unknowns = q[:, samples.hypothesis.unknowns_of(obstacle)]
     bends = unknowns[:, BEND if is_peg else WALL_BEND]
     before = bends < readings.bend[np.isin(readings.stage, reached)].min()
-    if not doubt and len(felt) == 1 and weight @ before > _EARLY:
+    if not doubt and len(lengths_cm) == 1 and weight @ before > _EARLY:
         doubt = EARLY_WORDS
     radii = readings.radius * np.exp(unknowns[:, RADIUS])
     return FieldContact(
@@ -335,7 +335,7 @@ def _placed(
         probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
         places=not doubt,
         doubt=doubt,
-        felt_at_cm=tuple(felt),
+        felt_at_cm=tuple(lengths_cm),
         log_odds=log_odds,
         log_evidence=samples.log_evidence,
         misfit=leaves,
@@ -348,7 +348,7 @@ def _placed(
         },
         peg_radius_cm=_quantiles(radii, weight, (0.5, 0.5))[0] if is_peg else nan,
         friction=float(weight @ np.abs(q[:, FRICTION])),
-        yield_cm=float(weight @ (samples.compliance[on] * np.abs(force))),
+        yield_cm=float(weight @ (samples.compliance[weighed] * np.abs(force))),
         gave_way_at=samples.gave_way_at,
     )
 
@@ -366,13 +366,13 @@ def _nearest(samples: Samples, stage: int, mean: Floats) -> tuple[Floats, Floats
     nearest = np.zeros((0, 3)), np.zeros(0)
     least = np.inf
     for touch in np.moveaxis(samples.touch[:, stage, :, :3], 1, 0):
-        on = np.isfinite(touch[:, 0])
-        weight = samples.weight[on]
+        touching = np.isfinite(touch[:, 0])
+        weight = samples.weight[touching]
         if weight.sum() < 0.5:
             continue
-        away = float(np.hypot(*(np.average(touch[on], axis=0, weights=weight) - mean)[1:]))
+        away = float(np.hypot(*(np.average(touch[touching], axis=0, weights=weight) - mean)[1:]))
         if away < least:
-            least, nearest = away, (touch[on], weight)
+            least, nearest = away, (touch[touching], weight)
     return nearest
 
 

@@ -142,7 +142,7 @@ class Atlas:
         best: list[Place] = []
         for n in np.argsort(-gains):
             place = Place(float(gains[n]), *pegs.touches[n])
-            if all(self._apart(place, other) for other in best):
+            if all(self._apart(place, kept) for kept in best):
                 best.append(place)
             if len(best) == _KEPT:
                 break
@@ -182,9 +182,9 @@ class Atlas:
             z.reshape(n, m), white.reshape(n, m, -1), shared.reshape(-1, n, m),
         )  # fmt: skip
 
-    def _apart(self, place: Place, other: Place) -> bool:
-        arcs = abs(place.arc - other.arc) / (_APART[0] * self._arc_step)
-        return max(arcs, abs(place.bend - other.bend) / (_APART[1] * self._bend_step)) > 1
+    def _apart(self, first: Place, second: Place) -> bool:
+        arcs = abs(first.arc - second.arc) / (_APART[0] * self._arc_step)
+        return max(arcs, abs(first.bend - second.bend) / (_APART[1] * self._bend_step)) > 1
 
 
 def _averages(length: float, cell: float, centers: Floats, spans: Floats) -> Floats:

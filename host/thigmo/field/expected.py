@@ -64,10 +64,10 @@ class ExpectedSweeps:
         left = total[:, -1, -1] - np.einsum("ni,ni->n", departure[:, q:], absorbed)
         covariance = np.linalg.inv(known + np.diag(self._before))[:, :q, :q]
         volume = 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
-        felt = 0.5 * left + self._log_prior + volume > _FELT
+        is_felt = 0.5 * left + self._log_prior + volume > _FELT
         width = _WIDTH * np.sqrt(covariance[:, ARC, ARC])
-        placed = felt & (width <= narrow * self._length_cm)
-        return float(self._share[felt].sum()), float(self._share[placed].sum())
+        placed = is_felt & (width <= narrow * self._length_cm)
+        return float(self._share[is_felt].sum()), float(self._share[placed].sum())
 
 
 def expected_sweeps(wiring: Wiring, side: Side, lengths: Sequence[float]) -> ExpectedSweeps:
@@ -108,7 +108,7 @@ def expected_sweeps(wiring: Wiring, side: Side, lengths: Sequence[float]) -> Exp
 
 @dataclass(frozen=True)
 class _Question:
-    """Readings and errors, told from others by their bytes."""
+    """Readings and errors, compared by their bytes."""
 
     key: bytes
     readings: Readings = field(compare=False)

@@ -385,13 +385,13 @@ class FieldFit:
         The noise is white, plus the mechanics' error, plus each bin's error of the bend, which all
         of its sensors share (a rank-one update).
         """
-        there = self.predict(tables, xi, spread)
-        added = self.model * (there.value - there.bend[:, None]) / self._sd
+        prediction = self.predict(tables, xi, spread)
+        added = self.model * (prediction.value - prediction.bend[:, None]) / self._sd
         weight = 1 / (self._sd * np.sqrt(1 + added**2))
-        along = weight * there.slope * self._bend_bin
+        along = weight * prediction.slope * self._bend_bin
         volume = float(np.log1p((along**2).sum(axis=1)).sum() + np.log1p(added**2).sum())
-        left = np.where(self.missing, 0.0, self.readings.curvature - there.value)
-        return Departures(left, Noise(weight, along), volume, there)
+        left = np.where(self.missing, 0.0, self.readings.curvature - prediction.value)
+        return Departures(left, Noise(weight, along), volume, prediction)
 
     def evidence(
         self, tables: Tables, xi: Floats, *, spread: float = 1.0, passes: int = 2
@@ -478,16 +478,16 @@ class FieldFit:
             inner = hessian[np.ix_(free, free)]
             ahead = None
             for _ in range(_TRIES):
-                by = np.zeros(slope.size)
+                change = np.zeros(slope.size)
                 damped = inner + damping * np.diag(np.diag(inner) + 1e-9)
-                by[free] = np.linalg.solve(damped, slope[free])
-                by[:k] /= max(1.0, float(np.max(np.abs(by[:k]) / most)))
-                trial = q + by[:k]
+                change[free] = np.linalg.solve(damped, slope[free])
+                change[:k] /= max(1.0, float(np.max(np.abs(change[:k]) / most)))
+                trial = q + change[:k]
                 trial[bounded] = np.maximum(trial[bounded], 0.0)
                 if hypothesis.possible(trial, self.body):
-                    better = cost_at(trial, xi + by[k:])
+                    better = cost_at(trial, xi + change[k:])
                     if better[0] < cost:
-                        ahead = trial, xi + by[k:]
+                        ahead = trial, xi + change[k:]
                         break
                 damping *= _RAISED
             if ahead is None:

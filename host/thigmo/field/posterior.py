@@ -298,9 +298,9 @@ class Search:
 
         The first round is drawn around the ridges, later ones mostly as the samples so far are
         spread; all are weighed by the mixture of all rounds. `expected`: density of a given map at
-        points (n, 2) of the touched skin, over that of a new obstacle. Where all samples leave more
-        than `most_misfit`, a few rounds are drawn, for their evidence alone: samples that agree are
-        hard to get there, and place nothing.
+        points (n, 2) of the touched skin, over that of a new obstacle. Where the weightiest sample
+        leaves more than `most_misfit`, a few rounds are drawn, for their evidence alone: samples
+        that agree are hard to get there, and place nothing.
         """
         rng, fit, hypothesis = np.random.default_rng(seed), self.fit, chains[0][0].hypothesis
         ridges, modes, chain_of = _ridges(chains) if hypothesis == PEG else _around(chains)
@@ -335,7 +335,8 @@ class Search:
                 logs += np.log(density_given).sum(axis=1)
             weight = softmax(logs)
             total = float(logsumexp(logs) - np.log(counts.sum()))
-            hopeless = min(d.misfit for d in drawn) > most_misfit * readings
+            best = drawn[int(np.argmax(weight))]
+            hopeless = best.misfit > most_misfit * readings
             if ENOUGH * np.sum(weight**2) < 1 or (hopeless and done >= _FEW_ROUNDS):
                 break
             shares = weight @ np.array([d.levels for d in drawn])
@@ -346,7 +347,6 @@ class Search:
             round_shares = [1 - learnt, *(learnt * bell_shares)]
         if not drawn:
             return None
-        best = drawn[int(np.argmax(weight))]
         return Samples(
             hypothesis, q, np.array([d.levels for d in drawn]),
             np.array([d.touch for d in drawn]), weight,

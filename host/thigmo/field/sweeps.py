@@ -149,9 +149,9 @@ def _rises(sweep: SweepResult, side: Side, muscle: Muscle, zone: int) -> list[_R
 
 def _white(scatter: Floats, stated: Floats) -> Floats:
     """(n,) white noise of each sensor: the median of the sweeps', or the stated one."""
-    seen = [column[np.isfinite(column)] for column in scatter.T]
+    readings = [column[np.isfinite(column)] for column in scatter.T]
     return np.array(
-        [np.median(s) if s.size else w for s, w in zip(seen, stated, strict=True)]
+        [np.median(s) if s.size else w for s, w in zip(readings, stated, strict=True)]
     )  # fmt: skip
 
 

@@ -438,10 +438,10 @@ class Client(Inbox, Closing):
             return False
         hello, nonce = outstanding.message, int.from_bytes(payload[-4:], "little")
         ours = isinstance(hello, wire.Hello) and hello.host_nonce == nonce
-        theirs = int.from_bytes(payload[3:7], "little")
-        if not ours or (theirs == wire.SCHEMA_HASH and payload[0] != wire.Status.REFUSED):
+        schema_hash = int.from_bytes(payload[3:7], "little")
+        if not ours or (schema_hash == wire.SCHEMA_HASH and payload[0] != wire.Status.REFUSED):
             return False
-        outstanding.refused_by = theirs
+        outstanding.refused_by = schema_hash
         outstanding.boot, outstanding.cause = int.from_bytes(payload[11:15], "little"), payload[17]
         self._outstanding = None
         return True

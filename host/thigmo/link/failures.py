@@ -38,10 +38,10 @@ def taken_over() -> LinkError:
     )
 
 
-def other_schema(theirs: int, transport: Transport) -> SchemaMismatchError:
+def other_schema(schema_hash: int, transport: Transport) -> SchemaMismatchError:
     """Board and host do not speak the same protocol."""
     return SchemaMismatchError(
-        f"the board's firmware has schema {theirs:08x}, this host has {wire.SCHEMA_HASH:08x}",
+        f"the board's firmware has schema {schema_hash:08x}, this host has {wire.SCHEMA_HASH:08x}",
         _new_firmware(transport),
     )
 

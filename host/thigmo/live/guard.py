@@ -84,5 +84,5 @@ async def add_headers(request: web.Request, response: web.StreamResponse) -> Non
         # Of the rest of the network, where nothing is encrypted, browsers ignore it with a warning.
         response.headers["Cross-Origin-Opener-Policy"] = "same-origin"
     if not isinstance(response, web.WebSocketResponse):
-        response.headers["Connection"] = "close"  # so that the door sees each request
+        response.headers["Connection"] = "close"  # so that StopHttp sees each request
         response.force_close()

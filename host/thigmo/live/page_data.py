@@ -58,9 +58,9 @@ def row_text(telemetry: Telemetry) -> str:
 
 def text(message: Message) -> bytes:
     """A message as JSON; of contacts with the words in which every view says them."""
-    said = to_json(message)
+    encoded = to_json(message)
     if not isinstance(message, Contacts):
-        return said
+        return encoded
     words = [
         {
             "place": contact.place_text, "along": contact.along_text,
@@ -69,7 +69,7 @@ def text(message: Message) -> bytes:
         }
         for contact in message.contacts
     ]  # fmt: skip
-    return b'%b,"words":%b}' % (said[:-1], json.dumps(words).encode())
+    return b'%b,"words":%b}' % (encoded[:-1], json.dumps(words).encode())
 
 
 def board(telemetry: Telemetry) -> dict[str, Any]:
@@ -127,7 +127,7 @@ class PastRun:
         self._document = RunFolder(folder).read_document()
         messages = list(read_messages(folder))
         self._readings = [message for message in messages if isinstance(message, Telemetry)]
-        self._others: list[Message] = [
+        self._slow_messages: list[Message] = [
             message for message in messages if not isinstance(message, Telemetry)
         ]
         self._origin_s = min((message.t_s for message in messages), default=0.0)
@@ -155,9 +155,9 @@ class PastRun:
     def facts(self) -> bytes:
         """All messages but readings, and when the board's state changed, as JSON."""
         boards = json.dumps(self._boards())
-        others = b",".join(text(message) for message in self._others)
+        messages = b",".join(text(message) for message in self._slow_messages)
         return b'{"origin_s":%r,"boards":%b,"messages":[%b]}' % (
-            self._origin_s, boards.encode(), others,
+            self._origin_s, boards.encode(), messages,
         )  # fmt: skip
 
     def readings(self) -> bytes:

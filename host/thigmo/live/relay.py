@@ -267,10 +267,10 @@ class Relay:
             # A stop that was latched may come before the run that is under way is known.
             self._looked.wait(_LOOKS_WITHIN_S)
             stopped = self._watched.stop(self._target(self.facts))
-        said = "; ".join(map(str, stopped)) or self._target(self.facts).way()[1]
-        self.facts.stopped = said
+        summary = "; ".join(map(str, stopped)) or self._target(self.facts).way()[1]
+        self.facts.stopped = summary
         self._told_s = float("-inf")
-        return said
+        return summary
 
     def _target(self, facts: Facts) -> Target:
         return Target.of(self._watched.url, facts.run, under_way=facts.under_way)

@@ -169,8 +169,8 @@ def configuration(interface: str | None) -> str:
     other way (its ddsi_udp.c).
     """
     if interface is not None:
-        which = "address" if interface[:1].isdigit() else "name"
-        general = f"<Interfaces><NetworkInterface {which}={quoteattr(interface)}/></Interfaces>"
+        attribute = "address" if interface[:1].isdigit() else "name"
+        general = f"<Interfaces><NetworkInterface {attribute}={quoteattr(interface)}/></Interfaces>"
         return f'<CycloneDDS><Domain Id="any"><General>{general}</General></Domain></CycloneDDS>'
     return (
         '<CycloneDDS><Domain Id="any">'

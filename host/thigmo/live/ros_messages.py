@@ -52,12 +52,12 @@ def contact_poses(contacts: Contacts, frame: str) -> list[Any]:
     A pose lies on the touched surface, and its x axis points into the obstacle.
     """
     head = header(contacts.epoch_s, frame)
-    made = []
+    poses = []
     for contact in contacts.contacts:
         pose = _pose((contact.x_cm, contact.y_cm, contact.normal_rad))
         known = ros.PoseWithCovariance(pose, _covariance(contact))
-        made.append(ros.PoseWithCovarianceStamped(head, known))
-    return made
+        poses.append(ros.PoseWithCovarianceStamped(head, known))
+    return poses
 
 
 def contact_markers(contacts: Contacts, frame: str) -> Any:
@@ -124,14 +124,14 @@ def robot_description(shape: BodyShape) -> Any:
     and lengthens (`grow`); spheres of the tube's radius where they meet.
     """
     ball = f'<sphere radius="{shape.radius_cm * _M_PER_CM:g}"/>'
-    seen = f"<visual><geometry>{ball}</geometry></visual>"
+    visual = f"<visual><geometry>{ball}</geometry></visual>"
     limits = 'lower="{}" upper="{}" effort="0" velocity="0"'
-    parts = [f'<link name="{BASE}">{seen}</link>']
+    parts = [f'<link name="{BASE}">{visual}</link>']
     parent = BASE
     for bend, grow, chord, end in _chain():
         for joint, kind, axis, link, span, shown in (
             (bend, "revolute", "0 0 1", chord, (-pi, pi), ""),
-            (grow, "prismatic", "1 0 0", end, (0, _LONGEST_CHORD_M), seen),
+            (grow, "prismatic", "1 0 0", end, (0, _LONGEST_CHORD_M), visual),
         ):
             parts.append(
                 f'<link name="{link}">{shown}</link><joint name="{joint}" type="{kind}">'
@@ -186,9 +186,9 @@ def diagnostics(epoch_s: float, facts: Facts) -> Any:
     robot = facts.run.url if facts.run else ""
     board, state = facts.board, facts.state
 
-    def status(part: str, level: int, said: str, values: dict[str, str]) -> Any:
+    def status(part: str, level: int, text: str, values: dict[str, str]) -> Any:
         pairs = [ros.KeyValue(key, value) for key, value in values.items()]
-        return ros.DiagnosticStatus(level, f"thigmo: {part}", said, robot, pairs)
+        return ros.DiagnosticStatus(level, f"thigmo: {part}", text, robot, pairs)
 
     open_way = "a message on the stop topic stops the robot"
     last = {"last stop": facts.stopped}
@@ -197,7 +197,7 @@ def diagnostics(epoch_s: float, facts: Facts) -> Any:
         parts.append(status("run", _STALE, "no run has spoken yet", {}))
     else:
         level = _ERROR if state.outcome.startswith("aborted") else _OK
-        said = state.doing if state.outcome == "running" else state.outcome
+        detail = state.doing if state.outcome == "running" else state.outcome
         values = {
             "state": state.state,
             "stage (m)": f"{state.stage_cm * _M_PER_CM:.4f}",
@@ -205,11 +205,11 @@ def diagnostics(epoch_s: float, facts: Facts) -> Any:
             "paused": str(state.paused).lower(),
             "under way": str(facts.under_way).lower(),
         }
-        parts.append(status("run", level, said, values))
+        parts.append(status("run", level, detail, values))
     if board is not None:
         level = _STALE if not facts.under_way else _ERROR if board.faults else _OK
-        said = ", ".join(board.faults) or board.state
-        parts.append(status("board", level, said, _board_values(board, facts)))
+        detail = ", ".join(board.faults) or board.state
+        parts.append(status("board", level, detail, _board_values(board, facts)))
     return ros.DiagnosticArray(header(epoch_s, ""), parts)
 
 

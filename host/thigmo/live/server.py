@@ -106,24 +106,24 @@ class _Latch:
 
     def __init__(self) -> None:
         self.since_s: float | None = None  # UTC; None: it is not stopped
-        self.by = ""  # who stopped it; empty if no page of this server
+        self.pressed_by = ""  # the page; empty if no page of this server
         self._confirmed_s = float("-inf")  # readings from before say nothing of it
 
-    def confirm(self, at_s: float, by: str) -> None:
+    def confirm(self, at_s: float, pressed_by: str) -> None:
         """The board has echoed a stop that was pressed at a time."""
-        self.since_s, self.by, self._confirmed_s = at_s, by, time.time()
+        self.since_s, self.pressed_by, self._confirmed_s = at_s, pressed_by, time.time()
 
     def read(self, reading: Telemetry, *, clears: bool) -> None:
         """Take a reading; `clears` if one without the fault may be of a board that was cleared."""
         if Fault.STOPPED.key in reading.faults:
             if self.since_s is None:
-                self.since_s, self.by = reading.epoch_s, ""
+                self.since_s, self.pressed_by = reading.epoch_s, ""
         elif clears and reading.epoch_s > self._confirmed_s:
             self.clear()
 
     def clear(self) -> None:
         """The stop has ended."""
-        self.since_s, self.by = None, ""
+        self.since_s, self.pressed_by = None, ""
 
 
 class PageServer:
@@ -228,18 +228,18 @@ class PageServer:
 
     async def _pump(self) -> None:
         while self._watched is not None:
-            said: list[Message] = []  # of one run
+            batch: list[Message] = []  # of one run
             for message in self._watched.take():
                 if isinstance(message, Hello):
                     self._begin(message)
                 elif message is not None:
-                    said.append(message)
+                    batch.append(message)
                 else:
-                    self._pass_on(said)
-                    said = []
+                    self._pass_on(batch)
+                    batch = []
                     self._run.over.set()
                     self._tell()
-            self._pass_on(said)
+            self._pass_on(batch)
             await asyncio.sleep(_TICK_S)
 
     def _begin(self, run: Hello) -> None:
@@ -270,8 +270,8 @@ class PageServer:
         if any(isinstance(item, RunState) and item.outcome != "running" for item in messages):
             self._tell()  # of a stop, before the run says that it has ended
         shapes = [item for item in messages if isinstance(item, BodyShape)]
-        others = [item for item in messages if not isinstance(item, Telemetry | BodyShape)]
-        for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *others]:
+        remaining = [item for item in messages if not isinstance(item, Telemetry | BodyShape)]
+        for message in [*shapes[thinned(len(shapes), _MOST_SHAPES_A_TICK)], *remaining]:
             if isinstance(message, RunState) and message.paused:
                 self._run.pausing = False
             channel, text = message.CHANNEL, page_data.text(message).decode()
@@ -357,7 +357,7 @@ class PageServer:
             "robot": self._port,
             "jog_cm": JOG_CM,
             "latched": self._latch.since_s is not None,
-            "stopped": {"at_s": self._latch.since_s, "by": self._latch.by},
+            "stopped": {"at_s": self._latch.since_s, "by": self._latch.pressed_by},
             "age_s": round(time.monotonic() - run.read_s, 1) if run.board else None,
             "pausing": run.pausing,
             "operates": self._operator in (None, viewer),
@@ -557,15 +557,15 @@ async def serve(options: WatchOptions, announce: Callable[[str], None]) -> None:
     await runner.setup()
     assert runner.server is not None
     try:
-        with _door(runner.server, server.stop, options) as door:
-            announce(f"http://{_reached_at(options.host)}:{door.port}/?token={server.token}")
+        with _stop_http(runner.server, server.stop, options) as listener:
+            announce(f"http://{_reached_at(options.host)}:{listener.port}/?token={server.token}")
             while not (options.leaves and server.deserted()):
                 await asyncio.sleep(1.0)
     finally:
         await runner.cleanup()
 
 
-def _door(server: web.Server, stop: Stop, options: WatchOptions) -> StopHttp:
+def _stop_http(server: web.Server, stop: Stop, options: WatchOptions) -> StopHttp:
     ports = (PORT, 0) if options.port is None else (options.port,)
     for port in ports:
         try:

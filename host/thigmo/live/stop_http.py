@@ -1,4 +1,4 @@
-"""The page's door: takes every connection, reads each request's head, answers stops itself.
+"""The page's listener: takes every connection, reads each request's head, answers stops itself.
 
 A stop must not wait for those who look, however many they are and whatever they leave unread or
 unsaid. One thread accepts all connections of the page's port and reads how each begins. Every
@@ -82,7 +82,7 @@ class _Request:
 
 
 class StopHttp(Closing):
-    """Keeps the door at an address until it is closed; OSError if it cannot be listened at."""
+    """Listens at an address until it is closed; OSError if it cannot."""
 
     def __init__(self, place: tuple[str, int], server: web.Server, stop: Stop) -> None:
         family = socket.AF_INET6 if ":" in place[0] else socket.AF_INET
@@ -240,7 +240,7 @@ class StopHttp(Closing):
 
 
 class _Begun(asyncio.Protocol):
-    """Gives a protocol of the page's server the head that the door has read, then steps aside."""
+    """Gives a protocol of the page's server the head that was read, then steps aside."""
 
     def __init__(self, handler: web.RequestHandler, head: bytes) -> None:
         self._handler = handler

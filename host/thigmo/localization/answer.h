@@ -35,8 +35,8 @@ struct Answer {
   std::vector<Hypothesis> hypotheses;
   Row probability;  // of each
   int best = 0;     // the likeliest of the chosen number
-  // At the nodes, curvature above that of the free body, by the best; in space one number for each
-  // of the body's two directions.
+  // Curvature above that of the free body by the best hypothesis: at the nodes in a plane; in space
+  // one number for each of the body's two directions.
   Row bend;
   int discarded = -1;
   bool end_open = false;  // only the end, which something may hold, leaves a place open
@@ -45,16 +45,17 @@ struct Answer {
   // Probability of each mistake, and of a noise larger than stated.
   std::array<double, kMistakes + 1> mistakes{};
   double kinked = 0.0;  // probability of a hinge or a fold
-  // Of the best: readings less what it predicts, in the caller's order; the
-  // squared whitened residual; how many numbers less than readings it has;
-  // lag-one correlation of neighbours, in standard errors, NaN in space.
+  // How well the best hypothesis fits: residuals in the caller's order; their chi-squared; its
+  // degrees of freedom; and the lag-one correlation of neighbouring residuals, in standard errors
+  // (NaN in space).
   Row residual;
   double misfit = NAN, correlation = NAN;
   int freedom = 0;
   double radius = 0.0;  // of the tube, over the length
 };
 
-// A share of the posterior: its mass, and that times the means of a force and of its square.
+// Moments of a force over a part of the posterior: the part's mass, and the mass times the mean of
+// the force and of its square.
 struct Moments {
   double mass = 0.0, force = 0.0, square = 0.0;
   void add(double share, const Moments& moments) {
@@ -62,12 +63,12 @@ struct Moments {
   }
 };
 
-// A contact's places over hypotheses, whose grids cut the body into cells between `edges`.
+// Where a contact lies, over all hypotheses. The edges of their grids cut the body into cells.
 class Mixture {
  public:
   Row edges, mass, force, spread;  // of each cell its mass; force there, and standard deviation
 
-  // What lies in the cells of a grid.
+  // The mass in each cell of one grid.
   struct Part {
     const Cells* cells;
     std::vector<Moments> moments;
@@ -91,9 +92,9 @@ class Mixture {
     for (const auto& [cells, moments] : parts) {
       const double near = cells->place.front() - 0.5 * cells->width, per = 1.0 / cells->width;
       for (std::size_t c = 0; c < count; ++c) {
-        const double into = (0.5 * (edges[c] + edges[c + 1]) - near) * per;
-        if (into < 0.0 || into >= static_cast<double>(moments.size())) continue;
-        all[c].add((edges[c + 1] - edges[c]) * per, moments[static_cast<std::size_t>(into)]);
+        const double cell = (0.5 * (edges[c] + edges[c + 1]) - near) * per;
+        if (cell < 0.0 || cell >= static_cast<double>(moments.size())) continue;
+        all[c].add((edges[c + 1] - edges[c]) * per, moments[static_cast<std::size_t>(cell)]);
       }
     }
     double total = 0.0;
@@ -101,7 +102,7 @@ class Mixture {
     mass = force = spread = Row(count);
     for (std::size_t c = 0; c < count; ++c) {
       const auto& [weight, first, second] = all[c];
-      // Where nothing of the posterior is within, that is all that is known.
+      // Where the posterior has no mass within the window, every place in it is equally likely.
       mass[c] =
           total > 0.0 ? weight / total : (edges[c + 1] - edges[c]) / (within.far - within.near);
       if (weight == 0.0) continue;
@@ -126,9 +127,9 @@ class Mixture {
     return static_cast<std::size_t>(after - edges.begin()) - 1;
   }
 
-  // Pieces of the highest-density set that holds a share of the mass, ascending: all cells at least
-  // as dense as the one that completes the share (Hyndman, Am. Stat. 50 (1996)). Cells that another
-  // grid's edge cuts in two are equally dense but for rounding.
+  // Intervals of the highest-density set that holds a share of the mass, ascending: all cells at
+  // least as dense as the one that completes the share (Hyndman, Am. Stat. 50 (1996)). Where
+  // another grid's edge cuts a cell in two, the densities of its halves differ by rounding only.
   std::vector<std::pair<double, double>> densest(double share) const {
     Row density = mass;
     const int count = static_cast<int>(density.size());
@@ -152,7 +153,7 @@ class Mixture {
     return pieces;
   }
 
-  // Median of that piece of the highest-density set which holds most.
+  // Median within the interval of the highest-density set that holds most mass.
   double median_of_piece(double share) const {
     double most = 0.0, middle = 0.5;
     for (const auto& [near, far] : densest(share)) {
@@ -162,7 +163,7 @@ class Mixture {
     return quantile(middle);
   }
 
-  // Root mean square of what parts the force from `value`, wherever in these pieces it acts.
+  // Root mean square difference of the force from `value`, over the places in these intervals.
   double departure(double value, const std::vector<std::pair<double, double>>& pieces) const {
     double total = 0.0, square = 0.0;
     for (const auto& [near, far] : pieces) {
@@ -186,10 +187,10 @@ class Mixture {
   }
 };
 
-// Hypotheses and their probabilities, asked for places of contacts.
+// The posterior over hypotheses: how many contacts there are, and where they lie.
 class Posterior {
  public:
-  // `asked`: number of contacts that is known, or -1.
+  // `asked`: the number of contacts if the caller knows it, else -1.
   Posterior(const std::vector<Hypothesis>& hypotheses, const Row& probability, int asked)
       : hypotheses_(hypotheses), probability_(probability), asked_(asked) {
     for (std::size_t k = 0; k < hypotheses.size(); ++k) {
@@ -208,10 +209,11 @@ class Posterior {
     }
   }
 
-  // Probability of so many contacts that are detected; and of so many to be listed, one at least.
+  // Probability of each number of contacts: of those that are detected, and of those that an answer
+  // lists, which is at least one.
   std::array<double, 4> detected{}, listed{};
 
-  // Where the contacts lie that `choose` picks: of a set it returns one's index, or -1.
+  // Places of one contact of each set: `choose` returns its index in the set, or -1 for none.
   template <class Choose>
   Mixture mixture(Window within, const Choose& choose) const {
     constexpr double kNegligible = 1e-3;  // share of a hypothesis that changes no interval
@@ -237,7 +239,7 @@ class Posterior {
     return Mixture(parts, within);
   }
 
-  // Of each of the arcs: probability that a contact lies nearer to it than to the others.
+  // For each arc, the probability that some contact lies nearer to it than to the other arcs.
   Row present(const Row& arcs) const {
     Row out(arcs.size());
     for (std::size_t k = 0; k < hypotheses_.size(); ++k) {
@@ -253,7 +255,7 @@ class Posterior {
     return out;
   }
 
-  // Index of the one of some arcs that is nearest to another.
+  // Index of the nearest of `count` arcs.
   static int nearest(const double* arcs, std::size_t count, double arc) {
     int out = 0;
     for (int j = 1; j < static_cast<int>(count); ++j) {
@@ -274,9 +276,8 @@ class Posterior {
   double most_ = 0.0;
 };
 
-// Compares the readings with what a hypothesis predicts of them: its loads, its
-// mistake, and the likeliest size of all shared errors. What is left is the
-// readings' own noise.
+// Compares the readings with a hypothesis: its loads, its mistake, and the likeliest size of every
+// shared error are subtracted, so that only each reading's own noise should remain.
 inline void check(const Readings& readings, const Hypothesis& hypothesis, const Options& options,
                   Answer& out) {
   Frame frame = readings.frame;
@@ -288,7 +289,7 @@ inline void check(const Readings& readings, const Hypothesis& hypothesis, const 
   const Row white = whitener(rest), weighted = whitener.precision_weighted(white);
   out.misfit = Whitener::dot(white.data(), white.data(), n);
   out.freedom = n - hypothesis.numbers - (bad >= 0);
-  if (bad >= 0) {  // what is bad of a reading stays in its residual
+  if (bad >= 0) {  // the error of a bad reading stays in its residual
     --frame.shared.rows;
     frame.shared.value.resize(static_cast<std::size_t>(frame.shared.rows) * n);
   }
@@ -341,7 +342,8 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
   for (std::size_t k = 2; k < 4; ++k) {
     if (posterior.listed[k] > posterior.listed[count]) count = k;
   }
-  // Likelier than not; or five standard errors off a free body whose readings are all good.
+  // A contact is listed if it is likelier than not, or if the readings are five standard errors
+  // from those of a free body without bad readings.
   if (out.touched < 0.5 && weighing.explained < priors.five_sigma) count = 0;
   if (options.contacts >= 0) count = static_cast<std::size_t>(options.contacts);
   double most = -1.0;
@@ -357,7 +359,7 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
   if (best.bad >= 0) out.discarded = readings.index[best.bad];
   check(readings, best, options, out);
   if (best.shares.contacts.size() != count) count = best.shares.contacts.size();
-  // What fits as many numbers as there are good readings explains nothing.
+  // A hypothesis with as many unknowns as good readings fits anything, so it localizes nothing.
   double all = 0.0, open = 0.0, held = 0.0;
   for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {
     const Hypothesis& h = out.hypotheses[k];
@@ -366,7 +368,7 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
     if (h.held()) held += out.probability[k];
     if (h.numbers >= readings.frame.size() - (h.bad >= 0)) open += out.probability[k];
   }
-  // A hand that holds the end explains what a contact beside it does.
+  // A hand that holds the end explains the same readings as a contact beside the end.
   const bool perhaps = options.held_end == Options::Held::perhaps &&
                        std::min(held, all - held) > priors.held_excluded * all;
   const bool asked = options.contacts > 0;
@@ -392,8 +394,8 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
     contact.probability = present[j];
     Mixture mixture = nearest_to(contact.arc);
     contact.pieces = mixture.densest(priors.level);
-    // A less likely place far away, such as the end, would draw a single contact's median to where
-    // hardly any mass is.
+    // The median of all mass can lie where there is hardly any: a less likely place far away, such
+    // as the end, draws it there.
     if (count == 1 && contact.pieces.size() > 1) {
       contact.arc = mixture.median_of_piece(priors.level);
       mixture = nearest_to(contact.arc);
@@ -428,7 +430,7 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
     out.contacts.push_back(std::move(contact));
   }
   if (count == 0 || (asked && out.touched < 0.5)) {
-    // What moves no reading can never be excluded, and is no hint.
+    // A contact that moves no reading can never be excluded, so its probability is no hint.
     const bool hint = 1.0 - out.number[0] > 2.0 * priors.excluded || count > 0 ||
                       (!readings.known && readings.frame.size() == 1);
     out.status = hint ? ContactStatus::below_detection : ContactStatus::no_contact;
@@ -437,7 +439,7 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
                                            [](const DetectedContact& c) { return c.localized; });
     out.status = all_localized ? ContactStatus::localized : ContactStatus::ambiguous;
   }
-  // From here on in the caller's order.
+  // Indices of bad readings, in the caller's order.
   for (Hypothesis& h : out.hypotheses) {
     if (h.bad >= 0) h.bad = readings.index[h.bad];
   }

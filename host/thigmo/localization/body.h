@@ -5,12 +5,12 @@
 
 namespace thigmo {
 
-// A body that takes one shape after another. Curvature is a row of numbers, those of each node or
-// cell of the body; which they are is the body's own affair.
+// A body that takes one shape after another. Its curvature is a row of numbers, `components` for
+// each node or cell; only the body itself knows which.
 class Body {
  public:
   Row rest;            // curvature of the free body, under its weight
-  Row start;           // the first that is tried of a touched body
+  Row start;           // curvature at which a touched body's iteration starts
   double turn = 0.0;   // of the free body (rad)
   int components = 1;  // numbers of the curvature in each node or cell
 
@@ -19,28 +19,30 @@ class Body {
   Body& operator=(const Body&) = delete;
   virtual ~Body() = default;
 
-  // Begins with the loads of another explanation. `bends`: whether it is never taken as straight.
+  // Starts on the loads of another hypothesis. `bends`: whether the body may not be taken as
+  // straight, however little it bends.
   virtual void begin(const HypothesisKind&, bool bends) = 0;
-  // Takes a shape, by a share of the step from the one before. `loads`: those that bent the body to
-  // it, with their numbers; none at the first shape.
+  // Takes a shape. `step`: the fraction of the last change of shape that was applied. `loads`: the
+  // placed loads that bend the body to this shape; none at the first shape.
   virtual void take(const Row& curvature, double step, const std::vector<PlacedLoad>& loads) = 0;
-  // Whether another curvature gives the shape it has.
+  // Whether a curvature gives the present shape again, so that the iteration has ended.
   virtual bool keeps(const Row& curvature) const = 0;
   // Lays a load's cells on the shape, with their columns.
   virtual void place(LoadColumns& load) const = 0;
-  // What the readings are known to have beside the loads, in this shape; empty: nothing.
+  // Known part of the readings that no load causes, in this shape; empty if there is none.
   virtual Row known() const { return {}; }
   // Curvature that loads on this shape cause.
   virtual Row bent(const std::vector<PlacedLoad>& loads) const = 0;
-  // That of the body that readings show which have so much left: the loads' own, or nearer to it.
+  // Curvature of the next shape, from that of the loads and from the residuals `left` of the
+  // readings, without the bad one.
   virtual Row shown(const Row& bent, const Row& left, int bad) const = 0;
   // The largest angle of a body with its base.
   virtual double turn_of(const Row& curvature) const = 0;
-  // What an answer shows of a curvature: that above the free body's.
+  // Curvature above that of the free body, as an answer reports it.
   virtual Row above(const Row& curvature) const = 0;
   // Forces of the contacts across the body, in the base's frame; none in a plane.
   virtual std::vector<Vector> forces(const std::vector<PlacedLoad>&) const { return {}; }
-  // Whether its end may be twisted.
+  // Whether a couple may twist the end.
   virtual bool twists() const { return false; }
   // Whether a contact is weighed beside a held end.
   virtual bool in_space() const { return false; }

@@ -1,16 +1,14 @@
 // Which explanations of a frame are weighed, and how likely each is.
 //
-// Every frame weighs a free body, one contact, each of them with one bad
-// reading or kink, two contacts, and three, whose grid is laid finer unless the
-// evidence on it leaves them negligible. What a scene calls for comes in order
-// of cost: a contact on the end of a bent body, a folded base near its critical
-// moment, and a held end. What leaves a misfit is weighed with one bad reading,
-// of those that may bring it within reach of the best. All evidences are
-// densities of the same readings, so they compare directly; prior odds are
-// those of priors.py. Mistakes in the readings' stated errors (the rows of
-// input.h) are weighed for every explanation alike, unless the readings as
-// stated are those of a free body. One loop settles the shape and splits the
-// grid, whatever the loads, in a plane and in space.
+// Every frame weighs a free body, one contact, each of these with one bad reading or kink, two
+// contacts, and three. The grid of three is made finer only where its evidence is not negligible.
+// Further hypotheses follow in order of cost, where the scene allows them: a contact on the end of
+// a bent body, a folded base near its critical moment, and a held end. A hypothesis that leaves a
+// misfit is weighed again with each bad reading that could bring it near the best one. All
+// evidences are densities of the same readings, so they compare directly; prior odds are those of
+// priors.py. Mistakes in the stated errors (the table in input.h) are weighed under every
+// hypothesis, unless the readings as stated are those of a free body. One loop iterates the shape
+// and refines the grid, for all loads, in a plane and in space.
 #pragma once
 
 #include <map>
@@ -26,16 +24,15 @@ namespace thigmo {
 struct Hypothesis {
   const HypothesisKind* kind;
   double log_weight;         // log evidence plus log prior odds
-  Row bent{};                // curvature of the free body, and by its likeliest loads
-  Row shape{};               // the same, with what the model of the errors says bends the
-                             // body
-  double misfit = INFINITY;  // of the likeliest loads: squared whitened residual
+  Row bent{};                // curvature under its likeliest loads
+  Row shape{};               // the same, as bent by the model of the errors
+  double misfit = INFINITY;  // chi-squared of the likeliest loads
   Level level{1.0, 0.0};     // likeliest model of the errors
   Row left{};                // (N,) readings less those of the likeliest loads
   // Probability of each mistake, and of a noise larger than stated.
   std::array<double, kMistakes + 1> mistakes{};
   Row level_shares{};               // probability of each model of the errors
-  int numbers = 0;                  // how many numbers of its own it fits
+  int numbers = 0;                  // how many unknowns it fits
   int bad = -1;                     // index of the bad reading
   double kink_arc = NAN;            // place of a kink
   std::vector<PlacedLoad> loads{};  // the likeliest
@@ -47,8 +44,8 @@ struct Hypothesis {
                        [](const PlacedLoad& l) { return l.load->holds(); });
   }
   const PlacedLoad* on_end() const {
-    for (const PlacedLoad& load_columns : loads) {
-      if (load_columns.load->where == Load::Where::end) return &load_columns;
+    for (const PlacedLoad& placed : loads) {
+      if (placed.load->where == Load::Where::end) return &placed;
     }
     return nullptr;
   }
@@ -73,8 +70,8 @@ class Weighing {
   static constexpr double kSeveralMatter = -1.5;   // the same of several contacts
   static constexpr double kHopelessLevel = -12.0;  // the same of a model of the errors
   static constexpr double kHopelessAtFirstShape =
-      -40.0;  // the same at a first shape, as of none that is right
-  // The same while a twist is found, which goes too far at first: to -94 in 800 frames.
+      -40.0;  // the same at the first shape, below which no true hypothesis falls
+  // The same while the twist converges, which overshoots at first: to -94 in 800 frames.
   static constexpr double kHopelessWhileTwisting = -400.0;
   static constexpr int kTwistTurns = 5;
   static constexpr double kCoarse = 0.9;  // mass of a cell above which the grid tells nothing
@@ -166,7 +163,7 @@ class Weighing {
         bent_by_two = hypotheses[two_contacts].shape;
       }
     }
-    // What bends a straight body so far may hold its end.
+    // A straight body that is bent so far may be held at its end.
     const bool perhaps = options_.held_end == Options::Held::perhaps;
     if (two_or_more && (held || (perhaps && (poor || (turn > priors_.straight && !bends))))) {
       double weight = contact_;
@@ -190,7 +187,7 @@ class Weighing {
     return std::make_unique<PlaneBody>(readings, in, options_);
   }
 
-  // Chi-squared that one contact which is right passes as seldom as a standard normal number passes
+  // Chi-squared that a true single contact exceeds as rarely as a standard normal number exceeds
   // `deviate` (Wilson and Hilferty, PNAS 17 (1931)).
   double misfit_at(double deviate) const {
     const double freedom = std::max(frame_.size() - 2, 1), part = 2.0 / (9.0 * freedom);
@@ -212,7 +209,7 @@ class Weighing {
     return share / static_cast<double>(priors_.moments.size());
   }
 
-  // Kinks between the ends of sensors, where they see one.
+  // Adds a kink for each stretch between ends of sensors where some sensor would measure it.
   void add_kinks() {
     Row edges = frame_.low;
     edges.insert(edges.end(), frame_.high.begin(), frame_.high.end());
@@ -231,7 +228,7 @@ class Weighing {
       if (column.empty()) continue;
       outliers_and_kinks_.push_back({first, column});
       kinks_.push_back(middle);
-      // Where the caller does not say at which moment the base folds, it is likelier there.
+      // If the moment that folds the base is not stated, a kink near the base is likelier.
       const double near = 4.0 * options_.radius;
       const bool fold = options_.folds_perhaps && middle < near;
       mark_odds_.push_back(std::log(width) +
@@ -240,8 +237,7 @@ class Weighing {
     }
   }
 
-  // Whitens by the errors as stated, beside which the table of mistakes is
-  // kept.
+  // The frame whitened by the errors as stated; fills the table of mistakes for later.
   Whitened whitened_as_stated() {
     readings.frame.rows = mistakes(readings, options_, body_->in_space() ? Row{} : body_->rest);
     return Whitened(frame_);
@@ -256,7 +252,7 @@ class Weighing {
            log_sum_exp(rivals) < hypotheses[0].log_weight + priors_.untouched;
   }
 
-  // Levels, each with every mistake; each with a noise larger than stated.
+  // Every level with every mistake; and, below, with every noise larger than stated.
   std::vector<Level> each_row(const std::vector<Level>& levels) const {
     std::vector<Level> out;
     for (int row = 0; row < static_cast<int>(frame_.rows.size()); ++row) {
@@ -267,7 +263,7 @@ class Weighing {
     return out;
   }
   std::vector<Level> each_noise(const std::vector<Level>& levels) const {
-    // What is larger than the largest counts as that.
+    // Noise beyond the largest factor counts as the largest.
     Row factors{1.0}, odds{1.0};
     for (std::size_t k = 0; k < priors_.noise_factors.size(); ++k) {
       if (priors_.noise_factors[k] <= options_.largest_noise) {
@@ -285,14 +281,14 @@ class Weighing {
     return out;
   }
 
-  // Takes other models of the errors.
+  // Replaces the models of the errors.
   void whiten_by(std::vector<Level> levels) {
     readings.frame.levels = std::move(levels);
     white_ = Whitened(frame_);
   }
 
-  // Weighs the free body and one contact by these. Returns the index of one
-  // contact.
+  // Weighs the free body and one contact by the present models of the errors. Returns the index of
+  // the one contact.
   std::size_t weigh_again(Row shape) {
     hypotheses.clear(), doubts_.clear();
     weigh_free_body();
@@ -303,8 +299,8 @@ class Weighing {
     return level.row == 0 && (level.factor == 1.0 || !known);
   }
 
-  // Leaves out the models of the errors, beside those as stated, whose log
-  // weight is less than the least of each.
+  // Drops every model of the errors, except for those as stated, whose log weight is below its
+  // `least`.
   template <class Least>
   void drop_levels(const Row& log_weight, const Least& least) {
     std::size_t kept = 0;
@@ -322,9 +318,9 @@ class Weighing {
                         white_.levels.end());
   }
 
-  // Leaves out models of the errors that are hopeless even if they leave no
-  // misfit, or for a free body and, on this shape, for one contact. The shape
-  // is far from that of a model that bends the free body otherwise.
+  // Drops models of the errors that would be hopeless even without any misfit, and those that are
+  // hopeless for a free body and, on this shape, for one contact. A model that bends the free body
+  // otherwise has quite another shape, so its limit is wider.
   void drop_hopeless_levels(const Row& shape) {
     Row most;
     for (const Whitened::AtLevel& model : white_.levels) most.push_back(model.whitener.log_det);
@@ -334,8 +330,8 @@ class Weighing {
     body_->begin(kOne, false);
     std::vector<PlacedLoad> loads;
     body_->take(shape, 1.0, loads);
-    Left room;
-    lay(grid, white_, room);
+    Reduced reduced;
+    lay(grid, white_, reduced);
     if (!grid.weigh(options_)) return;
     Row log_weight;
     const Row shares = grid.level_shares();
@@ -352,8 +348,8 @@ class Weighing {
     });
   }
 
-  // Leaves models of the errors that explain neither a free body nor one
-  // contact out of what is weighed from here on. Those as stated stay.
+  // Drops models of the errors that explain neither a free body nor one contact, for all further
+  // hypotheses. Those as stated stay.
   void drop_unlikely_levels() {
     Row log_weight(white_.levels.size(), -INFINITY);
     double top = -INFINITY;
@@ -367,8 +363,8 @@ class Weighing {
     drop_levels(log_weight, [&](const Level&) { return top + priors_.dropped_row; });
   }
 
-  // Probability of each mistake, and of a noise larger than stated, by that of
-  // each level.
+  // Probability of each mistake, and of a noise larger than stated, from the probabilities of the
+  // levels.
   std::array<double, kMistakes + 1> mistakes_by(const Row& shares) const {
     std::array<double, kMistakes + 1> out{};
     for (std::size_t s = 0; s < shares.size(); ++s) {
@@ -379,9 +375,8 @@ class Weighing {
     return out;
   }
 
-  // Bends a shape by what the likeliest model of the errors says of the free
-  // body: that it bends to the other side, or by a curvature that the caller
-  // did not give.
+  // Bends a shape as the likeliest model of the errors bends the free body: to the other side, or
+  // by a curvature that the caller did not give.
   void bend_by_mistake(const Whitened::AtLevel& model, const Row& left, Row& shape) const {
     const ErrorRow& row = frame_.rows[model.level.row];
     if (body_->in_space()) return;  // where readings, not loads, say how the body bends
@@ -396,7 +391,7 @@ class Weighing {
     }
   }
 
-  // A free body, and one with a bad reading or a kink.
+  // Weighs a free body, and a free body with a bad reading or a kink.
   void weigh_free_body() {
     const Whitened::AtLevel& likeliest = white_.likeliest();
     Hypothesis plain{&kFree,      white_.log_density(), body_->rest,
@@ -423,27 +418,28 @@ class Weighing {
                                   kink_weights.begin())];
   }
 
-  // Readings as a shape leaves them, less what is known beside the loads.
-  struct Left {
+  // The readings without their known part (`Body::known`), and whitened.
+  struct Reduced {
     Frame frame;
     std::optional<Whitened> white;
   };
-  const Whitened& left(const Whitened& white, Left& room) const {
+  const Whitened& without_known(const Whitened& white, Reduced& reduced) const {
     const Row known = body_->known();
     if (known.empty()) return white;
-    room.frame = *white.frame;
-    for (std::size_t i = 0; i < known.size(); ++i) room.frame.excess[i] -= known[i];
-    return room.white.emplace(room.frame);
+    reduced.frame = *white.frame;
+    for (std::size_t i = 0; i < known.size(); ++i) reduced.frame.excess[i] -= known[i];
+    return reduced.white.emplace(reduced.frame);
   }
 
-  // An explanation beside a mark, on the grid and the shape that suit it without.
+  // A hypothesis with a bad reading or a kink, evaluated on the grid and shape that it has without.
   struct Doubt {
     Hypothesis rough;
     const HypothesisKind* kind;
     double weight, side;
     int mark;
   };
-  // Gives the likeliest a grid and a shape of their own.
+  // Weighs the likeliest of these again, each on its own grid and shape; keeps the others as they
+  // are.
   void weigh_doubts() {
     std::sort(doubts_.begin(), doubts_.end(), [](const Doubt& a, const Doubt& b) {
       return a.rough.log_weight > b.rough.log_weight;
@@ -457,7 +453,7 @@ class Weighing {
     }
   }
 
-  // Largest difference of two curvatures in a node or cell, the same however the body is turned.
+  // Largest difference of two curvatures over nodes or cells; in space, of the vectors there.
   double apart(const Row& a, const Row& b) const {
     double most = 0.0;
     for (std::size_t k = 0; k < a.size(); k += body_->components) {
@@ -470,7 +466,7 @@ class Weighing {
     return std::sqrt(most);
   }
 
-  // Half a step where steps do not shrink.
+  // Fraction of the next step: half if steps do not shrink.
   static double stride(double change, double& last) {
     return change < 0.8 * std::exchange(last, change) ? 1.0 : 0.5;
   }
@@ -478,29 +474,30 @@ class Weighing {
     for (std::size_t k = 0; k < next.size(); ++k) shape[k] += step * (next[k] - shape[k]);
   }
 
-  // Lays the grid on the body's shape; returns the readings as that leaves them.
-  const Whitened& lay(PlaceSets& grid, const Whitened& white, Left& room) const {
+  // Lays the grid on the body's shape; returns the readings without their known part.
+  const Whitened& lay(PlaceSets& grid, const Whitened& white, Reduced& reduced) const {
     for (LoadColumns& p : grid.load_columns) {
       const bool anywhere = p.load->where == Load::Where::anywhere;
       p.width = anywhere ? (p.window.far - p.window.near) / p.cells : priors_.end_cell;
       body_->place(p);
     }
     grid.list();
-    const Whitened& read = left(white, room);
+    const Whitened& read = without_known(white, reduced);
     grid.take(read);
     return read;
   }
 
-  // An explanation's grid, whose memory the next frame needs.
+  // The grid of a kind of hypothesis, kept so that the next frame reuses its memory.
   static PlaceSets& place_sets_of(const HypothesisKind& kind) {
     thread_local std::map<const HypothesisKind*, PlaceSets> grids;
     return grids[&kind];
   }
 
-  // Weighs an explanation from a shape on, beside a mark or none, and beside marks that may matter.
-  // `side`: of the moment that folds the base. `rough`: only its shape, evidence and misfit are
-  // needed, by cells of the first grid. Returns the index of the hypothesis, or `kNone` if it is of
-  // no account.
+  // Weighs a hypothesis, starting from a shape. A `mark` is an index into `outliers_and_kinks_`:
+  // the bad reading or kink that comes with it. Without one, marks that may matter are noted as
+  // doubts.
+  // `side`: sign of the moment that folds the base. `rough`: only shape, evidence and misfit are
+  // needed, on the first grid. Returns the index of the hypothesis, or `kNone` if it is negligible.
   std::size_t weigh(const HypothesisKind& kind, double weight, Row shape, double side = 0.0,
                     int mark = kNoMark, bool rough = false) {
     Frame marked;
@@ -521,15 +518,15 @@ class Weighing {
                    return load.where != Load::Where::anywhere || load.critical;
                  }));
     bool whole = true;
-    Left room;
+    Reduced reduced;
     double last = INFINITY, step = 1.0;
     std::vector<PlacedLoad> loads;
     for (int turn = 0, passes = 0; turn < kMostTurns; ++turn) {
       body_->take(shape, std::exchange(step, 1.0), loads);
-      const Whitened& read = lay(grid, white, room);
+      const Whitened& read = lay(grid, white, reduced);
       if (!grid.weigh(options_)) return kNone;
       const double log_evidence = evidence(grid, whole);
-      // The first shape may be far from that of the loads.
+      // The first shape may be far from the one that the loads cause.
       double hopeless = turn == 0 ? kHopelessAtFirstShape : priors_.hopeless;
       if (twists && turn < kTwistTurns) hopeless = turn == 0 ? -INFINITY : kHopelessWhileTwisting;
       const PlaceSets::Likeliest now = grid.likeliest(*read.frame);
@@ -598,7 +595,7 @@ class Weighing {
       if (marks == 0) return index;
       if (!whole) {  // beside another mark the contacts may lie anywhere
         for (LoadColumns& p : grid.load_columns) p.window = {0.0, 1.0};
-        lay(grid, white, room);
+        lay(grid, white, reduced);
         grid.weigh(options_);
       }
       const double matter = best() + kMatters;
@@ -636,8 +633,8 @@ class Weighing {
     }
   }
 
-  // Log evidence of the sets of a grid that is weighed. On the whole body those listed are all
-  // there are: their prior sums to one.
+  // Log evidence of a weighed grid. A grid over the whole body (`whole`) lists every set of places,
+  // so that their prior sums to one.
   double evidence(const PlaceSets& grid, bool whole) const {
     double volume = 0.0;
     int free = 0;
@@ -648,8 +645,8 @@ class Weighing {
     return grid.top + std::log(grid.total / static_cast<double>(priors_.moments.size())) + volume;
   }
 
-  // Log evidence that a grid has beside each of the first marks, about, or at most where its sets
-  // leave a misfit: sets that explain it may then differ from those beside the mark.
+  // Approximate log evidence of a grid with each of the first marks. Where its sets leave a misfit,
+  // an upper bound: other sets may then be likely with the mark than without it.
   Row evidence_beside(const PlaceSets& grid, const Whitened& read,
                       const std::vector<Matrix>& weighted, int marks, double log_evidence,
                       double misfit) const {
@@ -659,7 +656,8 @@ class Weighing {
     return densest.beside;
   }
 
-  // Lays finer windows around the mass where a cell holds more than `coarse` of it.
+  // Narrows the windows around the mass where one cell holds more than `coarse` of it. Returns
+  // whether any has changed.
   static bool split(PlaceSets& grid, double coarse) {
     bool finer = false;
     for (std::size_t j = 0; j < grid.load_columns.size(); ++j) {
@@ -682,12 +680,12 @@ class Weighing {
   std::unique_ptr<Body> body_;
   Whitened white_;
   double contact_;  // log prior odds of one
-  // Bad readings, then kinks: columns that readings share, log odds of each beside loads.
+  // Marks: bad readings, then kinks. Below: prior log odds of each mark with loads.
   std::vector<Column> outliers_and_kinks_;
-  Row mark_odds_, kinks_, kink_odds_;  // place of each; log odds of kinks of a free body
+  Row mark_odds_, kinks_, kink_odds_;  // places of the kinks; their log odds on a free body
   std::vector<Doubt> doubts_;
-  double limit_;     // misfit beyond which an explanation is poor
-  double doubtful_;  // misfit of one contact beyond which the noise is larger than stated, perhaps
+  double limit_;     // misfit beyond which a hypothesis fits poorly
+  double doubtful_;  // misfit of one contact beyond which the noise may be larger than stated
 };
 
 }  // namespace thigmo

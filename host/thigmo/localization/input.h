@@ -58,8 +58,7 @@ struct Options {
   Priors priors;
 };
 
-// One frame: rows have N numbers, or one for all sensors. `free` is empty if it
-// is not given.
+// One frame: rows have N numbers, or one for all sensors. `free` is empty if not given.
 struct Input {
   Row curvature, free, body;
 };
@@ -92,7 +91,7 @@ inline std::pair<double, double> ends_of_sensor(const Options& options, std::siz
   return {on_body(options.position[i] - half), on_body(options.position[i] + half)};
 }
 
-// The problem, and a number that shows it.
+// Why the frame is refused, and the number that shows it.
 inline std::pair<InputProblem, double> input_problem(const Input& in, const Options& options) {
   const std::size_t n = in.curvature.size();
   double tightest = 0.0, sum = 0.0;
@@ -111,10 +110,11 @@ inline std::pair<InputProblem, double> input_problem(const Input& in, const Opti
   }
   if (finite == 0) return {InputProblem::no_reading, 0.0};
   if (tightest * options.radius * options.length > 1.0) return {InputProblem::too_tight, tightest};
-  // No body of a lab is a whole ring; one in two units looks like several.
+  // No real body curls into a whole ring, but one whose curvature and length have different units
+  // seems to.
   const double turn = std::abs(sum) / static_cast<double>(finite) * options.length;
   if (options.axis.rows == 0 && turn > 2.0 * std::numbers::pi) return {InputProblem::curls, turn};
-  // A body that nothing bends reads no constant curvature but zero.
+  // Without loads, the same curvature at every sensor can only be zero.
   if (n >= 3 && same && passive && finite == n && in.curvature[0] != 0.0) {
     return {InputProblem::constant, in.curvature[0]};
   }
@@ -265,7 +265,7 @@ inline Readings normalised(const Input& in, const Options& options) {
     frame.low.push_back(low);
     frame.high.push_back(high);
     frame.noise.push_back(options.noise.empty() ? 1.0 : pick(options.noise, i) * length);
-    // A share of the curvature, which is near what is read, or that of the free body.
+    // A gain error is relative to the curvature: the larger of reading and free curvature.
     frame.gain.push_back(pick(options.gain, i) * length *
                          std::max(std::abs(in.curvature[i]), std::abs(g)));
     free.push_back(g * length);

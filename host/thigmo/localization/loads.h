@@ -100,7 +100,7 @@ inline Row middles(Window window, int cells) {
   return place;
 }
 
-// Cells that hold all but nothing of a mass, widened by some: where a finer grid is laid.
+// The window of the cells that hold nearly all mass, widened by `more` cells: for a finer grid.
 inline Window support(const double* mass, int cells, Window window, double outside, int more) {
   int first = 0, last = cells - 1;
   while (first < last && mass[first] < outside) ++first;
@@ -110,19 +110,19 @@ inline Window support(const double* mass, int cells, Window window, double outsi
           window.near + std::min(last + 1 + more, cells) * width};
 }
 
-// Even cells of the body, in which a contact may lie.
+// Cells of equal width in which a contact may lie.
 struct Cells {
   Row place;     // (M,) their middles
   double width;  // of each
   bool operator==(const Cells&) const = default;
 };
 
-// Contacts that are detected together, base to tip: of each its index among those that were placed,
-// its cell there and its arc, and the means of its force and of that squared. A contact is alone
-// where no other is detected.
+// Contacts that are detected together, base to tip. For each: its index in `Shares::contacts`, its
+// cell there, its arc, and the posterior means of its force and of the force squared. A set of one
+// stands for all sets in which no other contact is detected.
 struct DetectedSet {
   double mass;
-  double detected;  // probability that they are; less than one if a contact is alone
+  double detected;  // probability that they are detected; below one only for a set of one
   int count = 0;
   std::array<std::uint8_t, kMostContacts> contact{}, cell{};
   std::array<double, kMostContacts> arc{}, force{}, square{};
@@ -132,21 +132,22 @@ struct DetectedSet {
   }
 };
 
-// Posterior of the contacts of an explanation, if it has any: cells of each, and sets of sum one.
+// Posterior of a hypothesis' contacts: the cells of each, and sets whose masses sum to one. Empty
+// without contacts.
 struct Shares {
   std::vector<Cells> contacts{};
   std::vector<DetectedSet> sets{};
 };
 
-// Normal equations of K numbers: products with the readings and, lower half, with each other;
-// precision of the prior.
+// Normal equations of K unknowns: `projection` is C'V^-1 d + S^-1 m, `lower` the lower half of
+// C'V^-1 C, and `prior` the diagonal of S^-1.
 template <int K, int N = 4>
 struct Normal {
   using Numbers = typename Lanes<N>::Type;
   Numbers projection[K], lower[K][K], prior[K];
 };
 
-// The same, one number eliminated after another (Gauss).
+// The same equations after Gaussian elimination.
 template <int K, int N = 4>
 struct Eliminated {
   using Numbers = typename Lanes<N>::Type;
@@ -171,7 +172,7 @@ struct Eliminated {
       gain += left[j] * left[j] * inverse[j], inverse_volume *= inverse[j];
     }
   }
-  // Means and variances.
+  // Posterior means and variances of the unknowns.
   [[gnu::always_inline]] void solve(Numbers* mean, Numbers* variance) const {
     Numbers up[K][K];  // transposed inverse of the lower triangle
 #pragma GCC unroll 8
@@ -187,7 +188,7 @@ struct Eliminated {
       }
     }
   }
-  // Variance of a sum of the numbers, whose shares are overwritten.
+  // Variance of a weighted sum of the unknowns; overwrites the weights `shares`.
   [[gnu::always_inline]] void variance(Numbers* shares, Numbers& out) const {
     out = Numbers{};
 #pragma GCC unroll 8
@@ -199,11 +200,11 @@ struct Eliminated {
   }
 };
 
-// One of a load's numbers.
+// Prior of one of a load's numbers.
 struct Number {
-  bool scaled = true;  // whether its prior goes with the scale of the forces
-  double mean = 0.0;   // of its prior, in standard deviations
-  double side = 0.0;   // 1 or -1 if it never has the other sign
+  bool scaled = true;  // whether its deviation is proportional to the scale of the forces
+  double mean = 0.0;   // in standard deviations
+  double side = 0.0;   // 1 or -1 if the number has only that sign
 };
 
 // A load's cells on a shape, and its columns there.
@@ -216,14 +217,14 @@ struct LoadColumns {
   double width = 0.0;
   Row place{};
   Row density{};    // prior density of the places; empty: all alike
-  Matrix column{};  // (N, numbers * cells), of one prior deviation at a scale of one
-  Row unit{};       // (numbers * cells) such a deviation
-  Row base{};       // (numbers * cells) the moment at the base that it causes; empty in space
-  Row laid{};       // what all that hangs on; empty: on the shape
+  Matrix column{};  // (N, numbers * cells) effect of one prior deviation, at a scale of one
+  Row unit{};       // (numbers * cells) that deviation
+  Row base{};       // (numbers * cells) moment at the base that it causes; empty in space
+  Row laid{};       // the values for which the columns were computed; empty: for the shape alone
   int size() const { return static_cast<int>(number.size()); }
 };
 
-// A load at a place: its numbers, and their standard deviations.
+// A load at a place: posterior means and standard deviations of its numbers.
 constexpr int kMostNumbers = 6;
 struct PlacedLoad {
   const Load* load;
@@ -231,7 +232,7 @@ struct PlacedLoad {
   std::array<double, kMostNumbers> value{}, spread{};
 };
 
-// What is filled before use and of no use to a copy, which is made without it.
+// Working memory: filled before each use, so copies are made without it.
 template <class Values>
 struct Scratch : Values {
   Scratch() = default;
@@ -242,8 +243,8 @@ struct Scratch : Values {
   ~Scratch() = default;
 };
 
-// Sets of places, one of each load's cells. What their evidence needs stands side by side, set
-// after set, so that loops over sets become vector code.
+// All sets of places of some loads: one cell for each load. The values of neighbouring sets stand
+// side by side in memory, so that loops over sets become vector code.
 class PlaceSets {
  public:
   std::vector<LoadColumns> load_columns;
@@ -251,7 +252,7 @@ class PlaceSets {
   Matrix mean, spread,
       detected;  // (contacts, sets) force across the body; probability that it counts
   double total = 0.0, top = -INFINITY;
-  std::size_t level = 0;  // model of the errors that suits the likeliest set
+  std::size_t level = 0;  // the likeliest model of the errors at the likeliest set
 
   int size() const { return sets_; }
   int count() const {  // of contacts
@@ -260,14 +261,14 @@ class PlaceSets {
                       [](const LoadColumns& p) { return p.load->is_contact(); }));
   }
   int cell(int load, int set) const { return cell_[load][set]; }
-  // A load on the end is drawn as one on the last cell.
+  // Cells of a load; a load on the end counts as one on the last cell.
   Cells cells(int load) const {
     const LoadColumns& p = load_columns[load];
     const bool anywhere = p.load->where == Load::Where::anywhere;
     return {anywhere ? p.place : Row{1.0 - 0.5 * p.width}, p.width};
   }
 
-  // Lists all sets whose contacts are half a cell apart at least.
+  // Lists all sets whose contacts are at least half a cell apart.
   void list() {
     std::vector<Window> windows;
     number_.clear(), number_origin_.clear();
@@ -295,7 +296,7 @@ class PlaceSets {
     }
   }
 
-  // Takes columns and readings.
+  // Computes the products of all columns with the readings and with each other.
   void take(const Whitened& readings) {
     int wide = 0;
     first_.clear();
@@ -372,8 +373,9 @@ class PlaceSets {
     return total > 0.0;
   }
 
-  // Of sets that hold a share of `least` or more: forces over levels and scales, and the
-  // probability that each contact counts. Contacts of other sets are taken to count.
+  // Computes the mean and the standard deviation of each contact's force, over levels and scales,
+  // and the probability that it is detected, in sets that hold a share of `least` or more. Contacts
+  // of other sets count as detected.
   THIGMO_WIDEST(void, solve, double least, least)
   template <int N>
   [[gnu::always_inline]] void solve_by(double least) {
@@ -381,7 +383,7 @@ class PlaceSets {
     const int contacts = count();
     for (Matrix* result : {&mean, &spread, &detected}) result->resize(contacts, padded());
     const int scales = static_cast<int>(priors_->moments.size());
-    // `Single`: whether each contact has one number, and nothing else has any.
+    // `Single`: whether every load is a contact with one number.
     const auto run = [&]<int K, bool Single>() __attribute__((always_inline)) {
       constexpr int kContacts = std::min<int>(K, kMostContacts);
       for (int s = 0; s < padded(); s += N) {
@@ -478,8 +480,7 @@ class PlaceSets {
     return sum / total;
   }
 
-  // The likeliest set: its loads, the readings that these leave, and their
-  // misfit by the model of the errors that suits it.
+  // The likeliest set: its loads, the residuals, and their chi-squared under `level`.
   struct Likeliest {
     std::vector<PlacedLoad> loads;
     Row left;
@@ -538,14 +539,14 @@ class PlaceSets {
     return weighted;
   }
 
-  // Log density of the readings at the likeliest set, without a further column and beside each.
+  // Largest log density of the readings over all sets: as they are, and with each further column.
   struct Densest {
     double plain;
     Row beside;
   };
-  // Bounds of the evidence from above, since evidence is a mean over sets: at the widest scale of
-  // the forces, as if no prior volume were lost, at the noise that suits the likeliest set or at
-  // less of it. `weighted`: of `precision_weighted`.
+  // These bound the evidence from above, because evidence is a mean over sets. They take the widest
+  // scale of the forces, no loss of prior volume, and the levels with at most the noise of `level`.
+  // `weighted`: the result of `precision_weighted`.
   THIGMO_WIDE Densest densest(const Whitened& readings, const std::vector<Matrix>& weighted,
                               const std::vector<Column>& columns, int count) const {
     const ScaledPrior widest =
@@ -585,7 +586,8 @@ class PlaceSets {
     return out;
   }
 
-  // The same sets beside a further column, to be weighed. `weighted`: of `precision_weighted`.
+  // The same sets with a further column, to be weighed. `weighted`: the result of
+  // `precision_weighted`.
   THIGMO_WIDE PlaceSets beside(const Whitened& readings, const std::vector<Matrix>& weighted,
                                const Column& column) const {
     PlaceSets out = *this;
@@ -609,19 +611,21 @@ class PlaceSets {
   }
 
  private:
-  // At one level of the noise: log density and square of the readings; of each set, products of its
-  // numbers' columns with the readings and, lower half, with each other.
+  // At one level of the noise: log density and squared length of the whitened readings, and for
+  // each set the products of its columns with the readings and (lower half) with each other.
   struct Products {
     double constant, square;
     Matrix value;
   };
-  // Prior precisions of the numbers at one scale of the forces, and what they add to a log weight.
+  // Prior precisions of the numbers at one scale of the forces, their product, and the constant
+  // that the prior adds to a log weight.
   struct ScaledPrior {
     std::array<double, 2 * kMostNumbers> tight;
     double tighter = 1.0, constant = 0.0;
   };
 
-  // A row of the weights, of one level and one scale; its share of the mass, a log while weighed.
+  // A row of the weights, for one level and one scale, and its share of the mass (its logarithm
+  // until all rows are weighed).
   struct WeightRow {
     int row;
     ScaledPrior prior;
@@ -690,7 +694,7 @@ class PlaceSets {
     }
   }
 
-  // Products of a row of numbers, one for each reading, with all columns.
+  // Products of one vector of N values with all columns.
   [[gnu::always_inline]] void products_with(const double* row, double* out) const {
     std::fill_n(out, column_.columns, 0.0);
     for (int i = 0; i < column_.rows; ++i) {
@@ -699,8 +703,8 @@ class PlaceSets {
     }
   }
 
-  // Takes a level that has further shared errors and shifts beside another, whose products change
-  // by an outer product for each error.
+  // Computes the products at a level from those at its base (`Whitened::base`): each further shared
+  // error subtracts an outer product.
   THIGMO_WIDE void take_beside(const Whitened::AtLevel& base, const Products& products,
                                const Whitened::AtLevel& model, Products& out) {
     const int count = static_cast<int>(number_.size()), stated = base.whitener.shared();
@@ -736,8 +740,9 @@ class PlaceSets {
     }
   }
 
-  // Products of whitened columns from `beside` on, one in each row, with those from `first` on; of
-  // no rows, of those at the same cells. Contacts on the same cells share them.
+  // Products of two loads' whitened columns, which begin at `beside` and at `first`: row by row for
+  // all pairs of cells, or with no rows for equal cells only. Kept, since contacts on the same
+  // cells share them.
   [[gnu::always_inline]] const double* block(const Matrix& white, int first, int cells, int beside,
                                              int rows) {
     const std::array key{first, beside, rows};
@@ -774,8 +779,8 @@ class PlaceSets {
     return &both_[start];
   }
 
-  // Products of a column, times its scale, with those of each set. `weighted`: V^(-1) times the
-  // columns.
+  // Products of a further column, times `scale`, with the columns of each set. `weighted`: V^(-1)
+  // times these columns.
   [[gnu::always_inline]] void lay_products(const Column& column, double scale,
                                            const Matrix& weighted, Matrix& out) const {
     const int count = static_cast<int>(number_.size());
@@ -805,7 +810,7 @@ class PlaceSets {
     return out;
   }
 
-  // Calls `run` for as many numbers as a set has.
+  // Calls `run<K>` with K the number of unknowns of a set, known to the compiler.
   template <class Run>
   [[gnu::always_inline]] void numbers(const Run& run) const {
     [&]<int... K>(std::integer_sequence<int, K...>) __attribute__((always_inline)) {
@@ -834,8 +839,9 @@ class PlaceSets {
     };
     return critical < INFINITY && std::all_of(load_columns.begin(), load_columns.end(), touches);
   }
-  // Leaves of each set's weight the share in which numbers are on their side, and the moment at the
-  // base is below the critical one.
+  // Multiplies each set's weight by the posterior probability that its one-sided numbers have the
+  // right sign, over the prior one (a half), and, if `folds`, by the probability that the moment at
+  // the base is below the critical one.
   THIGMO_WIDE void bound(double critical, bool folds, const Products& products,
                          const ScaledPrior& prior, double* weight) const {
     numbers([&]<int K>() __attribute__((always_inline)) {
@@ -879,11 +885,12 @@ class PlaceSets {
   std::vector<Products> levels_;
   Scratch<std::vector<Matrix>> white_;  // whitened columns, at each level that has no base
   std::vector<WeightRow> weight_rows_;
-  // Blocks of products of columns, by where they are taken: their first one.
+  // Offsets in `both_` of the blocks of products of columns, by the arguments of `block`.
   std::vector<std::pair<std::array<int, 3>, std::size_t>> blocks_;
   std::size_t ends_ = 0;
   Scratch<Row> both_;
-  // Of each shared error beside a base: products with columns, and with those of each set.
+  // Of each shared error that a level has beyond its base: products with columns, and with the
+  // columns of each set.
   Scratch<Matrix> error_products_, set_products_;
   Row density_;
   const Priors* priors_ = nullptr;
@@ -891,8 +898,8 @@ class PlaceSets {
   int best_ = 0, sets_ = 0;
 };
 
-// Shares the mass of a grid that is solved out among the contacts that are detected. All are taken
-// for detected if `all` says so. Leaves out sets that hold a share of less than `nothing`.
+// Distributes the mass of a solved grid over the sets of contacts that are detected. `all`: count
+// every contact as detected. Sets that hold less than the share `nothing` are dropped.
 inline Shares share_out(const PlaceSets& grid, bool all, double nothing) {
   constexpr double kUnlikely = 1e-3;
   const int count = grid.count();
@@ -911,7 +918,7 @@ inline Shares share_out(const PlaceSets& grid, bool all, double nothing) {
   for (int s = 0; s < grid.size(); ++s) {
     if (grid.mass[s] < least) continue;
     const double whole = grid.mass[s] / kept;
-    // Of each way in which some are detected, a bit each: its mass.
+    // Mass of each subset of detected contacts; bit j of the index stands for contact j.
     std::array<double, 1 << kMostContacts> share{whole};
     std::array<double, kMostContacts> mean{}, square{};
     std::array<int, kMostContacts> cell{};

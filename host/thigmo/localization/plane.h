@@ -32,7 +32,7 @@ class PlaneBody : public Body {
   void place(LoadColumns& p) const override {
     const Load& load = *p.load;
     const int n = frame_.size(), cells = p.cells;
-    Row now;  // what a straight body's columns hang on
+    Row now;  // the values on which a straight body's columns depend
     if (straight_ && load.where == Load::Where::anywhere && !load.critical) {
       now = {p.window.near, p.window.far, priors_.least_lever, priors_.swept};
       now.insert(now.end(), frame_.low.begin(), frame_.low.end());
@@ -129,7 +129,7 @@ class PlaneBody : public Body {
   }
 
  private:
-  // Of a contact's place. A bend of the whole body carries each point across an area that grows as
+  // Prior density of a contact's place. As the body bends, each point sweeps an area that grows as
   // the square of its arc.
   double density(double arc) const { return 1.0 - priors_.swept + 3.0 * priors_.swept * arc * arc; }
   double largest_lever(const Point& point) const {

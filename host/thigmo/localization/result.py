@@ -444,15 +444,15 @@ def message(
             "a contact is not certain; average more readings, bend further or give `noise`" + more
         )
     contacts = f"{count} contact{'s' * (count > 1)}"
-    felt = f"the probability of {contacts} is {number[count]:.2f}"
+    likely_count = f"the probability of {contacts} is {number[count]:.2f}"
     if count < len(number) - 1:
-        felt += f", of more {sum(number[count + 1 :]):.2f}"
+        likely_count += f", of more {sum(number[count + 1 :]):.2f}"
     if status == "localized":
-        return f"{felt}; the intervals allow for any number{more}"
+        return f"{likely_count}; the intervals allow for any number{more}"
     if touched < 1.0 - priors.EXCLUDED:
-        return f"a contact has probability {touched:.2f}; {felt}{more}"
+        return f"a contact has probability {touched:.2f}; {likely_count}{more}"
     if end_open:
-        return f"something may hold the end: give held_end; {felt}{more}"
+        return f"something may hold the end: give held_end; {likely_count}{more}"
     if freedom <= 0:
-        return f"{UNCHECKED}; {felt}{more}"
-    return f"several places explain the readings, and the intervals hold them; {felt}{more}"
+        return f"{UNCHECKED}; {likely_count}{more}"
+    return f"several places explain the readings, and the intervals hold them; {likely_count}{more}"

@@ -29,7 +29,7 @@ struct Matrix {
   Row value;
   Matrix() = default;
   Matrix(int n, int m) : rows(n), columns(m), value(static_cast<std::size_t>(n) * m) {}
-  // What it holds then is of no use.
+  // Contents are undefined afterwards.
   void resize(int n, int m) {
     rows = n, columns = m;
     value.resize(static_cast<std::size_t>(n) * m);
@@ -43,7 +43,7 @@ struct Matrix {
 // A point of the body: the integrals up to there, and the cosine and sine of its heading.
 struct Point {
   double arc, x, y, sum_x, sum_y, c, s;
-  // Of a force along the body there instead of across it.
+  // The same point for a force along the body instead of across it.
   Point turned() const { return {arc, x, y, sum_x, sum_y, -s, c}; }
 };
 
@@ -75,8 +75,8 @@ class Shape {
             between(c_), between(s_)};
   }
 
-  // Raise the levers of forces at M points to the largest of each; `lever_at_base`: its lever at
-  // the base.
+  // Raises `most` to the largest lever that each of M forces has along the body. `lever_at_base`:
+  // their levers at the base.
   void raise_to_largest(int count, const double* __restrict arc, const double* __restrict c,
                         const double* __restrict s, const double* __restrict lever_at_base,
                         double* __restrict most) const {
@@ -101,7 +101,7 @@ class Shape {
   Nodes c_, s_, x_, y_, sum_x_, sum_y_;
 };
 
-// What unit forces at M places do: mean lever over each sensor, largest lever and that at the base.
+// Levers of unit forces at M places: the mean over each sensor, the largest, and that at the base.
 struct Levers {
   Matrix sensor;  // (N, M)
   Row largest, base;

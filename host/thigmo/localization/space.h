@@ -1,4 +1,4 @@
-// Loads on a body in space, weighed as those in a plane are.
+// A body in space, as the kernel asks for it (body.h).
 //
 // The body carries a frame (tangent, normal, binormal) that turns about its tangent only where a
 // couple twists it. Its curvature is a vector u in that frame, R' = R [u], and a reading the mean
@@ -27,7 +27,7 @@ inline Vector plus(const Vector& a, double x, const Vector& b) {
   return {a[0] + x * b[0], a[1] + x * b[1], a[2] + x * b[2]};
 }
 
-// Three columns: of a frame tangent, normal and binormal.
+// Three column vectors; those of a frame are tangent, normal and binormal.
 using Columns3 = std::array<Vector, 3>;
 
 inline Vector times(const Columns3& m, const Vector& v) {
@@ -37,7 +37,7 @@ inline Columns3 times(const Columns3& m, const Columns3& n) {
   return {times(m, n[0]), times(m, n[1]), times(m, n[2])};
 }
 
-// By a rotation vector of less than half a radian (Rodrigues, by Taylor's series: 1e-10).
+// Rotation by a vector of less than half a radian (Rodrigues, by Taylor's series, to 1e-10).
 inline Columns3 rotation(const Vector& w) {
   const double t = dot(w, w);
   const double a = 1.0 - t / 6.0 * (1.0 - t / 20.0 * (1.0 - t / 42.0));
@@ -147,7 +147,7 @@ class SpaceShape {
   std::vector<Middle> middle_;     // of the cells
 };
 
-// Directions of the readings on a shape: what turns unit wrenches into readings.
+// The linear maps from wrenches to readings, on one shape.
 class Lines {
  public:
   Lines(const SpaceShape& shape, const Frame& frame, const std::vector<Vector>& axes)
@@ -165,7 +165,7 @@ class Lines {
     }
   }
 
-  // Of reading i, to a force and to a couple at a section.
+  // Derivatives of reading i by a force and by a couple at a section.
   std::pair<Vector, Vector> response(int i, const Section& section) const {
     if (section.arc <= near_[i].arc) return {};
     const Line line = section.arc < far_[i].arc ? between(i, section) : line_[i];
@@ -201,8 +201,8 @@ class Lines {
   std::vector<Line> line_;
 };
 
-// Unit wrenches of a load at a section, one prior standard deviation each for a largest moment of
-// one, and those deviations; forces come first.
+// Wrenches of a load's numbers at a section, forces first. Each is one prior standard deviation
+// (`unit`), which causes a largest moment of one.
 struct Wrenches {
   int count = 0;
   std::array<Vector, kMostNumbers> force{}, couple{};
@@ -221,7 +221,7 @@ class SpaceBody : public Body {
     const Frame& frame = readings.frame;
     components = 3;
     for (const int i : readings.index) axes_.push_back(vector(options.axis[i]));
-    // The free body, and that which the readings show: with what is missing as if it were free.
+    // Curvature of the free body, and of the body by its readings; missing readings count as free.
     Row shown(in.curvature.size());
     for (std::size_t i = 0; i < shown.size(); ++i) shown[i] = pick(in.body, i) * options.length;
     unweighed_ = rest = curvature_of(shown);
@@ -290,8 +290,7 @@ class SpaceBody : public Body {
     return out;
   }
 
-  // What the loads leave of a reading bends the body all the same, so the shape is near the true
-  // one whatever explains it.
+  // Residuals bend the shape as well. It is then near the true one, whichever hypothesis is right.
   Row shown(const Row& bent, const Row& left, int bad) const override {
     Row out = bent;
     Row all(options_.curvature_map.columns);
@@ -448,8 +447,8 @@ class SpaceBody : public Body {
   std::optional<SpaceShape> shape_;
   std::optional<Lines> lines_;
   Row known_;
-  // Of a twist that no sensor measures: the couple that bent the shape, and what one more adds to
-  // each reading; empty at the first shape.
+  // A twist that no sensor measures: the couple of the present shape, and the derivative of each
+  // reading by the couple (empty at the first shape).
   bool unseen_ = false;
   double twist_ = 0.0;
   Row slope_;

@@ -81,7 +81,7 @@ def _curvature_map(position: Array, span: Array, axis: Array) -> Array:
     edges = np.linspace(0.0, 1.0, _CELLS + 1)
     inside = np.minimum(high[:, None], edges[1:]) - np.maximum(low[:, None], edges[:-1])
     share = np.maximum(inside, 0.0) / (high - low)[:, None]
-    seen = (share[:, :, None] * axis[:, None, 1:]).reshape(len(axis), -1)
+    design = (share[:, :, None] * axis[:, None, 1:]).reshape(len(axis), -1)
     step = np.diff(np.eye(_CELLS), axis=0)
     smooth = np.kron(_SMOOTH * _CELLS * step.T @ step + 1e-9 * np.eye(_CELLS), np.eye(2))
-    return np.linalg.solve(seen.T @ seen + smooth, seen.T)
+    return np.linalg.solve(design.T @ design + smooth, design.T)

@@ -45,8 +45,7 @@ struct Column {
 struct Frame {
   Row excess;                 // (N,) readings above the free ones
   Row low, high;              // (N,) ends of the sensors on the body
-  Row noise;                  // (N,) standard deviation of white noise, or its share where that
-                              // is unknown
+  Row noise;                  // (N,) standard deviation of white noise; relative if unknown
   Row gain;                   // (N,) standard deviation of a reading's gain error
   Matrix shared;              // (K, N) effect of each shared error of one standard deviation
   std::vector<Level> levels;  // models of the errors; their odds sum to one
@@ -154,8 +153,8 @@ class Whitener {
     return std::max(sum, 0.0);
   }
 
-  // Shared errors: how many there are; of the k-th, V^(-1) of those before it times its column; and
-  // the factor of its outer product, which V^(-1) with it has less than without it.
+  // Number of shared errors. The k-th one lowers V^(-1) by `taken(k)` times the outer product of
+  // `weighted_error(k)`, which is its column times the V^(-1) of the errors before it.
   int shared() const { return column_.rows; }
   const double* weighted_error(int k) const { return weighted_[k]; }
   double taken(int k) const { return taken_[k]; }
@@ -167,8 +166,8 @@ class Whitener {
   }
 
  private:
-  // Takes white noise for a process of the first order along the body: a
-  // reading's noise less its share of the neighbour's before it is white again.
+  // Models the noise as a first-order autoregression along the body: a reading's noise less its
+  // share of the previous neighbour's is white.
   void correlate(const Frame& frame, double correlation) {
     if (correlation == 0.0) return;
     lag_.assign(frame.size(), 0.0), innovation_.assign(frame.size(), 1.0);
@@ -178,8 +177,8 @@ class Whitener {
       log_det += std::log(innovation_[i]);
     }
   }
-  // Take from each of the M columns of N by M values what the neighbour before
-  // explains; and the transpose of that.
+  // Subtracts from each of the M columns of N by M values the share that the previous neighbour
+  // explains; and the transpose of this.
   void take_lags(double* values, int columns) const {
     for (int i = static_cast<int>(lag_.size()) - 1; i > 0; --i) {
       double *row = values + i * columns, *row_before = row - columns;
@@ -201,7 +200,7 @@ class Whitener {
       for (int m = 0; m < columns; ++m) *values++ *= inverse;
     }
   }
-  // Take a share of a shared column out of each of the M columns of N by M values.
+  // Projects the k-th shared column out of each of the M columns of N by M values, in part.
   void take(int k, double* values, int columns) const {
     const int n = static_cast<int>(inverse_.size());
     const double* column = column_[k];
@@ -214,7 +213,7 @@ class Whitener {
       for (int m = 0; m < columns; ++m) values[i * columns + m] -= step * share[m];
     }
   }
-  // By the first `count` shared columns.
+  // Whitens by the noise and the first `count` shared columns.
   void whiten(double* values, int columns, int count) const {
     scale(values, columns);
     take_lags(values, columns);
@@ -233,7 +232,7 @@ class Whitener {
   Row factor_, taken_;
 };
 
-// Log of the sum of exponentials, which may be far apart.
+// Logarithm of a sum of exponentials, without overflow.
 inline double log_sum_exp(const Row& terms) {
   const double top = *std::max_element(terms.begin(), terms.end());
   if (terms.size() == 1 || !(top > -INFINITY)) return top;
@@ -250,9 +249,9 @@ struct Whitened {
     Row read, precision_weighted;  // V^(-1/2) and V^(-1) times the readings
     double square, log_density;    // of the readings, were the body free
 
-    // What one more shared error c changes: V^(-1) loses an outer product. `scale`:
-    // 1/sqrt(1 + c'V^(-1)c), by which products with c are multiplied; `projection`: that of the
-    // readings, scaled; `gain`: what is added to their log density.
+    // The effect of one more shared error c, which lowers V^(-1) by an outer product. `scale`:
+    // 1/sqrt(1 + c'V^(-1)c), the factor on products with c; `projection`: the scaled product with
+    // the readings; `gain`: the change of their log density.
     struct Beside {
       double scale, projection, gain;
     };
@@ -280,20 +279,20 @@ struct Whitened {
     }
   }
 
-  // A level that has the same noise and only errors as stated, beside which this one has further
-  // shared errors and shifts; or -1.
+  // Index of the level with the same noise and the errors as stated, to which this level only adds
+  // shared errors and shifts; -1 if there is none.
   int base(std::size_t level) const {
     const Level& model = levels[level].level;
     if (model.row == 0 || frame->rows[model.row].correlation != frame->rows[0].correlation)
       return -1;
-    for (int other = 0; other < static_cast<int>(level); ++other) {
-      const Level& stated = levels[other].level;
-      if (stated.row == 0 && stated.factor == model.factor) return other;
+    for (int earlier = 0; earlier < static_cast<int>(level); ++earlier) {
+      const Level& stated = levels[earlier].level;
+      if (stated.row == 0 && stated.factor == model.factor) return earlier;
     }
     return -1;
   }
 
-  // The level that suits a free body best.
+  // The likeliest level of a free body.
   const AtLevel& likeliest() const {
     return *std::max_element(levels.begin(), levels.end(), [](const AtLevel& a, const AtLevel& b) {
       return a.log_density < b.log_density;
@@ -315,7 +314,7 @@ struct Whitened {
     return out;
   }
 
-  // The same log density, with each of the columns added by itself.
+  // The same log density with each column as a further shared error, one at a time.
   Row log_densities(const std::vector<Column>& columns) const {
     Row out, densities(levels.size());
     for (const Column& column : columns) {

@@ -152,9 +152,9 @@ Gap Centreline::gap_to_round(double x, double y, double radius, const Outline& o
   double ahead_before = 0.0;
   for (int i = 0; i < count; ++i) {
     const bool end = nodes[i].s >= side - 1e-9;
-    const Pose here =
+    const Pose node_pose =
         end && nodes[i].s > side ? pose(side) : Pose{nodes[i].x, nodes[i].y, nodes[i].heading};
-    const auto [ahead, left_of] = seen_from(here);
+    const auto [ahead, left_of] = seen_from(node_pose);
     if (i > 0 && ahead_before >= 0.0 && ahead < 0.0) {
       // The foot of the perpendicular lies in this cell: Newton on (peg - r) . t = 0.
       const Node& a = nodes[i - 1];

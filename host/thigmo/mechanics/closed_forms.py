@@ -81,10 +81,10 @@ def phi(arc: npt.ArrayLike, center: npt.ArrayLike, span: npt.ArrayLike) -> Float
         np.asarray(center, dtype=np.float64),
         np.asarray(span, dtype=np.float64),
     )
-    into = a - x + width / 2
+    overlap = a - x + width / 2
     safe = np.where(width > 0, width, 1.0)
-    inside = np.where(width > 0, into**2 / (2 * safe), 0.0)
-    return np.where(into <= 0, 0.0, np.where(a >= x + width / 2, a - x, inside))
+    inside = np.where(width > 0, overlap**2 / (2 * safe), 0.0)
+    return np.where(overlap <= 0, 0.0, np.where(a >= x + width / 2, a - x, inside))
 
 
 def heading_along(curvature: Floats, step: Floats | float) -> Floats:

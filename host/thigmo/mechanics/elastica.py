@@ -221,13 +221,18 @@ class Rod(_rod.Rod):
         width = np.ascontiguousarray(np.broadcast_to(np.asarray(spans, dtype=np.float64), x.shape))
         if not (np.isfinite(ladder).all() and np.isfinite(length) and length > 0.0):
             raise DataError("free curvatures must be finite numbers, and the length positive")
-        readings, by_place, by, contacts, approximate = self._sweep(ladder, length, x, width)
-        bodies = by.shape[2] - 3
-        by_obstacle = by[:, :, :bodies].reshape(*readings.shape, contacts.shape[1], 6)
+        readings, by_place, slopes, contacts, approximate = self._sweep(ladder, length, x, width)
+        bodies = slopes.shape[2] - 3
+        by_obstacle = slopes[:, :, :bodies].reshape(*readings.shape, contacts.shape[1], 6)
         # The solver moves a wall as a whole by x and y; here its last end stays where it is.
         by_obstacle[..., :2] -= by_obstacle[..., 3:5]
         return Sweep(
-            readings, by_place, by_obstacle, by[:, :, bodies:], contacts, approximate.astype(bool)
+            readings,
+            by_place,
+            by_obstacle,
+            slopes[:, :, bodies:],
+            contacts,
+            approximate.astype(bool),
         )
 
     def place(self, pegs: Sequence[Obstacle]) -> None:

@@ -48,7 +48,7 @@ Heading Heading::turned(double angle) const {
 
 // Nystroem's three-stage fourth-order scheme for theta''. Positions and moment share its Simpson
 // weights, so that moment balance holds to rounding. Derivatives are those of the scheme itself.
-void Section::advance(double step, double half, double full, std::vector<Tangent>& by) {
+void Section::advance(double step, double half, double full, std::vector<Tangent>& tangents) {
   const double h2 = step * step;
   const double w = step / 6.0;
   const auto [c1, d1] = toward;
@@ -60,7 +60,7 @@ void Section::advance(double step, double half, double full, std::vector<Tangent
   const double p1 = c1 * n_x + d1 * n_y;
   const double p2 = c2 * n_x + d2 * n_y;
   const double p3 = c3 * n_x + d3 * n_y;
-  for (Tangent& t : by) {
+  for (Tangent& t : tangents) {
     const double by_q1 = c1 * t.n_y - d1 * t.n_x - p1 * t.heading;
     const double by_middle = t.heading - t.half - 0.5 * step * t.moment - 0.125 * h2 * by_q1;
     const double by_q2 = c2 * t.n_y - d2 * t.n_x - p2 * by_middle;
@@ -468,8 +468,8 @@ void Rod::shoot(const Reactions& reactions) {
   shot_.at_by.resize(contacts * directions);
   shot_.above.clear();
   shot_.below.clear();
-  std::vector<Tangent>& by = shot_.base_by;
-  by.clear();  // empty until the outermost contact: beyond, nothing bends the body
+  std::vector<Tangent>& tangents = shot_.base_by;
+  tangents.clear();  // empty until the outermost contact: beyond, nothing bends the body
   Section section = Section::at_origin(0.0);
   const double h = scene_.length / scene_.cells;
   double s = scene_.length;
@@ -485,17 +485,18 @@ void Rod::shoot(const Reactions& reactions) {
     if (direction == natural_direction) return arc;
     return direction == fold_direction ? unit.turn(arc) : 0.0;
   };
-  const auto note = [&](std::vector<Shot::NodeTangent>& into) {
+  const auto note = [&](std::vector<Shot::NodeTangent>& nodes) {
     for (int d = 0; d < directions; ++d) {
       const double natural = d == natural_direction ? 1.0 : 0.0;
-      into.push_back(by.empty() ? Shot::NodeTangent{turn_by(d, s) - turn_by(d, outermost), natural}
-                                : Shot::NodeTangent{by[d].heading, natural + by[d].moment});
+      nodes.push_back(tangents.empty()
+                          ? Shot::NodeTangent{turn_by(d, s) - turn_by(d, outermost), natural}
+                          : Shot::NodeTangent{tangents[d].heading, natural + tangents[d].moment});
     }
   };
   while (true) {
     note(shot_.above);
     for (; event != events.end() && event->on.arc >= s - kTiny; ++event) {
-      if (by.empty()) by.assign(directions, Tangent{});
+      if (tangents.empty()) tangents.assign(directions, Tangent{});
       const Contact& contact = reactions.contacts[event->contact];
       const Skin& on = event->on;
       const Skin slope = scene_.outline().slope(contact.place, scene_.pegs[contact.peg].radius);
@@ -506,7 +507,7 @@ void Rod::shoot(const Reactions& reactions) {
       const double couple = on.ahead * push.normal - on.offset * push.tangential;
       shot_.at[event->contact] = {section.x, section.y, section.heading};
       for (int i = 0; i < directions; ++i) {
-        Tangent& t = by[i];
+        Tangent& t = tangents[i];
         const bool moves = i == event->unknown + 1;
         // Follow the contact's section along the body; what bends both sides alike cancels out.
         const double step = moves ? slope.arc : 0.0;
@@ -553,17 +554,17 @@ void Rod::shoot(const Reactions& reactions) {
     const double middle = 0.5 * (s + next_s);
     const double turned_middle = turn_at(middle);
     const double turned_end = turn_at(next_s);
-    if (!by.empty()) {
+    if (!tangents.empty()) {
       for (int i = fold_direction; i <= natural_direction; ++i) {
-        by[i].half = turn_by(i, s) - turn_by(i, middle);
-        by[i].full = turn_by(i, s) - turn_by(i, next_s);
+        tangents[i].half = turn_by(i, s) - turn_by(i, middle);
+        tangents[i].full = turn_by(i, s) - turn_by(i, next_s);
       }
     }
-    section.advance(s - next_s, turned - turned_middle, turned - turned_end, by);
+    section.advance(s - next_s, turned - turned_middle, turned - turned_end, tangents);
     turned = turned_end;
     s = next_s;
   }
-  if (by.empty()) by.assign(directions, Tangent{});
+  if (tangents.empty()) tangents.assign(directions, Tangent{});
   shot_.base = section;
   std::reverse(nodes_.begin(), nodes_.end());
   const double turn = scene_.base_compliance * section.moment - section.heading;

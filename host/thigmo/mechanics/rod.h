@@ -96,7 +96,7 @@ struct Section {
   double n_x, n_y;  // force carried
   // Go `step` cm towards the base (negative: towards the tip) where the natural curvature turns the
   // body by `half` over the first half and by `full` over all of it, and the derivatives with it.
-  void advance(double step, double half, double full, std::vector<Tangent>& by);
+  void advance(double step, double half, double full, std::vector<Tangent>& tangents);
 
   // A section that carries nothing yet.
   static Section at_origin(double heading) {

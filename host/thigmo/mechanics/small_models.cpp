@@ -142,7 +142,7 @@ std::optional<Beam> bend_beam(double g, double length, double tube_radius, doubl
     for (Stop& stop : stops) {
       if (stop.side == 0.0 || stop.active) continue;
       double y = 0.5 * g * stop.arc * stop.arc + fold_angle * fold_lift(stop.arc, fold);
-      for (const Stop* other : active) y += other->force * lift(stop.arc, other->arc);
+      for (const Stop* touching : active) y += touching->force * lift(stop.arc, touching->arc);
       const double gap = stop.side * (y - stop.level);
       if (gap < deepest) {
         deepest = gap;

@@ -198,7 +198,7 @@ class Stage:
     triggers: list[Trigger] = field(default_factory=list)
     # by side swept: largest curvature by which the base fell short of the free curvature, 1/cm;
     # the trigger compares it with its threshold
-    held_back_per_cm: dict[str, float] = field(default_factory=dict)
+    curvature_deficit_per_cm: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

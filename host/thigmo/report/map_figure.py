@@ -91,14 +91,14 @@ def plot_map(
     ]
     swept = [polygon for shapes in sides for polygon in outline(passed(shapes), radius_cm)]
 
-    def room(on: Axes) -> None:
-        _robot(on, document.stages, swept, radius_cm)
+    def room(target: Axes) -> None:
+        _robot(target, document.stages, swept, radius_cm)
         for obstacle in prior:
-            _expected(on, obstacle)
+            _expected(target, obstacle)
         for number, contact in enumerate(document.contacts, 1):
-            _contact(on, contact, number if len(document.contacts) > 1 else None)
+            _contact(target, contact, number if len(document.contacts) > 1 else None)
         if document.truth is not None:
-            _truth(on, document.truth)
+            _truth(target, document.truth)
 
     room(axes)
     _frame(axes, document)
@@ -142,10 +142,10 @@ def _zooms(
     points = np.concatenate([np.zeros((1, 2)), *swept])
     for y_cm, corner_cm in ((1.0, top - side_cm), (-1.0, bottom)):
         corner = Bbox.from_bounds(low_x, corner_cm, side_cm, side_cm)
-        mine = [c for c in contacts if (c.y_cm >= 0) == (y_cm > 0)]
-        if not mine or corner.count_contains(points):
+        side_contacts = [c for c in contacts if (c.y_cm >= 0) == (y_cm > 0)]
+        if not side_contacts or corner.count_contains(points):
             continue
-        contact = min(mine, key=lambda c: c.interval_cm[1] - c.interval_cm[0])
+        contact = min(side_contacts, key=lambda c: c.interval_cm[1] - c.interval_cm[0])
         around = 1.4 * Spread.of(contact.covariance_cm2).semi_major_cm
         zoom_cm = min(max(around, _LEAST_ZOOM_CM), _MOST_ZOOM_CM)
         if side_cm < 2.5 * zoom_cm:

@@ -42,7 +42,7 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
         "flex_enabled": [int(s is not None and s.healthy) for s in flex],
         "flex_center_um": [round(s.passes_at.center_cm * 1e4) if s else 0 for s in flex],
         "flex_center_se_um": [round(s.passes_at.center_se_cm * 1e4) if s else 0 for s in flex],
-        "unseen_mask": [sum(1 << n for n, s in enumerate(flex) if s and not s.passes_at.seen)],
+        "unseen_mask": [sum(1 << n for n, s in enumerate(flex) if s and not s.passes_at.is_shown)],
         "flex_span_um": [round(s.passes_at.span_cm * 1e4) if s else 0 for s in flex],
         "flex_scale": [round(s.raw_scale * ratio * 1e9) if s else 0 for s in flex],
         "settle_ms": [round(board.settle_s * 1e3)],

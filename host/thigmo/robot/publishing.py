@@ -34,11 +34,11 @@ _STEP_CM = 2.0  # a tenth of the tightest bend's radius
 
 
 @cache
-def _names(both: int, faults: int) -> tuple[str, str, tuple[str, ...]]:
+def _names(packed: int, faults: int) -> tuple[str, str, tuple[str, ...]]:
     """Names of state, activity and faults, by the schema."""
     return (
-        wire.State(both >> 4).key,
-        wire.Activity(both & 0xF).key,
+        wire.State(packed >> 4).key,
+        wire.Activity(packed & 0xF).key,
         tuple(fault.key for fault in wire.Fault.from_mask(faults)),
     )
 

@@ -34,19 +34,19 @@ class Retraction:
     def of(cls, tip: wire.TipReport, wiring: Wiring, length_cm: float) -> Retraction:
         """Judge a retraction that has just ended at a length, by the board's report."""
         seen_cm = tip.length_um / 1e4
-        seen = None if tip.sensor == _NO_SENSOR else wiring.sensors[tip.sensor]
-        late_cm = seen.passes_at.center_cm - seen_cm if seen else 0.0
+        sensor = None if tip.sensor == _NO_SENSOR else wiring.sensors[tip.sensor]
+        late_cm = sensor.passes_at.center_cm - seen_cm if sensor else 0.0
         way_cm = seen_cm - length_cm
         farther_cm = _PLACE_CM + max(late_cm, 0.0) + way_cm * (1.0 - 1.0 / _MOST_FACTOR)
-        if seen and late_cm > _PLACE_CM:  # then its swing may have only begun
-            farther_cm += seen.passes_at.span_cm / 2
+        if sensor and late_cm > _PLACE_CM:  # then its swing may have only begun
+            farther_cm += sensor.passes_at.span_cm / 2
         return cls(
             length_cm=length_cm,
             farther_cm=farther_cm,
             seen_cm=seen_cm,
-            seen_by=wiring.sensor_name(tip.sensor) if seen else "",
+            seen_by=wiring.sensor_name(tip.sensor) if sensor else "",
             late=late_cm > _LATE_CM,
-            sees=any(s.healthy and s.passes_at.seen for s in wiring.config.board_sensors),
+            sees=any(s.healthy and s.passes_at.is_shown for s in wiring.config.board_sensors),
         )
 
     @property

@@ -134,8 +134,8 @@ class SweepResult:
 
     def half(self, side: Side) -> tuple[list[SweepFrame], Floats]:
         """The n frames of a side, and the curvature of each sensor in them, (n, 10)."""
-        mine = [number for number, frame in enumerate(self.frames) if frame.side == side]
-        return [self.frames[number] for number in mine], self.curvature[mine]
+        numbers = [number for number, frame in enumerate(self.frames) if frame.side == side]
+        return [self.frames[number] for number in numbers], self.curvature[numbers]
 
     @classmethod
     def joined(cls, parts: Sequence[SweepResult]) -> SweepResult:

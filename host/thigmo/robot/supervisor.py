@@ -181,7 +181,7 @@ class Supervisor:
             if event.code == wire.EventCode.FAULT:
                 faults, fault = self.status().faults, wire.Fault(event.arg).key
                 if fault in faults:  # it was not cleared since
-                    raise self.fault_error(sorted(faults, key=lambda other: other != fault))
+                    raise self.fault_error(sorted(faults, key=lambda name: name != fault))
             yield event
 
     def _note_channels(self) -> None:
@@ -285,7 +285,7 @@ class Supervisor:
         self._note_channels()
         first = wire.Fault[faults[0].upper()]
         problem, cure = first.words
-        others = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
+        further = f" (and {', '.join(faults[1:])})" if len(faults) > 1 else ""
         channel = self._fault_channels.get(first)
         if channel == _BEFORE_RESET:
             problem, channel = f"{problem} (before the board's last reset)", None
@@ -308,7 +308,7 @@ class Supervisor:
             cure = f"{hint}; {cure}"
         if self._address:
             cure = f"{cure} (`thigmo clear --robot {self._address}`)"
-        return RobotFaultError(f"{first.key}{others}: {problem}", cure, faults=tuple(faults))
+        return RobotFaultError(f"{first.key}{further}: {problem}", cure, faults=tuple(faults))
 
     def _bad_sensors(self, flag: int, channel: int | None) -> str:
         """Names of the enabled sensors with a flag set, and of the one that an event named."""

@@ -86,7 +86,7 @@ class HeadingSensor(AnySensor):
         A turn that does not come over the bus swings as soon as the tip reaches the beginning of
         the span, up to a whole span early, so it does not show where the tip is.
         """
-        return Passage(self.ends_cm[1], IMU_CM, self.center_se_cm, seen=self.i2c_address != 0)
+        return Passage(self.ends_cm[1], IMU_CM, self.center_se_cm, is_shown=self.i2c_address != 0)
 
 
 def imus_of(sensors: Sequence[HeadingSensor]) -> tuple[Floats, npt.NDArray[np.intp]]:

@@ -28,7 +28,7 @@ class Passage(NamedTuple):
     center_cm: float
     span_cm: float
     center_se_cm: float
-    seen: bool = True  # whether the sensor's reading shows that the tip passes there
+    is_shown: bool = True  # by the sensor's reading
 
 
 class AnySensor(Placed):

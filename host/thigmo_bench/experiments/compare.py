@@ -85,8 +85,8 @@ class Solved(NamedTuple):
 def solve(item: tuple[Trial, Sequence[str]]) -> Solved:
     """Answer a trial with our method and with the named baselines."""
     trial, methods = item
-    theirs = {name: thesis_method(trial, name) for name in methods}
-    return Solved(trial, {OURS: ours(trial), **theirs})
+    answers = {name: thesis_method(trial, name) for name in methods}
+    return Solved(trial, {OURS: ours(trial), **answers})
 
 
 def answered(solved: Sequence[Solved], method: str) -> list[tuple[Trial, Answer]]:

@@ -124,13 +124,13 @@ def _row(experiment: str, condition: str, solved: Sequence[Solved], baseline: st
         float(values[finite].mean()) if finite.any() else float("inf")
         for values in (bounds, folded(foreshortening, bounds))
     )
-    every = {
+    all_errors = {
         f"{prefix}_{measure}": value
         for prefix, method in (("here", baseline), ("ours", OURS))
         for measure, value in errors(solved, method).items()
     }
     allowed_mean, allowed = (
-        max(0.5 * every[f"here_{measure}"], 1.2 * (bound_cm if np.isfinite(bound_cm) else 0.0))
+        max(0.5 * all_errors[f"here_{measure}"], 1.2 * (bound_cm if np.isfinite(bound_cm) else 0.0))
         for measure, bound_cm in (("mean", bound_measured), ("workspace_mean", bound))
     )
     return {
@@ -139,7 +139,7 @@ def _row(experiment: str, condition: str, solved: Sequence[Solved], baseline: st
         "trials": len(solved),
         "thesis_mean": thesis_mean,
         "thesis_std": thesis_std,
-        **every,
+        **all_errors,
         **_paired_comparison(solved, baseline),
         "perfect_arc_mean": float(foreshortening.mean()),
         "bound_mean": bound,
@@ -147,9 +147,9 @@ def _row(experiment: str, condition: str, solved: Sequence[Solved], baseline: st
         "unbounded": int(bounds.size - finite.sum()),
         "ambiguous": sum(answers[OURS].status == "ambiguous" for _, answers in solved),
         "allowed_mean": allowed_mean,
-        "mean_beaten": bool(every["ours_mean"] <= allowed_mean),
+        "mean_beaten": bool(all_errors["ours_mean"] <= allowed_mean),
         "allowed": allowed,
-        "beaten": bool(every["ours_workspace_mean"] <= allowed),
+        "beaten": bool(all_errors["ours_workspace_mean"] <= allowed),
     }
 
 
@@ -166,7 +166,7 @@ def _paired_comparison(solved: Sequence[Solved], baseline: str) -> Row:
     ]
     robots = {trial.robot for trial, _, _ in pairs}
     per_robot = np.array([
-        np.mean([(its, ours) for t, its, ours in pairs if t.robot == n], axis=0) for n in robots
+        np.mean([errors for trial, *errors in pairs if trial.robot == n], axis=0) for n in robots
     ]).reshape(-1, 2)  # fmt: skip
     excess, ours = per_robot[:, 0] - per_robot[:, 1], per_robot[:, 1]
     places = dict.fromkeys(trial.place for trial, _, _ in pairs)

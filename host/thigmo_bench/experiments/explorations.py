@@ -135,7 +135,7 @@ def _promises(trials: Trials) -> Outcome:
     ]
     if not runs:
         return Outcome()
-    ours, times, theirs = (
+    ours, times, thesis_times = (
         np.array([run[quantity] for run in runs], dtype=np.float64)
         for quantity in ("ours_x_cm", "ours_s", "thesis_protocol_s")
     )
@@ -145,7 +145,7 @@ def _promises(trials: Trials) -> Outcome:
         [
             Claim("exploration: mean |x error| over the seeds", ours.mean(), 1.5, unit="cm"),
             Claim("exploration: robot time over the thesis's protocol's",
-                  times.sum() / theirs.sum(), 0.5),
+                  times.sum() / thesis_times.sum(), 0.5),
             Claim("exploration: worst |x error| over the seeds", ours.max(), 3.0, unit="cm"),
         ],
     )  # fmt: skip

@@ -113,11 +113,11 @@ def single_contact(solved: Sequence[Solved]) -> dict[str, Figure]:
 
 def _two_contacts_title(solved: Sequence[Solved]) -> str:
     """The mean error of both methods, over both contacts and all separations."""
-    said = [
-        f"{np.mean([workspace_errors(*pair) for pair in answered(solved, method)]):.1f} cm {whose}"
-        for method, whose in ((OURS, "ours"), (THEIRS, "by the thesis's method"))
+    means = [
+        f"{np.mean([workspace_errors(*pair) for pair in answered(solved, method)]):.1f} cm {name}"
+        for method, name in ((OURS, "ours"), (THEIRS, "by the thesis's method"))
     ]
-    return f"Two opposed contacts: mean error {', '.join(said)} (thesis, figure 3.5c)"
+    return f"Two opposed contacts: mean error {', '.join(means)} (thesis, figure 3.5c)"
 
 
 def two_contacts(solved: Sequence[Solved]) -> dict[str, Figure]:

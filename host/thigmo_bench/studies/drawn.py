@@ -159,11 +159,11 @@ def _stop(
         1.0, config.body.critical_pressure_psi, config.body.zones[zone].pressure_psi
     )  # over the one that robot.toml states
     assert fold is not None
-    there = replace(body, length=length, critical=fold * body.critical)
+    stop_body = replace(body, length=length, critical=fold * body.critical)
     places, span = read_at
     return _Stop(
         length, zone, curve(lagged), psi[frames], true, ladder, places,
-        Sweeper(there, pegs).sweep(ladder, places, span),
+        Sweeper(stop_body, pegs).sweep(ladder, places, span),
     )  # fmt: skip
 
 

@@ -163,10 +163,10 @@ class Explored:
             self.error_x_cm = nan if document.error_x_cm is None else document.error_x_cm
             self.best_cm = nan if document.error_cm is None else document.error_cm
             self.samples = nan if best.fit_samples is None else best.fit_samples
-            here = [t for t in truth.contacts if of_stage(t, best.everted_length_cm, best.side)]
+            nearby = [t for t in truth.contacts if of_stage(t, best.everted_length_cm, best.side)]
             covariance = np.array(best.covariance_cm2)
-            if here and np.linalg.det(covariance) > 0.0:
-                offsets = np.array([[t.x_cm - best.x_cm, t.y_cm - best.y_cm] for t in here])
+            if nearby and np.linalg.det(covariance) > 0.0:
+                offsets = np.array([[t.x_cm - best.x_cm, t.y_cm - best.y_cm] for t in nearby])
                 squares = np.einsum("ni,in->n", offsets, np.linalg.solve(covariance, offsets.T))
                 self.ellipses = 1
                 self.ellipses_missed = int(squares.min() > _IN_ELLIPSE)
@@ -204,8 +204,8 @@ class Explored:
 
 def _distance(contact: MapContact, true_contacts: Sequence[TrueContact]) -> float:
     """Distance in the plane to the nearest true contact of its stage, or of any; else infinity."""
-    here = [t for t in true_contacts if of_stage(t, contact.everted_length_cm, contact.side)]
-    away = [hypot(contact.x_cm - t.x_cm, contact.y_cm - t.y_cm) for t in here or true_contacts]
+    nearby = [t for t in true_contacts if of_stage(t, contact.everted_length_cm, contact.side)]
+    away = [hypot(contact.x_cm - t.x_cm, contact.y_cm - t.y_cm) for t in nearby or true_contacts]
     return min(away, default=np.inf)
 
 
@@ -422,11 +422,11 @@ def run(context: Context) -> Outcome:
     return outcome
 
 
-def judged(every: list[Run], choice: Explorations | None = None) -> Outcome:
+def judged(visits: list[Run], choice: Explorations | None = None) -> Outcome:
     """Tables, figures and promises of explored rooms."""
     choice = choice or Explorations()
-    explored = [room for room, _ in every]
-    runs = [(room, mapped) for room, mapped in every if room.setting == "default"]
+    explored = [room for room, _ in visits]
+    runs = [(room, mapped) for room, mapped in visits if room.setting == "default"]
     dialled = _dial(explored)
     default_rooms = [room for room, _ in runs]
     rows = _by_kind(explored if choice.settings else default_rooms)
@@ -458,7 +458,7 @@ def judged(every: list[Run], choice: Explorations | None = None) -> Outcome:
 
 def _map_claims(maps: dict[str, list[Mapped]]) -> tuple[list[Claim], list[str]]:
     """Promises of the planners' maps, and notes on those of which nothing is promised."""
-    promised, *others = [
+    promised, *unpromised = [
         row for name, group in maps.items() for row in _map_shares(f"maps of {name}", group)
     ]
     total = Mapped._make(
@@ -470,7 +470,7 @@ def _map_claims(maps: dict[str, list[Mapped]]) -> tuple[list[Claim], list[str]]:
         Claim(*promised, 0.1, unit="%"),
         Claim(f"occupied cells within {_NEAR_CM:g} cm of a surface", near, 60.0, False, "%"),
     ]
-    notes = [f"{text}: {cells:{'.2g' if cells < 10 else '.0f'}} %" for text, cells in others]
+    notes = [f"{text}: {cells:{'.2g' if cells < 10 else '.0f'}} %" for text, cells in unpromised]
     return claims, notes
 
 
@@ -495,29 +495,29 @@ def pairs(before: Sequence[Record], after: Sequence[Record]) -> list[Record]:
         return nan if value is None else float(value)  # strict JSON has no NaN
 
     earlier = {key(run): run for run in before}
-    both = [(earlier[key(run)], run) for run in after if key(run) in earlier]
+    pairs = [(earlier[key(run)], run) for run in after if key(run) in earlier]
     rows: list[Record] = []
-    for kind, setting in dict.fromkeys((run["kind"], run["setting"]) for _, run in both):
-        mine = [pair for pair in both if (pair[1]["kind"], pair[1]["setting"]) == (kind, setting)]
-        errors = np.array([[number(run, "best_cm") for run in pair] for pair in mine])
+    for kind, setting in dict.fromkeys((run["kind"], run["setting"]) for _, run in pairs):
+        group = [pair for pair in pairs if (pair[1]["kind"], pair[1]["setting"]) == (kind, setting)]
+        errors = np.array([[number(run, "best_cm") for run in pair] for pair in group])
         errors = errors[np.isfinite(errors).all(axis=1)]
         change = errors[:, 1] - errors[:, 0]
         placed = len(errors)
         old_cm, new_cm = errors.mean(axis=0).tolist() if placed else (nan, nan)
         counts = {
-            f"{count}{suffix}": int(sum(number(pair[n], column) for pair in mine))
+            f"{count}{suffix}": int(sum(number(pair[n], column) for pair in group))
             for count, column in _COUNTED.items()
             for n, suffix in enumerate(("_before", ""))
         }
         rows.append({
-            "kind": str(kind), "setting": str(setting), "rooms": len(mine), "placed": placed,
+            "kind": str(kind), "setting": str(setting), "rooms": len(group), "placed": placed,
             "error_before_cm": old_cm, "error_cm": new_cm,
             "change_cm": float(change.mean()) if placed else nan,
             "change_se_cm": float(change.std(ddof=1)) / sqrt(placed) if placed > 1 else nan,
             **counts,
-            "samples": _median([number(run, "samples") for _, run in mine]),
-            "processor_before_s": float(np.mean([number(run, "processor_s") for run, _ in mine])),
-            "processor_s": float(np.mean([number(run, "processor_s") for _, run in mine])),
+            "samples": _median([number(run, "samples") for _, run in group]),
+            "processor_before_s": float(np.mean([number(run, "processor_s") for run, _ in group])),
+            "processor_s": float(np.mean([number(run, "processor_s") for _, run in group])),
         })  # fmt: skip
     return rows
 
@@ -564,29 +564,29 @@ def _standard_error(numbers: Sequence[float]) -> float:
 def _by_kind(explored: list[Explored]) -> list[Record]:
     """A row for each kind and setting."""
     groups = [
-        (kind, setting, mine)
+        (kind, setting, rooms)
         for kind in KINDS
         for setting in SETTINGS
-        if (mine := [room for room in explored if (room.kind, room.setting) == (kind, setting)])
+        if (rooms := [room for room in explored if (room.kind, room.setting) == (kind, setting)])
     ]
     return [
         {
-            "kind": kind, "setting": setting, "rooms": len(mine),
-            "with_false_contacts": sum(room.far > 0 for room in mine),
-            "aborted": sum(room.status.startswith("aborted") for room in mine),
-            "median_error_x_cm": _median_x(mine),
+            "kind": kind, "setting": setting, "rooms": len(rooms),
+            "with_false_contacts": sum(room.far > 0 for room in rooms),
+            "aborted": sum(room.status.startswith("aborted") for room in rooms),
+            "median_error_x_cm": _median_x(rooms),
             **{
-                counted: sum(getattr(room, counted) for room in mine)
+                counted: sum(getattr(room, counted) for room in rooms)
                 for counted in ("touched", "touched_missed", "far", "contacts_localized",
                              "sets_missed", "contacts_wrong", "ellipses", "ellipses_missed")
             },
-            "error_cm": _error(mine),
-            "best_cm": _mean([room.best_cm for room in mine]),
-            "best_se_cm": _standard_error([room.best_cm for room in mine]),
-            "samples": _median([room.samples for room in mine]),
-            "processor_s": float(np.mean([room.processor_s for room in mine])),
+            "error_cm": _error(rooms),
+            "best_cm": _mean([room.best_cm for room in rooms]),
+            "best_se_cm": _standard_error([room.best_cm for room in rooms]),
+            "samples": _median([room.samples for room in rooms]),
+            "processor_s": float(np.mean([room.processor_s for room in rooms])),
         }
-        for kind, setting, mine in groups
+        for kind, setting, rooms in groups
     ]  # fmt: skip
 
 
@@ -683,26 +683,26 @@ def _dial(explored: list[Explored]) -> list[Record]:
     seeds = {room.seed for room in explored if room.setting != "default"}
     for kind in DIALLED:
         for setting in SETTINGS:
-            mine = [
+            rooms = [
                 o for o in explored if (o.kind, o.setting) == (kind, setting) and o.seed in seeds
             ]
-            if not mine:
+            if not rooms:
                 continue
             near, touched = (
-                sum(getattr(o, counted) for o in mine) for counted in ("near", "touched")
+                sum(getattr(o, counted) for o in rooms) for counted in ("near", "touched")
             )
-            errors = sum(room.near * room.error_cm for room in mine if room.near)
-            localized = sum(room.contacts_localized for room in mine)
+            errors = sum(room.near * room.error_cm for room in rooms if room.near)
+            localized = sum(room.contacts_localized for room in rooms)
             rows.append({
-                "kind": kind, "setting": setting, "rooms": len(mine),
-                "time_s": float(np.mean([room.time_s for room in mine])),
-                "longest_s": max(room.time_s for room in mine),
+                "kind": kind, "setting": setting, "rooms": len(rooms),
+                "time_s": float(np.mean([room.time_s for room in rooms])),
+                "longest_s": max(room.time_s for room in rooms),
                 "contacts": near,
                 "error_cm": errors / near if near else nan,
-                "error_se_cm": _standard_error([room.error_cm for room in mine]),
-                "missed": sum(room.touched_missed for room in mine) / max(touched, 1),
+                "error_se_cm": _standard_error([room.error_cm for room in rooms]),
+                "missed": sum(room.touched_missed for room in rooms) / max(touched, 1),
                 "localized": localized,
-                "wrong": sum(room.contacts_wrong for room in mine) / max(localized, 1),
+                "wrong": sum(room.contacts_wrong for room in rooms) / max(localized, 1),
             })  # fmt: skip
     return rows
 
@@ -754,25 +754,25 @@ def dial_figure(rows: Sequence[Record]) -> Figure:
     named = []
     for column, kind in enumerate(DIALLED):
         upper, lower = axes[column], axes[len(DIALLED) + column]
-        mine = sorted((row for row in rows if row["kind"] == kind), key=lambda row: row["time_s"])
-        budgets = [row for row in mine if str(row["setting"])[0].isdigit()]
+        dials = sorted((row for row in rows if row["kind"] == kind), key=lambda row: row["time_s"])
+        budgets = [row for row in dials if str(row["setting"])[0].isdigit()]
         x = [row["time_s"] for row in budgets]
         upper.plot(x, [row["error_cm"] for row in budgets], "o-", color=BLUE, label="a budget")
-        efforts = [row for row in mine if row not in budgets and row["setting"] != "thesis"]
-        thesis = [row for row in mine if row["setting"] == "thesis"]
-        for those, label, color, marker in (
+        efforts = [row for row in dials if row not in budgets and row["setting"] != "thesis"]
+        thesis = [row for row in dials if row["setting"] == "thesis"]
+        for runs, label, color, marker in (
             (efforts, "an effort", GREEN, "D"), (thesis, "the thesis's protocol", "0.4", "s"),
         ):  # fmt: skip
-            upper.scatter([row["time_s"] for row in those], [row["error_cm"] for row in those], 40,
+            upper.scatter([row["time_s"] for row in runs], [row["error_cm"] for row in runs], 40,
                           marker=marker, color=color, label=label)  # fmt: skip
         for share_name, label, color, marker, face in (
             ("missed", "contacts missed", RED, "X", RED),
             ("wrong", "localized ones that are wrong", ORANGE, "^", "none"),
         ):
-            y = [100 * float(row[share_name]) for row in mine]
-            lower.scatter([row["time_s"] for row in mine], y, 24, marker=marker, edgecolors=color,
+            y = [100 * float(row[share_name]) for row in dials]
+            lower.scatter([row["time_s"] for row in dials], y, 24, marker=marker, edgecolors=color,
                           facecolors=face, label=label)  # fmt: skip
-        named.append((upper, mine, budgets))
+        named.append((upper, dials, budgets))
         upper.set_title(kind, fontsize=9)
         for axis in (upper, lower):
             axis.set_xlim(-20, None)  # room for the first name
@@ -782,15 +782,15 @@ def dial_figure(rows: Sequence[Record]) -> Figure:
     axes[len(DIALLED)].set_ylabel("share (%)")
     charts.legend_below(figure, axes[0], axes[len(DIALLED)])
     figure.draw_without_rendering()
-    for axis, mine, budgets in named:
+    for axis, dials, budgets in named:
         points, line = (
             [(float(row["time_s"]), float(row["error_cm"])) for row in rows]
-            for rows in (mine, budgets)
+            for rows in (dials, budgets)
         )
         x, y = np.array(line).T
         fine = np.linspace(x[0], x[-1], 200)  # steps fine enough to look like a line
         steps = list(zip(fine, np.interp(fine, x, y), strict=True))
-        charts.named(axis, points, [str(row["setting"]) for row in mine], steps)
+        charts.named(axis, points, [str(row["setting"]) for row in dials], steps)
     return figure
 
 
@@ -801,13 +801,13 @@ def _figure(explored: list[Explored]) -> Figure:
         title="Where pegs were found and missed, and how often each kind of robot and room fails",
     )  # fmt: skip
     pegs = [room for room in explored if np.isfinite(room.x_cm)]
-    for label, marker, color, those in (
+    for label, marker, color, rooms in (
         ("found", "o", GREEN, [e for e in pegs if not e.touched_missed and not e.contacts_wrong]),
         ("localized, and wrong", "^", ORANGE, [e for e in pegs if e.contacts_wrong]),
         ("missed", "X", RED, [e for e in pegs if e.touched_missed]),
     ):
-        x, y = [e.x_cm for e in those], [e.y_cm for e in those]
-        first.scatter(x, y, 14, marker=marker, color=color, label=f"{label} ({len(those)})")
+        x, y = [e.x_cm for e in rooms], [e.y_cm for e in rooms]
+        first.scatter(x, y, 14, marker=marker, color=color, label=f"{label} ({len(rooms)})")
     first.fill_between([0.0, 53.0], -1.75, 1.75, color="0.85", label="straight robot")
     first.set(xlabel="x along the straight robot (cm)", ylabel="y (cm)", aspect="equal")
     rows = _by_kind(explored)

@@ -327,14 +327,14 @@ def judge(task: tuple[Case, int, int, int]) -> list[Seen]:
     curvature = frames.given.curvature
     if stated and kind.spoil is _subtracted:
         curvature = curvature + frames.true_free[:, None]
-    seen = []
+    judged = []
     for row, (readings, arcs) in enumerate(zip(curvature, frames.contacts, strict=True)):
         given = None if free is None else float(free[row])
         answer = localizer.localize(readings, free_curvature=given)
         placed = [contact for contact in answer.contacts if contact.status == "localized"]
         listed = np.array([contact.arc for contact in answer.contacts])
         apart = np.abs(arcs[:, None] - listed[None, :])
-        seen.append(
+        judged.append(
             Seen(
                 bool(placed),
                 any(not holds(contact, arcs) for contact in placed),
@@ -346,25 +346,26 @@ def judge(task: tuple[Case, int, int, int]) -> list[Seen]:
                 bool(answer.remarks),
             )
         )
-    return seen
+    return judged
 
 
 Row = dict[str, Any]
 
 
-def score(case: Case, seen: Sequence[Seen]) -> Row:
+def score(case: Case, frames: Sequence[Seen]) -> Row:
     """The row of a case."""
-    placed = [frame.wrong for frame in seen if frame.localized]
-    listed = sum(frame.listed for frame in seen)
-    off = np.array([frame.off_cm for frame in seen])
+    placed = [frame.wrong for frame in frames if frame.localized]
+    listed = sum(frame.listed for frame in frames)
+    off = np.array([frame.off_cm for frame in frames])
     return {
         "kind": case.kind, "body": str(case.body), "sensors": case.body.sensors,
-        "stated": case.stated, "count": len(seen), "localized": share([s.localized for s in seen]),
-        "wrong": share([s.wrong for s in seen]), "wrong_of_localized": share(placed),
-        "covered": sum(frame.held for frame in seen) / listed if listed else np.nan,
+        "stated": case.stated, "count": len(frames),
+        "localized": share([s.localized for s in frames]),
+        "wrong": share([s.wrong for s in frames]), "wrong_of_localized": share(placed),
+        "covered": sum(frame.held for frame in frames) / listed if listed else np.nan,
         "median_off_cm": float(np.nanmedian(off)) if np.isfinite(off).any() else np.nan,
-        "named": share([s.named for s in seen]), "accused": share([s.accused for s in seen]),
-        "remarked": share([s.remarked for s in seen]),
+        "named": share([s.named for s in frames]), "accused": share([s.accused for s in frames]),
+        "remarked": share([s.remarked for s in frames]),
     }  # fmt: skip
 
 
@@ -392,11 +393,11 @@ def _claims(rows: list[Row]) -> list[Claim]:
             error = _standard_error(row, kind.most)
             claims.append(Claim(f"{text} of localized", value, kind.most, standard_error=error))
     for name in CLEAN:
-        some = [row for row in unstated if row["kind"] == name]
+        kind_rows = [row for row in unstated if row["kind"] == name]
         claims.append(
-            Claim(f"{name}: coverage, least", min(row["covered"] for row in some), 0.95, False)
+            Claim(f"{name}: coverage, least", min(row["covered"] for row in kind_rows), 0.95, False)
         )
-        for row in some:
+        for row in kind_rows:
             before = stated[name, row["body"]]["localized"]
             kept = row["localized"] / before if before else np.nan
             least = 0.95 if row["sensors"] == 100 else 0.75
@@ -405,9 +406,9 @@ def _claims(rows: list[Row]) -> list[Claim]:
     for name, kind in TOUCHED_KINDS.items():
         if kind.named is None:
             continue
-        some = [row for row in unstated if row["kind"] == name and row["sensors"] >= 20]
+        kind_rows = [row for row in unstated if row["kind"] == name and row["sensors"] >= 20]
         text = f"{name}, 20 sensors or more: named, least"
-        claims.append(Claim(text, min(row["named"] for row in some), kind.named, False))
+        claims.append(Claim(text, min(row["named"] for row in kind_rows), kind.named, False))
     clean = [row for row in unstated if row["kind"] in CLEAN[:3] and row["sensors"] >= 20]
     frames = sum(row["count"] for row in clean)
     accused, remarked = (
@@ -432,9 +433,9 @@ def _figure(rows: list[Row]) -> Figure:
     )  # fmt: skip
     at = np.arange(len(groups))
     for label, color, place in (("not stated", RED, at - 0.2), ("stated", BLUE, at + 0.2)):
-        some = [lines[*group, label == "stated"] for group in groups]
+        bars = [lines[*group, label == "stated"] for group in groups]
         for axis, column in zip(axes, ("wrong_of_localized", "wrong", "localized"), strict=True):
-            axis.barh(place, [100 * row[column] for row in some], 0.4, color=color, label=label)
+            axis.barh(place, [100 * row[column] for row in bars], 0.4, color=color, label=label)
     axes[0].set_yticks(at, [f"{kind}: {body}" for kind, body in groups], fontsize=5)
     axes[0].set_ylim(len(groups), -1)
     for axis, text in zip(
@@ -454,8 +455,8 @@ def run(context: Context) -> Outcome:
     for name, kind in KINDS.items():
         cases = [Case(name, body, stated) for body in kind.bodies for stated in (False, True)]
         tasks = [(case, context.seed, *batch) for case in cases for batch in batches]
-        seen = iter(context.map(judge, tasks, name, last))
-        rows += [score(case, [frame for _ in batches for frame in next(seen)]) for case in cases]
+        judged = iter(context.map(judge, tasks, name, last))
+        rows += [score(case, [frame for _ in batches for frame in next(judged)]) for case in cases]
         outcome.tables["rows"] = rows
         context.save(outcome)
     outcome.claims = _claims(rows)

@@ -352,9 +352,9 @@ class Sweeper:
     def _lay(self, z: Floats, state: State, free: Floats, rooms: npt.NDArray[np.intp]) -> _Laid:
         """Bodies (B,) under the unknowns z (B, 3 P + 1), in rooms (B,)."""
         p = self.count
-        body, there = self.mechanics.take(rooms), self.obstacles.take(rooms)
+        body, pegs = self.mechanics.take(rooms), self.obstacles.take(rooms)
         touching = state.touching[rooms]
-        radius = np.where(touching, there.radius, 1.0)
+        radius = np.where(touching, pegs.radius, 1.0)
         place = np.where(touching, z[:, :p], 0.5 * body.length)
         push = np.where(touching, FORCE * z[:, p : 2 * p], 0.0)
         drag = np.where(touching, FORCE * z[:, 2 * p : 3 * p], 0.0)
@@ -395,14 +395,14 @@ class Sweeper:
         beside = turned(bump * away[0], corner + bump * away[1])
         force = turned(along, across)
         centre = [
-            where + out + there.compliance * pushed
+            where + out + pegs.compliance * pushed
             for where, out, pushed in zip((x, y), beside, force, strict=True)
         ]
         out, go = turned(*away), turned(*onward)
-        is_wall = np.isfinite(there.angle)
-        line = np.where(is_wall, there.angle, 0.0)
+        is_wall = np.isfinite(pegs.angle)
+        line = np.where(is_wall, pegs.angle, 0.0)
         wall = np.cos(line), np.sin(line)
-        dx, dy = there.x - centre[0], there.y - centre[1]
+        dx, dy = pegs.x - centre[0], pegs.y - centre[1]
         missed = np.stack(
             [
                 np.where(is_wall, dy * wall[0] - dx * wall[1], dx),
@@ -420,7 +420,7 @@ class Sweeper:
 
     def _gaps(self, laid: _Laid) -> tuple[Floats, Floats]:
         """(S, P) distances of obstacles from the skin and the closest places; by a polyline."""
-        body, there = self.mechanics, self.obstacles
+        body, pegs = self.mechanics, self.obstacles
         side = (body.length - body.rounding)[:, None]
         arcs = side * np.linspace(0.0, 1.0, POINTS + 1)
         heading = laid.bodies.turn(arcs)
@@ -429,20 +429,20 @@ class Sweeper:
         middle = 0.5 * (heading[:, 1:] + heading[:, :-1])
         x, y = traced(heading, step)
         flat = (body.radius - body.rounding)[:, None]
-        bump = there.radius + body.rounding[:, None]
+        bump = pegs.radius + body.rounding[:, None]
         quarter = 0.5 * math.pi * bump
         cosine, sine = np.cos(heading[:, -1:]), np.sin(heading[:, -1:])
         # Pegs: the nearest point of the line's segments, then the end.
-        px, py = there.x[:, :, None] - x[:, None, :-1], there.y[:, :, None] - y[:, None, :-1]
+        px, py = pegs.x[:, :, None] - x[:, None, :-1], pegs.y[:, :, None] - y[:, None, :-1]
         c, s = np.cos(middle)[:, None], np.sin(middle)[:, None]
         t = np.clip(px * c + py * s, 0.0, step[:, None])
         away = np.hypot(px - t * c, py - t * s)
         left = py * c - px * s
         away = np.where(left > 0.0, away, np.inf)  # on the side towards which bodies bend
         nearest = np.argmin(away, axis=2)[..., None]
-        gap = np.take_along_axis(away, nearest, 2)[..., 0] - body.radius - there.radius
+        gap = np.take_along_axis(away, nearest, 2)[..., 0] - body.radius - pegs.radius
         place = np.take_along_axis(arcs[:, None, :-1] + t, nearest, 2)[..., 0]
-        dx, dy = there.x - x[:, -1:], there.y - y[:, -1:]
+        dx, dy = pegs.x - x[:, -1:], pegs.y - y[:, -1:]
         ahead, left_of = dx * cosine + dy * sine, dy * cosine - dx * sine
         over = np.maximum(np.abs(left_of) - flat, 0.0)
         end = np.hypot(ahead, over) - bump
@@ -453,16 +453,16 @@ class Sweeper:
         ends = (ahead > 0.0) & (end < np.where(np.isfinite(gap), gap, np.inf))
         gap, place = np.where(ends, end, gap), np.where(ends, side + round_end, place)
         # Walls: across their line, on the side where the base lies.
-        line = np.where(np.isfinite(there.angle), there.angle, 0.0)
-        hand = np.sign(np.sin(line) * -there.x + np.cos(line) * there.y)
+        line = np.where(np.isfinite(pegs.angle), pegs.angle, 0.0)
+        hand = np.sign(np.sin(line) * -pegs.x + np.cos(line) * pegs.y)
         nx, ny = -hand * np.sin(line), hand * np.cos(line)
         off = (
-            (there.x[..., None] - x[:, None]) * nx[..., None]
-            + (there.y[..., None] - y[:, None]) * ny[..., None]
+            (pegs.x[..., None] - x[:, None]) * nx[..., None]
+            + (pegs.y[..., None] - y[:, None]) * ny[..., None]
         )  # fmt: skip
         nearest = np.argmin(off, axis=2)[..., None]
         # Where the last section is the nearest one, the end's corners touch.
-        beside = np.take_along_axis(off, nearest, 2)[..., 0] - body.radius - there.radius
+        beside = np.take_along_axis(off, nearest, 2)[..., 0] - body.radius - pegs.radius
         beside = np.where(nearest[..., 0] == POINTS, np.inf, beside)
         where = np.take_along_axis(np.broadcast_to(arcs[:, None], off.shape), nearest, 2)[..., 0]
         out_along, out_across = nx * cosine + ny * sine, ny * cosine - nx * sine
@@ -472,9 +472,9 @@ class Sweeper:
         far = np.where(out_across < 0.0, 2.0 * flat, 0.0)
         wall_gap = np.where(corners, corner_off, beside)
         wall_place = np.where(corners, side + far + bump * turn, where)
-        is_wall = np.isfinite(there.angle)
+        is_wall = np.isfinite(pegs.angle)
         gap, place = np.where(is_wall, wall_gap, gap), np.where(is_wall, wall_place, place)
-        return np.where(np.isfinite(there.x), gap, np.inf), place
+        return np.where(np.isfinite(pegs.x), gap, np.inf), place
 
 
 def _outline(place: Floats, radius: Floats, body: Mechanics) -> tuple[Floats, Floats, Floats]:

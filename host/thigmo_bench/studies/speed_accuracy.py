@@ -105,16 +105,16 @@ def score(context: Context, scene: str, cases: int) -> list[Row]:
     return scores
 
 
-def _ratio(mine: Floats, other: Floats) -> Row:
+def _ratio(ours: Floats, baseline: Floats) -> Row:
     """The default method's mean error over another's on the same cases, with its interval."""
-    both = np.isfinite(mine) & np.isfinite(other)
+    answered = np.isfinite(ours) & np.isfinite(baseline)
     low = high = nan
-    if (count := int(both.sum())) >= FEWEST:
+    if (count := int(answered.sum())) >= FEWEST:
         drawn = np.random.default_rng(0).integers(0, count, (RESAMPLED, count))
-        ratios = mine[both][drawn].mean(axis=1) / other[both][drawn].mean(axis=1)
+        ratios = ours[answered][drawn].mean(axis=1) / baseline[answered][drawn].mean(axis=1)
         low, high = map(float, np.quantile(ratios, (0.025, 0.975)))
     return {
-        "default_over_it": mean_over(mine, other), "ratio_low": low, "ratio_high": high,
+        "default_over_it": mean_over(ours, baseline), "ratio_low": low, "ratio_high": high,
         "tie": not (low > 1.0 or high < 1.0),
     }  # fmt: skip
 

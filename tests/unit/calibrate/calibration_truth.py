@@ -39,12 +39,17 @@ class Lab:
         tips, ohm, asked, curvature, active = [], [], [], [], []
 
         def add(
-            row_kind: str, k: np.ndarray, tip=(np.nan, np.nan), want=np.nan, seen=np.nan, side=""
+            row_kind: str,
+            k: np.ndarray,
+            tip=(np.nan, np.nan),
+            want=np.nan,
+            measured=np.nan,
+            side="",
         ):
             kind.append(row_kind)
             tips.append(tip)
             asked.append(want)
-            curvature.append(seen)
+            curvature.append(measured)
             active.append(side)
             ohm.append(self.ohm(k))
 
@@ -54,17 +59,17 @@ class Lab:
             force = 3 * want / LENGTH**3
             bent = push(force, LENGTH, free_curvature=0.0, length=LENGTH, tube=self.tube)
             x, y, _ = bent.tip
-            seen = (x + self.rng.normal(0, self.tip_se), y + self.rng.normal(0, self.tip_se))
-            add("tip", bent.averages(CENTERS, SPANS), seen, want)
+            measured = (x + self.rng.normal(0, self.tip_se), y + self.rng.normal(0, self.tip_se))
+            add("tip", bent.averages(CENTERS, SPANS), measured, want)
         for n in range(bends):
             side = SIDES[n % 2]
             k = (SIGN[side]) * 0.035 * (n // 2 + 1) / (bends // 2)
-            seen = k + self.rng.normal(0, 1e-4)
+            measured = k + self.rng.normal(0, 1e-4)
             row = np.full(10, k)
             # The active side wrinkles: its readings are worth nothing.
             wrinkled = slice(0, 5) if side == "left" else slice(5, 10)
             row[wrinkled] *= self.rng.uniform(0.0, 0.8, 5)
-            add("bend", row, seen=seen, side=side)
+            add("bend", row, measured=measured, side=side)
         curvature_se = np.where(np.array(kind) == "bend", 1e-4, 0.0)
         return FlexReadings(
             tuple(kind), np.array(tips), np.array(curvature),
@@ -132,11 +137,11 @@ def real_sweeps(
             for column in (2, 7):
                 gone = rng.random(rows) < lost
                 ohm[gone, column] = lab.zero[column] - 0.012 / lab.scale[column]
-            seen = sign * ramp + rng.normal(0, 1e-4, rows)
+            bend = sign * ramp + rng.normal(0, 1e-4, rows)
             readings.append(
                 FlexReadings(
                     ("bend",) * rows, np.full((rows, 2), np.nan),
-                    seen, np.full(rows, 1e-4), (active,) * rows, ohm, LENGTH,
+                    bend, np.full(rows, 1e-4), (active,) * rows, ohm, LENGTH,
                     np.full(rows, np.nan),
                 )
             )  # fmt: skip
@@ -158,7 +163,7 @@ def bends(
 ) -> BendReadings:
     """Three trials of 0..20..0 psi in steps of 2, seen by a camera; `gain` from trial to trial."""
     rng = np.random.default_rng(seed)
-    pressure, seen, branch, trial = [], [], [], []
+    pressure, measured, branch, trial = [], [], [], []
     for number in range(trials):
         common, strength = rng.normal(0, offset), 1 + rng.normal(0, gain) if gain else 1.0
         for name, curve, steps in (
@@ -168,11 +173,11 @@ def bends(
             for p in steps:
                 pressure.append(p + rng.normal(0, 0.02))
                 bend = strength * curve.curvature(max(p, 0.0))
-                seen.append(bend + common + rng.normal(0, sigma))
+                measured.append(bend + common + rng.normal(0, sigma))
                 branch.append(name)
                 trial.append(number)
-    n = len(seen)
+    n = len(measured)
     return BendReadings(
-        side, 0.49, np.array(pressure), np.array(seen),
+        side, 0.49, np.array(pressure), np.array(measured),
         np.full(n, 1e-4), tuple(branch), np.array(trial),
     )  # fmt: skip

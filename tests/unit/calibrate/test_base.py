@@ -45,10 +45,10 @@ def picture(
     # Errors of neighbouring points are correlated.
     error = np.convolve(rng.standard_normal(_POINTS + 2), [0.4, 1.0, 0.4], "valid")
     error *= _POINT_CM / np.sqrt(1.32)
-    seen = np.column_stack([x - np.sin(heading) * error, y + np.cos(heading) * error])
+    points = np.column_stack([x - np.sin(heading) * error, y + np.cos(heading) * error])
     turn = 0.003 + more_rad
     camera = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    return AxisPoints(seen @ camera + [0.0, 0.05], LENGTH)
+    return AxisPoints(points @ camera + [0.0, 0.05], LENGTH)
 
 
 @pytest.mark.parametrize("compliance_cm", COMPLIANCES)

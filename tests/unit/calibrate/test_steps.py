@@ -248,15 +248,15 @@ def test_encoder_slip_reversal_and_lost_marker_are_detected():
     config = RobotConfig()
     rng = np.random.default_rng(3)
     length = np.arange(5.0, 53, 5.0)
-    seen = length + rng.normal(0, 0.08, len(length))
-    slipped = fit_encoder(length * 152 + np.where(length > 27, 304, 0), seen, config)
+    measured_cm = length + rng.normal(0, 0.08, len(length))
+    slipped = fit_encoder(length * 152 + np.where(length > 27, 304, 0), measured_cm, config)
     assert not slipped.verdict.good
     assert re.search(r"slipped by about (1\.9|2\..) cm before row 6", slipped.verdict.reason)
-    backwards = fit_encoder(-length * 152, seen, config)
+    backwards = fit_encoder(-length * 152, measured_cm, config)
     assert not backwards.verdict.good
     assert "swap" in backwards.verdict.reason
-    seen[3] = np.nan
-    lost = fit_encoder(length * 152, seen, config)
+    measured_cm[3] = np.nan
+    lost = fit_encoder(length * 152, measured_cm, config)
     assert lost.verdict.good
     assert "lost the tip" in lost.verdict.notes[0]
 
@@ -303,15 +303,15 @@ def whole(config: RobotConfig) -> CheckReadings:
     sensors = [*config.column("left"), *config.column("right")]
     zero = np.array([s.zero_ohm for s in sensors])
     scale = np.array([s.scale_per_ohm for s in sensors])
-    bent, seen, held = {}, {}, {}
+    bent, curvature, held = {}, {}, {}
     for side, sign, dull in (("left", 1, slice(0, 5)), ("right", -1, slice(5, 10))):
         k = sign * config.muscle(side).maps[2].inflate.curvature(12.0)
         row = np.full(10, k)
         row[dull] *= rng.uniform(-0.3, 0.4, 5)
-        bent[side], seen[side] = zero + row / scale, k
+        bent[side], curvature[side] = zero + row / scale, k
         t = np.arange(0, 4, 0.1)
         held[side] = np.column_stack([t, 12 + rng.normal(0, 0.02, len(t))])
-    return CheckReadings(zero + rng.normal(0, 10, (8, 10)), bent, 12.0, seen, held, zone=2)
+    return CheckReadings(zero + rng.normal(0, 10, (8, 10)), bent, 12.0, curvature, held, zone=2)
 
 
 def test_check_passes_a_sound_robot():

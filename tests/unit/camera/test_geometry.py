@@ -30,12 +30,12 @@ from thigmo_bench.studies.camera import axis_of
 
 def corners_seen(camera: CameraModel, sheet: Sheet, rng: np.random.Generator) -> dict:
     """Every card's corners as that camera sees them, 0.1 px of noise."""
-    seen = {}
+    pixels = {}
     for marker, card in sheet.marker_ids().items():
         flat = place(sheet.local_corners(marker - card.first_id), card)
         corners = camera.project(np.column_stack([flat, np.full(4, card.z_cm)]))
-        seen[marker] = corners + rng.normal(0, 0.1, (4, 2))
-    return seen
+        pixels[marker] = corners + rng.normal(0, 0.1, (4, 2))
+    return pixels
 
 
 def places(camera: CameraModel, model: CameraModel, height: float) -> float:
@@ -80,24 +80,24 @@ def test_what_helps_is_said_where_cards_alone_do_not_suffice():
 def test_misplaced_card_is_named():
     rng = np.random.default_rng(2)
     camera = overhead_camera(rng)
-    seen = corners_seen(camera, Sheet(), rng)
+    pixels = corners_seen(camera, Sheet(), rng)
     said = Sheet()
     said.cards[3].x_cm += 5.0
     with pytest.raises(PlaneFitError, match="sheet file"):
-        fit_pose(seen, said, camera.lens.size)
+        fit_pose(pixels, said, camera.lens.size)
 
 
 def test_moved_camera_and_hidden_cards_are_told_apart():
     rng = np.random.default_rng(3)
     camera, sheet = overhead_camera(rng), Sheet()
-    seen = corners_seen(camera, sheet, rng)
-    model = fit_pose(seen, sheet, camera.lens.size)
-    assert judge_still(seen, model, sheet) == ()
-    fewer = {k: v for k, v in seen.items() if k >= 4}
+    pixels = corners_seen(camera, sheet, rng)
+    model = fit_pose(pixels, sheet, camera.lens.size)
+    assert judge_still(pixels, model, sheet) == ()
+    fewer = {k: v for k, v in pixels.items() if k >= 4}
     assert judge_still(fewer, model, sheet) == ("base left",)
     with pytest.raises(SheetHiddenError, match="base left, base right"):
         judge_still({}, model, sheet)
-    moved = {k: v + np.array([9.0, -4.0]) for k, v in seen.items()}
+    moved = {k: v + np.array([9.0, -4.0]) for k, v in pixels.items()}
     said = r"cards stand 9\.\d px .* from where it was calibrated; .*locate` again"
     with pytest.raises(CameraMovedError, match=said):
         judge_still(moved, model, sheet)

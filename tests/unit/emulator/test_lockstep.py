@@ -43,17 +43,18 @@ def test_exchange_is_continuous_and_in_the_boards_time(board: SilentBoard) -> No
 
 def test_finer_exchange_passes_the_same_levels(board: SilentBoard) -> None:
     scene = Scene(start_length_cm=53.0)
-    coarse, fine = Lockstep(scene, board), Lockstep(scene, other := SilentBoard(), exchange_ms=1)
-    for stepped in (board, other):
+    fine_board = SilentBoard()
+    coarse, fine = Lockstep(scene, board), Lockstep(scene, fine_board, exchange_ms=1)
+    for stepped in (board, fine_board):
         stepped.drive, stepped.drive_enabled = (500, 0), (True, False)
         stepped.motor, stepped.braked = -200, False
     run(coarse, 60)
     run(fine, 60)
-    assert len(other.analog) == 10 * len(board.analog)
-    assert other.analog[9][:, 1] == pytest.approx(board.analog[0][:, 1])
-    assert other.analog[-1][:, 1] == pytest.approx(board.analog[-1][:, 1])
-    assert other.encoder[-1][1] == pytest.approx(board.encoder[-1][1])
-    assert other.now_us == board.now_us
+    assert len(fine_board.analog) == 10 * len(board.analog)
+    assert fine_board.analog[9][:, 1] == pytest.approx(board.analog[0][:, 1])
+    assert fine_board.analog[-1][:, 1] == pytest.approx(board.analog[-1][:, 1])
+    assert fine_board.encoder[-1][1] == pytest.approx(board.encoder[-1][1])
+    assert fine_board.now_us == board.now_us
     with pytest.raises(ConfigError):
         Lockstep(scene, board, exchange_ms=3)
 
@@ -72,7 +73,7 @@ def test_fault_begins_when_all_its_conditions_hold_and_ends(board: SilentBoard) 
 
 
 @pytest.mark.parametrize(
-    ("kind", "extra", "seen"),
+    ("kind", "extra", "has_effect"),
     [
         ("flex_wire_cut", {"side": "right", "sensor": 2}, lambda s, b: s.plant.stuck == {7: 0.0}),
         ("flex_short", {"sensor": 1}, lambda s, b: s.plant.stuck == {1: 1023.9}),
@@ -102,16 +103,16 @@ def test_fault_begins_when_all_its_conditions_hold_and_ends(board: SilentBoard) 
     ],
 )
 def test_fault_does_what_it_is_named_for(
-    board: SilentBoard, kind: str, extra: dict[str, Any], seen: Any
+    board: SilentBoard, kind: str, extra: dict[str, Any], has_effect: Any
 ) -> None:
     lockstep = Lockstep(faulty(kind=kind, at_s=0.1, duration_s=0.2, **extra), board)
     run(lockstep, 8)
-    assert not seen(lockstep, board)
+    assert not has_effect(lockstep, board)
     run(lockstep, 8)
-    assert seen(lockstep, board)
+    assert has_effect(lockstep, board)
     run(lockstep, 30)
     if kind not in ("hang", "power_cut_saving"):
-        assert not seen(lockstep, board)
+        assert not has_effect(lockstep, board)
     if kind.startswith("power_cut"):
         assert board.resets == [ResetCause.POWER_ON]
 

@@ -81,9 +81,9 @@ def _beside_peg(
     read = _untouched(length, rng)
     for k in np.flatnonzero(np.isfinite(place[:, 0])):
         bodies, _ = press(place[k], push[k], FREE[k : k + 1], radii, length)
-        seen = np.isfinite(read[k])
+        present = np.isfinite(read[k])
         (clean,) = bodies.readings(CENTERS, SPANS)
-        read[k, seen] = clean[seen] + NOISE * rng.standard_normal(int(seen.sum()))
+        read[k, present] = clean[present] + NOISE * rng.standard_normal(int(present.sum()))
     peg = touched(arc, bend, peg_radius, RADIUS)
     return read, (float(place[-1, 0]), peg.x, peg.y)
 
@@ -179,12 +179,12 @@ def test_a_prior_density_over_touches_is_even_over_the_plane(scale: float) -> No
             - (along.y - corner.y) * (onward.x - corner.x)
         ) / (small * a * small * b)
         dense = PEG.log_prior(q, body) - np.log(swept)
-        other = PEG.log_prior(
+        at_body = PEG.log_prior(
             PEG.columns((25.0 * scale, 0.012 / scale, r), 0.0, 0.0, 0.0, 0.0), body
         )
         turn = 25.0 * 0.012
         area = (1 - 1.5 * RADIUS * 0.012) * (1 - np.cos(turn)) / (0.012 / scale) ** 2
-        assert dense == pytest.approx(other - np.log(area), abs=2e-3)
+        assert dense == pytest.approx(at_body - np.log(area), abs=2e-3)
 
 
 def test_the_evidence_is_the_integral_over_the_errors() -> None:
@@ -289,17 +289,17 @@ def test_derivatives_by_two_pegs_and_by_a_wall(
     rng = np.random.default_rng(4)
     rows = {length: _untouched(length, rng) for length in LENGTHS}
     fit = FieldFit(replace(_readings(rows), fold_moment=np.array([0.01])), _errors())
-    there = np.array(q)
-    assert hypothesis.possible(there, fit.body)
+    unknowns = np.array(q)
+    assert hypothesis.possible(unknowns, fit.body)
     xi = fit.free()
-    tables = fit.tables(hypothesis, there)
+    tables = fit.tables(hypothesis, unknowns)
     exact = fit.by_q(tables, fit.predict(tables, xi))
     steps = hypothesis.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3, 1e-4, (1e-6, 1e-3, 1e-3, 1e-3))
     felt = list[float]()
     for i in range(hypothesis.unknowns - SHARED_UNKNOWNS):
         low, high = (
             fit.predict(
-                fit.tables(hypothesis, there + way * steps * (np.arange(there.size) == i)), xi
+                fit.tables(hypothesis, unknowns + way * steps * (np.arange(unknowns.size) == i)), xi
             ).value
             for way in (-1.0, 1.0)
         )
@@ -441,10 +441,10 @@ def test_a_proposal_whose_friction_and_yield_have_no_sign_has_a_density_of_one()
     widths = np.array([1.0, 1e-3, 0.5, 0.1, 0.2, 0.2, 0.02])
     # Both lie near no friction and no yield, so that half of what is drawn is mirrored.
     drawn_from = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.1, 0.05, 0.01]), np.diag(1.5 * widths**2))
-    other = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.15, 0.1, 0.0]), np.diag(widths**2))
+    wide = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.15, 0.1, 0.0]), np.diag(widths**2))
     q = np.array([drawn_from.draw(rng) for _ in range(4000)])
     assert (q[:, 4:] >= 0.0).all()
-    ratio = np.exp(other.log_density(q) - drawn_from.log_density(q))
+    ratio = np.exp(wide.log_density(q) - drawn_from.log_density(q))
     assert ratio.mean() == pytest.approx(1.0, abs=0.05)
 
 

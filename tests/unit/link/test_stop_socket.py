@@ -119,17 +119,17 @@ def test_an_owner_that_is_suspended_with_a_full_queue_is_told() -> None:
 
 
 @pytest.mark.parametrize(
-    "other",
+    "spelling",
     ["socket://localhost:4000", "rfc2217://127.0.0.1:4000", "SOCKET://127.0.0.1:4000?logging=info"],
 )
-def test_one_robot_has_one_owner_however_its_address_is_written(other: str) -> None:
+def test_one_robot_has_one_owner_however_its_address_is_written(spelling: str) -> None:
     with _listener():
-        assert owners(other) == owners(URL) != []
+        assert owners(spelling) == owners(URL) != []
     with AddressLock(URL, PID):
         with pytest.raises(PortError, match=rf"{PID} \(.*; close the program that drives it"):
-            AddressLock(other, PID)
+            AddressLock(spelling, PID)
         AddressLock("socket://127.0.0.1:4001", PID).close()
-    AddressLock(other, PID).close()
+    AddressLock(spelling, PID).close()
 
 
 def test_a_link_and_its_port_are_one_robot(tmp_path: Path) -> None:

@@ -204,8 +204,8 @@ def test_two_informative_readings_are_enough():
 def test_units_of_length_do_not_matter(unit, noise):
     rng = np.random.default_rng(17)
     curvature = felt((30.0, LENGTH), (-6e-4, 5e-4)) + SIGMA * rng.standard_normal(10)
-    here = find(curvature, noise=noise, free_curvature=0.01)
-    there = thigmo.localize(
+    single = find(curvature, noise=noise, free_curvature=0.01)
+    scaled = thigmo.localize(
         curvature / unit,
         BOTH * unit,
         length=LENGTH * unit,
@@ -217,11 +217,11 @@ def test_units_of_length_do_not_matter(unit, noise):
         critical_curvature=math.inf,
         **STATED,
     )
-    assert (there.status, there.hypothesis) == (here.status, here.hypothesis)
-    for contact, other in zip(here.contacts, there.contacts, strict=True):
-        assert other.arc / unit == pytest.approx(contact.arc, abs=1e-4)
-        assert other.force * unit**2 == pytest.approx(contact.force, rel=1e-4)
-        assert np.array(other.interval) / unit == pytest.approx(
+    assert (scaled.status, scaled.hypothesis) == (single.status, single.hypothesis)
+    for contact, scaled_contact in zip(single.contacts, scaled.contacts, strict=True):
+        assert scaled_contact.arc / unit == pytest.approx(contact.arc, abs=1e-4)
+        assert scaled_contact.force * unit**2 == pytest.approx(contact.force, rel=1e-4)
+        assert np.array(scaled_contact.interval) / unit == pytest.approx(
             np.array(contact.interval), abs=1e-4
         )
 

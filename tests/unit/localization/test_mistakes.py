@@ -106,12 +106,12 @@ def test_predictions_and_residuals_are_the_readings():
     curvature = TOUCH + noise(8)
     curvature[4] = np.nan
     result = find(curvature, free_curvature=0.0, **STATED)
-    seen = np.isfinite(curvature)
-    assert np.allclose((result.predicted + result.residuals)[seen], curvature[seen])
+    finite = np.isfinite(curvature)
+    assert np.allclose((result.predicted + result.residuals)[finite], curvature[finite])
     assert np.isnan(result.residuals[4])
-    assert np.abs(result.predicted - TOUCH)[seen].max() < 3.0 * NOISE
+    assert np.abs(result.predicted - TOUCH)[finite].max() < 3.0 * NOISE
     assert result.reduced_chi2 == pytest.approx(
-        np.sum((result.residuals[seen] / NOISE) ** 2) / (seen.sum() - 2), rel=0.05
+        np.sum((result.residuals[finite] / NOISE) ** 2) / (finite.sum() - 2), rel=0.05
     )
     assert np.isfinite(result.correlation)
 

@@ -66,11 +66,13 @@ def test_units_and_rows_are_those_of_the_plane():
     single = thigmo.localize(curvature[0], **READ)
     options = READ | {"position": 530 * POSITION, "span": 530 * SPAN, "length": 530.0}
     localizer = Localizer.of(**(options | {"noise": SIGMA / 530}))
-    other = localizer.localize(curvature[0] / 530)
-    assert other.contacts[0].arc == pytest.approx(530 * single.contacts[0].arc)
-    assert np.multiply(other.contacts[0].vector, 530**2) == pytest.approx(single.contacts[0].vector)
+    scaled = localizer.localize(curvature[0] / 530)
+    assert scaled.contacts[0].arc == pytest.approx(530 * single.contacts[0].arc)
+    assert np.multiply(scaled.contacts[0].vector, 530**2) == pytest.approx(
+        single.contacts[0].vector
+    )
     rows = localizer.localize_batch(curvature / 530)
-    assert rows.arc[0, 0] == other.contacts[0].arc
+    assert rows.arc[0, 0] == scaled.contacts[0].arc
 
 
 def test_turned_about_its_axis_with_everything_places_stay():
@@ -79,12 +81,12 @@ def test_turned_about_its_axis_with_everything_places_stay():
     single = thigmo.localize(curvature, **READ, twist=TWIST, weight=rods.weight[0])
     c, s = np.cos(1.0), np.sin(1.0)
     about = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-    other = thigmo.localize(
+    turned = thigmo.localize(
         curvature, **(READ | {"direction": DIRECTION + 1.0}), twist=TWIST,
         weight=about @ rods.weight[0],
     )  # fmt: skip
-    assert abs(other.contacts[0].arc - single.contacts[0].arc) < 1e-6
-    assert other.contacts[0].vector == pytest.approx(about @ single.contacts[0].vector, abs=1e-6)
+    assert abs(turned.contacts[0].arc - single.contacts[0].arc) < 1e-6
+    assert turned.contacts[0].vector == pytest.approx(about @ single.contacts[0].vector, abs=1e-6)
 
 
 def test_turned_about_its_axis_two_contacts_stay():
@@ -96,9 +98,13 @@ def test_turned_about_its_axis_two_contacts_stay():
     turned = READ | {"direction": DIRECTION + 1.234}
     pairs = 0
     for frame in curvature:
-        contact, other = (thigmo.localize(frame, **options).contacts for options in (READ, turned))
-        assert [c.arc for c in other] == pytest.approx([c.arc for c in contact], abs=1e-6)
-        pairs += len(contact) == 2
+        contacts, turned_contacts = (
+            thigmo.localize(frame, **options).contacts for options in (READ, turned)
+        )
+        assert [c.arc for c in turned_contacts] == pytest.approx(
+            [c.arc for c in contacts], abs=1e-6
+        )
+        pairs += len(contacts) == 2
     assert pairs > 40
 
 
@@ -236,8 +242,8 @@ def test_explanations_are_weighed_as_dense_normal_densities(
     rest = free * (DIRECTION == 0.0)
     localizer = Localizer.of(**(READ | {"held_end": False} | options))._compiled
     weighed = localizer.localize(excess + rest, rest, rest).weighed
-    which = -1 if bad is None else bad
-    log_weight = next(weight for load, at, weight in weighed if (load, at) == (name, which))
+    bad_row = -1 if bad is None else bad
+    log_weight = next(weight for load, at, weight in weighed if (load, at) == (name, bad_row))
     middles = (np.arange(cells) + 0.5) / cells if cells else ()
     logs = [
         log_densities(

@@ -84,8 +84,8 @@ def test_commands_reach_the_run_and_anything_else_does_not(run: Run) -> None:
 
 def test_a_viewer_that_stalls_keeps_nobody_waiting_and_is_told_what_it_lost(run: Run) -> None:
     run.hub.publish(a_state(0.5))
-    with attach(run.server.address) as stalled, attach(run.server.address) as other:
-        assert stalled.get() == other.get() == a_state(0.5)
+    with attach(run.server.address) as stalled, attach(run.server.address) as fresh:
+        assert stalled.get() == fresh.get() == a_state(0.5)
         count = 3 * QUEUE  # more than the socket and the queue hold
         for number in range(count):
             run.hub.publish(a_telemetry(float(number)))
