@@ -160,9 +160,12 @@ class ActuatorResult(StepResult):
         A muscle that was measured to less than its largest pressure is pressed to that much only.
         """
         actuator = config.muscles[config.muscle_number(self.readings.muscle)]
-        gaps = [abs(z.pressure_psi / self.zone.body_pressure_psi - 1) for z in config.body.zones]
-        zone = int(np.argmin(gaps))
-        if gaps[zone] > SAME_PRESSURE:
+        # A body that does not grow may have no pressure.
+        apart_psi = [
+            abs(self.zone.body_pressure_psi - zone.pressure_psi) for zone in config.body.zones
+        ]
+        zone = int(np.argmin(apart_psi))
+        if apart_psi[zone] > SAME_PRESSURE * config.body.zones[zone].pressure_psi:
             raise DataError(
                 f"no zone has a body pressure of {self.zone.body_pressure_psi:g} psi",
                 "correct body.pressure in robot.toml",

@@ -25,7 +25,8 @@ BODY_PX_CM = 12  # enough for a tube that is 40 px wide
 _AROUND = np.array([-4.0, -58.0]) / 53.0, np.array([60.0, 58.0]) / 53.0
 _STEP_CM, _LONGEST_CM = 0.5, 400.0
 _WIDTH_CM = 0.05  # change of width by wrinkles
-_RIM_PX = 5  # where blur mixes the tip marker's margin with the body's colour
+# Width of the line around the tip marker in which blur mixes its margin with the body's colour.
+COVER_RIM_PX = 5
 _CLASH = 0.5  # bodyness at a flank
 _EDGE_CM = 0.4  # distance to both sides of a flank in which its edge is searched
 _EDGE_GRAY = 15.0  # least contrast of an edge that is used
@@ -122,7 +123,7 @@ def bodyness(
     if cover is not None:
         polygon = np.round(flat.pixels(cover)).astype(np.int32).reshape(-1, 1, 2)
         cv2.fillPoly(score, [polygon], 1.0)
-        cv2.polylines(score, [polygon], True, 1.0, _RIM_PX)
+        cv2.polylines(score, [polygon], True, 1.0, COVER_RIM_PX)
     return np.asarray(cv2.GaussianBlur(score, (0, 0), 1.2), np.float32)
 
 

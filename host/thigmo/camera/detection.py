@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.camera.body import Track, bodyness, flatten, follow
+from thigmo.camera.body import COVER_RIM_PX, Track, bodyness, flatten, follow
 from thigmo.camera.centerline import Centerline, fit_centerline
 from thigmo.camera.exceptions import (
     AxisDoubtfulError,
@@ -192,11 +192,12 @@ class _Detector:
         if (corners := self.markers.get(self.sheet.tip_marker_id)) is not None:
             # The white margin belongs to the marker: one more cell on each side.
             center = corners.mean(axis=0)
-            # It may be wider than the tube.
+            # It may be wider than the tube, as which it counts with the rim drawn around it.
             wider = 1.02 * (1 + 2 / self.sheet.modules)
             side_cm = wider * self.sheet.tip_marker_cm * self.sheet.print_scale
+            covered_cm = max(request.diameter_cm - COVER_RIM_PX / flat.px_per_cm, 0.0)
             height_px = (corners[0] + corners[1] - corners[2] - corners[3]) / 4
-            too_wide = max(0.0, wider * (1 - request.diameter_cm / side_cm)) * height_px
+            too_wide = max(0.0, wider * (1 - covered_cm / side_cm)) * height_px
             margin = wider * (corners - center) - np.outer([1, 1, -1, -1], too_wide)
             cover = camera.to_plane(center + margin, radius)
         track = follow(flat, bodyness(flat, radius, cover, empty), radius)

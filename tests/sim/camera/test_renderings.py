@@ -105,6 +105,21 @@ def test_lens_board_gives_the_lens():
     assert glimpse(3, "lens board", lens).place_cm < 0.3
 
 
+@pytest.mark.parametrize("diameter_cm", [1.0, 1.2, 2.0])
+def test_a_tube_thinner_than_its_marker_is_followed_to_its_tip(room, model, diameter_cm):
+    marked = [*card_decals(SHEET), tip_decal(SHEET, room.x, room.y, diameter_cm)]
+    view = View(BodyShape(room.x, room.y, diameter_cm / 2), [], marked)
+    picture = render(room.camera, view, Look(), np.random.default_rng(5))
+    bend, shape = (
+        detect(picture, model, SHEET, DetectionRequest(diameter_cm, constant=constant))
+        for constant in (True, False)
+    )
+    assert bend.problems == shape.problems == ()
+    assert bend.axis.length_cm == pytest.approx(53.0, abs=0.3)
+    assert shape.axis.length_cm == pytest.approx(53.0, abs=0.3)
+    assert bend.axis.coefficients[2] == pytest.approx(0.02, abs=1e-4)
+
+
 def test_marker_that_fell_off_the_tip_is_not_taken_for_it(room, model):
     for dx, dy in ((-10.0, -9.0), (0.0, 6.0), (5.0, 8.0)):
         fallen = tip_decal(SHEET, room.x + dx, room.y + dy, 3.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,6 +40,9 @@ def test_both_branches_within_half_a_percent_without_trial_offsets(side):
         assert result.verdict.good, result.verdict
         assert worst(result.zone.inflate, INFLATE) < 0.005 * result.full_scale
         assert worst(result.zone.deflate, DEFLATE) < 0.005 * result.full_scale
+
+
+CATHETER = Path(__file__).resolve().parents[3] / "docs" / "robots" / "catheter.toml"
 
 
 def test_errors_of_g_agree_with_the_stated_ones():
@@ -174,6 +178,15 @@ def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
     elsewhere = replace(bends(6), body_pressure_psi=3.0)
     with pytest.raises(DataError, match="no zone"):
         fit_actuator(elsewhere).apply(RobotConfig())
+
+
+def test_a_map_of_a_body_without_pressure_is_put_in():
+    robot = RobotConfig.load(CATHETER)
+    assert [zone.pressure_psi for zone in robot.body.zones] == [0.0]
+    unpressed = fit_actuator(replace(bends(6), body_pressure_psi=0.0))
+    assert unpressed.apply(robot).muscle("left").maps == [unpressed.zone]
+    with pytest.raises(DataError, match="no zone has a body pressure of"):
+        fit_actuator(bends(6)).apply(robot)
 
 
 def test_bends_of_a_lab_are_read_from_its_csv(tmp_path):
