@@ -340,3 +340,12 @@ def test_a_new_robot_that_does_not_explore_is_told_what_works(
     assert "thigmo explore --scene" not in ran.out
     assert f"explore does not work with it: {why}" in ran.out
     assert f"thigmo calibrate all --robot emulator://{folder / 'empty.toml'}" in ran.out
+
+
+def test_a_new_robot_with_a_fibre_and_no_muscles_is_told_the_step_that_exists_for_it(
+    thigmo: Thigmo, tmp_path: Path
+) -> None:
+    ran = thigmo("robot", "new", "--muscles", 0, "--kind", "fibre", "--out", tmp_path / "rod")
+    assert ran.code == 0, ran.err
+    assert "calibrate it: thigmo calibrate fibre --csv FILE" in ran.out
+    assert "calibrate all" not in ran.out

@@ -12,9 +12,11 @@ from thigmo.camera import (
     PictureSource,
     Sheet,
     detect,
+    locate,
 )
 from thigmo.camera.centerline import Centerline
 from thigmo.config import Body
+from thigmo.robot import Robot
 
 CAMERA_SCALE_SE = 0.002  # relative error of the camera's scale, common to all that it measures
 
@@ -53,3 +55,12 @@ class OverheadCamera:
         if (radius := self.dowel_radius_cm) is not None:
             request = replace(request, obstacle_radius_cm=(0.8 * radius, 1.2 * radius))
         return detect(self.source.read(), self.model, self.sheet, request)
+
+
+def painted_camera(robot: Robot, sheet: Sheet, body: Body, seed: int) -> OverheadCamera | None:
+    """The located camera over an emulated robot; None for a robot that is not emulated."""
+    if (painted := robot.overhead_pictures(sheet, seed)) is None:
+        return None
+    source, height_cm = painted
+    measured = sheet.model_copy(update={"camera_height_cm": height_cm})
+    return OverheadCamera(source, locate(source.read(), measured), measured, body)

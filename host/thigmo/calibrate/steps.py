@@ -34,6 +34,7 @@ from thigmo.calibrate import (
 )
 from thigmo.calibrate.bench import Bench
 from thigmo.calibrate.columns import sensors_of
+from thigmo.calibrate.commands import commands_of
 from thigmo.calibrate.verdict import StepResult
 from thigmo.config import RobotConfig
 from thigmo.errors import DataError
@@ -41,6 +42,8 @@ from thigmo.record.table import MissingColumnError, Table
 from thigmo.wiring import table_key
 
 _STRAIGHT: Final = "straight shape at rest"
+_ON_BOARD: Final = "sensor on the board"
+Need = Literal["growth", "muscles", "fold", "straight shape at rest", "sensor on the board"]
 
 
 @dataclass(frozen=True)
@@ -56,18 +59,25 @@ class Step:
     thesis: Callable[..., StepResult] | None = None  # the thesis's fit of the same readings
     kind: str = ""  # kind of the sensors that it calibrates; empty for any
     # Of the body. The camera's steps fit bends from a body that is straight at rest.
-    needs: tuple[Literal["growth", "muscles", "fold", "straight shape at rest"], ...] = ()
+    needs: tuple[Need, ...] = ()
+    # Besides, where the step takes the readings itself: others may bend the body for a file.
+    live_needs: tuple[Need, ...] = (_ON_BOARD,)
 
-    def lacking(self, config: RobotConfig) -> str:
-        """What a robot lacks that the step measures; empty if nothing."""
+    def lacking(self, config: RobotConfig, *, in_file: bool = False) -> str:
+        """What a robot lacks that the step needs; empty if nothing.
+
+        `in_file`: the readings come from a file, not from the step.
+        """
         body = config.body
         has = {
             "growth": body.grows,
             "muscles": bool(config.muscles),
             "fold": body.folds,
             _STRAIGHT: not body.rest_curvature,
+            _ON_BOARD: bool(config.board_sensors),
         }
-        if missing := [need for need in self.needs if not has[need]]:
+        needs = self.needs if in_file else self.needs + self.live_needs
+        if missing := [need for need in needs if not has[need]]:
             return f"no {missing[0]}"
         if self.kind and self.kind not in {sensor.kind for sensor in config.sensors}:
             return f"no {self.kind} sensors"
@@ -82,7 +92,7 @@ _CURVATURES = "curvature_SENSOR of each sensor"
 STEPS = {
     "pressure": Step(
         pressure.guided, pressure.of_csv, "NAME_count of each muscle", needed=True,
-        needs=("muscles",),
+        needs=("muscles",), live_needs=(),
     ),
     "encoder": Step(
         encoder.guided, encoder.of_csv, "counts, length_cm", ("growth", "drive"), needed=True,
@@ -104,11 +114,11 @@ STEPS = {
     ),
     "heading": Step(
         heading.guided, heading.of_csv, "t_s, curvature, ohm_SENSOR of each sensor",
-        needed=True, kind="heading", needs=("muscles", _STRAIGHT),
+        needed=True, kind="heading", needs=(_STRAIGHT,), live_needs=(_ON_BOARD, "muscles"),
     ),
     "fibre": Step(
         fibre.guided, fibre.of_csv, "t_s, curvature, strain_0 .. strain_N (microstrain)",
-        needed=True, kind="fibre", needs=("muscles", _STRAIGHT),
+        needed=True, kind="fibre", needs=(_STRAIGHT,), live_needs=(_ON_BOARD, "muscles"),
     ),
     "hysteresis": Step(
         hysteresis.guided, hysteresis.of_csv, "sensor, t_s, curvature [eversion]", ("growth",),
@@ -129,24 +139,24 @@ STEPS = {
 
 
 def steps_of(config: RobotConfig) -> list[str]:
-    """The names of the steps for what a robot has."""
+    """The names of the steps that take their readings from such a robot."""
     return [name for name, step in STEPS.items() if not step.lacking(config)]
 
 
-def _require(step: str, config: RobotConfig) -> None:
+def _require(step: str, config: RobotConfig, *, in_file: bool = False) -> None:
     """Raise DataError for a step of what the robot does not have."""
-    if lacking := STEPS[step].lacking(config):
-        raise DataError(f"the robot has {lacking}", f"use {', '.join(steps_of(config))}")
+    if not (lacking := STEPS[step].lacking(config, in_file=in_file)):
+        return
+    if STEPS[step].of_csv and not STEPS[step].lacking(config, in_file=True):
+        cure = f"give readings as a file: `thigmo calibrate {step} --csv FILE`"
+    else:
+        cure = f"use {', '.join(steps_of(config))}"
+    raise DataError(f"the robot has {lacking}", cure)
 
 
 def run(bench: Bench, step: str, *, again: bool = False, method: str | None = None) -> StepResult:
     """Run a guided step of `STEPS`. `again` repeats its readings; `method` is as in `fit_csv`."""
     _require(step, bench.config)
-    if step != "pressure" and not bench.config.board_sensors:
-        raise DataError(
-            "the board has no sensor, and bends no body that has no sensor at its base",
-            f"give readings as a file: `thigmo calibrate {step} --csv FILE`",
-        )
     if again:
         for procedure in STEPS[step].rows:
             bench.session.forget(procedure)
@@ -160,6 +170,30 @@ def run(bench: Bench, step: str, *, again: bool = False, method: str | None = No
     draw(result, bench.session.figure(step))
     bench.finish(step, result)
     return result
+
+
+def run_all(
+    bench: Bench, *, again: bool = False, method: str | None = None
+) -> dict[str, StepResult]:
+    """Run every step that the robot has something for and that has no good result yet.
+
+    It ends at the last step, or at a needed one that is not good. `again` repeats good ones.
+    """
+    if not steps_of(bench.config):
+        files = ", ".join(f"`{command}`" for command in commands_of(bench.config, "URL"))
+        raise DataError(
+            "no step can take readings from this robot: nothing on the board bends it or reads it",
+            f"give them as a file: {files}",
+        )
+    results: dict[str, StepResult] = {}
+    for name in steps_of(bench.config):
+        if not again and bench.session.good_result(name):
+            bench.say(f"{name}: done before; `thigmo calibrate {name} --again` repeats it")
+            continue
+        results[name] = run(bench, name, again=again, method=method)
+        if not results[name].verdict.good and STEPS[name].needed:
+            break
+    return results
 
 
 def fit_csv(
@@ -177,7 +211,7 @@ def fit_csv(
         raise DataError(
             f"there is no fit '{step}' for a CSV", f"use one of {', '.join(sorted(fits))}"
         )
-    _require(step, config)
+    _require(step, config, in_file=True)
     fit, columns = fits[step]
     try:
         table = Table.read(path)

@@ -84,6 +84,7 @@ def bringup(
     Read "Before the first power" in docs/hardware/electronics.md first.
     """
     from thigmo.bringup import STAGES, BringUp
+    from thigmo.calibrate.commands import commands_of
     from thigmo.config import RobotConfig
     from thigmo.robot import connect
 
@@ -112,12 +113,13 @@ def bringup(
         console.meanwhile = partial(machine.wait, despite_faults=True)
         attendant = emulated if hasattr(emulated, "spool_turned") else _TerminalAttendant(console)
         findings = BringUp(machine, attendant, tell).run(first, last)
+        calibrations = commands_of(machine.config, robot)
     good = all(finding.good for finding in findings)
     stage = findings[-1].stage
     if not good:
         on = f"Correct it, then: thigmo bringup --robot {robot} --from {stage}"
     elif stage == STAGES[-1]:
-        on = f"All is as it should be. Next: thigmo calibrate all --robot {robot}"
+        on = f"All is as it should be. Next: {', then '.join(calibrations)}"
     else:
         following = STAGES[STAGES.index(stage) + 1]
         on = f"So far all is well. Next: thigmo bringup --robot {robot} --from {following}"

@@ -119,7 +119,7 @@ def calibrate(
     from thigmo.calibrate.bending import from_fold as state_stiffness
     from thigmo.calibrate.session import Session, blank
     from thigmo.calibrate.step_figures import draw
-    from thigmo.calibrate.steps import STEPS, fit_csv, run, steps_of
+    from thigmo.calibrate.steps import STEPS, fit_csv, run, run_all
     from thigmo.config import RobotConfig
 
     if step not in (*STEPS, "all", "status"):
@@ -152,6 +152,7 @@ def calibrate(
         raise DataError("no robot is named", "give --robot URL, or --csv FILE")
     from thigmo.calibrate.bench import Bench, Plan
     from thigmo.robot import connect
+    from thigmo.wiring import Wiring
 
     def say(text: str) -> None:
         if not as_json:
@@ -161,19 +162,14 @@ def calibrate(
     with console.interruptible(robot), connect(robot, seed=seed, operator=console) as machine:
         known = machine.known_config
         session = Session(folder, start or (blank(known) if known else None))
-        steps = steps_of(session.config) if step == "all" else [step]
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
         overhead = _overhead_camera(machine, session, camera, seed)
         bench = Bench(machine, overhead, session, plan, say)
-        results: dict[str, StepResult] = {}
-        for name in steps:
-            if step == "all" and not again and session.good_result(name):
-                say(f"{name}: done before; `thigmo calibrate {name} --again` repeats it")
-                continue
-            results[name] = run(bench, name, again=again, method=method)
-            if not results[name].verdict.good and STEPS[name].needed:
-                break
+        if step == "all":
+            results = run_all(bench, again=again, method=method)
+        else:
+            results = {step: run(bench, step, again=again, method=method)}
     if as_json:
         print_json({name: result.as_data() for name, result in results.items()})
     bad = [name for name, result in results.items() if not result.verdict.good]
@@ -184,7 +180,8 @@ def calibrate(
             say(f"next: correct what is BAD, and run `thigmo calibrate {bad[0]} --robot {robot}`")
         raise typer.Exit(2)
     if step == "all":
-        say(f"next: `thigmo explore --robot {robot} --config {session.robot_file}`")
+        command = "feel" if Wiring.of(session.config).unexplorable else "explore"
+        say(f"next: `thigmo {command} --robot {robot} --config {session.robot_file}`")
     else:
         say(f"constants so far: {session.robot_file}")
 
@@ -212,15 +209,12 @@ def _show_steps(
 
 def _overhead_camera(machine: Robot, session: Session, camera: str, seed: int) -> OverheadCamera:
     """The camera: painted over an emulated robot, opened and located on a real one."""
-    from thigmo.calibrate.overhead import OverheadCamera
-    from thigmo.camera import CameraModel, locate, open_source
+    from thigmo.calibrate.overhead import OverheadCamera, painted_camera
+    from thigmo.camera import CameraModel, open_source
 
     body = session.config.body
     sheet = load_sheet(body.length_cm)
-    if (painted := machine.overhead_pictures(sheet, seed)) is not None:
-        source, height = painted
-        measured = sheet.model_copy(update={"camera_height_cm": height})
-        model = locate(source.read(), measured)
-        model.save(session.folder / "camera.json")
-        return OverheadCamera(source, model, measured, body)
+    if (painted := painted_camera(machine, sheet, body, seed)) is not None:
+        painted.model.save(session.folder / "camera.json")
+        return painted
     return OverheadCamera(open_source(camera), CameraModel.load(CAMERA_FILE), sheet, body)

@@ -45,6 +45,7 @@ def new(
     robot of 3 or 4 muscles bends out of the plane, and one without muscles cannot sweep: they do
     not explore, and get the empty one.
     """
+    from thigmo.calibrate.commands import commands_of
     from thigmo.design import draft
     from thigmo.emulator.reach import pressed, room_for
     from thigmo.errors import ConfigError
@@ -76,7 +77,8 @@ def new(
     if not beyond:
         room_for(config, seed, peg=False).save(out / "empty.toml")
         written.append(str(out / "empty.toml"))
-        said.append(f"calibrate it: thigmo calibrate all --robot emulator://{out / 'empty.toml'}")
+        commands = commands_of(config, f"emulator://{out / 'empty.toml'}")
+        said.append(f"calibrate it: {', then '.join(commands)}")
     said = [f"wrote {', '.join(written)}", f"check it: thigmo robot check {written[0]}", *said]
     show(as_json, {"files": written, "notes": said[1:]}, *said)
 

@@ -8,9 +8,10 @@ from calibration_truth import bends
 
 from thigmo.calibrate.actuator import fit_actuator
 from thigmo.calibrate.bench import Bench
+from thigmo.calibrate.commands import commands_of
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.session import Session, blank
-from thigmo.calibrate.steps import STEPS, fit_csv, steps_of
+from thigmo.calibrate.steps import STEPS, fit_csv, run, run_all, steps_of
 from thigmo.config import FlexSensor, RobotConfig
 from thigmo.design import draft
 from thigmo.errors import DataError
@@ -171,3 +172,37 @@ def test_regression_stands_a_fifth_of_outliers():
         fit = fit_linear(np.column_stack([np.ones(40), x]), y)
         assert not fit.used[:8].any()
         assert fit.coefficients[1] == pytest.approx(3, abs=0.05)
+
+
+@pytest.mark.parametrize("muscles", [0, 1, 2])
+@pytest.mark.parametrize("kind", ["flex", "heading", "fibre"])
+def test_the_commands_that_calibrate_a_robot_are_those_of_its_steps(kind, muscles):
+    robot = draft(53, 5, muscles, kind=kind)
+    by_file = [
+        f"thigmo calibrate {name} --csv FILE"
+        for name, step in STEPS.items()
+        if step.kind and step.lacking(robot) and not step.lacking(robot, in_file=True)
+    ]
+    guided = ["thigmo calibrate all --robot URL"] if steps_of(robot) else []
+    assert commands_of(robot, "URL") == [*guided, *by_file]
+
+
+def test_a_fibre_that_nothing_on_the_board_bends_is_calibrated_from_a_file(tmp_path):
+    robot = draft(30, 6, 0, kind="fibre")
+    assert commands_of(robot, "URL") == ["thigmo calibrate fibre --csv FILE"]
+    bench = Bench(None, None, Session(tmp_path, robot))
+    with pytest.raises(DataError, match="`thigmo calibrate fibre --csv FILE`"):
+        run_all(bench)
+    with pytest.raises(DataError, match=r"no sensor on the board.*calibrate fibre --csv FILE"):
+        run(bench, "fibre")
+    gratings = robot.gratings
+    bend = 0.02 * np.sin(np.arange(9.0))
+    columns = [
+        np.round(bend / grating.scale_per_ue if grating.side else 0 * bend, 3)
+        for grating in gratings
+    ]
+    names = ",".join(f"strain_{n}" for n in range(len(gratings)))
+    rows = [",".join(map(str, row)) for row in zip(np.arange(9.0), bend, *columns, strict=True)]
+    file = tmp_path / "bends.csv"
+    file.write_text("\n".join([f"t_s,curvature,{names}", *rows]))
+    assert fit_csv("fibre", file, robot).verdict.good

@@ -1,0 +1,24 @@
+"""Which commands calibrate a robot; without what the calibration itself loads, for other commands.
+
+`steps` has the table behind them.
+"""
+
+from __future__ import annotations
+
+from thigmo.config import RobotConfig
+
+# Kinds of sensors whose step bends the body by its muscles, or takes a file.
+_BENT_BY_MUSCLES = ("heading", "fibre")
+
+
+def commands_of(config: RobotConfig, robot: str) -> list[str]:
+    """The commands that calibrate a robot, whose URL is `robot`, in their order."""
+    commands = []
+    if config.muscles or config.board_sensors:
+        commands.append(f"thigmo calibrate all --robot {robot}")
+    if not (config.muscles and config.board_sensors):
+        kinds = {sensor.kind for sensor in config.sensors}
+        commands += [
+            f"thigmo calibrate {kind} --csv FILE" for kind in _BENT_BY_MUSCLES if kind in kinds
+        ]
+    return commands
