@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from functools import partial
+from math import ceil
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -41,9 +41,11 @@ def feel(
     """Say where the body is touched now, by the board's sensors, or a fibre if robot.toml has one.
 
     First the sensors are zeroed: the robot must be vented, as it lies at rest, and touch nothing.
-    It needs no muscles. With sensors around the body the contact is localized in space. The robot
-    is stopped safely (valves at 0 mA, motor braked) if a fibre's interrogator falls silent or loses
-    a grating.
+    It needs no muscles; without them it feels while it grows: every sensor is zeroed where the
+    growth pauses first after the sensor has come out, and the growth ends at the pause in which
+    something bends the body. With sensors around the body the contact is localized in space. The
+    robot is stopped safely (valves at 0 mA, motor braked) if a fibre's interrogator falls silent
+    or loses a grating.
     """
     from thigmo.calibrate.bench import grow_to
     from thigmo.config import RobotConfig
@@ -60,8 +62,12 @@ def feel(
         if grow is not None:
             machine.known_length_cm()
             machine.arm()
-            grow_to(machine, used, grow, partial(typer.echo, err=True))
-        _ready(machine, used)
+        if grow is not None and not used.muscles and not used.gratings:
+            _grow_until_touched(machine, used, grow)
+        else:
+            if grow is not None:
+                grow_to(machine, used, grow, _say)
+            _ready(machine, used)
         if muscle is not None:
             machine.press(muscle.name, psi, ramp_psi_s=_RAMP_PSI_S)
             machine.wait(psi / _RAMP_PSI_S + _STEADY_S)
@@ -86,6 +92,10 @@ def feel(
         print_json(answers)
 
 
+def _say(text: str) -> None:
+    typer.echo(text, err=True)
+
+
 def _pressed(text: str | None, config: RobotConfig) -> tuple[Muscle | None, float]:
     """`left=6` as a muscle and its pressure."""
     if text is None:
@@ -103,6 +113,37 @@ def _pressed(text: str | None, config: RobotConfig) -> tuple[Muscle | None, floa
     return muscle, psi
 
 
+def _grow_until_touched(machine: Robot, config: RobotConfig, length_cm: float) -> None:
+    """Grow pitch by pitch and feel at each stop; end where something bends the body.
+
+    Sensors are zeroed at the first stop after they have everted, as long as nothing is felt: a zero
+    that is taken later would call the touched shape straight.
+    """
+    from thigmo.calibrate.bench import grow_to
+    from thigmo.exploration.feeling import feel as felt_now
+
+    _zero_new(machine)
+    pitch_cm = config.body.pitch_cm
+    stops = ceil(length_cm / pitch_cm)
+    for stop_cm in (*(pitch_cm * stop for stop in range(1, stops)), length_cm):
+        if stop_cm <= machine.known_length_cm():
+            continue
+        grow_to(machine, config, stop_cm, _say)
+        machine.wait(_STEADY_S)
+        if machine.status().zeroed and felt_now(machine).result.contacts:
+            _say("something bends the body: the growth ends here")
+            return
+        _zero_new(machine)
+
+
+def _zero_new(machine: Robot) -> None:
+    """Zero the everted sensors that have no zero yet."""
+    status = machine.status()
+    if new := status.everted & ~status.zeroed:
+        machine.wait_settled(sensors=new)
+        _zero(machine, new)
+
+
 def _ready(machine: Robot, config: RobotConfig) -> None:
     """Arm the robot, with the body pressure of its length, and zero it at rest."""
     length_cm = machine.known_length_cm()
@@ -112,9 +153,14 @@ def _ready(machine: Robot, config: RobotConfig) -> None:
         machine.arm()
     machine.vent()
     machine.wait_settled()
+    _zero(machine)
+
+
+def _zero(machine: Robot, sensors: int = -1) -> None:
+    """Zero sensors of a mask, -1 for all; try again while the body drifts."""
     for tries in range(_TRIES):
         try:
-            machine.zero()
+            machine.zero(sensors)
         except CommandRefusedError as error:
             if error.reason != "drifting" or tries + 1 == _TRIES:
                 raise

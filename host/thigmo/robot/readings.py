@@ -117,7 +117,7 @@ class Readings:
 
     # Zeros.
 
-    def zero(self) -> int:
+    def zero(self, sensors: int) -> int:
         """As `Robot.zero`."""
         supervisor = self._supervisor
         if supervisor.fibre.fitted:  # first: where it drifts, the board keeps its zeros
@@ -127,6 +127,7 @@ class Readings:
             supervisor.wait(_FIBRE_ZERO_S)
             supervisor.require_fibre().zero(began_s, supervisor.status().length_cm or 0.0)
         mask = supervisor.status().everted & mask_of(self.table.board.healthy) & ~self.aside
+        mask &= sensors
         self.previous_zeros = self.table
         if mask:
             supervisor.start(wire.ZeroSensors(mask))

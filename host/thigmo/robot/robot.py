@@ -567,13 +567,14 @@ class Robot(Closing):
         """Seconds until the everted sensors of a mask have settled; 0 once they have."""
         return self.readings.settles_s(sensors)
 
-    def zero(self) -> int:
+    def zero(self, sensors: int = -1) -> int:
         """Average the everted sensors' readings into their zeros; returns these sensors' mask.
 
-        Refused unless the muscles are vented, and the sensors settled and free of drift. A fibre's
+        Sensors outside of the mask `sensors` keep their zeros; -1 is all of them. Refused
+        unless the muscles are vented, and the sensors settled and free of drift. A fibre's
         strains are zeroed as well, if robot.toml names an interrogator.
         """
-        return self.readings.zero()
+        return self.readings.zero(sensors)
 
     def zeros(self) -> tuple[Floats, Floats]:
         """Zeros before and after the last zeroing, (inputs,) each, 1/cm; NaN where there is none.
