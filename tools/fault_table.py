@@ -35,9 +35,11 @@ and pull are highest where nothing else ends them.
 The first table is of the thesis's robot: its muscles empty only through the transducers, at 0 mA.
 In the second one, valves empty muscles and body as soon as the board stops
 ([air](hardware/air.md)). In the third one, a brake also holds the spool, and contacts cut the
-motor's supply ([electronics](hardware/electronics.md)). The last two are of robots with one muscle
-(on the Mega's firmware; its second output stays free) and with four (on the large virtual board),
-while they bend.
+motor's supply ([electronics](hardware/electronics.md)). The last three are of robots with one
+muscle (on the Mega's firmware; its second output stays free) and with four (on the large virtual
+board), while they bend; and of the gallery's catheter, which has no spool. Its file states
+`pressure_range_psi = 30`: `over_pressure` is 33 psi, and a valve that is stuck open meets a relief
+valve of 40 psi.
 
 - *noticed as*: the faults by which the board stopped; `reset`: the board restarted, outputs off.
 - *safe*: seconds from the failure until both valves carry 0 mA and the motor is braked.
@@ -117,6 +119,7 @@ TITLES = (
     "With valves, and with the brake and the contacts of the motor's supply",
     "One muscle, without valves",
     "Four muscles, without valves",
+    "Catheter of 28 psi with air for 30, without valves",
 )
 
 

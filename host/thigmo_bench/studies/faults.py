@@ -11,11 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from thigmo.config import RobotConfig
 from thigmo.emulator.board import EmulatedBoard, virtual_board
+from thigmo.emulator.reach import room_for
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import CommandRefusedError, RobotFaultError
@@ -25,7 +28,9 @@ from thigmo.link.framing import Decoder
 from thigmo.robot import Robot
 from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
 
-MAX_PSI = 18.5  # max_pressure_cpsi of robot.toml's 18 psi, with its margin
+# max_pressure_cpsi of robot.toml, with its margin: of the vines' 18 psi, of the catheter's 28
+MAX_PSI, CATHETER_MAX_PSI = 18.5, 28.5
+_COMMANDED_PSI = 18.0  # highest pressure of the commands in `STATES`
 START_CM = 20.0
 LASTS_S = 12.0
 STEADY_S = 2.0  # end of the failure over which steady values are taken
@@ -141,10 +146,23 @@ STATES: dict[str, tuple[tuple[wire.Command[Any], ...], float]] = {
     "pressing": ((wire.SetPressure((1800, 0), 0),), 6.0),
 }
 QUICK = ("ready", "growing", "pressing")
-# Directions of the muscles of robots with fewer and with more than two. Of four, the base sensors
-# at 90 and 270 degrees guard two each: a sweep takes guarded muscles only.
-BUILT = {1: (90.0,), 2: (90.0, 270.0), 4: (45.0, 135.0, 225.0, 315.0)}
-BENDING = ("sweeping", "pressing")  # what differs with the muscles
+Built = Literal["two muscles", "one muscle", "four muscles", "catheter"]
+# Directions of the muscles of vines. Of four, the base sensors at 90 and 270 degrees guard two
+# each: a sweep takes guarded muscles only.
+BUILT: dict[str, tuple[float, ...]] = {
+    "one muscle": (90.0,),
+    "two muscles": (90.0, 270.0),
+    "four muscles": (45.0, 135.0, 225.0, 315.0),
+}
+CATHETER = Path(__file__).resolve().parents[3] / "docs" / "robots" / "catheter.toml"
+# Of the muscles' relief valve, by the range of the robot's air (docs/hardware/air.md).
+RELIEF_PSI = {20.0: 30.0, 30.0: 40.0}
+OF_BRAKE = ("brake_open", "brake_closed", "contact_welded")
+OF_SPOOL = (
+    *OF_BRAKE, "motor_lost", "spool_stall", "motor_shorted", "encoder_lost", "encoder_share",
+    "line_snapped", "tail_jam", "spool_slip",
+)  # fmt: skip
+BENDING = ("sweeping", "pressing")  # what differs with the muscles and their pressure
 
 
 @dataclass(frozen=True)
@@ -158,7 +176,7 @@ class Case:
     state: str
     fit: Fit = "bare"
     second: Failure | None = None
-    muscles: int = 2  # of `BUILT`
+    robot: Built = "two muscles"
 
 
 @dataclass(frozen=True)
@@ -182,25 +200,35 @@ class Visit:
 BoardFor = Callable[[bytes], EmulatedBoard]
 
 
-def _scene(fit: Fit = "bare", muscles: int = 2) -> Scene:
+def _scene(fit: Fit = "bare", robot: Built = "two muscles") -> Scene:
+    if robot == "catheter":
+        return _catheter_scene()
     scene = Scene.load("empty").model_copy(update={"start_length_cm": START_CM})
     scene.belief = type(scene.belief)()
     scene.enables = scene.enables.model_copy(update={"fitted": fit != "bare"})
     scene.robot = scene.robot.model_copy(deep=True)
     scene.robot.spool.brake = fit == "brake"
-    (first, *_), count = scene.robot.muscles, muscles
-    if count != len(scene.robot.muscles):
+    first, *_ = scene.robot.muscles
+    if len(BUILT[robot]) != len(scene.robot.muscles):
         scene.robot.muscles = [
             first.model_copy(deep=True, update={"name": f"{lies:g} deg", "direction_deg": lies})
-            for lies in BUILT[count]
+            for lies in BUILT[robot]
         ]
     return scene
 
 
+def _catheter_scene() -> Scene:
+    config = RobotConfig.load(CATHETER)
+    scene = room_for(config, _SEED, peg=False)
+    scene.start_length_cm = config.body.length_cm
+    scene.belief = type(scene.belief)()
+    return scene
+
+
 @cache
-def stored(fit: Fit = "bare", muscles: int = 2) -> bytes:
+def stored(fit: Fit = "bare", robot: Built = "two muscles") -> bytes:
     """The stored configuration (EEPROM) of a board."""
-    scene = _scene(fit, muscles)
+    scene = _scene(fit, robot)
     transport = EmulatorTransport(scene, virtual_board(scene.robot, _SEED), seed=_SEED)
     Robot(Client(transport)).configure(transport.config)
     return transport.lockstep.board.eeprom
@@ -208,8 +236,8 @@ def stored(fit: Fit = "bare", muscles: int = 2) -> bytes:
 
 def _start(case: Case) -> Visit:
     """Start a board whose newest configuration is damaged, or one that has a fault latched."""
-    scene = _scene(case.fit, case.muscles)
-    board = virtual_board(scene.robot, _SEED, stored(case.fit, case.muscles))
+    scene = _scene(case.fit, case.robot)
+    board = virtual_board(scene.robot, _SEED, stored(case.fit, case.robot))
     transport = EmulatorTransport(scene, board, seed=_SEED)
     robot = Robot(Client(transport))
     if case.failure.kind == "flipped_bit":
@@ -251,9 +279,9 @@ def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) 
     """Break one part in one state and record the effects, on the virtual board by default."""
     if case.state == STARTING:
         return _start(case)
-    scene = _scene(case.fit, case.muscles)
+    scene = _scene(case.fit, case.robot)
     make_board = board_for or partial(virtual_board, scene.robot, _SEED)
-    board = make_board(stored(case.fit, case.muscles))
+    board = make_board(stored(case.fit, case.robot))
     transport = EmulatorTransport(scene, board, seed=_SEED, exchange_ms=exchange_ms)
     lockstep, plant = transport.lockstep, transport.lockstep.plant
     client = Client(transport)
@@ -263,15 +291,17 @@ def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) 
     robot.arm()
     if case.fit != "bare":
         robot.wait(FILL_S)
-    robot.confirm_length(START_CM, settled=True)
+    robot.confirm_length(scene.start_length_cm, settled=True)
     robot.select_zone(0)
     robot.zero()
     commands, lead_s = STATES[case.state]
     for command in commands:
-        client.request(_of_muscles(command, case.muscles, client.capacity.muscles))
+        client.request(_of_muscles(command, scene.robot, client.capacity.muscles))
     begins = transport.now() + lead_s
     for failure in filter(None, (case.failure, case.second)):
         table = {"kind": failure.kind, "at_s": begins, "duration_s": LASTS_S} | failure.options
+        if failure.kind == "over_pressure":
+            table["value"] = RELIEF_PSI[scene.robot.board.pressure_range_psi]
         lockstep.faults.inject(FaultTable.model_validate(table))
     transport.pass_time(lead_s)
     decoder, length = Decoder(), plant.length_cm
@@ -321,12 +351,14 @@ def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) 
     )
 
 
-def _of_muscles(command: wire.Command[Any], muscles: int, outputs: int) -> wire.Command[Any]:
-    """A command of two muscles, for a board with a number of outputs."""
+def _of_muscles(command: wire.Command[Any], robot: RobotConfig, outputs: int) -> wire.Command[Any]:
+    """A command of two muscles of 18 psi, for a robot on a board with a number of outputs."""
     key = {wire.Sweep: "amplitude_cpsi", wire.SetPressure: "set_cpsi"}.get(type(command))
     if key is None:
         return command
-    first, second = getattr(command, key)
+    share = robot.muscles[0].max_pressure_psi / _COMMANDED_PSI
+    first, second = (round(share * cpsi) for cpsi in getattr(command, key))
+    muscles = len(robot.muscles)
     tops = [first, *[second] * (muscles - 1), *[0] * (outputs - muscles)]
     return replace(command, **{key: tuple(tops)})
 
@@ -355,20 +387,25 @@ def run(context: Context) -> Outcome:
     """
     quick = context.scale == "quick"
     states, fitted = (QUICK, ("growing",)) if quick else (tuple(STATES), tuple(STATES))
-    of_brake = ("brake_open", "brake_closed", "contact_welded")
     cases = [
         Case(failure, state, fit)
         for fit in ("bare", "valves", "brake")
         for failure in FAILURES
         for state in (states if fit == "bare" else fitted)
-        if fit == "brake" or failure.kind not in of_brake
+        if fit == "brake" or failure.kind not in OF_BRAKE
     ]
     cases += [
-        Case(failure, state, muscles=muscles)
-        for muscles in (1, 4)
+        Case(failure, state, robot=robot)
+        for robot in ("one muscle", "four muscles")
         for failure in FAILURES
         for state in (BENDING[-1:] if quick else BENDING)
-        if failure.kind not in of_brake
+        if failure.kind not in OF_BRAKE
+    ]
+    cases += [
+        Case(failure, state, robot="catheter")
+        for failure in FAILURES
+        for state in (BENDING[-1:] if quick else BENDING)
+        if failure.kind not in OF_SPOOL
     ]
     cases += [Case(failure, STARTING) for failure in AT_START]
     return outcome(cases, context.map(visit, cases, "failures"))
@@ -395,21 +432,21 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
             "bare": "failures", "valves": "failures_with_valves",
             "brake": "failures_with_valves_and_brake",
         }[case.fit]  # fmt: skip
-        if case.muscles != 2:
-            name = f"failures_with_{case.muscles}_muscles"
+        if case.robot != "two muscles":
+            name = f"failures_of_{case.robot.replace(' ', '_')}"
         tables[name] = [*tables.get(name, ()), _line(case, result)]
     noticed = [(c, v) for c, v in pairs if v.noticed]
-    air = [v for c, v in noticed if not c.failure.valve or c.fit != "bare"]
     braked = [(c, v) for c, v in pairs if c.fit == "brake"]
     obeys = [v for c, v in pairs if c.failure.kind != "motor_shorted"]
     host = [v for c, v in pairs if c.failure.kind in ("host_silent", "hang")]
     without_encoder = [v for c, v in pairs if c.failure.kind == "encoder_lost"]
     unnoticed = [c for c, v in pairs if not v.noticed and c.state not in ("safe", "ready")]
     claims = (
-        ("steady true pressure of a noticed failure whose valve works, or is emptied",
-         [v.steady_psi for v in air], MAX_PSI + 1.5, "psi"),
-        ("true pressure at its highest, where the valve works",
-         [v.peak_psi for c, v in pairs if not c.failure.valve], MAX_PSI + 1.5, "psi"),
+        *_pressure_claims("", [pair for pair in pairs if pair[0].robot != "catheter"], MAX_PSI),
+        *_pressure_claims(
+            ", of the catheter", [pair for pair in pairs if pair[0].robot == "catheter"],
+            CATHETER_MAX_PSI,
+        ),
         ("growth after host or firmware dies", [v.moved_cm for v in host], 2.0, "cm"),
         ("growth after the encoder dies", [v.moved_cm for v in without_encoder], 2.0, "cm"),
         ("growth after a noticed failure, where valves empty the body",
@@ -436,3 +473,26 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
             Claim(t, max(values, default=0.0), limit, unit=u) for t, values, limit, u in claims
         ],
     )
+
+
+def _pressure_claims(
+    suffix: str, pairs: list[tuple[Case, Visit]], most_psi: float
+) -> tuple[tuple[str, list[float], float, str], ...]:
+    """Promises of the true pressure, of robots whose board allows `most_psi`."""
+    steady_psi = [
+        result.steady_psi
+        for case, result in pairs
+        if result.noticed and (not case.failure.valve or case.fit != "bare")
+    ]
+    peak_psi = [result.peak_psi for case, result in pairs if not case.failure.valve]
+    limit_psi = most_psi + 1.5
+    return (
+        (
+            f"steady true pressure of a noticed failure whose valve works, or is emptied{suffix}",
+            steady_psi, limit_psi, "psi",
+        ),
+        (
+            f"true pressure at its highest, where the valve works{suffix}",
+            peak_psi, limit_psi, "psi",
+        ),
+    )  # fmt: skip
