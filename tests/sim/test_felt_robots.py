@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command import Thigmo
@@ -11,9 +12,21 @@ from emulated import armed, emulated, room_file
 
 from thigmo.config import RobotConfig
 from thigmo.emulator.reach import room_for
+from thigmo.emulator.scene import WallTable
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.exploration import explore
-from thigmo_bench.studies.robots import CATHETER, FELT, GALLERY, push, visit
+from thigmo_bench.studies.exploration import LENGTH_CM
+from thigmo_bench.studies.gallery import (
+    EXPLORED,
+    FELT,
+    GALLERY,
+    Calibrated,
+    Room,
+    gallery_robot,
+    push,
+    unmeasured,
+    visit,
+)
 
 
 @pytest.mark.ci
@@ -26,10 +39,13 @@ def test_a_robot_at_rest_feels_where_it_is_pushed(name: str) -> None:
 
 
 @pytest.mark.ci
-def test_a_catheter_of_28_psi_explores() -> None:
-    found, empty = visit((CATHETER, 1, True)), visit((CATHETER, 3, False))
-    assert not found.status.startswith("aborted")
-    assert not found.missed
+@pytest.mark.parametrize("name", EXPLORED)
+def test_a_robot_of_the_gallery_explores(name: str) -> None:
+    measured = Calibrated(name, 1, config=unmeasured(name, 1))
+    room, empty = (visit(Room(measured, seed, seed == 1, False)) for seed in (1, 3))
+    assert not [run.status for run in (room, empty) if run.status.startswith("aborted")]
+    assert not room.missed
+    assert not room.wrong
     assert empty.status == "silent"
 
 
@@ -42,14 +58,14 @@ def test_a_catheter_of_28_psi_explores() -> None:
     ],
 )
 def test_explore_says_in_one_line_why_it_cannot(name: str, why: str, tmp_path: Path) -> None:
-    robot = RobotConfig.load(GALLERY / f"{name}.toml")
+    robot = gallery_robot(name)
     url = room_file(tmp_path, room_for(robot, 1, peg=False))
     with pytest.raises(ConfigError, match=why):
         explore(url, out=tmp_path, seed=1)
 
 
 def test_a_robot_of_fixed_length_knows_its_length_and_refuses_to_grow_by_name() -> None:
-    finger = RobotConfig.load(GALLERY / "finger.toml")
+    finger = gallery_robot("finger")
     robot, transport = emulated(room_for(finger, 1, peg=False))
     robot.configure(transport.config)
     robot.arm()
@@ -61,7 +77,7 @@ def test_a_robot_of_fixed_length_knows_its_length_and_refuses_to_grow_by_name() 
 
 
 def test_a_muscleless_vine_grows() -> None:
-    whisker = RobotConfig.load(GALLERY / "whisker.toml")
+    whisker = gallery_robot("whisker")
     robot, transport = armed(room_for(whisker, 1, peg=False))
     robot.pressurize(0)
     assert robot.grow_to(20.0) == pytest.approx(20.0, abs=0.1)
@@ -70,13 +86,38 @@ def test_a_muscleless_vine_grows() -> None:
 
 
 def test_thigmo_feel_grows_a_muscleless_vine_and_answers(thigmo: Thigmo, tmp_path: Path) -> None:
-    whisker = RobotConfig.load(GALLERY / "whisker.toml")
-    whisker.board.settle_s = 0.2
+    whisker = gallery_robot("whisker")
     url = room_file(tmp_path, room_for(whisker, 1, peg=False))
     said = thigmo("feel", "--robot", url, "--grow-to", "20", "--count", "1", "--json")
     (answer,) = json.loads(said.out)
     assert answer["length_cm"] == pytest.approx(20.0, abs=0.1)
     assert answer["status"] == "no contact"
+
+
+def _grown_beside_a_wall(thigmo: Thigmo, tmp_path: Path, walls: list[WallTable]) -> dict[str, Any]:
+    whisker = gallery_robot("whisker")
+    room = room_for(whisker, 1, peg=False)
+    room.walls = walls
+    url = room_file(tmp_path, room)
+    ran = thigmo("feel", "--robot", url, "--grow-to", "53", "--count", "1", "--json")
+    assert ran.code == 0, ran.err
+    (answer,) = json.loads(ran.out)
+    return answer
+
+
+def test_a_muscleless_vine_feels_what_bends_it_while_it_grows(
+    thigmo: Thigmo, tmp_path: Path
+) -> None:
+    aslant = WallTable(x=30.0, y=-6.0, end_x=60.0, end_y=10.0)
+    answer = _grown_beside_a_wall(thigmo, tmp_path, [aslant])
+    (contact,) = answer["contacts"]
+    (truth,) = answer["truth"]
+    assert answer["length_cm"] < 53.0
+    low, high = contact["interval"]  # to the length by the encoder
+    assert low <= truth["arc_cm"] <= high + LENGTH_CM
+    free = _grown_beside_a_wall(thigmo, tmp_path, [])
+    assert free["status"] == "no contact"
+    assert free["length_cm"] == pytest.approx(53.0, abs=0.1)
 
 
 def test_bring_up_leaves_out_the_spool_of_a_robot_that_has_none(
