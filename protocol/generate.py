@@ -104,7 +104,7 @@ class Field:
     name: str
     type: str
     count: int  # at most
-    of: str  # what of the capacity counts it; "" for a fixed count
+    counted_by: str  # what of the capacity counts it; "" for a fixed count
     counted: bool  # its count comes before it
     unit: str
     enum: str
@@ -113,8 +113,8 @@ class Field:
     @property
     def code(self) -> str:
         """Its struct format; `?` and what counts it come before that of an array's element."""
-        if self.of:
-            return f"{self.of}?{TYPES[self.type][0]}"
+        if self.counted_by:
+            return f"{self.counted_by}?{TYPES[self.type][0]}"
         return (str(self.count) if self.count > 1 else "") + TYPES[self.type][0]
 
     @property
@@ -126,10 +126,12 @@ class Field:
     def extent(self) -> str:
         """Its bytes as a C++ expression, its count included."""
         width = TYPES[self.type][2]
-        if not self.of:
+        if not self.counted_by:
             return str(width * self.count)
-        each = CAPACITY[self.of] if width == 1 else f"{width} * {CAPACITY[self.of]}"
-        return f"1 + {each}" if self.counted else each
+        extent = (
+            CAPACITY[self.counted_by] if width == 1 else f"{width} * {CAPACITY[self.counted_by]}"
+        )
+        return f"1 + {extent}" if self.counted else extent
 
 
 @dataclass(frozen=True)
@@ -162,13 +164,13 @@ class Message:
     @property
     def varies(self) -> bool:
         """Whether its size is the capacity's matter."""
-        return any(field.of for field in self.fields)
+        return any(field.counted_by for field in self.fields)
 
     def offset(self, number: int) -> str:
         """Where a field (its count, if one comes before it) begins, as a C++ expression."""
         before = self.fields[:number]
-        fixed = sum(int(field.extent) for field in before if not field.of)
-        return " + ".join([str(fixed), *(field.extent for field in before if field.of)])
+        fixed = sum(int(field.extent) for field in before if not field.counted_by)
+        return " + ".join([str(fixed), *(field.extent for field in before if field.counted_by)])
 
     @property
     def wire(self) -> int:
@@ -182,7 +184,7 @@ class Parameter:
 
     name: str
     id: int
-    of: str  # what of the capacity counts its elements; "" for a single one
+    counted_by: str  # what of the capacity counts its elements; "" for a single one
     unit: str
     low: int
     high: int
@@ -306,15 +308,18 @@ def load(path: Path) -> Schema:
             _require(not enum or enum in enums, f"{where}.{f['name']}: unknown enum {enum}")
             _require(not enum or f["type"] == "u8", f"{where}.{f['name']}: enums travel as u8")
             count = f.get("count", 1)
-            of = count if isinstance(count, str) else ""
-            _require(not of or of in capacity, f"{where}.{f['name']}: nothing counts {of}")
+            counted_by = count if isinstance(count, str) else ""
+            _require(
+                not counted_by or counted_by in capacity,
+                f"{where}.{f['name']}: nothing counts {counted_by}",
+            )
             fields.append(
                 Field(
                     f["name"],
                     f["type"],
-                    capacity[of].most if of else count,
-                    of,
-                    bool(of) and all(of != other.of for other in fields),
+                    capacity[counted_by].most if counted_by else count,
+                    counted_by,
+                    bool(counted_by) and all(counted_by != other.counted_by for other in fields),
                     f.get("unit", ""),
                     enum,
                     f["doc"],
@@ -368,12 +373,15 @@ def load(path: Path) -> Schema:
         unknown = set(body) - {"id", "count", "unit", "range", "default", "doc"}
         _require(not unknown, f"{where}: unknown keys {sorted(unknown)}")
         _require("id" in body, f"{where}: give it an id; the next free one stands above the list")
-        of = body.get("count", "")
-        _require(not of or of in capacity, f"{where}: nothing counts {of}")
+        counted_by = body.get("count", "")
+        _require(not counted_by or counted_by in capacity, f"{where}: nothing counts {counted_by}")
         low, high = body["range"]
         default = body["default"]
         defaults = tuple(default) if isinstance(default, list) else (default,)
-        _require(len(defaults) <= (capacity[of].most if of else 1), f"{where}: too many defaults")
+        _require(
+            len(defaults) <= (capacity[counted_by].most if counted_by else 1),
+            f"{where}: too many defaults",
+        )
         _require(not isinstance(default, list) or low <= 0, f"{where}: 0 is out of its range")
         _require(
             TYPES["i32"][3] <= low < high <= TYPES["i32"][4], f"{where}: bad range {low}..{high}"
@@ -383,7 +391,7 @@ def load(path: Path) -> Schema:
             Parameter(
                 name,
                 body["id"],
-                of,
+                counted_by,
                 body.get("unit", ""),
                 low,
                 high,
@@ -391,7 +399,7 @@ def load(path: Path) -> Schema:
                 body["doc"],
             )
         )
-    rare = [p.of in capacity and not capacity[p.of].usual for p in parameters]
+    rare = [p.counted_by in capacity and not capacity[p.counted_by].usual for p in parameters]
     _require(rare == sorted(rare), "parameters: those of which a board may have none come last")
     stored = [tree["map"]["id"], *(p.id for p in parameters)]
     _require(all(0 < i < 256 for i in stored), "parameters: ids must be 1..255")
@@ -425,8 +433,8 @@ def _cpp_type(field: Field) -> str:
 
 def _cpp_array(field: Field) -> str:
     """How many elements it has, as a C++ expression; "" for a single one."""
-    if field.of:
-        return CAPACITY[field.of]
+    if field.counted_by:
+        return CAPACITY[field.counted_by]
     return str(field.count) if field.count > 1 else ""
 
 
@@ -521,10 +529,10 @@ def cpp(schema: Schema) -> str:
         f"constexpr uint8_t kMapId = {schema.map_id};  // under which the store keeps the maps",
         f"constexpr uint8_t kMapPoints = {schema.map_points};",
         *(
-            f'static_assert({CAPACITY[name]} > 0 && {CAPACITY[name]} <= {of.most}, "{name}");'
-            if of.usual
-            else f'static_assert({CAPACITY[name]} <= {of.most}, "{name}");'
-            for name, of in schema.capacity.items()
+            f'static_assert({CAPACITY[name]} > 0 && {CAPACITY[name]} <= {amount.most}, "{name}");'
+            if amount.usual
+            else f'static_assert({CAPACITY[name]} <= {amount.most}, "{name}");'
+            for name, amount in schema.capacity.items()
         ),
         "",
     ]
@@ -578,16 +586,16 @@ def cpp(schema: Schema) -> str:
         "// Parameters: first index of each; arrays take consecutive ones.",
         "enum class Param : uint16_t {",
     ]
-    rare = {name for name, of in schema.capacity.items() if not of.usual}
-    always = [p for p in schema.parameters if p.of not in rare]
-    sometimes = [p for p in schema.parameters if p.of in rare]
-    macros = sorted({f"THIGMO_{p.of.upper()}" for p in sometimes})
+    rare = {name for name, amount in schema.capacity.items() if not amount.usual}
+    always = [p for p in schema.parameters if p.counted_by not in rare]
+    sometimes = [p for p in schema.parameters if p.counted_by in rare]
+    macros = sorted({f"THIGMO_{p.counted_by.upper()}" for p in sometimes})
     at = "0"
     for p in schema.parameters:
         unit = f" ({p.unit})" if p.unit else ""
-        size = f" [{CAPACITY[p.of]}]" if p.of else ""
+        size = f" [{CAPACITY[p.counted_by]}]" if p.counted_by else ""
         out.append(f"  {_enumerator(p.name)} = {at},  // {p.doc}{unit}{size}")
-        at = f"{_enumerator(p.name)} + {CAPACITY[p.of] if p.of else 1}"
+        at = f"{_enumerator(p.name)} + {CAPACITY[p.counted_by] if p.counted_by else 1}"
     out += [f"  kEnd = {at}", "};"]
     out += [
         "constexpr uint16_t kParamCount = static_cast<uint16_t>(Param::kEnd);",
@@ -597,9 +605,12 @@ def cpp(schema: Schema) -> str:
         "  uint8_t id, count;",
         "};",
         "constexpr ParamKey kParamKeyTable[] THIGMO_PROGMEM = {",
-        *(f"    {{{p.id}, {CAPACITY[p.of] if p.of else 1}}},  // {p.name}" for p in always),
+        *(
+            f"    {{{p.id}, {CAPACITY[p.counted_by] if p.counted_by else 1}}},  // {p.name}"
+            for p in always
+        ),
         *(f"#if {name}" for name in macros),
-        *(f"    {{{p.id}, {CAPACITY[p.of]}}},  // {p.name}" for p in sometimes),
+        *(f"    {{{p.id}, {CAPACITY[p.counted_by]}}},  // {p.name}" for p in sometimes),
         *("#endif" for _ in macros),
         "};",
         "constexpr uint8_t kParamKeys = sizeof kParamKeyTable / sizeof *kParamKeyTable;",
@@ -628,8 +639,8 @@ def cpp(schema: Schema) -> str:
         "  ParamRows rows{};",
     ]
     for p in schema.parameters:
-        count = CAPACITY[p.of] if p.of else "1"
-        if p.of and len(p.defaults) > 1:
+        count = CAPACITY[p.counted_by] if p.counted_by else "1"
+        if p.counted_by and len(p.defaults) > 1:
             given = ", ".join(str(d) for d in p.defaults)
             out += [
                 f"  const int32_t {p.name}[] = {{{given}}};",
@@ -655,7 +666,7 @@ def cpp(schema: Schema) -> str:
 
 
 def _py_type(field: Field) -> str:
-    if field.of or field.count > 1:
+    if field.counted_by or field.count > 1:
         return f'Annotated[tuple[int, ...], "{field.code}"]'
     return field.enum or field.type.upper()
 
@@ -711,7 +722,7 @@ def python(schema: Schema) -> str:
         f'CRC = "{schema.crc}"',
         f"MAP_ID = {schema.map_id}",
         f"MAP_POINTS = {schema.map_points}",
-        *(f"MOST_{name.upper()} = {of.most}" for name, of in schema.capacity.items()),
+        *(f"MOST_{name.upper()} = {amount.most}" for name, amount in schema.capacity.items()),
         "",
         "",
     ]
@@ -763,7 +774,7 @@ def data(schema: Schema) -> str:
         for name, (_, values) in schema.enums.items()
     ]
     rows = [f"  {json.dumps(asdict(p))}" for p in schema.parameters]
-    usual = json.dumps({name: of.usual for name, of in schema.capacity.items()})
+    usual = json.dumps({name: amount.usual for name, amount in schema.capacity.items()})
     about = json.dumps("Generated by protocol/generate.py from protocol/schema.yaml: do not edit.")
     return (
         f'{{\n "about": {about},\n "usual": {usual},\n "enums": {{\n'
@@ -781,11 +792,11 @@ def _cell(text: str) -> str:
     return text.replace("|", "\\|")
 
 
-def _amounts(schema: Schema, of: str) -> str:
+def _amounts(schema: Schema, amount: str) -> str:
     """Capacities in words."""
     return ", ".join(
-        f"{getattr(one, of)} {'IMUs' if name == 'imus' else name.replace('_', ' ')}"
-        for name, one in schema.capacity.items()
+        f"{getattr(capacity, amount)} {'IMUs' if name == 'imus' else name.replace('_', ' ')}"
+        for name, capacity in schema.capacity.items()
     )
 
 
@@ -884,8 +895,8 @@ def markdown(schema: Schema) -> str:
             out += ["| field | type | unit | meaning |", "| --- | --- | --- | --- |"]
             for f in m.fields:
                 if f.counted:
-                    out.append(f"| | u8 | | How many {f.of.replace('_', ' ')} follow. |")
-                count = f.of or (f.count if f.count > 1 else "")
+                    out.append(f"| | u8 | | How many {f.counted_by.replace('_', ' ')} follow. |")
+                count = f.counted_by or (f.count if f.count > 1 else "")
                 kind = f.type + (f"[{count}]" if count else "")
                 kind += f" {f.enum}" if f.enum else ""
                 out.append(f"| `{f.name}` | {kind} | {f.unit} | {_cell(f.doc)} |")
@@ -908,7 +919,7 @@ def markdown(schema: Schema) -> str:
     for p in schema.parameters:
         default = ", ".join(str(d) for d in p.defaults)
         out.append(
-            f"| {p.of.replace('_', ' ') or 1} | {p.id} | `{p.name}` | {p.unit} "
+            f"| {p.counted_by.replace('_', ' ') or 1} | {p.id} | `{p.name}` | {p.unit} "
             f"| {p.low}..{p.high} | {default} | {_cell(p.doc)} |"
         )
     return "\n".join(out) + "\n"
@@ -936,9 +947,9 @@ def golden(schema: Schema) -> str:
             flat: list[int] = []
             layout = "<"
             for f in m.fields:
-                count = schema.capacity[f.of].usual if f.of else f.count
+                count = schema.capacity[f.counted_by].usual if f.counted_by else f.count
                 values = [_vector_value(f, which, rng, schema) for _ in range(count)]
-                fields[f.name] = values if f.of or count > 1 else values[0]
+                fields[f.name] = values if f.counted_by or count > 1 else values[0]
                 layout += ("B" if f.counted else "") + f"{count}{TYPES[f.type][0]}"
                 flat += [count, *values] if f.counted else values
             seq = {"zero": 0, "low": 1, "high": 0xFFFF}.get(which, rng.randrange(0x10000))
@@ -989,9 +1000,9 @@ def golden(schema: Schema) -> str:
 
 def _tool(name: str) -> str:
     beside = Path(sys.executable).with_name(name)
-    found = str(beside) if beside.exists() else shutil.which(name)
-    _require(found is not None, f"{name} is missing; run `make install`")
-    return str(found)
+    program = str(beside) if beside.exists() else shutil.which(name)
+    _require(program is not None, f"{name} is missing; run `make install`")
+    return str(program)
 
 
 def _run(*command: str, text: list[str]) -> str:

@@ -130,23 +130,23 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
     scale: Scale = "quick" if options.quick else "full"
-    found = run(Context(scale=scale, jobs=options.jobs, progress=_count))
+    outcome = run(Context(scale=scale, jobs=options.jobs, progress=_count))
     names = [
         "failure", "state", "noticed as", "safe, s", "peak, psi", "steady, psi", "grown, cm",
         "pull, N", "covered by",
     ]  # fmt: skip
     cells = [
-        [[str(cell) for cell in row.values()] for row in table] for table in found.tables.values()
+        [[str(cell) for cell in row.values()] for row in table] for table in outcome.tables.values()
     ]
-    lines = [f"- {claim}" for claim in found.claims]
+    lines = [f"- {claim}" for claim in outcome.claims]
     if options.quick:
         lines += ["", SOME]
-    for title, table in zip(TITLES, found.tables.values(), strict=True):
+    for title, table in zip(TITLES, outcome.tables.values(), strict=True):
         lines += ["", f"## {title}", ""]
         lines += ["| " + " | ".join(names) + " |", "| --- " * len(names) + "|"]
         lines += ["| " + " | ".join(str(cell) for cell in row.values()) + " |" for row in table]
     PAGE.write_text(HEAD.replace(SUMMARY, summary(cells)) + "\n".join(lines) + "\n")
-    for claim in found.claims:
+    for claim in outcome.claims:
         print(claim)
 
 

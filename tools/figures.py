@@ -58,22 +58,22 @@ class Source:
 EXPLORED = "default exploration: \\|x error\\| (thesis: 6.82 cm)"
 
 
-def _explore(found: dict[str, Any]) -> list[Row]:
+def _explore(run: dict[str, Any]) -> list[Row]:
     return [
         (
             EXPLORED,
-            f"{found['error_x_cm']:.2f} cm",
+            f"{run['error_x_cm']:.2f} cm",
             "one run; many seeds in the rows below",
         ),
         (
             "default exploration: robot time over wall time",
-            f"{found['robot_per_wall_time']:.0f}",
-            f"{found['robot_time_s']:.0f} s of robot time in {found['wall_time_s']:.1f} s",
+            f"{run['robot_per_wall_time']:.0f}",
+            f"{run['robot_time_s']:.0f} s of robot time in {run['wall_time_s']:.1f} s",
         ),
     ]
 
 
-def _experiments(found: list[dict[str, Any]]) -> list[Row]:
+def _experiments(experiments: list[dict[str, Any]]) -> list[Row]:
     return [
         (
             f"{row['experiment']}, {row['condition']}: x error in the room",
@@ -84,15 +84,15 @@ def _experiments(found: list[dict[str, Any]]) -> list[Row]:
             f"bound {_number(row['bound_mean'])}, "
             f"in that measure {_number(row['bound_measured_mean'])}",
         )
-        for experiment in found
+        for experiment in experiments
         for row in experiment["rows"]
     ]
 
 
-def _predictions(found: list[dict[str, Any]]) -> list[Row]:
+def _predictions(studies: list[dict[str, Any]]) -> list[Row]:
     """What the fitted constants predict, with the tool's own verdict."""
     rows = []
-    for study in found:
+    for study in studies:
         for note in study["notes"] if study["study"] == "predictions" else []:
             name, said = note.split(": ", 1)
             verdict = said.split("(")[1].split(";")[0]
@@ -100,10 +100,10 @@ def _predictions(found: list[dict[str, Any]]) -> list[Row]:
     return rows
 
 
-def _many_robots(found: list[dict[str, Any]]) -> list[Row]:
+def _many_robots(experiments: list[dict[str, Any]]) -> list[Row]:
     """Ours less its method, with the standard error over the robots."""
     rows = []
-    for row in (row for experiment in found for row in experiment["rows"]):
+    for row in (row for experiment in experiments for row in experiment["rows"]):
         tie = abs(row["less_mean"]) < 2 * row["less_se"]
         verdict = "a tie" if tie else "ours" if row["less_mean"] > 0 else "its method"
         places = ", ".join(
@@ -123,14 +123,14 @@ def _above(beaten: bool) -> str:
     return "" if beaten else " (**above what is allowed**)"
 
 
-def _experiments_and_claims(found: list[dict[str, Any]]) -> list[Row]:
-    claims = _claims([e for e in found if not e["rows"]])
-    return _experiments(found) + claims + _predictions(found)
+def _experiments_and_claims(experiments: list[dict[str, Any]]) -> list[Row]:
+    claims = _claims([e for e in experiments if not e["rows"]])
+    return _experiments(experiments) + claims + _predictions(experiments)
 
 
-def _claims(found: list[dict[str, Any]]) -> list[Row]:
+def _claims(studies: list[dict[str, Any]]) -> list[Row]:
     rows = []
-    for study in found:
+    for study in studies:
         for claim in study["claims"]:
             sign = "<=" if claim["at_most"] else ">="
             verdict = "" if claim["holds"] else "; **missed**"
@@ -152,13 +152,13 @@ def _value(claim: dict[str, Any]) -> str:
     return f"{shown} ± {claim['standard_error']:.2g}" if "standard_error" in claim else shown
 
 
-def _explorations(found: list[dict[str, Any]]) -> list[Row]:
-    return _claims(found) + _notes(found[0])
+def _explorations(studies: list[dict[str, Any]]) -> list[Row]:
+    return _claims(studies) + _notes(studies[0])
 
 
-def _explored_rooms(found: list[dict[str, Any]]) -> list[Grid]:
+def _explored_rooms(studies: list[dict[str, Any]]) -> list[Grid]:
     """A row a kind of room."""
-    (study,) = found
+    (study,) = studies
     head = (
         "rooms of the kind", "rooms", "runs aborted", "contacts", "missed", "rooms with false ones",
         "localized", "localized wrong", "median x error, cm",
@@ -179,9 +179,9 @@ def _decimals(value: float | None, digits: int = 2) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
-def _robots(found: list[dict[str, Any]]) -> list[Grid]:
+def _robots(studies: list[dict[str, Any]]) -> list[Grid]:
     """A row a robot."""
-    (study,) = found
+    (study,) = studies
     head = (
         "robot", "rooms", "missed, %", "localized wrong, %", "localized",
         "median error, % of length", "largest error, %", "outside of their ellipses, %",
@@ -223,9 +223,9 @@ def _notes(study: dict[str, Any]) -> list[Row]:
     return [(*note.rsplit(": ", 1), "") for note in study["notes"]]
 
 
-def _accuracy(found: list[dict[str, Any]]) -> list[Grid]:
+def _accuracy(studies: list[dict[str, Any]]) -> list[Grid]:
     """A row an error, stated or not: the worst of its groups of bodies that are touched."""
-    (study,) = found
+    (study,) = studies
     head = (
         "error", "stated", "coverage from", "to", "localized and wrong at most, %", "in group",
         "contacts found from", "to", "frames a group",
@@ -261,9 +261,9 @@ def _shares(row: dict[str, Any]) -> tuple[str, str, str]:
     return f"{100 * row['localized']:.0f}", f"{100 * row['wrong']:.1f}", _of_localized(row)
 
 
-def _mistakes(found: list[dict[str, Any]]) -> list[Grid]:
+def _mistakes(studies: list[dict[str, Any]]) -> list[Grid]:
     """A row a group: wrong answers with nothing stated, and beside them with the error stated."""
-    (study,) = found
+    (study,) = studies
     head = (
         "mistake", "body", "frames", "localized, %", "wrong, %", "wrong of these, %",
         "stated: localized, %", "wrong, %", "wrong of these, %",
@@ -278,8 +278,8 @@ def _mistakes(found: list[dict[str, Any]]) -> list[Grid]:
     return [Grid(head, rows)]
 
 
-def _loads(found: list[dict[str, Any]]) -> list[Grid]:
-    (study,) = found
+def _loads(studies: list[dict[str, Any]]) -> list[Grid]:
+    (study,) = studies
     head = (
         "group", "frames", "no contact, %", "one, %", "two, %", "localized, %", "wrong, %",
         "wrong of these, %",
@@ -292,7 +292,7 @@ def _loads(found: list[dict[str, Any]]) -> list[Grid]:
     return [Grid(head, rows)]
 
 
-def _in_space(found: list[dict[str, Any]]) -> list[Grid]:
+def _in_space(studies: list[dict[str, Any]]) -> list[Grid]:
     """Each group's places."""
     head = (
         "group", "rods", "mean place error, % of length", "coverage", "number right, %",
@@ -302,21 +302,21 @@ def _in_space(found: list[dict[str, Any]]) -> list[Grid]:
         (row["group"], str(row["count"]), f"{100 * row['place_off']:.2f}",
          f"{row['coverage']:.3f}", f"{100 * row['found']:.1f}", *_shares(row),
          f"{100 * row['newtons_covered']:.1f}")
-        for study in found
+        for study in studies
         for row in study["rows"]
     ]  # fmt: skip
     return [Grid(head, rows)]
 
 
-def _number_claims(found: list[dict[str, Any]]) -> list[Row]:
+def _number_claims(studies: list[dict[str, Any]]) -> list[Row]:
     """The claims, and how many frames leave the number in doubt."""
-    notes = [note.split(": ", 1) for study in found for note in study["notes"]]
-    return _claims(found) + [(what, "", said) for what, said in notes]
+    notes = [note.split(": ", 1) for study in studies for note in study["notes"]]
+    return _claims(studies) + [(quantity, "", said) for quantity, said in notes]
 
 
-def _stability(found: list[dict[str, Any]]) -> list[Grid]:
+def _stability(studies: list[dict[str, Any]]) -> list[Grid]:
     """A row a map: each method's mean error, and its failures."""
-    (study,) = found
+    (study,) = studies
     methods = list(dict.fromkeys(row["method"] for row in study["rows"]))
     columns = [column for method in methods for column in (f"{method}, cm", "failed, %")]
     rows = []
@@ -334,8 +334,8 @@ def _stability(found: list[dict[str, Any]]) -> list[Grid]:
     return [Grid(("stress", "cases", *columns), rows)]
 
 
-def _stopping(found: list[dict[str, Any]]) -> list[Row]:
-    (study,) = found
+def _stopping(studies: list[dict[str, Any]]) -> list[Row]:
+    (study,) = studies
     return [
         (
             f"{row['who']}: {row['how']}",
@@ -343,10 +343,10 @@ def _stopping(found: list[dict[str, Any]]) -> list[Row]:
             f"worst {row['worst_ms']:.0f} ms of {row['n']}",
         )
         for row in study["rows"]
-    ] + _claims(found)
+    ] + _claims(studies)
 
 
-def _budgets(found: dict[str, Any]) -> list[Row]:
+def _budgets(figures: dict[str, Any]) -> list[Row]:
     return [
         (
             name,
@@ -356,33 +356,33 @@ def _budgets(found: dict[str, Any]) -> list[Row]:
             else f"{'at least' if figure['least'] else 'at most'} {_number(figure['limit'])}"
             f"{'' if figure['kept'] else '; **exceeded**'}",
         )
-        for name, figure in found.items()
+        for name, figure in figures.items()
     ]
 
 
-def _boards(found: dict[str, Any]) -> list[Row]:
+def _boards(boards: dict[str, Any]) -> list[Row]:
     return [
         (f"{board}: {column}", value, "")
-        for board, row in found.items()
+        for board, row in boards.items()
         for column, value in row.items()
     ]
 
 
-def _benchmark(found: list[dict[str, Any]]) -> list[Row]:
+def _benchmark(groups: list[dict[str, Any]]) -> list[Row]:
     rows = []
-    for method in dict.fromkeys(row["method"] for row in found):
-        mine = [row for row in found if row["method"] == method]
+    for method in dict.fromkeys(row["method"] for row in groups):
+        mine = [row for row in groups if row["method"] == method]
         answered = sum(row["answered"] for row in mine)
         failed = sum(row["answered"] * (row["failures"] or 0.0) for row in mine)
         rows.append((method, f"{100 * failed / max(answered, 1):.0f} %", f"of {answered} failed"))
     return rows
 
 
-def _benchmark_groups(found: list[dict[str, Any]]) -> list[Grid]:
+def _benchmark_groups(cells: list[dict[str, Any]]) -> list[Grid]:
     """Mean errors of all methods by group; then what methods with intervals claim."""
-    groups = list(dict.fromkeys(row["group"] for row in found))
-    methods = list(dict.fromkeys(row["method"] for row in found))
-    errors = {(row["method"], row["group"]): row["error_cm"] for row in found if row["answered"]}
+    groups = list(dict.fromkeys(row["group"] for row in cells))
+    methods = list(dict.fromkeys(row["method"] for row in cells))
+    errors = {(row["method"], row["group"]): row["error_cm"] for row in cells if row["answered"]}
     table = [
         (method, *(_decimals(errors.get((method, group))) for group in groups))
         for method in methods
@@ -390,7 +390,7 @@ def _benchmark_groups(found: list[dict[str, Any]]) -> list[Grid]:
     claims = [
         (row["method"], row["group"], f"{row['claimed']:.2f}", f"{row['overclaimed']:.2f}",
          _decimals(row["coverage"]))
-        for row in found
+        for row in cells
         if row["claimed"]
     ]  # fmt: skip
     return [
@@ -512,16 +512,16 @@ def run(name: str) -> None:
         # Its progress goes to the terminal.
         done = subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.PIPE, text=True)
         try:
-            found = json.loads(done.stdout)
-            source.rows(found)  # of a command that ends with 1 for a broken promise, too
+            results = json.loads(done.stdout)
+            source.rows(results)  # of a command that ends with 1 for a broken promise, too
         except (ValueError, KeyError, TypeError, AttributeError):
             sys.exit(f"{name}: exit {done.returncode}; see above")
         RESULTS.mkdir(parents=True, exist_ok=True)
         # Where this machine put the files is nobody's business.
-        for part in found if isinstance(found, list) else [found]:
+        for part in results if isinstance(results, list) else [results]:
             part.pop("run", None)
             part.pop("files", None)
-        (RESULTS / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n")
+        (RESULTS / f"{name}.json").write_text(json.dumps(results, indent=1) + "\n")
         for made, kept in source.pictures.items():
             shutil.copy(next(Path(folder).rglob(made)), ROOT / "docs" / kept)
 
@@ -586,14 +586,14 @@ def table(name: str) -> str:
     lines = [f"`{SOURCES[name].shown}`", ""]
     if not rows:
         return "\n".join([*lines, "Not run yet.", "", ""])
-    found = json.loads((RESULTS / f"{name}.json").read_text())
-    studies = found if isinstance(found, list) else []
+    results = json.loads((RESULTS / f"{name}.json").read_text())
+    studies = results if isinstance(results, list) else []
     for study in studies:
         if samples := study.get("samples"):
-            of = f" of {study['study']}" if len(studies) > 1 else ""
+            study_name = f" of {study['study']}" if len(studies) > 1 else ""
             cases = "; ".join(f"{part}: {count}" for part, count in samples.items())
-            lines += [f"Cases{of}: {cases}.", ""]
-    tables = [Grid(("what", "value", ""), list(rows)), *SOURCES[name].grids(found)]
+            lines += [f"Cases{study_name}: {cases}.", ""]
+    tables = [Grid(("what", "value", ""), list(rows)), *SOURCES[name].grids(results)]
     for grid in tables:
         if grid.rows:
             lines += [_line(grid.head), _line(["---"] * len(grid.head)), *map(_line, grid.rows), ""]
@@ -610,7 +610,7 @@ def headlines() -> str:
     for name, wanted, words in HEADLINES:
         if not _rows(name):
             continue  # never run
-        values = {what: value for what, value, _ in _rows(name)}
+        values = {row_name: value for row_name, value, _ in _rows(name)}
         if wanted not in values:
             sys.exit(f"docs/results/{name}.json has no row {wanted!r}; correct HEADLINES")
         command = SOURCES[name].shown.replace(".venv/bin/", "").replace(" --json", "")
@@ -631,7 +631,7 @@ def summary() -> str:
         if promised:
             command = source.shown.replace(".venv/bin/", "").replace(" --json", "")
             counts.append(f"| `{command}` | {len(promised)} | {len(promised) - len(late)} |")
-        missed += [f"| {what} | {value} | {note} |" for what, value, note in late]
+        missed += [f"| {row_name} | {value} | {note} |" for row_name, value, note in late]
     return "\n".join([*counts, "", *missed, "", ""])
 
 

@@ -14,13 +14,16 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"
-EVER_MS = 600_000
+WORDS_MS = 300_000  # until a page has what it shows
+RUN_MS = 600_000  # until a run has come to the moment of the picture
 LOOKS = {
     "watch": {"viewport": {"width": 1440, "height": 1180}, "color_scheme": "light"},
     "watch-dark": {"viewport": {"width": 1440, "height": 1180}, "color_scheme": "dark"},
@@ -33,7 +36,7 @@ LOOKS = {
     },
 }
 # One contact is on the map, and a sweep measures again: its posterior lies on the moving body. The
-# muscles' pressures are columns 1 and 2.
+# muscles' pressures are columns 1 and 2. In real time, so that what is drawn is of one moment.
 MEASURES = """() => {
   const { last, now, origin, columns } = thigmo.store;
   return last.contacts?.contacts.length && last.state?.state === "MEASURE"
@@ -44,15 +47,21 @@ MEASURES = """() => {
 DRAWN = "() => new Promise((go) => setTimeout(go, 600))"
 
 
-def served(*arguments: str) -> tuple[subprocess.Popen[str], str]:
-    """`thigmo watch`, and the address of its page."""
+@contextmanager
+def served(*arguments: str) -> Iterator[str]:
+    """`thigmo watch`: the address of its page."""
     watch = [sys.executable, "-m", "thigmo", "watch", "--no-browser", "--port", "0", *arguments]
     process = subprocess.Popen(watch, text=True, stderr=subprocess.PIPE)
     assert process.stderr is not None
-    for line in process.stderr:
-        if "http://" in line:
-            return process, "http://" + line.partition("http://")[2].partition(" ")[0]
-    sys.exit("thigmo watch has ended; run it by hand to see why")
+    try:
+        for line in process.stderr:
+            if "http://" in line:
+                yield "http://" + line.partition("http://")[2].partition(" ")[0]
+                return
+        sys.exit("thigmo watch has ended; run it by hand to see why")
+    finally:
+        process.terminate()
+        process.wait()
 
 
 def keep(page: Page, name: str) -> None:
@@ -69,9 +78,44 @@ def keep(page: Page, name: str) -> None:
 def opened(browser: Browser, address: str, name: str) -> Page:
     """The page in one of the looks."""
     page = browser.new_context(**LOOKS[name]).new_page()
-    page.set_default_timeout(EVER_MS)
+    page.set_default_timeout(WORDS_MS)
     page.goto(address)
     return page
+
+
+def explored(browser: Browser, runs: str) -> None:
+    """The run under way, in all looks."""
+    with served("emulator://two_pegs", "--out", runs) as address:
+        pages = {name: opened(browser, address, name) for name in LOOKS}
+        first = pages["watch"]
+        first.locator("#pace").select_option("realtime")
+        first.locator("#parameters summary").click()
+        first.locator('[data-flag="--seed"]').fill("1")
+        first.locator("#parameters summary").click()
+        first.locator("#start").click()
+        first.wait_for_function(MEASURES, timeout=RUN_MS)
+        # All three at one moment, before its readings look old, however long a picture takes.
+        run = int(first.evaluate("thigmo.store.page.run.id").split()[0])
+        os.kill(run, signal.SIGSTOP)
+        first.evaluate(DRAWN)
+        for page in pages.values():
+            page.evaluate("thigmo.still = true")
+        for name, page in pages.items():
+            keep(page, name)
+        os.kill(run, signal.SIGCONT)
+        first.evaluate("thigmo.still = false")
+        first.wait_for_function("() => thigmo.store.page.ended", timeout=RUN_MS)
+        for page in pages.values():
+            page.close()
+
+
+def looked_back_at(browser: Browser, run: Path) -> None:
+    """The finished run, with its player."""
+    with served(str(run)) as address:
+        page = opened(browser, address, "watch")
+        page.wait_for_function("() => thigmo.store.columns[0].length > 0")
+        page.wait_for_function("() => document.querySelector('#room image')")
+        keep(page, "watch-record")
 
 
 def main() -> None:
@@ -80,35 +124,8 @@ def main() -> None:
     chromium = os.environ.get("CHROMIUM", "/usr/bin/chromium")
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as runs:
         browser = playwright.chromium.launch(executable_path=chromium)
-        process, address = served("emulator://two_pegs", "--out", runs)
-        pages = {name: opened(browser, address, name) for name in LOOKS}
-        first = pages["watch"]
-        first.locator("#pace").select_option("fast")
-        first.locator("#parameters summary").click()
-        first.locator('[data-flag="--seed"]').fill("1")
-        first.locator("#parameters summary").click()
-        first.locator("#start").click()
-        first.wait_for_function(MEASURES)
-        # All three at one moment, however long a picture takes.
-        run = int(first.evaluate("thigmo.store.page.run.id").split()[0])
-        os.kill(run, signal.SIGSTOP)
-        for page in pages.values():
-            page.evaluate(DRAWN)
-            page.evaluate("thigmo.still = true")
-        for name, page in pages.items():
-            keep(page, name)
-        os.kill(run, signal.SIGCONT)
-        first.evaluate("thigmo.still = false")
-        first.wait_for_function("() => thigmo.store.page.ended")
-        process.terminate()
-        process.wait()
-        process, address = served(str(next(Path(runs).iterdir())))
-        page = opened(browser, address, "watch")
-        page.wait_for_function("() => thigmo.store.columns[0].length > 0")
-        page.wait_for_function("() => document.querySelector('#room image')")
-        keep(page, "watch-record")
-        process.terminate()
-        process.wait()
+        explored(browser, runs)
+        looked_back_at(browser, next(Path(runs).iterdir()))
         browser.close()
 
 

@@ -681,17 +681,17 @@ DRAWINGS: dict[str, Callable[[], schemdraw.Drawing]] = {
 def drawn(name: str) -> str:
     """A drawing as SVG, its size in millimetres so that it prints as it should."""
     text = DRAWINGS[name]().get_imagedata("svg").decode()
-    found = re.search(r'height="([\d.]+)pt" width="([\d.]+)pt"', text)
-    if found is None:
+    header = re.search(r'height="([\d.]+)pt" width="([\d.]+)pt"', text)
+    if header is None:
         raise SystemExit("schemdraw's file header has changed; adapt tools/schematics.py")
-    height, width = (float(number) / PX_MM for number in found.groups())
+    height, width = (float(number) / PX_MM for number in header.groups())
     scale = min(1.0, A4_MM[0] / width, A4_MM[1] / height)
     if scale * FONT_PT < SMALLEST_PT:
         raise SystemExit(
             f"{name}: letters of {scale * FONT_PT:.1f} points on A4; split the drawing"
         )
     size = f'height="{scale * height:.1f}mm" width="{scale * width:.1f}mm"'
-    return text.replace(found.group(0), size).rstrip() + "\n"
+    return text.replace(header.group(0), size).rstrip() + "\n"
 
 
 def main() -> None:

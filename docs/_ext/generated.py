@@ -66,8 +66,8 @@ def commands(command: Any = None, name: str = "thigmo") -> Iterator[tuple[str, A
     command = command or typer.main.get_command(thigmo)
     inner = getattr(command, "commands", None)
     if inner:
-        for part, one in inner.items():
-            yield from commands(one, f"{name} {part}")
+        for part, subcommand in inner.items():
+            yield from commands(subcommand, f"{name} {part}")
     else:
         yield name, command
 
@@ -152,22 +152,24 @@ def messages() -> Iterator[tuple[str, str, str, str]]:
                     reason = ": <reason>"
                 case _:
                     continue
-            what, step = _text(first), _text(rest[0]) if rest else ""
-            if kind in _ERRORS and what and re.search("[a-z]{2}", re.sub("<.*?>", "", what)):
-                yield folder, kind, what + reason, step or ""
+            problem, step = _text(first), _text(rest[0]) if rest else ""
+            if kind in _ERRORS and problem and re.search("[a-z]{2}", re.sub("<.*?>", "", problem)):
+                yield folder, kind, problem + reason, step or ""
 
 
 def _errors_page() -> str:
     by_place: dict[str, set[tuple[str, str, str]]] = {}
-    for folder, kind, what, step in messages():
+    for folder, kind, problem, step in messages():
         place = _WHERE.get(folder, "Other commands")
-        by_place.setdefault(place, set()).add((what, step, kind))
+        by_place.setdefault(place, set()).add((problem, step, kind))
     lines = []
     for place in [*dict.fromkeys(_WHERE.values()), "Other commands"]:
         rows = sorted(by_place.get(place, ()), key=lambda row: row[0].lower())
         if rows:
             lines += [f"### {place}", "", "| message | what to do | type |", "| --- | --- | --- |"]
-            lines += [f"| {_cell(what)} | {_cell(step)} | `{kind}` |" for what, step, kind in rows]
+            lines += [
+                f"| {_cell(problem)} | {_cell(step)} | `{kind}` |" for problem, step, kind in rows
+            ]
             lines.append("")
     return "\n".join(lines)
 

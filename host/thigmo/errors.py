@@ -14,23 +14,23 @@ class ThigmoError(Exception):
     """Base of all errors that an operator can act on.
 
     Args:
-        what: what happened, without a full stop.
+        problem: what happened, without a full stop.
         next_step: what to do next, as an imperative.
     """
 
-    def __init__(self, what: str, next_step: str = "") -> None:
-        self.what = what
+    def __init__(self, problem: str, next_step: str = "") -> None:
+        self.problem = problem
         self.next_step = next_step
-        super().__init__(f"{what}; {next_step}" if next_step else what)
+        super().__init__(f"{problem}; {next_step}" if next_step else problem)
 
     @classmethod
     @contextmanager
-    def from_os(cls, what: str, next_step: str) -> Iterator[None]:
+    def from_os(cls, problem: str, next_step: str) -> Iterator[None]:
         """Turn an OSError in the block into this error, with the system's reason."""
         try:
             yield
         except OSError as error:
-            raise cls(f"{what}: {error.strerror}", next_step) from error
+            raise cls(f"{problem}: {error.strerror}", next_step) from error
 
 
 class LinkError(ThigmoError):
@@ -64,19 +64,19 @@ class CommandRefusedError(ThigmoError):
     """
 
     def __init__(
-        self, what: str, next_step: str = "", *, reason: str = "", detail: int = 0
+        self, problem: str, next_step: str = "", *, reason: str = "", detail: int = 0
     ) -> None:
         self.reason = reason
         self.detail = detail
-        super().__init__(what, next_step)
+        super().__init__(problem, next_step)
 
 
 class RobotFaultError(ThigmoError):
     """The board latched faults; `faults` holds their names in the schema."""
 
-    def __init__(self, what: str, next_step: str = "", *, faults: tuple[str, ...] = ()) -> None:
+    def __init__(self, problem: str, next_step: str = "", *, faults: tuple[str, ...] = ()) -> None:
         self.faults = faults
-        super().__init__(what, next_step)
+        super().__init__(problem, next_step)
 
 
 class InterrogatorError(ThigmoError):

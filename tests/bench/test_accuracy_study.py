@@ -65,12 +65,12 @@ def test_scores_count_what_they_say() -> None:
         (1, 1, 0, 100.0, 9.0, 1, 0),
         (0, nan, 0, nan, 1.0, 0, 0),
     ]
-    found = score(Case("peg", "none"), np.array(rows, dtype=float))
-    assert (found["count"], found["found"], found["wrong"]) == (4, 0.75, 0.25)
-    assert (found["localized"], found["wrong_of_localized"]) == (0.5, 0.5)
-    assert found["covered"] == pytest.approx(2 / 3)
-    assert found["wrong_against_others"] == 0.5
-    assert found["rmse_over_bound"] == pytest.approx(np.sqrt(40.0 / 20.0))
+    row = score(Case("peg", "none"), np.array(rows, dtype=float))
+    assert (row["count"], row["found"], row["wrong"]) == (4, 0.75, 0.25)
+    assert (row["localized"], row["wrong_of_localized"]) == (0.5, 0.5)
+    assert row["covered"] == pytest.approx(2 / 3)
+    assert row["wrong_against_others"] == 0.5
+    assert row["rmse_over_bound"] == pytest.approx(np.sqrt(40.0 / 20.0))
 
 
 def test_a_stated_error_is_no_worse_than_one_that_is_not() -> None:

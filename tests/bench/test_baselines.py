@@ -9,7 +9,7 @@ import pytest
 
 from thigmo.errors import DataError
 from thigmo.localization.thesis import best_forces, influence, objective
-from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.baselines import BASELINES, BaselineProblem
 from thigmo_bench.studies.rod import readings
 
 LENGTH = 53.0
@@ -18,11 +18,11 @@ SPAN = np.full(10, 5.5)
 CRITICAL = 0.01108
 
 
-def problem(arc: float, level: float, sigma: float, rng: np.random.Generator) -> Problem:
+def problem(arc: float, level: float, sigma: float, rng: np.random.Generator) -> BaselineProblem:
     clean = readings(
         np.array([arc]), np.array([level * CRITICAL / arc]), BOTH, length=LENGTH, span=SPAN
     )
-    return Problem(clean + sigma * rng.standard_normal(10), BOTH, SPAN, LENGTH, noise=sigma)
+    return BaselineProblem(clean + sigma * rng.standard_normal(10), BOTH, SPAN, LENGTH, noise=sigma)
 
 
 def mean_error(name: str, level: float, sigma: float) -> float:
@@ -69,7 +69,7 @@ def test_two_contacts_come_in_order(name: str) -> None:
     clean = readings(
         np.array([20.0, 50.0]), np.array([-5e-4, 3e-4]), BOTH, length=LENGTH, span=SPAN
     )
-    arcs, _ = BASELINES[name](Problem(clean, BOTH, SPAN, LENGTH, contacts=2))
+    arcs, _ = BASELINES[name](BaselineProblem(clean, BOTH, SPAN, LENGTH, contacts=2))
     assert arcs.shape == (2,)
     assert arcs[0] <= arcs[1]
 
@@ -78,10 +78,10 @@ def test_inner_forces_are_optimal_against_random_trials() -> None:
     rng = np.random.default_rng(3)
     for contacts in (1, 2):
         arcs = np.sort(rng.uniform(15.0, LENGTH, contacts))
-        y = influence(Problem(np.zeros(10), BOTH, SPAN, LENGTH), arcs) @ rng.normal(
+        y = influence(BaselineProblem(np.zeros(10), BOTH, SPAN, LENGTH), arcs) @ rng.normal(
             0, 3e-4, contacts
         ) + 6e-4 * rng.standard_normal(10)
-        case = Problem(y, BOTH, SPAN, LENGTH, contacts=contacts)
+        case = BaselineProblem(y, BOTH, SPAN, LENGTH, contacts=contacts)
         best = best_forces(case, arcs)
         least = objective(case, arcs, best)
         for scale in (1e-6, 1e-5, 1e-4):
@@ -99,13 +99,13 @@ def test_coupling_uses_the_critical_moment_when_the_base_folds() -> None:
         span=SPAN,
         free_curvature=np.array([0.1 / 3.5, 0.0, 0.0]),  # folded by 0.1 rad up to 3.5 cm
     )
-    arcs, forces = BASELINES["coupled"](Problem(clean, BOTH, SPAN, LENGTH))
+    arcs, forces = BASELINES["coupled"](BaselineProblem(clean, BOTH, SPAN, LENGTH))
     assert arcs[0] * forces[0] == pytest.approx(CRITICAL)
     assert abs(arcs[0] - 40.0) < 2.0
 
 
 def test_too_few_places_are_an_error_that_names_the_cure() -> None:
-    few = Problem(np.zeros(3), BOTH[:3], SPAN[:3], LENGTH)
+    few = BaselineProblem(np.zeros(3), BOTH[:3], SPAN[:3], LENGTH)
     for name in ("pwlf", "ruptures"):
         with pytest.raises(DataError, match="localizer"):
             BASELINES[name](few)
@@ -115,7 +115,7 @@ def test_methods_that_need_a_starting_point_start_where_the_problem_says() -> No
     """From the base the descent stalls farther from a contact than from nearby."""
     position = np.tile(np.arange(5.0, 50.0, 10.0), 2)
     span = np.full(10, 5.5)
-    clean = Problem(np.zeros(10), position, span, 53.0)
+    clean = BaselineProblem(np.zeros(10), position, span, 53.0)
     curvature = 2e-4 * influence(clean, np.array([40.0]))[:, 0]
     for method in ("alternating", "clamped", "slsqp", "trust-constr", "nelder-mead"):
         near, far = (
@@ -133,5 +133,7 @@ def test_the_thesis_reads_curvature_at_centres() -> None:
     case = problem(40.0, 0.8, 6e-4, np.random.default_rng(6))
     points = replace(case, span=np.zeros(10))
     for name in ("alternating", "alternating-trust-constr", "clamped", "coupled"):
-        for one, other in zip(BASELINES[name](case), BASELINES[name](points), strict=True):
-            assert np.array_equal(one, other), name
+        for answer, answer_at_points in zip(
+            BASELINES[name](case), BASELINES[name](points), strict=True
+        ):
+            assert np.array_equal(answer, answer_at_points), name

@@ -25,8 +25,8 @@ def work(item: int) -> tuple[float, int]:
 
 def study(context: Context) -> Outcome:
     """A table of which process did what."""
-    found = context.map(work, range(12), "norms")
-    return Outcome({"norms": [{"norm": norm, "process": process} for norm, process in found]})
+    norms = context.map(work, range(12), "norms")
+    return Outcome({"norms": [{"norm": norm, "process": process} for norm, process in norms]})
 
 
 def test_the_command_runs_a_study_on_a_cluster_by_its_address(

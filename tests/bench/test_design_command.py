@@ -15,8 +15,8 @@ from thigmo.errors import DataError
 def run(folder: Path, *options: str) -> dict[str, list[dict[str, float]]]:
     done = CliRunner().invoke(app, ["design", "--json", "--out", str(folder), *options])
     assert done.exit_code == 0, done.output
-    found: dict[str, list[dict[str, float]]] = json.loads(done.stdout)
-    return found
+    report: dict[str, list[dict[str, float]]] = json.loads(done.stdout)
+    return report
 
 
 def test_more_sensors_bound_better_and_close_pairs_are_hopeless(tmp_path: Path) -> None:

@@ -14,10 +14,10 @@ from thigmo.localization import thesis
 from thigmo_bench.baselines.exact import exact
 
 
-def frame(rng: np.random.Generator, count: int) -> thesis.Problem:
+def frame(rng: np.random.Generator, count: int) -> thesis.ThesisProblem:
     """Noisy readings of one or two contacts, and one reading that is off."""
     x = np.sort(rng.uniform(3.0, 50.0, 9))
-    empty = thesis.Problem(x, x, np.full(9, 3.0), 53.0, count)
+    empty = thesis.ThesisProblem(x, x, np.full(9, 3.0), 53.0, count)
     arcs = rng.uniform(10.0, 53.0, count)
     y = thesis.influence(empty, arcs) @ (0.01 / arcs * rng.choice([-1.0, 1.0], count))
     y += 6e-4 * rng.standard_normal(9)
@@ -25,18 +25,18 @@ def frame(rng: np.random.Generator, count: int) -> thesis.Problem:
     return replace(empty, curvature=y)
 
 
-def least(problem: thesis.Problem, arcs: np.ndarray, norm: int) -> float:
+def least(problem: thesis.ThesisProblem, arcs: np.ndarray, norm: int) -> float:
     """The best that forces can do at given places, by SciPy."""
     phi, y = thesis.influence(problem, arcs), problem.curvature
     if norm == 2:
         return float(np.square(y - phi @ np.linalg.lstsq(phi, y, rcond=None)[0]).sum())
     rest = np.eye(y.size)
-    found = linprog(
+    optimum = linprog(
         np.r_[np.zeros(arcs.size), np.ones(2 * y.size)],
         A_eq=np.hstack([phi, rest, -rest]), b_eq=1e4 * y,
         bounds=[(None, None)] * arcs.size + [(0, None)] * 2 * y.size,
     )  # fmt: skip
-    return 1e-4 * float(found.fun)  # its tolerance is absolute
+    return 1e-4 * float(optimum.fun)  # its tolerance is absolute
 
 
 @pytest.mark.parametrize("norm", [1, 2])
@@ -58,5 +58,5 @@ def test_no_place_fits_better_than_the_exact_one(count: int, norm: Literal[1, 2]
 
 def test_of_places_that_fit_alike_the_middle_is_taken() -> None:
     # Of one reading that is not zero, every arc from there on fits.
-    lone = thesis.Problem(np.array([0.002]), np.array([5.0]), np.zeros(1), 53.0)
+    lone = thesis.ThesisProblem(np.array([0.002]), np.array([5.0]), np.zeros(1), 53.0)
     assert exact(lone)[0] == pytest.approx((5.0 + 53.0) / 2.0, abs=0.1)

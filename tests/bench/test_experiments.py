@@ -95,9 +95,9 @@ def test_errors_are_ordered_along_the_arc_or_closest_pair_first() -> None:
     assert assigned_errors(trial, answer) == pytest.approx([0.1, 41.1])
     # A trial without an answer for each contact is left out.
     solved = [Solved(trial, {"it": answer}), Solved(trial, {"it": Answer((1.0,), (1.0,))})]
-    found = errors(solved, "it")
-    assert found["mean"] == pytest.approx(20.6)
-    assert (found["nearest_mean"], found["other_mean"]) == pytest.approx((0.1, 41.1))
+    row = errors(solved, "it")
+    assert row["mean"] == pytest.approx(20.6)
+    assert (row["nearest_mean"], row["other_mean"]) == pytest.approx((0.1, 41.1))
     assert np.isnan(errors(solved[1:], "it")["mean"])
 
 
@@ -120,9 +120,9 @@ def test_the_bound_in_the_thesis_measure_holds_the_foreshortening() -> None:
     rng = np.random.default_rng(4)
     for offset, spread in ((0.0, 1.0), (5.6, 0.9), (1.0, 2.0)):
         drawn = np.abs(offset + np.sqrt(np.pi / 2) * spread * rng.standard_normal(400_000))
-        found = folded(np.array([offset]), np.array([spread]))[0]
-        assert found == pytest.approx(drawn.mean(), rel=0.01)
-        assert found >= max(offset, spread) - 1e-12
+        angle = folded(np.array([offset]), np.array([spread]))[0]
+        assert angle == pytest.approx(drawn.mean(), rel=0.01)
+        assert angle >= max(offset, spread) - 1e-12
 
 
 def test_the_bound_is_reached_by_an_efficient_fit() -> None:
@@ -136,8 +136,8 @@ def test_the_bound_is_reached_by_an_efficient_fit() -> None:
 
 
 def test_the_frozen_constants_still_agree_with_section_3_2_better_than_a_perfect_robot() -> None:
-    found = misfit(table(frozen(), robots=12, seed=3))
-    assert found < 0.5 * misfit(table(PERFECT, robots=2, seed=3))
+    misfits = misfit(table(frozen(), robots=12, seed=3))
+    assert misfits < 0.5 * misfit(table(PERFECT, robots=2, seed=3))
 
 
 def test_the_thesis_cannot_tell_close_contacts_apart_and_we_can() -> None:
@@ -151,10 +151,10 @@ def test_the_thesis_cannot_tell_close_contacts_apart_and_we_can() -> None:
 
 def test_five_sensors_are_the_limit_of_the_solver_with_the_1_norm_not_of_the_norm() -> None:
     (table,) = sensitivity.run(6, Context(seed=0)).tables.values()
-    found = {(r["method"], r["noise"], r["sensors"]): r["mean_cm"] for r in table}
-    assert found["l1", 0.0, 3.0] < 0.2
-    assert found["alternating", 0.0, 3.0] > 3.0
-    assert found["alternating-2-norm", 0.0, 3.0] < 2.0
+    mean_cm = {(r["method"], r["noise"], r["sensors"]): r["mean_cm"] for r in table}
+    assert mean_cm["l1", 0.0, 3.0] < 0.2
+    assert mean_cm["alternating", 0.0, 3.0] > 3.0
+    assert mean_cm["alternating-2-norm", 0.0, 3.0] < 2.0
 
 
 def run(name: str, out: Path, *, robots: int, trials: int, seed: int, jobs: int = 1) -> Outcome:

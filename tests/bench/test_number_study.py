@@ -33,8 +33,8 @@ def test_frames_of_the_prior_hold_every_number_with_its_odds() -> None:
 
 
 def test_pairs_that_the_bound_tells_apart_are_found() -> None:
-    found = pairs(((5,), 80))
-    near, far = found[found[:, 0] < 3.0], found[found[:, 0] > 6.0]
+    frames = pairs(((5,), 80))
+    near, far = frames[frames[:, 0] < 3.0], frames[frames[:, 0] > 6.0]
     assert near[:, 2].mean() > 0.6 > far[:, 2].mean()
 
 

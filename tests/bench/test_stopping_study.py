@@ -26,7 +26,7 @@ def test_each_trial_presses_and_is_stopped(way: str, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(stopping, "ServedRobot", Seen)
     times = stopping.stopped_ms(way, 2)
     assert outputs == 2 * [(True, False), (False, True)]
-    assert all(each > 0 for each in times)
+    assert all(time > 0 for time in times)
 
 
 def test_a_robot_that_is_off_was_not_stopped() -> None:

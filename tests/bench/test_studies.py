@@ -139,7 +139,7 @@ def test_runs_are_compared_room_by_room() -> None:
     before = [Explored("empty", seed, best_cm=cm) for seed, cm in ((1, 2.0), (2, 3.0), (4, 9.0))]
     after = [Explored("empty", seed, best_cm=cm) for seed, cm in ((1, 1.0), (2, 0.0), (3, 9.0))]
     before[0].touched_missed, after[1].contacts_wrong = 1, 2
-    (row,) = pairs([vars(one) for one in before], [vars(one) for one in after])
+    (row,) = pairs([vars(explored) for explored in before], [vars(explored) for explored in after])
     assert (row["rooms"], row["placed"]) == (2, 2)
     assert (row["error_before_cm"], row["error_cm"]) == (2.5, 0.5)
     assert row["change_cm"] == pytest.approx(-2.0)  # of -1 and -3
@@ -157,8 +157,8 @@ def test_a_study_is_compared_with_the_table_that_an_earlier_one_wrote(tmp_path: 
     again = CliRunner().invoke(
         app, [*arguments, "--out", str(tmp_path / "again"), "--against", earlier]
     )
-    (found,) = json.loads(again.stdout)
-    (row,) = found["pairs"]
+    (comparison,) = json.loads(again.stdout)
+    (row,) = comparison["pairs"]
     assert (row["kind"], row["setting"], row["rooms"]) == ("empty", "100 s", 1)
     assert (row["false_before"], row["false"]) == (0, 0)
     refused = CliRunner().invoke(app, ["bench", "loads", "--against", earlier])

@@ -57,8 +57,8 @@ def test_hum_alarms_a_long_average_and_what_is_borne_grows_as_the_rule_says() ->
     assert alarms(DEFAULT, 20) == 0
     counts = np.arange(2, 40)
     borne = [
-        counts[max(np.flatnonzero([alarms(each, n) == 0 for n in counts]))]
-        for each in (long, short)
+        counts[max(np.flatnonzero([alarms(session, n) == 0 for n in counts]))]
+        for session in (long, short)
     ]
     assert borne[1] / borne[0] == pytest.approx(hum_borne(short) / hum_borne(long), rel=0.15)
 

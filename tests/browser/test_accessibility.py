@@ -37,8 +37,12 @@ GUESS = replace(WALL, status="ambiguous", doubt="the model does not explain thes
 
 
 def _findings(page: Page) -> list[str]:
-    found = Axe().run(page).response["violations"]
-    return [f"{each['id']}: {node['html'][:120]}" for each in found for node in each["nodes"]]
+    violations = Axe().run(page).response["violations"]
+    return [
+        f"{violation['id']}: {node['html'][:120]}"
+        for violation in violations
+        for node in violation["nodes"]
+    ]
 
 
 @pytest.mark.parametrize("screen", SCREENS, ids=["light", "dark", "phone", "dark phone"])

@@ -175,8 +175,8 @@ def test_question_of_a_run_reaches_a_page_that_comes_later_and_again(
     finally:
         run.terminate()
         run.wait()
-        for each in (ours, its):
-            os.close(each)
+        for address in (ours, its):
+            os.close(address)
 
 
 @pytest.mark.realtime

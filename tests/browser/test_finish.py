@@ -123,7 +123,7 @@ def test_motion_ends_when_its_page_is_closed_and_another_page_says_so(
     address = operator.url
     second = operator.context.new_page()
     second.goto(address)
-    expect(second.locator("#take")).to_have_text("Another page operates")
+    expect(second.locator("#operated")).to_have_text("Another page operates")
     operator.close()
     assert robot.off_within(GONE_S)
     assert robot.plant.length_cm > 1.0

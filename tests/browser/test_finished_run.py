@@ -33,7 +33,7 @@ def test_page_rounds_as_terminal_and_map_do(
     looking: Looking, serve_page: ServePage, finished: ExplorationResult
 ) -> None:
     page = looking.open(serve_page(past=finished.folder).address)
-    numbers = [each / 80 for each in range(-800, -80)] + [each / 80 for each in range(4000)]
+    numbers = [step / 80 for step in range(-800, -80)] + [step / 80 for step in range(4000)]
     numbers += [38.35, 38.45, 1.005, 0.285, 99.95]
     for digits in range(4):
         shown = page.evaluate(
@@ -103,12 +103,14 @@ def test_readings_on_the_page_are_those_of_the_record(
 ) -> None:
     from thigmo.stream import Telemetry, read_messages
 
-    readings = [each for each in read_messages(finished.folder) if isinstance(each, Telemetry)]
+    readings = [
+        message for message in read_messages(finished.folder) if isinstance(message, Telemetry)
+    ]
     page = looking.open(serve_page(past=finished.folder).address)
     page.wait_for_function("() => thigmo.store.columns[0].length > 0")
     length, pressures = page.evaluate("[thigmo.store.columns[0].length, thigmo.store.columns[1]]")
     assert length == len(readings)
-    assert pressures == pytest.approx([each.pressure_psi[0] for each in readings], abs=1e-5)
+    assert pressures == pytest.approx([message.pressure_psi[0] for message in readings], abs=1e-5)
 
 
 def test_folder_without_a_record_is_refused(serve_page: ServePage, tmp_path: Path) -> None:
@@ -123,8 +125,8 @@ def test_a_robot_of_one_column_shows_its_own_muscle_and_sensors(
 ) -> None:
     scene = room_for(draft(120.0, 8, 1), 1)
     scene.start_length_cm = 101.5
-    found = explore(room_file(tmp_path, scene), seed=1, out=tmp_path / "runs")
-    page = looking.open(serve_page(past=found.folder).address)
+    exploration = explore(room_file(tmp_path, scene), seed=1, out=tmp_path / "runs")
+    page = looking.open(serve_page(past=exploration.folder).address)
     expect(page.locator("#doing")).to_have_text("Ended: full length")
     expect(page.locator("#body-legend")).to_contain_text("270 deg sensor")
     charts = page.locator("#charts h3")

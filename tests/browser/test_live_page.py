@@ -173,21 +173,22 @@ def test_page_whose_connection_breaks_has_the_run_again_once(page: Page, run: Sc
     assert page.evaluate("thigmo.store.columns[0][0]") == pytest.approx(0.005)
 
 
-def test_second_page_looks_while_the_first_operates_and_takes_over_when_it_has_gone(
+def test_second_page_looks_while_the_first_operates_and_operates_when_it_has_gone(
     page: Page, looking: Looking, served: Served, run: ScriptedRun
 ) -> None:
-    expect(page.locator("#pause")).to_be_enabled()
+    page.locator("#pause").click()
+    assert run.heard.wait(60)
+    run.heard.clear()
     second = looking.open(served.address)
     expect(second.locator("#pause")).to_be_disabled()
-    expect(second.locator("#take")).to_have_text("Another page operates")
+    expect(second.locator("#operated")).to_have_text("Another page operates")
     expect(second.locator("#viewers")).to_have_text("2 pages look at this robot.")
     _read(run, [page, second], 40)
     page.close()
-    second.locator("#take").click()
-    expect(second.locator("#pause")).to_be_enabled()
-    second.locator("#pause").click()
+    expect(second.locator("#operated")).to_be_hidden()
+    second.locator("#pause").click()  # it says "Do not pause"
     assert run.heard.wait(60)
-    assert run.asked == ["pause"]
+    assert run.asked == ["pause", "resume"]
 
 
 @pytest.mark.usefixtures("page")
@@ -239,9 +240,9 @@ async def _stall(
         stalls.set()
         await asyncio.to_thread(may_go_on.wait)
         async for message in socket:
-            for each in json.loads(message.data):
-                if each["channel"] == "dropped":
-                    missed.append(each["count"])
+            for part in json.loads(message.data):
+                if part["channel"] == "dropped":
+                    missed.append(part["count"])
                     return
             await socket.send_str('{"ack":1}')
 

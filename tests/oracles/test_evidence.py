@@ -24,11 +24,11 @@ def weighed(curvature, free, **options):
     options = STATED | options
     options |= {"position": POSITION, "length": LENGTH, "span": SPAN, "noise": NOISE}
     localizer = Localizer.of(**options)._compiled
-    own = np.full(1, free)
-    found = localizer.localize(curvature, own, own)
-    assert found.problem == 0
+    free_row = np.full(1, free)
+    answer = localizer.localize(curvature, free_row, free_row)
+    assert answer.problem == 0
     weights = {}
-    for load, bad, weight in found.weighed:
+    for load, bad, weight in answer.weighed:
         weights[load, bad] = np.logaddexp(weights.get((load, bad), -np.inf), weight)
     return weights
 
@@ -36,9 +36,9 @@ def weighed(curvature, free, **options):
 def covariance(curvature, free, factor):
     y, g = curvature * LENGTH, np.full(len(curvature), free * LENGTH)
     floor = priors.TRUST * max(np.abs(y - g).max(), np.abs(g).max())
-    own = (factor * NOISE * LENGTH) ** 2 + (ERRORS["gain_error"] * y) ** 2 + floor**2
+    variance = (factor * NOISE * LENGTH) ** 2 + (ERRORS["gain_error"] * y) ** 2 + floor**2
     common = (ERRORS["offset_error"] * LENGTH) ** 2
-    return np.diag(own) + common + ERRORS["map_error"] ** 2 * np.outer(g, g), y - g
+    return np.diag(variance) + common + ERRORS["map_error"] ** 2 * np.outer(g, g), y - g
 
 
 @pytest.mark.parametrize("free", [0.0, 0.004])
@@ -47,7 +47,7 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
     levers = phi(40.0, POSITION, SPAN)
     curvature = free + 4e-5 * levers + NOISE * rng.standard_normal(10)
     curvature[3] += 4e-3
-    found = weighed(curvature, free, **ERRORS)
+    log_odds = weighed(curvature, free, **ERRORS)
     # One reading fits no contact, so the noise may be larger than stated.
     levels = (
         (1.0, 1.0 - sum(priors.NOISE_ODDS)),
@@ -55,29 +55,29 @@ def test_log_weights_are_those_of_dense_normal_densities(free):
     )
 
     def log_density(more, bad=False):
-        each = []
+        log_densities = []
         for factor, odds in levels:
             dense, excess = covariance(curvature, free, factor)
             if bad:
                 dense[3, 3] += priors.BAD_DEVIATION**2 + (free * LENGTH) ** 2
             density = multivariate_normal(np.zeros(10), dense + more).logpdf(excess)
-            each.append(density + np.log(odds * (priors.BAD_READING if bad else 1.0)))
-        return logsumexp(each)
+            log_densities.append(density + np.log(odds * (priors.BAD_READING if bad else 1.0)))
+        return logsumexp(log_densities)
 
-    assert found["free body", -1] == pytest.approx(log_density(0.0), abs=1e-6)
-    assert found["free body", 3] == pytest.approx(log_density(0.0, bad=True), abs=1e-6)
+    assert log_odds["free body", -1] == pytest.approx(log_density(0.0), abs=1e-6)
+    assert log_odds["free body", 3] == pytest.approx(log_density(0.0, bad=True), abs=1e-6)
     if free:
         return  # the levers of a contact are then those of a bent body
     for which in (-1, 3):
-        each = []
+        log_densities = []
         for arc in (np.arange(400) + 0.5) / 400:
             column = phi(arc, POSITION / LENGTH, SPAN / LENGTH)
             for scale in priors.MOMENTS:
                 deviation = scale / max(arc, priors.LEAST_LEVER)
-                own = log_density(deviation**2 * np.outer(column, column), which >= 0)
-                each.append(own + np.log(priors.place_density(arc)))
-        weight = logsumexp(each) - np.log(len(each)) + priors.CONTACT
-        assert found["one contact", which] == pytest.approx(weight, abs=0.02)
+                log_prior = log_density(deviation**2 * np.outer(column, column), which >= 0)
+                log_densities.append(log_prior + np.log(priors.place_density(arc)))
+        weight = logsumexp(log_densities) - np.log(len(log_densities)) + priors.CONTACT
+        assert log_odds["one contact", which] == pytest.approx(weight, abs=0.02)
 
 
 def dense(curvature, columns, *, doubted, mean=0.0):
@@ -90,14 +90,14 @@ def dense(curvature, columns, *, doubted, mean=0.0):
         )
     y = curvature * LENGTH
     left = np.broadcast_to(y - mean, (len(columns), y.size))
-    each = []
+    log_densities = []
     for factor, log_odds in levels:
         white = (factor * NOISE * LENGTH) ** 2 + (priors.TRUST * np.abs(y).max()) ** 2
         total = np.einsum("ski,skj->sij", columns, columns) + white * np.eye(y.size)
         square = np.einsum("si,si->s", left, np.linalg.solve(total, left[..., None])[..., 0])
         size = y.size * np.log(2.0 * np.pi)
-        each.append(log_odds - 0.5 * (square + np.linalg.slogdet(total)[1] + size))
-    return logsumexp(each, axis=0)
+        log_densities.append(log_odds - 0.5 * (square + np.linalg.slogdet(total)[1] + size))
+    return logsumexp(log_densities, axis=0)
 
 
 def levers_at(arcs):
@@ -115,9 +115,9 @@ def mean_of(logs):
 def test_several_contacts_are_weighed_as_dense_normal_densities(count, cells, load):
     curvature = 3e-5 * (phi(46.0, POSITION, SPAN) - 1.5 * phi(24.0, POSITION, SPAN))
     curvature += 0.3 * NOISE * np.random.default_rng(2).standard_normal(10)
-    found = weighed(curvature, 0.0, contacts=count, critical_curvature=np.inf, held_end=False)
+    log_odds = weighed(curvature, 0.0, contacts=count, critical_curvature=np.inf, held_end=False)
     plain = dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]
-    doubted = (found["free body", -1] - plain) ** 2 > 1e-9
+    doubted = (log_odds["free body", -1] - plain) ** 2 > 1e-9
     middles = (np.arange(cells) + 0.5) / cells
     arcs = np.stack(np.meshgrid(*[middles] * count, indexing="ij"), -1).reshape(-1, count)
     arcs = arcs[(np.diff(arcs, axis=1) > 0.0).all(axis=1)]  # base to tip, each in its own cell
@@ -131,7 +131,7 @@ def test_several_contacts_are_weighed_as_dense_normal_densities(count, cells, lo
     ]
     logs += np.log(priors.place_density(arcs)).sum(axis=1)
     weight = mean_of(logs) + priors.CONTACT + (count - 1) * priors.ANOTHER
-    assert found[load, -1] == pytest.approx(weight, abs=1e-6)
+    assert log_odds[load, -1] == pytest.approx(weight, abs=1e-6)
 
 
 def test_a_bad_reading_that_rescues_two_contacts_is_weighed_as_dense_normal_densities():
@@ -140,7 +140,7 @@ def test_a_bad_reading_that_rescues_two_contacts_is_weighed_as_dense_normal_dens
     curvature = 3e-5 * (phi(46.0, POSITION, SPAN) - 1.5 * phi(24.0, POSITION, SPAN))
     curvature += NOISE * rng.standard_normal(10)
     curvature[3] += 0.01
-    found = weighed(curvature, 0.0, critical_curvature=np.inf, held_end=False, end_face_odds=0.0)
+    log_odds = weighed(curvature, 0.0, critical_curvature=np.inf, held_end=False, end_face_odds=0.0)
     middles = (np.arange(24) + 0.5) / 24
     arcs = np.stack(np.meshgrid(middles, middles, indexing="ij"), -1).reshape(-1, 2)
     arcs = arcs[arcs[:, 0] < arcs[:, 1]]
@@ -166,7 +166,7 @@ def test_a_bad_reading_that_rescues_two_contacts_is_weighed_as_dense_normal_dens
 
     rescued = two(bad) + math.log(priors.BAD_READING)
     assert two(np.zeros((len(arcs), 1, 10))) < rescued - 15.0
-    assert found["two contacts", 3] == pytest.approx(rescued, abs=0.05)
+    assert log_odds["two contacts", 3] == pytest.approx(rescued, abs=0.05)
 
 
 def kinks():
@@ -183,13 +183,13 @@ def test_kinks_are_weighed_as_dense_normal_densities():
     curvature = 1.5e-5 * phi(45.0, POSITION, SPAN) + 0.2 * kinks()[0][2] / LENGTH
     curvature += NOISE * np.random.default_rng(4).standard_normal(10)
     options = {"contacts": 1, "critical_curvature": np.inf, "held_end": False}
-    found = weighed(curvature, 0.0, **options)
+    log_weight = weighed(curvature, 0.0, **options)
     columns, widths = kinks()
     log_odds = priors.HINGE + np.log(widths)
     alone = dense(curvature, columns[:, None], doubted=True) + log_odds
-    assert found["hinge", -1] == pytest.approx(logsumexp(alone), abs=1e-6)
+    assert log_weight["hinge", -1] == pytest.approx(logsumexp(alone), abs=1e-6)
     arcs = ((np.arange(200) + 0.5) / 200)[:, None]
-    each = []
+    log_densities = []
     for column, odds in zip(columns, log_odds, strict=True):
         beside = np.broadcast_to(column, (len(arcs), 1, 10))
         logs = [
@@ -201,19 +201,19 @@ def test_kinks_are_weighed_as_dense_normal_densities():
             for scale in priors.MOMENTS
         ]
         logs += np.log(priors.place_density(arcs[:, 0]))
-        each.append(mean_of(logs) + odds + priors.CONTACT)
-    assert found["one contact, hinge", -1] == pytest.approx(logsumexp(each), abs=0.05)
+        log_densities.append(mean_of(logs) + odds + priors.CONTACT)
+    assert log_weight["one contact, hinge", -1] == pytest.approx(logsumexp(log_densities), abs=0.05)
 
 
 def test_a_held_end_is_weighed_as_dense_normal_densities():
     curvature = 2e-5 * phi(LENGTH, POSITION, SPAN) + 5e-4
     curvature += NOISE * np.random.default_rng(6).standard_normal(10)
-    found = weighed(curvature, 0.0, critical_curvature=np.inf, held_end=True, contacts=1)
+    log_odds = weighed(curvature, 0.0, critical_curvature=np.inf, held_end=True, contacts=1)
     plain = dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]
-    doubted = (found["free body", -1] - plain) ** 2 > 1e-9
+    doubted = (log_odds["free body", -1] - plain) ** 2 > 1e-9
     loads = np.stack([levers_at(np.ones(1))[0], np.ones(10)])  # the tangential force bends nothing
     logs = [dense(curvature, scale * loads[None], doubted=doubted) for scale in priors.MOMENTS]
-    assert found["end wrench", -1] == pytest.approx(mean_of(logs) + priors.CONTACT, abs=0.02)
+    assert log_odds["end wrench", -1] == pytest.approx(mean_of(logs) + priors.CONTACT, abs=0.02)
 
 
 def test_a_folded_base_is_weighed_as_dense_normal_densities():
@@ -223,16 +223,16 @@ def test_a_folded_base_is_weighed_as_dense_normal_densities():
     fold = np.maximum(np.minimum(high, diameter) - low, 0.0) / (high - low) / diameter
     curvature = critical / 40.0 * phi(40.0, POSITION, SPAN) + 0.1 * fold / LENGTH
     curvature += NOISE * np.random.default_rng(8).standard_normal(10)
-    found = weighed(
+    log_odds = weighed(
         curvature, 0.0, critical_curvature=critical, critical_curvature_error=error,
         tube_radius=radius, contacts=1, held_end=False, end_face_odds=0.0,
     )  # fmt: skip
     plain = dense(curvature, np.zeros((1, 1, 10)), doubted=False)[0]
-    doubted = (found["free body", -1] - plain) ** 2 > 1e-9
+    doubted = (log_odds["free body", -1] - plain) ** 2 > 1e-9
     arcs, angles = (np.arange(60) + 0.5) / 60, np.linspace(0.0, 4.0, 401)[:, None]
     half = np.full((401, 1), angles[1, 0] * 2.0 / np.sqrt(2.0 * np.pi)) * np.exp(-0.5 * angles**2)
     half[0] *= 0.5
-    each = []
+    log_densities = []
     for arc in arcs[arcs >= 0.02]:
         levers = critical * LENGTH / arc * levers_at(np.array(arc))
         for sign in (-1.0, 1.0):
@@ -240,11 +240,11 @@ def test_a_folded_base_is_weighed_as_dense_normal_densities():
                 curvature, np.broadcast_to(error * levers, (401, 1, 10)), doubted=doubted,
                 mean=sign * (levers + priors.ANGLE * angles * fold),
             )  # fmt: skip
-            own = logsumexp(logs + np.log(half[:, 0])) - np.log(2.0)
-            each.append(own + np.log(priors.place_density(arc)))
+            log_evidence = logsumexp(logs + np.log(half[:, 0])) - np.log(2.0)
+            log_densities.append(log_evidence + np.log(priors.place_density(arc)))
     within = [math.erf(critical * LENGTH / (np.sqrt(2.0) * m)) for m in priors.MOMENTS]
-    weight = logsumexp(each) - np.log(60) + priors.CONTACT + np.log(1.0 - np.mean(within))
-    assert found["one contact, folded base", -1] == pytest.approx(weight, abs=0.05)
+    weight = logsumexp(log_densities) - np.log(60) + priors.CONTACT + np.log(1.0 - np.mean(within))
+    assert log_odds["one contact, folded base", -1] == pytest.approx(weight, abs=0.05)
 
 
 def fold_shares(radius):
@@ -260,14 +260,14 @@ def test_mistakes_are_weighed_as_dense_normal_densities(correlation, monkeypatch
     curvature = free + 4e-5 * phi(40.0, POSITION, SPAN)
     curvature += NOISE * np.random.default_rng(5).standard_normal(10)
     unstated = dict.fromkeys(("map_error", "offset_error", "base_fold_error"))
-    found = weighed(
+    log_odds = weighed(
         curvature, free, **unstated, largest_noise_factor=1.0, noise_correlation=correlation
     )
     y, g = curvature * LENGTH, np.full(10, free * LENGTH)
     floor = priors.TRUST * max(np.abs(y - g).max(), np.abs(g).max())
     white = (NOISE * LENGTH) ** 2 + floor**2
     rank = np.argsort(np.argsort(POSITION, kind="stable"))
-    own = white * correlation ** np.abs(rank[:, None] - rank)
+    covariance = white * correlation ** np.abs(rank[:, None] - rank)
     slight = [priors.SLIGHT_MAP * g, np.full(10, priors.SLIGHT_OFFSET * NOISE * LENGTH)]
     fold = priors.SMALL_FOLD * fold_shares(priors.TUBE_RADIUS)
     rows = [
@@ -278,11 +278,15 @@ def test_mistakes_are_weighed_as_dense_normal_densities(correlation, monkeypatch
         (priors.SMALL_FOLD_ODDS, 0.0, [fold]),
     ]
     rows.append((1.0 - sum(odds for odds, *_ in rows), 0.0, []))
-    each = []
+    log_densities = []
     for odds, shift, columns in rows:
-        total = own + sum((np.outer(column, column) for column in columns), np.zeros((10, 10)))
-        each.append(np.log(odds) + multivariate_normal(np.zeros(10), total).logpdf(y - g + shift))
-    assert found["free body", -1] == pytest.approx(logsumexp(each), abs=1e-6)
+        total = covariance + sum(
+            (np.outer(column, column) for column in columns), np.zeros((10, 10))
+        )
+        log_densities.append(
+            np.log(odds) + multivariate_normal(np.zeros(10), total).logpdf(y - g + shift)
+        )
+    assert log_odds["free body", -1] == pytest.approx(logsumexp(log_densities), abs=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -321,11 +325,11 @@ def test_a_batch_is_localize_row_by_row(jobs):
         rows, POSITION, length=LENGTH, free_curvature=free[:, None], jobs=jobs, **options
     )
     for m, (row, g) in enumerate(zip(rows, free, strict=True)):
-        one = thigmo.localize(row, POSITION, length=LENGTH, free_curvature=g, **options)
-        assert (batch.status[m], batch.count[m]) == (one.status, len(one.contacts))
-        assert batch.log_odds[m] == one.log_odds
-        assert not batch.localized[m, len(one.contacts) :].any()
-        for j, contact in enumerate(one.contacts):
+        single = thigmo.localize(row, POSITION, length=LENGTH, free_curvature=g, **options)
+        assert (batch.status[m], batch.count[m]) == (single.status, len(single.contacts))
+        assert batch.log_odds[m] == single.log_odds
+        assert not batch.localized[m, len(single.contacts) :].any()
+        for j, contact in enumerate(single.contacts):
             assert (batch.arc[m, j], batch.force[m, j]) == (contact.arc, contact.force)
             assert (batch.low[m, j], batch.high[m, j]) == contact.interval
 

@@ -16,17 +16,17 @@ from thigmo.mechanics import Peg, Rod, Solution, Tube, fold_share, solve
 CENTERS = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 
 
-def distance_to_skin(found: Solution, peg: Peg) -> float:
+def distance_to_skin(solution: Solution, peg: Peg) -> float:
     """Gap of a peg by brute force: least distance to points all over the skin."""
-    radius = found.tube.radius_cm
+    radius = solution.tube.radius_cm
     least = np.inf
-    for arc in np.linspace(0.0, found.length, 4000):
-        x, y, heading = found.pose(float(arc))
+    for arc in np.linspace(0.0, solution.length, 4000):
+        x, y, heading = solution.pose(float(arc))
         for side in (-1, 1):
             px = x - side * radius * np.sin(heading)
             py = y + side * radius * np.cos(heading)
             least = min(least, hypot(px - peg.x, py - peg.y))
-    x, y, heading = found.tip
+    x, y, heading = solution.tip
     for across in np.linspace(-radius, radius, 400):
         px, py = x - across * np.sin(heading), y + across * np.cos(heading)
         least = min(least, hypot(px - peg.x, py - peg.y))
@@ -44,10 +44,10 @@ def distance_to_skin(found: Solution, peg: Peg) -> float:
     ],
 )
 def test_contact_touches_where_it_says(peg: Peg, g: float, kind: str) -> None:
-    found = solve(g, 53.0, pegs=[peg])
-    (contact,) = found.contacts
+    solution = solve(g, 53.0, pegs=[peg])
+    (contact,) = solution.contacts
     assert contact.kind == kind
-    assert distance_to_skin(found, peg) == pytest.approx(0.0, abs=1e-4)
+    assert distance_to_skin(solution, peg) == pytest.approx(0.0, abs=1e-4)
     assert hypot(contact.x - peg.x, contact.y - peg.y) == pytest.approx(peg.radius, abs=1e-7)
     # The force points from the peg's centre to the contact: it pushes, and without friction.
     out = np.array([contact.x - peg.x, contact.y - peg.y])
@@ -85,52 +85,52 @@ def test_any_room_gives_a_body_that_overlaps_nothing(
     rod.step(0.0, length)
     for u in (0.5, 1.0, 0.3, 0.0):
         rod.step(g * u, length)
-        found = rod.solution()
-        assert np.isfinite(found.x).all()
-        assert np.isfinite(found.curvature).all()
-        assert found.status != "approximate"
-        touching = {contact.peg for contact in found.contacts}
+        solution = rod.solution()
+        assert np.isfinite(solution.x).all()
+        assert np.isfinite(solution.curvature).all()
+        assert solution.status != "approximate"
+        touching = {contact.peg for contact in solution.contacts}
         for index, peg in enumerate(pegs):
-            assert found.locate(peg)[0] > -1e-6
-            assert index not in touching or found.locate(peg)[0] < 1e-6
-        assert moment_imbalance(found) < 1e-8
-        last = max((contact.arc for contact in found.contacts), default=0.0)
-        assert np.abs(carried_moment(found)[found.s > last + 1e-9]).max(initial=0.0) < 1e-9
-        for contact in found.contacts:
+            assert solution.locate(peg)[0] > -1e-6
+            assert index not in touching or solution.locate(peg)[0] < 1e-6
+        assert moment_imbalance(solution) < 1e-8
+        last = max((contact.arc for contact in solution.contacts), default=0.0)
+        assert np.abs(carried_moment(solution)[solution.s > last + 1e-9]).max(initial=0.0) < 1e-9
+        for contact in solution.contacts:
             out = (contact.x - pegs[contact.peg].x, contact.y - pegs[contact.peg].y)
             assert contact.force_x * out[0] + contact.force_y * out[1] >= -1e-12  # never pulls
         if critical is not None:
-            assert abs(found.base_moment) <= critical * (1 + 1e-6)
-            if found.fold_angle:
-                assert abs(found.base_moment) == pytest.approx(critical, rel=1e-6)
-                assert found.fold_angle * found.base_moment > 0
+            assert abs(solution.base_moment) <= critical * (1 + 1e-6)
+            if solution.fold_angle:
+                assert abs(solution.base_moment) == pytest.approx(critical, rel=1e-6)
+                assert solution.fold_angle * solution.base_moment > 0
 
 
 @given(x=st.floats(3.0, 52.0), y=st.floats(-2.0, 2.0), radius=st.floats(0.3, 1.5))
 def test_peg_inside_the_straight_body_is_pushed_out(x: float, y: float, radius: float) -> None:
-    found = solve(0.01, 53.0, pegs=[Peg(x, y, radius)])
-    assert np.isfinite(found.x).all()
+    solution = solve(0.01, 53.0, pegs=[Peg(x, y, radius)])
+    assert np.isfinite(solution.x).all()
     # A peg beside the clamped base cannot be cleared by more than bending allows.
     if x > 12.0:
-        assert found.locate(Peg(x, y, radius))[0] > -1e-2
+        assert solution.locate(Peg(x, y, radius))[0] > -1e-2
 
 
 def test_two_opposed_pegs_press_from_both_sides() -> None:
     pegs = [Peg(45.0, 9.0, 0.6), Peg(20.0, -2.5, 0.6)]
-    found = solve(0.035, 53.0, pegs=pegs)
-    assert [c.peg for c in found.contacts] == [1, 0]
-    assert found.contacts[0].normal > 0 > found.contacts[1].normal
+    solution = solve(0.035, 53.0, pegs=pegs)
+    assert [c.peg for c in solution.contacts] == [1, 0]
+    assert solution.contacts[0].normal > 0 > solution.contacts[1].normal
 
 
 def test_body_between_pegs_has_the_least_energy() -> None:
     pegs = [Peg(45.0, 9.0, 0.6), Peg(20.0, -2.5, 0.6)]
-    found = solve(0.035, 53.0, pegs=pegs)
-    assert len(found.contacts) == 2
+    solution = solve(0.035, 53.0, pegs=pegs)
+    assert len(solution.contacts) == 2
     arcs = np.linspace(0.0, 53.0, 10601)
-    rest = lagrangian(found, pegs, arcs, np.zeros(arcs.size))
+    rest = lagrangian(solution, pegs, arcs, np.zeros(arcs.size))
     for wave in range(1, 9):
         turn = 1e-3 * np.sin((wave - 0.5) * np.pi * arcs / 53.0)
-        up, down = (lagrangian(found, pegs, arcs, sign * turn) for sign in (1, -1))
+        up, down = (lagrangian(solution, pegs, arcs, sign * turn) for sign in (1, -1))
         assert up + down - 2 * rest > 0.0
         assert abs(up - down) < 0.1 * (up + down - 2 * rest)
 
@@ -155,15 +155,16 @@ def test_fold_is_spread_over_one_diameter_in_shape_and_sensors() -> None:
     rod = Rod(Tube(3.5, 0.01108), [Peg(45.0, 12.0, 0.6)])
     rod.step(0.0, 53.0)
     rod.step(0.028, 53.0)
-    found = rod.solution()
-    psi = found.fold_angle
+    solution = rod.solution()
+    psi = solution.fold_angle
     assert psi < 0
-    base = found.averages([5.0], 5.5)[0]
-    smooth = np.interp(np.linspace(2.25, 7.75, 2001), found.s, found.curvature).mean()
+    base = solution.averages([5.0], 5.5)[0]
+    smooth = np.interp(np.linspace(2.25, 7.75, 2001), solution.s, solution.curvature).mean()
     assert base - smooth == pytest.approx(psi * fold_share([5.0], 5.5, 3.5)[0], abs=2e-7)
     assert fold_share([5.0], 5.5, 3.5)[0] == pytest.approx(1.25 / 5.5 / 3.5)
-    turn = found.pose(3.5)[2] - np.trapezoid(
-        np.interp(np.linspace(0, 3.5, 500), found.s, found.curvature), np.linspace(0, 3.5, 500)
+    turn = solution.pose(3.5)[2] - np.trapezoid(
+        np.interp(np.linspace(0, 3.5, 500), solution.s, solution.curvature),
+        np.linspace(0, 3.5, 500),
     )
     assert turn == pytest.approx(psi, abs=1e-5)
 
@@ -175,10 +176,10 @@ def test_tip_that_slips_off_its_peg_snaps_free() -> None:
     for g in np.linspace(0.0, 0.06, 241):
         rod.step(g, 48.0)
         touched |= rod.touching > 0
-    found = rod.solution()
+    solution = rod.solution()
     assert touched
-    assert not found.contacts
-    assert found.averages(CENTERS[:4], 5.5) == pytest.approx(np.full(4, 0.06), abs=1e-9)
+    assert not solution.contacts
+    assert solution.averages(CENTERS[:4], 5.5) == pytest.approx(np.full(4, 0.06), abs=1e-9)
 
 
 def test_body_leaves_its_peg_when_it_bends_back() -> None:
@@ -186,10 +187,10 @@ def test_body_leaves_its_peg_when_it_bends_back() -> None:
     rod.step(0.0, 53.0)
     for g in (0.03, 0.0, -0.02):
         rod.step(g, 53.0)
-    found = rod.solution()
-    assert not found.contacts
-    assert found.fold_angle == 0.0
-    assert found.averages(CENTERS, 5.5) == pytest.approx(np.full(5, -0.02), abs=1e-9)
+    solution = rod.solution()
+    assert not solution.contacts
+    assert solution.fold_angle == 0.0
+    assert solution.averages(CENTERS, 5.5) == pytest.approx(np.full(5, -0.02), abs=1e-9)
 
 
 def test_history_decides_on_which_side_of_a_peg_the_body_lies() -> None:
@@ -225,9 +226,9 @@ def test_growing_into_a_peg_ahead_bends_the_body_aside(offset: float) -> None:
     for length in np.arange(20.0, 42.0, 0.1):
         rod.step(0.0, float(length))
         assert rod.axial_push() < 0.05
-    found = rod.solution()
-    assert found.locate(peg)[0] > -1e-3
-    assert abs(found.tip[1]) > 0.1
+    solution = rod.solution()
+    assert solution.locate(peg)[0] > -1e-3
+    assert abs(solution.tip[1]) > 0.1
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

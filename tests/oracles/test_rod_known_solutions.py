@@ -25,32 +25,32 @@ def test_cantilever_under_a_force_across_its_tip_agrees_with_its_integrals(turn:
     # The substitution angle = v^2 takes the root out of the integrand.
     arc = quad(lambda v: 2.0 * v / np.sqrt(2.0 * np.sin(v * v)), 0.0, np.sqrt(turn))[0]
     force = (arc / length) ** 2
-    found = push(force, length, free_curvature=0.0, length=length)
-    x, y, heading = found.tip
+    solution = push(force, length, free_curvature=0.0, length=length)
+    x, y, heading = solution.tip
     assert heading == pytest.approx(turn, abs=1e-6)
     # The base's lever, along the tip, and so its moment.
     assert x * cos(heading) + y * sin(heading) == pytest.approx(
         np.sqrt(2.0 * np.sin(turn) / force), abs=1e-4
     )
-    assert moment_imbalance(found) < 1e-9
+    assert moment_imbalance(solution) < 1e-9
 
 
 @pytest.mark.parametrize("g", [-0.05, -1e-7, 0.0, 0.02, 0.11])
 def test_free_body_is_a_circle(g: float) -> None:
-    found = solve(g, 53.0)
+    solution = solve(g, 53.0)
     turn = g * 53.0
     x = sin(turn) / g if g else 53.0
     y = (1 - cos(turn)) / g if g else 0.0
-    assert found.tip == pytest.approx((x, y, turn), abs=2e-6)
-    assert found.averages(CENTERS, 5.5) == pytest.approx(np.full(5, g), abs=1e-12)
+    assert solution.tip == pytest.approx((x, y, turn), abs=2e-6)
+    assert solution.averages(CENTERS, 5.5) == pytest.approx(np.full(5, g), abs=1e-12)
 
 
 def test_small_following_force_agrees_with_the_linear_beam() -> None:
     f, a, length = 1e-7, 40.0, 53.0
-    found = push(f, a, free_curvature=0.0, length=length)
+    solution = push(f, a, free_curvature=0.0, length=length)
     linear = f * np.clip(a - CENTERS, 0, None)
-    assert found.averages(CENTERS[:3], 5.5) == pytest.approx(linear[:3], rel=1e-8)
-    assert found.tip[1] == pytest.approx(f * a**2 * (3 * length - a) / 6, rel=1e-7)
+    assert solution.averages(CENTERS[:3], 5.5) == pytest.approx(linear[:3], rel=1e-8)
+    assert solution.tip[1] == pytest.approx(f * a**2 * (3 * length - a) / 6, rel=1e-7)
 
 
 def test_error_falls_with_the_fourth_power_of_the_mesh_width() -> None:
@@ -73,11 +73,11 @@ def test_pushed_body_agrees_with_an_independent_integration(
     arcs: list[float], g: float, data: st.DataObject
 ) -> None:
     forces = [data.draw(st.floats(-0.02, 0.02)) / arc for arc in arcs]
-    found = push(forces, arcs, free_curvature=g, length=53.0)
+    solution = push(forces, arcs, free_curvature=g, length=53.0)
     other = rod.readings(
         np.array(arcs), np.array(forces), CENTERS, length=53.0, span=5.5, free_curvature=g
     )
-    assert found.averages(CENTERS, 5.5) == pytest.approx(other, abs=3e-8)
+    assert solution.averages(CENTERS, 5.5) == pytest.approx(other, abs=3e-8)
 
 
 @given(arc=st.floats(12.0, 52.9), share=st.floats(0.01, 1.0), g=st.floats(0.003, 0.03))
@@ -88,8 +88,8 @@ def test_peg_that_pushes_is_found_again_by_solving(arc: float, share: float, g: 
     peg = peg_for(direct.contacts[0], 0.6)
     assert abs(direct.locate(peg)[0]) < 1e-7
     assume(peg.y > 1.75 + 0.6)  # else the straight body lies on it or on its other side
-    found = solve(g, 53.0, pegs=[peg])
-    (contact,) = found.contacts
+    solution = solve(g, 53.0, pegs=[peg])
+    (contact,) = solution.contacts
     assert contact.arc == pytest.approx(arc, abs=1e-6)
     assert contact.normal == pytest.approx(force, rel=1e-6, abs=1e-8)
 
@@ -105,9 +105,9 @@ def test_work_of_a_moving_peg_is_the_energy_gained() -> None:
         energies = []
         kinds = set()
         for dx in (-1e-3, 0.0, 1e-3):
-            found = solve(g, length, pegs=[Peg(peg.x + dx, peg.y, peg.radius)], cell_cm=0.5)
-            energies.append(bending_energy(found))
-            contact = found.contacts[0]
+            solution = solve(g, length, pegs=[Peg(peg.x + dx, peg.y, peg.radius)], cell_cm=0.5)
+            energies.append(bending_energy(solution))
+            contact = solution.contacts[0]
             kinds.add(contact.kind)
             if dx == 0.0:
                 force_x = contact.force_x

@@ -18,22 +18,22 @@ BENT = Tube(3.5, None, rest_curvature=((8.0, 0.0), (29.7, 0.025), (46.0, -0.03))
 CENTERS = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 
 
-def traced_error_cm(found: Solution) -> float:
+def traced_error_cm(solution: Solution) -> float:
     """Largest distance between the nodes and the line that their headings trace."""
-    arcs = np.linspace(0.0, found.length, 20_001)
-    poses = np.array([found.pose(float(arc)) for arc in arcs])
+    arcs = np.linspace(0.0, solution.length, 20_001)
+    poses = np.array([solution.pose(float(arc)) for arc in arcs])
     middle = (poses[1:, 2] + poses[:-1, 2]) / 2
     x = np.concatenate([[0.0], np.cumsum(np.cos(middle))]) * arcs[1]
     y = np.concatenate([[0.0], np.cumsum(np.sin(middle))]) * arcs[1]
     return float(np.hypot(x - poses[:, 0], y - poses[:, 1]).max())
 
 
-def turn_error_rad(found: Solution) -> float:
+def turn_error_rad(solution: Solution) -> float:
     """Largest difference between the nodes' headings and the sum of all bends before them."""
-    bends = found.curvature
-    turned = np.concatenate([[0.0], np.cumsum((bends[1:] + bends[:-1]) / 2 * np.diff(found.s))])
-    expected = turned + rest_turn(found.tube.rest_curvature, found.s)
-    return float(np.abs(found.heading - expected).max())
+    bends = solution.curvature
+    turned = np.concatenate([[0.0], np.cumsum((bends[1:] + bends[:-1]) / 2 * np.diff(solution.s))])
+    expected = turned + rest_turn(solution.tube.rest_curvature, solution.s)
+    return float(np.abs(solution.heading - expected).max())
 
 
 @pytest.mark.parametrize("model", ["arc", "auto", "elastica"])
@@ -82,16 +82,16 @@ def test_moments_balance_and_headings_are_the_sum_of_all_bends(
 ) -> None:
     ends = np.linspace(0.0, LENGTH, len(bends) + 1)[1:].tolist()
     tube = Tube(3.5, rest_curvature=tuple(zip(ends, bends, strict=True)))
-    found = push(force, arc, free_curvature=g, length=LENGTH, tube=tube)
-    assert moment_imbalance(found) < 1e-8
-    assert turn_error_rad(found) < 2e-4  # of the trapezoidal rule on cells of 1 cm
+    solution = push(force, arc, free_curvature=g, length=LENGTH, tube=tube)
+    assert moment_imbalance(solution) < 1e-8
+    assert turn_error_rad(solution) < 2e-4  # of the trapezoidal rule on cells of 1 cm
 
 
 def test_a_body_that_is_pushed_lies_where_its_headings_trace() -> None:
-    found = push(-6e-4, 48.0, free_curvature=0.01, length=LENGTH, tube=BENT)
-    assert traced_error_cm(found) < 1e-4
+    solution = push(-6e-4, 48.0, free_curvature=0.01, length=LENGTH, tube=BENT)
+    assert traced_error_cm(solution) < 1e-4
     finer = push(-6e-4, 48.0, free_curvature=0.01, length=LENGTH, tube=BENT, cell_cm=0.1)
-    assert found.tip == pytest.approx(finer.tip, abs=1e-5)
+    assert solution.tip == pytest.approx(finer.tip, abs=1e-5)
 
 
 def test_a_peg_in_the_way_of_the_body_at_rest_pushes_it_aside() -> None:
@@ -101,12 +101,12 @@ def test_a_peg_in_the_way_of_the_body_at_rest_pushes_it_aside() -> None:
     peg = Peg(x - 1.2 * np.sin(heading), y + 1.2 * np.cos(heading), 1.5)
     rod = Rod(BENT, [peg])
     rod.step(0.0, LENGTH)
-    found = rod.solution()
-    (contact,) = found.contacts
+    solution = rod.solution()
+    (contact,) = solution.contacts
     assert contact.normal < 0.0  # to the right, away from the peg on its left
-    assert abs(found.locate(peg)[0]) < 1e-6
-    assert moment_imbalance(found) < 1e-8
-    assert turn_error_rad(found) < 2e-4
+    assert abs(solution.locate(peg)[0]) < 1e-6
+    assert moment_imbalance(solution) < 1e-8
+    assert turn_error_rad(solution) < 2e-4
 
 
 @pytest.mark.parametrize(

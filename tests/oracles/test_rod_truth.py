@@ -117,37 +117,37 @@ def test_a_fold_adds_its_angle_to_the_base() -> None:
 
 @pytest.mark.parametrize("part", ["side", "corner", "anywhere"])
 def test_pegs_stand_still_while_bodies_inflate_against_them(part) -> None:
-    found = rooms(
+    judged = rooms(
         np.random.default_rng(5), 12, length=LENGTH, largest_free=0.04, frames=4, part=part
     )
-    assert found.peg.shape == (2, 12)
+    assert judged.peg.shape == (2, 12)
     for frame in range(4):
-        felt = np.isfinite(found.u[frame])
+        felt = np.isfinite(judged.u[frame])
         _, place = press(
-            found.u[frame, felt],
-            found.push[frame, felt],
-            found.free[frame, felt],
-            found.peg_radius[felt],
+            judged.u[frame, felt],
+            judged.push[frame, felt],
+            judged.free[frame, felt],
+            judged.peg_radius[felt],
             LENGTH,
         )
-        assert place == pytest.approx(found.peg[:, felt], abs=1e-5)
-    assert np.all(found.push[-1] > 0.0)
-    share = np.abs(found.bodies(-1).base_moment) / CRITICAL
+        assert place == pytest.approx(judged.peg[:, felt], abs=1e-5)
+    assert np.all(judged.push[-1] > 0.0)
+    share = np.abs(judged.bodies(-1).base_moment) / CRITICAL
     assert np.all((share > 0.05) & (share < 1.0))
     if part == "side":
-        assert np.all(found.u[-1] <= LENGTH)
+        assert np.all(judged.u[-1] <= LENGTH)
     if part == "corner":
-        assert np.all(found.arc[-1] == LENGTH)
+        assert np.all(judged.arc[-1] == LENGTH)
 
 
 def test_pegs_keep_off_the_body_that_does_not_touch_them_yet() -> None:
-    found = rooms(np.random.default_rng(6), 12, length=LENGTH, largest_free=0.04, frames=4)
+    judged = rooms(np.random.default_rng(6), 12, length=LENGTH, largest_free=0.04, frames=4)
     arcs = np.linspace(0.0, LENGTH, 2000)
     beside = 0
     for frame in range(4):
-        away = np.isnan(found.u[frame])
+        away = np.isnan(judged.u[frame])
         for free, peg, radius in zip(
-            found.free[frame, away], found.peg[:, away].T, found.peg_radius[away], strict=True
+            judged.free[frame, away], judged.peg[:, away].T, judged.peg_radius[away], strict=True
         ):
             line = np.stack([np.sin(free * arcs), 1.0 - np.cos(free * arcs)]) / free
             distance = np.hypot(*(line - peg[:, None]))

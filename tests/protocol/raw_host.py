@@ -82,9 +82,9 @@ class RawHost:
 
     def listen(self, seconds: float) -> list[Frame]:
         """Everything that comes in so long."""
-        found: list[Frame] = []
-        self.next_frame(lambda frame: found.append(frame) or False, seconds)  # type: ignore[func-returns-value]
-        return found
+        frames: list[Frame] = []
+        self.next_frame(lambda frame: frames.append(frame) or False, seconds)  # type: ignore[func-returns-value]
+        return frames
 
     def drop_pending(self) -> None:
         self._frames.clear()

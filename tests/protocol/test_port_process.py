@@ -424,9 +424,9 @@ def test_a_baud_rate_that_is_none() -> None:
         (0, "weird", "cannot open X: weird"),
     ],
 )
-def test_each_failure_has_its_words(number: int, text: str, what: str) -> None:
+def test_each_failure_has_its_words(number: int, text: str, problem: str) -> None:
     error = serial.SerialException(number, text) if number else serial.SerialException(text)
-    assert str(port_process.port_error("X", error)).startswith(what)
+    assert str(port_process.port_error("X", error)).startswith(problem)
 
 
 def test_a_cable_pulled_in_mid_conversation(client: Client, board: PtyDevice) -> None:

@@ -66,7 +66,7 @@ class Program(Closing):
         return line
 
     def of(self, topic: str) -> list[Told]:
-        return [each for each in self.said if each["topic"] == topic]
+        return [message for message in self.said if message["topic"] == topic]
 
     def close(self) -> None:
         self._process.kill()
@@ -110,12 +110,14 @@ class Ros:
         """
         file = ROS_PYTHON.parents[1] / "share" / "thigmo_ros" / "launch" / "thigmo.launch.xml"
         launch = ElementTree.parse(file).getroot()
-        known = {each.attrib["name"]: each.attrib["default"] for each in launch.iter("arg")}
+        known = {
+            argument.attrib["name"]: argument.attrib["default"] for argument in launch.iter("arg")
+        }
         assert given.keys() <= known.keys(), "the launch file has no such argument"
         known |= {name: str(value) for name, value in given.items()}
 
         def filled(text: str) -> str:
-            return re.sub(r"\$\(var (\w+)\)", lambda found: known[found[1]], text)
+            return re.sub(r"\$\(var (\w+)\)", lambda match: known[match[1]], text)
 
         started = []
         for program in launch:
@@ -127,9 +129,9 @@ class Ros:
                 )
                 command = [str(ROS_PYTHON), str(node), "--ros-args"]
                 command += ["-r", f"__ns:=/{filled(program.attrib['namespace'])}"]
-                for each in program.iter("param"):
-                    value = json.dumps(filled(each.attrib["value"]))
-                    command += ["-p", f"{each.attrib['name']}:={value}"]
+                for argument in program.iter("param"):
+                    value = json.dumps(filled(argument.attrib["value"]))
+                    command += ["-p", f"{argument.attrib['name']}:={value}"]
                 started.append(self._start(command))
             else:
                 assert program.tag == "arg", f"the tests cannot start <{program.tag}>"

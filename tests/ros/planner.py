@@ -78,7 +78,7 @@ def on_contact_markers(array: MarkerArray) -> None:
 
 
 def on_body(path: Path) -> None:
-    tell("body", **head(path), poses=[pose(each.pose) for each in path.poses])
+    tell("body", **head(path), poses=[pose(stamped.pose) for stamped in path.poses])
 
 
 def on_joints(joints: JointState) -> None:
@@ -184,7 +184,9 @@ def obey(node: Node, namespace: str, stops: dict[str, Any]) -> None:
             explorations.append(Exploration(node, f"/{namespace}/explore", float(argument)))
             continue
         if command == "cancel":
-            next(each for each in reversed(explorations) if each.accepted).cancel()
+            next(
+                exploration for exploration in reversed(explorations) if exploration.accepted
+            ).cancel()
             continue
         if line == "stop, latched\n":
             stops["latched"] = node.create_publisher(Empty, f"/{namespace}/stop", latched(1))

@@ -46,8 +46,8 @@ def _contacts_are_the_run_s(planner: Any, run: thigmo.ExplorationResult) -> None
 
     def newest() -> list[dict[str, Any]]:
         said = planner.of("contact")
-        last = max((each["stamp"] for each in said), default=None)
-        return [each for each in said if each["stamp"] == last]
+        last = max((message["stamp"] for message in said), default=None)
+        return [message for message in said if message["stamp"] == last]
 
     assert run.contacts
     expected = [
@@ -59,7 +59,7 @@ def _contacts_are_the_run_s(planner: Any, run: thigmo.ExplorationResult) -> None
         )
         for contact in run.contacts
     ]
-    planner.hears(lambda said: [each["pose"] for each in newest()] == expected)
+    planner.hears(lambda said: [marker["pose"] for marker in newest()] == expected)
     for said, contact in zip(newest(), run.contacts, strict=True):
         covariance = np.reshape(said["covariance"], (6, 6))
         assert covariance[:2, :2] == pytest.approx(np.array(contact.covariance_cm2) * 1e-4)

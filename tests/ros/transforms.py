@@ -86,13 +86,13 @@ while True:
     threading.Event().wait(0.02)
     for topic, reader in readers.items():
         for message in reader.take(100):
-            for each in message.transforms if isinstance(message, TFMessage) else ():
-                at, turn = each.transform.translation, each.transform.rotation
+            for stamped in message.transforms if isinstance(message, TFMessage) else ():
+                at, turn = stamped.transform.translation, stamped.transform.rotation
                 said = {
                     "topic": topic,
-                    "stamp": [each.header.stamp.sec, each.header.stamp.nanosec],
-                    "frame": each.header.frame_id,
-                    "child": each.child_frame_id,
+                    "stamp": [stamped.header.stamp.sec, stamped.header.stamp.nanosec],
+                    "frame": stamped.header.frame_id,
+                    "child": stamped.child_frame_id,
                     "pose": [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w],
                 }
                 print(json.dumps(said), flush=True)

@@ -78,27 +78,27 @@ def test_a_valve_that_does_not_empty_its_muscle_is_named() -> None:
     plant = robot.operator._plant  # type: ignore[union-attr]
     plant.scene.enables.fitted = False  # its enable does nothing, though a valve is there
     robot.operator.valves_fitted = lambda: True  # type: ignore[union-attr, method-assign]
-    found = BringUp(robot, robot.operator).run(last="enables")  # type: ignore[arg-type]
-    assert [(f.subject, f.good) for f in found if f.stage == "enables"][:2] == [
+    findings = BringUp(robot, robot.operator).run(last="enables")  # type: ignore[arg-type]
+    assert [(f.subject, f.good) for f in findings if f.stage == "enables"][:2] == [
         ("Y1", False), ("Y2", False),
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize("change", [lambda scene: None, fitted], ids=["thesis's robot", "enables"])
 def test_a_robot_that_is_wired_right_passes(change: Callable[[Scene], None]) -> None:
-    found = bring_up(change)
-    assert [f for f in found if not f.good] == []
-    stages = list(dict.fromkeys(finding.stage for finding in found))
+    findings = bring_up(change)
+    assert [f for f in findings if not f.good] == []
+    stages = list(dict.fromkeys(finding.stage for finding in findings))
     assert stages == list(STAGES)
-    assert len([f for f in found if f.stage == "flex"]) == 10
+    assert len([f for f in findings if f.stage == "flex"]) == 10
 
 
 @pytest.mark.parametrize("psi", [-1.2, 0.6, 1.2])
 def test_a_pressure_sensor_within_its_error_band_is_zeroed_and_passes(psi: float) -> None:
     robot = new_robot(fault(kind="pressure_offset", value=psi))
-    found = BringUp(robot, robot.operator).run()  # type: ignore[arg-type]
-    assert [f for f in found if not f.good] == []
-    (left,) = [f for f in found if f.subject == "pressure left"]
+    findings = BringUp(robot, robot.operator).run()  # type: ignore[arg-type]
+    assert [f for f in findings if not f.good] == []
+    (left,) = [f for f in findings if f.subject == "pressure left"]
     assert "stored as its zero" in left.observation
     assert robot.read(0.3).pressure_psi[0] == pytest.approx(0.0, abs=0.1)
     assert robot.status().config_generation == 3  # after the defaults; then the direction
@@ -134,12 +134,12 @@ WRONG = {
 @pytest.mark.parametrize("name", WRONG)
 def test_what_is_wrong_is_found_and_named(name: str) -> None:
     change, stage, subject, cure = WRONG[name]
-    found = bring_up(change)
-    wrong = [finding for finding in found if not finding.good]
-    assert {finding.stage for finding in wrong} == {stage}, found
+    findings = bring_up(change)
+    wrong = [finding for finding in findings if not finding.good]
+    assert {finding.stage for finding in wrong} == {stage}, findings
     assert subject in [finding.subject for finding in wrong]
     assert cure in wrong[0].cure
-    assert found[-1].stage == stage  # nothing that follows is tried
+    assert findings[-1].stage == stage  # nothing that follows is tried
 
 
 def test_a_fresh_board_gets_its_defaults_stored() -> None:

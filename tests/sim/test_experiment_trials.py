@@ -114,8 +114,8 @@ def test_a_lab_without_the_truth_gets_the_same_table(
     lines = [json.dumps(row | hidden) for row in taken(folder.path)]
     (folder.path / "trials.jsonl").write_text("\n".join(lines) + "\n")
     known, blind = (
-        evaluate("single-contact", trials(each)).record()["rows"]
-        for each in (single_contact, folder)
+        evaluate("single-contact", trials(source)).record()["rows"]
+        for source in (single_contact, folder)
     )
     for with_truth, without in zip(known, blind, strict=True):
         assert without["ours_mean"] == pytest.approx(with_truth["ours_mean"])

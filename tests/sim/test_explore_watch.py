@@ -106,8 +106,8 @@ def watched(own_sockets: None, tmp_path: Path) -> Iterator[Any]:
         return started[-1]
 
     yield explore
-    for each in started:
-        each.close()
+    for process in started:
+        process.close()
 
 
 pytestmark = pytest.mark.ci

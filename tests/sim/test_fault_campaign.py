@@ -75,20 +75,23 @@ def test_valves_end_what_no_output_of_the_board_ends() -> None:
 def worse(state: str, pairs: list[tuple[Failure, Failure]]) -> dict[str, str]:
     """Pairs that do more harm than the two alone, with valves, and which."""
     alone = {f: visit(Case(f, state, "valves")) for f in {f for pair in pairs for f in pair}}
-    found = {}
+    worst = {}
     for first, second in pairs:
-        both, each = visit(Case(first, state, "valves", second)), (alone[first], alone[second])
+        both = visit(Case(first, state, "valves", second))
+        singles = alone[first], alone[second]
         harm = [
-            (both.peak_psi > max(one.peak_psi for one in each) + PSI, f"{both.peak_psi:.1f} psi"),
-            (both.steady_psi > max(one.steady_psi for one in each) + PSI,
+            (both.peak_psi > max(single.peak_psi for single in singles) + PSI,
+             f"{both.peak_psi:.1f} psi"),
+            (both.steady_psi > max(single.steady_psi for single in singles) + PSI,
              f"{both.steady_psi:.1f} psi steadily"),
-            (both.moved_cm > sum(one.moved_cm for one in each) + CM, f"{both.moved_cm:.2f} cm"),
+            (both.moved_cm > sum(single.moved_cm for single in singles) + CM,
+             f"{both.moved_cm:.2f} cm"),
             (bool(both.noticed) and both.safe_s is None, "an output stays on"),
             (not both.recovers, "only a reset helps"),
         ]  # fmt: skip
         if any(bad for bad, _ in harm):
-            found[f"{first.kind} + {second.kind}"] = ", ".join(what for bad, what in harm if bad)
-    return found
+            worst[f"{first.kind} + {second.kind}"] = ", ".join(text for bad, text in harm if bad)
+    return worst
 
 
 @pytest.mark.parametrize(
@@ -106,8 +109,8 @@ def test_what_fails_beside_encoder_or_flex_sensor_does_no_more_harm_than_both_al
 ) -> None:
     blind = [f for f in FAILURES if f.kind in ("encoder_lost", "flex_frozen", "flex_wire_cut")]
     pairs = [(a, b) for a in blind for b in FAILURES if a.kind != b.kind]
-    found = worse(state, pairs)
-    assert set(found) == hidden, found
+    worst = worse(state, pairs)
+    assert set(worst) == hidden, worst
 
 
 def test_a_failure_that_nothing_covers_breaks_the_promise() -> None:

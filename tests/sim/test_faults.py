@@ -102,9 +102,9 @@ def test_fault_of_the_body_is_named_and_leaves_a_safe_robot_that_works_again(
 
     said = str(caught.value)
     assert name in caught.value.faults
-    what, _, cure = wire.Fault[name.upper()].doc.partition("; ")
+    problem, _, cure = wire.Fault[name.upper()].doc.partition("; ")
     if said.partition(":")[0].startswith(name):
-        assert what in said
+        assert problem in said
         assert said.replace(" (healthy = false)", "").endswith(f"; {cure.rstrip('.')}")
     assert "; " in said
     side = where.get("side", "left")
@@ -141,8 +141,8 @@ def test_fault_of_the_body_is_named_and_leaves_a_safe_robot_that_works_again(
     "entry", [*wire.Fault, *(r for r in wire.Reason if r is not wire.Reason.NONE)], ids=str
 )
 def test_every_fault_and_reason_says_what_to_do(entry: wire.Fault | wire.Reason) -> None:
-    what, _, cure = entry.doc.partition("; ")
-    assert what[0].isupper()
+    problem, _, cure = entry.doc.partition("; ")
+    assert problem[0].isupper()
     assert re.fullmatch(r"[a-z][^\n]+\.", cure)
 
 

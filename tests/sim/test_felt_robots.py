@@ -32,10 +32,10 @@ from thigmo_bench.studies.gallery import (
 @pytest.mark.ci
 @pytest.mark.parametrize("name", FELT)
 def test_a_robot_at_rest_feels_where_it_is_pushed(name: str) -> None:
-    found = [push((name, seed)) for seed in (1, 2, 3)]
-    assert not [load.status for load in found if load.status.startswith("aborted")]
-    assert sum(not load.felt for load in found) <= 1
-    assert not any(load.wrong for load in found)
+    pushes = [push((name, seed)) for seed in (1, 2, 3)]
+    assert not [load.status for load in pushes if load.status.startswith("aborted")]
+    assert sum(not load.felt for load in pushes) <= 1
+    assert not any(load.wrong for load in pushes)
 
 
 @pytest.mark.ci
@@ -126,6 +126,6 @@ def test_bring_up_leaves_out_the_spool_of_a_robot_that_has_none(
     finger = GALLERY / "finger.toml"
     url = room_file(tmp_path, room_for(RobotConfig.load(finger), 1, peg=False))
     said = thigmo("bringup", "--robot", url, "--config", str(finger), "--from", "motor", "--json")
-    assert [one["observation"] for one in json.loads(said.out)["findings"]] == [
+    assert [finding["observation"] for finding in json.loads(said.out)["findings"]] == [
         "none (grows = false in robot.toml)"
     ] * 3

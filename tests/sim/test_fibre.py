@@ -111,7 +111,7 @@ def test_an_exploration_ends_safely_when_its_fibre_is_not_read(
     scene.save(tmp_path / "room.toml")
     with pytest.raises(InterrogatorError, match=said):
         explore(f"emulator://{tmp_path / 'room.toml'}", seed=1, out=tmp_path)
-    (folder,) = (each for each in tmp_path.iterdir() if each.is_dir())
+    (folder,) = (path for path in tmp_path.iterdir() if path.is_dir())
     assert said in RunFolder(folder).read_document().outcome
     log = read_log(folder / "run.mcap")
     assert not log.missing
@@ -128,7 +128,7 @@ def test_an_exploration_ends_safely_when_its_fibre_is_not_read(
 def test_a_pressed_body_is_read_as_it_bends(pressing: tuple[Robot, EmulatorTransport]) -> None:
     robot, transport = pressing
     got = robot.read_fibre(1.0)
-    in_plane = [one.side is not None for one in robot.config.gratings]
+    in_plane = [grating.side is not None for grating in robot.config.gratings]
     true = transport.lockstep.plant.free_curvature
     assert got.side == "left"
     assert got.free_curvature == pytest.approx(true, rel=0.1)

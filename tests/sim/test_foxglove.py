@@ -46,9 +46,9 @@ class Client:
             assert answer.type is aiohttp.WSMsgType.TEXT, answer
             said = json.loads(answer.data)
             if said["op"] == "advertise":
-                self.channels |= {each["topic"]: each for each in said["channels"]}
+                self.channels |= {offer["topic"]: offer for offer in said["channels"]}
             if said["op"] == "advertiseServices":
-                self.services |= {each["name"]: each["id"] for each in said["services"]}
+                self.services |= {offer["name"]: offer["id"] for offer in said["services"]}
 
     async def subscribe(self, *topics: str) -> None:
         wanted = [

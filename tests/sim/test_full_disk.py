@@ -44,7 +44,7 @@ def explore(tmp_path: Path) -> Explore:
 def _line(run: subprocess.CompletedProcess[str]) -> str:
     """The one line that tells of it."""
     assert run.returncode == 1
-    (line,) = [each for each in run.stderr.splitlines() if "%" not in each[:4]]
+    (line,) = [line_text for line_text in run.stderr.splitlines() if "%" not in line_text[:4]]
     assert line.startswith("thigmo: cannot write ")
     assert "File too large" in line
     return line
@@ -107,12 +107,12 @@ def test_a_full_disk_makes_the_robot_safe_first(serve: Serve, tmp_path: Path) ->
 def _heard(served: ServedRobot) -> Callable[[], set[int]]:
     """Listen to what the robot is sent: the messages' numbers so far."""
     server, sent = served._server, Decoder()
-    take, found = server._take, set()
+    take, names = server._take, set()
 
     def listen() -> bytes:
         data = take()
-        found.update(frame.id for frame in sent.feed(data))
+        names.update(frame.id for frame in sent.feed(data))
         return data
 
     server._take = listen  # type: ignore[method-assign]
-    return lambda: found
+    return lambda: names

@@ -89,8 +89,8 @@ def learnt() -> list[float]:
     robot, transport = armed(scene_at(0.0))
     with Drive(robot, robot.config) as drive:
         rows = [row for _ in grow(robot, transport, 50.0) for row in drive.rows()]
-    found = pull_duty(rows, robot.config.spool.counts_per_cm, robot.config)
-    pulls = [pull for pull in found if pull is not None]
+    duties = pull_duty(rows, robot.config.spool.counts_per_cm, robot.config)
+    pulls = [pull for pull in duties if pull is not None]
     assert len(pulls) == 3
     return pulls
 

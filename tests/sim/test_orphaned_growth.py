@@ -37,12 +37,12 @@ def anywhere(name: str) -> st.SearchStrategy[int]:
 
 @st.composite
 def parameters(draw: st.DrawFn) -> dict[str, list[int]]:
-    found = {name: draw(anywhere(name)) for name in FREE}
-    found["heartbeat_ms"] = draw(anywhere("heartbeat_ms"))
-    fastest = 17_000_000 // (max(found["heartbeat_ms"], 285) + 100)
-    found["spool_speed_um_s"] = draw(st.just(fastest) | st.integers(100, fastest))
-    found["home_speed_um_s"] = min(8000, fastest)
-    return {name: [value] for name, value in found.items()}
+    cases = {name: draw(anywhere(name)) for name in FREE}
+    cases["heartbeat_ms"] = draw(anywhere("heartbeat_ms"))
+    fastest = 17_000_000 // (max(cases["heartbeat_ms"], 285) + 100)
+    cases["spool_speed_um_s"] = draw(st.just(fastest) | st.integers(100, fastest))
+    cases["home_speed_um_s"] = min(8000, fastest)
+    return {name: [value] for name, value in cases.items()}
 
 
 @cache

@@ -43,13 +43,13 @@ def _prepare(driven: Robot, robot: RobotConfig) -> None:
 @pytest.mark.ci
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_described_robot_finds_pegs_and_says_nothing_in_an_empty_room(name: str) -> None:
-    found = [visit((name, seed, True)) for seed in (1, 2)]
-    assert not any(one.status.startswith("aborted") for one in found)
-    assert sum(one.missed for one in found) <= 1
-    assert not any(one.wrong for one in found)
+    visits = [visit((name, seed, True)) for seed in (1, 2)]
+    assert not any(room.status.startswith("aborted") for room in visits)
+    assert sum(room.missed for room in visits) <= 1
+    assert not any(room.wrong for room in visits)
     # 12 and 28 cm where the inputs' order was taken for the sensors'.
-    placed = [one for one in found if one.status == "localized"]
-    assert not any(one.plane_cm > 0.06 * one.length_cm for one in placed)
+    placed = [room for room in visits if room.status == "localized"]
+    assert not any(room.plane_cm > 0.06 * room.length_cm for room in placed)
     silent = visit((name, 3, False))
     assert silent.status == "silent"
 
@@ -198,11 +198,11 @@ def test_a_side_without_a_base_sensor_is_not_swept_and_the_run_says_so(tmp_path:
     scene = room_for(robot, 0, peg=False)
     scene.pegs = [PegTable(x=28.0, y=-6.0, radius=0.8)]
     scene.save(tmp_path / "blind.toml")
-    found = explore(f"emulator://{tmp_path / 'blind.toml'}", seed=1, out=tmp_path).document
-    assert "no sweeps towards lower, because no healthy sensor at the base" in found.skips
-    assert {shape.side for stage in found.stages for shape in stage.shapes} == {"left"}
-    assert (found.contacts, found.missed) == ([], [])
-    assert [(each.side, each.name) for each in found.muscles] == [
+    document = explore(f"emulator://{tmp_path / 'blind.toml'}", seed=1, out=tmp_path).document
+    assert "no sweeps towards lower, because no healthy sensor at the base" in document.skips
+    assert {shape.side for stage in document.stages for shape in stage.shapes} == {"left"}
+    assert (document.contacts, document.missed) == ([], [])
+    assert [(muscle.side, muscle.name) for muscle in document.muscles] == [
         ("left", "left"),
         ("right", "lower"),
     ]
@@ -220,7 +220,7 @@ def test_either_base_sensor_of_two_kinds_is_enough_for_a_sweep() -> None:
     robot.column("left")[0].healthy = False
     assert Wiring.of(robot).unguarded_muscles == ()
     swept = [finding for finding in judge(robot) if finding.part == "sweep of right"]
-    assert [each.mark for each in swept] == ["ok", "ok"]
+    assert [sweep.mark for sweep in swept] == ["ok", "ok"]
 
 
 def test_a_sweep_that_nothing_at_the_base_can_feel_is_refused() -> None:
@@ -269,4 +269,4 @@ def test_a_large_board_on_a_port_is_read_once_its_robot_is_described() -> None:
         assert said == []
         robot.configure(scene.robot)
         assert robot.read(0.2).resistance.shape == (16,)
-    assert {len(each.pressure_psi) for each in said} == {4}
+    assert {len(telemetry.pressure_psi) for telemetry in said} == {4}

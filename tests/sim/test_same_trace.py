@@ -142,7 +142,7 @@ def assert_same(said: bytes, reference: bytes) -> None:
     """Two boards said the same, but for what their own clocks measure."""
     board, virtual = messages(said), messages(reference)
     # By device time: a frame may be dropped for want of room on the line, or cut off at the end.
-    there, here = ({p[:4]: p for p in one["Telemetry"]} for one in (board, virtual))
+    there, here = ({p[:4]: p for p in trace["Telemetry"]} for trace in (board, virtual))
     assert len(here) > 1000
     assert len(here.keys() ^ there.keys()) <= 3
     assert all(here[time] == there[time] for time in here.keys() & there.keys())

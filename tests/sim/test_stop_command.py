@@ -48,9 +48,9 @@ def explore(tmp_path: Path) -> Iterator[Explore]:
         return started[-1]
 
     yield start
-    for each in started:
-        each.kill()
-        each.communicate()
+    for process in started:
+        process.kill()
+        process.communicate()
 
 
 @pytest.mark.parametrize("named", [True, False])
@@ -65,7 +65,7 @@ def test_an_emulated_run_is_stopped_and_its_board_has_confirmed_it(
         f"its board, through process {run.pid}",
         f"the end of process {run.pid}, which emulated it",
     )
-    assert answer.out in [f"Stopped: {URL}, confirmed by {each}.\n" for each in by]
+    assert answer.out in [f"Stopped: {URL}, confirmed by {confirmer}.\n" for confirmer in by]
     _, said = run.communicate()
     assert run.returncode == 1
     assert "stopped" in said

@@ -64,8 +64,8 @@ def test_both_swapped_look_right_to_the_board_and_are_seen_at_bringup() -> None:
     transport.lockstep.plant.scene.spool.wiring = "both_swapped"
     robot.wait(0.1, despite_faults=True)  # its count has jumped
     robot.clear_faults()
-    (found,) = BringUp(robot, attendant).run("motor", "motor")  # type: ignore[arg-type]
-    assert "J4.1 and J4.2, and J5.2 and J5.3" in found.cure
+    (jog,) = BringUp(robot, attendant).run("motor", "motor")  # type: ignore[arg-type]
+    assert "J4.1 and J4.2, and J5.2 and J5.3" in jog.cure
     assert robot.parameter("direction_seen") == [0]
 
 

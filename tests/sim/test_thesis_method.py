@@ -34,9 +34,9 @@ def test_every_contact_is_a_point_estimate_and_its_replay_says_the_same(run: Pat
 
 
 def test_a_replay_by_another_method_has_intervals_again(run: Path) -> None:
-    found = replay(run, method="field").document
-    assert found.method == "field"
-    assert {contact.status for contact in found.contacts} <= {"localized", "ambiguous"}
+    document = replay(run, method="field").document
+    assert document.method == "field"
+    assert {contact.status for contact in document.contacts} <= {"localized", "ambiguous"}
 
 
 def test_a_place_of_unknown_error_is_no_prior_knowledge(run: Path) -> None:

@@ -139,15 +139,15 @@ def test_every_command_says_in_one_line_that_its_result_is_lost(command: str) ->
 
 
 def test_a_terminal_that_is_closed(words: list[str], went_on: Went, tmp_path: Path) -> None:
-    terminal, own = os.openpty()
+    terminal, ours = os.openpty()
 
     def take() -> None:
         fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
     run = subprocess.Popen(
-        words, stdin=own, stdout=own, stderr=own, start_new_session=True, preexec_fn=take
+        words, stdin=ours, stdout=ours, stderr=ours, start_new_session=True, preexec_fn=take
     )
-    os.close(own)
+    os.close(ours)
     assert comes(lambda: any(tmp_path.glob("runs/*/run.mcap")))
     os.close(terminal)  # which sends SIGHUP
     assert run.wait() == 0

@@ -84,7 +84,7 @@ class Viewers:
 
     def progress(self, doing: str, done: float) -> None:
         if self._reading is None:
-            (mine,) = (each for each in running() if each.hello.pid == os.getpid())
+            (mine,) = (server for server in running() if server.hello.pid == os.getpid())
             assert mine.hello.name == "watched"
             self.idle = [attach(mine.address) for _ in range(2)]
             run = attach(mine.address)
@@ -126,8 +126,8 @@ def test_robot_time_and_results_are_those_of_a_run_that_nobody_watches(run: Watc
     assert _plain(run.watched.folder) == _plain(run.alone.folder)
     assert run.watched.document.robot_time_s == run.alone.document.robot_time_s
     times = [
-        [entry.t_s for entry in RunFolder(each.folder).read_log().entries]
-        for each in (run.watched, run.alone)
+        [entry.t_s for entry in RunFolder(run_folder.folder).read_log().entries]
+        for run_folder in (run.watched, run.alone)
     ]
     assert times[0] == times[1]
 
@@ -174,8 +174,8 @@ def test_posterior_comes_in_mid_sweep_ten_times_a_second_until_the_base_is_near_
     low, high = np.interp([0.025, 0.975], np.cumsum(last.probability), last.places_cm)
     assert low <= contact.arc_cm <= high + 0.5  # a cell
     spread = [
-        np.sqrt(np.dot((np.array(each.places_cm) - contact.arc_cm) ** 2, each.probability))
-        for each in (last, then)
+        np.sqrt(np.dot((np.array(reading.places_cm) - contact.arc_cm) ** 2, reading.probability))
+        for reading in (last, then)
     ]
     assert spread[1] < spread[0]  # all frames say more than those of half a second
     assert then.contact_probability > 0.99
@@ -184,10 +184,12 @@ def test_posterior_comes_in_mid_sweep_ten_times_a_second_until_the_base_is_near_
 def test_the_record_gives_back_what_was_published(run: Watched) -> None:
     kept = list(read_messages(run.watched.folder))
     assert len(kept) > 5_000
-    assert [each.t_s for each in kept] == sorted(each.t_s for each in kept)
-    for channel in {each.CHANNEL for each in kept}:
-        recorded = [to_json(each) for each in kept if channel == each.CHANNEL]
-        published = [to_json(each) for each in run.seen.messages if channel == each.CHANNEL]
+    assert [message.t_s for message in kept] == sorted(message.t_s for message in kept)
+    for channel in {message.CHANNEL for message in kept}:
+        recorded = [to_json(message) for message in kept if channel == message.CHANNEL]
+        published = [
+            to_json(message) for message in run.seen.messages if channel == message.CHANNEL
+        ]
         first = published.index(recorded[0])  # the robot speaks before the run and after it
         assert recorded == published[first : first + len(recorded)]
 
@@ -204,9 +206,9 @@ def test_every_typed_value_equals_the_raw_frames(run: Watched) -> None:
         assert said.t_s == pytest.approx(t_s, abs=2e-9)
         assert said.device_s == pytest.approx(frame.t_us / 1e6, abs=1e-9)
         assert said.flex_sum == frame.flex_sum
-        assert said.pressure_psi == tuple(each / 100 for each in frame.pressure_cpsi)
-        assert said.demand_psi == tuple(each / 100 for each in frame.set_cpsi)
-        assert said.drive_ma == tuple(each * 20 / 1599 for each in frame.drive)
+        assert said.pressure_psi == tuple(number / 100 for number in frame.pressure_cpsi)
+        assert said.demand_psi == tuple(number / 100 for number in frame.set_cpsi)
+        assert said.drive_ma == tuple(number * 20 / 1599 for number in frame.drive)
         assert said.length_cm == frame.length_um / 1e4
         assert said.motor == frame.motor / 800
         assert (said.base_per_cm, said.free_per_cm) == (frame.base_e5 / 1e5, frame.free_e5 / 1e5)

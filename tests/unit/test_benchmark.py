@@ -66,10 +66,10 @@ def test_the_scorer_alone_gives_the_scores_of_the_command(answers: Path, tmp_pat
 
 
 def test_the_localizer_covers_and_does_not_overclaim(answers: Path) -> None:
-    found = {each.group: each for each in scorer.score(answers)}
-    assert found["one"].coverage >= 0.93
-    assert found["one"].overclaimed <= 0.05
-    assert found["number unknown"].number > 0.6
+    scores = {score.group: score for score in scorer.score(answers)}
+    assert scores["one"].coverage >= 0.93
+    assert scores["one"].overclaimed <= 0.05
+    assert scores["number unknown"].number > 0.6
 
 
 def test_truth_itself_is_without_error(tmp_path: Path) -> None:
@@ -78,11 +78,11 @@ def test_truth_itself_is_without_error(tmp_path: Path) -> None:
         for row in _rows(scorer.FOLDER / "truth.csv")
         for arc in [row["arc_cm"]]
     ]
-    for each in scorer.score(_write(tmp_path / "answers.csv", *rows)):
-        assert (each.answered, each.number, each.failures) == (each.frames, 1.0, 0.0)
-        assert each.coverage == 1.0
-        assert each.overclaimed == 0.0
-        assert each.error_cm < 1e-9
+    for score in scorer.score(_write(tmp_path / "answers.csv", *rows)):
+        assert (score.answered, score.number, score.failures) == (score.frames, 1.0, 0.0)
+        assert score.coverage == 1.0
+        assert score.overclaimed == 0.0
+        assert score.error_cm < 1e-9
 
 
 def test_what_is_counted(tmp_path: Path) -> None:
@@ -94,11 +94,11 @@ def test_what_is_counted(tmp_path: Path) -> None:
         ["0002", second + 20, second + 19, second + 21, 1],
         ["0003", third, "", "", ""], ["0003", third, "", "", ""],
     )  # fmt: skip
-    one = scorer.score(file)[0]
-    assert (one.answered, one.number) == (3, pytest.approx(2 / 3))
-    assert one.error_cm == pytest.approx(10.5)
-    assert one.failures == pytest.approx(2 / 3)
-    assert (one.coverage, one.overclaimed, one.width_cm) == (0.5, 0.5, 2.0)
+    score = scorer.score(file)[0]
+    assert (score.answered, score.number) == (3, pytest.approx(2 / 3))
+    assert score.error_cm == pytest.approx(10.5)
+    assert score.failures == pytest.approx(2 / 3)
+    assert (score.coverage, score.overclaimed, score.width_cm) == (0.5, 0.5, 2.0)
 
 
 @pytest.mark.parametrize(

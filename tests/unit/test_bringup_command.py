@@ -46,9 +46,9 @@ def test_the_help_names_the_stages_in_their_order(thigmo: Thigmo) -> None:
 def test_json_says_what_was_found(thigmo: Thigmo) -> None:
     ran = thigmo("bringup", "--robot", "emulator://empty", "--json")
     assert ran.code == 0
-    found = json.loads(ran.out)
-    assert found["good"] is True
-    assert {finding["stage"] for finding in found["findings"]} >= {"estop", "valves", "home"}
+    report = json.loads(ran.out)
+    assert report["good"] is True
+    assert {finding["stage"] for finding in report["findings"]} >= {"estop", "valves", "home"}
 
 
 def test_a_later_stage_can_be_tried_on_the_emulator_whose_board_is_new_each_time(

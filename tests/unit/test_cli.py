@@ -286,7 +286,9 @@ def test_every_wrong_usage_is_one_line_and_status_2(
 
 def test_no_command_takes_an_empty_name_for_a_robot(thigmo: Thigmo) -> None:
     commands: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
-    named = [name for name, each in commands.items() if "robot" in {p.name for p in each.params}]
+    named = [
+        name for name, command in commands.items() if "robot" in {p.name for p in command.params}
+    ]
     assert {"explore", "calibrate", "experiment", "stop", "info"} <= set(named)
     for name in named:
         ran = thigmo(name, "--robot", "")
@@ -352,9 +354,9 @@ def test_columns_with_directions_are_localized_in_space(tmp_path: Path, thigmo: 
             for k, d in zip(both, (0, 90), strict=True)]  # fmt: skip
     table.write_text("position,curvature,direction\n" + "\n".join(rows) + "\n")
     stated = ["--length", "53", "--noise", "0.0003", "--twist", "1.3", "--held-end", "no"]
-    one = json.loads(thigmo("localize", table, *stated, "--json").out)
-    _, toward_0, toward_90 = one["contacts"][0]["vector"]
-    assert abs(one["contacts"][0]["arc"] - 45) < 2
+    answer = json.loads(thigmo("localize", table, *stated, "--json").out)
+    _, toward_0, toward_90 = answer["contacts"][0]["vector"]
+    assert abs(answer["contacts"][0]["arc"] - 45) < 2
     assert toward_0 == pytest.approx(2e-4, rel=0.2)
     assert toward_90 == pytest.approx(-1e-4, rel=0.2)
     assert "vector" in thigmo("localize", table, *stated).out
@@ -364,7 +366,7 @@ def test_columns_with_directions_are_localized_in_space(tmp_path: Path, thigmo: 
         names, ((a, d) for a in arcs for d in (0, 90)), strict=True)]  # fmt: skip
     row = thigmo("localize", frames, *stated, "--columns", ",".join(places))
     assert float(row.out.splitlines()[1].split(",")[4]) == pytest.approx(
-        one["contacts"][0]["arc"], rel=1e-5
+        answer["contacts"][0]["arc"], rel=1e-5
     )
     some = thigmo("localize", frames, *stated, "--columns", "k0=10@0,k1=10")
     assert "DEGREES" in some.err

@@ -90,7 +90,7 @@ def test_readings_are_recorded_and_shown_at_once(tmp_path: Path) -> None:
             _fed(publisher, _frames(100))
             assert len(heard.take()) == 100
     kept = list(read_messages(tmp_path / "run.mcap"))
-    assert len([each for each in kept if isinstance(each, Telemetry)]) == 300
+    assert len([message for message in kept if isinstance(message, Telemetry)]) == 300
 
 
 @pytest.mark.parametrize(("moves", "shapes"), [(True, 100), (False, 10)])
@@ -101,7 +101,9 @@ def test_a_robot_at_rest_tells_its_shape_once_a_second(
     with LogWriter(tmp_path / "run.mcap", {}) as log, recording(publisher.hub, log):
         _fed(publisher, _frames(2000, moves=moves))
     kept = list(read_messages(tmp_path / "run.mcap"))
-    assert sum(isinstance(each, BodyShape) for each in kept) == pytest.approx(shapes, rel=0.06)
+    assert sum(isinstance(message, BodyShape) for message in kept) == pytest.approx(
+        shapes, rel=0.06
+    )
 
 
 def test_only_sensors_that_are_out_and_zeroed_tell_something() -> None:

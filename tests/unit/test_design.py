@@ -19,8 +19,8 @@ from thigmo.mechanics import Peg, Rod, Tube
 from thigmo.wiring import Wiring
 
 
-def _bad(found: list[Finding]) -> list[str]:
-    return [f"{one.part}: {one.text}" for one in found if one.mark == "bad"]
+def _bad(findings: list[Finding]) -> list[str]:
+    return [f"{finding.part}: {finding.text}" for finding in findings if finding.mark == "bad"]
 
 
 @pytest.mark.parametrize(
@@ -70,12 +70,12 @@ def test_a_map_of_another_body_pressure_is_named() -> None:
 def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
     config = draft(53, 5, 2)
     config.sensors = list(config.column("left"))
-    found = {one.part: one for one in judge(config)}
+    findings = {finding.part: finding for finding in judge(config)}
     # As explore does: it sweeps the muscle that it can, and finds what lies there.
     assert Wiring.of(config).unexplorable is None
     assert _bad(judge(config)) == []
-    assert found["sweep of left"].mark == "warning"
-    assert "sweeps right only" in found["sweep of left"].text
+    assert findings["sweep of left"].mark == "warning"
+    assert "sweeps right only" in findings["sweep of left"].text
     config.muscles = [config.muscle("left")]
     (said,) = _bad(judge(config))
     assert said.startswith("sweep of left: feels nothing")
@@ -84,7 +84,9 @@ def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
 
 def _localizes(config: RobotConfig, side: str) -> Finding:
     return next(
-        one for one in judge(config) if one.part == f"sweep of {side}" and "localized" in one.text
+        finding
+        for finding in judge(config)
+        if finding.part == f"sweep of {side}" and "localized" in finding.text
     )
 
 
@@ -92,15 +94,15 @@ def test_a_robot_that_localizes_almost_nowhere_is_told_where_one_more_sensor_cur
     config = draft(53, 3, 2)
     said = _localizes(config, "left")
     assert said.mark == "warning"
-    found = re.search(r"one more sensor at (\d+) cm would make it (\d+) %", said.text)
-    assert found is not None
+    advice = re.search(r"one more sensor at (\d+) cm would make it (\d+) %", said.text)
+    assert advice is not None
     first = config.column("right")[0]
-    place = max(float(found[1]), first.span_cm / 2)
+    place = max(float(advice[1]), first.span_cm / 2)
     more = first.model_copy(update={"center_cm": place})
     config.sensors = [*config.column("left"), more, *config.column("right")]
     cured = _localizes(config, "left")
     assert cured.mark == "ok"
-    assert f"on {found[2]} % of the body once calibrated" in cured.text
+    assert f"on {advice[2]} % of the body once calibrated" in cured.text
 
 
 def test_where_no_sensor_cures_it_the_noise_that_would_is_named() -> None:
@@ -124,7 +126,9 @@ def test_where_a_sweep_feels_is_where_the_mechanics_hold_the_base_back() -> None
     """A peg beside the arc from which contacts are said to be felt moves the base sensor so."""
     config = draft(53, 5, 2)
     config.body.critical_curvature = 1.0  # no fold, of which the base sensor sees a part
-    said = next(one.text for one in judge(config) if one.text.startswith("feels contacts"))
+    said = next(
+        finding.text for finding in judge(config) if finding.text.startswith("feels contacts")
+    )
     first = float(said.split()[3])
     base = config.column("right")[0]
     g = config.muscle("left").maps[-1].inflate.curvature(18.0)
@@ -162,7 +166,9 @@ def test_what_the_board_cannot_hold_is_refused_with_its_number() -> None:
 def test_the_check_names_the_smallest_board_that_holds_the_robot(
     length: float, sensors: int, muscles: int, board: str
 ) -> None:
-    said = next(one for one in judge(draft(length, sensors, muscles)) if one.part == "board")
+    said = next(
+        finding for finding in judge(draft(length, sensors, muscles)) if finding.part == "board"
+    )
     assert (said.mark, said.text.startswith(board)) == ("ok", True)
 
 
@@ -202,7 +208,11 @@ def test_a_divider_or_a_resistance_that_reads_no_bend_is_named() -> None:
 
 def test_scales_of_the_wrong_sign_are_warned_of() -> None:
     def warned(config: RobotConfig) -> list[str]:
-        return [f"{one.part}: {one.text}" for one in judge(config) if one.mark == "warning"]
+        return [
+            f"{finding.part}: {finding.text}"
+            for finding in judge(config)
+            if finding.mark == "warning"
+        ]
 
     config = draft(53, 5, 2)
     assert warned(config) == []
@@ -283,8 +293,10 @@ def test_the_commands_write_and_check(tmp_path: Path, thigmo: Thigmo) -> None:
     assert scene["robot"]["body"]["length_cm"] == 120
     empty = json.loads(thigmo("scene", "check", folder / "empty.toml", "--json").out)
     assert (empty["robot"], empty["pegs"]) == (scene["robot"], [])
-    found = json.loads(thigmo("robot", "check", folder / "robot.toml", "--json").out)
-    assert {one["mark"] for one in found["findings"] if one["part"] in ("board", "rates")} == {"ok"}
+    report = json.loads(thigmo("robot", "check", folder / "robot.toml", "--json").out)
+    assert {
+        finding["mark"] for finding in report["findings"] if finding["part"] in ("board", "rates")
+    } == {"ok"}
     shown = thigmo("robot", "check", folder / "robot.toml").out.splitlines()
     assert max(map(len, shown)) <= 80
     assert {line[:8].strip() for line in shown} <= {"ok", "warning", "bad", ""}
@@ -299,13 +311,13 @@ def test_a_robot_of_more_than_two_muscles_has_a_column_opposite_each(
     for muscle in config.muscles:
         column = [w for w in Wiring.of(config).sensors_reading(muscle) if abs(w.share) > 0.99]
         assert len(column) == (5 if muscles == 3 else 4)
-        assert all(one.sound for one in column)
+        assert all(sensor.sound for sensor in column)
     assert [muscle.name for muscle in Wiring.of(config).unguarded_muscles] == unguarded
     said = judge(config)
     assert _bad(said) == []
-    warned = [one.part for one in said if "no base sensor on the board" in one.text]
+    warned = [sensor.part for sensor in said if "no base sensor on the board" in sensor.text]
     assert warned == [f"muscle {name}" for name in unguarded]
-    halved = [one.part for one in said if "reads 50 % of them" in one.text]
+    halved = [sensor.part for sensor in said if "reads 50 % of them" in sensor.text]
     assert halved == ([] if unguarded else ["muscle 210deg", "muscle 330deg"])
 
 

@@ -41,11 +41,11 @@ def anchor(heading: str) -> str:
 
 def headings(page: Path) -> set[str]:
     """Anchors of a page's headings, with those of what it includes."""
-    found = {anchor(line) for line in re.findall(r"^#+ (.*)$", outside_code(page), re.MULTILINE)}
+    anchors = {anchor(line) for line in re.findall(r"^#+ (.*)$", outside_code(page), re.MULTILINE)}
     for name in re.findall(r"^```\{include\} (\S+)", page.read_text(), re.MULTILINE):
         if (page.parent / name).exists():
-            found |= headings(page.parent / name)
-    return found
+            anchors |= headings(page.parent / name)
+    return anchors
 
 
 def outside_code(page: Path) -> str:
@@ -116,7 +116,7 @@ def test_what_the_operating_system_refuses_is_on_the_errors_page(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
-    said = {(what, step) for _, _, what, step in import_module("generated").messages()}
+    said = {(problem, step) for _, _, problem, step in import_module("generated").messages()}
     assert ("cannot write <path>: <reason>", "choose a folder that you may write to") in said
 
 

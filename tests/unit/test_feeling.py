@@ -82,8 +82,8 @@ def test_the_body_pressure_is_raised_where_the_fold_limits(
 ) -> None:
     frames = _half("left", slope, onset_psi)
     config = deepcopy(CONFIG)
-    for each, amplitude in zip(config.muscle("left").maps, (0.026, 0.028, 0.03), strict=True):
-        each.inflate.amplitude = amplitude
+    for muscle_map, amplitude in zip(config.muscle("left").maps, (0.026, 0.028, 0.03), strict=True):
+        muscle_map.inflate.amplitude = amplitude
     assert pressing_zone(frames, {"left"}, config, 2) == zone
     assert pressing_zone(frames, {"left", "right"}, config, 2) == 2  # the right one felt nothing
     assert pressing_zone(frames, {"left"}, config, 0) == 0  # there is no higher one

@@ -44,7 +44,7 @@ def test_a_fibre_takes_no_input_of_the_board_and_alone_is_not_explored(tmp_path:
     alone = CONFIG.model_copy(update={"interrogator": "127.0.0.1:7400"})
     assert "no healthy sensor at the base" in (Wiring.of(alone).unexplorable or ("",))[0]
     assert "its trigger sees no fibre" in (Wiring.of(alone).unexplorable or ("", ""))[1]
-    said = {(one.part, one.mark) for one in judge(CONFIG)}
+    said = {(finding.part, finding.mark) for finding in judge(CONFIG)}
     assert {("explore", "warning"), ("fibre", "ok"), ("sweep of left", "warning")} <= said
     both = RobotConfig()
     both.sensors = [*both.sensors, *IN_PLANE]
@@ -53,7 +53,9 @@ def test_a_fibre_takes_no_input_of_the_board_and_alone_is_not_explored(tmp_path:
     assert Wiring.of(both).unexplorable is None
     # The flex sensors keep their inputs, and the trigger works on them.
     assert Wiring.of(both).sensors == Wiring.of(RobotConfig()).sensors
-    assert ("sweep of left", "warning") not in {(one.part, one.mark) for one in judge(both)}
+    assert ("sweep of left", "warning") not in {
+        (finding.part, finding.mark) for finding in judge(both)
+    }
 
 
 def _bends(seed: int = 1) -> tuple[Floats, Floats, Floats, Floats]:
@@ -72,15 +74,17 @@ def _bends(seed: int = 1) -> tuple[Floats, Floats, Floats, Floats]:
 
 def test_free_bends_tell_scale_zero_twist_and_the_drift_that_all_share() -> None:
     t_s, bend, strain, per_ue = _bends()
-    found = fit_fibre(t_s, bend, strain, CONFIG)
-    assert found.verdict.good
-    got = [fit.scale_per_ue for fit in found.sensors]
+    result = fit_fibre(t_s, bend, strain, CONFIG)
+    assert result.verdict.good
+    got = [fit.scale_per_ue for fit in result.sensors]
     assert got == pytest.approx(per_ue, rel=0.03)
-    off = [(a / b - 1) / fit.scale_se for a, b, fit in zip(got, per_ue, found.sensors, strict=True)]
+    off = [
+        (a / b - 1) / fit.scale_se for a, b, fit in zip(got, per_ue, result.sensors, strict=True)
+    ]
     assert 0.2 < np.std(off) < 3.0
-    assert found.twist_se_rad == pytest.approx(0.1, abs=0.02)
-    assert found.temperature_se == pytest.approx(5e-5 / 60 * 20, rel=0.5)
-    made = [s for s in found.apply(CONFIG).gratings if s.side]
+    assert result.twist_se_rad == pytest.approx(0.1, abs=0.02)
+    assert result.temperature_se == pytest.approx(5e-5 / 60 * 20, rel=0.5)
+    made = [s for s in result.apply(CONFIG).gratings if s.side]
     assert [s.scale_per_ue for s in made] == got
     assert made[0].noise == pytest.approx(0.5 * 2.7e-4, rel=0.4)
     assert made[0].reading(made[0].zero_ue + 100.0) == pytest.approx(0.027, rel=0.2)
@@ -91,12 +95,12 @@ def test_peaks_that_drop_out_cost_their_rows_and_a_lost_grating_is_named() -> No
     strain[3:6, 0] = np.nan
     strain[:, 4] = np.nan
     strain[:, 6] = np.random.default_rng(0).normal(0, 20, len(t_s))
-    found = fit_fibre(t_s, bend, strain, CONFIG)
-    assert [fit.index for fit in found.sensors if not fit.healthy] == [4, 6]
-    assert "its peak is lost" in found.verdict.notes[0]
-    assert "does not follow" in found.verdict.notes[1]
-    assert found.sensors[0].scale_per_ue == pytest.approx(per_ue[0], rel=0.03)
-    assert not found.apply(CONFIG).gratings[4].healthy
+    result = fit_fibre(t_s, bend, strain, CONFIG)
+    assert [fit.index for fit in result.sensors if not fit.healthy] == [4, 6]
+    assert "its peak is lost" in result.verdict.notes[0]
+    assert "does not follow" in result.verdict.notes[1]
+    assert result.sensors[0].scale_per_ue == pytest.approx(per_ue[0], rel=0.03)
+    assert not result.apply(CONFIG).gratings[4].healthy
     with pytest.raises(DataError, match="free bends that the camera saw"):
         fit_fibre(t_s[:5], bend[:5], strain[:5], CONFIG)
 

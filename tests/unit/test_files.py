@@ -35,4 +35,4 @@ def test_what_fails_leaves_what_was_there(
 
     with pytest.raises(type(failure)):
         fail()
-    assert [each.read_bytes() for each in tmp_path.iterdir()] == ([before] if before else [])
+    assert [left.read_bytes() for left in tmp_path.iterdir()] == ([before] if before else [])

@@ -121,53 +121,53 @@ def test_the_cells_along_the_body_hold_the_samples(fits: Fits) -> None:
 
 
 def test_a_side_that_feels_nothing_new_is_not_measured(fits: Fits) -> None:
-    found = Interpreter(CONFIG)
+    interpreter = Interpreter(CONFIG)
     fits.answers = [a_fit(39.0, 40.0)]
     short = _sweep(length_cm=40.0)
-    found.take(short, 2)
-    assert found.felt_sides(short) == {"left"}
+    interpreter.take(short, 2)
+    assert interpreter.felt_sides(short) == {"left"}
     longer = _sweep(length_cm=53.0)
-    found.take(longer, 2)
-    assert found.felt_sides(longer) == set()  # it passed what the shorter body touched
+    interpreter.take(longer, 2)
+    assert interpreter.felt_sides(longer) == set()  # it passed what the shorter body touched
     fits.answers = [a_fit(45.0, felt_at_cm=(40.0, 53.0), width_cm=2.0)]
-    found.take(longer, 2)
-    assert found.felt_sides(longer) == found.placed_sides(longer) == {"left"}
+    interpreter.take(longer, 2)
+    assert interpreter.felt_sides(longer) == interpreter.placed_sides(longer) == {"left"}
     fits.answers = [a_fit(45.0, felt_at_cm=(40.0, 53.0), width_cm=6.0)]
-    found.take(longer, 2)
-    assert found.felt_sides(longer) == {"left"}
-    assert found.placed_sides(longer) == set()
+    interpreter.take(longer, 2)
+    assert interpreter.felt_sides(longer) == {"left"}
+    assert interpreter.placed_sides(longer) == set()
 
 
 def test_a_body_that_was_held_bent_before_its_sweep_says_nothing_of_that_side(fits: Fits) -> None:
     fits.answers = [a_fit(45.0)]
-    found = Interpreter(CONFIG)
+    interpreter = Interpreter(CONFIG)
     caught = _sweep(held_at_rest=0.007)
-    found.take(caught, 2)
-    assert found.felt_sides(caught) == set()
-    assert found.map.contacts == []
+    interpreter.take(caught, 2)
+    assert interpreter.felt_sides(caught) == set()
+    assert interpreter.map.contacts == []
     assert fits.asked == 0
 
 
 def test_a_stage_says_what_it_felt_and_how_well(fits: Fits) -> None:
     fits.answers = [a_fit(45.0)]
-    found = Interpreter(CONFIG)
+    interpreter = Interpreter(CONFIG)
     sweep = _sweep()
-    found.take(sweep, 2)
-    (answer,) = found.localize(sweep, None, 2, 2)
+    interpreter.take(sweep, 2)
+    (answer,) = interpreter.localize(sweep, None, 2, 2)
     assert (answer.side, answer.status, answer.probability) == ("left", "localized", 1.0)
     assert "at 45.0 cm along the body, 95 % 44.0 to 46.0" in answer.message
     assert answer.mass.sum() == pytest.approx(1.0)
     assert not answer.message.endswith(UNEXPLAINED_WORDS)
-    entry = found.entry(1.0, 53.0, sweep, [answer], 2)
+    entry = interpreter.entry(1.0, 53.0, sweep, [answer], 2)
     assert entry.shapes[-1].side == "left"
 
 
 def test_a_stage_says_why_its_place_is_a_guess(fits: Fits) -> None:
     fits.answers = [a_fit(45.0, doubt=UNEXPLAINED_WORDS)]
-    found = Interpreter(CONFIG)
+    interpreter = Interpreter(CONFIG)
     sweep = _sweep()
-    found.take(sweep, 2)
-    (answer,) = found.localize(sweep, None, 2, 2)
+    interpreter.take(sweep, 2)
+    (answer,) = interpreter.localize(sweep, None, 2, 2)
     assert answer.status == "ambiguous"
     assert answer.message.endswith(UNEXPLAINED_WORDS)
 

@@ -21,15 +21,15 @@ NAME = re.compile(r"\b(?:PS|RV|FR|PR|NV|TL|TR|[ABCDFGJMPQRSUVY])\d*\b")
 
 def expanded(names: str) -> list[str]:
     """Names of parts in a row: `R1 R2`, `B1-B10`."""
-    found = []
+    parts = []
     for word in names.split():
         first, _, last = word.partition("-")
         kind, low = re.fullmatch(r"([A-Z]+)(\d*)", first).groups()  # type: ignore[union-attr]
         if last:
-            found += [f"{kind}{n}" for n in range(int(low), int(last.removeprefix(kind)) + 1)]
+            parts += [f"{kind}{n}" for n in range(int(low), int(last.removeprefix(kind)) + 1)]
         else:
-            found.append(first)
-    return found
+            parts.append(first)
+    return parts
 
 
 @pytest.fixture
@@ -52,8 +52,8 @@ def words(drawing: Path) -> str:
 def test_parts_are_counted_and_named_once(parts: dict[str, list[str]]) -> None:
     names = [name for _, *row in parts.values() for name in row]
     assert sorted(names) == sorted(set(names))
-    for row, (count, *each) in parts.items():
-        assert int(count) == len(each), row
+    for row, (count, *cells) in parts.items():
+        assert int(count) == len(cells), row
 
 
 def test_every_fitting_has_its_place(parts: dict[str, list[str]]) -> None:
@@ -82,14 +82,14 @@ def test_pins_are_the_firmwares() -> None:
     page = (HARDWARE / "wiring.md").read_text()
 
     def pins(rows: list[str]) -> set[str]:
-        found: set[str] = set()
+        names: set[str] = set()
         for row in rows:
             for first, last in re.findall(r"(A?\d+)(?:\.\.A(\d+))?", row):
                 low = int(first.removeprefix("A"))
-                found |= {
+                names |= {
                     f"{'A' * first.startswith('A')}{n}" for n in range(low, int(last or low) + 1)
                 }
-        return found
+        return names
 
     used = pins(re.findall(r"^// \| ([A0-9., ]+?) +\|", header, re.MULTILINE))
     assert used == pins(re.findall(r"^\| ([A0-9., ]+?) +\|", page, re.MULTILINE))

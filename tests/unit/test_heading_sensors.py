@@ -50,7 +50,7 @@ def test_a_string_serves_both_muscles_and_its_base_counts_while_either_bends() -
     every = (1 << len(TABLE.healthy)) - 1
     assert TABLE.usable("left", every).sum() == TABLE.usable("right", every).sum() == 12
     answer = parameter_settings(Wiring.of(CONFIG))
-    assert [when for when in answer["trigger_when"] if when] == [0b10000011]
+    assert [mask for mask in answer["trigger_when"] if mask] == [0b10000011]
     # The fold must not lie on an IMU; between two of them it may.
     first = Wiring.of(CONFIG).base_inputs[0]
     assert answer["flex_center_um"][first] == round(STRING[0].ends_cm[1] * 1e4)
@@ -71,7 +71,7 @@ def test_a_file_without_kinds_has_flex_sensors_and_an_unknown_kind_is_named(
 
 
 def test_the_check_says_what_bus_and_trigger_can() -> None:
-    said = {one.part: one for one in judge(CONFIG)}
+    said = {finding.part: finding for finding in judge(CONFIG)}
     assert said["board"].text.startswith("large")
     assert said["bus"].text.startswith("12 IMUs behind a multiplexer, 0.60 ms each at 400 kHz")
     assert said["trigger"].mark == "ok"
@@ -79,7 +79,7 @@ def test_the_check_says_what_bus_and_trigger_can() -> None:
     for sensor in drifting.sensors:
         assert isinstance(sensor, HeadingSensor)
         sensor.heading_se_rad = 0.02
-    assert {one.part: one.mark for one in judge(drifting)}["trigger"] == "bad"
+    assert {finding.part: finding.mark for finding in judge(drifting)}["trigger"] == "bad"
 
 
 def test_a_lab_believes_each_imu_in_one_place() -> None:
@@ -129,21 +129,21 @@ def test_free_bends_tell_scale_zero_and_drift(tmp_path: Path) -> None:
     spans = np.array([sensor.span_cm for sensor in STRING])
     turn = bend[:, None] * spans / scale + np.outer(t_s, np.diff(drift)) + 0.02
     turn += np.diff(np.radians(0.02) * rng.standard_normal((24, 13)), axis=1)
-    found = fit_heading(t_s, bend, 12_000.0 + turn / RAD_PER_OHM, CONFIG)
-    assert found.verdict.good
+    result = fit_heading(t_s, bend, 12_000.0 + turn / RAD_PER_OHM, CONFIG)
+    assert result.verdict.good
     misses = [
-        (fit.scale / s - 1) / fit.scale_se for fit, s in zip(found.sensors, scale, strict=True)
+        (fit.scale / s - 1) / fit.scale_se for fit, s in zip(result.sensors, scale, strict=True)
     ]
     assert np.abs(misses).max() < 4
     assert np.std(misses) > 0.1
-    made = found.apply(CONFIG)
-    assert [one.scale for one in made.sensors if isinstance(one, HeadingSensor)] == [
-        fit.scale for fit in found.sensors
+    made = result.apply(CONFIG)
+    assert [span.scale for span in made.sensors if isinstance(span, HeadingSensor)] == [
+        fit.scale for fit in result.sensors
     ]
     # 20 s after the zeros at half a degree a minute, and the scatter.
-    assert found.heading_se_rad == pytest.approx(2.9e-3, rel=0.4)
-    assert "turns" not in found.as_data()["sensors"][0]
-    draw(found, tmp_path / "heading.png")
+    assert result.heading_se_rad == pytest.approx(2.9e-3, rel=0.4)
+    assert "turns" not in result.as_data()["sensors"][0]
+    draw(result, tmp_path / "heading.png")
     assert (tmp_path / "heading.png").stat().st_size > 10_000
     turn[:, 4] *= -1
     turn[:, 7] = np.nan

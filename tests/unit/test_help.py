@@ -16,8 +16,8 @@ from thigmo.cli.main import app, main
 def walk(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Every command and group, with the words that call it."""
     yield path, command
-    for name, one in getattr(command, "commands", {}).items():
-        yield from walk(one, *path, name)
+    for name, subcommand in getattr(command, "commands", {}).items():
+        yield from walk(subcommand, *path, name)
 
 
 def options(command: Any) -> dict[str, str | None]:

@@ -22,17 +22,17 @@ def _readings(arc: float, force: float, free: float, rng: np.random.Generator) -
 
 def _hints(curvature: Any, position: Any, free: float, noise: float | None = NOISE) -> str:
     options = {"length": 53.0, "span": 5.5, "free_curvature": free, "noise": noise}
-    found = localize(curvature, position, **options)
-    return "; ".join(hints(found, curvature, position, **options))
+    answer = localize(curvature, position, **options)
+    return "; ".join(hints(answer, curvature, position, **options))
 
 
 @pytest.mark.parametrize("free", [0.0, 0.03])
 def test_a_contact_on_a_right_table_gets_no_hint(free: float) -> None:
     rng = np.random.default_rng(1)
     for arc in np.linspace(8.0, 52.0, 40):
-        one, two = (_readings(arc, force, free, rng) for force in (4e-4, -8e-4))
-        assert not _hints(one, POSITION, free)
-        pressed_twice = one + two - free - 1e-3 * np.maximum(0.6 * arc - POSITION, 0.0)
+        first, second = (_readings(arc, force, free, rng) for force in (4e-4, -8e-4))
+        assert not _hints(first, POSITION, free)
+        pressed_twice = first + second - free - 1e-3 * np.maximum(0.6 * arc - POSITION, 0.0)
         assert not _hints(pressed_twice, POSITION, free)
 
 

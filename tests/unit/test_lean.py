@@ -34,11 +34,11 @@ def _grown(force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0) 
 
 @pytest.mark.parametrize("force", [2e-4, -2e-4])
 def test_a_body_that_was_bent_while_it_grew_leans_where_the_bend_appeared(force: float) -> None:
-    found = _grown(force, 34.0)
-    assert found is not None
-    assert found.interval_cm[0] < 34.0 < found.interval_cm[1]
-    assert found.arc_cm == pytest.approx(34.0, abs=0.5)
-    assert found.force_per_cm2 == pytest.approx(force, rel=0.03)
+    growth = _grown(force, 34.0)
+    assert growth is not None
+    assert growth.interval_cm[0] < 34.0 < growth.interval_cm[1]
+    assert growth.arc_cm == pytest.approx(34.0, abs=0.5)
+    assert growth.force_per_cm2 == pytest.approx(force, rel=0.03)
 
 
 def test_a_straight_body_and_zeros_that_creep_are_no_lean() -> None:

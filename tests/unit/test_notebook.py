@@ -221,12 +221,12 @@ def test_frames_have_a_row_for_each_contact() -> None:
     position = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
     touched = -8e-4 * np.maximum(40.0 - position, 0.0)
     options = {"length": 53.0, "span": 5.5, "noise": 6e-4}
-    one = thigmo.localize(touched, position, **options)
-    assert one.to_frame()["arc"].tolist() == [contact.arc for contact in one.contacts]
+    answer = thigmo.localize(touched, position, **options)
+    assert answer.to_frame()["arc"].tolist() == [contact.arc for contact in answer.contacts]
     many = thigmo.localize_batch([touched, 0.0 * touched], position, **options).to_frame()
     assert many["row"].tolist() == [0, 1]
-    assert many["status"].tolist() == [one.status, "no contact"]
-    assert many["arc"][0] == pytest.approx(one.contacts[0].arc)
+    assert many["status"].tolist() == [answer.status, "no contact"]
+    assert many["arc"][0] == pytest.approx(answer.contacts[0].arc)
     assert np.isnan(many["arc"][1])
 
 

@@ -403,38 +403,38 @@ def _truth(*contacts: TrueContact) -> Truth:
 
 
 def test_missed_and_false_contacts_are_listed_with_reasons() -> None:
-    found = _contact()
-    here = TrueContact(found.x_cm + 0.5, found.y_cm, 40.5, 50.0, 0, "left")
+    contact = _contact()
+    here = TrueContact(contact.x_cm + 0.5, contact.y_cm, 40.5, 50.0, 0, "left")
     right = TrueContact(30.0, -10.0, 33.0, 50.0, 1, "right")
     near = TrueContact(1.0, -1.75, 1.0, 50.0, 2, "right")
-    both = judged(replace(_document(found), truth=_truth(here, right, near)), CONFIG)
+    both = judged(replace(_document(contact), truth=_truth(here, right, near)), CONFIG)
     assert both.false == []
     assert both.missed is not None
     assert [(m.arc_cm, m.source) for m in both.missed] == [(33.0, "truth"), (1.0, "truth")]
     assert "moment below threshold" in both.missed[0].reason
     assert "first sensor" in both.missed[1].reason
-    alone = judged(replace(_document(found), truth=_truth(right)), CONFIG)
+    alone = judged(replace(_document(contact), truth=_truth(right)), CONFIG)
     assert alone.false is not None
     assert [f.contact for f in alone.false] == [0]
     assert "nothing touched" in alone.false[0].reason
-    assert judged(_document(found), CONFIG).missed is None  # a real room: nobody knows
+    assert judged(_document(contact), CONFIG).missed is None  # a real room: nobody knows
 
 
 def test_two_pegs_of_one_sweep_that_were_not_told_apart_say_so() -> None:
-    found = _contact()
-    here = TrueContact(found.x_cm, found.y_cm, 40.0, 50.0, 0, "left")
+    contact = _contact()
+    here = TrueContact(contact.x_cm, contact.y_cm, 40.0, 50.0, 0, "left")
     other = TrueContact(20.0, 5.0, 20.0, 50.0, 1, "left")
-    document = judged(replace(_document(found), truth=_truth(here, other)), CONFIG)
+    document = judged(replace(_document(contact), truth=_truth(here, other)), CONFIG)
     assert document.missed is not None
     assert "not separated" in document.missed[0].reason
 
 
 def test_a_peg_that_was_taken_for_another_one_is_named_so() -> None:
     """Sweeps of two lengths touched two pegs, and the map has them as one, near the first."""
-    found = replace(_contact(), merged=[40.0])
-    first = TrueContact(found.x_cm, found.y_cm, 38.0, 40.0, 0, "left")
+    contact = replace(_contact(), merged=[40.0])
+    first = TrueContact(contact.x_cm, contact.y_cm, 38.0, 40.0, 0, "left")
     second = TrueContact(20.0, 15.0, 20.0, 50.0, 1, "left")
-    document = judged(replace(_document(found), truth=_truth(first, second)), CONFIG)
+    document = judged(replace(_document(contact), truth=_truth(first, second)), CONFIG)
     assert document.missed is not None
     (missed,) = document.missed
     assert "taken for the peg that other stages felt" in missed.reason

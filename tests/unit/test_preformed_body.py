@@ -130,5 +130,5 @@ def test_localize_needs_the_rest_shape_for_its_levers(thigmo: Thigmo, tmp_path: 
         "--config", str(tmp_path / "robot.toml"), "--free-curvature", "0", "--noise", "1e-4",
         "--json",
     )  # fmt: skip
-    found = json.loads(said.out)["contacts"][0]
-    assert abs(found["arc"] - 48.0) < 3.0
+    contact = json.loads(said.out)["contacts"][0]
+    assert abs(contact["arc"] - 48.0) < 3.0

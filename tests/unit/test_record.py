@@ -109,11 +109,11 @@ def test_a_record_damaged_in_its_middle_gives_up_only_what_is_damaged(
     path = tmp_path_factory.mktemp("damaged") / "run.mcap"
     path.write_bytes(data)
     log = read_log(path)
-    found = [e.frame for e in log.entries]
-    assert set(found) <= set(_frames(1000))
+    frames = [e.frame for e in log.entries]
+    assert set(frames) <= set(_frames(1000))
     # Two chunks of about 180 frames each, if the damage lies across their border.
-    assert len(found) >= 1000 - 2 * 200
-    if len(found) < 1000:
+    assert len(frames) >= 1000 - 2 * 200
+    if len(frames) < 1000:
         assert log.gaps
         assert "damaged in" in log.missing
 
@@ -216,7 +216,10 @@ def test_a_document_of_another_version_is_refused(tmp_path: Path) -> None:
 def test_the_document_names_its_muscles(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
     muscles = NamedMuscle.all_of(RobotConfig())
-    assert [(each.side, each.direction_deg) for each in muscles] == [("left", 90), ("right", 270)]
+    assert [(muscle.side, muscle.direction_deg) for muscle in muscles] == [
+        ("left", 90),
+        ("right", 270),
+    ]
     folder.write_document(RunDocument("0", "n", "u", "s", "full length", muscles=muscles))
     assert folder.read_document().muscles == muscles
 

@@ -32,9 +32,9 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["versi
     ],
 )
 def test_every_file_tells_the_same_version(file: str, pattern: str) -> None:
-    found = re.search(pattern, (ROOT / file).read_text(), re.M)
-    assert found is not None
-    assert found[1].replace(", ", ".") == VERSION == thigmo.__version__
+    match = re.search(pattern, (ROOT / file).read_text(), re.M)
+    assert match is not None
+    assert match[1].replace(", ", ".") == VERSION == thigmo.__version__
 
 
 def test_an_installation_without_sources_flashes_the_image_that_came_with_it(
@@ -70,7 +70,9 @@ def test_a_command_names_what_its_installation_lacks(
     command: str, absent: str, cure: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, absent, None)
-    for name in [each for each in sys.modules if each.startswith((f"{absent}.", "thigmo.live"))]:
+    for name in [
+        module for module in sys.modules if module.startswith((f"{absent}.", "thigmo.live"))
+    ]:
         monkeypatch.delitem(sys.modules, name)
     error = CliRunner().invoke(app, command.split()).exception
     assert isinstance(error, NotInstalledError)

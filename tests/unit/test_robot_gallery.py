@@ -16,10 +16,12 @@ FILES = sorted((Path(__file__).resolve().parents[2] / "docs" / "robots").glob("*
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_a_robot_of_the_gallery_is_good_and_nothing_is_asked(file: Path) -> None:
     robot = RobotConfig.load(file)
-    found = judge(robot)
-    assert [one for one in found if one.mark == "bad" or one.part == "units"] == []
+    findings = judge(robot)
+    assert [
+        finding for finding in findings if finding.mark == "bad" or finding.part == "units"
+    ] == []
     refused = Wiring.of(robot).unexplorable is not None
-    assert (found[0].part == "explore") is refused
+    assert (findings[0].part == "explore") is refused
     assert refused is (file.stem in ("three-muscles", "whisker", "tendon", "preformed"))
 
 

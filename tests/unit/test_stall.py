@@ -43,27 +43,27 @@ def test_a_growth_that_went_well_is_no_stall(pitch: int, seed: int) -> None:
 def test_a_tip_that_stalls_within_a_sensor_is_placed_within_a_centimetre(
     tip: float, seed: int
 ) -> None:
-    found = stall(*_growth(30.0, 40.0, tip, seed), TABLE)
-    assert found is not None
-    assert found.sensors == 2
-    assert found.arc_cm == pytest.approx(tip, abs=1.0)
-    assert found.interval_cm[0] <= tip <= found.interval_cm[1]
+    obstruction = stall(*_growth(30.0, 40.0, tip, seed), TABLE)
+    assert obstruction is not None
+    assert obstruction.sensors == 2
+    assert obstruction.arc_cm == pytest.approx(tip, abs=1.0)
+    assert obstruction.interval_cm[0] <= tip <= obstruction.interval_cm[1]
 
 
 @given(st.floats(30.2, 32.5), st.integers(0, 2**31))
 def test_a_tip_that_stalls_before_the_sensor_has_an_interval(tip: float, seed: int) -> None:
-    found = stall(*_growth(30.0, 40.0, tip, seed), TABLE)
-    assert found is not None
-    assert found.interval_cm[0] <= tip <= found.interval_cm[1]
+    obstruction = stall(*_growth(30.0, 40.0, tip, seed), TABLE)
+    assert obstruction is not None
+    assert obstruction.interval_cm[0] <= tip <= obstruction.interval_cm[1]
 
 
 def test_a_thicker_body_folds_more_gently() -> None:
     thick = RobotConfig()
     thick.body.diameter_cm *= 4
     length, bend = _growth(30.0, 40.0, 35.0)
-    found = stall(length, bend / 6, SensorTable.of(Wiring.of(thick)))
-    assert found is not None
-    assert found.arc_cm == pytest.approx(35.0, abs=1.0)
+    obstruction = stall(length, bend / 6, SensorTable.of(Wiring.of(thick)))
+    assert obstruction is not None
+    assert obstruction.arc_cm == pytest.approx(35.0, abs=1.0)
     # Of the thesis's tube so small a rise is creep.
     creep = stall(length, bend / 6, TABLE)
     assert creep is None or creep.arc_cm != pytest.approx(35.0, abs=1.0)
@@ -86,11 +86,14 @@ def _obstruction(late_cm: tuple[float, ...] = (), at: float = 36.0) -> Obstructi
 
 def test_a_stall_has_causes_and_never_is_a_localized_peg_by_itself() -> None:
     for late in ((), (0.0, 0.1), (2.5, 2.6)):
-        found = causes(_obstruction(late))
-        assert found.obstacle + found.wall + found.pressure == pytest.approx(1.0, abs=1e-3)
+        likely_causes = causes(_obstruction(late))
+        assert (
+            likely_causes.obstacle + likely_causes.wall + likely_causes.pressure
+            == pytest.approx(1.0, abs=1e-3)
+        )
         room = ContactMap(CONFIG)
         room.add_obstruction(_obstruction(late))
-        assert room.stall == found
+        assert room.stall == likely_causes
         assert all(contact.status == "ambiguous" for contact in room.contacts)
 
 
@@ -128,9 +131,9 @@ def test_a_known_wall_that_leads_to_the_tip_is_the_likelier_cause() -> None:
 def test_sensors_that_evert_late_are_told_by_the_growth() -> None:
     """Line that pays out faster than the tip moves, and then the tip stands."""
     length, bend = _growth(30.0, 50.0, 44.0)
-    found = stall(length, bend, TABLE)
-    assert found is not None
-    assert max(np.abs(found.late_cm)) < 0.5
+    obstruction = stall(length, bend, TABLE)
+    assert obstruction is not None
+    assert max(np.abs(obstruction.late_cm)) < 0.5
     slow = 30.0 + (length - 30.0) * 0.7
     late = np.column_stack([np.interp(slow, length, column) for column in bend.T])
     slowed = stall(length, late, TABLE)

@@ -46,10 +46,10 @@ def test_excess_curvature_turns_the_body_and_a_fold_turns_all_of_it() -> None:
 @pytest.mark.parametrize("apart", [0.0, 0.1])
 def test_the_difference_of_two_sensors_at_one_place_bends_no_base(apart: float) -> None:
     centers, noise = np.array([5.0, 5.0 + apart, 15.0, 25.0]), 6e-4 * np.array([1.0, -1.0, 0, 0])
-    one = centers[1:] - [apart / 2, 0.0, 0.0]
-    ramp, plain = (-2e-4 * np.maximum(27.0 - at, 0) for at in (centers, one))
+    first_pair = centers[1:] - [apart / 2, 0.0, 0.0]
+    ramp, plain = (-2e-4 * np.maximum(27.0 - at, 0) for at in (centers, first_pair))
     base = measured_bend(40.0, centers, ramp + noise).excess[0]
-    assert base == pytest.approx(measured_bend(40.0, one, plain).excess[0])
+    assert base == pytest.approx(measured_bend(40.0, first_pair, plain).excess[0])
 
 
 def test_the_shape_is_the_same_in_whichever_order_the_inputs_have_the_sensors() -> None:

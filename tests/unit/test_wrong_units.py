@@ -48,9 +48,9 @@ def _one(table: str, key: str, factor: float) -> Callable[[Table], None]:
 def _maps(key: str, factor: float) -> Callable[[Table], None]:
     def turn(file: Table) -> None:
         for muscle in file["muscle"]:
-            for each in muscle["map"]:
+            for muscle_map in muscle["map"]:
                 for branch in ("inflate", "deflate"):
-                    each[branch][key] *= factor
+                    muscle_map[branch][key] *= factor
 
     return turn
 
@@ -60,8 +60,8 @@ def _pressures(factor: float) -> Callable[[Table], None]:
         for zone in file["body"]["pressure"]:
             zone["pressure_psi"] *= factor
         for muscle in file["muscle"]:
-            for each in muscle["map"]:
-                each["body_pressure_psi"] *= factor
+            for muscle_map in muscle["map"]:
+                muscle_map["body_pressure_psi"] *= factor
 
     return turn
 
@@ -105,7 +105,7 @@ def _complaints(file: Table) -> set[str]:
         robot = RobotConfig.model_validate(file)
     except ValidationError as error:
         return {str(error)}
-    return {f"{one.part}: {one.text}" for one in judge(robot) if one.mark != "ok"}
+    return {f"{finding.part}: {finding.text}" for finding in judge(robot) if finding.mark != "ok"}
 
 
 @pytest.mark.parametrize("unit", WRONG)
@@ -123,16 +123,16 @@ def test_a_wrong_unit_is_noticed(unit: str) -> None:
 @pytest.mark.parametrize("length", [30.0, 53.0, 120.0, 200.0])
 def test_nothing_is_asked_of_a_draft(length: float, kind: Any, muscles: int) -> None:
     robot = draft(length, None, muscles, kind=kind)
-    assert [one.text for one in judge(robot) if one.part == "units"] == []
+    assert [finding.text for finding in judge(robot) if finding.part == "units"] == []
 
 
 @pytest.mark.parametrize("diameter", [2.0, 7.0, 10.0])
 def test_nothing_is_asked_of_a_thin_or_thick_body(diameter: float) -> None:
     robot = draft(53.0, 5, 2, diameter_cm=diameter)
-    assert [one.text for one in judge(robot) if one.part == "units"] == []
+    assert [finding.text for finding in judge(robot) if finding.part == "units"] == []
 
 
 @pytest.mark.parametrize("scene", ["default", "noisy", "wall"])
 def test_nothing_is_asked_of_a_scenes_robot(scene: str) -> None:
-    found = judge(Scene.load(scene).believed(1))
-    assert [one.text for one in found if one.part == "units"] == []
+    findings = judge(Scene.load(scene).believed(1))
+    assert [finding.text for finding in findings if finding.part == "units"] == []

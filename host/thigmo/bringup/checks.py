@@ -371,7 +371,7 @@ class BringUp:
                     findings.append(Finding(stage, subject, not cure, observation, cure))
                     self.tell(findings[-1])
             except ThigmoError as error:  # one that the check does not expect is a finding, too
-                findings.append(Finding(stage, "robot", False, error.what, error.next_step))
+                findings.append(Finding(stage, "robot", False, error.problem, error.next_step))
                 self.tell(findings[-1])
             if not all(finding.good for finding in findings):
                 break

@@ -161,7 +161,7 @@ def fit_hysteresis(records: Sequence[CreepRecord], config: RobotConfig) -> Hyste
             try:
                 decays.append(fit_decay(record.t_s, record.curvature))
             except DataError as error:
-                notes.append(f"{name}: {error.what}")
+                notes.append(f"{name}: {error.problem}")
         fits.append(_law(name, decays, sensor.noise))
     notes.extend(f"{fit.name}: {fit.reason}" for fit in fits if not fit.good)
     usable_s = [fit.usable_s for fit in fits if fit.good]

@@ -129,7 +129,7 @@ def detect(
             problems.append(error)
             tip = None if isinstance(error, MarkerAstrayError) else tip
         except DataError as error:
-            problems.append(BodyNotSeenError(error.what, error.next_step))
+            problems.append(BodyNotSeenError(error.problem, error.next_step))
     obstacles = detector.obstacles() if detector.request.obstacles else []
     return Detection(tip, axis, obstacles, hidden, tuple(problems), markers)
 

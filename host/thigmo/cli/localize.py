@@ -316,13 +316,13 @@ def _answer_rows(
                 else localizer.localize(row, free_curvature=free, body_curvature=shape)
             )
         except DataError as error:
-            raise DataError(f"line {line}: {error.what}", error.next_step) from error
+            raise DataError(f"line {line}: {error.problem}", error.next_step) from error
     times = table.time_s.tolist() if table.time_s is not None else [None] * len(results)
     if plot is not None:
         from thigmo.display.bars import Bar
         from thigmo.display.series import draw_series
 
-        when = table.lines if table.time_s is None else table.time_s.tolist()
+        moments = table.lines if table.time_s is None else table.time_s.tolist()
         label = "line of the file" if table.time_s is None else "time (s)"
         bars = [
             [Bar(contact.arc, contact.intervals, contact.status, "") for contact in result.contacts]
@@ -330,7 +330,7 @@ def _answer_rows(
             else []
             for result in results
         ]
-        _save(draw_series(when, bars, localizer.length, label), plot)
+        _save(draw_series(moments, bars, localizer.length, label), plot)
     frames = list(zip(table.lines, times, results, strict=True))
     if as_json:
         unread_answer = {"status": "no reading", "contacts": []}

@@ -227,7 +227,7 @@ def _walk(run: Exploration) -> None:
         failed = error
         interrupted = isinstance(error, KeyboardInterrupt | SystemExit | StoppedByViewerError)
         if isinstance(error, ThigmoError):
-            why, words = str(error), (error.what, error.next_step)
+            why, words = str(error), (error.problem, error.next_step)
         else:
             why = _ENDINGS.get(type(error), f"{type(error).__name__}: {error}")
             words = (why, "")
@@ -252,7 +252,7 @@ def _walk(run: Exploration) -> None:
         except RunFolderError as failure:  # a full disk: what was kept last stays
             if failed is None:
                 raise
-            failed.add_note(failure.what)
+            failed.add_note(failure.problem)
         run.tell()
         if safe:
             with suppress(ThigmoError):

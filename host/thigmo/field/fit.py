@@ -49,6 +49,12 @@ _TRIES = 5  # of a step, each with more damping
 _GAIN = 0.02  # log likelihood below which a pass ends the fit
 _LEVER = 0.7  # of the longest body, where the force acts for which a yield is stated
 _LARGEST_TURN = 0.13  # rad at the end of the body, of one step of the touch's bend
+# From pressure to bend, a muscle and a body that swings respond as something between a first-order
+# lag and a pure delay of the same time: evenly anywhere between. What chains of 2 to 8 lags, or a
+# lag and a swing, leave of a ramp's start after the best mixture is a tenth of their difference.
+_RESPONSE_STD, _RESPONSE_LEFT = 3**-0.5, 0.2  # of half that difference
+# Bends, over half of a bin's range, at which its reading is predicted: middles of four equal parts.
+_IN_BIN = np.array([-0.75, -0.25, 0.25, 0.75])
 
 
 class Touch(NamedTuple):
@@ -97,8 +103,8 @@ class Prediction(NamedTuple):
     effect: Effect  # by the errors
     bend: Floats  # (n,) of the free body, 1/cm
     answer: Floats  # (n, m) derivatives over the true curvature
-    row: npt.NDArray[np.intp]  # (n,) of the tables below the bend, and
-    part: Floats  # (n,) its share of the way to the next
+    row: npt.NDArray[np.intp]  # (n, b) of the tables below each of b bends in the bin, and
+    part: Floats  # (n, b) its share of the way to the next
 
 
 class Noise(NamedTuple):
@@ -204,6 +210,9 @@ class FieldFit:
         self._rows = [
             min(int(BEYOND * g / self.step) + 4, self.bends.size) for g in np.maximum(highest, 0.0)
         ]
+        self._in_bin = np.zeros((1, 1))
+        if readings.half_range is not None:
+            self._in_bin = readings.half_range[:, None] * _IN_BIN
         self.standing = np.ones(readings.bend.size)
         if readings.standing is not None:
             self.standing = readings.standing
@@ -218,6 +227,10 @@ class FieldFit:
         sweeps = np.eye(r.sweep.max() + 1)[r.sweep]
         on_bend = [e.map * g, e.map_zone[used] * g * zones, e.map_offset * zones]
         on_bend += [e.sweep * g * sweeps, e.sweep_offset * sweeps, e.lag_s * r.rate[:, None]]
+        self._bend_bin = np.full((n, 1), e.bend_bin)
+        if r.response is not None:
+            on_bend += [_RESPONSE_STD * r.response[:, None]]
+            self._bend_bin = np.hypot(e.bend_bin, _RESPONSE_LEFT * r.response[:, None])
         self.on_bend = np.hstack(on_bend)
         zeros = [np.ones((n, 1, 1)) * e.zero[:, None]]
         if r.zeroing.max() == r.sweep.max():  # one sweep a zeroing: the two are one error
@@ -318,21 +331,26 @@ class FieldFit:
         b, j, p, o = self._against, self._gain, self._place, self._zero
         gain, place = 1 + spread * e.gain * xi[j:p], e.place * xi[p:o]
         bend = self.bend(xi, spread)
-        whole, part = np.divmod(bend / self.step, 1)
-        k, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[:, None]
-        low, high = tables.mean[r.stage, k], tables.mean[r.stage, k + 1]
-        shift = tables.shift[r.stage, k] * (1 - u) + tables.shift[r.stage, k + 1] * u
+        # A touch is a kink, so the mean of a bin's readings is not the reading at its mean bend.
+        inside = np.clip(bend[:, None] + self._in_bin, 0.0, self.bends[-2])
+        whole, part = np.divmod(inside / self.step, 1)
+        k, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[..., None]
+        stage = r.stage[:, None]
+        low, high = tables.mean[stage, k], tables.mean[stage, k + 1]
+        touched = (low * (1 - u) + high * u).mean(axis=1)
+        rise = (high - low).mean(axis=1) / self.step
+        shift = (tables.shift[stage, k] * (1 - u) + tables.shift[stage, k + 1] * u).mean(axis=1)
         if r.standing is not None:
-            stood, free = self.standing[:, None], self.bends[:, None]
-            low = stood * low + (1 - stood) * free[k]
-            high = stood * high + (1 - stood) * free[k + 1]
+            stood = self.standing[:, None]
+            touched = stood * touched + (1 - stood) * bend[:, None]
+            rise = stood * rise + (1 - stood)
             shift = stood * shift
-        true = low * (1 - u) + high * u + shift * place
+        true = touched + shift * place
         back = true < 0  # a flex sensor answers less to a bend against its valid direction
         against = np.ones(m) if e.against is None else e.against
         unsure = np.zeros(m) if e.against_error is None else e.against_error
         answer = np.where(back, against + unsure * xi[b], 1.0)
-        slope = gain * answer * (high - low) / self.step
+        slope = gain * answer * rise
         on_bend = self.on_bend * np.where(self._drifts, spread, 1.0)
         common = np.concatenate(
             [
@@ -356,10 +374,10 @@ class FieldFit:
 
     def by_q(self, tables: Tables, at: Prediction) -> Floats:
         """(n, m, unknowns) derivatives of a prediction by what stands there."""
-        stage, part = self.readings.stage, at.part[:, None, None]
+        stage, part = self.readings.stage[:, None], at.part[..., None, None]
         below, above = tables.by_q[stage, at.row], tables.by_q[stage, at.row + 1]
         stood = (self.standing[:, None] * at.answer)[..., None]
-        slopes: Floats = stood * (below * (1 - part) + above * part)
+        slopes: Floats = stood * (below * (1 - part) + above * part).mean(axis=1)
         return slopes
 
     def departures(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Departures:
@@ -371,7 +389,7 @@ class FieldFit:
         there = self.predict(tables, xi, spread)
         added = self.model * (there.value - there.bend[:, None]) / self._sd
         weight = 1 / (self._sd * np.sqrt(1 + added**2))
-        along = weight * there.slope * self.errors.bend_bin
+        along = weight * there.slope * self._bend_bin
         volume = float(np.log1p((along**2).sum(axis=1)).sum() + np.log1p(added**2).sum())
         left = np.where(self.missing, 0.0, self.readings.curvature - there.value)
         return Departures(left, Noise(weight, along), volume, there)

@@ -40,6 +40,9 @@ class Readings:
     spans: Floats  # (m,) cm
     fold_moment: Floats  # (zones,) contact moment over EI that folds the base, 1/cm
     radius: float  # of the tube, cm
+    half_range: Floats | None = None  # (n,) half of the range of bends in a bin, 1/cm; None: none
+    # (n,) by how much the bend of a pure delay is higher, 1/cm; of a first-order lag as much lower
+    response: Floats | None = None
     standing: Floats | None = None  # (n,) share of each bin before what stood there gave way
 
     def at_length(self, length: float) -> Readings:
@@ -56,6 +59,8 @@ class Readings:
             rate=self.rate[rows], stage=np.searchsorted(kept, self.stage[rows]),
             sweep=renumbered(self.sweep), zeroing=renumbered(self.zeroing),
             stages=tuple(self.stages[n] for n in kept), standing=None,
+            half_range=None if self.half_range is None else self.half_range[rows],
+            response=None if self.response is None else self.response[rows],
         )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import SIGN, FlexSensor, RobotConfig, Side
+from thigmo.config import SIGN, FlexSensor, Muscle, RobotConfig, Side
 from thigmo.field.readings import Errors, Floats, Readings, Stage
 from thigmo.mechanics import critical_moment
 from thigmo.robot import Peak, SensorTable, SweepResult
@@ -22,6 +22,7 @@ _FRAMES = 5  # of 20 Hz, in a bin
 _SWINGS_S = 0.7  # at its start a half sweep swings
 _FLOOR = 1e-4  # 1/cm, least error of a bin: the board's rounding
 _PEAK_FRAMES = 10
+_HALF_RANGE = 3**0.5  # of evenly spread numbers, over their standard deviation
 _GAP_S = 1.0  # without frames of a side, between two of its sweeps
 _ENOUGH = 8  # frames whose scatter says the noise
 # Shares of `zero_se` that stay for a run, change with each zeroing and with each sweep: a loop of
@@ -46,6 +47,8 @@ class _Bin(NamedTuple):
     frames: int
     bend: float  # of the free body, signed
     rate: float
+    half_range: float  # of the bend
+    response: float  # by which the bend of a pure delay is higher
 
 
 def fold_moment(config: RobotConfig, zone: int) -> float:
@@ -65,7 +68,7 @@ def read(
     scatter = []
     number = 0
     for sweep, zone in sweeps:
-        for rise in _rises(sweep, side):
+        for rise in _rises(sweep, side, config.muscle(side), zone):
             use = table.usable(side, sweep.sensors) & np.isfinite(rise.curvature).all(axis=0)
             chosen = np.flatnonzero(rise.t_s >= rise.t_s[0] + _SWINGS_S)
             if chosen.size > _ENOUGH:  # white noise: what is left of second differences
@@ -76,14 +79,16 @@ def read(
             for part in np.array_split(chosen, max(1, chosen.size // _FRAMES)):
                 if part.size and use.any():
                     y = np.where(use, rise.curvature[part].mean(axis=0), np.nan)
-                    mean = float(rise.bend[part].mean()), float(rate[part].mean())
-                    rows.append(_Bin(number, stage, y, 0.0 * y, part.size, *mean))
+                    bend, half = rise.bend[part], float(_HALF_RANGE * rise.bend[part].std())
+                    mean = float(bend.mean()), float(rate[part].mean())
+                    response = float(rise.response[part].mean())
+                    rows.append(_Bin(number, stage, y, 0.0 * y, part.size, *mean, half, response))
             peak = rise.peak
             young = table.usable(side, peak.sensors) & np.isfinite(peak.curvature) & ~use
             if young.any():
                 y = np.where(young, peak.curvature, np.nan)
                 mean = peak.free_curvature, 0.0
-                rows.append(_Bin(number, stage, y, peak.added_noise, _PEAK_FRAMES, *mean))
+                rows.append(_Bin(number, stage, y, peak.added_noise, _PEAK_FRAMES, *mean, 0.0, 0.0))
             number += 1
     if not rows:
         return None
@@ -108,6 +113,8 @@ def read(
         spans=table.span_cm[has_reading],
         fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.zones))]),
         radius=config.body.radius_cm,
+        half_range=np.array([row.half_range for row in rows]),
+        response=sign * np.array([row.response for row in rows]),
     )
     return readings, stated(config, side, has_reading)
 
@@ -116,24 +123,29 @@ class _Rise(NamedTuple):
     """One way up of a half sweep."""
 
     t_s: Floats  # (n,)
-    bend: Floats  # (n,) of the free body, signed, 1/cm
+    bend: Floats  # (n,) of the free body, signed, 1/cm: midway between a lag and a delay
+    response: Floats  # (n,) by which a delay is higher
     curvature: Floats  # (n, sensors)
     peak: Peak
 
 
-def _rises(sweep: SweepResult, side: Side) -> list[_Rise]:
+def _rises(sweep: SweepResult, side: Side, muscle: Muscle, zone: int) -> list[_Rise]:
     """The ways up of one side: several where sweeps were joined, as repeated measurements are."""
     frames, curvature = sweep.half(side)
     peaks = [peak for peak in sweep.peaks if peak.side == side]
     if not frames or not peaks:
         return []
-    t_s, psi, bend = np.array([(f.t_s, f.pressure_psi, f.free_curvature) for f in frames]).T
+    t_s, psi, lagged = np.array([(f.t_s, f.pressure_psi, f.free_curvature) for f in frames]).T
+    inflate = muscle.maps[zone].inflate
+    delayed_psi = np.interp(t_s - muscle.lag_s, t_s, psi)
+    delayed = SIGN[side] * np.array([inflate.curvature(p) for p in delayed_psi])
     parts = np.split(np.arange(t_s.size), np.flatnonzero(np.diff(t_s) > _GAP_S) + 1)
     rises = []
     for part in parts:
         up = part[: int(psi[part].argmax()) + 1]
         peak = min(peaks, key=lambda peak: abs(peak.t_s - t_s[up[-1]]))
-        rises.append(_Rise(t_s[up], bend[up], curvature[up], peak))
+        bend, response = 0.5 * (lagged + delayed)[up], 0.5 * (delayed - lagged)[up]
+        rises.append(_Rise(t_s[up], bend, response, curvature[up], peak))
     return rises
 
 

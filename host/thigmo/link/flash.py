@@ -151,7 +151,9 @@ def explain(output: str, port: str) -> LinkError:
             signature = match[1] if match else "unknown"
             if "signature" in pattern and signature == _MEGA_2560:
                 continue
-            return type(error)(error.what.format(port=port, signature=signature), error.next_step)
+            return type(error)(
+                error.problem.format(port=port, signature=signature), error.next_step
+            )
     lines = [line for line in output.splitlines() if "error" in line.lower()] or ["no message"]
     return LinkError(
         f"avrdude failed: {lines[0].strip()}", "flash again; report it if it happens again"

@@ -236,7 +236,7 @@ def parameters(**capacity: int) -> dict[str, Parameter]:
     parameters: dict[str, Parameter] = {}
     index = 0
     for row in _DATA["parameters"]:
-        count = capacity[row["of"]] if row["of"] else 1
+        count = capacity[row["counted_by"]] if row["counted_by"] else 1
         if count == 0:
             continue  # its firmware leaves that parameter out
         stated_defaults = row["defaults"]

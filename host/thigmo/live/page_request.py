@@ -11,9 +11,7 @@ from pydantic import BaseModel, FiniteFloat, ValidationError
 
 from thigmo.stream import Text
 
-Name = Literal[
-    "take", "choose", "hold", "start", "clear", "retract", "jog", "pause", "resume", "answer"
-]
+Name = Literal["choose", "hold", "start", "clear", "retract", "jog", "pause", "resume", "answer"]
 
 
 class PageRequest(BaseModel):

@@ -134,7 +134,7 @@ class PageServer:
         self.token = secrets.token_urlsafe(16)
         self._watched = Watched(options.url) if options.past is None else None
         self._viewers: set[Viewer] = set()
-        self._operator: Viewer | None = None
+        self._operator: Viewer | None = None  # the page that asked for something first
         self._run = _Run(None)
         past = options.past
         self._past = PastRun(past) if past else None
@@ -357,8 +357,7 @@ class PageServer:
             "stopped": {"at_s": self._latch.since_s, "by": self._latch.by},
             "age_s": round(time.monotonic() - run.read_s, 1) if run.board else None,
             "pausing": run.pausing,
-            "operator": self._operator is viewer,
-            "operated": self._operator not in (None, viewer),
+            "operates": self._operator in (None, viewer),
             "viewers": len(self._viewers),
             "stop": self._way[0],
             "stop_why_not": self._way[1],
@@ -414,8 +413,6 @@ class PageServer:
         sender: asyncio.Task[None] | None = None
         try:
             await socket.prepare(request)
-            if self._operator is None:
-                self._operator = viewer
             viewer.add("page", json.dumps(self._page(viewer)))
             self._give_past(viewer)
             sender = asyncio.create_task(viewer.send_on())
@@ -446,11 +443,12 @@ class PageServer:
     async def _obey(self, viewer: Viewer, text: str) -> None:
         if (request := parse(text)) is None:
             return
-        command, operates = request.command, viewer is self._operator
+        command = request.command
+        if self._operator is None and command not in (None, "hold"):
+            self._operator = viewer
+        operates = viewer is self._operator
         if request.ack is not None:
             viewer.acknowledged()
-        elif command == "take" and self._operator is None:
-            self._operator = viewer
         elif command == "choose" and operates and self._watched is not None:
             if any(run.pid == request.pid for run in self._choices):
                 self._watched.choose(request.pid)

@@ -23,11 +23,11 @@ struct DetectedContact {
   Row force_at{}, spread{};      // mean force there, and its standard deviation
 };
 
-enum class Status { no_contact, below_detection, ambiguous, localized };
+enum class ContactStatus { no_contact, below_detection, ambiguous, localized };
 
 struct Answer {
-  Status status = Status::no_contact;
-  Problem problem = Problem::none;
+  ContactStatus status = ContactStatus::no_contact;
+  InputProblem problem = InputProblem::none;
   double shows = 0.0;  // a number that shows the problem
   std::vector<DetectedContact> contacts;
   std::array<double, 4> number{};  // probability of each number of detected contacts
@@ -432,11 +432,11 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
     // What moves no reading can never be excluded, and is no hint.
     const bool hint = 1.0 - out.number[0] > 2.0 * priors.excluded || count > 0 ||
                       (!readings.known && readings.frame.size() == 1);
-    out.status = hint ? Status::below_detection : Status::no_contact;
+    out.status = hint ? ContactStatus::below_detection : ContactStatus::no_contact;
   } else {
     const bool all_localized = std::all_of(out.contacts.begin(), out.contacts.end(),
                                            [](const DetectedContact& c) { return c.localized; });
-    out.status = all_localized ? Status::localized : Status::ambiguous;
+    out.status = all_localized ? ContactStatus::localized : ContactStatus::ambiguous;
   }
   // From here on in the caller's order.
   for (Hypothesis& h : out.hypotheses) {
@@ -446,8 +446,8 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
 
 inline Answer answer(const Input& input, const Options& options) {
   Answer out;
-  std::tie(out.problem, out.shows) = problem_of(input, options);
-  if (out.problem != Problem::none) return out;
+  std::tie(out.problem, out.shows) = input_problem(input, options);
+  if (out.problem != InputProblem::none) return out;
   Weighing weighing(normalised(input, options), input, options);
   conclude(weighing, options, out);
   return out;

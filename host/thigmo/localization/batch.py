@@ -14,7 +14,7 @@ from thigmo.display.series import draw_series
 from thigmo.errors import DataError
 from thigmo.extras import data_frame
 from thigmo.localization.doubts import MISTAKES, remarks
-from thigmo.localization.result import STATUSES, Array, Status, message
+from thigmo.localization.result import STATUSES, Array, ContactStatus, message
 from thigmo.localization.validation import refusal
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class BatchResult:
         length: length of the body.
     """
 
-    status: list[Status]
+    status: list[ContactStatus]
     message: list[str]
     hypothesis: list[str]
     count: npt.NDArray[np.int64]
@@ -118,10 +118,12 @@ class BatchResult:
         Returns:
             The axes.
         """
-        when = np.arange(len(self)) if moments is None else np.asarray(moments, dtype=np.float64)
-        if when.shape != (len(self),):
+        numbers = np.arange(len(self))
+        positions = numbers if moments is None else np.asarray(moments, dtype=np.float64)
+        if positions.shape != (len(self),):
             raise DataError(
-                f"moments has shape {when.shape}", f"give one number for each of {len(self)} rows"
+                f"moments has shape {positions.shape}",
+                f"give one number for each of {len(self)} rows",
             )
         bars = [
             [
@@ -135,9 +137,9 @@ class BatchResult:
             ]
             for row in range(len(self))
         ]
-        return draw_series(when.tolist(), bars, self.length, label, axes=axes, unit=unit)
+        return draw_series(positions.tolist(), bars, self.length, label, axes=axes, unit=unit)
 
-    def _other_status(self, row: int) -> Status:
+    def _other_status(self, row: int) -> ContactStatus:
         """Status of a contact that is not localized."""
         return "below detection" if self.status[row] == "below detection" else "ambiguous"
 
@@ -163,7 +165,7 @@ class BatchResult:
             row = int(wrong[0])
             shows = float(numbers["shows"][row])
             error = refusal(int(numbers["problem"][row]), shows, length)
-            raise DataError(f"row {row}: {error.what}", error.next_step)
+            raise DataError(f"row {row}: {error.problem}", error.next_step)
         arc, force, low, high, localized, probability = np.moveaxis(of_contact, 2, 0)
         status = [STATUSES[int(code)] for code in numbers["status"].tolist()]
         count = numbers["count"].astype(np.int64)

@@ -76,7 +76,7 @@ struct Readings {
 };
 
 // Why a frame is refused; validation.py has the sentences, and checks what holds for every frame.
-enum class Problem { none, infinite, no_reading, free, too_tight, constant, curls };
+enum class InputProblem { none, infinite, no_reading, free, too_tight, constant, curls };
 
 inline double pick(const Row& values, std::size_t i) { return values[values.size() == 1 ? 0 : i]; }
 inline double free_of(const Input& in, std::size_t i) {
@@ -93,15 +93,15 @@ inline std::pair<double, double> ends_of_sensor(const Options& options, std::siz
 }
 
 // The problem, and a number that shows it.
-inline std::pair<Problem, double> problem_of(const Input& in, const Options& options) {
+inline std::pair<InputProblem, double> input_problem(const Input& in, const Options& options) {
   const std::size_t n = in.curvature.size();
   double tightest = 0.0, sum = 0.0;
   std::size_t finite = 0;
   bool same = true, passive = true;
   for (std::size_t i = 0; i < n; ++i) {
     const double k = in.curvature[i], g = free_of(in, i);
-    if (std::isinf(k)) return {Problem::infinite, k};
-    if (!std::isfinite(g)) return {Problem::free, g};
+    if (std::isinf(k)) return {InputProblem::infinite, k};
+    if (!std::isfinite(g)) return {InputProblem::free, g};
     tightest = std::max(tightest, std::abs(g));
     passive = passive && g == 0.0;
     if (std::isnan(k)) continue;
@@ -109,16 +109,17 @@ inline std::pair<Problem, double> problem_of(const Input& in, const Options& opt
     same = same && (finite == 0 || k == in.curvature[i - 1]);
     ++finite;
   }
-  if (finite == 0) return {Problem::no_reading, 0.0};
-  if (tightest * options.radius * options.length > 1.0) return {Problem::too_tight, tightest};
+  if (finite == 0) return {InputProblem::no_reading, 0.0};
+  if (tightest * options.radius * options.length > 1.0) return {InputProblem::too_tight, tightest};
   // No body of a lab is a whole ring; one in two units looks like several.
   const double turn = std::abs(sum) / static_cast<double>(finite) * options.length;
-  if (options.direction.rows == 0 && turn > 2.0 * std::numbers::pi) return {Problem::curls, turn};
+  if (options.direction.rows == 0 && turn > 2.0 * std::numbers::pi)
+    return {InputProblem::curls, turn};
   // A body that nothing bends reads no constant curvature but zero.
   if (n >= 3 && same && passive && finite == n && in.curvature[0] != 0.0) {
-    return {Problem::constant, in.curvature[0]};
+    return {InputProblem::constant, in.curvature[0]};
   }
-  return {Problem::none, 0.0};
+  return {InputProblem::none, 0.0};
 }
 
 // Curvature of the free body at the nodes, linear between sensors.

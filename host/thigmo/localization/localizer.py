@@ -319,7 +319,7 @@ class Localizer:
         spans = np.broadcast_to(vector(self.sensors.span, "span", excess.size), excess.size)[read]
         count = 1 if self.priors.contacts == "auto" else int(self.priors.contacts)
         critical = self.body.critical_curvature or math.inf
-        problem = thesis.Problem(excess[read], x, spans, self.length, count, critical)
+        problem = thesis.ThesisProblem(excess[read], x, spans, self.length, count, critical)
         arcs, forces = thesis.coupled(problem)
         rest = thesis.objective(thesis.at_centres(problem), arcs, forces)
         return LocalizeResult.of_point_estimate(arcs, forces, self.method, rest, self.length)

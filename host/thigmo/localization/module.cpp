@@ -127,8 +127,9 @@ NB_MODULE(_posterior, m) {
                for (const auto& [low, high] : c.pieces) {
                  pieces.append(nb::make_tuple(low * length, high * length));
                }
-               const Status lowest = c.localized ? Status::localized : Status::ambiguous;
-               const bool hint = a.status == Status::below_detection;
+               const ContactStatus lowest =
+                   c.localized ? ContactStatus::localized : ContactStatus::ambiguous;
+               const bool hint = a.status == ContactStatus::below_detection;
                out.append(nb::make_tuple(
                    c.arc * length, c.force / (length * length),
                    nb::make_tuple(c.low * length, c.high * length),
@@ -274,7 +275,7 @@ NB_MODULE(_posterior, m) {
             pick_row(free, m, input.free), pick_row(body, m, input.body);
             const Answer result = answer(input, self);
             write(result, self.length, &rows[m * kOfRow], &contacts[m * kContacts * kOfContact]);
-            if (result.problem != Problem::none) continue;
+            if (result.problem != InputProblem::none) continue;
             names[m] = name_of(result.hypotheses[result.best]);
             if (all) std::copy(result.residual.begin(), result.residual.end(), &residuals[m * n]);
           }

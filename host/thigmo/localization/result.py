@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Array = npt.NDArray[np.float64]
-Status = Literal["localized", "ambiguous", "below detection", "no contact", "point estimate"]
-STATUSES: tuple[Status, ...] = ("no contact", "below detection", "ambiguous", "localized")
+ContactStatus = Literal["localized", "ambiguous", "below detection", "no contact", "point estimate"]
+STATUSES: tuple[ContactStatus, ...] = ("no contact", "below detection", "ambiguous", "localized")
 UNCHECKED = (
     "there are no more readings than a contact has numbers, so nothing checks the place: "
     "read one more sensor"
@@ -64,7 +64,7 @@ class Contact:
     arc: float
     force: float
     interval: Range
-    status: Status
+    status: ContactStatus
     intervals: tuple[Range, ...] = ()
     force_deviation: float = 0.0
     probability: float = 1.0
@@ -186,7 +186,7 @@ class LocalizeResult:
         length: length of the body.
     """
 
-    status: Status
+    status: ContactStatus
     contacts: tuple[Contact, ...]
     hypothesis: str
     message: str
@@ -415,7 +415,7 @@ class LocalizeResult:
 
 
 def message(
-    status: Status, count: int, number: Sequence[float], touched: float, *,
+    status: ContactStatus, count: int, number: Sequence[float], touched: float, *,
     end_open: bool, discarded: bool, kinked: float, freedom: int, looks: Sequence[str],
 ) -> str:  # fmt: skip
     """One sentence for the operator.

@@ -40,7 +40,7 @@ _SWEEPS = 8  # over all contacts, at most, for each barrier
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class ThesisProblem:
     """Readings of one frame."""
 
     curvature: Array  # (N,) readings above free curvature, finite, 1/cm
@@ -55,12 +55,12 @@ class Problem:
     start: Array | None = None
 
 
-def influence(problem: Problem, arcs: Array) -> Array:
+def influence(problem: ThesisProblem, arcs: Array) -> Array:
     """(N, K) readings for unit forces over EI at arcs (K,): mean lever arms over the spans, cm."""
     return phi(arcs, problem.position[:, None], problem.span[:, None])
 
 
-def objective(problem: Problem, arcs: Array, forces: Array) -> float:
+def objective(problem: ThesisProblem, arcs: Array, forces: Array) -> float:
     """The 1-norm of readings minus model (thesis, equation 2.10)."""
     return float(np.abs(problem.curvature - influence(problem, arcs) @ forces).sum())
 
@@ -73,7 +73,7 @@ def weighted_median(ratio: Array, weight: Array) -> npt.NDArray[np.int64]:
     return np.asarray(np.take_along_axis(order, middle[None, :], 0)[0])
 
 
-def single_forces(problem: Problem, arcs: Array) -> Array:
+def single_forces(problem: ThesisProblem, arcs: Array) -> Array:
     """(K,) best force over EI of a single contact at each of the arcs (K,): weighted medians."""
     levers = influence(problem, arcs)
     ratio = np.divide(
@@ -82,7 +82,7 @@ def single_forces(problem: Problem, arcs: Array) -> Array:
     return np.asarray(ratio[weighted_median(ratio, levers), np.arange(levers.shape[1])])
 
 
-def best_forces(problem: Problem, arcs: Array) -> Array:
+def best_forces(problem: ThesisProblem, arcs: Array) -> Array:
     """Forces (K,) that minimise the 1-norm for contacts at given arcs (K,).
 
     For one contact it is a weighted median. For several, an optimum of the least absolute deviation
@@ -99,7 +99,7 @@ def best_forces(problem: Problem, arcs: Array) -> Array:
     return np.asarray(tried[misfit.argmin()])
 
 
-def starting_arcs(problem: Problem) -> Array:
+def starting_arcs(problem: ThesisProblem) -> Array:
     """The problem's starting arcs, or the thesis's if it has none, (contacts,)."""
     if problem.start is not None:
         return np.array(problem.start, dtype=np.float64)
@@ -112,7 +112,7 @@ def in_order(arcs: Array, forces: Array) -> tuple[Array, Array]:
     return arcs[order], forces[order]
 
 
-def at_centres(problem: Problem) -> Problem:
+def at_centres(problem: ThesisProblem) -> ThesisProblem:
     """The problem with readings of the curvature at each sensor's centre, as in the thesis."""
     return replace(problem, span=np.zeros_like(problem.span))
 
@@ -130,7 +130,7 @@ def alternate(
 
 
 def alternating(
-    problem: Problem, norm: Literal[1, 2] = 1, barriers: tuple[float, ...] = _BARRIERS
+    problem: ThesisProblem, norm: Literal[1, 2] = 1, barriers: tuple[float, ...] = _BARRIERS
 ) -> tuple[Array, Array]:
     """The thesis's solver: a log-barrier interior point method for arcs, exact forces in between.
 
@@ -188,7 +188,7 @@ def _downhill(values: list[float], node: int) -> int:
     return node
 
 
-def _clamp_base(problem: Problem) -> tuple[Problem, float]:
+def _clamp_base(problem: ThesisProblem) -> tuple[ThesisProblem, float]:
     """The problem with base readings clipped to the critical curvature, and their mean before."""
     at_base = problem.position <= problem.position.min() + 1e-9
     limit = problem.critical_curvature
@@ -196,12 +196,12 @@ def _clamp_base(problem: Problem) -> tuple[Problem, float]:
     return replace(problem, curvature=held), float(np.mean(problem.curvature[at_base]))
 
 
-def clamped(problem: Problem) -> tuple[Array, Array]:
+def clamped(problem: ThesisProblem) -> tuple[Array, Array]:
     """The thesis's solver with the base readings clamped to the critical curvature."""
     return alternating(_clamp_base(problem)[0])
 
 
-def coupled(problem: Problem) -> tuple[Array, Array]:
+def coupled(problem: ThesisProblem) -> tuple[Array, Array]:
     """A contact that folds the base: f = +-critical / a, with a found by Nelder-Mead (section 3.2).
 
     `clamped` answers instead if the base stays below the critical curvature, or for several

@@ -199,7 +199,7 @@ def _same_unit(given: float, total: float, *, least: float) -> str:
     return ""
 
 
-# In the order of `Problem` in input.h; {:g} is the offending number.
+# In the order of `InputProblem` in input.h; {:g} is the offending number.
 _PROBLEMS = (
     ("", ""),
     ("a reading is infinite", "mark missing sensors with NaN"),

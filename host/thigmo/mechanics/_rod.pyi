@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.mechanics.elastica import Kind, Model, ModelChoice, Status
+from thigmo.mechanics.elastica import Convergence, Kind, Model, ModelChoice
 
 Floats = NDArray[np.float64]
 _PegRow = tuple[float, float, float, float, float, float]
@@ -87,7 +87,7 @@ class Rod:
     tip_rounding_cm: float
     rest_curvature: tuple[tuple[float, float], ...]  # see `Tube`
     critical_moment: float | None  # the base folds there, 1/cm; body pressure changes it
-    status: Status  # how the last equilibrium was found; see `Solution`
+    status: Convergence  # how the last equilibrium was found; see `Solution`
     model: Model  # of the last step
     error_bound_cm: float  # of positions in the last step
     counts: dict[str, int]  # steps by each model that was used

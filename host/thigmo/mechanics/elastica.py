@@ -31,7 +31,7 @@ Model = Literal["arc", "beam", "elastica"]
 ModelChoice = Literal["auto", "arc", "beam", "elastica"]
 # Relaxed: descended in energy after a snap, then converged. Approximate: as accurate as a penalty
 # method.
-Status = Literal["converged", "relaxed", "approximate"]
+Convergence = Literal["converged", "relaxed", "approximate"]
 # On the side (force along the centreline's normal at the closest point), on a corner of the flat
 # end (oblique force, a tube radius off the centreline), or on the face of the end.
 Kind = Literal["side", "corner", "face"]

@@ -126,7 +126,7 @@ void Rod::set_free(std::vector<Node> nodes, double natural, double length) {
   nodes_ = std::move(nodes);
   base_moment_ = error_bound_ = 0.0;
   model_ = Model::kArc;
-  status_ = Status::kConverged;
+  status_ = Convergence::kConverged;
   elastica_current_ = false;
   room_.length = length;
   room_.natural = natural;
@@ -157,7 +157,7 @@ void Rod::take_elastica(double natural, double length) {
     }
   }
   follow(natural, length);
-  error_bound_ = status_ == Status::kApproximate ? 1e-3 : 1e-5;
+  error_bound_ = status_ == Convergence::kApproximate ? 1e-3 : 1e-5;
 }
 
 void Rod::place(std::vector<Peg> pegs) {
@@ -286,9 +286,9 @@ void Rod::solve(double travel) {
   // A solution much farther away than the tip may move is checked by relaxation.
   if (converged && tip_before && apart(nodes_.back(), *tip_before) > 5.0 * travel + 0.3)
     converged = false;
-  status_ = Status::kConverged;
+  status_ = Convergence::kConverged;
   if (!converged) {
-    status_ = Status::kRelaxed;
+    status_ = Convergence::kRelaxed;
     Relaxed relaxed = relax(room_, bend_, fold_before);
     nodes_ = relaxed.nodes;
     Reactions near{std::move(relaxed.contacts), 0, 0.0};
@@ -302,7 +302,7 @@ void Rod::solve(double travel) {
     converged = find_reactions() && apart(nodes_.back(), relaxed.nodes.back()) <= 1.0;
     if (!converged) {
       // The relaxed shape is an equilibrium to the accuracy of penalties.
-      status_ = Status::kApproximate;
+      status_ = Convergence::kApproximate;
       forget_equations();
       reactions_ = std::move(near);
       nodes_ = std::move(relaxed.nodes);

@@ -39,7 +39,7 @@ struct BadInput : std::invalid_argument {
 
 enum class Model { kArc, kBeam, kElastica };
 // How the rod's last equilibrium was found; kApproximate: to the accuracy of penalties only.
-enum class Status { kConverged, kRelaxed, kApproximate };
+enum class Convergence { kConverged, kRelaxed, kApproximate };
 
 // What a touching peg does, in the terms of Python's PegContact.
 struct ContactReport {
@@ -183,7 +183,7 @@ class Rod {
   Outline outline() const { return room_.outline(); }
   double length() const { return room_.length; }
   double natural() const { return room_.natural; }
-  Status status() const { return status_; }
+  Convergence status() const { return status_; }
   Model model() const { return model_; }
   double error_bound() const { return error_bound_; }
   const std::array<int, 3>& counts() const { return counts_; }  // steps by each model
@@ -246,7 +246,7 @@ class Rod {
   std::vector<Node> nodes_;
   double base_moment_ = 0.0;
   Model model_ = Model::kArc;
-  Status status_ = Status::kConverged;
+  Convergence status_ = Convergence::kConverged;
   double error_bound_ = 0.0;
   std::array<int, 3> counts_{};
 

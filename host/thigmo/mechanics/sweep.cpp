@@ -118,7 +118,7 @@ void Rod::read(Sweep& sweep, int row, const std::vector<double>& centers,
   const Centreline line = centreline();
   const int parameters = sweep.parameters();
   const int directions = shot_.directions;
-  const bool exact = status_ != Status::kApproximate;
+  const bool exact = status_ != Convergence::kApproximate;
   const std::vector<double> total = exact ? sensitivity() : std::vector<double>();
   sweep.approximate[row] = !exact;
   std::vector<double> turn_by(directions), by(parameters);

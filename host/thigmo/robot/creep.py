@@ -86,13 +86,13 @@ class CreepWatch:
             count = np.bincount(bins)
             level = float(raw[-1])
             level_at = np.bincount(bins, raw - level) / count
-            when = np.bincount(bins, since[use]) / count
+            bin_s = np.bincount(bins, since[use]) / count
             noise = float(self._table.noise[i])
             # A second pass lets this eversion's own amplitude carry the doubt about tau.
             law = self._laws[i]
-            *_, eversion = law.observe(when, level_at, noise)
+            *_, eversion = law.observe(bin_s, level_at, noise)
             again = Settling(law.tau_s, law.tau_se_s, eversion.amplitude, law.amplitude_sd)
-            settled, settled_sd, eversion = again.observe(when, level_at, noise)
+            settled, settled_sd, eversion = again.observe(bin_s, level_at, noise)
             excess, excess_sd = eversion.excess(at_s - self._everted_s[i])
             value[i] = level + settled + float(excess)
             sigma[i] = np.hypot(settled_sd, float(excess_sd))

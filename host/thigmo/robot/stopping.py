@@ -119,7 +119,7 @@ def failure(error: ThigmoError) -> str:
     cure = error.next_step
     if not cure.startswith(_EMERGENCY):
         cure = f"{_EMERGENCY}, or {cure}" if cure else _EMERGENCY
-    return f"{error.what}; {cure}"
+    return f"{error.problem}; {cure}"
 
 
 def nobody() -> LinkError:

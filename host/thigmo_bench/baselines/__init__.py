@@ -1,7 +1,7 @@
 """Methods for comparison with the localizer: those that users would choose, and the thesis's.
 
-Called directly, with a `Problem`. `pwlf`, `ruptures`, `trees` and `trees-mechanics` need the
-packages of `pip install thigmo[bench]` and say so.
+Called directly, with a `BaselineProblem`. `pwlf`, `ruptures`, `trees` and `trees-mechanics` need
+the packages of `pip install thigmo[bench]` and say so.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from thigmo.localization import thesis
 from thigmo.localization.thesis import Array
 from thigmo_bench.baselines import general
 from thigmo_bench.baselines.exact import exact
-from thigmo_bench.baselines.general import Problem
+from thigmo_bench.baselines.general import BaselineProblem
 
-Baseline = Callable[[Problem], tuple[Array, Array]]
+Baseline = Callable[[BaselineProblem], tuple[Array, Array]]
 
 BASELINES: dict[str, Baseline] = {
     "alternating": thesis.alternating,
@@ -34,4 +34,4 @@ BASELINES: dict[str, Baseline] = {
     "trees-mechanics": partial(general.trees, mechanics=True),
 }
 
-__all__ = ["BASELINES", "Baseline", "Problem"]
+__all__ = ["BASELINES", "Baseline", "BaselineProblem"]

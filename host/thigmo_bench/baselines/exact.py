@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from thigmo.errors import DataError
-from thigmo.localization.thesis import Array, Problem, influence, weighted_median
+from thigmo.localization.thesis import Array, ThesisProblem, influence, weighted_median
 
 _ARCS, _PAIR_ARCS = 5300, 106  # grid intervals: 0.01 cm of 53 for one contact, 0.5 cm for two
 _MOST_LINES = 30  # line searches for the best two forces
@@ -54,7 +54,7 @@ def _least_2(y: Array, levers: Array) -> Array:
     return np.asarray((np.linalg.pinv(design) @ y).T)
 
 
-def exact(problem: Problem, norm: Literal[1, 2] = 1) -> tuple[Array, Array]:
+def exact(problem: ThesisProblem, norm: Literal[1, 2] = 1) -> tuple[Array, Array]:
     """Arcs and forces (contacts,) of least residual norm for one or two contacts.
 
     The model is averaged over the sensors' spans. One contact is tried at every place of a grid,

@@ -40,7 +40,7 @@ _EXAMPLES = 6000
 
 
 @dataclass(frozen=True, slots=True)
-class Problem(thesis.Problem):
+class BaselineProblem(thesis.ThesisProblem):
     """Readings of one frame above the free curvature, in cm and 1/cm, on the thesis's model.
 
     A baseline answers the arcs and forces of its contacts, base first. The model is averaged over
@@ -61,7 +61,7 @@ OPTIMISERS: dict[str, Callable[..., Any]] = {
 }
 
 
-def optimised(name: str, problem: Problem) -> tuple[Array, Array]:
+def optimised(name: str, problem: BaselineProblem) -> tuple[Array, Array]:
     """Minimise the thesis's objective over arcs and forces together by one of OPTIMISERS."""
     # The force of a contact at the tip that explains the largest reading.
     unit = max(float(np.max(np.abs(problem.curvature))), 1e-12) / problem.length
@@ -81,7 +81,7 @@ def optimised(name: str, problem: Problem) -> tuple[Array, Array]:
     return in_order(np.clip(x[:count], 0.0, 1.0) * problem.length, x[count:] * unit)
 
 
-def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
+def alternating_trust_constr(problem: BaselineProblem) -> tuple[Array, Array]:
     """The thesis's solver as one would write it today: SciPy's interior point does each step in a.
 
     This is the speed that users of the thesis's method would see. It works in cm, which takes half
@@ -104,7 +104,7 @@ def alternating_trust_constr(problem: Problem) -> tuple[Array, Array]:
     return alternate(starting_arcs(cut), lambda arcs: best_forces(cut, arcs), step_arcs)
 
 
-def grid(problem: Problem) -> tuple[Array, Array]:
+def grid(problem: BaselineProblem) -> tuple[Array, Array]:
     """A 0.1 cm grid of arcs with exact forces.
 
     For several contacts, all combinations on a 1 cm grid, screened with least-squares forces,
@@ -125,7 +125,7 @@ def grid(problem: Problem) -> tuple[Array, Array]:
     return arcs, best_forces(problem, arcs)
 
 
-def pwlf(problem: Problem) -> tuple[Array, Array]:
+def pwlf(problem: BaselineProblem) -> tuple[Array, Array]:
     """pwlf's continuous piecewise-linear fit; its inner breaks are the contacts.
 
     Readings at one place are averaged first, for a line has one value there. Source: Jekel and
@@ -151,7 +151,7 @@ def pwlf(problem: Problem) -> tuple[Array, Array]:
     return arcs, best_forces(problem, arcs)
 
 
-def ruptures(problem: Problem) -> tuple[Array, Array]:
+def ruptures(problem: BaselineProblem) -> tuple[Array, Array]:
     """ruptures' exact dynamic programme with the continuous linear cost.
 
     It sees a series of samples, not their places, and needs three in a segment: readings at one
@@ -179,7 +179,7 @@ def ruptures(problem: Problem) -> tuple[Array, Array]:
     return arcs, best_forces(problem, arcs)
 
 
-def trees(problem: Problem, mechanics: bool = False) -> tuple[Array, Array]:
+def trees(problem: BaselineProblem, mechanics: bool = False) -> tuple[Array, Array]:
     """Extremely randomised trees on the readings, alone or with the fit of `grid` beside them.
 
     Source: Geurts, Ernst and Wehenkel, Extremely randomized trees, Machine Learning 63, 2006.
@@ -205,7 +205,7 @@ def _ensemble(
     require("bench", "this baseline")
     from sklearn.ensemble import ExtraTreesRegressor
 
-    layout = Problem(
+    layout = BaselineProblem(
         np.zeros(len(position)), np.array(position), np.array(span), length, contacts,
         noise=noise,
     )  # fmt: skip
@@ -217,7 +217,7 @@ def _ensemble(
     return forest.fit(inputs, arcs if contacts > 1 else arcs[:, 0])
 
 
-def _example(layout: Problem, rng: np.random.Generator) -> tuple[Problem, Array]:
+def _example(layout: BaselineProblem, rng: np.random.Generator) -> tuple[BaselineProblem, Array]:
     arcs = np.sort(rng.uniform(0.2, 1.0, layout.contacts)) * layout.length
     moments = rng.uniform(0.1, 1.2, layout.contacts) * layout.critical_curvature
     forces = moments * rng.choice([-1.0, 1.0], layout.contacts) / arcs
@@ -225,7 +225,7 @@ def _example(layout: Problem, rng: np.random.Generator) -> tuple[Problem, Array]
     return replace(layout, curvature=clean + layout.noise * rng.standard_normal(clean.size)), arcs
 
 
-def _features(problem: Problem, mechanics: bool) -> Array:
+def _features(problem: BaselineProblem, mechanics: bool) -> Array:
     """The readings; with mechanics also the fit of `grid` and its residuals."""
     plain = problem.curvature * problem.length
     if not mechanics:

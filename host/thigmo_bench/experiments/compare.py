@@ -19,7 +19,7 @@ import numpy as np
 
 from thigmo.exploration.workspace import Bend, centreline, ramp_knots, skin_point
 from thigmo.localization import localize
-from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.baselines import BASELINES, BaselineProblem
 from thigmo_bench.experiments import thesis
 from thigmo_bench.experiments.trial import Trial
 from thigmo_bench.studies.rod import Floats
@@ -45,7 +45,7 @@ class Answer:
 
 def thesis_method(trial: Trial, name: str = THEIRS) -> Answer:
     """The thesis's solver or one of its variants, given the true number of contacts."""
-    problem = Problem(
+    problem = BaselineProblem(
         trial.curvature - trial.free, trial.position, trial.span, trial.length_cm,
         contacts=len(trial.arcs_cm), critical_curvature=trial.critical,
     )  # fmt: skip

@@ -33,7 +33,7 @@ from thigmo.exploration.run import Progress, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import Operator, SensorTable, connect
 from thigmo.wiring import Wiring
-from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.baselines import BASELINES, BaselineProblem
 from thigmo_bench.experiments import thesis
 from thigmo_bench.experiments.session import Attendant, Folder, Place, Row, Say
 from thigmo_bench.studies import charts
@@ -110,7 +110,7 @@ def _thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
             usable = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
             if usable.sum() >= thesis.LEAST_READINGS:
                 contact_curvature = peak.curvature[usable] - peak.free_curvature
-                problem = Problem(
+                problem = BaselineProblem(
                     contact_curvature,
                     table.center_cm[usable],
                     table.span_cm[usable],

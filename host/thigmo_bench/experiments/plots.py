@@ -111,13 +111,22 @@ def single_contact(solved: Sequence[Solved]) -> dict[str, Figure]:
     }
 
 
+def _two_contacts_title(solved: Sequence[Solved]) -> str:
+    """The mean error of both methods, over both contacts and all separations."""
+    said = [
+        f"{np.mean([workspace_errors(*pair) for pair in answered(solved, method)]):.1f} cm {whose}"
+        for method, whose in ((OURS, "ours"), (THEIRS, "by the thesis's method"))
+    ]
+    return f"Two opposed contacts: mean error {', '.join(said)} (thesis, figure 3.5c)"
+
+
 def two_contacts(solved: Sequence[Solved]) -> dict[str, Figure]:
     """Errors of both contacts by separation (3.5c), and one fit at 18.5 cm (3.6)."""
     groups = [(n.removesuffix(" cm apart"), group) for n, group in _groups(solved, "place")]
     conditions = [group[0].trial.condition for _, group in groups]
     errors, axes = charts.panels(
         1, 2, size=(5.5, 4.4), share=True,
-        title="Two opposed contacts, ordered along the arc (thesis, figure 3.5c)",
+        title=_two_contacts_title(solved),
     )  # fmt: skip
     for contact, (axis, name) in enumerate(zip(axes, ("proximal", "distal"), strict=True)):
         _compare(axis, groups, contact)

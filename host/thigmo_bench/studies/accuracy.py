@@ -279,7 +279,10 @@ def _stated_figure(rows: list[Row]) -> Figure:
     """Coverage and wrong answers under each error that can be stated: stated, and not."""
     lines = {(row["error"], row["group"], row["stated"]): row for row in rows}
     pairs = [(e, g) for e, g, stated in lines if stated and not g.startswith("free")]
-    figure, (first, second, third) = panels(1, 3, size=(3.7, 0.3 * len(pairs) + 1.4), share=True)
+    figure, (first, second, third) = panels(
+        1, 3, size=(3.7, 0.3 * len(pairs) + 1.4), share=True,
+        title="What stating an error is worth: coverage, and contacts localized where nothing is",
+    )  # fmt: skip
     positions = np.arange(len(pairs))
     for label, color, place in (
         ("not stated", RED, positions - 0.2),
@@ -302,7 +305,10 @@ def _stated_figure(rows: list[Row]) -> Figure:
 
 def _odds_figure(prices: list[Row]) -> Figure:
     """Contacts found, and bad readings believed, over the odds that are passed."""
-    figure, axes = panels(1, 3, size=(3.1, 3.0))
+    figure, axes = panels(
+        1, 3, size=(3.1, 3.0),
+        title="Odds of a bad reading: what stating them costs (left) and prevents (middle, right)",
+    )  # fmt: skip
     for axis, error, title, column, label in (
         (axes[0], "none", "all readings good", "found", "contacts found (%)"),
         (axes[1], BAD[0], BAD[0], "wrong", "localized where nothing is (% of frames)"),

@@ -16,7 +16,7 @@ import numpy as np
 
 from thigmo.errors import ThigmoError
 from thigmo.localization import METHODS, Localizer
-from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.baselines import BASELINES, BaselineProblem
 from thigmo_bench.studies.scenes import CRITICAL, LENGTH, RADIUS, ROBOT, SIGMA, Case
 
 FAILURE_CM = 10.0
@@ -61,9 +61,11 @@ def _timed_call(
             excess, position = case.curvature[read] - (case.free or 0.0), case.position[read]
             span = np.full(position.size, case.span)
             begin = None if start is None else np.full(count, start)
-            problem = Problem(excess, position, span, LENGTH, count, noise=noise, start=begin)
-            found: list[float] = BASELINES[method](problem)[0].tolist()
-            return found
+            problem = BaselineProblem(
+                excess, position, span, LENGTH, count, noise=noise, start=begin
+            )
+            arcs: list[float] = BASELINES[method](problem)[0].tolist()
+            return arcs
 
         return baseline
     fold: dict[str, Any] = {"critical_curvature": CRITICAL, "critical_curvature_error": 0.1}

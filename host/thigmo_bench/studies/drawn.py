@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from thigmo.config import RobotConfig
 from thigmo.mechanics import critical_moment
@@ -36,6 +37,8 @@ AGAINST = (0.3, 1.0)
 LOOP, LOOP_WIDTH = (0.5, 2.0), (2e-3, 1e-2)
 SWEEP_SCALE, SWEEP_OFFSET = (0.0, 0.02), (0.0, 5e-4)
 LAG_S = 0.08
+_MOST_LAGS = 8  # first-order ones of equal time between pressure and bend, of which the board has 1
+_FINE_S = 5e-3
 _YIELDS_AT_CM = 45.0  # arc at which a peg that folds the base yields by what its kind says
 
 
@@ -88,7 +91,7 @@ class _Stop:
 
     length: float
     zone: int
-    free: Floats  # (T,) by the map of robot.toml
+    free: Floats  # (T,) by the map of robot.toml, at the pressure that lags
     psi: Floats  # (T,)
     true: Floats  # (T, S) free curvature of the bodies
     ladder: Floats  # (K, S) bends at which the rod was solved
@@ -112,7 +115,7 @@ def rooms(
     yields = rng.uniform(0.0, kind.yields_cm, (count, 1)) * _YIELDS_AT_CM / body.critical[:, None]
     pegs = replace(Obstacles.pegs(x, y, radius), compliance=yields)
     sensors = [_Sensors.draw(kind, config, rng) for _ in range(count)]
-    places = np.unique(np.concatenate([each.places for each in sensors]))
+    places = np.unique(np.concatenate([drawn.places for drawn in sensors]))
     off = 1.0 + kind.bend * rng.choice([-1.0, 1.0], count)  # of all zones' maps alike
     lag_s = LAG_S * rng.standard_normal(count)
     stops = [
@@ -134,17 +137,22 @@ def _stop(
     """Sweep all robots at an everted length; `read_at`: places and span of all sensors."""
     muscle, zone, count = config.muscle("left"), config.body.zone_at(length), off.size
     curve = np.vectorize(muscle.maps[zone].inflate.curvature)
-    t_s = np.arange(0.0, RISE_S + FRAME_S / 2, FRAME_S)
-
-    def pressure(t: Floats) -> Floats:
-        sine = np.sin(0.5 * math.pi * np.clip(t, 0.0, RISE_S) / RISE_S)
-        return np.asarray(muscle.max_pressure_psi * sine**2)
+    fine_s = np.arange(0.0, RISE_S + _FINE_S / 2, _FINE_S)
+    psi = muscle.max_pressure_psi * np.sin(0.5 * math.pi * fine_s / RISE_S) ** 2
+    frames = np.arange(0, fine_s.size, round(FRAME_S / _FINE_S))
+    lagged = _through_lags(psi, muscle.lag_s, 1)[frames]
+    behind = np.array(
+        [
+            _through_lags(psi, max(muscle.lag_s + late, 0.0), int(rng.integers(1, _MOST_LAGS + 1)))
+            for late in lag_s
+        ]
+    ).T[frames]
 
     scale = off * (1.0 + muscle.maps[zone].scale_se * rng.standard_normal(count))
     scale *= 1.0 + rng.uniform(*SWEEP_SCALE, count) * rng.standard_normal(count)
     offset = muscle.offset_se * rng.standard_normal(count)
     offset += rng.uniform(*SWEEP_OFFSET, count) * rng.standard_normal(count)
-    true = scale * curve(pressure(t_s[:, None] - lag_s)) + offset
+    true = scale * curve(behind) + offset
     way = np.linspace(0.0, 1.0, _ROWS)[:, None]
     ladder = true.min(axis=0) + way * np.ptp(true, axis=0)
     fold = critical_moment(
@@ -154,9 +162,17 @@ def _stop(
     there = replace(body, length=length, critical=fold * body.critical)
     places, span = read_at
     return _Stop(
-        length, zone, curve(pressure(t_s)), pressure(t_s), true, ladder, places,
+        length, zone, curve(lagged), psi[frames], true, ladder, places,
         Sweeper(there, pegs).sweep(ladder, places, span),
     )  # fmt: skip
+
+
+def _through_lags(psi: Floats, lag_s: float, count: int) -> Floats:
+    """Pressures (T,) behind so many first-order lags, of a sum of `lag_s`."""
+    keeps = math.exp(-_FINE_S * count / lag_s) if lag_s else 0.0
+    for _ in range(count):
+        psi = np.asarray(lfilter([1.0 - keeps], [1.0, -keeps], psi))
+    return psi
 
 
 def _room(
@@ -174,8 +190,10 @@ def _room(
         frames = known.size if known.all() else int(np.argmin(known))
         if frames < _PEAK_FRAMES:
             continue
-        own = readings[alive][:, np.searchsorted(stop.places, sensors.places)]
-        clean = [np.interp(stop.true[:frames, room], ladder[alive], column) for column in own.T]
+        curvature = readings[alive][:, np.searchsorted(stop.places, sensors.places)]
+        clean = [
+            np.interp(stop.true[:frames, room], ladder[alive], column) for column in curvature.T
+        ]
         sweeps.append((_result(sensors, stop, sensors.read(np.array(clean).T, rng)), stop.zone))
     arc, x, y = stops[-1].swept.contacts[-1, room, 0].tolist()
     felt = any(np.isfinite(stop.swept.contacts[:, room, 0, 0]).any() for stop in stops)
@@ -249,18 +267,20 @@ class _Sensors:
     def draw(cls, kind: Drawn, config: RobotConfig, rng: np.random.Generator) -> _Sensors:
         rows = Wiring.of(config).read_sensors
         inputs = [n for n, sensor in enumerate(rows) if sensor and sensor.side == "right"]
-        own = [sensor for sensor in rows if sensor and sensor.side == "right"]
-        count = len(own)
-        gains = np.hypot([sensor.gain_error for sensor in own], kind.gains)
-        zero = np.array([sensor.zero_error for sensor in own])
+        right_sensors = [sensor for sensor in rows if sensor and sensor.side == "right"]
+        count = len(right_sensors)
+        gains = np.hypot([sensor.gain_error for sensor in right_sensors], kind.gains)
+        zero = np.array([sensor.zero_error for sensor in right_sensors])
         loop = zero * rng.uniform(*LOOP, count) * rng.choice([-1.0, 1.0], count)
-        place = np.array([sensor.center_se_cm for sensor in own]) * rng.standard_normal(count)
+        center = np.array([sensor.center_cm for sensor in right_sensors])
+        center_se = np.array([sensor.center_se_cm for sensor in right_sensors])
+        place = center_se * rng.standard_normal(count)
         return cls(
             inputs, len(rows),
-            np.round(np.array([sensor.center_cm for sensor in own]) + place, 6), own[0].span_cm,
+            np.round(center + place, 6), right_sensors[0].span_cm,
             1.0 + gains * rng.standard_normal(count), rng.uniform(*AGAINST, count),
             zero * rng.standard_normal(count), loop, rng.uniform(*LOOP_WIDTH, count),
-            np.array([sensor.noise for sensor in own]),
+            np.array([sensor.noise for sensor in right_sensors]),
         )  # fmt: skip
 
     def read(self, clean: Floats, rng: np.random.Generator) -> Floats:

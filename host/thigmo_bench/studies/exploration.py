@@ -351,7 +351,7 @@ def visit(room: Room) -> Run:
             scene, seed, config=known, protocol=protocol, effort=effort, method=method
         )
     except ThigmoError as error:
-        found.status = f"aborted: {error.what}"
+        found.status = f"aborted: {error.problem}"
         return found, None
     found.processor_s = process_time() - began_s
     found.judge(document)
@@ -720,7 +720,10 @@ def _dial_claims(rows: list[Record]) -> list[Claim]:
 
 def dial_figure(rows: Sequence[Record]) -> Figure:
     """Error, contacts missed and contacts localized wrong, against robot time."""
-    figure, axes = charts.panels(2, len(DIALLED), size=(3.4, 2.9))
+    figure, axes = charts.panels(
+        2, len(DIALLED), size=(3.4, 2.9),
+        title="What robot time buys: mean error (above), contacts missed or wrongly localized",
+    )  # fmt: skip
     most_cm = max((float(row["error_cm"]) for row in rows if row["contacts"]), default=1.0)
     most = max(max(float(row["missed"]), float(row["wrong"])) for row in rows)
     named = []
@@ -768,7 +771,10 @@ def dial_figure(rows: Sequence[Record]) -> Figure:
 
 def _figure(found: list[Explored]) -> Figure:
     """Places where pegs were found, and failures by kind."""
-    figure, (first, second) = charts.panels(1, 2, size=(6.5, 5.5))
+    figure, (first, second) = charts.panels(
+        1, 2, size=(6.5, 5.5),
+        title="Where pegs were found and missed, and how often each kind of robot and room fails",
+    )  # fmt: skip
     pegs = [one for one in found if np.isfinite(one.x_cm)]
     for label, marker, color, those in (
         ("found", "o", GREEN, [e for e in pegs if not e.touched_missed and not e.contacts_wrong]),

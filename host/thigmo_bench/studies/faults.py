@@ -441,7 +441,7 @@ def outcome(cases: list[Case], visits: list[Visit]) -> Outcome:
     host = [v for c, v in pairs if c.failure.kind in ("host_silent", "hang")]
     without_encoder = [v for c, v in pairs if c.failure.kind == "encoder_lost"]
     unnoticed = [c for c, v in pairs if not v.noticed and c.state not in ("safe", "ready")]
-    claims = (
+    claims: tuple[tuple[str, Sequence[float], float, str], ...] = (
         *_pressure_claims("", [pair for pair in pairs if pair[0].robot != "catheter"], MAX_PSI),
         *_pressure_claims(
             ", of the catheter", [pair for pair in pairs if pair[0].robot == "catheter"],

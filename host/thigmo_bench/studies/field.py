@@ -111,11 +111,11 @@ def run(context: Context) -> Outcome:
 
 
 def _outcome(results: list[Judged]) -> Outcome:
-    rows = [_row(kind, [one for one in results if one.kind == kind]) for kind in KINDS]
+    rows = [_row(kind, [result for result in results if result.kind == kind]) for kind in KINDS]
     rows = [row for row in rows if row["rooms"]]
     whole = _row("all kinds", results)
     worst = max((float(row["outside_percent"]) for row in rows if row["judged"]), default=nan)
-    false = sum(one.listed and not one.touched for one in results)
+    false = sum(result.listed and not result.touched for result in results)
     claims = [
         Claim("truth outside of the 95 % ellipse, all kinds", float(whole["outside_percent"]), 8.0,
               unit="%"),
@@ -123,21 +123,23 @@ def _outcome(results: list[Judged]) -> Outcome:
         Claim("sides with a contact that touched nothing", float(false), 0.0, unit="sides"),
     ]  # fmt: skip
     rows.append(whole)
-    return Outcome({"runs": [vars(one) for one in results], "rows": rows}, {}, claims, [], rows)
+    return Outcome(
+        {"runs": [vars(result) for result in results], "rows": rows}, {}, claims, [], rows
+    )
 
 
 def _row(kind: str, results: list[Judged]) -> Record:
-    right = [one for one in results if one.judged]
+    right = [result for result in results if result.judged]
     return {
         "kind": kind,
         "rooms": len(results),
         "judged": len(right),
-        "error_cm": float(np.mean([one.error_cm for one in right])) if right else nan,
-        "outside_percent": 100 * share([one.outside for one in right]),
-        "off_set_percent": 100 * share([one.off_set for one in right]),
-        "places": sum(one.places for one in right),
-        "few_samples": sum(one.samples < _LEAST_SAMPLES for one in right),
-        "missed": sum(one.touched and not one.listed for one in results),
-        "false": sum(one.listed and not one.touched for one in results),
-        "time_s": float(np.mean([one.time_s for one in results])) if results else nan,
+        "error_cm": float(np.mean([result.error_cm for result in right])) if right else nan,
+        "outside_percent": 100 * share([result.outside for result in right]),
+        "off_set_percent": 100 * share([result.off_set for result in right]),
+        "places": sum(result.places for result in right),
+        "few_samples": sum(result.samples < _LEAST_SAMPLES for result in right),
+        "missed": sum(result.touched and not result.listed for result in results),
+        "false": sum(result.listed and not result.touched for result in results),
+        "time_s": float(np.mean([result.time_s for result in results])) if results else nan,
     }

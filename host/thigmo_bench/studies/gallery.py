@@ -99,7 +99,7 @@ def calibrate(robot_and_seed: tuple[str, int]) -> Calibrated:
                 assert camera is not None  # the robot is emulated
                 results = run_all(Bench(robot, camera, session, _PLAN))
         except ThigmoError as error:
-            calibrated.faulty_steps = (f"aborted: {error.what}",)
+            calibrated.faulty_steps = (f"aborted: {error.problem}",)
             return calibrated
         # Steps that no other step needs, such as that for the stiffness, may be bad.
         calibrated.faulty_steps = tuple(
@@ -143,7 +143,7 @@ def visit(room: Room) -> Visited:
     try:
         document = explored_scene(scene, room.seed, config=room.robot.config)
     except ThigmoError as error:
-        visited.status = f"aborted: {error.what}"
+        visited.status = f"aborted: {error.problem}"
         return visited
     visited.judge(document)
     visited.judge_place(document)
@@ -190,7 +190,7 @@ def push(load: tuple[str, int]) -> Pushed:
     try:
         result = feel(driven).result
     except ThigmoError as error:
-        pushed.status = f"aborted: {error.what}"
+        pushed.status = f"aborted: {error.problem}"
         return pushed
     finally:
         driven.close()

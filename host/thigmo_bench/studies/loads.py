@@ -313,8 +313,8 @@ def _claims(results: dict[str, list[FrameResult]]) -> list[Claim]:
     def named(start: str) -> list[list[FrameResult]]:
         return [frames for name, frames in results.items() if name.startswith(start)]
 
-    def worst(groups: Iterable[list[FrameResult]], what: Callable[[FrameResult], bool]) -> float:
-        return max(share([what(f) for f in frames]) for frames in groups)
+    def worst(groups: Iterable[list[FrameResult]], holds: Callable[[FrameResult], bool]) -> float:
+        return max(share([holds(f) for f in frames]) for frames in groups)
 
     def at_least(text: str, value: float, limit: float) -> Claim:
         return Claim(text, value, limit, at_most=False)

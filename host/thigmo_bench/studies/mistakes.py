@@ -330,20 +330,20 @@ def judge(task: tuple[Case, int, int, int]) -> list[Seen]:
     seen = []
     for row, (readings, arcs) in enumerate(zip(curvature, frames.contacts, strict=True)):
         given = None if free is None else float(free[row])
-        found = localizer.localize(readings, free_curvature=given)
-        placed = [contact for contact in found.contacts if contact.status == "localized"]
-        listed = np.array([contact.arc for contact in found.contacts])
+        answer = localizer.localize(readings, free_curvature=given)
+        placed = [contact for contact in answer.contacts if contact.status == "localized"]
+        listed = np.array([contact.arc for contact in answer.contacts])
         apart = np.abs(arcs[:, None] - listed[None, :])
         seen.append(
             Seen(
                 bool(placed),
                 any(not holds(contact, arcs) for contact in placed),
-                len(found.contacts),
-                sum(holds(contact, arcs) for contact in found.contacts),
+                len(answer.contacts),
+                sum(holds(contact, arcs) for contact in answer.contacts),
                 float(apart.min(axis=1).max()) if apart.size else np.nan,
-                any(kind.remark in remark for remark in found.remarks),
-                any(each in remark for remark in found.remarks for each in ACCUSING),
-                bool(found.remarks),
+                any(kind.remark in remark for remark in answer.remarks),
+                any(phrase in remark for remark in answer.remarks for phrase in ACCUSING),
+                bool(answer.remarks),
             )
         )
     return seen
@@ -354,14 +354,14 @@ Row = dict[str, Any]
 
 def score(case: Case, seen: Sequence[Seen]) -> Row:
     """The row of a case."""
-    placed = [each.wrong for each in seen if each.localized]
-    listed = sum(each.listed for each in seen)
-    off = np.array([each.off_cm for each in seen])
+    placed = [frame.wrong for frame in seen if frame.localized]
+    listed = sum(frame.listed for frame in seen)
+    off = np.array([frame.off_cm for frame in seen])
     return {
         "kind": case.kind, "body": str(case.body), "sensors": case.body.sensors,
         "stated": case.stated, "count": len(seen), "localized": share([s.localized for s in seen]),
         "wrong": share([s.wrong for s in seen]), "wrong_of_localized": share(placed),
-        "covered": sum(each.held for each in seen) / listed if listed else np.nan,
+        "covered": sum(frame.held for frame in seen) / listed if listed else np.nan,
         "median_off_cm": float(np.nanmedian(off)) if np.isfinite(off).any() else np.nan,
         "named": share([s.named for s in seen]), "accused": share([s.accused for s in seen]),
         "remarked": share([s.remarked for s in seen]),
@@ -426,7 +426,10 @@ def _figure(rows: list[Row]) -> Figure:
     """Wrong answers of all frames and of the localized, and localized frames; stated and not."""
     groups = list(dict.fromkeys((row["kind"], row["body"]) for row in rows))
     lines = {(row["kind"], row["body"], row["stated"]): row for row in rows}
-    figure, axes = panels(1, 3, size=(3.4, 0.17 * len(groups) + 1.2), share=True)
+    figure, axes = panels(
+        1, 3, size=(3.4, 0.17 * len(groups) + 1.2), share=True,
+        title="Users' mistakes: wrong answers and localized frames, each mistake stated and not",
+    )  # fmt: skip
     at = np.arange(len(groups))
     for label, color, place in (("not stated", RED, at - 0.2), ("stated", BLUE, at + 0.2)):
         some = [lines[*group, label == "stated"] for group in groups]
@@ -452,7 +455,7 @@ def run(context: Context) -> Outcome:
         cases = [Case(name, body, stated) for body in kind.bodies for stated in (False, True)]
         tasks = [(case, context.seed, *batch) for case in cases for batch in batches]
         seen = iter(context.map(judge, tasks, name, last))
-        rows += [score(case, [each for _ in batches for each in next(seen)]) for case in cases]
+        rows += [score(case, [frame for _ in batches for frame in next(seen)]) for case in cases]
         outcome.tables["rows"] = rows
         context.save(outcome)
     outcome.claims = _claims(rows)

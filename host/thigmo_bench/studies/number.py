@@ -159,7 +159,10 @@ def trade(task: tuple[str, tuple[int, ...], int]) -> NDArray[np.bool_]:
 
 
 def _calibration_figure(rows: list[dict[str, Any]], curve: list[dict[str, Any]]) -> Figure:
-    figure, (first, second) = panels(1, 2, size=(3.7, 3.4))
+    figure, (first, second) = panels(
+        1, 2, size=(3.7, 3.4),
+        title="The number of contacts: is its probability right, and are both contacts found?",
+    )  # fmt: skip
     first.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
     stated, hit, count = (
         np.array([row[column] for row in rows]) for column in ("said", "correct", "count")
@@ -188,7 +191,10 @@ def _calibration_figure(rows: list[dict[str, Any]], curve: list[dict[str, Any]])
 
 
 def _trade_figure(traded: list[Traded], priced: list[dict[str, Any]]) -> Figure:
-    figure, axes = panels(1, 3, size=(3.4, 3.4))
+    figure, axes = panels(
+        1, 3, size=(3.4, 3.4),
+        title="What it costs to be right more often: fewer frames are called localized",
+    )  # fmt: skip
     for axis, claim, title in (
         (axes[0], "number", "number held to a level"),
         (axes[1], "place", "widest interval"),

@@ -116,15 +116,15 @@ def time_localizer(seed: int, kind: str) -> list[tuple[float, float, str]]:
         for _ in range(_CALLS):
             result = localizer.localize(case.curvature, free_curvature=case.free)
         call_us = (process_time() - began) / _CALLS * 1e6
-        found = [contact.arc for contact in result.contacts]
-        runs.append((call_us, _mean_distance(found, case.arcs), str(len(found))))
+        arcs = [contact.arc for contact in result.contacts]
+        runs.append((call_us, _mean_distance(arcs, case.arcs), str(len(arcs))))
     return runs
 
 
-def _mean_distance(found: Sequence[float], true: Sequence[float]) -> float:
-    if not found:
+def _mean_distance(arcs: Sequence[float], true: Sequence[float]) -> float:
+    if not arcs:
         return FAILURE_CM
-    distance = np.minimum(np.abs(np.subtract.outer(found, true)), FAILURE_CM)
+    distance = np.minimum(np.abs(np.subtract.outer(arcs, true)), FAILURE_CM)
     return float(np.concatenate([distance.min(axis=0), distance.min(axis=1)]).mean())
 
 

@@ -98,7 +98,7 @@ def visit(room: tuple[str, int, bool]) -> Visited:
     try:
         document = explored_scene(scene, seed)
     except ThigmoError as error:
-        visited.status = f"aborted: {error.what}"
+        visited.status = f"aborted: {error.problem}"
         return visited
     visited.judge(document)
     visited.judge_place(document)

@@ -291,7 +291,8 @@ def _figure(stress: Stress, errors: Floats) -> Figure:
     methods = stress.methods
     figure, axes = charts.panels(
         2 * -(-len(methods) // _ABREAST), _ABREAST, size=(1.9, 1.8), share="all",
-        title=f"{stress.row_label} and {stress.column_label}".removesuffix(" and -"),
+        title="Error and failures of each method over "
+        + f"{stress.row_label} and {stress.column_label}".removesuffix(" and -"),
     )  # fmt: skip
     rows = np.reshape(np.array(axes), (-1, _ABREAST))
     columns = [f"{v:g}" for v in stress.columns] if len(stress.columns) > 1 else [""]
@@ -324,7 +325,10 @@ def _figure(stress: Stress, errors: Floats) -> Figure:
 
 def _unstated_figure(errors: dict[str, Floats]) -> Figure:
     """A column for each stress: mean error above, failures below, a line for each method."""
-    figure, axes = charts.panels(2, len(HARDER), size=(1.5, 2.3))
+    figure, axes = charts.panels(
+        2, len(HARDER), size=(1.5, 2.3),
+        title="Errors that nobody states: mean error (above) and failures (below) as each grows",
+    )  # fmt: skip
     tops = [0.0, 100.0]
     for column, stress in enumerate(HARDER):
         for measure, (label, _) in enumerate(_MEASURES):

@@ -90,10 +90,10 @@ class Robot(Node):
             self._goal = None
             self._busy.release()
         if run.returncode == 0:
-            found = json.loads(said[0])
-            result.outcome, result.folder = found["outcome"], found["run"]
-            result.contacts = len(found["contacts"])
-            result.length = found["length_cm"] * _M_PER_CM
+            summary = json.loads(said[0])
+            result.outcome, result.folder = summary["outcome"], summary["run"]
+            result.contacts = len(summary["contacts"])
+            result.length = summary["length_cm"] * _M_PER_CM
             goal.succeed()
             return result
         result.outcome = said[1].strip()
@@ -118,7 +118,7 @@ class Robot(Node):
     def _feed(self, diagnostics: DiagnosticArray) -> None:
         for status in diagnostics.status:
             if status.name == "thigmo: run" and status.hardware_id == self._url:
-                values = {each.key: each.value for each in status.values}
+                values = {pair.key: pair.value for pair in status.values}
                 goal = self._goal
                 if goal is not None and values.get("under way") == "true":
                     goal.publish_feedback(

@@ -45,10 +45,10 @@ def program(target: str) -> Path:
 def test_nothing_is_found(
     program: Path, target: str, tmp_path: Path, many: Callable[[int], int]
 ) -> None:
-    runs, found = many(RUNS[target]), tmp_path / "found"
-    found.mkdir()
+    runs, crashes = many(RUNS[target]), tmp_path / "found"
+    crashes.mkdir()
     command = [str(program), f"-runs={runs}", "-seed=1", "-max_len=600"]
-    command += ["-timeout=300", f"-artifact_prefix={tmp_path}/", str(found)]
+    command += ["-timeout=300", f"-artifact_prefix={tmp_path}/", str(crashes)]
     result = subprocess.run(
         [*command, str(HERE / "corpus" / target)], capture_output=True, text=True, check=False
     )

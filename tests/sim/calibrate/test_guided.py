@@ -195,13 +195,13 @@ def test_actuator_map_is_within_half_a_percent_of_full_scale_and_the_lag_within_
     # The sensor's averaging window, and the plant's step of 10 ms, come to nothing together.
     lag = muscle.delay_s + muscle.inflate_tau_s + body.damping / (np.pi * body.frequency_hz)
     for side in SIDES:
-        found, true = lab.session.config.muscle(side), lab.scene.robot.muscle(side)
+        fitted, true = lab.session.config.muscle(side), lab.scene.robot.muscle(side)
         full = true.maps[2].inflate.curvature(18.0)
         for branch in ("inflate", "deflate"):
-            made, right = getattr(found.maps[2], branch), getattr(true.maps[2], branch)
+            made, right = getattr(fitted.maps[2], branch), getattr(true.maps[2], branch)
             worst = max(abs(made.curvature(p) - right.curvature(p)) for p in np.arange(0, 18.1))
             assert worst < 0.005 * full
-        assert found.lag_s == pytest.approx(lag, rel=0.035)
+        assert fitted.lag_s == pytest.approx(lag, rel=0.035)
 
 
 @pytest.mark.ci

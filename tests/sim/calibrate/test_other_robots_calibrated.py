@@ -50,9 +50,9 @@ def _calibrated(thigmo: Thigmo, tmp_path: Path, steps: Sequence[str]) -> RobotCo
             "--places", 6, "--zone", len(truth.body.zones) - 1,
         )  # fmt: skip
         assert ran.code == 0, ran.out + ran.err
-    found = RobotConfig.load(folder / "robot.toml")
-    found.save(tmp_path / "made.toml")
-    return found
+    config = RobotConfig.load(folder / "robot.toml")
+    config.save(tmp_path / "made.toml")
+    return config
 
 
 @pytest.mark.parametrize(
@@ -68,14 +68,14 @@ def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
     scene = unknown(3, length_cm, sensors, muscles, kind)
     truth = scene.robot
     scene.save(tmp_path / "bare.toml")
-    found = _calibrated(thigmo, tmp_path, ("pressure", "actuator", kind))
+    calibrated = _calibrated(thigmo, tmp_path, ("pressure", "actuator", kind))
     status = thigmo("calibrate", "status", "--folder", tmp_path / "calibration", "--json")
     assert json.loads(status.out).keys() & {"flex", "heading", "fibre"} == {kind}
-    for made, true in zip(found.sensors, truth.sensors, strict=True):
+    for made, true in zip(calibrated.sensors, truth.sensors, strict=True):
         assert made.healthy
         off = made.raw_scale / true.raw_scale - 1
         assert abs(off) < max(0.03, 3 * made.scale_se)
-    for muscle, right in zip(found.muscles, truth.muscles, strict=True):
+    for muscle, right in zip(calibrated.muscles, truth.muscles, strict=True):
         curve, goal = muscle.maps[-1].inflate, right.maps[-1].inflate
         gap = [curve.curvature(psi) - goal.curvature(psi) for psi in np.arange(0.0, 18.1)]
         assert np.abs(gap).max() < 0.02 * goal.curvature(18.0)
@@ -89,7 +89,7 @@ def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
     )  # fmt: skip
     assert ran.code == 0, ran.err
     contacts = json.loads(ran.out)["contacts"]
-    away = [np.hypot(each["x_cm"] - peg.x, each["y_cm"] - peg.y) for each in contacts]
+    away = [np.hypot(contact["x_cm"] - peg.x, contact["y_cm"] - peg.y) for contact in contacts]
     # From the peg's surface; of twenty rooms of `bench robots` the worst is 7.6 % off.
     assert abs(min(away) - peg.radius) < 0.08 * length_cm
 
@@ -99,8 +99,8 @@ def test_a_fibre_is_calibrated_and_feels_with_what_was_found(
 ) -> None:
     scene = unknown(3, 53.0, 10, 2, "fibre")
     scene.save(tmp_path / "bare.toml")
-    found = _calibrated(thigmo, tmp_path, ("pressure", "actuator", "fibre"))
-    for made, true in zip(found.gratings, scene.robot.gratings, strict=True):
+    calibrated = _calibrated(thigmo, tmp_path, ("pressure", "actuator", "fibre"))
+    for made, true in zip(calibrated.gratings, scene.robot.gratings, strict=True):
         if made.side:
             assert made.healthy
             off = made.scale_per_ue / true.scale_per_ue - 1

@@ -69,10 +69,10 @@ def test_sensors_opposite_map_a_muscle_and_time_its_lag(thigmo: Thigmo, tmp_path
     scale = robot.sensors[0].scale_per_ohm
     robot.sensors += [
         FlexSensor(
-            direction_deg=30.0, center_cm=each.center_cm, span_cm=each.span_cm,
+            direction_deg=30.0, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
             scale_per_ohm=-scale, valid_direction=-1,
         )
-        for each in robot.sensors
+        for sensor in robot.sensors
     ]  # fmt: skip
     ran = calibrate(thigmo, tmp_path, robot)
     assert ran.code == 0, ran.out + ran.err
@@ -87,7 +87,7 @@ def test_sensors_opposite_map_a_muscle_and_time_its_lag(thigmo: Thigmo, tmp_path
     ran = calibrate(thigmo, tmp_path, robot, "check")
     assert ran.code == 0, ran.out
     looked = json.loads((tmp_path / "made" / "check.json").read_text())["findings"]
-    (lower_bend,) = (one for one in looked if one["part"] == "lower muscle")
+    (lower_bend,) = (finding for finding in looked if finding["part"] == "lower muscle")
     assert lower_bend["mark"] == "ok"
     assert "as mapped" in lower_bend["text"]
 

@@ -68,12 +68,12 @@ def test_from_pixels_to_the_map(tmp_path):
         for step in ("pressure", "encoder", "actuator", "flex", "buckling"):
             result = steps.run(bench, step)
             assert result.verdict.good, result.verdict
-    found = session.config
+    config = session.config
 
     pairs = [
         (mine, true)
         for side in SIDES
-        for mine, true in zip(found.column(side), truth.column(side), strict=True)
+        for mine, true in zip(config.column(side), truth.column(side), strict=True)
     ]
     errors = np.array([mine.scale_per_ohm / true.scale_per_ohm - 1 for mine, true in pairs])
     stated = np.array([mine.scale_se for mine, _ in pairs])
@@ -81,17 +81,17 @@ def test_from_pixels_to_the_map(tmp_path):
     assert np.mean((errors / stated) ** 2) < 3.0
     assert [mine.valid_direction for mine, _ in pairs] == [t.valid_direction for _, t in pairs]
     for side in SIDES:
-        for mine, true in zip(found.muscle(side).maps, truth.muscle(side).maps, strict=True):
+        for mine, true in zip(config.muscle(side).maps, truth.muscle(side).maps, strict=True):
             full = true.inflate.curvature(18.0)
             for branch in ("inflate", "deflate"):
                 curve, right = getattr(mine, branch), getattr(true, branch)
                 gap = [curve.curvature(p) - right.curvature(p) for p in np.arange(0.0, 18.1)]
                 assert np.abs(gap).max() < 0.005 * full
-    assert found.body.critical_curvature == pytest.approx(0.0118, rel=0.03)
-    assert found.spool.counts_per_cm == pytest.approx(71.0, rel=0.01)
+    assert config.body.critical_curvature == pytest.approx(0.0118, rel=0.03)
+    assert config.spool.counts_per_cm == pytest.approx(71.0, rel=0.01)
     # By half of body pressure times section, against 147 N at full duty.
-    pulls = [zone.pull_duty for zone in found.body.zones]
-    assert pulls == pytest.approx([17.7 * zone.pressure_psi for zone in found.body.zones], abs=4.0)
+    pulls = [zone.pull_duty for zone in config.body.zones]
+    assert pulls == pytest.approx([17.7 * zone.pressure_psi for zone in config.body.zones], abs=4.0)
 
     (peg,) = scene.pegs
     with thigmo.connect(room, seed=4) as robot:
@@ -101,7 +101,7 @@ def test_from_pixels_to_the_map(tmp_path):
     where = seen[0]
     assert (where.x_cm, where.y_cm) == pytest.approx((peg.x, peg.y), abs=0.3)
 
-    explored = thigmo.explore(room, config=found, seed=4, out=tmp_path)
+    explored = thigmo.explore(room, config=config, seed=4, out=tmp_path)
     document = explored.document
     assert len(document.contacts) >= 1
     assert document.error_x_cm < 3.0

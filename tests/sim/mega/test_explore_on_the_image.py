@@ -19,15 +19,15 @@ def test_the_last_stage_finds_the_same_contact_on_both_boards(
     late_url: str, tmp_path: Path
 ) -> None:
     room = late_url.partition("://")[2]
-    found = {
+    contacts = {
         board: explore(f"{board}://{room}", seed=1, out=tmp_path, name=board).document
         for board in ("emulator", "mega-sim")
     }
-    for document in found.values():
+    for document in contacts.values():
         assert document.outcome == "full length"
         assert len(document.contacts) == 1
         assert document.error_x_cm is not None
         assert document.error_x_cm < 3.0
-    virtual, mega = (found[board].contacts[0] for board in ("emulator", "mega-sim"))
+    virtual, mega = (contacts[board].contacts[0] for board in ("emulator", "mega-sim"))
     assert mega.side == virtual.side
     assert mega.arc_cm == pytest.approx(virtual.arc_cm, abs=1.5)

@@ -33,9 +33,9 @@ def test_a_minute_of_everything_breaks_no_promise() -> None:
         text=True,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    found = {name: figure["value"] for name, figure in json.loads(done.stdout).items()}
-    assert found["robot time"] >= 0.016
-    assert found["commands sent"] == found["commands replied"] > 1000
-    assert found["commands refused, as they should be"] > 100
-    assert found["kinds of fault raised"] >= 3
-    assert found["EEPROM bytes written"] > 100
+    figures = {name: figure["value"] for name, figure in json.loads(done.stdout).items()}
+    assert figures["robot time"] >= 0.016
+    assert figures["commands sent"] == figures["commands replied"] > 1000
+    assert figures["commands refused, as they should be"] > 100
+    assert figures["kinds of fault raised"] >= 3
+    assert figures["EEPROM bytes written"] > 100

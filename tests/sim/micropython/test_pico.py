@@ -63,9 +63,9 @@ def test_what_the_controllers_core_runs_lies_in_ram(image: Path) -> None:
     named = subprocess.run(
         ["arm-none-eabi-nm", built], check=True, capture_output=True, text=True
     ).stdout
-    own = re.findall(r"^[0-9a-f]+ [TWVrR] (\S+)$", named, re.M)
-    assert len(own) > 50
-    assert [name for name in own if name in places and places[name] < RAM] == []
+    symbols = re.findall(r"^[0-9a-f]+ [TWVrR] (\S+)$", named, re.M)
+    assert len(symbols) > 50
+    assert [name for name in symbols if name in places and places[name] < RAM] == []
 
 
 def ready(transport: EmulatorTransport) -> Client:

@@ -78,11 +78,11 @@ class Port:
         os.close(self._theirs)
 
     def _carry(self) -> None:
-        told = len(self._board.printed())
+        sent = len(self._board.printed())
         while self._open:
             if select.select([self._ours], [], [], 0.01)[0]:
                 self._board.type(os.read(self._ours, 64))
-            told += os.write(self._ours, self._board.printed(told))
+            sent += os.write(self._ours, self._board.printed(sent))
 
     def mpremote(self, robot: Rig[MicroPythonBoard], *words: str | Path) -> str:
         """What a command of mpremote prints; the robot's time passes meanwhile."""

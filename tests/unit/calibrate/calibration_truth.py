@@ -38,8 +38,10 @@ class Lab:
         kind: list[str] = []
         tips, ohm, asked, curvature, active = [], [], [], [], []
 
-        def add(what: str, k: np.ndarray, tip=(np.nan, np.nan), want=np.nan, seen=np.nan, side=""):
-            kind.append(what)
+        def add(
+            row_kind: str, k: np.ndarray, tip=(np.nan, np.nan), want=np.nan, seen=np.nan, side=""
+        ):
+            kind.append(row_kind)
             tips.append(tip)
             asked.append(want)
             curvature.append(seen)
@@ -107,7 +109,7 @@ def real_sweeps(
     rng = lab.rng
     ramp = 0.035 * np.concatenate([np.linspace(0, 1, 11), np.linspace(1, 0, 11)])
     loop = rng.normal(0, 3e-4, 10)
-    found = []
+    taken_rows = []
     for _ in range(sweeps):
         readings = []
         for sign, active in ((1, "left"), (-1, "right")):
@@ -138,8 +140,8 @@ def real_sweeps(
                     np.full(rows, np.nan),
                 )
             )  # fmt: skip
-        found.append(merge(*readings))
-    return lab, found
+        taken_rows.append(merge(*readings))
+    return lab, taken_rows
 
 
 INFLATE = TanhMap(amplitude=0.03, scale_psi=9.0, offset_psi=7.0)

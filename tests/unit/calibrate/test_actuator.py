@@ -57,8 +57,8 @@ def test_errors_of_g_agree_with_the_stated_ones():
 
 
 def test_spread_of_trials_becomes_the_offset_error():
-    found = [fit_actuator(bends(seed, offset=6e-4, trials=8)).offset_se for seed in range(8)]
-    assert np.mean(found) == pytest.approx(6e-4, rel=0.35)
+    errors = [fit_actuator(bends(seed, offset=6e-4, trials=8)).offset_se for seed in range(8)]
+    assert np.mean(errors) == pytest.approx(6e-4, rel=0.35)
 
 
 def test_the_scale_of_a_map_is_uncertain_by_what_trials_differ():
@@ -211,8 +211,8 @@ def test_bends_of_a_lab_are_read_from_its_csv(tmp_path):
     older = BendReadings.read_all(Table.read(tmp_path / "older.csv"), config)
     assert [r.muscle for r in older] == ["left", "starboard"]
     np.testing.assert_array_equal(older[1].curvature, again[1].curvature)
-    one, two = fit_actuator(both[1]), fit_actuator(again[1])
-    assert two.zone.inflate.amplitude == pytest.approx(one.zone.inflate.amplitude, rel=1e-5)
+    first, second = fit_actuator(both[1]), fit_actuator(again[1])
+    assert second.zone.inflate.amplitude == pytest.approx(first.zone.inflate.amplitude, rel=1e-5)
 
 
 def lifted(lies: float = 180.0) -> RobotConfig:
@@ -229,14 +229,14 @@ def lifted_rows(config: RobotConfig, seed: int, gains: np.ndarray):
     """Bends of that muscle as the bench keeps them; its first sensor broke on the way."""
     rng = np.random.default_rng(seed)
     made, up = bends(seed, "up", sigma=0.0), config.muscles[2]
-    found = Wiring.of(config).sensors_reading(up)
+    reading_sensors = Wiring.of(config).sensors_reading(up)
     rows = []
     for n, (k, psi) in enumerate(zip(made.curvature, made.pressure_psi, strict=True)):
         ohm = rng.normal(0, 500, 16)
-        for one, gain in zip(found, gains, strict=True):
-            read = one.share * gain * k + rng.normal(0, 5e-4)
-            ohm[one.number] = read / one.sensor.scale_per_ohm
-        ohm[found[0].number] = np.nan if n > 20 else ohm[found[0].number]
+        for reading_sensor, gain in zip(reading_sensors, gains, strict=True):
+            read = reading_sensor.share * gain * k + rng.normal(0, 5e-4)
+            ohm[reading_sensor.number] = read / reading_sensor.sensor.scale_per_ohm
+        ohm[reading_sensors[0].number] = np.nan if n > 20 else ohm[reading_sensors[0].number]
         rows.append({"psi": psi, "ohm": ohm, "branch": made.branch[n], "trial": made.trial[n]})
     return rows
 
@@ -276,7 +276,7 @@ def test_sensors_that_wrinkle_or_lie_across_are_no_witnesses(lies):
     config = lifted(lies)
     assert Wiring.of(config).sensors_reading(config.muscles[2]) == []
     left = [
-        one.sensor.direction_deg for one in Wiring.of(config).sensors_reading(config.muscles[0])
+        read.sensor.direction_deg for read in Wiring.of(config).sensors_reading(config.muscles[0])
     ]
     assert left.count(270.0) == 5
     assert set(left) <= {270.0, 300.0}

@@ -50,10 +50,10 @@ def test_known_pulls_tell_the_stiffness_with_its_error() -> None:
         curvature = readings(config, rng, 0.02 * rng.standard_normal(10))
         balance = 1.0 + 0.03 * rng.standard_normal()
         tips = np.full(len(PULLS), config.body.length_cm)
-        found = fit_bending(PULLS * balance, tips, np.full(len(PULLS), 0.03), curvature, config)
-        assert found.verdict.good
-        deviates.append((found.stiffness_n_cm2 - EI) / found.stiffness_se_n_cm2)
-        assert found.stiffness_se_n_cm2 < 0.06 * EI
+        fit = fit_bending(PULLS * balance, tips, np.full(len(PULLS), 0.03), curvature, config)
+        assert fit.verdict.good
+        deviates.append((fit.stiffness_n_cm2 - EI) / fit.stiffness_se_n_cm2)
+        assert fit.stiffness_se_n_cm2 < 0.06 * EI
     assert 0.5 < np.std(deviates) < 1.5
     assert abs(np.mean(deviates)) < 0.6
 
@@ -80,10 +80,10 @@ def test_a_file_of_pulls_puts_newtons_into_robot_toml(tmp_path: Path) -> None:
 
 
 def test_the_fold_states_it_to_about_a_quarter() -> None:
-    found = from_fold(RobotConfig())
+    fit = from_fold(RobotConfig())
     # pi p r^3 of 0.49 psi and 1.75 cm is 5.69 N cm, over 0.01108 1/cm.
-    assert found.stiffness_n_cm2 == pytest.approx(0.75 * 5.69 / 0.01108, rel=2e-3)
-    assert 0.2 < found.stiffness_se_n_cm2 / found.stiffness_n_cm2 < 0.3
+    assert fit.stiffness_n_cm2 == pytest.approx(0.75 * 5.69 / 0.01108, rel=2e-3)
+    assert 0.2 < fit.stiffness_se_n_cm2 / fit.stiffness_n_cm2 < 0.3
 
 
 @pytest.mark.parametrize(

@@ -234,10 +234,10 @@ def test_round_trip_through_csv(tmp_path):
     readings = lab.flex()
     readings.write(tmp_path / "flex.csv", lab.config)
     again = FlexReadings.read(Table.read(tmp_path / "flex.csv"), lab.config)
-    one, two = fit_flex(readings, lab.config), fit_flex(again, lab.config)
+    first, second = fit_flex(readings, lab.config), fit_flex(again, lab.config)
     assert again.name == readings.name
-    assert [f.scale_per_ohm for f in one.sensors] == pytest.approx(
-        [f.scale_per_ohm for f in two.sensors], rel=1e-6
+    assert [f.scale_per_ohm for f in first.sensors] == pytest.approx(
+        [f.scale_per_ohm for f in second.sensors], rel=1e-6
     )
 
 
@@ -297,8 +297,8 @@ def test_loop_and_one_way_column_are_found_with_the_scale():
     result = fit_flex(replace(readings, ohm=lab.ohm(k)), lab.config)
     assert [f.valid_direction for f in result.sensors] == [-1] * 5 + [1] * 5
     assert np.abs(errors(result, lab)).max() < 0.015
-    found = np.array([f.hysteresis for f in result.sensors])
-    assert np.corrcoef(found, loop)[0, 1] > 0.8
+    hysteresis = np.array([f.hysteresis for f in result.sensors])
+    assert np.corrcoef(hysteresis, loop)[0, 1] > 0.8
 
 
 def test_merge_and_figure(tmp_path):
@@ -311,12 +311,12 @@ def test_merge_and_figure(tmp_path):
     assert (tmp_path / "flex.png").stat().st_size > 20_000
 
 
-def scores(one: FlexResult, two: FlexResult) -> list[float]:
+def scores(first: FlexResult, second: FlexResult) -> list[float]:
     """By how many of their stated errors the scales of two recordings differ."""
     return [
         (a.scale_per_ohm - b.scale_per_ohm)
         / np.hypot(a.scale_se * a.scale_per_ohm, b.scale_se * b.scale_per_ohm)
-        for a, b in zip(one.sensors, two.sensors, strict=True)
+        for a, b in zip(first.sensors, second.sensors, strict=True)
         if a.healthy and b.healthy
     ]
 
@@ -327,19 +327,19 @@ def test_stated_errors_hold_from_sweep_to_sweep_and_half_to_half(many):
     halves, single, true = [], [], []
     for seed in range(many(5)):
         lab, sweeps = real_sweeps(seed, bow=0.3, lost=0.28)
-        one, two = (
+        first, second = (
             fit_flex(reduce(merge, part), lab.config) for part in (sweeps[::2], sweeps[1::2])
         )
-        halves += scores(one, two)
+        halves += scores(first, second)
         single += scores(fit_flex(sweeps[0], lab.config), fit_flex(sweeps[1], lab.config))
         true += [
             (f.scale_per_ohm / scale - 1) / f.scale_se
-            for f, scale in zip(one.sensors, lab.scale, strict=True)
+            for f, scale in zip(first.sensors, lab.scale, strict=True)
             if f.name not in ("left 1", "right 1")
         ]
-    for found in (halves, single, true):
-        assert len(found) >= 40
-        assert 0.8 < np.sqrt(np.mean(np.square(found))) < 1.25
+    for fit in (halves, single, true):
+        assert len(fit) >= 40
+        assert 0.8 < np.sqrt(np.mean(np.square(fit))) < 1.25
 
 
 def test_a_sensor_that_drops_out_to_a_plausible_constant_is_told_and_its_rows_left_out():

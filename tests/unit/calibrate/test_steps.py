@@ -63,21 +63,21 @@ def test_critical_curvature_within_three_percent_and_within_its_error():
 
 def test_the_thesis_s_line_reads_the_critical_curvature_off_at_the_base():
     config = RobotConfig()
-    found = [thesis.fit_buckling(*pushes(seed), config) for seed in range(30)]
-    values = [result.critical_curvature for result in found]
+    fits = [thesis.fit_buckling(*pushes(seed), config) for seed in range(30)]
+    values = [result.critical_curvature for result in fits]
     assert np.mean(values) == pytest.approx(CRITICAL, rel=0.03)
-    assert all(result.critical_se >= 0.1 * result.critical_curvature for result in found)
-    assert all(result.verdict.good and np.mean(result.excess) > 3e-3 for result in found)
+    assert all(result.critical_se >= 0.1 * result.critical_curvature for result in fits)
+    assert all(result.verdict.good and np.mean(result.excess) > 3e-3 for result in fits)
 
 
 def test_gain_errors_widen_the_error_of_the_critical_curvature():
     config = RobotConfig()
-    found = []
+    fits = []
     for gain in (0.0, 0.05):
         for sensor in (*config.column("left"), *config.column("right")):
             sensor.scale_se = gain
-        found.append(fit_buckling(*pushes(1), config).critical_se)
-    assert found[1] > 1.2 * found[0]
+        fits.append(fit_buckling(*pushes(1), config).critical_se)
+    assert fits[1] > 1.2 * fits[0]
 
 
 def test_push_without_a_fold_is_left_out_and_an_outlier_trial_named():
@@ -292,9 +292,9 @@ def test_pressure_zeros_are_those_of_the_muscles_in_the_files_order(tmp_path, na
     file = tmp_path / "vented.csv"
     rows = [",".join(f"{name}_count" for name in true), *[",".join(map(str, true.values()))] * 12]
     file.write_text("\n".join(rows))
-    found = fit_csv("pressure", file, config)
-    assert [zero.muscle for zero in found.zeros] == names
-    assert found.board_values() == [round(64 * true[name]) for name in names]
+    fit = fit_csv("pressure", file, config)
+    assert [zero.muscle for zero in fit.zeros] == names
+    assert fit.board_values() == [round(64 * true[name]) for name in names]
 
 
 def whole(config: RobotConfig) -> CheckReadings:
@@ -388,7 +388,7 @@ def test_results_call_sensors_and_muscles_as_robot_toml_does(tmp_path: Path) -> 
     level = rng.normal(0, 4e-4, (60, 10))
     level[:, 7] *= 10
     noise = fit_noise(np.arange(60.0), level, config)
-    assert [each.name for each in noise.sensors] == SENSORS
+    assert [sensor.name for sensor in noise.sensors] == SENSORS
     assert any(note.startswith("270 deg 2 is loud") for note in noise.verdict.notes)
     assert noise.apply(config).column("right")[2].noise == noise.sensors[7].white
     draw(noise, tmp_path / "noise.png")
@@ -400,8 +400,8 @@ def test_results_call_sensors_and_muscles_as_robot_toml_does(tmp_path: Path) -> 
         fit_hysteresis([CreepRecord("right 1", t, y)], config)
 
     two = whole(RobotConfig())
-    one = {"left": two.bend_ohm["left"]}
-    checked = run_check(replace(two, bend_ohm=one), config)
+    left_only = {"left": two.bend_ohm["left"]}
+    checked = run_check(replace(two, bend_ohm=left_only), config)
     parts = [finding.part for finding in checked.findings]
     assert parts == [
         *(f"sensor {name}" for name in SENSORS), "Port muscle", "Port muscle's tightness",
@@ -416,9 +416,9 @@ def test_a_csv_calls_sensors_as_robot_toml_does(tmp_path: Path) -> None:
     rest = rng.normal(0, 4e-4, (60, 10))
     file = tmp_path / "rest.csv"
     write_table(file, {"t_s": np.arange(60.0)} | dict(zip(columns, rest.T, strict=True)))
-    found = fit_csv("noise", file, config)
-    assert [each.name for each in found.sensors] == SENSORS
-    assert found.sensors[7].white == pytest.approx(4e-4, rel=0.3)
+    noise = fit_csv("noise", file, config)
+    assert [sensor.name for sensor in noise.sensors] == SENSORS
+    assert noise.sensors[7].white == pytest.approx(4e-4, rel=0.3)
     write_table(file, {"sensor": ["270deg_2"] * len(t), "t_s": t, "curvature": y})
     (fit,) = fit_csv("hysteresis", file, config).sensors
     assert fit.name == "270 deg 2"

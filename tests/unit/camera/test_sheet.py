@@ -15,12 +15,12 @@ def test_a_cards_markers_are_where_the_sheet_says():
     sheet = Sheet()
     card = sheet.cards[2]
     picture = card_image(sheet, card)
-    found = detect_markers(picture, "DICT_4X4_50")
-    assert sorted(found) == [8, 9, 10, 11]
+    markers = detect_markers(picture, "DICT_4X4_50")
+    assert sorted(markers) == [8, 9, 10, 11]
     middle = picture.shape[0] / 2
     for k in range(4):
         expected = sheet.local_corners(k) * [40, -40] + middle
-        assert found[8 + k] == pytest.approx(expected, abs=1.0)
+        assert markers[8 + k] == pytest.approx(expected, abs=1.0)
 
 
 def test_turned_and_shrunk_cards_move_their_corners():

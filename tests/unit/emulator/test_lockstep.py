@@ -36,17 +36,17 @@ def test_exchange_is_continuous_and_in_the_boards_time(board: SilentBoard) -> No
     assert lockstep.t_s == 0.5
     for before, after in zip(board.encoder, board.encoder[1:], strict=False):
         assert before[1] == after[0]
-    for one, two in zip(board.analog, board.analog[1:], strict=False):
-        assert np.array_equal(one[:, 1], two[:, 0])
+    for first, second in zip(board.analog, board.analog[1:], strict=False):
+        assert np.array_equal(first[:, 1], second[:, 0])
     assert board.noise[:10] == pytest.approx(np.ones(10))
 
 
 def test_finer_exchange_passes_the_same_levels(board: SilentBoard) -> None:
     scene = Scene(start_length_cm=53.0)
     coarse, fine = Lockstep(scene, board), Lockstep(scene, other := SilentBoard(), exchange_ms=1)
-    for each in (board, other):
-        each.drive, each.drive_enabled = (500, 0), (True, False)
-        each.motor, each.braked = -200, False
+    for stepped in (board, other):
+        stepped.drive, stepped.drive_enabled = (500, 0), (True, False)
+        stepped.motor, stepped.braked = -200, False
     run(coarse, 60)
     run(fine, 60)
     assert len(other.analog) == 10 * len(board.analog)

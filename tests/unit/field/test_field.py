@@ -195,7 +195,7 @@ def test_the_evidence_is_the_integral_over_the_errors() -> None:
         lag_s=0.0, bend_bin=0.0,
     )  # fmt: skip
     fit = FieldFit(readings, errors)
-    found, best, _ = fit.evidence(fit.tables(NOTHING, np.zeros(0)), fit.free())
+    evidence, best, _ = fit.evidence(fit.tables(NOTHING, np.zeros(0)), fit.free())
     # Of the map's scale alone, by the trapezoidal rule.
     xi = np.linspace(-6.0, 6.0, 4001)
     left = (readings.curvature - readings.bend[:, None])[None] - (
@@ -203,7 +203,7 @@ def test_the_evidence_is_the_integral_over_the_errors() -> None:
     )
     log = -0.5 * np.sum((left / NOISE) ** 2, axis=(1, 2)) / ALIKE - 0.5 * xi**2
     dense = np.log(np.trapezoid(np.exp(log - log.max()), xi) / np.sqrt(2 * np.pi)) + log.max()
-    assert found == pytest.approx(dense, abs=1e-3)
+    assert evidence == pytest.approx(dense, abs=1e-3)
     assert best[0] == pytest.approx(float(xi[np.argmax(log)]), abs=5e-3)
 
 
@@ -364,14 +364,14 @@ def test_a_longer_body_with_all_else_in_proportion_has_the_same_answer() -> None
         length: _beside_peg(34.0, 0.012, 1.0, length, np.random.default_rng(5))[0]
         for length in LENGTHS
     }
-    one = _one(contacts(_readings(rows), _errors(), Atlas(53.0, 0.024)))
+    contact = _one(contacts(_readings(rows), _errors(), Atlas(53.0, 0.024)))
     errors = _errors(
         place=np.full(5, 0.2), zero=np.full(5, 1e-4), zero_zeroing=np.full(5, 5e-5),
         zero_sweep=np.full(5, 2.5e-5), map_offset=4e-4, sweep_offset=1.5e-4, bend_bin=1.5e-4,
     )  # fmt: skip
     two = _one(contacts(_readings(rows, 2.0), errors, Atlas(106.0, 0.012)))
-    assert two.arc_cm / 2 == pytest.approx(one.arc_cm, abs=0.3)
-    assert two.x_cm / 2 == pytest.approx(one.x_cm, abs=0.3)
+    assert two.arc_cm / 2 == pytest.approx(contact.arc_cm, abs=0.3)
+    assert two.x_cm / 2 == pytest.approx(contact.x_cm, abs=0.3)
 
 
 def test_a_proposal_whose_friction_and_yield_have_no_sign_has_a_density_of_one() -> None:

@@ -171,9 +171,9 @@ class Bench:
         data = self.board.read()
         self.raw += data
         fresh = [Heard(f.seq, f.session, f.message()) for f in self.decoder.feed(data)]
-        for one in fresh:
-            if isinstance(one.message, wire.Event):
-                self.events[one.message.number] = one.message
+        for arrival in fresh:
+            if isinstance(arrival.message, wire.Event):
+                self.events[arrival.message.number] = arrival.message
         self.heard += fresh
         return fresh
 
@@ -197,10 +197,10 @@ class Bench:
         self.seq = (self.seq + 1) & 0xFFFF
         self.send(message, self.seq, self.session)
         for _ in range(ms // STEP_MS):
-            for one in self.step():
-                mine = one.seq == self.seq and one.session == self.session
-                if mine and isinstance(one.message, wire.Reply):
-                    return one.message
+            for arrival in self.step():
+                mine = arrival.seq == self.seq and arrival.session == self.session
+                if mine and isinstance(arrival.message, wire.Reply):
+                    return arrival.message
         raise AssertionError(f"no reply to {message}")
 
     def get(self, message: wire.Message, kind: type[M]) -> M:

@@ -68,9 +68,9 @@ class Lab(Bench):
 
     def listen(self) -> list[Heard]:
         fresh = super().listen()
-        for one in fresh:
-            if isinstance(one.message, wire.Telemetry):
-                above = sum(each > 0 for each in one.message.set_cpsi)
+        for arrival in fresh:
+            if isinstance(arrival.message, wire.Telemetry):
+                above = sum(set_cpsi > 0 for set_cpsi in arrival.message.set_cpsi)
                 self.most_above_zero = max(self.most_above_zero, above)
         return fresh
 

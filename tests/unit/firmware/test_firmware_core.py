@@ -41,11 +41,11 @@ def _golden_header() -> str:
         for field, value in vector["fields"].items():
             declared = re.search(rf"^\s*(\w+) {field}\b", structs[kind], re.M)
             assert declared is not None
-            of = declared[1] if declared[1].endswith("_t") else f"protocol::{declared[1]}"
+            base = declared[1] if declared[1].endswith("_t") else f"protocol::{declared[1]}"
             values = value if isinstance(value, list) else [value]
             for index, item in enumerate(values):
                 at = f"[{index}]" if isinstance(value, list) else ""
-                lines.append(f"  m.{field}{at} = static_cast<{of}>({item}ll);")
+                lines.append(f"  m.{field}{at} = static_cast<{base}>({item}ll);")
         lines += [
             f"  check_vector(m, {vector['seq']}, {vector['session']}, "
             f'"{vector["frame"]}", "{vector["wire"]}");',

@@ -92,12 +92,12 @@ LAYOUT: dict[str, Callable[[dict[str, Any]], object]] = {
 }
 
 
-@pytest.mark.parametrize("what", LAYOUT)
+@pytest.mark.parametrize("part", LAYOUT)
 def test_the_wires_layout_changes_the_hash(
-    generate: ModuleType, tree: dict[str, Any], tmp_path: Path, what: str
+    generate: ModuleType, tree: dict[str, Any], tmp_path: Path, part: str
 ) -> None:
     before = load(generate, tree, tmp_path).hash
-    LAYOUT[what](tree)
+    LAYOUT[part](tree)
     assert load(generate, tree, tmp_path).hash != before
 
 

@@ -51,7 +51,7 @@ def test_a_page_s_connection_outlives_them(
                 for text in HOSTILE:
                     await stream.send_str(text)
                 await stream.send_bytes(b"\xff")
-                await stream.send_str(json.dumps({"command": "take"}))
+                await stream.send_str(json.dumps({"command": "resume"}))
                 for _ in range(3):  # the server speaks four times a second
                     (message,) = json.loads((await stream.receive(60)).data)
                     await stream.send_str('{"ack": 1}')
@@ -61,7 +61,7 @@ def test_a_page_s_connection_outlives_them(
         message = asyncio.run(look())
     finally:
         server.close()
-    assert (message["channel"], message["operator"], message["started"]) == ("page", True, None)
+    assert (message["channel"], message["operates"], message["started"]) == ("page", True, None)
     said = capfd.readouterr()
     assert (said.out, said.err) == ("", "")
     assert [record for record in caplog.records if record.levelname != "DEBUG"] == []

@@ -91,7 +91,10 @@ def test_joints_are_length_and_turns_of_the_body() -> None:
 
 def _levels(facts: Facts) -> dict[str, tuple[int, str]]:
     array = made.diagnostics(5.0, facts)
-    return {each.name.removeprefix("thigmo: "): (each.level, each.message) for each in array.status}
+    return {
+        status.name.removeprefix("thigmo: "): (status.level, status.message)
+        for status in array.status
+    }
 
 
 def test_diagnostics_say_what_is_wrong() -> None:
@@ -106,7 +109,7 @@ def test_diagnostics_say_what_is_wrong() -> None:
     assert _levels(Facts())["run"][0] == 3
     assert "board" not in _levels(Facts())
     (stop, *_) = made.diagnostics(5.0, replace(fine, stopped="stopped /dev/ttyACM0")).status
-    assert [(each.key, each.value) for each in stop.values] == [
+    assert [(pair.key, pair.value) for pair in stop.values] == [
         ("last stop", "stopped /dev/ttyACM0")
     ]
     over = Facts(RUN, False, STATE, BOARD)
@@ -117,7 +120,7 @@ def test_diagnostics_name_faults_and_keep_units() -> None:
     array = made.diagnostics(5.0, Facts(RUN, True, STATE, replace(BOARD, faults=("stopped",))))
     board = array.status[-1]
     assert (board.level, board.message, board.hardware_id) == (2, "stopped", "/dev/ttyACM0")
-    values = {each.key: each.value for each in board.values}
+    values = {pair.key: pair.value for pair in board.values}
     assert values["left pressure (Pa)"] == "62053"
     assert values["supply (V)"] == "unknown"
     assert values["everted length (m)"] == "0.4000"

@@ -196,4 +196,4 @@ def test_malformed_requests_print_nothing(
     assert b"200" in _asked(address, STOP).splitlines()[0]
     said = capfd.readouterr()
     assert (said.out, said.err) == ("", "")
-    assert [each for each in caplog.records if each.levelname != "DEBUG"] == []
+    assert [record for record in caplog.records if record.levelname != "DEBUG"] == []

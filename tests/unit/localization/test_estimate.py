@@ -54,8 +54,8 @@ def test_no_end_of_a_set_moves_by_more_than_rounding_does():
         frame = felt(arcs, forces) + SIGMA * rng.standard_normal(10)
 
         def ends(frame: np.ndarray, odds: float) -> list[float]:
-            found = find(frame, bad_reading_odds=odds)
-            return [end for c in found.contacts for piece in c.intervals for end in piece]
+            answer = find(frame, bad_reading_odds=odds)
+            return [end for c in answer.contacts for piece in c.intervals for end in piece]
 
         before = ends(frame, 1e-3)
         for _ in range(4):
@@ -149,15 +149,15 @@ def test_two_opposed_contacts_are_told_apart_at_18_5_cm():
     rng = np.random.default_rng(15)
     truth = (LENGTH - 18.5, LENGTH)
     clean = felt(truth, (-0.02 / truth[0], 0.03 / truth[1]))
-    errors, found, localized = [], 0, 0
+    errors, found_both, localized = [], 0, 0
     for _ in range(200):
         result = find(clean + SIGMA * rng.standard_normal(10))
-        found += len(result.contacts) == 2
+        found_both += len(result.contacts) == 2
         if len(result.contacts) != 2:
             continue
         errors.append([c.arc - t for c, t in zip(result.contacts, truth, strict=True)])
         localized += result.status == "localized"
-    assert found >= 190
+    assert found_both >= 190
     assert np.sqrt(np.mean(np.square(errors))) < 2.5
     assert localized >= 100
 
@@ -218,10 +218,12 @@ def test_units_of_length_do_not_matter(unit, noise):
         **STATED,
     )
     assert (there.status, there.hypothesis) == (here.status, here.hypothesis)
-    for one, other in zip(here.contacts, there.contacts, strict=True):
-        assert other.arc / unit == pytest.approx(one.arc, abs=1e-4)
-        assert other.force * unit**2 == pytest.approx(one.force, rel=1e-4)
-        assert np.array(other.interval) / unit == pytest.approx(np.array(one.interval), abs=1e-4)
+    for contact, other in zip(here.contacts, there.contacts, strict=True):
+        assert other.arc / unit == pytest.approx(contact.arc, abs=1e-4)
+        assert other.force * unit**2 == pytest.approx(contact.force, rel=1e-4)
+        assert np.array(other.interval) / unit == pytest.approx(
+            np.array(contact.interval), abs=1e-4
+        )
 
 
 def test_a_common_offset_widens_the_interval_beyond_the_last_sensor():
@@ -267,9 +269,9 @@ def test_three_contacts_are_left_out_of_frames_that_hardly_have_them():
         noisy = felt(arcs, forces, position) + SIGMA * rng.standard_normal(position.size)
         return "three contacts" in find(noisy, position).hypotheses
 
-    one = [weighed(BOTH, [arc], [0.006 / arc]) for arc in rng.uniform(15.0, 53.0, 200)]
+    single_contacts = [weighed(BOTH, [arc], [0.006 / arc]) for arc in rng.uniform(15.0, 53.0, 200)]
     three = [weighed(fine, [20.0, 35.0, 50.0], [9e-4, -6e-4, 3e-4]) for _ in range(50)]
-    assert np.mean(one) < 0.5
+    assert np.mean(single_contacts) < 0.5
     assert np.mean(three) > 0.9
 
 
@@ -280,36 +282,36 @@ def test_number_and_places_of_two_bent_contacts_are_two_claims():
     clean = body.readings(x, SPAN)[0]
     for seed in range(20):
         noisy = clean + SIGMA * np.random.default_rng(seed).standard_normal(20)
-        found = find(noisy, x, free_curvature=0.0031)
-        assert sum(found.number) == pytest.approx(1.0)
-        assert found.number[2] + found.number[3] > 0.3
-        for contact in found.contacts:
+        answer = find(noisy, x, free_curvature=0.0031)
+        assert sum(answer.number) == pytest.approx(1.0)
+        assert answer.number[2] + answer.number[3] > 0.3
+        for contact in answer.contacts:
             low, high = contact.interval
             assert contact.status != "localized" or any(low <= arc <= high for arc in arcs)
 
 
 def test_a_number_that_is_not_certain_enough_localizes_nothing_if_asked():
     frame = felt(47.0, 2e-4) + SIGMA * np.random.default_rng(4).standard_normal(10)
-    found = find(frame)
-    assert found.status == "localized"
-    assert find(frame, number_level=found.number[1] - 0.01).status == "localized"
-    assert find(frame, number_level=found.number[1] + 0.01).status == "ambiguous"
+    answer = find(frame)
+    assert answer.status == "localized"
+    assert find(frame, number_level=answer.number[1] - 0.01).status == "localized"
+    assert find(frame, number_level=answer.number[1] + 0.01).status == "ambiguous"
 
 
 def test_every_contact_has_its_mass_and_two_have_a_joint_one():
     clean = felt(20.0, -9e-4) + felt(48.0, 5e-4)
-    found = find(clean + SIGMA * np.random.default_rng(3).standard_normal(10))
-    assert len(found.contacts) == len(found.marginals) == 2
-    for contact, (edges, mass, *_) in zip(found.contacts, found.marginals, strict=True):
+    answer = find(clean + SIGMA * np.random.default_rng(3).standard_normal(10))
+    assert len(answer.contacts) == len(answer.marginals) == 2
+    for contact, (edges, mass, *_) in zip(answer.contacts, answer.marginals, strict=True):
         assert mass.sum() == pytest.approx(1.0)
         assert (edges[0], edges[-1]) == (0.0, pytest.approx(LENGTH))
         low, high = contact.interval
         inside = mass[(edges[:-1] >= low - 1e-9) & (edges[1:] <= high + 1e-9)].sum()
         assert inside >= 0.95
-    assert found.joint is not None
-    assert 0.9 < found.joint.mass.sum() <= 1.0 + 1e-9
-    near = 0.5 * (found.joint.near_edges[1:] + found.joint.near_edges[:-1])
-    assert found.joint.mass.sum(axis=1) @ near == pytest.approx(found.contacts[0].arc, abs=2.0)
+    assert answer.joint is not None
+    assert 0.9 < answer.joint.mass.sum() <= 1.0 + 1e-9
+    near = 0.5 * (answer.joint.near_edges[1:] + answer.joint.near_edges[:-1])
+    assert answer.joint.mass.sum(axis=1) @ near == pytest.approx(answer.contacts[0].arc, abs=2.0)
     assert find(felt(40.0, 2e-4)).joint is None
 
 
@@ -389,13 +391,13 @@ def test_forces_are_no_surer_than_they_may_be(contacts, many):
     for _ in range(many(100)):
         arc = rng.uniform(25.0, 50.0)
         force = 0.008 / arc
-        found = find(felt(arc, force) + SIGMA * rng.standard_normal(10), contacts=contacts)
-        contact, marginal = found.contacts[0], found.marginals[0]
+        answer = find(felt(arc, force) + SIGMA * rng.standard_normal(10), contacts=contacts)
+        contact, marginal = answer.contacts[0], answer.marginals[0]
         cell = np.searchsorted(marginal.edges, arc) - 1
         off.append((contact.force - force) / contact.force_deviation)
         off_where_it_is.append((marginal.force[cell] - force) / marginal.force_deviation[cell])
-    for each in (off, off_where_it_is):
-        assert 0.2 < np.sqrt(np.mean(np.square(each))) < 1.2
+    for distances in (off, off_where_it_is):
+        assert 0.2 < np.sqrt(np.mean(np.square(distances))) < 1.2
 
 
 def test_a_weak_touch_near_the_tip_is_not_put_far_from_it(many):
@@ -410,15 +412,15 @@ def test_a_weak_touch_near_the_tip_is_not_put_far_from_it(many):
 
 
 def test_an_answer_is_the_same_whatever_was_answered_before():
-    one, lost = felt(30.0, 3e-4), felt(30.0, 3e-4)
+    whole, lost = felt(30.0, 3e-4), felt(30.0, 3e-4)
     lost[3] = math.nan
     calls = (
-        lambda: find(one),
+        lambda: find(whole),
         lambda: find(lost),
-        lambda: find(one, span=2.0),
+        lambda: find(whole, span=2.0),
         lambda: find(felt(37.0, 2e-4, BOTH + 1.0), BOTH + 1.0),
         lambda: find(felt(37.0, 2e-4, COLUMN), COLUMN),
-        lambda: find(one + 0.03, free_curvature=0.03),
+        lambda: find(whole + 0.03, free_curvature=0.03),
         lambda: find(felt([20.0, 45.0], [9e-4, -9e-4])),
     )
     first = [call() for call in calls]

@@ -9,6 +9,6 @@ from thigmo.localization import localizer
 
 
 def test_the_examples_give_what_they_say() -> None:
-    found = doctest.testmod(localizer, extraglobs={"thigmo": thigmo})
-    assert found.attempted >= 8
-    assert found.failed == 0
+    outcome = doctest.testmod(localizer, extraglobs={"thigmo": thigmo})
+    assert outcome.attempted >= 8
+    assert outcome.failed == 0

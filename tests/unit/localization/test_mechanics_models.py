@@ -46,7 +46,7 @@ def test_levers_of_the_bent_shape_remove_the_bias_of_actuated_contacts():
 @pytest.mark.parametrize("free", [0.0, 0.03, 0.06])
 def test_opposed_contacts_are_felt_where_one_alone_explains_nothing(free):
     rng = np.random.default_rng(77)
-    found = []
+    answers = []
     for _ in range(25):
         distal = rng.uniform(40.0, 53.0)
         arcs = np.array([rng.uniform(18.0, distal - 15.0), distal])
@@ -54,11 +54,11 @@ def test_opposed_contacts_are_felt_where_one_alone_explains_nothing(free):
         clean = felt(arcs, moments * rng.choice([-1.0, 1.0]) / arcs, BOTH, free_curvature=free)
         noisy = clean + SIGMA * rng.standard_normal(10)
         options = STATED | {"length": LENGTH, "span": SPAN, "free_curvature": free}
-        found.append(len(thigmo.localize(noisy, BOTH, noise=SIGMA, **options).contacts))
+        answers.append(len(thigmo.localize(noisy, BOTH, noise=SIGMA, **options).contacts))
         pair = thigmo.localize(clean, BOTH, noise=1e-6, contacts=2, **options).contacts
         assert [contact.arc for contact in pair] == pytest.approx(arcs, abs=0.15)
-    assert min(found) >= 1
-    assert np.mean(np.array(found) == 2) >= 0.8
+    assert min(answers) >= 1
+    assert np.mean(np.array(answers) == 2) >= 0.8
 
 
 def test_an_oblique_force_on_the_tips_corner_is_recognised():

@@ -150,8 +150,8 @@ def test_rows_say_what_single_frames_say():
 
 def test_a_held_end_is_true_or_one():
     curvature = TOUCH + noise(10)
-    true, one = (find(curvature, held_end=held) for held in (True, 1))
-    assert true.log_odds == one.log_odds
+    true, number_one = (find(curvature, held_end=held) for held in (True, 1))
+    assert true.log_odds == number_one.log_odds
     assert find(curvature, held_end=1.0).log_odds != true.log_odds
 
 

@@ -63,12 +63,12 @@ def test_a_contact_is_found_with_its_force_in_the_frame_of_the_base():
 
 def test_units_and_rows_are_those_of_the_plane():
     curvature = noisy(pressed(0.6, 2.0, 1.0).readings(POSITION, AXIS, SPAN), 2)
-    one = thigmo.localize(curvature[0], **READ)
+    single = thigmo.localize(curvature[0], **READ)
     options = READ | {"position": 530 * POSITION, "span": 530 * SPAN, "length": 530.0}
     localizer = Localizer.of(**(options | {"noise": SIGMA / 530}))
     other = localizer.localize(curvature[0] / 530)
-    assert other.contacts[0].arc == pytest.approx(530 * one.contacts[0].arc)
-    assert np.multiply(other.contacts[0].vector, 530**2) == pytest.approx(one.contacts[0].vector)
+    assert other.contacts[0].arc == pytest.approx(530 * single.contacts[0].arc)
+    assert np.multiply(other.contacts[0].vector, 530**2) == pytest.approx(single.contacts[0].vector)
     rows = localizer.localize_batch(curvature / 530)
     assert rows.arc[0, 0] == other.contacts[0].arc
 
@@ -76,15 +76,15 @@ def test_units_and_rows_are_those_of_the_plane():
 def test_turned_about_its_axis_with_everything_places_stay():
     rods = pressed(0.55, 3.0, -1.0, weight=np.array([[0.3, -0.8, 0.4]]), twist=TWIST)
     curvature = noisy(rods.readings(POSITION, AXIS, SPAN)[0], 3)
-    one = thigmo.localize(curvature, **READ, twist=TWIST, weight=rods.weight[0])
+    single = thigmo.localize(curvature, **READ, twist=TWIST, weight=rods.weight[0])
     c, s = np.cos(1.0), np.sin(1.0)
     about = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
     other = thigmo.localize(
         curvature, **(READ | {"direction": DIRECTION + 1.0}), twist=TWIST,
         weight=about @ rods.weight[0],
     )  # fmt: skip
-    assert abs(other.contacts[0].arc - one.contacts[0].arc) < 1e-6
-    assert other.contacts[0].vector == pytest.approx(about @ one.contacts[0].vector, abs=1e-6)
+    assert abs(other.contacts[0].arc - single.contacts[0].arc) < 1e-6
+    assert other.contacts[0].vector == pytest.approx(about @ single.contacts[0].vector, abs=1e-6)
 
 
 def test_turned_about_its_axis_two_contacts_stay():
@@ -96,9 +96,9 @@ def test_turned_about_its_axis_two_contacts_stay():
     turned = READ | {"direction": DIRECTION + 1.234}
     pairs = 0
     for frame in curvature:
-        one, other = (thigmo.localize(frame, **options).contacts for options in (READ, turned))
-        assert [c.arc for c in other] == pytest.approx([c.arc for c in one], abs=1e-6)
-        pairs += len(one) == 2
+        contact, other = (thigmo.localize(frame, **options).contacts for options in (READ, turned))
+        assert [c.arc for c in other] == pytest.approx([c.arc for c in contact], abs=1e-6)
+        pairs += len(contact) == 2
     assert pairs > 40
 
 
@@ -189,12 +189,12 @@ def log_densities(curvature, column_sets, *, bad=None, pushes=None):
         if bad is not None:
             white[bad, bad] += priors.BAD_DEVIATION**2
         total = white + columns.T @ columns
-        own = multivariate_normal(np.zeros(POSITION.size), total).logpdf(curvature)
+        log_density = multivariate_normal(np.zeros(POSITION.size), total).logpdf(curvature)
         if pushes is not None:
             gain = np.linalg.solve(total, columns[pushes])
             mean, variance = gain @ curvature, 1.0 - gain @ columns[pushes]
-            own += np.log(2.0) + norm.logcdf(mean / np.sqrt(variance))
-        out.append(own)
+            log_density += np.log(2.0) + norm.logcdf(mean / np.sqrt(variance))
+        out.append(log_density)
     return np.array(out) + doubt
 
 
@@ -237,7 +237,7 @@ def test_explanations_are_weighed_as_dense_normal_densities(
     localizer = Localizer.of(**(READ | {"held_end": False} | options))._compiled
     weighed = localizer.localize(excess + rest, rest, rest).weighed
     which = -1 if bad is None else bad
-    found = next(weight for load, at, weight in weighed if (load, at) == (name, which))
+    log_weight = next(weight for load, at, weight in weighed if (load, at) == (name, which))
     middles = (np.arange(cells) + 0.5) / cells if cells else ()
     logs = [
         log_densities(
@@ -249,7 +249,7 @@ def test_explanations_are_weighed_as_dense_normal_densities(
         for scale in priors.MOMENTS
     ]
     weight = logsumexp(logs) - np.log(np.size(logs)) + priors.CONTACT + odds
-    assert found == pytest.approx(weight, abs=0.02)
+    assert log_weight == pytest.approx(weight, abs=0.02)
 
 
 @pytest.mark.parametrize("weight", [None, (0.2, -1.0, 0.5)])

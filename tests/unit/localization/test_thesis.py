@@ -20,25 +20,25 @@ def pressed(arc: float, moment: float = 0.009) -> np.ndarray:
 
 @pytest.mark.parametrize("arc", [39.75, 45.0])
 def test_it_finds_a_clean_contact_and_claims_nothing(arc: float) -> None:
-    found = thigmo.localize(pressed(arc), X, length=53, span=5.5, method="thesis")
-    (contact,) = found.contacts
+    answer = thigmo.localize(pressed(arc), X, length=53, span=5.5, method="thesis")
+    (contact,) = answer.contacts
     assert contact.arc == pytest.approx(arc, abs=1.5)
     assert contact.force == pytest.approx(0.009 / arc, rel=0.1)
-    assert found.status == contact.status == "point estimate"
+    assert answer.status == contact.status == "point estimate"
     assert contact.interval == (0.0, 53.0)
     assert math.isnan(contact.probability)
-    assert "no interval" in repr(found)
-    assert "no interval" in found._repr_html_()
-    assert found.bend[0, 1] == pytest.approx(contact.force * contact.arc)
-    found.plot()
+    assert "no interval" in repr(answer)
+    assert "no interval" in answer._repr_html_()
+    assert answer.bend[0, 1] == pytest.approx(contact.force * contact.arc)
+    answer.plot()
 
 
 def test_several_contacts_are_those_of_the_solver() -> None:
     y = pressed(53.0, 0.012) - pressed(20.0, 0.008)
-    found = thigmo.localize(y, X, length=53, span=5.5, contacts=2, method="thesis")
-    arcs, forces = thesis.alternating(thesis.Problem(y, X, np.full(10, 5.5), 53.0, 2))
-    assert [contact.arc for contact in found.contacts] == arcs.tolist()
-    assert [contact.force for contact in found.contacts] == forces.tolist()
+    answer = thigmo.localize(y, X, length=53, span=5.5, contacts=2, method="thesis")
+    arcs, forces = thesis.alternating(thesis.ThesisProblem(y, X, np.full(10, 5.5), 53.0, 2))
+    assert [contact.arc for contact in answer.contacts] == arcs.tolist()
+    assert [contact.force for contact in answer.contacts] == forces.tolist()
 
 
 def test_a_folded_base_is_coupled_where_the_critical_curvature_is_given() -> None:
@@ -55,9 +55,9 @@ def test_missing_readings_are_left_out() -> None:
     y = pressed(39.75)
     y[3] = math.nan
     rest = np.isfinite(y)
-    found = thigmo.localize(y, X, length=53, span=5.5, method="thesis")
+    answer = thigmo.localize(y, X, length=53, span=5.5, method="thesis")
     without = thigmo.localize(y[rest], X[rest], length=53, span=5.5, method="thesis")
-    assert found.contacts[0].arc == without.contacts[0].arc
+    assert answer.contacts[0].arc == without.contacts[0].arc
 
 
 def test_what_it_cannot_do_is_said() -> None:

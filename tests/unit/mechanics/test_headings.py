@@ -31,12 +31,12 @@ def test_errors_that_neighbours_share_give_intervals_that_hold_the_contact() -> 
     held, widths, alone = [], [], []
     for contact, rows in _answers(5, 150):
         known = {"position": rows.position, "span": rows.span, "length": LENGTH, "held_end": False}
-        found = thigmo.localize(
+        answer = thigmo.localize(
             rows.curvature, noise=1e-6, shared_errors=rows.shared_errors, **known
         )
         sigma = np.linalg.norm(rows.shared_errors, axis=1)
         apart = thigmo.localize(rows.curvature, noise=sigma, **known)
-        low, high = found.contacts[0].interval
+        low, high = answer.contacts[0].interval
         held.append(low <= contact <= high)
         widths.append(high - low)
         alone.append(np.diff(apart.contacts[0].interval)[0])

@@ -19,8 +19,8 @@ def test_phi_is_the_mean_lever_over_the_span(arc: float, center: float, span: fl
 
 
 def test_phi_without_span_is_the_lever_and_arguments_broadcast() -> None:
-    found = phi(np.array([[10.0], [30.0]]), np.array([5.0, 15.0, 45.0]), 0.0)
-    assert found.tolist() == [[5.0, 0.0, 0.0], [25.0, 15.0, 0.0]]
+    levers = phi(np.array([[10.0], [30.0]]), np.array([5.0, 15.0, 45.0]), 0.0)
+    assert levers.tolist() == [[5.0, 0.0, 0.0], [25.0, 15.0, 0.0]]
 
 
 def test_critical_moment_scales_with_body_pressure() -> None:

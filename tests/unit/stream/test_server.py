@@ -42,9 +42,9 @@ class Run:
 
 @pytest.fixture
 def run() -> Iterator[Run]:
-    one = Run()
-    yield one
-    one.server.close()
+    run = Run()
+    yield run
+    run.server.close()
 
 
 def test_a_viewer_gets_hello_what_was_last_and_what_follows(run: Run) -> None:
@@ -105,9 +105,9 @@ def test_a_viewer_that_stalls_keeps_nobody_waiting_and_is_told_what_it_lost(run:
 
 
 def test_a_run_is_found_while_it_is_under_way_and_only_then(run: Run) -> None:
-    assert run.server.address in [each.address for each in running()]
+    assert run.server.address in [found_run.address for found_run in running()]
     run.server.close()
-    assert run.server.address not in [each.address for each in running()]
+    assert run.server.address not in [found_run.address for found_run in running()]
     with pytest.raises(LinkError, match="no run is under way"):
         attach(run.server.address)
 
@@ -115,9 +115,9 @@ def test_a_run_is_found_while_it_is_under_way_and_only_then(run: Run) -> None:
 def test_no_thread_outlives_its_run() -> None:
     before = threading.active_count()
     for _ in range(3):
-        one = Run()
-        with attach(one.server.address):
-            one.server.close()
+        run = Run()
+        with attach(run.server.address):
+            run.server.close()
     assert threading.active_count() <= before  # those of earlier tests may end meanwhile
 
 

@@ -1,5 +1,5 @@
-// Start, pause, and who operates. A second page may look while one operates; it takes over when the
-// first has gone. Every page can stop.
+// Start, pause, and who operates. The first page that asks for something operates until it has gone;
+// others look. Every page can stop.
 
 import { connectOperate, drawOperate, parameters } from "./operate.js";
 import { $, element, store } from "./store.js";
@@ -7,7 +7,6 @@ import { $, element, store } from "./store.js";
 export function connectControl(send, lookBack) {
   $("start").addEventListener("click", () => send({ command: "start", realtime: $("pace").value === "realtime", parameters: parameters() }));
   $("pause").addEventListener("click", () => send({ command: asked() ? "resume" : "pause" }));
-  $("take").addEventListener("click", () => send({ command: "take" }));
   connectOperate(send);
   $("open-record").addEventListener("click", lookBack);
   $("choice").addEventListener("change", () => send({ command: "choose", pid: Number($("choice").value) }));
@@ -44,16 +43,14 @@ export function drawControl(lost) {
   const { page, last } = store;
   const live = page?.mode === "live" && !page.ended;
   const moves = live && page.started?.runs && page.started.name !== "explore";
-  const operates = !!page?.operator && !lost;
+  const operates = !!page?.operates && !lost;
   $("start").hidden = !(page?.start && !live);
   $("start").disabled = !operates || page?.busy || page?.latched && !page.start?.virtual;
   $("pace-row").hidden = $("start").hidden || !page?.start?.virtual;
   $("pause").hidden = !live || moves;
   $("pause").disabled = !operates;
   $("pause").textContent = last.state?.paused ? "Go on" : page?.pausing ? "Do not pause" : "Pause after this stage";
-  $("take").hidden = !page || page.operator || page.mode === "record";
-  $("take").disabled = lost || !!page?.operated;
-  $("take").textContent = page?.operated ? "Another page operates" : "Take control";
+  $("operated").hidden = !page || page.operates || page.mode === "record";
   $("open-record").hidden = !(page?.ended && page.mode === "live" && page.run?.folder);
   drawChoices(page, operates);
   $("viewers").textContent = page?.viewers > 1 ? `${page.viewers} pages look at this robot.` : "";

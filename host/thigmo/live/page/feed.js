@@ -22,7 +22,10 @@ export function listen({ opened, batch, lost }) {
 
   function open() {
     const mine = (socket = new WebSocket(url));
-    mine.onopen = opened;
+    mine.onopen = () => {
+      heard = performance.now(); // it has as long to speak as any other
+      opened();
+    };
     mine.onmessage = (event) => {
       heard = performance.now();
       down = false;

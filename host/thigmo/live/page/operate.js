@@ -27,7 +27,7 @@ export function connectOperate(send) {
   });
   setInterval(() => {
     const { page } = store;
-    if (page?.started?.held && page.started.runs && page.operator && !document.hidden) send({ command: "hold" });
+    if (page?.started?.held && page.started.runs && page.operates && !document.hidden) send({ command: "hold" });
   }, SIGN_MS);
   read("parameters.json").then((parameters) => parameters && drawParameters(parameters));
   connectEfforts();
